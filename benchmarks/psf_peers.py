@@ -1,6 +1,6 @@
 """Point spreads: error against seconds, beside prysm, HCIPy, POPPY and Optiland.
 
-python benchmarks/psf_peers.py [--peers-python PATH ...] [--json FILE] [--plot FILE.png]
+python benchmarks/psf_peers.py [--peers-python PATH ...] [--json FILE]
 
 Four waves on a round and clear pupil: no aberration, and a mix of defocus, astigmatism, coma and
 spherical of 1, 10 and 100 waves from peak to valley, as rms coefficients of Noll's Zernikes. Image
@@ -372,51 +372,6 @@ def fastest(rows, key, goal, ours):
     return min(reached, key=lambda row: row[key], default=None)
 
 
-def plot(rows, path):
-    """Error against seconds, one panel a case."""
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot
-
-    names = [row["case"] for row in rows]
-    cases = [given for given in CASES if given["name"] in names]
-    lines = (len(cases) + 1) // 2
-    figure, axes = pyplot.subplots(
-        lines, 2, figsize=(10, 1 + 4 * lines), layout="constrained", squeeze=False
-    )
-    names = list(dict.fromkeys(row["name"] for row in rows))
-    colors = pyplot.get_cmap("tab20").colors[::2] + pyplot.get_cmap("tab20b").colors[::4]
-    marks = "os^vDPX*<>phd"
-    style = {name: (colors[i % len(colors)], marks[i % len(marks)]) for i, name in enumerate(names)}
-    for panel, given in zip(axes.flat, cases, strict=False):
-        for name in names:
-            part = [r for r in rows if r["case"] == given["name"] and r["name"] == name]
-            color, mark = style[name]
-            ours = name.startswith("nlosoptics")
-            panel.loglog(
-                [row["error"] for row in part],
-                [row["seconds"] for row in part],
-                color=color,
-                marker=mark,
-                linestyle="-" if ours else "--",
-                markerfacecolor=color if ours else "white",
-                label=name,
-            )
-        panel.set(
-            xlabel="largest error of the intensity over its peak",
-            ylabel="time / s",
-            title=f"{given['name']}, {given['size']} x {given['size']} samples of "
-            f"{given['pitch']:g} $\\lambda$N",
-            xlim=(1e-16, 3),
-        )
-        panel.grid(which="major", alpha=0.4)
-    handles, labels = axes.flat[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    figure.savefig(path, dpi=150)
-    print(f"wrote {path}")
-
-
 def main():
     """Print the tables, write what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -432,15 +387,12 @@ def main():
     every = [given["name"] for given in CASES]
     parser.add_argument("--case", action="append", choices=every, help="by default all")
     parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--plot", type=Path, metavar="FILE.png")
     options = parser.parse_args()
     options.case = options.case or every
     rows = compare(options)
     summary(rows)
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1) + "\n")
-    if options.plot:
-        plot(rows, options.plot)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Traces of Wu's scene: seconds against error, beside Mitsuba 3 and Optiland.
 
-python benchmarks/traces.py [--peers-python PATH] [--seeds 16] [--json FILE] [--plot FILE.png]
+python benchmarks/traces.py [--peers-python PATH] [--seeds 16] [--json FILE]
 python benchmarks/traces.py --growth         seconds, error and memory against the rays
 python benchmarks/wu_scene.py                the flux by quadrature, which errors are held against
 
@@ -190,32 +190,6 @@ def series(rows):
         yield *key, [row for row in rows if (row["name"], row["reflections"]) == key]
 
 
-def plot(rows, extrapolated, path):
-    """Seconds against error, for three reflections."""
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(7, 6), layout="constrained")
-    for (name, reflections, part), mark in zip(series(rows), "ooss^^vvDD", strict=False):
-        if reflections == 3:
-            curve = np.array([(row["relative_error"], row["seconds"]) for row in part])
-            axes.loglog(*curve.T, marker=mark, label=name)
-    for row in extrapolated:  # a million times off the scale
-        seconds = row["seconds_to"][GOALS[0]]
-        axes.plot([], [], " ", label=f"{row['name']}: {seconds:.0e} s to {100 * GOALS[0]:g} %")
-    axes.set(
-        xlabel="relative standard deviation of the flux",
-        ylabel="time / s",
-        title="Wu's scene, Lambertian: laser, wall, letter, wall, lens",
-    )
-    axes.grid(which="major", alpha=0.4)
-    figure.legend(loc="outside lower center", ncols=2)
-    figure.savefig(path, dpi=150)
-    print(f"wrote {path}")
-
-
 def peak_memory(n_rays):
     """Peak memory, MiB, of a process that traces so many rays."""
     run = subprocess.run(
@@ -264,7 +238,6 @@ def main():
     parser.add_argument("--optiland-rays", type=int, default=1_000_000)
     parser.add_argument("--growth", action="store_true")
     parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--plot", type=Path, metavar="FILE.png")
     parser.add_argument("--peak", type=int, metavar="RAYS", help=argparse.SUPPRESS)
     options = parser.parse_args()
     os.environ["NUMBA_NUM_THREADS"] = str(THREADS)  # read when the first trace begins
@@ -276,8 +249,6 @@ def main():
         rows = growth(options)
     else:
         measured, extrapolated = compare(options)
-        if options.plot:
-            plot(measured, extrapolated, options.plot)
         rows = measured + extrapolated
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1) + "\n")

@@ -69,7 +69,8 @@ html_show_sourcelink = False
 html_theme_options = {
     "show_prev_next": False,
     "navigation_with_keys": False,
-    "secondary_sidebar_items": ["page-toc"],
+    # pages of the gallery are short, and their figures need the width
+    "secondary_sidebar_items": {"gallery/*": [], "[!g]**": ["page-toc"]},
     "navbar_end": ["theme-switcher"],
     "footer_start": ["copyright"],
     "footer_end": [],

@@ -1,5 +1,9 @@
-"""Draw the README's first picture: ``python docs/readme_figure.py``."""
+"""Draw the README's pictures: ``python docs/readme_figure.py``.
 
+The second one is drawn from the stored results of ``benchmarks/psf_peers.py``.
+"""
+
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +15,7 @@ from nlosoptics.scene import Scene
 from nlosoptics.views.canvas import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, VERMILION, new_axes
 
 ROOT = Path(__file__).parents[1]
+FIGURES = ROOT / "docs" / "figures"
 FLOOR = 1.35  # m from the wall, where the picture ends
 
 
@@ -50,7 +55,8 @@ def room(scene: Scene, axes: Axes) -> None:
     axes.axis("off")
 
 
-if __name__ == "__main__":
+def lead() -> None:
+    """Draw the room, the camera image and the reconstruction."""
     scene = nlos.Scene.load(ROOT / "examples" / "scenes" / "corner.toml")
     result = nlos.simulate(scene, seed=0, reconstruct=True)
     axes = new_axes(3, width=13.5, height=4.9)
@@ -65,4 +71,18 @@ if __name__ == "__main__":
     titles = ("A partition hides the chart", "What the camera records", "What nlosoptics recovers")
     for drawn, title in zip(axes, titles, strict=True):
         drawn.set_title(title, fontsize=17)
-    views.save(axes, ROOT / "docs" / "figures" / "corner.png")
+    views.save(axes, FIGURES / "corner.png")
+
+
+def peers() -> None:
+    """Draw run time against error of point spread functions by nlosoptics and its peers."""
+    sys.path.insert(0, str(ROOT / "docs" / "_ext"))
+    from performance_page import draw_psf_peers
+    from tables import rows
+
+    views.save(draw_psf_peers(rows("psf_peers.json")), FIGURES / "psf_peers.png")
+
+
+if __name__ == "__main__":
+    lead()
+    peers()

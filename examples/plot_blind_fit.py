@@ -76,9 +76,10 @@ for axis, (title, values) in zip(axes.values(), panels.items(), strict=False):
     axis.set(title=title, xlabel="column (pixels)", ylabel="row (pixels)")
     figure.colorbar(shown, ax=axis, shrink=0.8, label="relative brightness")
 axes["e"].bar(np.array(modes) - 0.2, wall, 0.4, label="true wall")
-axes["e"].bar(np.array(modes) + 0.2, fitted, 0.4, label="fitted")
+axes["e"].bar(np.array(modes) + 0.2, fitted, 0.4, label="fitted wall")
 axes["e"].set(xlabel="Zernike mode (Noll)", ylabel="coefficient (waves rms)", xticks=modes[::2])
-axes["e"].legend(fontsize=8)
+axes["e"].set_title("aberration of the wall")
+axes["e"].legend(loc="upper left", bbox_to_anchor=(0.3, 1.0))
 plt.show()
 
 # %%

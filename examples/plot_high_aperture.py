@@ -37,9 +37,7 @@ spots = {
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.8), layout="constrained")
 for axis, (name, spot) in zip(axes, spots.items(), strict=True):
     edges = 1e6 * np.array([spot.x[0], spot.x[-1], spot.y[0], spot.y[-1]])
-    shown = axis.imshow(
-        np.sqrt(spot.intensity), origin="lower", extent=edges, cmap="cividis", vmin=0, vmax=1
-    )
+    shown = axis.imshow(np.sqrt(spot.intensity), origin="lower", extent=edges, vmin=0, vmax=1)
     axis.set(title=name, xlabel="x (µm)", ylabel="y (µm)")
 figure.colorbar(shown, ax=axes, shrink=0.8, label="square root of intensity / ideal peak")
 plt.show()
@@ -64,8 +62,8 @@ for normalisation in ("unit-sum", "ideal-peak"):
         for n in f_numbers
     ]
     axis.loglog(f_numbers, bounds, "o-", label=normalisation)
-axis.set(xlabel="F-number", ylabel="model error / peak", title="bound of the scalar model")
-axis.legend()
+axis.set(xlabel="F-number", ylabel="bound of the error / peak", title="error of the scalar model")
+axis.legend(title="normalisation")
 plt.show()
 
 # %%

@@ -23,7 +23,7 @@ plt.style.use("nlosoptics.views.palette")
 # One wall, three parts
 # ---------------------
 # The wall has a diffuse lobe and a specular lobe of 5 % reflectance, whose surface heights have an
-# rms of 60 nm.
+# rms of 60 nm. Most of the diffuse part lies outside this window, in which it is even.
 
 scenes = Path(__file__).parent / "scenes"
 scene = nlos.Scene.load(scenes / "letter_speckle.toml")
@@ -59,6 +59,7 @@ axis.stackplot(
     labels=["core, wave optics", "halo, mean over walls", "diffuse, ray tracing"],
 )
 axis.set(xlabel="rms height of the specular lobe (nm)", ylabel="flux / flux of a perfect mirror")
+axis.set_ylim(0.0, 0.4)
 axis.legend(loc="upper right")
 axis.set_title("one object point, diffuse wall with a 5 % specular lobe")
 plt.show()

@@ -55,7 +55,7 @@ formula = {albedo: 1.0 - albedo / (albedo + (1.0 - albedo) * r) for albedo in fo
 # Loss and number of reflections
 # ------------------------------
 # Left: loss by rays, with error bars of two standard errors, and by the formula. Right: where the
-# light goes. ``trapped`` is the power absorbed at the second and all later reflections.
+# light goes.
 
 figure, axes = plt.subplots(1, 2, figsize=(11.5, 4.4), layout="constrained")
 for (albedo, traced), colour in zip(found.items(), ("C0", "C1"), strict=True):
@@ -65,7 +65,7 @@ for (albedo, traced), colour in zip(found.items(), ("C0", "C1"), strict=True):
     label = f"rays, albedo {albedo}"
     axes[0].errorbar(depths, loss, bars, fmt="o", ms=3, capsize=4, color=colour, label=label)
 axes[0].set(
-    xlabel="depth / period", ylabel="fraction lost", ylim=(0, 0.5), title="loss in the wall"
+    xlabel="depth / period", ylabel="fraction lost", ylim=(0, 0.55), title="loss in the wall"
 )
 axes[0].legend()
 
@@ -82,7 +82,7 @@ colours = plt.get_cmap("viridis")(np.linspace(0.95, 0.0, len(fates)))
 axes[1].stackplot(depths, *fates.values(), labels=list(fates), colors=colours)
 axes[1].set(xlabel="depth / period", ylabel="fraction of the light", xlim=(0, 1), ylim=(0, 1))
 axes[1].set_title("where the light goes, albedo 0.75")
-axes[1].legend(loc="lower left", fontsize=8, reverse=True)
+axes[1].legend(loc="lower left", reverse=True)
 plt.show()
 
 # %%

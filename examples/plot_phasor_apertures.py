@@ -40,13 +40,14 @@ capture = transient.render(
 # %%
 # Four apertures
 # --------------
-# One capture is used throughout; ``aperture`` crops the scan to a square. The virtual wavelength is
-# 16 cm, four times the pitch of the scan, which avoids aliased copies of the target.
+# One capture is used throughout; ``aperture`` crops the scan to a square. Each point of the scan
+# stands for a cell of 4 cm, and the apertures hold whole cells. The virtual wavelength is 16 cm,
+# four times the pitch of the scan, which avoids aliased copies of the target.
 
 wl_mean = 0.16
 axis = np.linspace(-0.2, 0.2, 81)
 volume = transient.Volume(axis, axis, np.array([distance]))
-apertures = [0.4, 0.8, 1.2, 1.96]
+apertures = [0.36, 0.76, 1.16, 1.96]
 images = [
     transient.phasor_image(capture, volume, wl_mean=wl_mean, aperture=aperture)
     for aperture in apertures
@@ -80,12 +81,13 @@ for aperture, image, drawn_on in zip(apertures, images, maps, strict=True):
     drawn_on.invert_xaxis()
     drawn_on.set(xlabel="x (cm)", ylabel="y (cm)", aspect="equal")
     drawn_on.set_title(f"aperture {aperture:.2f} m")
-figure.colorbar(shown, ax=maps, label="relative intensity", shrink=0.8)
+figure.colorbar(shown, ax=maps, label="intensity of the image / its peak", shrink=0.8)
 line = np.linspace(apertures[0], apertures[-1], 100)
 law = 0.443 * wl_mean / (2.0 * np.sin(np.arctan(line / 2 / distance)))
 axes["e"].plot(apertures, 1e2 * np.array(widths), "o", label="measured")
-axes["e"].plot(line, 1e2 * law, label="0.443 wavelength / (2 sin a)")
+axes["e"].plot(line, 1e2 * law, label="theory, 0.443 wavelength / (2 sin a)")
 axes["e"].set(xlabel="aperture (m)", ylabel="full width at half maximum (cm)", ylim=(0, None))
+axes["e"].set_title("width of the spot")
 axes["e"].legend()
 plt.show()
 

@@ -36,12 +36,11 @@ figure, axes = plt.subplots(
 )
 for each, plane in zip(axes.flat, [field, *found], strict=True):
     edges = 1e3 * np.array([plane.x[0], plane.x[-1], plane.y[0], plane.y[-1]])
-    shown = each.imshow(
-        plane.intensity, origin="lower", extent=edges, vmin=0, vmax=1.2, cmap="cividis"
-    )
-    each.set_title(f"z = {plane.z:g} m")
+    shown = each.imshow(plane.intensity, origin="lower", extent=edges, vmin=0, vmax=0.8)
+    each.set_title(f"{plane.z:g} m behind the disc" if plane.z else "at the disc")
     each.set(xlabel="x (mm)", ylabel="y (mm)")
-figure.colorbar(shown, ax=axes, shrink=0.6, label="relative intensity")
+    each.label_outer()
+figure.colorbar(shown, ax=axes, shrink=0.6, label="intensity / that of the beam's centre")
 
 for plane in found:
     print(
@@ -72,18 +71,17 @@ shown = each.pcolormesh(
     1e3 * planes,
     1e6 * rows[0].x,
     np.sqrt(np.array([row.intensity[0] for row in rows])).T,
-    cmap="cividis",
     shading="nearest",
 )
-figure.colorbar(shown, label="relative amplitude")
-each.set_xlabel("z (mm)")
-each.set_ylabel("x (µm)")
+figure.colorbar(shown, label="amplitude / that at the lens")
+each.set(xlabel="z, distance from the lens (mm)", ylabel="x (µm)", title="focus of a lens, y = 0")
 
 # %%
 # A grating repeats itself
 # ------------------------
 # One period of a field defines all of it with ``periodic=True``, and sums over its frequencies are
-# exact. Between the Talbot images lie others of finer periods.
+# exact. The image of the grating returns at the Talbot distance, 2 period² / wavelength. Between
+# the Talbot images lie others of finer periods.
 
 period = 80e-6
 grating = psf.ScalarField.from_function(
@@ -97,12 +95,9 @@ talbot = 2 * period**2 / wavelength
 planes = np.linspace(0.0, talbot, 241)
 carpet = [psf.propagate(grating, z, method="fresnel_transfer").intensity[0] for z in planes]
 figure, each = plt.subplots(figsize=(7, 3.4), layout="constrained")
-shown = each.pcolormesh(
-    planes / talbot, 1e6 * grating.x, np.array(carpet).T, cmap="cividis", shading="nearest"
-)
-each.set_xlabel("z in units of 2 period$^2$/wavelength")
-each.set_ylabel("x (µm)")
-figure.colorbar(shown, label="relative intensity")
+shown = each.pcolormesh(planes / talbot, 1e6 * grating.x, np.array(carpet).T, shading="nearest")
+each.set(xlabel="z / Talbot distance", ylabel="x (µm)", title="one period of a grating")
+figure.colorbar(shown, label="intensity / that in the slits")
 plt.show()
 
 # %%

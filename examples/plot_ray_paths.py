@@ -31,9 +31,9 @@ paths = raytrace.trace(scene, n_rays=8192, max_bounces=3, keep_paths=True, seed=
 # Paths in 3-D
 # ------------
 # The view shows 300 of the paths via the letter, sampled in proportion to power and coloured by
-# path length. Stray light is drawn only if there are fewer such paths. The beam comes from the
-# laser on the right, with the letter behind it. ``views.save(plotter, "room.html")`` writes an
-# interactive web page.
+# path length. Stray light is drawn only if there are fewer such paths. The beam of the laser on the
+# right passes behind the plane of the letter, which faces the wall and is seen here from its back.
+# ``views.save(plotter, "room.html")`` writes an interactive web page.
 
 plotter = pyvista.Plotter(window_size=(1100, 800))
 views.ray_paths(paths, scene, colour="path_length", most=300, plotter=plotter)

@@ -29,7 +29,7 @@ wall = FacetWall(cell=1e-3, slope_rms=5e-4, seed=1)
 x, y = np.meshgrid(*[np.linspace(-5e-3, 5e-3, 400)] * 2)
 _, axes = plt.subplots(figsize=(5, 4), layout="constrained")
 drawn = axes.pcolormesh(x * 1e3, y * 1e3, wall.height(x, y) * 1e9, cmap="viridis", rasterized=True)
-axes.set(xlabel="x (mm)", ylabel="y (mm)", title="heights of the wall", aspect="equal")
+axes.set(xlabel="x (mm)", ylabel="y (mm)", title="heights of the rough wall", aspect="equal")
 plt.colorbar(drawn, label="height (nm)")
 
 # %%
@@ -49,7 +49,7 @@ gentle = seen(GaussianWall(height_rms=3e-7, correlation_length=8e-3, seed=1), pa
 print(gentle.point_spread.reason)
 _, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
 views.wavefront(gentle.wavefront, axes=left)
-views.point_spread(gentle.point_spread, scale="linear", axes=right)
+views.point_spread(gentle.point_spread, scale="linear", half_width=20e-6, axes=right)
 
 # %%
 # Facets: a field propagated to the pupil
@@ -67,7 +67,7 @@ views.point_spread(facets.point_spread, scale="linear", axes=right)
 # The mean over walls
 # -------------------
 # The mean over all walls of this roughness needs no random wall. The average of some PSFs
-# approaches it.
+# approaches it, that of eight within about a third.
 mean = seen(wall, "mean")
 some = np.mean([seen(replace(wall, seed=n)).point_spread.intensity for n in range(8)], axis=0)
 _, axes = plt.subplots(figsize=(6, 4), layout="constrained")
@@ -78,7 +78,7 @@ for intensity, label in (
     (mean.point_spread.intensity, "mean of all walls"),
 ):
     axes.plot((np.arange(81) - 40) * pixel, intensity[row] * 1e3, label=label)
-axes.set(xlabel="x (µm)", ylabel="energy per pixel (1e-3)", title="PSF along x")
+axes.set(xlabel="x (µm)", ylabel="energy per pixel (‰ of all)", title="PSFs along x")
 axes.legend()
 
 # %%

@@ -51,8 +51,8 @@ for height, spread, shade in zip(heights, found, shades, strict=True):
 axes[0].set(
     xlabel="x (mm)", ylabel="energy per sample / smooth peak", xlim=(-0.4, 0.4), ylim=(1e-5, 2)
 )
-axes[0].set_title("mean point spread function")
-axes[0].legend(title="rms height", fontsize=8)
+axes[0].set_title("cuts through mean PSFs")
+axes[0].legend(title="rms height", fontsize=8, loc="upper right")
 
 s = np.array([spread.rayleigh_parameter for spread in found])
 core = [float(p.coherent.sum() / found[0].coherent.sum()) for p in found]

@@ -16,7 +16,7 @@ import numpy as np
 import nlosoptics as nlos
 from nlosoptics import imaging, psf, raytrace, views
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # Image by waves
@@ -46,24 +46,25 @@ rays = raytrace.trace_image(room, n_rays=1 << 20, max_bounces=3, seed=0, **bins)
 # %%
 # Comparison
 # ----------
-# The third map shows the differences in standard errors. They look like noise of unit variance. A
-# few pixels differ by more: the edge of the letter barely touches them, so that few rays find its
-# light.
+# The third map shows the differences in standard errors, in colours that end at four of them. They
+# look like noise of unit variance. A few pixels differ by more, most of all where the edge of the
+# letter barely touches a pixel, so that few rays find its light.
 
 off = (rays.expected - waves) / rays.expected_error
 figure, axes = plt.subplots(1, 3, figsize=(14, 3.9), layout="constrained")
 side = 16 * 1e3 * rays.pitch
 style = {"extent": (-side, side, -side, side)}
 for axis, values, title in (
-    (axes[0], waves, "by waves"),
-    (axes[1], rays.expected, f"by {rays.paths.n_rays} rays"),
+    (axes[0], waves, "camera image by waves"),
+    (axes[1], rays.expected, f"camera image by {rays.paths.n_rays / 1e6:.1f} million rays"),
 ):
     drawn = axis.imshow(values, cmap="gray", vmin=0.0, vmax=waves.max(), **style)
     figure.colorbar(drawn, ax=axis, shrink=0.9, label="electrons per pixel")
     axis.set(title=title, xlabel="x (mm)", ylabel="−y, up (mm)")
 drawn = axes[2].imshow(off, cmap="RdBu_r", vmin=-4.0, vmax=4.0, **style)
-figure.colorbar(drawn, ax=axes[2], shrink=0.9, label="difference (standard errors)")
-axes[2].set(title="difference", xlabel="x (mm)", ylabel="−y, up (mm)")
+label = "difference (standard errors)"
+figure.colorbar(drawn, ax=axes[2], shrink=0.9, extend="both", label=label)
+axes[2].set(title="rays minus waves", xlabel="x (mm)", ylabel="−y, up (mm)")
 plt.show()
 
 # %%

@@ -79,12 +79,14 @@ def grouped(found: Sequence[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]
     return dict(groups)
 
 
-def errors_against_seconds(axes: Axes, series: dict[str, list[tuple[float, float]]]) -> None:
+def errors_against_seconds(
+    axes: Axes, series: dict[str, list[tuple[float, float]]], label: str
+) -> None:
     """Draw seconds across and error up, both logarithmic, a line for each name."""
     for i, (name, points) in enumerate(series.items()):
         style = {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
         axes.loglog(*zip(*sorted(points), strict=True), label=name, markersize=4, **style)
-    axes.set(xlabel="seconds", ylabel="error")
+    axes.set(xlabel="run time (s)", ylabel=label)
     axes.xaxis.set_minor_formatter("")
     axes.yaxis.set_minor_formatter("")
     # a decade has its number; panels that share an axis keep what the others need
@@ -97,6 +99,7 @@ def errors_against_seconds(axes: Axes, series: dict[str, list[tuple[float, float
     axes.grid(alpha=0.3)
 
 
+TRACE_GOALS = (0.01, 0.001)
 PROGRAMS = ("nlosoptics", "prysm", "HCIPy", "POPPY", "Optiland")
 
 
@@ -147,8 +150,8 @@ def draw_psf_peers(found: Sequence[Row]) -> Any:
             ]
             if front:
                 series[name] = front
-        errors_against_seconds(axes, series)
-        axes.set_title(case, fontsize="medium")
+        errors_against_seconds(axes, series, "largest error / peak")
+        axes.set_title(f"{case} of aberration" if "wave" in case else case, fontsize="medium")
     handles, labels = axes.figure.axes[0].get_legend_handles_labels()
     drawn.legend(handles, labels, loc="outside lower center", ncols=5)
     for axes in drawn.axes:
@@ -176,7 +179,7 @@ def psf_study(found: Row) -> str:
 
 def draw_psf_study(found: Row) -> Any:
     """Draw each wave's error and estimate over what was asked for, against its seconds."""
-    drawn = figure(7, 3.8)
+    drawn = figure(7, 4.2)
     axes = drawn.subplots()
     # where the reference is known well enough to tell
     run = [row for row in found["rows"] if row.get("error") and 3 * row["doubt"] < row["asked"]]
@@ -187,8 +190,14 @@ def draw_psf_study(found: Row) -> Any:
         over = [row[key] / row["asked"] for row in run]
         axes.scatter([row["seconds"] for row in run], over, label=key, s=18, **style)
     axes.axhline(1, color="black", linewidth=0.8)
-    axes.set(xscale="log", yscale="log", xlabel="seconds", ylabel="error / requested error")
-    axes.legend()
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="run time (s)",
+        ylabel="error / requested error",
+        title="random waves: estimated and true errors",
+    )
+    drawn.legend(loc="outside lower center", ncols=2)
     axes.grid(alpha=0.3)
     return drawn
 
@@ -699,12 +708,36 @@ def bounces(found: Sequence[Row]) -> str:
 
 def draw_series(series: dict[str, list[tuple[float, float]]], label: str) -> Any:
     """Draw seconds against error, a colour for each name."""
-    drawn = figure(7, 3.6)
+    drawn = figure(6, 4.4)
     axes = drawn.subplots()
-    errors_against_seconds(axes, series)
-    axes.set_ylabel(label)
-    drawn.legend(loc="outside right upper")
+    errors_against_seconds(axes, series, label)
+    drawn.legend(loc="outside lower center", ncols=2)
     return drawn
+
+
+def traces(found: Sequence[Row]) -> str:
+    """Return what each program and setting takes to two errors."""
+    head = ["seconds", *(f"to {100 * goal:g} %" for goal in TRACE_GOALS)]
+    body = []
+    three = [row for row in found if row.get("reflections", 3) == 3]
+    for (name,), part in grouped(three, "name").items():
+        cells = []
+        for goal in TRACE_GOALS:
+            times = [row.get("seconds_to", {}).get(str(goal)) for row in part]
+            times += [row["seconds"] for row in part if row.get("relative_error", 1.0) <= goal]
+            known = [time for time in times if time is not None]
+            cells.append(seconds(min(known)) if known else "not reached")
+        body.append([name, *cells])
+    return table(head, body)
+
+
+def draw_traces(found: Sequence[Row]) -> Any:
+    """Draw a line for each program and setting that was measured."""
+    series: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    for row in found:
+        if row.get("reflections") == 3 and "seconds" in row:
+            series[row["name"]].append((row["seconds"], row["relative_error"]))
+    return draw_series(dict(series), "relative standard deviation of the flux")
 
 
 def draw_tolerances(found: Sequence[Row]) -> Any:
@@ -712,7 +745,7 @@ def draw_tolerances(found: Sequence[Row]) -> Any:
     groups = grouped(found, "stage").items()
     return draw_series(
         {name: [(row["seconds"], row["error"]) for row in part] for (name,), part in groups},
-        "error",
+        "relative error",
     )
 
 
@@ -736,12 +769,14 @@ def draw_bounces(found: Sequence[Row]) -> Any:
 def draw_measured_charts(found: Sequence[Row]) -> Any:
     """Draw a point for each method, a panel a chart."""
     drawn = figure(8.5, 3.6)
-    panels = drawn.subplots(1, 2, sharey=True)
+    panels = drawn.subplots(1, 2, sharex=True, sharey=True)
     for axes, ((chart,), part) in zip(panels, grouped(found, "chart").items(), strict=True):
         errors_against_seconds(
-            axes, {row["method"]: [(row["seconds"], row["mae_m"] * 1e3)] for row in part}
+            axes,
+            {row["method"]: [(row["seconds"], row["mae_m"] * 1e3)] for row in part},
+            "mean error of depth (mm)",
         )
-        axes.set(title=chart.replace("_", " "), ylabel="mean error of depth (mm)", yscale="linear")
+        axes.set(title=chart.replace("_", " "), yscale="linear")
         axes.set_ylim(bottom=0)
         axes.label_outer()
     drawn.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
@@ -799,6 +834,18 @@ SECTIONS = (
         "that is already running.",
         f"{RUN}/whole_run.py --repeats 5 --json benchmarks/results/whole_run.json",
         whole_runs,
+    ),
+    Section(
+        "traces.json",
+        "Traces beside Mitsuba 3 and Optiland",
+        "Light from a letter that reaches the lens by a matt wall, with different numbers of rays "
+        "or samples; the error is the relative standard deviation of the detected flux. All "
+        "programs ran with two threads, except Optiland, which uses one core; its time is "
+        "extrapolated from its rate of rays. Values have two digits: they were read off a figure.",
+        f"{RUN}/traces.py --peers-python PEER/bin/python --json benchmarks/results/traces.json",
+        traces,
+        draw_traces,
+        "Seconds against error of traced flux: nlosoptics has the least error at any time",
     ),
     Section(
         "tolerances.json",

@@ -17,6 +17,7 @@ RESULTS = ROOT / "benchmarks" / "results"
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 #: How cells begin in a column of numbers.
 NUMERIC = re.compile(r"[-+\u2212\d]|not reached|n\^|$")
+JOINED = re.compile(r"(?<=\d) (?=(?:%|mm|MiB|MB)(?:\W|$)|of \d)|(?<=\d of) (?=\d)")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 
@@ -46,7 +47,8 @@ def seconds(value: float | None) -> str:
 
 def table(head: Sequence[str], body: Iterable[Sequence[object]]) -> str:
     """A Markdown table, columns of numbers after the first on the right."""
-    cells = [[str(cell) for cell in line] for line in body]
+    # a number stays with its unit and with what it is a part of
+    cells = [[JOINED.sub("\N{NO-BREAK SPACE}", str(cell)) for cell in line] for line in body]
     numeric = [all(NUMERIC.match(cell) for cell in column) for column in zip(*cells, strict=True)]
     marks = ["---", *("--:" if right else "---" for right in numeric[1:])]
     lines = [head, marks, *cells]

@@ -170,7 +170,7 @@ def file_table() -> str:
 
 def draw() -> Any:
     """Draw what the library computes at the references, and by how much it differs."""
-    drawn = figure(9, 6.4)
+    drawn = figure(9.6, 7)
     panels = drawn.subplots(2, 2)
     draw_walls(panels[0, 0])
     draw_strehl(panels[0, 1])
@@ -203,11 +203,11 @@ def draw_walls(axes: Any) -> None:
             np.maximum(np.abs(listed[:, 2]), 1e-20), off, ".", color=colour, label=case["name"]
         )
     axes.set(
-        xlabel="W, 50 digits (m)",
-        ylabel="off by (m)",
-        title="wave aberration (1e-20: no difference)",
+        xlabel="reference of 50 digits (m)",
+        ylabel="difference (m; 1e-20: none)",
+        title="wave aberration of four walls",
     )
-    axes.legend(fontsize="x-small")
+    axes.legend(fontsize="small")
     axes.grid(alpha=0.3)
 
 
@@ -233,8 +233,12 @@ def draw_strehl(axes: Any) -> None:
         axes.plot(
             *zip(*(m for m in marks if m[0] <= 1), strict=True), "o", color=colour, fillstyle="none"
         )
-    axes.set(xlabel="waves at the rim", ylabel="Strehl ratio", title="on axis (circles: reference)")
-    axes.legend(fontsize="x-small")
+    axes.set(
+        xlabel="aberration at the rim of the pupil (waves)",
+        ylabel="Strehl ratio",
+        title="Strehl ratio (circles: reference)",
+    )
+    axes.legend(fontsize="small")
     axes.grid(alpha=0.3)
 
 
@@ -254,8 +258,12 @@ def draw_albedo(axes: Any) -> None:
         ]
         axes.plot(*zip(*marks, strict=True), "o", color=colour, fillstyle="none")
     axes.axhline(1, color="black", linewidth=0.8)
-    axes.set(xlabel="incidence (degrees)", ylabel="albedo", title="Oren-Nayar fit of a white wall")
-    axes.legend(fontsize="x-small")
+    axes.set(
+        xlabel="angle of incidence (degrees)",
+        ylabel="albedo",
+        title="white Oren-Nayar wall (circles: reference)",
+    )
+    axes.legend(fontsize="small")
     axes.grid(alpha=0.3)
 
 
@@ -268,5 +276,9 @@ def draw_relay(axes: Any) -> None:
     axes.plot(
         *zip(*(m for m in marks if m[0] <= 6), strict=True), "o", color=COLOURS[0], fillstyle="none"
     )
-    axes.set(xlabel="cycles per m, 1 m from the wall", ylabel="passed", title="matt relay wall")
+    axes.set(
+        xlabel="spatial frequency 1 m from the wall (cycles/m)",
+        ylabel="fraction of the modulation",
+        title="what a matt wall passes (circles: reference)",
+    )
     axes.grid(alpha=0.3)

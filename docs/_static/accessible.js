@@ -1,4 +1,5 @@
-// Labels for screen readers that the theme and docutils do not set, and the shapes of figures.
+// Labels for screen readers that the theme and docutils do not set, places at which long names may
+// break, and frames in which wide figures scroll.
 document.addEventListener("DOMContentLoaded", () => {
   for (const summary of document.querySelectorAll(".bd-sidebar summary")) {
     const link = summary.parentElement.parentElement.querySelector("a");
@@ -13,14 +14,30 @@ document.addEventListener("DOMContentLoaded", () => {
   for (const list of document.querySelectorAll(".citation-list, .citation")) {
     list.removeAttribute("role"); // references of one docstring, linked both ways
   }
+  for (const part of document.querySelectorAll("code.literal .pre")) {
+    const [text] = part.childNodes;
+    if (part.childNodes.length === 1 && text.nodeType === Node.TEXT_NODE) {
+      part.innerHTML = part.innerHTML.replace(/(?<!&\w*)([_/.:]+)(?=\w)/g, "$1<wbr>");
+    }
+  }
+  const watch = new ResizeObserver((entries) => {
+    for (const { target } of entries) {
+      const frame = target.closest(".figure-frame");
+      frame.classList.toggle("cut", target.offsetWidth > frame.clientWidth + 1);
+    }
+  });
   for (const image of document.querySelectorAll(".bd-article img:not(.sphx-glr-thumbcontainer img)")) {
     const frame = document.createElement("span");
+    const link = document.createElement("a"); // to the figure alone, which a phone can enlarge
     frame.className = "figure-frame";
+    link.href = image.src;
     image.replaceWith(frame);
-    frame.append(image);
+    link.append(image);
+    frame.append(link);
+    watch.observe(image);
     const shape = () => {
-      image.style.setProperty("--shape", image.naturalWidth / image.naturalHeight);
-      image.style.setProperty("--wide", `${image.naturalWidth}px`);
+      frame.style.setProperty("--shape", image.naturalWidth / image.naturalHeight);
+      frame.style.setProperty("--wide", `${image.naturalWidth}px`);
     };
     image.complete ? shape() : image.addEventListener("load", shape);
   }

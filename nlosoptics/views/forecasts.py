@@ -67,7 +67,8 @@ def feasibility(found: Feasibility, *, axes: Axes | None = None) -> Axes:
         title=found.verdict.split(":")[0] + f", {counted(found.modes, 'mode')}",
     )
     space_ticks(axes)
-    axes.legend(loc="upper right", fontsize=8)
+    # below the axes, where it cannot cover a curve
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, fontsize=8)
     return axes
 
 

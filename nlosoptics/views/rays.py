@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -180,7 +181,10 @@ def colour_style(colour: str, values: NDArray[Any]) -> dict[str, Any]:
             "log_scale": True,
             "bar": {"fmt": "%.1e"},
         }
-    return {"cmap": dark_viridis(), "clim": (0.0, high), "bar": {"fmt": "%.3g"}}
+    # four steps of two digits, so that the labels are round
+    power = 10.0 ** (math.floor(math.log10(high / 4)) - 1) if high > 0.0 else 0.25
+    high = 4 * power * math.ceil(high / 4 / power * (1 - 1e-9) or 1)
+    return {"cmap": dark_viridis(), "clim": (0.0, high), "bar": {"fmt": "%.3g", "n_labels": 5}}
 
 
 def dark_viridis() -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -228,20 +229,37 @@ def _draw_map(
     axes.set_yticks(*_ticks(dataset, down))
     axes.set(xlabel=across, ylabel=down)
     if values.size <= MOST_TEXTS and not contours:
-        least, most = drawn.get_clim()
-        for (row, column), value in np.ndenumerate(values):
-            dark = np.isfinite(value) and value < (least + most) / 2
-            text = f"{value:.{2 if span else 3}g}" if np.isfinite(value) else "failed"
-            axes.text(
-                column, row, text, ha="center", va="center",
-                fontsize=6 if span else 8, color="white" if dark else BLACK,
-            )  # fmt: skip
+        _write_values(axes, values, *drawn.get_clim())
     if contours and min(values.shape) > 1:
         lines = axes.contour(values, levels=sorted(contours), colors="white", linewidths=1.2)
         axes.clabel(lines, fontsize=8)
     if boundary is not None:
         _draw_boundary(axes, values >= boundary)
     return drawn
+
+
+def _write_values(
+    axes: Axes, values: np.ndarray[Any, np.dtype[np.float64]], least: float, most: float
+) -> None:
+    """Write the value of each cell, to a hundredth of the range of the colours."""
+    from matplotlib.patheffects import withStroke
+
+    # none where a hundredth of the range is very small or large
+    power = round(math.log10(most - least)) if most > least else 9
+    finite = values[np.isfinite(values)]
+    digits = max(2 - power, 0) if np.any(finite % 1.0) else 0
+    for (row, column), value in np.ndenumerate(values):
+        text = f"{value:.{digits}f}" if -2 <= power <= 4 else f"{value:.3g}"
+        if not np.isfinite(value):
+            text = "failed"
+        dark = np.isfinite(value) and value < (least + most) / 2
+        ink, edge = ("white", "#00000080") if dark else (BLACK, "#FFFFFF80")
+        # the edge keeps the value readable on hatches
+        effects = [withStroke(linewidth=2, foreground=edge)]
+        axes.text(
+            column, row, text, ha="center", va="center",
+            fontsize=8, color=ink, path_effects=effects,
+        )  # fmt: skip
 
 
 def _draw_boundary(axes: Axes, above: np.ndarray[Any, np.dtype[np.bool_]]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import runpy
 import warnings
 from collections.abc import Iterator
@@ -21,6 +22,14 @@ SCRIPTS = sorted(EXAMPLES.glob("plot_*.py"))
 ROOMS = {"plot_ray_paths"}
 #: Scripts that need torch.
 TORCH = {"plot_blind_fit", "plot_exposure"}
+#: Least share of its size at which the site shows a figure of the gallery, by its style sheet.
+LEAST = float(
+    re.search(
+        r"\.sphx-glr-single-img[^}]*--least: ([\d.]+)",
+        (EXAMPLES.parent / "docs" / "_static" / "nlosoptics.css").read_text(),
+    )[1]  # type: ignore[index]
+)
+PIXELS = 8.0  # least height of letters on the screen
 LIMIT = 240  # s; under a minute on two free cores, and tests share theirs
 
 
@@ -61,8 +70,9 @@ def test_script_draws(
         figure.canvas.draw()
         assert shown(np.asarray(figure.canvas.buffer_rgba())[..., :3]) > 0.01
         assert scaled(figure)
-        unlabelled = [axes for axes in figure.axes if axes.has_data() and not labelled(axes)]
-        assert not unlabelled
+        assert [axes for axes in figure.axes if axes.has_data() and not labelled(axes)] == []
+        assert [axes for axes in figure.axes if axes.has_data() and not titled(axes)] == []
+        assert small_texts(figure) == []
     if script.stem in ROOMS:
         plotter = names["plotter"]
         assert shown(plotter.screenshot(None, return_img=True)) > 0.01
@@ -91,9 +101,34 @@ def shown(picture: Any) -> float:
 
 
 def labelled(axes: Any) -> bool:
-    """Whether an axis is named, one of a colour bar; without ticks there is nothing to name."""
-    ticks = len(axes.get_xticks()) or len(axes.get_yticks())
-    return bool(axes.get_xlabel() or axes.get_ylabel() or not ticks)
+    """Whether each axis whose ticks show numbers says which quantity they are of."""
+    return all(
+        axis.get_label_text()
+        for axis in (axes.xaxis, axes.yaxis)
+        if any(
+            label.get_visible() and any(letter.isdigit() for letter in label.get_text())
+            for tick in axis.get_major_ticks()
+            for label in (tick.label1, tick.label2)
+        )
+    )
+
+
+def titled(axes: Any) -> bool:
+    """Whether axes have a title; those of a figure without ticks share its title."""
+    figures = [axes.figure, *(part for part in axes.figure.figure.subfigs)]
+    shared = any(part.get_suptitle() for part in figures)
+    return bool(axes.get_title() or shared or hasattr(axes, "_colorbar"))
+
+
+def small_texts(figure: Any) -> list[str]:
+    """Texts whose letters have less than 8 pixels on the site, the exponents of ticks aside."""
+    return [
+        f"{text.get_text()!r} of {text.get_fontsize():g} points"
+        for text in figure.findobj(match=lambda artist: hasattr(artist, "get_fontsize"))
+        if text.get_visible()
+        and text.get_text().strip()
+        and text.get_fontsize() * figure.dpi / 72 * LEAST < PIXELS
+    ]
 
 
 def scaled(figure: Any) -> bool:
@@ -111,6 +146,23 @@ def test_a_map_without_a_colour_bar_is_told() -> None:
     assert not scaled(figure)
     figure.colorbar(shown, label="relative intensity")
     assert scaled(figure)
+
+
+def test_small_and_missing_texts_are_told() -> None:
+    figure = pytest.importorskip("matplotlib.figure").Figure(dpi=100)
+    axes = figure.subplots()
+    axes.plot([0, 1], label="a line")
+    figure.draw_without_rendering()
+    assert not titled(axes)
+    axes.set_xlabel("x (mm)")
+    assert not labelled(axes)
+    axes.set_ylabel("y (mm)")
+    assert labelled(axes)
+    axes.set_title("a title")
+    assert titled(axes)
+    assert small_texts(figure) == []
+    axes.legend(fontsize=7)
+    assert small_texts(figure) == ["'a line' of 7 points"]
 
 
 def test_a_blank_picture_is_told() -> None:

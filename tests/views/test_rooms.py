@@ -149,7 +149,11 @@ def test_colours_are_the_quantity_that_the_bar_names(flat_scene, colour):
         assert ends[0, 0] == ends[4, 0] == 0.0
         assert ends[:3, 1] == pytest.approx(ends[1:4, 0])
         assert ends[[3, 6], 1] == pytest.approx(paths.path_length[:2])
-        assert (low, high) == pytest.approx((0.0, paths.path_length[:2].max()))
+        # the scale ends at the first multiple of four steps of two digits that holds all
+        step, longest = high / 4, paths.path_length[:2].max()
+        assert low == 0.0
+        assert float(f"{step:.1e}") == pytest.approx(step, rel=1e-12)
+        assert high - 4 * 10 ** (np.floor(np.log10(step)) - 1) < longest <= high
     else:
         assert values == pytest.approx([1e-12] * 4 + [4e-12] * 3)
         assert mapper.lookup_table.log_scale
