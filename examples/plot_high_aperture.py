@@ -49,7 +49,7 @@ plt.show()
 # add up to 1 over the image plane than for values relative to the ideal peak.
 
 f_numbers = np.geomspace(0.55, 16, 16)
-figure, axis = plt.subplots(figsize=(7, 4.4), layout="constrained")
+figure, axis = plt.subplots(figsize=(5.1, 3.9), layout="constrained")
 for normalisation in ("unit-sum", "ideal-peak"):
     bounds = [
         psf.point_spread(

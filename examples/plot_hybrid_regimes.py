@@ -50,7 +50,7 @@ plt.show()
 
 heights = np.linspace(0.0, 120e-9, 13)
 parts = [hybrid(height, shape=9, check=False) for height in heights]
-figure, axis = plt.subplots(figsize=(7, 4.4), layout="constrained")
+figure, axis = plt.subplots(figsize=(5.1, 4.2), layout="constrained")
 axis.stackplot(
     1e9 * heights,
     [p.coherent_flux for p in parts],
@@ -61,7 +61,7 @@ axis.stackplot(
 axis.set(xlabel="rms height of the specular lobe (nm)", ylabel="flux / flux of a perfect mirror")
 axis.set_ylim(0.0, 0.4)
 axis.legend(loc="upper right")
-axis.set_title("one object point, diffuse wall with a 5 % specular lobe")
+axis.set_title("one point, wall with a 5 % specular lobe")
 plt.show()
 
 # %%

@@ -66,7 +66,7 @@ lens = psf.ScalarField.from_function(
 )
 planes = np.linspace(0.17, 0.23, 61)
 rows = [psf.propagate(lens, z, pitch=1e-6, shape=(1, 301)) for z in planes]
-figure, each = plt.subplots(figsize=(7, 3.4), layout="constrained")
+figure, each = plt.subplots(figsize=(5.1, 3.4), layout="constrained")
 shown = each.pcolormesh(
     1e3 * planes,
     1e6 * rows[0].x,
@@ -94,7 +94,7 @@ grating = psf.ScalarField.from_function(
 talbot = 2 * period**2 / wavelength
 planes = np.linspace(0.0, talbot, 241)
 carpet = [psf.propagate(grating, z, method="fresnel_transfer").intensity[0] for z in planes]
-figure, each = plt.subplots(figsize=(7, 3.4), layout="constrained")
+figure, each = plt.subplots(figsize=(5.1, 3.4), layout="constrained")
 shown = each.pcolormesh(planes / talbot, 1e6 * grating.x, np.array(carpet).T, shading="nearest")
 each.set(xlabel="z / Talbot distance", ylabel="x (µm)", title="one period of a grating")
 figure.colorbar(shown, label="intensity / that in the slits")

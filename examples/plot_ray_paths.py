@@ -46,12 +46,12 @@ plotter.show()
 # travelling" is the power after the third reflection, "escaped" that which misses every surface.
 
 shares = {fate: power / scene.laser.power for fate, power in paths.ledger.items() if power > 0}
-figure, axis = plt.subplots(figsize=(7.5, 3.8), layout="constrained")
+figure, axis = plt.subplots(figsize=(5.1, 3.4), layout="constrained")
 names = ["still travelling" if fate == "left" else fate for fate in shares]
 bars = axis.barh(names, list(shares.values()))
 axis.bar_label(bars, fmt="%.2g", padding=3)
-axis.set(xscale="log", xlim=(1e-9, 30), xlabel="fraction of the laser power")
-axis.set_title("power budget for up to three reflections")
+axis.set(xscale="log", xlim=(1e-9, 300), xlabel="fraction of the laser power")
+axis.set_title("power budget, three reflections")
 plt.show()
 
 # %%

@@ -70,7 +70,7 @@ views.point_spread(facets.point_spread, scale="linear", axes=right)
 # approaches it, that of eight within about a third.
 mean = seen(wall, "mean")
 some = np.mean([seen(replace(wall, seed=n)).point_spread.intensity for n in range(8)], axis=0)
-_, axes = plt.subplots(figsize=(6, 4), layout="constrained")
+_, axes = plt.subplots(figsize=(5.1, 3.9), layout="constrained")
 row, pixel = 40, mean.point_spread.pitch * 1e6
 for intensity, label in (
     (facets.point_spread.intensity, "this wall"),

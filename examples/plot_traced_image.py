@@ -74,7 +74,7 @@ plt.show()
 # camera with time resolution would measure this curve. `transient.render` computes it for each
 # point of a matt wall.
 
-figure, axis = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+figure, axis = plt.subplots(figsize=(5.1, 4), layout="constrained")
 views.path_lengths(rays.histogram, axes=axis)
 plt.show()
 

@@ -179,7 +179,7 @@ def psf_study(found: Row) -> str:
 
 def draw_psf_study(found: Row) -> Any:
     """Draw each wave's error and estimate over what was asked for, against its seconds."""
-    drawn = figure(7, 4.2)
+    drawn = figure(5.2, 4.2)
     axes = drawn.subplots()
     # where the reference is known well enough to tell
     run = [row for row in found["rows"] if row.get("error") and 3 * row["doubt"] < row["asked"]]
@@ -708,7 +708,7 @@ def bounces(found: Sequence[Row]) -> str:
 
 def draw_series(series: dict[str, list[tuple[float, float]]], label: str) -> Any:
     """Draw seconds against error, a colour for each name."""
-    drawn = figure(6, 4.4)
+    drawn = figure(5.2, 4.4)
     axes = drawn.subplots()
     errors_against_seconds(axes, series, label)
     drawn.legend(loc="outside lower center", ncols=2)

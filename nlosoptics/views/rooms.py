@@ -90,7 +90,7 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
     step = round_step(extent / 6)
     floor = parts.floor_grid(low, high, step)
     plotter.add_mesh(floor, color=GRID, line_width=1, name="floor grid", **FLAT)
-    legend[f"floor grid, {step:g} m"] = GRID
+    legend[f"floor grid, {step:g} m"] = GREY  # the lines are too pale for text
     frame = look_at(
         plotter,
         np.concatenate([around, floor.points]),

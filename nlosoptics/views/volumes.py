@@ -190,7 +190,7 @@ def phasor_volume(
         step = round_step(float((high - low).max()) / 6)
         floor = floor_grid(low, high, step)
         plotter.add_mesh(floor, color=GRID, line_width=1, name="floor grid", **FLAT)
-        legend[f"floor grid, {step:g} m"] = GRID
+        legend[f"floor grid, {step:g} m"] = GREY  # the lines are too pale for text
         frame = look_at(plotter, np.concatenate([[low, high], floor.points, box.points]), [])
         leftmost = floor.points[np.argmin(floor.points @ frame[0])]
         plotter.add_mesh(triad(leftmost, 0.6 * step, frame), color=INK, name="axes", **FLAT)
