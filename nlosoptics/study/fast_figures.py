@@ -9,6 +9,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import positive, real
 from ..errors import SceneError
 from ..limits import object_scale
 from ..psf.aperture.quadrature_nodes import polar_nodes
@@ -156,7 +157,8 @@ class MtfFigure:
     uses_nodes = True
 
     def __init__(self, seen: PointOptics, frequency: float, azimuth: float = 0.0) -> None:
-        self._frequency, self._azimuth = frequency, azimuth
+        self._frequency = positive("frequency", frequency, unit="cycles/m")
+        self._azimuth = real("azimuth", azimuth)
         main, pitch = self._frequency_of(seen), seen.scene.camera.image_pitch
         cutoff = 1 / seen.first.residual.airy_unit
         nyquist = 1 / (2 * pitch)

@@ -209,10 +209,11 @@ class Results(Noun):
                     f"{figure.name:24s} {low:.4g} to {high:.4g}, median {middle:.4g} {figure.unit}"
                 )
             if self.study.fast and len(error := self.fast_errors(figure.name)):
+                rms, most = float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
+                unit = f" {figure.unit}" if figure.unit else ""
                 lines.append(
-                    f"{'  fast minus full':24s} mean {error.mean():+.2g}, rms "
-                    f"{np.sqrt(np.mean(error**2)):.2g}, largest {np.abs(error).max():.2g} "
-                    f"{figure.unit} at {counted(len(error), 'checked draw')}"
+                    f"{'  fast minus full':24s} mean {error.mean():+.2g}, rms {rms:.2g}, largest "
+                    f"{most:.2g}{unit} at {counted(len(error), 'checked draw')}"
                 )
         lines += [f"{count} x {text}" for text, count in self.failures().items()]
         return "\n".join(line.rstrip() for line in lines)
