@@ -87,6 +87,15 @@ class Expansion:
         }
 
 
+def first_steps(size: int) -> list[tuple[float, ...]]:
+    """Return the middle and the first places about it at which `Expansion.of` needs fields."""
+    axes = [(i,) for i in range(size)] + list(itertools.combinations(range(size), 2))
+    steps = [
+        tuple(step * (i in some) for i in range(size)) for some in axes for step in (1.0, -1.0)
+    ]
+    return [(0.0,) * size, *steps]
+
+
 def monomials(coordinates: Array) -> Array:
     """Return 1, all coordinates, their squares and products of two, for coordinates (n, d)."""
     columns = [np.ones(len(coordinates)), *coordinates.T, *(coordinates**2).T]

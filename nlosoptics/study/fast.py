@@ -23,7 +23,7 @@ from .design.figures import Figure
 from .design.point import StageCache, StudyPoint
 from .design.study import Study
 from .design.values import canonical, label, number, with_unit
-from .expansion import Expansion
+from .expansion import Expansion, first_steps
 from .fast_figures import FastFigure, fast_figure
 from .store import Store, reading
 
@@ -170,7 +170,9 @@ def _unfit(optics: SceneOptics) -> str:
 def _expanded(waves: _Waves, figure: Figure, coordinates: Array) -> Array:
     """Return a figure of all draws (n,) from fields expanded at enough nodes."""
     size = coordinates.shape[1]
-    fast = fast_figure(figure.source, figure.options, waves.seen(waves.middle))
+    # the first steps of all differences
+    near = [waves.seen(tuple(place)) for place in first_steps(size)]
+    fast = fast_figure(figure.source, figure.options, near)
 
     def expansion(n: int) -> Expansion:
         return Expansion.of(lambda place: fast.fields(waves.seen(place), n), size)

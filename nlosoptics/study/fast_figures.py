@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -135,8 +135,9 @@ class MtfFigure:
 
     Parameters
     ----------
-    seen : PointOptics
-        Wave of the scene in the middle of the distributions.
+    near : sequence of PointOptics
+        Wave of the scene in the middle of the distributions, then those at the steps about it.
+        Aliases that the lens does not pass in all of them are left out.
     frequency : float
         Cycles per m on the object.
     azimuth : float
@@ -156,40 +157,64 @@ class MtfFigure:
 
     uses_nodes = True
 
-    def __init__(self, seen: PointOptics, frequency: float, azimuth: float = 0.0) -> None:
+    def __init__(self, near: Sequence[PointOptics], frequency: float, azimuth: float = 0.0) -> None:
         self._frequency = positive("frequency", frequency, unit="cycles/m")
         self._azimuth = real("azimuth", azimuth)
-        main, pitch = self._frequency_of(seen), seen.scene.camera.image_pitch
-        cutoff = 1 / seen.first.residual.airy_unit
-        nyquist = 1 / (2 * pitch)
-        on_detector = float(np.hypot(*main))
+        widest = max(self._pixel(seen) for seen in near)
+        orders = np.arange(-math.ceil(widest) - 1, math.ceil(widest) + 2)
+        if 2 * widest > MOST_ALIASES:
+            raise self._too_wide(widest)
+        across, along = (part.ravel() for part in np.meshgrid(orders, orders))
+        self._aliases = np.stack([across, along], axis=1)
+        for seen in near:
+            self._check(seen)
+            places, pitch = self._places(seen), seen.scene.camera.image_pitch
+            passed = np.hypot(*places.T) * seen.first.residual.airy_unit < NEGLIGIBLE
+            passed &= np.abs(np.prod(np.sinc(places * pitch), axis=1)) > 1e-9
+            self._aliases = self._aliases[passed]
+        if len(self._aliases) > MOST_ALIASES:
+            raise self._too_wide(widest)
+        lobes = near[0].scene.mirror_lobes
+        self._distributions = [getattr(lobe, "distribution", "beckmann") for lobe in lobes]
+        self._scale = 1.0
+        self._scale = float(self.fields(near[0], 1)["turn"].max())
+
+    def _check(self, seen: PointOptics) -> None:
+        """Raise `SceneError` if the frequency is too high for the lens or the pixels."""
+        on_detector = float(np.hypot(*self._frequency_of(seen)))
         for limit, what, remedy in (
-            (HIGHEST * cutoff, "of the cutoff of the lens", "a smaller f-number"),
-            (nyquist, "of the pixels' Nyquist frequency", "smaller pixels"),
+            (
+                HIGHEST / seen.first.residual.airy_unit,
+                "0.9 of the lens's cutoff",
+                "smaller f-number",
+            ),
+            (
+                1 / (2 * seen.scene.camera.image_pitch),
+                "the pixels' Nyquist frequency",
+                "smaller pixels",
+            ),
         ):
             if on_detector > limit:
                 raise SceneError(
-                    f"figure mtf: frequency = {frequency:g} cycles/m is {on_detector:.4g} cycles/m "
-                    f"on the detector, limit {limit:.4g} {what} for tier = 'fast'; use a lower "
-                    f"frequency, {remedy} or tier = 'full'"
+                    f"figure mtf: frequency = {self._frequency:g} cycles/m is {on_detector:.4g} "
+                    f"cycles/m on the detector, limit {limit:.4g} ({what}) for tier = 'fast'; use "
+                    f"a lower frequency, {remedy} or tier = 'full'"
                 )
-        most = math.ceil(cutoff * pitch) + 1
-        orders = np.arange(-most, most + 1)
-        across, along = (part.ravel() for part in np.meshgrid(orders, orders))
-        places = main - np.stack([across, along], axis=1) / pitch
-        passed = np.hypot(*places.T) < NEGLIGIBLE * cutoff
-        passed &= np.abs(np.prod(np.sinc(places * pitch), axis=1)) > 1e-9
-        self._aliases = np.stack([across, along], axis=1)[passed]
-        if len(self._aliases) > MOST_ALIASES:
-            raise SceneError(
-                f"figure mtf: pixels of {pitch * cutoff:.3g} Airy units alias "
-                f"{len(self._aliases)} frequencies, limit {MOST_ALIASES} for tier = 'fast'; use "
-                "smaller pixels, a larger f-number or tier = 'full'"
-            )
-        lobes = seen.scene.mirror_lobes
-        self._distributions = [getattr(lobe, "distribution", "beckmann") for lobe in lobes]
-        self._scale = 1.0
-        self._scale = float(self.fields(seen, 1)["turn"].max())
+
+    def _too_wide(self, widest: float) -> SceneError:
+        return SceneError(
+            f"figure mtf: frequency aliases more than {MOST_ALIASES} times by pixels of "
+            f"{widest:.3g} Airy units, the limit for tier = 'fast'; use smaller pixels, a larger "
+            "f-number or tier = 'full'"
+        )
+
+    def _pixel(self, seen: PointOptics) -> float:
+        """Return the side of a pixel in Airy units."""
+        return seen.scene.camera.image_pitch / seen.first.residual.airy_unit
+
+    def _places(self, seen: PointOptics) -> Array:
+        """Return the frequencies (aliases, 2) that the pixels do not tell apart, 1/m."""
+        return self._frequency_of(seen) - self._aliases / seen.scene.camera.image_pitch
 
     def _frequency_of(self, seen: PointOptics) -> Array:
         """Return the frequency (2,), along x and y on the detector, 1/m."""
@@ -200,24 +225,17 @@ class MtfFigure:
         """Return fields of the overlaps, the pixels and the lobes, see `FastFigure`."""
         residual = seen.first.residual
         wave, lobes = residual.wavefront, seen.scene.mirror_lobes
-        step = wave.wavelength * wave.image_distance
-        phases, weights, turns = [], [], []
-        pitch = seen.scene.camera.image_pitch
-        places = self._frequency_of(seen) - self._aliases / pitch
-        for place in places:
-            length, azimuth = float(np.hypot(*place)), math.atan2(place[1], place[0])
-            phase, weight = overlap_nodes(residual, length, azimuth, n)
-            shift = float(place @ np.array(residual.shift))
-            phases.append(phase / (2 * math.pi) - shift)
-            weights.append(weight * weight.size)
-            turn = residual.wavenumber * seen.view.cos_sum
-            turns.append(turn * float(np.linalg.norm(seen.view.footprint @ place)) * abs(step))
+        places = self._places(seen)
+        phase, weight = overlap_nodes(residual, places, n)
+        shift = places @ np.array(residual.shift)
+        steps = wave.wavelength * wave.image_distance * places
+        lags = np.hypot(*(seen.view.footprint @ steps.T))
         total = sum(lobe.specular_reflectance for lobe in lobes)
         return {
-            "phase": np.array(phases),
-            "weight": np.array(weights),
-            "sharp": np.prod(np.sinc(places * pitch), axis=1),
-            "turn": np.array(turns) / self._scale,
+            "phase": phase / (2 * math.pi) - shift[:, None, None],
+            "weight": weight * n**2,
+            "sharp": np.prod(np.sinc(places * seen.scene.camera.image_pitch), axis=1),
+            "turn": residual.wavenumber * seen.view.cos_sum * lags / self._scale,
             "slope": np.array([lobe.slope_rms for lobe in lobes]) * self._scale,
             "share": np.array([lobe.specular_reflectance / total for lobe in lobes]),
         }
@@ -236,13 +254,13 @@ class MtfFigure:
         return np.asarray(np.abs(passed.sum(axis=1)))
 
 
-def fast_figure(source: str, options: Mapping[str, Any], seen: PointOptics) -> FastFigure:
+def fast_figure(source: str, options: Mapping[str, Any], near: Sequence[PointOptics]) -> FastFigure:
     """Return a figure by its name, one of `FAST` but "value".
 
-    ``seen`` is the wave of the scene in the middle of the distributions.
+    ``near`` are the waves of the scenes about the middle of the distributions, which is the first.
     """
     if source == "mtf":
-        return MtfFigure(seen, **options)
+        return MtfFigure(near, **options)
     if source == "spot_rms":
         return SpotFigure()
     return WaveFigure(_strehl if source == "strehl" else _rms)

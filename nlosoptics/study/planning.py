@@ -23,7 +23,7 @@ SCENE_SECONDS = 0.004  # s to build and check a scene
 FORECAST = 0.1, 2.0  # s of a forecast, and multiple of the point spread's seconds
 COMPENSATION = 30  # evaluations of a compensation
 STEPS = 3  # of the differences that the fast tier takes along a direction
-WAVE_SECONDS = 0.03  # s to trace a wave and to sample its fields
+WAVE_SECONDS = 0.01  # s to trace a wave and to sample the fields of a figure
 DRAW_SECONDS = 1.5e-4  # s to evaluate a figure of a draw
 UNKNOWN = 0.1  # s of a point spread that cannot be planned, and of a function of the user's
 
@@ -135,7 +135,7 @@ def plan_study(study: Study) -> StudyPlan:
         figures=len(study.figures),
         point_spreads=len(keys),
         forecasts=forecasts,
-        seconds=seconds + waves * WAVE_SECONDS + fast * DRAW_SECONDS * len(study.figures),
+        seconds=seconds + len(study.figures) * (waves * WAVE_SECONDS + fast * DRAW_SECONDS),
         n_bytes=width * count + (4000 + 8 * fast) * (2 * len(study.figures) + 4),
         block=max(1, block),
         fast_draws=fast,

@@ -115,58 +115,52 @@ def round_overlap(residual: Residual, frequency: float, azimuth: float) -> float
     if wave.wavelength * abs(wave.image_distance) * frequency >= 2 * wave.pupil_radius:
         return 0.0
     v = 2 * residual.wavenumber * residual.rays.slope * wave.pupil_radius
-    phase, share = overlap_nodes(residual, frequency, azimuth, math.ceil(0.6 * v) + 32)
-    return abs(complex(np.sum(share * np.exp(1j * phase))))
+    place = frequency * np.array([[math.cos(azimuth), math.sin(azimuth)]])
+    phase, weight = overlap_nodes(residual, place, math.ceil(0.6 * v) + 32)
+    return abs(complex(np.sum(weight * np.exp(1j * phase))))
 
 
-def overlap_nodes(
-    residual: Residual, frequency: float, azimuth: float, n: int
-) -> tuple[Array, Array]:
-    """Return phase differences and weights at nodes of the overlap of two shifted round pupils.
+def overlap_nodes(residual: Residual, frequencies: Array, n: int) -> tuple[Array, Array]:
+    """Return phase differences and weights at nodes of the overlaps of two shifted round pupils.
 
-    Their sum ``sum(weight * exp(i phase))`` is the transfer function without the image shift of the
-    wave's tilt.
+    At each frequency ``sum(weight * exp(1j * phase))`` is the transfer function without the image
+    shift that is due to the wave's tilt.
 
     Parameters
     ----------
     residual : Residual
         Polar wave without obscuration.
-    frequency : float
-        Cycles per m in the image, along the azimuth; at least 0 and below the cutoff.
-    azimuth : float
-        Direction, rad from x toward y.
+    frequencies : ndarray, (m, 2)
+        Cycles per m in the image along x and y, below the cutoff.
     n : int
         Gauss-Legendre nodes along the shift, and as many across.
 
     Returns
     -------
-    phase, weight : ndarray, (n, n)
+    phase, weight : ndarray, (m, n, n)
         Phase difference, rad, and area times both amplitudes over the energy of the pupil.
     """
     wave = residual.wavefront
     a = wave.pupil_radius
-    shift = wave.wavelength * wave.image_distance * frequency
+    step = wave.wavelength * wave.image_distance * frequencies[:, :, None, None]
+    shift = np.hypot(step[:, 0], step[:, 1])
+    azimuth = np.arctan2(step[:, 1], step[:, 0])
     series, amplitude = residual.polar_series
     fraction, share = gauss_legendre(n)
     # Across: y = a sin t; along: half width a cos t - shift/2. Both are smooth up to the tips.
-    widest = math.acos(abs(shift) / (2 * a))
-    t = widest * (2 * fraction - 1)
-    half = a * np.cos(t) - abs(shift) / 2
-    along = half[:, None] * (2 * fraction - 1)
-    weight = (2 * widest * share * a * np.cos(t) * 2 * half)[:, None] * share
-    c, s = math.cos(azimuth), math.sin(azimuth)
-    across = np.broadcast_to((a * np.sin(t))[:, None], along.shape)
-    phase = np.zeros(along.shape)
-    for sign in (1.0, -1.0):
-        p = along - sign * shift / 2
-        u, w = c * p - s * across, s * p + c * across
-        path, size = values_at(series, amplitude, u, w, 1e-13)
-        phase += sign * residual.wavenumber * path
-        if size is not None:
-            weight = weight * size
-    if residual.is_uniform:
+    widest = np.arccos(shift / (2 * a))
+    t = widest * (2 * fraction[:, None] - 1)
+    half = a * np.cos(t) - shift / 2
+    along, across = half * (2 * fraction - 1), a * np.sin(t)
+    weight = 2 * widest * share[:, None] * a * np.cos(t) * 2 * half * share
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    sides = np.stack([along - shift / 2, along + shift / 2])
+    u, v = c * sides - s * across, s * sides + c * across
+    path, size = values_at(series, amplitude, u, v, 1e-13)
+    phase = residual.wavenumber * (path[0] - path[1])
+    if size is None:
         return phase, weight / (math.pi * a**2)
-    return phase, weight / float(np.sum(wave.amplitude**2 * wave.weights))
+    return phase, weight * size[0] * size[1] / float(np.sum(wave.amplitude**2 * wave.weights))
 
 
 class _Part(NamedTuple):

@@ -99,9 +99,10 @@ def test_nodes_of_an_overlap_have_its_phase(distance):
     )
     residual = split(given)
     for relative, azimuth in ((0.1, 0.0), (0.4, 0.9), (0.8, -2.0)):
-        phase, weight = overlap_nodes(residual, relative / UNIT, azimuth, 48)
-        along = np.dot(residual.shift, (math.cos(azimuth), math.sin(azimuth)))
-        found = np.sum(weight * np.exp(1j * phase - 2j * math.pi * relative / UNIT * along))
+        place = relative / UNIT * np.array([math.cos(azimuth), math.sin(azimuth)])
+        phase, weight = overlap_nodes(residual, np.stack([place / 2, place]), 48)
+        turned = 1j * phase[1] - 2j * math.pi * (place @ residual.shift)
+        found = np.sum(weight[1] * np.exp(turned))
         # convergence of the strips
         assert found == approx(transfer(residual, relative / UNIT, azimuth), abs=1e-9)
         assert abs(np.angle(found)) > 1e-3
