@@ -161,7 +161,8 @@ class Results(Noun):
     def counts(self) -> dict[str, int]:
         """Number of points with each status: "done", "failed", "lost" and "pending"."""
         found = self.dataset["status"].values
-        return {status: int((found == status).sum()) for status in (*STATUSES, FAST)}
+        statuses = (*STATUSES, FAST) if self.study.fast else STATUSES
+        return {status: int((found == status).sum()) for status in statuses}
 
     def fast_errors(self, figure: str) -> NDArray[np.float64]:
         """Return the errors of the fast tier at the checked draws that are known in full.
