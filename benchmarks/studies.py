@@ -1,6 +1,7 @@
 """Overhead of a design study, and its throughput on up to 1,000 simulated workers.
 
 python benchmarks/studies.py [--memory FOLDER] [--json FILE]
+python benchmarks/studies.py --fast [--json FILE]
 
 Row "measured": one real worker process computes the modulation at 60 cycles/m over random focus
 distances. `client` is the CPU time of the client for each point, `point` the time of the worker.
@@ -11,6 +12,11 @@ numbers. `share` is the achieved throughput over that of workers that never wait
 blocks that are written in a second, and `busy` the client's CPU time over the time passed. Times on
 the wall depend on what else the machine does; `client` is CPU time. `--memory` names a folder in
 memory, which takes the disk away.
+
+With `--fast`: yields of `examples/studies/tolerance_yield.toml` by the fast tier and by plain Monte
+Carlo. Row "cost" has CPU seconds. In the other rows, `full` and `fast` are shares of the same draws
+that meet a limit, `disagree` is the number of draws that meet it by one tier alone, and `value`,
+`low` and `high` are the answer of the fast study with its 95 % interval.
 """
 
 from __future__ import annotations
@@ -20,19 +26,26 @@ import heapq
 import itertools
 import json
 import pickle
+import resource
 import tempfile
 import threading
 import time
+import tomllib
 import uuid
 from concurrent.futures import Executor, Future
 from pathlib import Path
 
-from nlosoptics.study import Study, plan_study, run_study, running
+import numpy as np
+
+from nlosoptics.study import Study, fraction_within, plan_study, run_study, running
+from nlosoptics.study.fast import fast_values
 from nlosoptics.study.worker import Answers
 
+STUDIES = Path(__file__).parents[1] / "examples" / "studies"
 SCENE = str(Path(__file__).parents[1] / "examples" / "scenes" / "letter_flat.toml")
 ROUNDS = 2  # blocks for each simulated worker
 MOST_POINTS = 18_000
+QUANTILES = 0.05, 0.2, 0.5  # of the figures, near which limits are set
 SLOW = 300, 10.0  # workers of the last row, and how many seconds their blocks take
 
 
@@ -169,12 +182,60 @@ def simulated(workers, store, folder, slow=1.0):
     }
 
 
+def fast_rows(count):
+    """Rows of the fast tier against ``count`` draws in full."""
+    tables = tomllib.loads((STUDIES / "tolerance_yield.toml").read_text())
+    fast = Study.from_tables(tables, STUDIES)
+    plain = {"count": count, "method": "random", "of": tables["draws"]["of"]}
+    full = Study.from_tables(tables | {"draws": plain}, STUDIES)
+    cost = {"kind": "cost", "draws": len(fast), "checked": len(fast.in_full)}
+    with tempfile.TemporaryDirectory() as folder:
+        begun = _cpu()
+        monte_carlo = run_study(full, f"{folder}/full.zarr")
+        cost["in full, of a draw"] = (_cpu() - begun) / count
+        fast_values(fast, fast.figures[:1])  # compiles
+        begun = _cpu()
+        fast_values(fast, fast.figures)
+        cost["fast, of all draws"] = _cpu() - begun
+        begun = _cpu()
+        checked = run_study(fast, f"{folder}/fast.zarr")
+        cost["whole study"] = _cpu() - begun
+    yield cost
+    for name in ("strehl", "mtf"):
+        exact = monte_carlo.values(name)
+        same = checked.values(name)[:count]
+        for limit in np.quantile(exact, QUANTILES).round(2).tolist():
+            found = fraction_within(checked, name, at_least=limit)
+            yield {
+                "kind": name,
+                "limit": limit,
+                "draws": count,
+                "full": float((exact >= limit).mean()),
+                "fast": float((same >= limit).mean()),
+                "disagree": int(((exact >= limit) != (same >= limit)).sum()),
+                "rms": float(np.sqrt(np.mean((exact - same) ** 2))),
+                "value": found.value,
+                "low": found.low,
+                "high": found.high,
+                "gained": found.gained,
+                "lost": found.lost,
+            }
+
+
+def _cpu():
+    """CPU seconds of this process and of its ended children."""
+    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--json", type=Path)
     parser.add_argument("--memory", type=Path, help="folder in memory, such as /dev/shm")
     parser.add_argument("--workers", type=int, nargs="+", default=[10, 30, 100, 1000])
     parser.add_argument("--points", type=int, default=200, help="of the measured row")
+    parser.add_argument("--fast", action="store_true", help="rows of the fast tier alone")
+    parser.add_argument("--draws", type=int, default=2000, help="in full, against the fast tier")
     options = parser.parse_args()
     rows = []
 
@@ -182,10 +243,15 @@ def main():
         rows.append(row)
         print({k: f"{v:.3g}" if isinstance(v, float) else v for k, v in row.items()}, flush=True)
 
-    add(measured(options.points))
     stores = [("on disk", None)]
     if options.memory:
         stores.append(("in memory", options.memory))
+    if options.fast:
+        stores = []
+        for row in fast_rows(options.draws):
+            add(row)
+    else:
+        add(measured(options.points))
     for store, folder in stores:
         for workers in options.workers:
             add(simulated(workers, store, folder))

@@ -99,9 +99,12 @@ def _other_search(study: Study, kept: Study) -> list[str]:
 
 
 def order(study: Study) -> list[int]:
-    """Return the points in the order of computation: those with the same point spread together."""
+    """Return the points in the order of computation: those with the same point spread together.
+
+    Draws of the fast tier that are not checked are left out.
+    """
     groups: dict[str, list[int]] = {}
-    for index in range(len(study)):
+    for index in study.in_full:
         groups.setdefault(point_spread_key(study.delta(index)), []).append(index)
     return [index for group in groups.values() for index in group]
 

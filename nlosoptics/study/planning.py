@@ -22,6 +22,9 @@ LEAST_BLOCKS = 8  # so that a short study shows progress and uses several worker
 SCENE_SECONDS = 0.004  # s to build and check a scene
 FORECAST = 0.1, 2.0  # s of a forecast, and multiple of the point spread's seconds
 COMPENSATION = 30  # evaluations of a compensation
+STEPS = 3  # of the differences that the fast tier takes along a direction
+WAVE_SECONDS = 0.01  # s to trace a wave and to sample the fields of a figure
+DRAW_SECONDS = 1.5e-4  # s to evaluate a figure of a draw
 UNKNOWN = 0.1  # s of a point spread that cannot be planned, and of a function of the user's
 
 
@@ -32,7 +35,8 @@ class StudyPlan:
     Parameters
     ----------
     points : int
-        Number of points of the design.
+        Number of points that are computed in full: those of the design, or the checked draws of
+        the fast tier.
     figures : int
         Number of figures of merit.
     point_spreads : int
@@ -46,6 +50,11 @@ class StudyPlan:
         Largest size of the results folder (the store), bytes, without the files of the base scene.
     block : int
         Number of points that are computed and stored together.
+    fast_draws : int
+        Number of draws whose figures of merit follow from an expansion of the wave; 0 without the
+        fast tier.
+    waves : int
+        Approximate number of waves that are traced for this expansion.
 
     See Also
     --------
@@ -59,13 +68,21 @@ class StudyPlan:
     seconds: float
     n_bytes: int
     block: int
+    fast_draws: int = 0
+    waves: int = 0
 
     def __str__(self) -> str:
         """Return the plan as text."""
         blocks = -(-self.points // self.block)
+        fast = (
+            f"fast draws     {self.fast_draws}, from about {self.waves} waves expanded to second "
+            f"order\nchecked draws  {self.points}, {counted(self.figures, 'figure')} each"
+        )
         return "\n".join(
             (
-                f"points         {self.points}, {counted(self.figures, 'figure')} each",
+                fast
+                if self.fast_draws
+                else f"points         {self.points}, {counted(self.figures, 'figure')} each",
                 f"point spreads  {self.point_spreads}",
                 f"forecasts      {self.forecasts}",
                 f"blocks         {blocks} of at most {self.block} points",
@@ -94,7 +111,7 @@ def plan_study(study: Study) -> StudyPlan:
     """
     if study.variables:
         return _plan_search(study)
-    count = len(study)
+    count = len(study.in_full)
     stages = {figure.stage for figure in study.figures}
     needs_spread = "point spread" in stages
     keys = {point_spread_key(delta) for delta in _deltas(study)} if needs_spread else set()
@@ -108,6 +125,9 @@ def plan_study(study: Study) -> StudyPlan:
     )
     if study.table.compensate is not None:
         seconds += COMPENSATION * count * (SCENE_SECONDS + one)
+    size = len(study.dimensions[0].addresses)
+    waves = 1 + STEPS * size * (size + 1) if study.fast else 0
+    fast = len(study) if study.fast else 0
     block = min(MOST_ROWS, int(BLOCK_SECONDS * count / seconds), count // LEAST_BLOCKS)
     width = 40 + 9 * len(study.figures) + 8 * sum(f.has_error for f in study.figures)
     return StudyPlan(
@@ -115,9 +135,11 @@ def plan_study(study: Study) -> StudyPlan:
         figures=len(study.figures),
         point_spreads=len(keys),
         forecasts=forecasts,
-        seconds=seconds,
-        n_bytes=width * count + 4000 * (2 * len(study.figures) + 4),
+        seconds=seconds + len(study.figures) * (waves * WAVE_SECONDS + fast * DRAW_SECONDS),
+        n_bytes=width * count + (4000 + 8 * fast) * (2 * len(study.figures) + 4),
         block=max(1, block),
+        fast_draws=fast,
+        waves=waves,
     )
 
 
@@ -140,7 +162,7 @@ def _plan_search(study: Study) -> StudyPlan:
 
 
 def _deltas(study: Study) -> Iterable[dict[str, object]]:
-    return (study.delta(index) for index in range(len(study)))
+    return (study.delta(index) for index in study.in_full)
 
 
 def _point_spread_seconds(study: Study) -> float:

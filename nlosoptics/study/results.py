@@ -23,6 +23,7 @@ from .design.figures import Figure
 from .design.file import StudyTable
 from .design.study import Study, search_variables
 from .design.values import label, number
+from .fast import expanded_meaning, fast_key
 from .store import STATUSES, Store, reading
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 
 RUNNING = "running"  # state of a search that has not ended
+FAST = "fast"  # status of a draw of the fast tier that is not checked
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,7 +53,9 @@ class Results(Noun):
         computing time. Each coordinate has the name of its address, such as ``wall.radius``, and
         holds numbers in SI units, or text. The dimension ``case`` has text labels only. The trials
         of a search are the first dimension, ``trial``, and the attribute ``search`` says why the
-        search ended.
+        search ended. With the fast tier, figures are those of expanded waves, and
+        ``<figure>_full`` holds the figures of the checked draws in full, NaN elsewhere; draws
+        without a check have the status "fast".
 
     See Also
     --------
@@ -157,7 +161,32 @@ class Results(Noun):
     def counts(self) -> dict[str, int]:
         """Number of points with each status: "done", "failed", "lost" and "pending"."""
         found = self.dataset["status"].values
-        return {status: int((found == status).sum()) for status in STATUSES}
+        statuses = (*STATUSES, FAST) if self.study.fast else STATUSES
+        return {status: int((found == status).sum()) for status in statuses}
+
+    def fast_errors(self, figure: str) -> NDArray[np.float64]:
+        """Return the errors of the fast tier at the checked draws that are known in full.
+
+        Parameters
+        ----------
+        figure : str
+            Name of the figure.
+
+        Returns
+        -------
+        (n,) ndarray
+            Fast value minus the value in full, in the unit of the figure.
+
+        Raises
+        ------
+        SceneError
+            If the study has no such figure, or its draws are not of the fast tier.
+        """
+        name = self.study.figure(figure).name
+        if not self.study.fast:
+            raise SceneError("the study is not of the fast tier; set draws.tier = 'fast'")
+        found = self.dataset[name].values - self.dataset[f"{name}_full"].values
+        return np.asarray(found[np.isfinite(found)], dtype=np.float64)
 
     def failures(self) -> dict[str, int]:
         """Return the messages of failed points, each with the number of points that have it."""
@@ -179,6 +208,13 @@ class Results(Noun):
                 low, middle, high = good.min(), np.median(good), good.max()
                 lines.append(
                     f"{figure.name:24s} {low:.4g} to {high:.4g}, median {middle:.4g} {figure.unit}"
+                )
+            if self.study.fast and len(error := self.fast_errors(figure.name)):
+                rms, most = float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
+                unit = f" {figure.unit}" if figure.unit else ""
+                lines.append(
+                    f"{'  fast minus full':24s} mean {error.mean():+.2g}, rms {rms:.2g}, largest "
+                    f"{most:.2g}{unit} at {counted(len(error), 'checked draw')}"
                 )
         lines += [f"{count} x {text}" for text, count in self.failures().items()]
         return "\n".join(line.rstrip() for line in lines)
@@ -248,6 +284,8 @@ def _dataset(study: Study, store: Store) -> xr.Dataset:
         own = shaped(store.statuses(figure), 0).astype(int)
         status = np.where(rank[own] > rank[status], own, status)
     arrays["status"] = (dims, np.array(STATUSES)[status])
+    if study.fast:
+        _replace_by_fast(study, store, arrays)
     texts = shaped(store.column("message"), "")
     told_texts = [_joined(str(text)) for text in texts.ravel()]
     arrays["message"] = (dims, np.array(told_texts, dtype=object).reshape(shape))
@@ -257,6 +295,19 @@ def _dataset(study: Study, store: Store) -> xr.Dataset:
         coordinates |= _coordinates(dimension)
     told = {"search": store.ended or RUNNING} if study.variables else {}
     return xr.Dataset(arrays, coordinates, told)
+
+
+def _replace_by_fast(study: Study, store: Store, arrays: dict[str, Any]) -> None:
+    """Rename figures in full to ``<figure>_full``, and add those of the fast tier."""
+    dims, status = arrays["status"]
+    status[~np.isin(np.arange(len(study)), study.in_full)] = FAST
+    for figure in study.figures:
+        _, full, about = arrays[figure.name]
+        arrays[f"{figure.name}_full"] = dims, np.where(status == FAST, np.nan, full), about
+        values = store.fast(figure.name, fast_key(study, figure))
+        if values is None:
+            status[:], values = STATUSES[0], np.full(study.shape, np.nan)
+        arrays[figure.name] = dims, values, about | {"long_name": expanded_meaning(figure)}
 
 
 def _joined(text: str) -> str:
@@ -270,7 +321,8 @@ def _joined(text: str) -> str:
 def _coordinates(dimension: Dimension) -> dict[str, Any]:
     """Return the coordinates of a dimension: values by address, and a label or number."""
     found: dict[str, Any] = {}
-    if any(set(delta) != set(dimension.addresses) for delta in dimension.deltas):
+    addresses = set(dimension.addresses)
+    if any(delta.keys() != addresses for delta in dimension.deltas):
         return {dimension.name: (dimension.name, list(dimension.labels()))}  # one at a time
     for address in dimension.addresses:
         values = [delta[address] for delta in dimension.deltas]

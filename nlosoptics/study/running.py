@@ -13,6 +13,7 @@ from ..errors import SceneError
 from .blocks import open_blocks, prepared
 from .design.study import Study
 from .engine import Cluster, Engine, InProcess, Processes, computed
+from .fast import fill_fast
 from .results import Results
 from .searching import Trials
 from .store import Store, only_writer, reading
@@ -35,6 +36,9 @@ def run_study(
     point from the figures of merit of earlier points. All computed points are stored, and the same
     seed leads to the same choices, so that a search that was stopped continues with the next
     point.
+
+    Of draws with ``tier = "fast"``, all figures are computed by an expansion of the wave to second
+    order in the drawn values, and ``check`` random draws in full.
 
     Parameters
     ----------
@@ -99,6 +103,7 @@ def run_study(
         with reading(path):
             store, study = prepared(study, path)
             blocks = open_blocks(study, store, again)
+        fill_fast(study, store, tell)
         if study.variables:
             if again:
                 raise SceneError(

@@ -169,6 +169,32 @@ class Store:
         with writing(self.path):
             self._group.require_group("search").attrs["ended"] = why
 
+    def fast(self, figure: str, key: str) -> NDArray[np.float64] | None:
+        """Return the values of a figure in all draws of the fast tier; None if it has not these.
+
+        ``key`` names what the values depend on.
+        """
+        if f"fast/{figure}" not in self._group:
+            return None
+        array = self._at(f"fast/{figure}")
+        if array.attrs.get("of") != key:
+            return None
+        try:
+            return np.asarray(array[:], dtype=np.float64)
+        except Exception:  # a corrupt chunk is computed again
+            return None
+
+    def set_fast(
+        self, figure: str, key: str, values: NDArray[np.float64], meaning: str, unit: str
+    ) -> None:
+        """Keep the values of a figure in all draws of the fast tier; the key is written last."""
+        with writing(self.path):
+            array: Any = self._group.require_group("fast").create_array(
+                figure, data=values, chunks=(len(values),), overwrite=True
+            )
+            told = {"long_name": meaning} | ({"units": unit} if unit else {})
+            array.attrs.update(told | {"of": key})
+
     def add(self, ids: list[str], figures: tuple[Figure, ...], spare: int = 0) -> range:
         """Add figures that the store does not have, and rows for points, from a new block on.
 

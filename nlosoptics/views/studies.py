@@ -402,7 +402,9 @@ def yield_curve(
     axes.fill_between(x, low, high, color=BLUE, alpha=0.2, lw=0, label="confidence interval")
     points = fractions[0].points if len(fractions) else 0
     failed = fractions[0].failed if len(fractions) else 0
-    axes.step(x, value, color=BLUE, label=f"{points} draws, {failed} failed", where="mid")
+    checked = fractions[0].checked if len(fractions) else 0
+    told = f"{points} draws, {f'{checked} in full, ' if checked else ''}{failed} failed"
+    axes.step(x, value, color=BLUE, label=told, where="mid")
     axes.axhline(50.0, color=GREY, lw=0.5)
     axes.set(
         xlabel=f"limit of {label}" if label else "limit", ylabel="yield (%)", ylim=(0.0, 102.0)

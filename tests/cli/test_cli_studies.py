@@ -87,6 +87,28 @@ def test_bad_study_is_one_line(edit, arguments, told: str, study: Path, capsys) 
     assert re.search(told, err)
 
 
+def test_fast_draws_are_planned_run_and_drawn(study: Path, capsys) -> None:
+    study.write_text(
+        f'scene = "{SCENE}"\nfigures = ["strehl"]\n'
+        'set = { "camera.f_number" = 16, "camera.binning" = 8 }\n'
+        '[draws]\ncount = 32\ntier = "fast"\ncheck = 3\n'
+        '[draws.of]\n"wall.radius" = { sigma = "20 cm" }\n'
+    )
+    code, out, err = call(capsys, "study", study, "--plan")
+    assert (code, err) == (0, "")
+    assert "fast draws     32, from about 7 waves expanded to second order" in out
+    assert "checked draws  3, 1 figure each" in out
+    code, out, err = call(capsys, "study", study, "--workers", 0)
+    assert (code, err) == (0, "")
+    assert "powers.zarr: 32 points: 3 done, 29 fast" in out
+    assert "fast minus full" in out
+    assert call(capsys, "study", "plot", "powers.zarr", "strehl", "--out", "yield.png")[0] == 0
+    study.write_text(study.read_text().replace('"strehl"', '"photons"'))
+    code, out, err = call(capsys, "study", study, "--workers", 0)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "photons is not among those of tier = 'fast'" in err
+
+
 def test_failed_points_are_counted(study: Path, capsys) -> None:
     study.write_text(study.read_text().replace('"powers:power"', '"powers:power", "powers:fails"'))
     code, out, _ = call(capsys, "study", study, "--workers", 0)

@@ -21,7 +21,7 @@ from ..aperture.curves import Curve, abscissa, cross, monotone_parts
 from ..aperture.quadrature_nodes import gauss_legendre
 from ..wave.cell_series import CellSpectrum
 from ..wave.detilted import Residual
-from ..wave.polar_series import PolarSpectrum, legendre
+from ..wave.polar_series import PolarSpectrum, legendre, values_at
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -112,34 +112,55 @@ def round_overlap(residual: Residual, frequency: float, azimuth: float) -> float
     this is faster than `transfer`.
     """
     wave = residual.wavefront
-    a = wave.pupil_radius
-    shift = wave.wavelength * abs(wave.image_distance) * frequency
-    if shift >= 2 * a:
+    if wave.wavelength * abs(wave.image_distance) * frequency >= 2 * wave.pupil_radius:
         return 0.0
-    v = 2 * residual.wavenumber * residual.rays.slope * a
+    v = 2 * residual.wavenumber * residual.rays.slope * wave.pupil_radius
+    place = frequency * np.array([[math.cos(azimuth), math.sin(azimuth)]])
+    phase, weight = overlap_nodes(residual, place, math.ceil(0.6 * v) + 32)
+    return abs(complex(np.sum(weight * np.exp(1j * phase))))
+
+
+def overlap_nodes(residual: Residual, frequencies: Array, n: int) -> tuple[Array, Array]:
+    """Return phase differences and weights at nodes of the overlaps of two shifted round pupils.
+
+    At each frequency ``sum(weight * exp(1j * phase))`` is the transfer function without the image
+    shift that is due to the wave's tilt.
+
+    Parameters
+    ----------
+    residual : Residual
+        Polar wave without obscuration.
+    frequencies : ndarray, (m, 2)
+        Cycles per m in the image along x and y, below the cutoff.
+    n : int
+        Gauss-Legendre nodes along the shift, and as many across.
+
+    Returns
+    -------
+    phase, weight : ndarray, (m, n, n)
+        Phase difference, rad, and area times both amplitudes over the energy of the pupil.
+    """
+    wave = residual.wavefront
+    a = wave.pupil_radius
+    step = wave.wavelength * wave.image_distance * frequencies[:, :, None, None]
+    shift = np.hypot(step[:, 0], step[:, 1])
+    azimuth = np.arctan2(step[:, 1], step[:, 0])
     series, amplitude = residual.polar_series
-    n = math.ceil(0.6 * v) + 32 + series.n_r
     fraction, share = gauss_legendre(n)
     # Across: y = a sin t; along: half width a cos t - shift/2. Both are smooth up to the tips.
-    widest = math.acos(shift / (2 * a))
-    t = widest * (2 * fraction - 1)
+    widest = np.arccos(shift / (2 * a))
+    t = widest * (2 * fraction[:, None] - 1)
     half = a * np.cos(t) - shift / 2
-    along = half[:, None] * (2 * fraction - 1)
-    area = (2 * widest * share * a * np.cos(t) * 2 * half)[:, None] * share
-    c, s = math.cos(azimuth), math.sin(azimuth)
-    across = np.broadcast_to((a * np.sin(t))[:, None], along.shape)
-    pair = []
-    for side in (0.5, -0.5):
-        p = along + side * shift
-        u, w = c * p - s * across, s * p + c * across
-        pupil = np.exp(1j * residual.wavenumber * series.at(u, w, 1e-13))
-        if amplitude is not None:
-            pupil = pupil * amplitude.at(u, w, 1e-13)
-        pair.append(pupil)
-    total = abs(complex(np.sum(area * pair[0] * np.conj(pair[1]))))
-    if residual.is_uniform:
-        return total / (math.pi * a**2)
-    return total / float(np.sum(wave.amplitude**2 * wave.weights))
+    along, across = half * (2 * fraction - 1), a * np.sin(t)
+    weight = 2 * widest * share[:, None] * a * np.cos(t) * 2 * half * share
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    sides = np.stack([along - shift / 2, along + shift / 2])
+    u, v = c * sides - s * across, s * sides + c * across
+    path, size = values_at(series, amplitude, u, v, 1e-13)
+    phase = residual.wavenumber * (path[0] - path[1])
+    if size is None:
+        return phase, weight / (math.pi * a**2)
+    return phase, weight * size[0] * size[1] / float(np.sum(wave.amplitude**2 * wave.weights))
 
 
 class _Part(NamedTuple):

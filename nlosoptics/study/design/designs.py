@@ -185,6 +185,46 @@ def named_materials(table: StudyTable) -> dict[str, str]:
     return found
 
 
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """Middle and width of a distribution.
+
+    Parameters
+    ----------
+    middle : float
+        Median, in the SI unit.
+    width : float
+        Half the range of the central 68.27 %; the standard deviation of a normal distribution.
+    unit : str
+        SI unit, or empty.
+    """
+
+    middle: float
+    width: float
+    unit: str
+
+
+def spreads(draws: Draws, value_of: Callable[[str], Any]) -> dict[str, Spread]:
+    """Return the middle and the width of each distribution by address.
+
+    Raises
+    ------
+    SceneError
+        If a distribution is a list of values.
+    """
+    found = {}
+    at = np.asarray(scipy.stats.norm.cdf([0.0, -1.0, 1.0]))
+    for address, given in _laws(draws).items():
+        if isinstance(given, list):
+            raise SceneError(
+                f"draws.of.{address} lists values, but tier = 'fast' needs a continuous "
+                "distribution; give sigma, or from and to, or use tier = 'full'"
+            )
+        (middle, low, high), unit = numbers(address, *_quantile(address, given, value_of)(at))
+        found[address] = Spread(middle=middle, width=(high - low) / 2, unit=unit)
+    return found
+
+
 def _laws(draws: Draws) -> dict[str, list[Any] | Distribution]:
     """Return the distributions by address, with one for each value of a named material.
 

@@ -175,7 +175,7 @@ FIGURES: Mapping[str, _Known] = {
 #: Names that arrays of the results have themselves.
 TAKEN = ("status", "message", "seconds", "case", "draw", "trial", "zip", "point", "id")
 #: Endings of names of arrays that belong to a figure.
-ENDINGS = ("_error", "_status", "_compensated")
+ENDINGS = ("_error", "_status", "_compensated", "_full")
 
 
 def figure(given: str | FigureTable, folder: Path) -> Figure:

@@ -63,10 +63,15 @@ Law = Annotated[list[Any] | Distribution, _list_or(Distribution)]
 
 
 class Draws(_Table):
-    """Random values, drawn together."""
+    """Random values, drawn together.
+
+    With tier "fast" the wave is expanded to second order, and ``check`` draws are computed in full.
+    """
 
     count: int = Field(ge=1, le=1_000_000)
     method: Literal["random", "latin", "sobol", "saltelli"] = "sobol"
+    tier: Literal["full", "fast"] = "full"
+    check: int | None = Field(None, ge=2)
     of: dict[str, Law] = Field(min_length=1)
 
 

@@ -20,6 +20,7 @@ from ...scene.file.addresses import value_at
 from ...scene.file.errors import located, validated
 from .base import Base
 from .designs import Delta, Dimension, dimensions, named_materials
+from .fast import checked_draws, fast_spreads
 from .figures import Figure, figure, with_compensation
 from .file import StudyTable
 from .searches import check_search
@@ -203,6 +204,7 @@ class Study(Noun):
             for delta in dimension.deltas[:1] if dimension.name == "draw" else dimension.deltas:
                 base.checked(delta)
         figures, variables = _figures_and_variables(table, folder, base, packed)
+        fast_spreads(table, figures, lambda address: value_at(base.tables, address))
         return cls(
             definition=definition,
             folder=folder,
@@ -271,6 +273,16 @@ class Study(Noun):
         The values enter sorted by address, so that their order does not matter.
         """
         return tuple(point_id(self.seed, self.delta(index)) for index in range(len(self)))
+
+    @property
+    def fast(self) -> bool:
+        """Whether the draws are of the fast tier."""
+        return self.table.draws is not None and self.table.draws.tier == "fast"
+
+    @cached_property
+    def in_full(self) -> tuple[int, ...]:
+        """Points that are computed in full: all of them, or the checked draws of the fast tier."""
+        return checked_draws(self.table, self.ids) if self.fast else tuple(range(len(self)))
 
 
 def point_id(seed: int, delta: Mapping[str, Any]) -> str:

@@ -10,6 +10,8 @@ from pytest import approx
 from scipy.integrate import dblquad
 
 from nlosoptics import psf
+from nlosoptics.psf.metrics.pupil_overlap import overlap_nodes, transfer
+from nlosoptics.psf.wave.detilted import split
 
 WAVELENGTH, RADIUS, DISTANCE = 632.8e-9, 12.5e-3, 50e-3
 UNIT = WAVELENGTH * DISTANCE / (2 * RADIUS)
@@ -78,6 +80,32 @@ def test_pistons_turn_the_phase_between_two_telescopes():
     exact = (np.array(own) + turned * np.array(between)) / (math.pi * a**2)
     assert psf.mtf(given, relative / UNIT) == approx(np.abs(exact), abs=1e-9)
     assert psf.ptf(given, relative / UNIT) == approx(np.angle(exact), abs=1e-8)
+
+
+@pytest.mark.parametrize("distance", [DISTANCE, -DISTANCE])
+def test_nodes_of_an_overlap_have_its_phase(distance):
+    """The sum over nodes against strips, for a wave without symmetry and of uneven amplitude."""
+
+    def path(u, v):
+        rho, theta = np.hypot(u, v) / RADIUS, np.arctan2(v, u)
+        terms = {3: 0.4, 7: 0.3, 8: 0.2, 9: 0.2}
+        return WAVELENGTH * sum(w * psf.zernike(j, rho, theta) for j, w in terms.items())
+
+    given = psf.Wavefront.from_function(
+        path,
+        amplitude=lambda u, v: 1 + 0.3 * u / RADIUS,
+        nodes="polar",
+        **SYSTEM | {"image_distance": distance},
+    )
+    residual = split(given)
+    for relative, azimuth in ((0.1, 0.0), (0.4, 0.9), (0.8, -2.0)):
+        place = relative / UNIT * np.array([math.cos(azimuth), math.sin(azimuth)])
+        phase, weight = overlap_nodes(residual, np.stack([place / 2, place]), 48)
+        turned = 1j * phase[1] - 2j * math.pi * (place @ residual.shift)
+        found = np.sum(weight[1] * np.exp(turned))
+        # convergence of the strips
+        assert found == approx(transfer(residual, relative / UNIT, azimuth), abs=1e-9)
+        assert abs(np.angle(found)) > 1e-3
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 0.9])
