@@ -55,7 +55,7 @@ def test_killed_writers_leave_a_whole_folder_and_the_next_one_nothing_else(way, 
         writer.stdout.close()
         if way == "exchange":
             assert target.is_dir()  # at every moment
-        _whole_files._sweep(target)  # what the next writer does first
+        _whole_files._sweep(tmp_path, ".result-*")  # what the next writer does first
         found = {(target / name).read_text() for name in NAMES}
         assert len(found) == 1, "old and new files are mixed"
         turns.append(int(found.pop()))

@@ -201,9 +201,10 @@ class Store:
                     flag_values=list(range(len(STATUSES))),
                     flag_meanings=" ".join(STATUSES),
                 )
-            first = -(-self._at("id").shape[0] // self.block) * self.block
-            rows = first + len(ids) + spare if ids else self._at("id").shape[0]
-            for name in self._group.array_keys():
+            first = -(-self._rows() // self.block) * self.block
+            rows = first + len(ids) + spare if ids else self._rows()
+            # the ids come last, since a store has as many rows as ids
+            for name in sorted(self._group.array_keys(), key=lambda name: name == "id"):
                 self._at(name).resize((rows,))
         if ids:
             self.place(first, ids)
@@ -242,18 +243,19 @@ class Store:
 
     def column(self, name: str) -> NDArray[Any] | None:
         """Return all rows of an array; None if the store has no such array."""
-        return self._read(name) if name in self._group else None
+        # a growth that was interrupted leaves some arrays longer
+        return self._read(name)[: self._rows()] if name in self._group else None
 
     def statuses(self, figure: Figure) -> NDArray[np.int8]:
         """Return the status codes of a figure; rows with a corrupt chunk are pending."""
-        empty = np.zeros(self._at("id").shape[0], dtype=np.int8)
+        empty = np.zeros(self._rows(), dtype=np.int8)
         found = self.column(f"{figure.name}_status")
         if found is None:
             return empty
         names = [figure.name, *([f"{figure.name}_error"] if figure.has_error else [])]
         broken = np.zeros(len(found), dtype=bool)
         for name in [*names, f"{figure.name}_status", "message"]:
-            broken |= self._broken(name)
+            broken |= self._broken(name)[: len(broken)]
         return np.where(broken, np.int8(0), found)
 
     def _read(self, name: str) -> NDArray[Any]:
@@ -284,6 +286,9 @@ class Store:
             except Exception:  # codecs raise arbitrary exceptions
                 broken[rows] = True
         return found if array.dtype.kind in "OT" else found.astype(array.dtype), broken
+
+    def _rows(self) -> int:
+        return int(self._at("id").shape[0])
 
     def _at(self, name: str) -> Any:
         return self._group[name]
@@ -334,6 +339,9 @@ def only_writer(path: Path) -> Iterator[None]:
             ) from None
         except (ImportError, OSError):  # Windows, or a file system without locks
             pass
+        else:
+            for draft in path.rglob("*.partial"):  # zarr's, left by a killed process
+                draft.unlink(missing_ok=True)
         yield
     finally:
         os.close(folder)

@@ -374,8 +374,8 @@ def test_broken_run_leaves_the_old_folder(
     ):
         for break_it, said in (
             (disk_full, "disk full"),
-            (interrupt, "interrupted; nothing was written"),
-            (terminate, "interrupted; nothing was written"),
+            (interrupt, "interrupted; no partial result was written"),
+            (terminate, "interrupted; no partial result was written"),
         ):
             with monkeypatch.context() as broken:
                 broken.setattr(where, step, break_it)

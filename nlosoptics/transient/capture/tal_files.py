@@ -8,9 +8,7 @@ stored in ``scene_info`` (numbers and text, as JSON, a subset of YAML) and in at
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import reason, whole
+from ..._whole_files import whole_files
 from ...errors import SamplingError, SceneError
 from .layouts import Found, array, bins, number, triple, upright
 from .mat_files import AT
@@ -45,18 +44,9 @@ def save(capture: Any, path: str | Path, *, compression: int = 0) -> None:
     if path.is_dir() or not path.parent.is_dir():
         what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
         raise SceneError(f"{path}: {what}; give a file in an existing folder")
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        # attributes larger than 64 KiB need the file format of HDF5 1.8
-        with h5py.File(draft, "w", libver=("v108", "v108")) as file:
-            _write(file, capture, level)
-        draft.replace(path)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise SceneError(f"{path}: cannot be written ({reason}); choose another path") from None
-    finally:
-        with suppress(OSError):
-            draft.unlink()
+    # attributes larger than 64 KiB need the file format of HDF5 1.8
+    with whole_files(path) as (draft,), h5py.File(draft, "w", libver=("v108", "v108")) as file:
+        _write(file, capture, level)
 
 
 def _write(file: Any, capture: Any, level: int) -> None:
