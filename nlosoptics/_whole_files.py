@@ -155,7 +155,7 @@ def _disk_told(target: Path) -> Iterator[None]:
 @contextmanager
 def beside(target: Path) -> Iterator[Path]:
     """Yield a new temporary folder next to ``target``; remove what killed processes left there."""
-    _sweep(target.parent, f".{glob.escape(target.name)}-*")
+    sweep(target)
     # A name is chosen first, so that the folder is removed whenever a signal interrupts this.
     folder = target.with_name(f".{target.name}-{secrets.token_hex(_NAME // 2)}")
     with ExitStack() as held:
@@ -213,6 +213,11 @@ def _locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
             yield False
         else:
             yield True
+
+
+def sweep(target: Path) -> None:
+    """Remove what killed processes left next to ``target``, or finish what they began."""
+    _sweep(target.parent, f".{glob.escape(target.name)}-*")
 
 
 def _sweep(parent: Path, pattern: str) -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from nlosoptics import _whole_files
 from nlosoptics._whole_files import whole_folder
+from nlosoptics.errors import SceneError
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="Windows has no kill -9")
 
@@ -61,6 +62,68 @@ def test_killed_writers_leave_a_whole_folder_and_the_next_one_nothing_else(way, 
         turns.append(int(found.pop()))
         assert not [name for name in hidden(tmp_path) if (tmp_path / name / "lock").exists()]
     assert max(turns) >= 0  # the writers came to write
+
+
+FILES_WRITER = """
+import sys
+from pathlib import Path
+from nlosoptics._whole_files import write_whole
+print("ready", flush=True)
+for turn in range(1_000_000):
+    write_whole({Path(sys.argv[1], name): (f"{turn} " * 20_000).encode() for name in "ab"})
+"""
+
+
+def test_killed_writers_leave_whole_files_and_the_next_one_nothing_else(tmp_path):
+    chance = random.Random(7)
+    for _ in range(6):
+        writer = subprocess.Popen(
+            [sys.executable, "-c", FILES_WRITER, str(tmp_path)], stdout=subprocess.PIPE
+        )
+        assert writer.stdout is not None
+        writer.stdout.readline()
+        time.sleep(chance.uniform(0.0, 0.05))
+        writer.kill()
+        writer.wait()
+        writer.stdout.close()
+        for name in "ab":
+            held = (tmp_path / name).read_text().split() if (tmp_path / name).exists() else ["0"]
+            assert len(held) in (1, 20_000)
+            assert len(set(held)) == 1
+    _whole_files.write_whole({tmp_path / name: b"last" for name in "ab"})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+
+
+def test_files_are_put_in_place_in_the_given_order(tmp_path, monkeypatch):
+    """A list of files may go before what it lists."""
+    placed, replace = [], Path.replace
+    monkeypatch.setattr(
+        Path, "replace", lambda self, to: placed.append(to.name) or replace(self, to)
+    )
+    _whole_files.write_whole({tmp_path / name: b"" for name in ("z", "a", "m")})
+    assert placed == ["z", "a", "m"]
+
+
+def test_folders_of_dead_processes_inside_an_output_folder_are_no_foreign_files(tmp_path):
+    """A killed `report` leaves its temporary folder in the folder of the result."""
+    with whole_folder(tmp_path / "result") as new:
+        (new / "result.json").write_text('{"files": ["result.json"]}')
+    left = tmp_path / "result" / ".report.html-0123456789abcdef"
+    left.mkdir()
+    (left / "lock").write_text("")
+    (left / "0.new").write_text("half a page")
+    _whole_files.check_folder(tmp_path / "result")
+    assert not left.exists()
+    (tmp_path / "result" / ".report.html-mine").mkdir()
+    with pytest.raises(SceneError, match="which nlosoptics did not write"):
+        _whole_files.check_folder(tmp_path / "result")
+
+
+def test_a_full_disk_is_one_line(tmp_path):
+    told = r"result: cannot be written .No space left on device.; make room"
+    with pytest.raises(SceneError, match=told), whole_folder(tmp_path / "result"):
+        raise OSError(28, "No space left on device")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_in_use_is_not_swept(tmp_path):

@@ -416,7 +416,6 @@ def carry_out(
         raise KeyboardInterrupt
     with whole_folder(folder) as new:
         drafts = new.parent
-        folder.mkdir(exist_ok=True)
         _announce(report, folder, drafts)
         keeper = Keeper(folder, drafts, identity, progress, interrupted)
         try:
@@ -443,14 +442,19 @@ def _announce(report: Mapping[str, Any], folder: Path, drafts: Path) -> None:
 
     The old result stays as it is until the new one is complete.
     """
+    begun = drafts / "begun"
+    begun.mkdir()
     try:
         old = json.loads((folder / RECORD).read_bytes())
         files = {*old["files"], *STATE, RECORD}
     except (OSError, ValueError, KeyError, TypeError):
         old, files = {"status": "running"}, {*STATE, RECORD}
     told = report if old.get("status") == "running" else old
-    write_text(drafts / RECORD, {**told, "files": sorted(files)})
-    (drafts / RECORD).replace(folder / RECORD)
+    write_text(begun / RECORD, {**told, "files": sorted(files)})
+    if folder.exists():
+        (begun / RECORD).replace(folder / RECORD)
+    else:
+        begun.rename(folder)
 
 
 def _figures(task: Task, found: Reconstruction) -> dict[str, Any]:

@@ -111,7 +111,7 @@ class Base(Noun):
     def _unpacked(self) -> Path:
         """Temporary folder with all files, which is removed with this object."""
         with ExitStack() as held:
-            folder = held.enter_context(beside(Path(tempfile.gettempdir(), "nlosoptics-study")))
+            folder = held.enter_context(beside(unpacked_at()))
             weakref.finalize(self, held.pop_all().close)
         for name, content in self.files.items():
             (folder / name).write_bytes(content)
@@ -125,6 +125,11 @@ class Base(Noun):
             for address in sorted(mine.keys() | theirs.keys())
             if mine.get(address) != theirs.get(address)
         ]
+
+
+def unpacked_at() -> Path:
+    """Return the path next to which bases unpack their files."""
+    return Path(tempfile.gettempdir(), "nlosoptics-study")
 
 
 def leaves(tables: Any, address: str = "") -> Iterator[tuple[str, str]]:

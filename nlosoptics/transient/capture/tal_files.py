@@ -7,6 +7,7 @@ stored in ``scene_info`` (numbers and text, as JSON, a subset of YAML) and in at
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -45,8 +46,39 @@ def save(capture: Any, path: str | Path, *, compression: int = 0) -> None:
         what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
         raise SceneError(f"{path}: {what}; give a file in an existing folder")
     # attributes larger than 64 KiB need the file format of HDF5 1.8
-    with whole_files(path) as (draft,), h5py.File(draft, "w", libver=("v108", "v108")) as file:
-        _write(file, capture, level)
+    with whole_files(path) as (draft,), _Disk(draft, "w+") as disk:
+        with h5py.File(disk, "w", libver=("v108", "v108")) as file:
+            _write(file, capture, level)
+        if disk.error is not None:
+            raise disk.error
+
+
+class _Disk(io.FileIO):
+    """File that keeps the first error of the disk instead of raising it.
+
+    HDF5 would try to write again whenever one of its objects is released, and print each failure.
+    """
+
+    error: OSError | None = None
+
+    def write(self, content: Any) -> int:
+        """Write all bytes, unless the disk has failed."""
+        left = memoryview(content).cast("B")
+        size = len(left)
+        while left and self.error is None:
+            try:
+                left = left[super().write(left) :]
+            except OSError as error:
+                self.error = error
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the size of the file, unless the disk has failed."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.error = self.error or error
+            return size or 0
 
 
 def _write(file: Any, capture: Any, level: int) -> None:
