@@ -18,6 +18,7 @@ from .errors import SceneError
 #: Record of an output folder; it lists the files that nlosoptics wrote.
 RECORD = "result.json"
 _LOCK = "lock"  # file of a temporary folder that its process holds
+_PLACES = "places.json"  # places of the complete files in a temporary folder
 _NAME = 16  # random letters in the name of a temporary folder
 _OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 _IS_LINUX = sys.platform == "linux"
@@ -45,8 +46,8 @@ def write_whole(contents: Mapping[Path, bytes]) -> None:
 def whole_files(*paths: Path) -> Iterator[list[Path]]:
     """Yield temporary files that take the places of ``paths`` if the block ends without error.
 
-    Each file is replaced in one step, in the given order, and links are followed. A killed process
-    leaves each file old or new; the next call for the same paths removes its temporary files.
+    Each file is replaced in one step, in the given order, and links are followed. A process that is
+    killed between two files leaves a list of the others, by which `sweep` puts them in place.
 
     Raises
     ------
@@ -69,8 +70,18 @@ def whole_files(*paths: Path) -> Iterator[list[Path]]:
             yield drafts
             for draft in drafts:
                 _written_through(draft)
-            for draft, place in zip(drafts, places, strict=True):
-                draft.replace(place)
+            for parent, folder in folders.items():
+                pairs = zip(drafts, places, strict=True)
+                own = {draft.name: to.name for draft, to in pairs if to.parent == parent}
+                (folder / "listed").write_text(json.dumps(own))
+                (folder / "listed").replace(folder / _PLACES)
+            try:
+                for draft, place in zip(drafts, places, strict=True):
+                    draft.replace(place)
+            except KeyboardInterrupt:
+                for folder in folders.values():
+                    _put(folder)
+                raise
             for parent in folders:
                 _written_through(parent)
     except OSError as error:
@@ -215,6 +226,14 @@ def _locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
             yield True
 
 
+def _put(folder: Path) -> None:
+    """Put the complete files of a temporary folder in their places."""
+    with suppress(OSError, ValueError):
+        for draft, name in json.loads((folder / _PLACES).read_text()).items():
+            if (folder / draft).exists():
+                (folder / draft).replace(folder.parent / Path(name).name)
+
+
 def sweep(target: Path) -> None:
     """Remove what killed processes left next to ``target``, or finish what they began."""
     _sweep(target.parent, f".{glob.escape(target.name)}-*")
@@ -233,6 +252,7 @@ def _sweep(parent: Path, pattern: str) -> None:
                 target = parent / left.name[1:].rpartition("-")[0]
                 if old.is_dir() and not target.exists():
                     old.rename(target)
+                _put(left)
                 _remove(left)
 
 

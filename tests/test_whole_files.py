@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import random
 import subprocess
@@ -14,6 +15,7 @@ import pytest
 from nlosoptics import _whole_files
 from nlosoptics._whole_files import whole_folder
 from nlosoptics.errors import SceneError
+from nlosoptics.scene import Scene
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="Windows has no kill -9")
 
@@ -86,22 +88,70 @@ def test_killed_writers_leave_whole_files_and_the_next_one_nothing_else(tmp_path
         writer.kill()
         writer.wait()
         writer.stdout.close()
-        for name in "ab":
-            held = (tmp_path / name).read_text().split() if (tmp_path / name).exists() else ["0"]
-            assert len(held) in (1, 20_000)
-            assert len(set(held)) == 1
+        _whole_files.sweep(tmp_path / "a")  # finishes what was begun
+        assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
+        if (tmp_path / "a").exists():
+            one, other = ((tmp_path / name).read_text().split() for name in "ab")
+            assert len(one) == 20_000
+            assert len({*one, *other}) == 1, "old and new files are mixed"
     _whole_files.write_whole({tmp_path / name: b"last" for name in "ab"})
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+
+
+def test_ctrl_c_between_two_files_does_not_part_them(tmp_path, monkeypatch):
+    _whole_files.write_whole({tmp_path / name: b"old" for name in "ab"})
+    replace = Path.replace
+
+    def interrupted(self, to):
+        if to.name == "b":
+            monkeypatch.undo()
+            raise KeyboardInterrupt
+        return replace(self, to)
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        _whole_files.write_whole({tmp_path / name: b"new" for name in "ab"})
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
+        "a": b"new",
+        "b": b"new",
+    }
+
+
+def test_a_scene_whose_saving_was_killed_has_its_own_picture(flat_scene, tmp_path, monkeypatch):
+    path, replace = tmp_path / "room.toml", Path.replace
+    flat_scene.save(path)
+    other = dataclasses.replace(
+        flat_scene.hidden, image=1.0 - flat_scene.hidden.reflectance, size=(0.2, 0.2)
+    )
+
+    class Killed(BaseException):
+        pass
+
+    def killed(self, to):
+        if to.suffix == ".png":
+            raise Killed
+        return replace(self, to)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Path, "replace", killed)
+        broken.setattr(_whole_files, "_remove", lambda folder: None)
+        with pytest.raises(Killed):
+            dataclasses.replace(flat_scene, hidden=other).save(path)
+    assert hidden(tmp_path)
+    loaded = Scene.load(path).hidden
+    assert loaded.size == (0.2, 0.2)
+    assert (loaded.reflectance == other.reflectance).all()
+    assert not hidden(tmp_path)
 
 
 def test_files_are_put_in_place_in_the_given_order(tmp_path, monkeypatch):
     """A list of files may go before what it lists."""
     placed, replace = [], Path.replace
     monkeypatch.setattr(
-        Path, "replace", lambda self, to: placed.append(to.name) or replace(self, to)
+        Path, "replace", lambda self, to: placed.append(Path(to).name) or replace(self, to)
     )
     _whole_files.write_whole({tmp_path / name: b"" for name in ("z", "a", "m")})
-    assert placed == ["z", "a", "m"]
+    assert [name for name in placed if len(name) == 1] == ["z", "a", "m"]
 
 
 def test_folders_of_dead_processes_inside_an_output_folder_are_no_foreign_files(tmp_path):
