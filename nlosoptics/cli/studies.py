@@ -89,7 +89,6 @@ def run_command(
         _require_parts()
         if scheduler is not None:
             require("distributed", "study")
-            _quieten()
         from .. import study
 
         found = study.Study.load(study_file)
@@ -97,6 +96,10 @@ def run_command(
             typer.echo(str(study.plan_study(found)))
             return
         folder = Path(f"{study_file.stem}.zarr") if out is None else out
+        if scheduler is not None:
+            from ..study.engine import quieten
+
+            quieten()
         with progress_bar(width=48) as progress, interruptible() as interrupted:
             results = study.run_study(
                 found,
@@ -237,16 +240,6 @@ def export_command(
         table = results.dataset.to_dataframe().reset_index()
         write_whole({out: table.to_csv(index=False).encode()})
         typer.echo(f"{out}: {len(table)} points")
-
-
-def _quieten() -> None:
-    """Keep dask's log of a lost connection off stderr, which gets one line about it."""
-    import logging
-
-    import distributed  # noqa: F401  # sets up its log
-
-    for handler in logging.getLogger("distributed").handlers:
-        handler.setLevel(logging.CRITICAL)
 
 
 def _results(store: Path) -> Any:

@@ -223,16 +223,33 @@ class Store:
             for kept, row in zip(told, answers.messages, strict=True):
                 kept |= dict(zip(block.figures, row, strict=True))
             texts = [json.dumps(kept) if (kept := _without_empty(k)) else "" for k in told]
-            self._at("message")[rows] = np.array(texts, dtype=object)
-            spent = np.nan_to_num(np.asarray(self._at("seconds")[rows], dtype=np.float64))
-            self._at("seconds")[rows] = spent + np.array(answers.seconds)
+            self._set("message", rows, np.array(texts, dtype=object))
+            spent = np.nan_to_num(self._seconds(rows))
+            self._set("seconds", rows, spent + np.array(answers.seconds))
             for i, name in enumerate(block.figures):
                 if f"{name}_error" in self._group:
-                    self._at(f"{name}_error")[rows] = np.array([row[i] for row in answers.errors])
-                self._at(name)[rows] = np.array([row[i] for row in answers.values])
+                    self._set(f"{name}_error", rows, np.array([row[i] for row in answers.errors]))
+                self._set(name, rows, np.array([row[i] for row in answers.values]))
             for i, name in enumerate(block.figures):
                 statuses = np.array([row[i] for row in answers.statuses], dtype=np.int8)
-                self._at(f"{name}_status")[rows] = statuses
+                self._set(f"{name}_status", rows, statuses)
+
+    def _set(self, name: str, rows: slice, values: NDArray[Any]) -> None:
+        """Write rows of a block; a chunk of which zarr cannot decode the other rows is replaced."""
+        array = self._at(name)
+        try:
+            array[rows] = values
+        except OSError:
+            raise
+        except Exception:  # codecs raise arbitrary exceptions
+            (self.path / name / "c" / str(rows.start // array.chunks[0])).unlink(missing_ok=True)
+            array[rows] = values
+
+    def _seconds(self, rows: slice) -> NDArray[np.float64]:
+        try:
+            return np.asarray(self._at("seconds")[rows], dtype=np.float64)
+        except Exception:  # a corrupt chunk is replaced
+            return np.zeros(rows.stop - rows.start)
 
     def _told(self, rows: slice) -> list[dict[str, str]]:
         try:

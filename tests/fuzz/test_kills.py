@@ -75,7 +75,7 @@ def test_moments_repeat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.slow
 def test_killed_commands_leave_an_old_or_a_new_result() -> None:
     """A few moments of the two quickest commands, one of which keeps a state to go on from."""
-    words = ["--moments", "6", "--commands", "report", "reconstruct"]
+    words = ["--moments", "3", "--commands", "report", "reconstruct"]
     told = subprocess.run(
         [sys.executable, "-m", "tests.fuzz.kills", *words],
         cwd=Path(__file__).parents[2],
