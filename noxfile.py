@@ -69,5 +69,15 @@ def fuzz(session: nox.Session) -> None:
     session.run("python", "-m", "tests.fuzz.campaign", *(session.posargs or ["--forever"]))
 
 
+@nox.session(default=False)
+def kills(session: nox.Session) -> None:
+    """Kill every writing command, and studies on a cluster, 50 times; `-- --moments N` for more."""
+    session.install("-c", "constraints.txt", "-e", ".[all,test]")
+    moments = session.posargs or ["--moments", "50"]
+    session.run("python", "-m", "tests.fuzz.kills", *moments)
+    session.run("python", "-m", "tests.fuzz.clusters", *moments)
+    session.run("python", "benchmarks/repeats.py")
+
+
 if __name__ == "__main__":
     nox.main()

@@ -6,12 +6,11 @@ import errno
 import glob
 import json
 import os
+import secrets
 import shutil
 import sys
-import tempfile
-import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from .errors import SceneError
@@ -19,40 +18,75 @@ from .errors import SceneError
 #: Record of an output folder; it lists the files that nlosoptics wrote.
 RECORD = "result.json"
 _LOCK = "lock"  # file of a temporary folder that its process holds
-_NEW = 60.0  # age up to which an empty temporary folder may be in use, s
+_PLACES = "places.json"  # places of the complete files in a temporary folder
+_NAME = 16  # random letters in the name of a temporary folder
+_OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 _IS_LINUX = sys.platform == "linux"
 
 
 def write_whole(contents: Mapping[Path, bytes]) -> None:
-    """Write temporary files and rename them once all are complete; existing files are replaced.
+    """Write files and put them in place, in the given order, once all are complete.
 
     Parameters
     ----------
     contents : mapping of Path to bytes
-        Contents by file path.
+        Contents by file path; existing files are replaced.
 
     Raises
     ------
     SceneError
         If a folder does not exist or cannot be written.
     """
-    for path in contents:
+    with whole_files(*contents) as drafts:
+        for draft, content in zip(drafts, contents.values(), strict=True):
+            draft.write_bytes(content)
+
+
+@contextmanager
+def whole_files(*paths: Path) -> Iterator[list[Path]]:
+    """Yield temporary files that take the places of ``paths`` if the block ends without error.
+
+    Each file is replaced in one step, in the given order, and links are followed. A process that is
+    killed between two files leaves a list of the others, by which `sweep` puts them in place.
+
+    Raises
+    ------
+    SceneError
+        If a folder does not exist or cannot be written.
+    """
+    for path in paths:
         if not path.parent.is_dir():
             raise SceneError(f"{path}: there is no folder {path.parent}; make it first")
         if path.is_dir():
             raise SceneError(f"{path} is a folder; name a file")
-    drafts = {path: path.with_name(f".{path.name}.{os.getpid()}") for path in contents}
+    places = [Path(os.path.realpath(path)) for path in paths]
     try:
-        for path, content in contents.items():
-            drafts[path].write_bytes(content)
-        for path, draft in drafts.items():
-            draft.replace(path)
+        with ExitStack() as held:
+            folders: dict[Path, Path] = {}
+            for place in places:
+                if place.parent not in folders:
+                    folders[place.parent] = held.enter_context(beside(place))
+            drafts = [folders[place.parent] / f"{i}.new" for i, place in enumerate(places)]
+            yield drafts
+            for draft in drafts:
+                _written_through(draft)
+            for parent, folder in folders.items():
+                pairs = zip(drafts, places, strict=True)
+                own = {draft.name: to.name for draft, to in pairs if to.parent == parent}
+                (folder / "listed").write_text(json.dumps(own))
+                (folder / "listed").replace(folder / _PLACES)
+            try:
+                for draft, place in zip(drafts, places, strict=True):
+                    draft.replace(place)
+            except KeyboardInterrupt:
+                for folder in folders.values():
+                    _put(folder)
+                raise
+            for parent in folders:
+                _written_through(parent)
     except OSError as error:
-        raise SceneError(f"{path}: cannot be written ({error.strerror}); choose another") from None
-    finally:
-        for draft in drafts.values():
-            with suppress(OSError):
-                draft.unlink()
+        told = error.strerror or str(error)
+        raise SceneError(f"{paths[0]}: cannot be written ({told}); choose another") from None
 
 
 def check_folder(folder: Path) -> None:
@@ -66,6 +100,7 @@ def check_folder(folder: Path) -> None:
     if folder.exists():
         if not folder.is_dir():
             raise SceneError(f"{folder} is a file; name a folder")
+        _sweep(folder, f".*-{'?' * _NAME}")  # left by a killed ``report``
         found = {p.name for p in folder.iterdir()}
         try:
             ours = set(json.loads((folder / RECORD).read_text())["files"])
@@ -90,14 +125,15 @@ def whole_folder(target: Path) -> Iterator[Path]:
     The two folders are exchanged in one step where the system can (Linux), so that a process killed
     at any time leaves the old folder or the new one. Elsewhere the next call puts an old folder
     back that was left between two steps. It also removes what killed processes left behind.
+
+    Raises
+    ------
+    SceneError
+        If the disk is full or read-only.
     """
     target = Path(os.path.realpath(target))
-    _sweep(target)
-    with (
-        tempfile.TemporaryDirectory(prefix=f".{target.name}-", dir=target.parent) as beside,
-        _locked(Path(beside) / _LOCK),
-    ):
-        new, old = Path(beside) / "new", Path(beside) / "old"
+    with _disk_told(target), beside(target) as place:
+        new, old = place / "new", place / "old"
         new.mkdir()
         yield new
         for path in (*new.rglob("*"), new):
@@ -112,6 +148,42 @@ def whole_folder(target: Path) -> Iterator[Path]:
                 old.rename(target)
             raise
         _written_through(target.parent)
+
+
+@contextmanager
+def _disk_told(target: Path) -> Iterator[None]:
+    """Convert errors of a disk, whatever file they come from, to one line about the target."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _OF_DISK:
+            raise
+        raise SceneError(
+            f"{target}: cannot be written ({error.strerror}); make room, or choose another place"
+        ) from None
+
+
+@contextmanager
+def beside(target: Path) -> Iterator[Path]:
+    """Yield a new temporary folder next to ``target``; remove what killed processes left there."""
+    sweep(target)
+    # A name is chosen first, so that the folder is removed whenever a signal interrupts this.
+    folder = target.with_name(f".{target.name}-{secrets.token_hex(_NAME // 2)}")
+    with ExitStack() as held:
+        try:
+            while not (folder / _LOCK).exists():  # until no other process sweeps it while empty
+                held.close()
+                folder.mkdir(mode=0o700, exist_ok=True)
+                with suppress(FileNotFoundError):
+                    held.enter_context(_locked(folder / _LOCK, wait=True))
+            yield folder
+        finally:
+            held.close()  # Windows removes no open file
+            try:
+                _remove(folder)
+            except KeyboardInterrupt:
+                _remove(folder)
+                raise
 
 
 def _exchanged(one: Path, other: Path) -> bool:
@@ -141,30 +213,56 @@ def _written_through(path: Path) -> None:
 
 
 @contextmanager
-def _locked(path: Path) -> Iterator[bool]:
+def _locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
     """Hold a lock file, which ends with the process; yield False if another process holds it."""
-    with path.open("w") as file:
+    with path.open("a") as file:
         try:
             import fcntl
 
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except (ImportError, OSError):  # Windows has no fcntl
             yield False
         else:
             yield True
 
 
-def _sweep(target: Path) -> None:
+def _put(folder: Path) -> None:
+    """Put the complete files of a temporary folder in their places."""
+    with suppress(OSError, ValueError):
+        for draft, name in json.loads((folder / _PLACES).read_text()).items():
+            if (folder / draft).exists():
+                (folder / draft).replace(folder.parent / Path(name).name)
+
+
+def sweep(target: Path) -> None:
+    """Remove what killed processes left next to ``target``, or finish what they began."""
+    _sweep(target.parent, f".{glob.escape(target.name)}-*")
+
+
+def _sweep(parent: Path, pattern: str) -> None:
     """Remove the temporary folders of killed processes, and put back an old folder in one."""
-    for left in target.parent.glob(f".{glob.escape(target.name)}-*"):
+    for left in parent.glob(pattern):
         lock, old = left / _LOCK, left / "old"
-        if not lock.is_file():  # killed at once, or just being made
+        if not lock.is_file():  # killed at once, or just being made: its process makes another
             with suppress(OSError):
-                if time.time() - left.stat().st_mtime > _NEW:
-                    left.rmdir()  # if empty
+                left.rmdir()  # if empty
             continue
         with suppress(OSError), _locked(lock) as unused:
             if unused:
+                target = parent / left.name[1:].rpartition("-")[0]
                 if old.is_dir() and not target.exists():
                     old.rename(target)
-                shutil.rmtree(left)
+                _put(left)
+                _remove(left)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a temporary folder as far as possible, its lock last."""
+    with suppress(OSError):
+        for path in folder.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path)
+            elif path.name != _LOCK:
+                path.unlink()
+        (folder / _LOCK).unlink(missing_ok=True)
+        folder.rmdir()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import random
 import subprocess
@@ -13,6 +14,8 @@ import pytest
 
 from nlosoptics import _whole_files
 from nlosoptics._whole_files import whole_folder
+from nlosoptics.errors import SceneError
+from nlosoptics.scene import Scene
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="Windows has no kill -9")
 
@@ -55,12 +58,122 @@ def test_killed_writers_leave_a_whole_folder_and_the_next_one_nothing_else(way, 
         writer.stdout.close()
         if way == "exchange":
             assert target.is_dir()  # at every moment
-        _whole_files._sweep(target)  # what the next writer does first
+        _whole_files._sweep(tmp_path, ".result-*")  # what the next writer does first
         found = {(target / name).read_text() for name in NAMES}
         assert len(found) == 1, "old and new files are mixed"
         turns.append(int(found.pop()))
         assert not [name for name in hidden(tmp_path) if (tmp_path / name / "lock").exists()]
     assert max(turns) >= 0  # the writers came to write
+
+
+FILES_WRITER = """
+import sys
+from pathlib import Path
+from nlosoptics._whole_files import write_whole
+print("ready", flush=True)
+for turn in range(1_000_000):
+    write_whole({Path(sys.argv[1], name): (f"{turn} " * 20_000).encode() for name in "ab"})
+"""
+
+
+def test_killed_writers_leave_whole_files_and_the_next_one_nothing_else(tmp_path):
+    chance = random.Random(7)
+    for _ in range(6):
+        writer = subprocess.Popen(
+            [sys.executable, "-c", FILES_WRITER, str(tmp_path)], stdout=subprocess.PIPE
+        )
+        assert writer.stdout is not None
+        writer.stdout.readline()
+        time.sleep(chance.uniform(0.0, 0.05))
+        writer.kill()
+        writer.wait()
+        writer.stdout.close()
+        _whole_files.sweep(tmp_path / "a")  # finishes what was begun
+        assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
+        if (tmp_path / "a").exists():
+            one, other = ((tmp_path / name).read_text().split() for name in "ab")
+            assert len(one) == 20_000
+            assert len({*one, *other}) == 1, "old and new files are mixed"
+    _whole_files.write_whole({tmp_path / name: b"last" for name in "ab"})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+
+
+def test_ctrl_c_between_two_files_does_not_part_them(tmp_path, monkeypatch):
+    _whole_files.write_whole({tmp_path / name: b"old" for name in "ab"})
+    replace = Path.replace
+
+    def interrupted(self, to):
+        if to.name == "b":
+            monkeypatch.undo()
+            raise KeyboardInterrupt
+        return replace(self, to)
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        _whole_files.write_whole({tmp_path / name: b"new" for name in "ab"})
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
+        "a": b"new",
+        "b": b"new",
+    }
+
+
+def test_a_scene_whose_saving_was_killed_has_its_own_picture(flat_scene, tmp_path, monkeypatch):
+    path, replace = tmp_path / "room.toml", Path.replace
+    flat_scene.save(path)
+    other = dataclasses.replace(
+        flat_scene.hidden, image=1.0 - flat_scene.hidden.reflectance, size=(0.2, 0.2)
+    )
+
+    class Killed(BaseException):
+        pass
+
+    def killed(self, to):
+        if to.suffix == ".png":
+            raise Killed
+        return replace(self, to)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Path, "replace", killed)
+        broken.setattr(_whole_files, "_remove", lambda folder: None)
+        with pytest.raises(Killed):
+            dataclasses.replace(flat_scene, hidden=other).save(path)
+    assert hidden(tmp_path)
+    loaded = Scene.load(path).hidden
+    assert loaded.size == (0.2, 0.2)
+    assert (loaded.reflectance == other.reflectance).all()
+    assert not hidden(tmp_path)
+
+
+def test_files_are_put_in_place_in_the_given_order(tmp_path, monkeypatch):
+    """A list of files may go before what it lists."""
+    placed, replace = [], Path.replace
+    monkeypatch.setattr(
+        Path, "replace", lambda self, to: placed.append(Path(to).name) or replace(self, to)
+    )
+    _whole_files.write_whole({tmp_path / name: b"" for name in ("z", "a", "m")})
+    assert [name for name in placed if len(name) == 1] == ["z", "a", "m"]
+
+
+def test_folders_of_dead_processes_inside_an_output_folder_are_no_foreign_files(tmp_path):
+    """A killed `report` leaves its temporary folder in the folder of the result."""
+    with whole_folder(tmp_path / "result") as new:
+        (new / "result.json").write_text('{"files": ["result.json"]}')
+    left = tmp_path / "result" / ".report.html-0123456789abcdef"
+    left.mkdir()
+    (left / "lock").write_text("")
+    (left / "0.new").write_text("half a page")
+    _whole_files.check_folder(tmp_path / "result")
+    assert not left.exists()
+    (tmp_path / "result" / ".report.html-mine").mkdir()
+    with pytest.raises(SceneError, match="which nlosoptics did not write"):
+        _whole_files.check_folder(tmp_path / "result")
+
+
+def test_a_full_disk_is_one_line(tmp_path):
+    told = r"result: cannot be written .No space left on device.; make room"
+    with pytest.raises(SceneError, match=told), whole_folder(tmp_path / "result"):
+        raise OSError(28, "No space left on device")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_in_use_is_not_swept(tmp_path):

@@ -29,6 +29,8 @@ from .shell import DONE, app, tell
 
 __all__ = ["main"]
 
+INTERRUPTED = 130  # what typer returns for Ctrl-C outside of `errors_told`
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with 0 (done), 1 (failed) or 2 (bad input).
@@ -49,6 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         words = tuple(sys.argv[1:] if arguments is None else arguments)
         code = app(args=words, prog_name="nlosoptics", standalone_mode=False, obj=words)
+        if code == INTERRUPTED:  # while the words were read
+            code = tell(KeyboardInterrupt())
     except (Exception, KeyboardInterrupt) as error:
         code = tell(error)
     finally:

@@ -77,6 +77,14 @@ def painters(scene: Scene) -> Iterator[Sequence[Connection]]:
         first.join()
 
 
+def _ends_with_parent() -> None:
+    """Let the system end this process when its parent is killed, so that it writes no more."""
+    import ctypes
+
+    on_death = 1  # PR_SET_PDEATHSIG of linux/prctl.h
+    ctypes.CDLL(None).prctl(on_death, signal.SIGKILL)
+
+
 def _group(leader: int) -> None:
     """Make a process the leader of a group, in which both processes are ended at once."""
     with suppress(OSError):
@@ -97,8 +105,9 @@ def write_figures(result: Result, folder: Path, connections: Sequence[Connection
     """
     missing = {**_of_scene(result.scene), **_of_run(result), **_of_parts(result)}
     if connections:
-        # a file, since a process that hangs would never empty a pipe
-        with suppress(OSError), tempfile.NamedTemporaryFile() as held:
+        # A file, since a process that hangs would never empty a pipe. It is next to the folder, in
+        # the temporary folder of `whole_folder`, which is removed even if this process is killed.
+        with suppress(OSError), tempfile.NamedTemporaryFile(dir=folder.parent) as held:
             pickle.dump((result, folder), held, protocol=pickle.HIGHEST_PROTOCOL)
             held.flush()
             for end in connections:
@@ -161,6 +170,7 @@ def _write(folder: Path, name: str, content: bytes) -> None:
 
 def _first(scene: Scene, pipes: list[tuple[Connection, Connection]]) -> None:
     """Load matplotlib, start the second process, draw the scene and then the single results."""
+    _ends_with_parent()
     _group(0)  # also done by the parent, whichever comes first
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run itself ends its processes
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -181,6 +191,7 @@ def _first(scene: Scene, pipes: list[tuple[Connection, Connection]]) -> None:
 
 def _second(other: Connection, own: Connection) -> None:
     """Draw the overview."""
+    _ends_with_parent()
     other.close()
     with _silent():
         _serve(own, _of_run, {})

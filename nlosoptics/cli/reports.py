@@ -41,11 +41,12 @@ def report_command(
         with progress_bar() as progress:
             progress("report", 0.0)
             text = report.page(folder, interactive=three_d)
-        contents = {file: text.encode()}
+        page, contents = text.encode(), {}
         if file.resolve().parent == folder.resolve():
+            # first, so that a page is in the list whenever the process is killed
             contents[folder / "result.json"] = _owning(folder, file.name)
-        write_whole(contents)
-        typer.echo(f"{file}: {len(contents[file]) / 1e6:.2g} MB")
+        write_whole(contents | {file: page})
+        typer.echo(f"{file}: {len(page) / 1e6:.2g} MB")
 
 
 def _owning(folder: Path, name: str) -> bytes:

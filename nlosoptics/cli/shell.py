@@ -127,7 +127,7 @@ def tell(error: BaseException) -> int:
     if isinstance(error, typer.Exit):
         return int(error.exit_code)
     if isinstance(error, (KeyboardInterrupt, typer.Abort)):
-        message = "interrupted; nothing was written"
+        message = "interrupted; no partial result was written"
     elif isinstance(error, _UsageError):
         message = f"{error.format_message().rstrip('.')}; nlosoptics --help shows how"
         code = BAD_INPUT

@@ -96,6 +96,10 @@ def run_command(
             typer.echo(str(study.plan_study(found)))
             return
         folder = Path(f"{study_file.stem}.zarr") if out is None else out
+        if scheduler is not None:
+            from ..study.engine import quieten
+
+            quieten()
         with progress_bar(width=48) as progress, interruptible() as interrupted:
             results = study.run_study(
                 found,

@@ -22,13 +22,14 @@ from numpy.typing import NDArray
 from .._checks import counted
 from .._progress import Progress
 from .._random import checked_seed
+from .._whole_files import RECORD, whole_folder
 from ..errors import SamplingError, SceneError
 from ..imaging import CameraImage, ForwardModel, camera_image
 from ..psf import PointSpreadField, SceneOptics
 from ..scene import Scene
 from .noise import camera_noise
 from .plan import plan
-from .record import PAGE, arrays, now, scene_hash, versions
+from .record import arrays, now, scene_hash, versions
 from .simulate import image_spreads, veil_shape
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ MODES = tuple(range(4, 22))
 #: Parameters with more values than this are saved in the arrays, not in ``result.json``.
 MOST_VALUES = 200
 CHECKPOINT, PREVIEW = "checkpoint.npz", "preview.png"
+STATE = (CHECKPOINT, PREVIEW)
 FILES = ("object.npy", "object.png", "reconstruction.npz")
 KEPT_EVERY = 5.0  # s between two saved states
 LEAST_WITHIN = 0.5  # least fraction of the point spread's energy inside the image frame
@@ -404,7 +406,6 @@ def carry_out(
         "scene_sha256": scene_hash(task.scene),
         "resumed": resume,
         "versions": versions(),
-        "files": ["result.json", CHECKPOINT, PREVIEW],
     }
     model = None
     if task.method not in BLIND:
@@ -413,35 +414,47 @@ def carry_out(
         model = known_model(task.scene, tol=task.tol)
     if interrupted is not None and interrupted():
         raise KeyboardInterrupt
-    folder.mkdir(exist_ok=True)
-    (folder / PAGE).unlink(missing_ok=True)  # the old report describes the previous result
-    write_text(folder / "result.json", report)
-    keeper = Keeper(folder, identity, progress, interrupted)
-    try:
-        found = reconstructed(task, model=model, start=start, progress=keeper)
-    except Stop:
-        raise KeyboardInterrupt from None  # this solver ends without a result
-    _write_object(task, found, folder, keeper)
-    report["status"] = "interrupted" if keeper.stopped else "done"
-    report["finished"] = now()
-    report["figures"] = _figures(task, found)
-    report["seconds"] = {"solver": found.seconds, "total": time.perf_counter() - started}
-    report["files"] = sorted({*FILES, "result.json", CHECKPOINT, PREVIEW})
-    write_text(folder / "result.json", report)
+    with whole_folder(folder) as new:
+        drafts = new.parent
+        _announce(report, folder, drafts)
+        keeper = Keeper(folder, drafts, identity, progress, interrupted)
+        try:
+            found = reconstructed(task, model=model, start=start, progress=keeper)
+        except Stop:
+            raise KeyboardInterrupt from None  # this solver ends without a result
+        picture = np.asarray(found.object)
+        np.save(new / "object.npy", picture)
+        write_picture(new / "object.png", picture)
+        np.savez(new / "reconstruction.npz", **arrays(found))
+        gain = float(found.physical_parameters.get("gain", 1.0))
+        keeper.finish(new, {"object": picture * gain})
+        report["status"] = "interrupted" if keeper.stopped else "done"
+        report["finished"] = now()
+        report["figures"] = _figures(task, found)
+        report["seconds"] = {"solver": found.seconds, "total": time.perf_counter() - started}
+        report["files"] = sorted({*FILES, *STATE, RECORD})
+        write_text(new / RECORD, report)
     return report
 
 
-def _write_object(task: Task, found: Reconstruction, folder: Path, keeper: Keeper) -> None:
-    """Write the object and all other results, and save the last state."""
-    picture = np.asarray(found.object)
-    with (folder / ".object.npy").open("wb") as file:
-        np.save(file, picture)
-    (folder / ".object.npy").replace(folder / "object.npy")
-    write_picture(folder / "object.png", picture)
-    with (folder / ".reconstruction.npz").open("wb") as file:
-        np.savez(file, **arrays(found))
-    (folder / ".reconstruction.npz").replace(folder / "reconstruction.npz")
-    keeper.finish({"object": picture * float(found.physical_parameters.get("gain", 1.0))})
+def _announce(report: Mapping[str, Any], folder: Path, drafts: Path) -> None:
+    """Record that a folder gets a state: by a report, or in the list of files of an old result.
+
+    The old result stays as it is until the new one is complete.
+    """
+    begun = drafts / "begun"
+    begun.mkdir()
+    try:
+        old = json.loads((folder / RECORD).read_bytes())
+        files = {*old["files"], *STATE, RECORD}
+    except (OSError, ValueError, KeyError, TypeError):
+        old, files = {"status": "running"}, {*STATE, RECORD}
+    told = report if old.get("status") == "running" else old
+    write_text(begun / RECORD, {**told, "files": sorted(files)})
+    if folder.exists():
+        (begun / RECORD).replace(folder / RECORD)
+    else:
+        begun.rename(folder)
 
 
 def _figures(task: Task, found: Reconstruction) -> dict[str, Any]:
@@ -480,6 +493,8 @@ class Keeper:
     ----------
     folder : Path
         Folder for the state and the preview.
+    drafts : Path
+        Folder on the same disk, in which both are written before they are put in place.
     identity : str
         Hash of the task and its scene, saved with the state.
     progress : callable(str, float), optional
@@ -491,11 +506,12 @@ class Keeper:
     def __init__(
         self,
         folder: Path,
+        drafts: Path,
         identity: str,
         progress: Progress | None = None,
         interrupted: Callable[[], bool] | None = None,
     ) -> None:
-        self._folder, self._identity = folder, identity
+        self._folder, self._drafts, self._identity = folder, drafts, identity
         self._progress, self._interrupted = progress, interrupted
         self._last = time.monotonic()
         self._state: Mapping[str, Array] | None = None
@@ -521,23 +537,23 @@ class Keeper:
         ends = self._interrupted is not None and self._interrupted()
         if ends or time.monotonic() - self._last >= KEPT_EVERY:
             self._state = snapshot()
-            self._keep(self._state)
+            self._keep(self._drafts, self._state)
+            for name in STATE:
+                (self._drafts / name).replace(self._folder / name)
             self._last = time.monotonic()
         if ends:
             self.stopped = True
             raise Stop
 
-    def finish(self, state: Mapping[str, Array]) -> None:
-        """Save the final state: the last snapshot of an interrupted fit, otherwise ``state``."""
-        self._keep(self._state if self.stopped and self._state is not None else state)
+    def finish(self, folder: Path, state: Mapping[str, Array]) -> None:
+        """Save the final state to a folder: the last one of an interrupted fit, else ``state``."""
+        self._keep(folder, self._state if self.stopped and self._state is not None else state)
 
-    def _keep(self, state: Mapping[str, Array]) -> None:
-        """Write state and preview; each file is replaced atomically."""
-        temporary = self._folder / f".{CHECKPOINT}"
-        with temporary.open("wb") as file:
-            np.savez(file, **{"identity": np.array(self._identity), **state})  # type: ignore[arg-type]
-        temporary.replace(self._folder / CHECKPOINT)
-        write_picture(self._folder / PREVIEW, state["object"])
+    def _keep(self, folder: Path, state: Mapping[str, Array]) -> None:
+        """Write state and preview to a folder."""
+        held = {"identity": np.array(self._identity), **state}
+        np.savez(folder / CHECKPOINT, **held)  # type: ignore[arg-type]
+        write_picture(folder / PREVIEW, state["object"])
 
 
 def kept_state(folder: Path, identity: str) -> dict[str, Array]:
@@ -568,7 +584,7 @@ def kept_state(folder: Path, identity: str) -> dict[str, Array]:
 
 
 def write_picture(path: Path, values: Array) -> None:
-    """Write an object as an 8-bit PNG, scaled from 0 to its maximum, atomically.
+    """Write an object as an 8-bit PNG, scaled from 0 to its maximum.
 
     The wall's mirror reversal is undone, so that letters read.
     """
@@ -576,13 +592,9 @@ def write_picture(path: Path, values: Array) -> None:
 
     largest = float(values.max())
     grey = np.clip(values / largest if largest > 0.0 else values, 0.0, 1.0)
-    temporary = path.with_name(f".{path.name}")
-    Image.fromarray(np.rint(255.0 * grey[:, ::-1]).astype(np.uint8)).save(temporary, format="PNG")
-    temporary.replace(path)
+    Image.fromarray(np.rint(255.0 * grey[:, ::-1]).astype(np.uint8)).save(path, format="PNG")
 
 
 def write_text(path: Path, report: Mapping[str, Any]) -> None:
-    """Write a report as JSON, atomically."""
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(json.dumps(report, indent=2, allow_nan=False) + os.linesep)
-    temporary.replace(path)
+    """Write a report as JSON."""
+    path.write_text(json.dumps(report, indent=2, allow_nan=False) + os.linesep)

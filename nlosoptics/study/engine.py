@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import pickle
 import uuid
@@ -117,6 +118,14 @@ class Cluster:
         with suppress(Exception):  # the scheduler may be gone
             self._client.unregister_worker_plugin(self.key)
         self._client.close()
+
+
+def quieten() -> None:
+    """Keep dask's log of lost connections off stderr, where the command line tells it in a line."""
+    import distributed  # sets up its log
+
+    for handler in logging.getLogger(distributed.__name__).handlers:
+        handler.setLevel(logging.CRITICAL)
 
 
 def computed(

@@ -9,8 +9,10 @@ from pathlib import Path
 
 from .._checks import path_of, whole
 from .._progress import Progress
+from .._whole_files import sweep
 from ..errors import SceneError
 from .blocks import open_blocks, prepared
+from .design.base import unpacked_at
 from .design.study import Study
 from .engine import Cluster, Engine, InProcess, Processes, computed
 from .fast import fill_fast
@@ -99,6 +101,7 @@ def run_study(
     path = path_of("path", path)
     tell, stop = progress or (lambda text, share: None), interrupted or (lambda: False)
     count = os.cpu_count() or 1 if workers is None else whole("workers", workers, 0)
+    sweep(unpacked_at())  # also by a run that unpacks nothing
     with only_writer(path):
         with reading(path):
             store, study = prepared(study, path)

@@ -227,9 +227,10 @@ class Store:
                     flag_values=list(range(len(STATUSES))),
                     flag_meanings=" ".join(STATUSES),
                 )
-            first = -(-self._at("id").shape[0] // self.block) * self.block
-            rows = first + len(ids) + spare if ids else self._at("id").shape[0]
-            for name in self._group.array_keys():
+            first = -(-self._rows() // self.block) * self.block
+            rows = first + len(ids) + spare if ids else self._rows()
+            # the ids come last, since a store has as many rows as ids
+            for name in sorted(self._group.array_keys(), key=lambda name: name == "id"):
                 self._at(name).resize((rows,))
         if ids:
             self.place(first, ids)
@@ -248,16 +249,33 @@ class Store:
             for kept, row in zip(told, answers.messages, strict=True):
                 kept |= dict(zip(block.figures, row, strict=True))
             texts = [json.dumps(kept) if (kept := _without_empty(k)) else "" for k in told]
-            self._at("message")[rows] = np.array(texts, dtype=object)
-            spent = np.nan_to_num(np.asarray(self._at("seconds")[rows], dtype=np.float64))
-            self._at("seconds")[rows] = spent + np.array(answers.seconds)
+            self._set("message", rows, np.array(texts, dtype=object))
+            spent = np.nan_to_num(self._seconds(rows))
+            self._set("seconds", rows, spent + np.array(answers.seconds))
             for i, name in enumerate(block.figures):
                 if f"{name}_error" in self._group:
-                    self._at(f"{name}_error")[rows] = np.array([row[i] for row in answers.errors])
-                self._at(name)[rows] = np.array([row[i] for row in answers.values])
+                    self._set(f"{name}_error", rows, np.array([row[i] for row in answers.errors]))
+                self._set(name, rows, np.array([row[i] for row in answers.values]))
             for i, name in enumerate(block.figures):
                 statuses = np.array([row[i] for row in answers.statuses], dtype=np.int8)
-                self._at(f"{name}_status")[rows] = statuses
+                self._set(f"{name}_status", rows, statuses)
+
+    def _set(self, name: str, rows: slice, values: NDArray[Any]) -> None:
+        """Write rows of a block; a chunk of which zarr cannot decode the other rows is replaced."""
+        array = self._at(name)
+        try:
+            array[rows] = values
+        except OSError:
+            raise
+        except Exception:  # codecs raise arbitrary exceptions
+            (self.path / name / "c" / str(rows.start // array.chunks[0])).unlink(missing_ok=True)
+            array[rows] = values
+
+    def _seconds(self, rows: slice) -> NDArray[np.float64]:
+        try:
+            return np.asarray(self._at("seconds")[rows], dtype=np.float64)
+        except Exception:  # a corrupt chunk is replaced
+            return np.zeros(rows.stop - rows.start)
 
     def _told(self, rows: slice) -> list[dict[str, str]]:
         try:
@@ -268,18 +286,19 @@ class Store:
 
     def column(self, name: str) -> NDArray[Any] | None:
         """Return all rows of an array; None if the store has no such array."""
-        return self._read(name) if name in self._group else None
+        # a growth that was interrupted leaves some arrays longer
+        return self._read(name)[: self._rows()] if name in self._group else None
 
     def statuses(self, figure: Figure) -> NDArray[np.int8]:
         """Return the status codes of a figure; rows with a corrupt chunk are pending."""
-        empty = np.zeros(self._at("id").shape[0], dtype=np.int8)
+        empty = np.zeros(self._rows(), dtype=np.int8)
         found = self.column(f"{figure.name}_status")
         if found is None:
             return empty
         names = [figure.name, *([f"{figure.name}_error"] if figure.has_error else [])]
         broken = np.zeros(len(found), dtype=bool)
         for name in [*names, f"{figure.name}_status", "message"]:
-            broken |= self._broken(name)
+            broken |= self._broken(name)[: len(broken)]
         return np.where(broken, np.int8(0), found)
 
     def _read(self, name: str) -> NDArray[Any]:
@@ -310,6 +329,9 @@ class Store:
             except Exception:  # codecs raise arbitrary exceptions
                 broken[rows] = True
         return found if array.dtype.kind in "OT" else found.astype(array.dtype), broken
+
+    def _rows(self) -> int:
+        return int(self._at("id").shape[0])
 
     def _at(self, name: str) -> Any:
         return self._group[name]
@@ -360,6 +382,9 @@ def only_writer(path: Path) -> Iterator[None]:
             ) from None
         except (ImportError, OSError):  # Windows, or a file system without locks
             pass
+        else:
+            for draft in path.rglob("*.partial"):  # zarr's, left by a killed process
+                draft.unlink(missing_ok=True)
         yield
     finally:
         os.close(folder)

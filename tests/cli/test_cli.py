@@ -374,8 +374,8 @@ def test_broken_run_leaves_the_old_folder(
     ):
         for break_it, said in (
             (disk_full, "disk full"),
-            (interrupt, "interrupted; nothing was written"),
-            (terminate, "interrupted; nothing was written"),
+            (interrupt, "interrupted; no partial result was written"),
+            (terminate, "interrupted; no partial result was written"),
         ):
             with monkeypatch.context() as broken:
                 broken.setattr(where, step, break_it)
@@ -384,6 +384,16 @@ def test_broken_run_leaves_the_old_folder(
             assert said in answer.err
             assert answer.err.count("\n") == 1
             assert contents(scene_file.parent) == before, step
+
+
+def test_ctrl_c_while_words_are_read_is_told(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Typer ends with 130 and no word where the command has not begun."""
+    monkeypatch.setattr(cli, "app", lambda **_: 130)
+    answer = run("schema")
+    assert (answer.code, answer.err) == (
+        1,
+        "nlosoptics: interrupted; no partial result was written\n",
+    )
 
 
 def test_renaming_that_fails_puts_the_old_folder_back(

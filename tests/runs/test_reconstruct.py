@@ -113,6 +113,29 @@ def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
         assert named in err
 
 
+def test_a_fit_that_ends_early_leaves_the_old_object_and_its_state(
+    taken: np.ndarray, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The old result stays whole until the new one is; the state allows to resume."""
+    assert call(capsys, *USUAL, *FRAMES, "--iterations", 20)[0] == 0
+    assert call(capsys, "report", "letter", "--no-3d")[0] == 0
+    kept = ("object.npy", "object.png", "reconstruction.npz", "report.html")
+    before = {name: Path("letter", name).read_bytes() for name in kept}
+    monkeypatch.setattr(reconstructing, "KEPT_EVERY", 0.0)
+    with monkeypatch.context() as broken:
+        broken.setattr(reconstructing, "_figures", lambda *_: 1 / 0)
+        code, _, err = call(capsys, *USUAL, *FRAMES)
+    assert (code, err.count("\n")) == (1, 1)
+    assert {name: Path("letter", name).read_bytes() for name in kept} == before
+    record = json.loads(Path("letter/result.json").read_text())
+    assert record["figures"]["iterations"] == 20
+    assert set(record["files"]) == {p.name for p in Path("letter").iterdir()}
+    assert call(capsys, *USUAL, *FRAMES, "--resume")[0] == 0
+    assert call(capsys, *USUAL, *FRAMES, "--out", "whole")[0] == 0
+    assert np.array_equal(np.load("letter/object.npy"), np.load("whole/object.npy"))
+    assert not [p for p in Path().rglob(".*")]
+
+
 def bad_files() -> None:
     """Pictures that cannot be used."""
     good = np.load("dark.npy")

@@ -307,6 +307,36 @@ def test_a_killed_client_loses_no_finished_block(tmp_path: Path) -> None:
         assert (Path(file).read_bytes(), Path(file).stat().st_mtime_ns) == stat, seed
 
 
+@pytest.mark.parametrize("steps", [0, 1, 3, 6])
+def test_a_growth_that_ends_between_its_steps_is_read_and_goes_on(
+    steps: int, tmp_path: Path, monkeypatch
+) -> None:
+    """The arrays of a store are made longer one by one."""
+    zarr = pytest.importorskip("zarr")
+    few = made(own("drawn"), axes={"laser.power": ["1 mW", "3 mW"]})
+    many = made(own("drawn"), own("power"))
+    run_study(few, tmp_path / "store", workers=0)
+    calls, resize = [], zarr.Array.resize
+
+    def ends(self, shape) -> None:
+        if len(calls) == steps:
+            raise KeyboardInterrupt
+        calls.append(shape)
+        resize(self, shape)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(zarr.Array, "resize", ends)
+        with pytest.raises(KeyboardInterrupt):
+            run_study(many, tmp_path / "store", workers=0)
+    assert len(calls) == steps
+    part = Results.load(tmp_path / "store")
+    assert part.counts == {"pending": 0, "done": 2, "failed": 0, "lost": 0}
+    (tmp_path / "store" / "drawn" / "c" / "0.0f.partial").write_text("of a killed process")
+    grown = run_study(many, tmp_path / "store", workers=0)
+    assert same(grown, run_study(many, tmp_path / "once", workers=0))
+    assert not list((tmp_path / "store").rglob("*.partial"))
+
+
 def test_only_one_process_writes(tmp_path: Path) -> None:
     fcntl = pytest.importorskip("fcntl")
     study = made(own("power"))

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 import tempfile
 import weakref
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ..._nouns import Noun
+from ..._whole_files import beside
 from ...errors import SceneError
 from ...scene import Scene
 from ...scene.file.addresses import changed
@@ -109,8 +110,9 @@ class Base(Noun):
     @cached_property
     def _unpacked(self) -> Path:
         """Temporary folder with all files, which is removed with this object."""
-        folder = Path(tempfile.mkdtemp(prefix="nlosoptics-study-"))
-        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        with ExitStack() as held:
+            folder = held.enter_context(beside(unpacked_at()))
+            weakref.finalize(self, held.pop_all().close)
         for name, content in self.files.items():
             (folder / name).write_bytes(content)
         return folder
@@ -123,6 +125,11 @@ class Base(Noun):
             for address in sorted(mine.keys() | theirs.keys())
             if mine.get(address) != theirs.get(address)
         ]
+
+
+def unpacked_at() -> Path:
+    """Return the path next to which bases unpack their files."""
+    return Path(tempfile.gettempdir(), "nlosoptics-study")
 
 
 def leaves(tables: Any, address: str = "") -> Iterator[tuple[str, str]]:

@@ -7,10 +7,9 @@ stored in ``scene_info`` (numbers and text, as JSON, a subset of YAML) and in at
 
 from __future__ import annotations
 
+import io
 import json
-import os
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import reason, whole
+from ..._whole_files import whole_files
 from ...errors import SamplingError, SceneError
 from .layouts import Found, array, bins, number, triple, upright
 from .mat_files import AT
@@ -45,18 +45,40 @@ def save(capture: Any, path: str | Path, *, compression: int = 0) -> None:
     if path.is_dir() or not path.parent.is_dir():
         what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
         raise SceneError(f"{path}: {what}; give a file in an existing folder")
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        # attributes larger than 64 KiB need the file format of HDF5 1.8
-        with h5py.File(draft, "w", libver=("v108", "v108")) as file:
+    # attributes larger than 64 KiB need the file format of HDF5 1.8
+    with whole_files(path) as (draft,), _Disk(draft, "w+") as disk:
+        with h5py.File(disk, "w", libver=("v108", "v108")) as file:
             _write(file, capture, level)
-        draft.replace(path)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise SceneError(f"{path}: cannot be written ({reason}); choose another path") from None
-    finally:
-        with suppress(OSError):
-            draft.unlink()
+        if disk.error is not None:
+            raise disk.error
+
+
+class _Disk(io.FileIO):
+    """File that keeps the first error of the disk instead of raising it.
+
+    HDF5 would try to write again whenever one of its objects is released, and print each failure.
+    """
+
+    error: OSError | None = None
+
+    def write(self, content: Any) -> int:
+        """Write all bytes, unless the disk has failed."""
+        left = memoryview(content).cast("B")
+        size = len(left)
+        while left and self.error is None:
+            try:
+                left = left[super().write(left) :]
+            except OSError as error:
+                self.error = error
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the size of the file, unless the disk has failed."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.error = self.error or error
+            return size or 0
 
 
 def _write(file: Any, capture: Any, level: int) -> None:

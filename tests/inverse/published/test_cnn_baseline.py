@@ -233,7 +233,7 @@ def test_command_interrupted_at_once_writes_nothing(train, tmp_path, monkeypatch
     )
     answer = train()
     assert answer.code == 1
-    assert answer.err == "nlosoptics: interrupted; nothing was written\n"
+    assert answer.err == "nlosoptics: interrupted; no partial result was written\n"
     assert list(tmp_path.iterdir()) == []
 
 
