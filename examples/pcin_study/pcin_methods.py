@@ -52,7 +52,8 @@ def solved(key: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     line = {**key, "simulated_in": round(taken.seconds, 2)}
     pictures = {"image": taken.image, "truth": taken.truth}
     if key["method"] == "image":
-        return {**line, **_scores(taken.image, taken.truth), "status": "", "seconds": 0.0}, pictures
+        line |= {**_scores(taken.image, taken.truth), "status": "", "seconds": 0.0}
+        return {**line, "box": _rounded(box_score(taken.truth))}, pictures
     try:
         found, more = _METHODS[key["method"]](key, taken)
     except NlosError as refusal:
@@ -71,6 +72,16 @@ def solved(key: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
         off = np.asarray(coefficients) - data.wall_waves(key["wall"], key["size"])
         line["wave_error"] = _rounded(float(np.linalg.norm(off)))
     return line, {**pictures, "object": found.object}
+
+
+def box_score(truth: data.Array) -> float:
+    """Correlation of an object with a plain rectangle of its size: what its outline alone gives."""
+    bright = truth > 0.5 * truth.max()
+    rows, columns = (
+        np.maximum.accumulate(side) & np.maximum.accumulate(side[::-1])[::-1]
+        for side in (bright.any(axis=1), bright.any(axis=0))
+    )
+    return inverse.registered_correlation(np.outer(rows, columns).astype(float), truth)
 
 
 def _scores(found: Any, truth: Any, *, flip: bool = False) -> dict[str, Any]:

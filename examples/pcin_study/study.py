@@ -61,14 +61,16 @@ def keys(setting: str) -> list[Key]:
     both = ("smooth", "rough")
     every = tuple(figures("smooth"))
     found = [key for seed in SEEDS for scale in both for key in _rows(scale, every, FAST, seed)]
-    found += _rows("smooth", every, ("evidence_2frames",), 1)
-    found += [key for n in (9, 11, 10) for s in both for key in _rows(s, (n,), ("wu2024",), 1)]
-    found += [key for s in both for key in _rows(s, (9,), ("evidence", "evidence_2frames"), 1)]
+    fits = ("wu2024", "evidence_2frames", "evidence")
     walls = [("letter", wall, 40) for wall in data.WALLS]
-    paper = [*walls, *(("letter", wall, ms) for wall in ("flat", "rough") for ms in (10, 20, 30))]
+    paper = [*walls, *(("letter", "flat", ms) for ms in (10, 20, 30))]
+    found += [key for s in both for key in _rows(s, (9,), fits[:1], 1)]
+    found += _rows("smooth", (9, 11, 10, 8), fits[1:2], 1)
+    found += [_key("paper", row, m, 1) for row in paper for m in KNOWN]
+    found += [key for s in both for key in _rows(s, (11, 10), fits[:1], 1)]
+    found += [key for s in both for key in _rows(s, (9,), fits[1:], 1)]
     found += [_key("paper", row, m, seed) for seed in SEEDS for row in paper for m in KNOWN]
     found.append(_key("smooth", ("letter", BASE["smooth"], 40), "wu2024_warm", 1))
-    fits = ("wu2024", "evidence_2frames", "evidence")
     for seed in SEEDS:
         found += [key for m in fits for s in both for key in _rows(s, every, (m,), seed)]
     return list({report.name_of(key, key["method"]): key for key in found}.values())
@@ -167,8 +169,7 @@ def feasibility() -> str:
         "|---" * 10 + "|",
     ]
     for scale in data.TOL:
-        walls = data.WALLS if scale == "paper" else data.WALLS[:-1]
-        for wall, exposure in itertools.product(walls, (10, 40)):
+        for wall, exposure in itertools.product(data.WALLS, (10, 40)):
             place = (scale, "letter", wall, SIZES[scale], 1)
             scene = data.study_scene(place, exposure * 1e-3)
             told = limits.feasibility(scene)
