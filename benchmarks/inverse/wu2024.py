@@ -3,15 +3,16 @@
 python benchmarks/inverse/wu2024.py [--walls 6] [--rms 0.25 0.5 1] [--objects F arrow ...]
     [--size 64] [--json FILE] [--jobs 2]
 python benchmarks/inverse/wu2024.py --memory
-python benchmarks/inverse/wu2024.py --facets 4 [--size 512] [--objects F]
+python benchmarks/inverse/wu2024.py --scene examples/scenes/letter_rough.toml [--size 512]
 
 Data by the simulator (cases.py). Each object is seen by each wall; "warm" starts the second and
 third object from the result of the first by the same wall. With --json, one line for each finished
 case, and those already there are not run again.
 
 --memory: three steps at 512 x 512 by each size of network, each in a process of its own.
---facets: the paper's camera (F/2, pixels of 72 um) and a wall of 64 x 64 independent facets, whose
-light spreads over this many pixels rms; beside it total variation with the true point spread.
+--scene: a scene with a wall of facets, its image made by the simulator. The exit angles of the
+facets that the lens sees are fitted, from random ones as strong as the wall's blur. For comparison,
+total variation with the wall's point spread.
 """
 
 from __future__ import annotations
@@ -19,10 +20,13 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
+
+SCENE_TOL = 1e-2  # of the image of a scene, whose noise is 3 % and more
 
 
 def pupil(data, size):
@@ -81,6 +85,15 @@ def one_wall(job):
     return rows
 
 
+def keep(line, path):
+    """Print a line and add it to a file, if there is one."""
+    text = json.dumps(line)
+    print(text, flush=True)
+    if path:
+        with path.open("a") as file:
+            file.write(text + "\n")
+
+
 def largest_memory():
     """Of this process alone, MiB; what `getrusage` tells is also its parent's."""
     for line in Path("/proc/self/status").read_text().splitlines():
@@ -103,47 +116,52 @@ def peak(base):
     return round(memory), round(1e3 * found.seconds / 6)
 
 
-def of_facets(name, seed, options):
-    """One line of an object seen by random facets at the paper's scale, from random angles."""
-    from cases import _picture
-    from scipy.ndimage import zoom
+def of_scene(options):
+    """One line: the scene's image by the simulator, fitted with the facets of its wall."""
+    from nlosoptics import Scene, inverse, psf, reconstructing, simulate
+    from nlosoptics.runs.simulate import veil_shape
 
-    from nlosoptics import imaging, inverse
-
-    draws = np.random.default_rng(seed)
-    pitch, distance, count = 72e-6, 50e-3, 64
-    true = np.arctan(draws.normal(0.0, options.facets * pitch / distance, size=(count, count, 2)))
+    scene = Scene.load(options.scene)
+    camera = scene.camera
+    size = options.size * camera.binning
+    scene = replace(scene, camera=replace(camera, pixels=(size, size)))
+    taken = simulate(scene, SCENE_TOL, seed=options.first_wall).image
+    image, truth = taken.electrons, taken.ideal
+    sigma = float(np.sqrt(image.mean() + (camera.read_noise * camera.binning) ** 2))
+    model, veil = reconstructing.known_model(scene, tol=SCENE_TOL), veil_shape(scene)
+    pupil = psf.exit_pupil(scene)
+    seen = psf.SceneOptics(scene, pupil).reference.view
+    # the facets are equilateral triangles; squares of the same area, as seen from the pupil
+    side = scene.wall_roughness.heights.cell * (3**0.25 / 2)
+    side /= np.sqrt(abs(np.linalg.det(seen.footprint)))
+    count = 2 * int(np.ceil(pupil.radius / side)) + 1
     facets = inverse.FacetPSF(
-        true,
-        angle_pitch=25e-3 / (count - 1),
-        pupil_radius=12.5e-3,
-        image_distance=distance,
-        pitch=pitch,
+        np.zeros((count, count, 2)),
+        angle_pitch=side,
+        pupil_radius=pupil.radius,
+        image_distance=pupil.image_distance,
+        pitch=scene.camera.image_pitch,
         shape=options.size,
-        wavelength=632.8e-9,
+        wavelength=scene.laser.wavelength,
     )
-    kernel = facets().detach().double().numpy()
-    model = imaging.ForwardModel(kernel, shape=kernel.shape, boundary="circular")
-    letter, truth = _picture(name), np.zeros(kernel.shape)
-    letter = np.clip(zoom(letter, options.size / 2 / letter.shape[0], order=1), 0.0, 1.0)
-    at = [(a - b) // 2 for a, b in zip(truth.shape, letter.shape, strict=True)]
-    truth[at[0] : at[0] + letter.shape[0], at[1] : at[1] + letter.shape[1]] = letter
-    image = model.forward(truth)
-    sigma = options.noise * float(image.max())
-    image = image + draws.normal(0.0, sigma, size=image.shape)
+    spread = model.kernel / model.kernel.sum()
+    x = np.arange(spread.shape[1]) - spread.shape[1] // 2
+    blur = float(np.sqrt(spread.sum(axis=0) @ x**2))
+    known = {"noise_sigma": sigma, "background_shape": veil}
     found = inverse.wu2024_fit(
-        image, facets, noise_sigma=sigma, start_rms=options.facets, seed=seed,
-        base=options.base, max_iterations=options.iterations,
+        image, facets, start_rms=blur, seed=options.first_wall,
+        base=options.base, max_iterations=options.iterations, **known,
     )  # fmt: skip
-    known = inverse.tv_deconvolve(image, model, noise_sigma=sigma)
+    best = inverse.tv_deconvolve(image, model, **known)
     return {
-        "object": name,
-        "wall": seed,
-        "facets": options.facets,
+        "scene": options.scene.stem,
+        "seed": options.first_wall,
+        "blur": round(blur, 2),
+        "facets": count,
         "size": options.size,
         "image": round(inverse.registered_correlation(image, truth), 4),
         "correlation": round(inverse.registered_correlation(found, truth), 4),
-        "known_wall": round(inverse.registered_correlation(known, truth), 4),
+        "known_wall": round(inverse.registered_correlation(best, truth), 4),
         "like_image": round(inverse.registered_correlation(found, image), 4),
         "status": found.status,
         "score": round(found.score, 4),
@@ -167,7 +185,7 @@ def main():
     parser.add_argument("--json", type=Path)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--memory", action="store_true")
-    parser.add_argument("--facets", type=float, metavar="PIXELS")
+    parser.add_argument("--scene", type=Path)
     options = parser.parse_args()
     fresh = multiprocessing.get_context("spawn")
     if options.memory:
@@ -176,15 +194,9 @@ def main():
                 memory, step = pool.apply(peak, (base,))
             print(f"512 x 512, base {base}: {memory} MiB, {step} ms a step", flush=True)
         return
-    if options.facets:
+    if options.scene:
         torch.set_num_threads(1)
-        for name in options.objects:
-            for seed in range(options.first_wall, options.first_wall + options.walls):
-                line = json.dumps(of_facets(name, seed, options))
-                print(line, flush=True)
-                if options.json:
-                    with options.json.open("a") as file:
-                        file.write(line + "\n")
+        keep(of_scene(options), options.json)
         return
     done = set()
     if options.json and options.json.exists():
@@ -200,11 +212,8 @@ def main():
     ]
     with fresh.Pool(options.jobs, initializer=torch.set_num_threads, initargs=(1,)) as pool:
         for rows in pool.imap_unordered(one_wall, jobs):
-            for line in map(json.dumps, rows):
-                print(line, flush=True)
-                if options.json:
-                    with options.json.open("a") as file:
-                        file.write(line + "\n")
+            for line in rows:
+                keep(line, options.json)
 
 
 if __name__ == "__main__":

@@ -10,37 +10,50 @@ from typing import Any
 
 import numpy as np
 import pcin_data as data
+from scipy import ndimage
 
 from nlosoptics import inverse
 from nlosoptics.errors import NlosError
 
 CNN_FOLDER = "PCIN_STUDY_CNN"  # environment: where trained networks are kept
 CNN_WAVES = 0.75  # largest rms of a training wall's wave
+TRAINING_WALLS = 10  # walls of facets in its training, scale "rough"
+BRIGHTEST = 1100.0  # electrons of the brightest pixel of a training image, scale "rough"
 SEED = 1
 
-FAST = ("image", "inverse_filter", "phase_retrieval", "hio", "tv")
 NAMES = (
-    *FAST,
+    "image",
+    "inverse_filter",
+    "tv",
+    "phase_retrieval",
+    "hio",
     "cnn",
     "wu2024",
     "wu2024_warm",
     "evidence",
     "evidence_2frames",
-    "evidence_2frames_warm",
 )
 WARM_FROM = "cartoon"  # the object whose result a warm start has
 # of the paper: "more than 4000", "approximately 1800"
 COLD, WARM = 4000, 1800
+ENVELOPE = 8.0  # pixels, rms: a speckle image is divided by its mean over so many
+CELLS = 17  # nodes of the fitted exit angles across the pupil, scale "rough": one for each facet
+
+
+def place_of(key: dict[str, Any]) -> data.Place:
+    """What the point spread depends on; smooth walls are the same for all seeds."""
+    seed = key["seed"] if key["scale"] == "rough" else 0
+    return key["scale"], key["object"], key["wall"], key["size"], seed
 
 
 def solved(key: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """One case: the line of its figures, and its pictures by name."""
-    place = (key["scale"], key["object"], key["wall"], key["size"])
-    taken = data.exposure_of(*place, key["exposure_ms"])
+    taken = data.exposure_of(place_of(key), key["exposure_ms"], key["seed"])
     line = {**key, "simulated_in": round(taken.seconds, 2)}
     pictures = {"image": taken.image, "truth": taken.truth}
     if key["method"] == "image":
-        return {**line, **_scores(taken.image, taken.truth), "status": "", "seconds": 0.0}, pictures
+        line |= {**_scores(taken.image, taken.truth), "status": "", "seconds": 0.0}
+        return {**line, "box": _rounded(box_score(taken.truth))}, pictures
     try:
         found, more = _METHODS[key["method"]](key, taken)
     except NlosError as refusal:
@@ -55,10 +68,20 @@ def solved(key: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
         **more,
     }
     coefficients = found.physical_parameters.get("coefficients")
-    if coefficients is not None and key["scale"] == "wall":
+    if coefficients is not None and key["scale"] == "smooth":
         off = np.asarray(coefficients) - data.wall_waves(key["wall"], key["size"])
         line["wave_error"] = _rounded(float(np.linalg.norm(off)))
     return line, {**pictures, "object": found.object}
+
+
+def box_score(truth: data.Array) -> float:
+    """Correlation of an object with a plain rectangle of its size: what its outline alone gives."""
+    bright = truth > 0.5 * truth.max()
+    rows, columns = (
+        np.maximum.accumulate(side) & np.maximum.accumulate(side[::-1])[::-1]
+        for side in (bright.any(axis=1), bright.any(axis=0))
+    )
+    return inverse.registered_correlation(np.outer(rows, columns).astype(float), truth)
 
 
 def _scores(found: Any, truth: Any, *, flip: bool = False) -> dict[str, Any]:
@@ -74,95 +97,106 @@ def _rounded(value: float) -> float | None:
     return round(value, 4) if math.isfinite(value) else None
 
 
-def _place(key: dict[str, Any]) -> tuple[str, str, str, int]:
-    return key["scale"], key["object"], key["wall"], key["size"]
-
-
-def _inverse_filter(key: dict[str, Any], taken: data.Exposure) -> Any:
-    place = _place(key)
-    found = inverse.inverse_filter(
-        taken.image,
-        data.known_model(*place),
-        noise_sigma=taken.noise,
-        background_shape=data.veil(*place),
-    )
-    return found, {}
-
-
-def _tv(key: dict[str, Any], taken: data.Exposure) -> Any:
-    place = _place(key)
-    found = inverse.tv_deconvolve(
-        taken.image,
-        data.known_model(*place),
-        noise_sigma=taken.noise,
-        background_shape=data.veil(*place),
-    )
-    return found, {}
+def _known(key: dict[str, Any], taken: data.Exposure) -> Any:
+    place = place_of(key)
+    solver = inverse.tv_deconvolve if key["method"] == "tv" else inverse.inverse_filter
+    known = {"noise_sigma": taken.noise, "background_shape": data.veil(place)}
+    return solver(taken.image, data.known_model(place), **known), {}
 
 
 def _phase_retrieval(key: dict[str, Any], taken: data.Exposure) -> Any:
     method = "alternating" if key["method"] == "phase_retrieval" else "hio"
-    found = inverse.phase_retrieval(taken.image, method=method, noise_sigma=taken.noise, seed=SEED)
-    return found, {}
+    if key["scale"] != "rough":
+        found = inverse.phase_retrieval(
+            taken.image, method=method, noise_sigma=taken.noise, seed=SEED
+        )
+        return found, {}
+    # Speckle under an envelope: Katz 2014 divides by the mean of the neighbourhood as well.
+    mean = ndimage.gaussian_filter(taken.image, ENVELOPE)
+    even = taken.image / np.maximum(mean, 1e-3 * mean.max())
+    return inverse.phase_retrieval(even, method=method, seed=SEED), {}
 
 
 def _cnn(key: dict[str, Any], taken: data.Exposure) -> Any:
-    network, seconds = trained(key["size"], key["pairs"])
+    network, seconds = trained(key["scale"], key["size"], key["pairs"])
     # the image model only says how well the answer explains the image
     found = network.reconstruct(
-        taken.image, data.known_model(*_place(key)), noise_sigma=taken.noise
+        taken.image, data.known_model(place_of(key)), noise_sigma=taken.noise
     )
     return found, {"training_seconds": round(seconds, 1), "iterations": 0}
 
 
 @lru_cache(maxsize=2)
-def trained(size: int, pairs: int) -> tuple[inverse.CnnBaseline, float]:
-    """Network for scale "wall", flat walls with random waves, 40 ms; kept as a file."""
+def trained(scale: str, size: int, pairs: int) -> tuple[inverse.CnnBaseline, float]:
+    """Network for flat walls with random waves or facets, 40 ms; kept as a file."""
     folder = os.environ.get(CNN_FOLDER)
-    path = Path(folder) / f"cnn-{size}-{pairs}.safetensors" if folder else None
+    path = Path(folder) / f"cnn-{scale}-{size}-{pairs}.safetensors" if folder else None
     if path is not None and path.is_file():
         return inverse.CnnBaseline.load(path), 0.0
-    scene = data.study_scene("wall", "letter", "flat", size, 40e-3)
+    scene = data.flat_scene("smooth", size)
     shown = inverse.training_pairs(scene, pairs, waves=CNN_WAVES, seed=SEED)
+    if scale == "rough":
+        shown = _by_facets(shown, size)
     found = inverse.train_cnn(shown, base=8, epochs=20, seed=SEED)
     if path is not None:
         found.network.save(path)
     return found.network, found.seconds
 
 
+def _by_facets(shown: inverse.TrainingPairs, size: int) -> inverse.TrainingPairs:
+    """The same objects, as small as the study's, seen by walls of facets that the study has not."""
+    draws = np.random.default_rng(SEED)
+    small = max(1, round(1.0 / data.SCALES["rough"].fill))
+    side = size // small
+    at = (size - side) // 2
+    objects = np.zeros_like(shown.objects)
+    means = shown.objects[:, : side * small, : side * small]
+    means = means.reshape(-1, side, small, side, small).mean(axis=(2, 4))
+    objects[:, at : at + side, at : at + side] = means
+    images = np.empty_like(objects)
+    for first in range(TRAINING_WALLS):
+        wall = ("rough", "letter", "flat", size, 1000 + first)
+        model = data.known_model(wall)
+        for i in range(first, len(objects), TRAINING_WALLS):
+            seen = model.forward(objects[i].astype(np.float64))
+            bright = BRIGHTEST / max(float(seen.max()), 1e-12)
+            images[i] = draws.poisson(bright * np.maximum(seen, 0.0))
+    return inverse.TrainingPairs(images=images, objects=objects)
+
+
 @lru_cache(maxsize=8)
-def _wu2024_run(name: str, wall: str, size: int, milliseconds: int, iterations: int) -> Any:
-    taken = data.exposure_of("wall", name, wall, size, milliseconds)
+def _wu2024_run(place: data.Place, milliseconds: int, seed: int, iterations: int) -> Any:
+    taken = data.exposure_of(place, milliseconds, seed)
+    cells = CELLS if place[0] == "rough" else 0
     return inverse.pcin(
         taken.image,
-        data.fitted_pupil(size),
+        data.fitted_pupil(place[0], place[3], cells=cells),
         recipe="wu2024",
         noise_sigma=taken.noise,
         max_iterations=iterations,
-        seed=SEED,
+        seed=seed,
     )
 
 
 def _wu2024(key: dict[str, Any], taken: data.Exposure) -> Any:
-    run = _wu2024_run(
-        key["object"], key["wall"], key["size"], key["exposure_ms"], key["iterations_asked"]
-    )
+    run = _wu2024_run(place_of(key), key["exposure_ms"], key["seed"], key["iterations_asked"])
     return run, {}
 
 
 def _wu2024_warm(key: dict[str, Any], taken: data.Exposure) -> Any:
     """From the result for another object; iterations to the fit that a cold run ends with."""
     asked = key["iterations_asked"]
-    place = (key["wall"], key["size"], key["exposure_ms"], asked)
-    cold = _wu2024_run(key["object"], *place)
+    scale, _, *rest = place = place_of(key)
+    how = (key["exposure_ms"], key["seed"], asked)
+    cold = _wu2024_run(place, *how)
     found = inverse.pcin(
         taken.image,
-        data.fitted_pupil(key["size"]),
+        data.fitted_pupil(scale, key["size"], cells=CELLS if scale == "rough" else 0),
         recipe="wu2024",
         noise_sigma=taken.noise,
-        start=_wu2024_run(WARM_FROM, *place),
+        start=_wu2024_run((scale, WARM_FROM, *rest), *how),
         max_iterations=max(1, round(asked * WARM / COLD)),
-        seed=SEED,
+        seed=key["seed"],
     )
     goal = 1.02 * float(np.min(cold.history["residual"]))
     return found, {
@@ -177,51 +211,29 @@ def _first_below(residuals: Any, goal: float) -> int | None:
     return int(reached[0]) + 1 if len(reached) else None
 
 
-def _frames(key: dict[str, Any], name: str) -> tuple[Any, dict[str, Any]]:
-    """Two frames of an object, and what is known of them: defocus, m rms, and noise."""
-    wall, size = key["wall"], key["size"]
-    first = data.exposure_of("wall", name, wall, size, key["exposure_ms"])
-    second = data.exposure_of("wall", name, wall, size, key["exposure_ms"], second=True)
-    extra = data.defocus_waves(size) * first.scene.laser.wavelength
-    known = {"defocus": [0.0, extra], "noise_sigma": [first.noise, second.noise]}
-    return np.stack([first.image, second.image]), known
-
-
 def _blind(key: dict[str, Any], taken: data.Exposure) -> Any:
-    recipe, _, frames = key["method"].partition("_")
+    """The evidence of one frame, or of two of which the second has a known change of focus."""
+    scale, size = key["scale"], key["size"]
     images: Any = taken.image
     options: dict[str, Any] = {"noise_sigma": taken.noise}
-    if frames:
-        images, options = _frames(key, key["object"])
-    if "max_seconds" in key:
-        options["max_seconds"] = key["max_seconds"]
-    found = inverse.pcin(
+    if key["method"] == "evidence_2frames":
+        second = data.exposure_of(place_of(key), key["exposure_ms"], key["seed"], second=True)
+        images = np.stack([taken.image, second.image])
+        extra = data.defocus_waves(scale, size) * taken.scene.laser.wavelength
+        options = {"defocus": [0.0, extra], "noise_sigma": [taken.noise, second.noise]}
+    found = inverse.evidence_fit(
         images,
-        data.fitted_pupil(key["size"]),
-        recipe=recipe,
-        seed=SEED,
+        data.fitted_pupil(scale, size),
+        seed=key["seed"],
+        max_seconds=key["max_seconds"],
         **options,
     )
     return found, {}
 
 
-def _evidence_warm(key: dict[str, Any], taken: data.Exposure) -> Any:
-    """From the wall that was found with another object."""
-    import torch
-
-    images, known = _frames(key, WARM_FROM)
-    other = inverse.evidence_fit(images, data.fitted_pupil(key["size"]), seed=SEED, **known)
-    pupil = data.fitted_pupil(key["size"])
-    with torch.no_grad():
-        pupil.coefficients.copy_(torch.tensor(other.physical_parameters["coefficients"]))
-    images, known = _frames(key, key["object"])
-    found = inverse.evidence_fit(images, pupil, seed=SEED, start_error=0.05, **known)
-    return found, {}
-
-
 _METHODS = {
-    "inverse_filter": _inverse_filter,
-    "tv": _tv,
+    "inverse_filter": _known,
+    "tv": _known,
     "phase_retrieval": _phase_retrieval,
     "hio": _phase_retrieval,
     "cnn": _cnn,
@@ -229,5 +241,4 @@ _METHODS = {
     "wu2024_warm": _wu2024_warm,
     "evidence": _blind,
     "evidence_2frames": _blind,
-    "evidence_2frames_warm": _evidence_warm,
 }

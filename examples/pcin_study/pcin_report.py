@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 Line = dict[str, Any]
+Figures = Callable[[str], dict[int, list[tuple[str, str, int]]]]
 
-WALLS = ("flat", "concave", "convex", "wavy")
-COLUMNS = ("correlation", "psnr", "ssim", "seconds", "iterations", "status")
 FAMILY = (
+    "box",
     "image",
     "inverse_filter",
     "phase_retrieval",
@@ -23,151 +23,136 @@ FAMILY = (
     "evidence_2frames",
     "tv",
 )
+SUBJECTS = {
+    5: "a letter, exposures",
+    6: "another posture, exposures",
+    7: "a cartoon and a Chinese character, exposures",
+    8: "walls",
+    9: "methods, 40 ms",
+    10: "methods, tilted by 10 degrees, 40 ms",
+    11: "methods, 20 ms",
+}
 
 
 def name_of(key: Line, what: str) -> str:
     """Name of a case's picture; its data's where `what` is "image" or "truth"."""
     parts = [key["scale"], key["object"], key["wall"], f"{key['exposure_ms']}ms", key["size"]]
-    name = "-".join(map(str, parts))
+    name = "-".join(map(str, [*parts, f"seed{key['seed']}"]))
     method = key["method"] if what == "object" else what
     return f"{name}-{method}"
 
 
-def write(lines: list[Line], folder: Path) -> None:
+def write(lines: list[Line], figures: Figures, folder: Path) -> None:
     """tables.md and the pictures, of whatever is finished."""
-    ordered = sorted(lines, key=lambda x: (x["scale"], x["object"], x["wall"], x["exposure_ms"]))
-    parts = [_pivot(ordered, scale) for scale in ("wall", "paper")]
-    parts += [_warm(ordered), _verdicts(ordered), _all(ordered)]
+    plain = [x for x in lines if "box" in x]
+    lines = [*lines, *({**x, "method": "box", "correlation": x["box"]} for x in plain)]
+    parts = [_figure(lines, figures, number) for number in SUBJECTS]
+    paper = [x for x in lines if x["scale"] == "paper"]
+    rows = sorted({_row(x) for x in paper})
+    if rows:
+        table = _table([(x, "paper") for x in rows], lines)
+        parts.append(f"### The paper's own scale\n\n{table}")
+    parts += [_warm(lines), *(_verdicts(lines, scale) for scale in ("smooth", "rough"))]
     (folder / "tables.md").write_text("\n\n".join(part for part in parts if part) + "\n")
-    _pictures(ordered, folder)
+    _pictures(lines, folder)
 
 
-def _pivot(lines: list[Line], scale: str) -> str:
-    """Correlation by method (columns) of each object, wall and exposure (rows)."""
-    chosen = [x for x in lines if x["scale"] == scale]
-    used = [m for m in FAMILY if any(x["method"] == m for x in chosen)]
-    if not used:
-        return ""
-    rows = [
-        f"### Registered correlation, scale: {scale}",
-        "",
-        "A star marks the status `converged`.",
-        "",
-        "| object | wall | ms | " + " | ".join(used) + " |",
-        "|---" * (3 + len(used)) + "|",
+def _row(line: Line) -> tuple[str, str, int]:
+    return line["object"], line["wall"], line["exposure_ms"]
+
+
+def _figure(lines: list[Line], figures: Figures, number: int) -> str:
+    """Correlation by method (columns) of the rows of one of the paper's figures."""
+    rows = [(row, scale) for scale in ("smooth", "rough") for row in figures(scale)[number]]
+    return f"### Figure {number}: {SUBJECTS[number]}\n\n{_table(rows, lines)}"
+
+
+def _table(rows: list[tuple[tuple[str, str, int], str]], lines: list[Line]) -> str:
+    found: dict[Any, list[Line]] = {}
+    for line in lines:
+        found.setdefault((_row(line), line["scale"], line["method"]), []).append(line)
+    used = [m for m in FAMILY if any((*row, m) in found for row in rows)]
+    text = [
+        "| regime | object | wall | ms | " + " | ".join(used) + " |",
+        "|---" * (4 + len(used)) + "|",
     ]
-    places = sorted(
-        {(x["object"], x["wall"], x["exposure_ms"]) for x in chosen},
-        key=lambda p: (p[0], WALLS.index(p[1]), p[2]),
-    )
-    for place in places:
-        cells = []
-        for method in used:
-            found = [
-                x
-                for x in chosen
-                if (x["object"], x["wall"], x["exposure_ms"]) == place and x["method"] == method
-            ]
-            cells.append(_cell(found[0]) if found else "")
-        rows.append("| " + " | ".join([*map(str, place), *cells]) + " |")
-    return "\n".join(rows)
+    for row, scale in rows:
+        cells = [_cell(found.get((row, scale, method), [])) for method in used]
+        text.append("| " + " | ".join(map(str, [scale, *row, *cells])) + " |")
+    return "\n".join(text)
 
 
-def _cell(line: Line) -> str:
-    if "correlation" not in line:
-        return line["status"]
-    star = "*" if line["status"] == "converged" else ""
-    return f"{line['correlation']:.3f}{star}"
+def _cell(lines: list[Line]) -> str:
+    """Median and least correlation, number of runs, a star for each that is called converged."""
+    if not lines:
+        return ""
+    scores = [x["correlation"] for x in lines if "correlation" in x]
+    if not scores:
+        return str(lines[0]["status"])
+    stars = "\\*" * sum(x["status"] == "converged" for x in lines)
+    if len(lines) == 1:
+        return f"{scores[0]:.3f}{stars} (1)"
+    return f"{np.median(scores):.3f}, {min(scores):.3f}{stars} ({len(lines)})"
 
 
 def _warm(lines: list[Line]) -> str:
-    """Cold against warm starts."""
-    rows = []
-    for line in lines:
-        place = f"{line['object']}, {line['wall']}, {line['exposure_ms']} ms"
-        if line["method"] == "wu2024_warm" and "correlation" in line:
-            rows.append(
-                f"| wu2024 | {place} | {line['cold_iterations_to_fit']} | "
-                f"{line['warm_iterations_to_fit']} | {line['cold_correlation']:.3f} | "
-                f"{line['correlation']:.3f} |"
-            )
-        if line["method"] == "evidence_2frames_warm" and "correlation" in line:
-            for cold in lines:
-                same = all(cold[k] == line[k] for k in ("object", "wall", "exposure_ms", "size"))
-                if same and cold["method"] == "evidence_2frames":
-                    rows.append(
-                        f"| evidence, two frames | {place} | {cold['iterations']} | "
-                        f"{line['iterations']} | {cold['correlation']:.3f} | "
-                        f"{line['correlation']:.3f} |"
-                    )
+    """Cold against warm starts of PCIN as published."""
+    rows = [
+        f"| {x['scale']}: {x['object']}, {x['wall']}, {x['exposure_ms']} ms | "
+        f"{x['cold_iterations_to_fit']} | {x['warm_iterations_to_fit']} | "
+        f"{x['cold_correlation']:.3f} | {x['correlation']:.3f} |"
+        for x in lines
+        if x["method"] == "wu2024_warm" and "correlation" in x
+    ]
     if not rows:
         return ""
     head = (
-        "### Cold and warm starts\n\nwu2024: iterations until the residual is within 2 % of the "
-        "least of the cold run; evidence: answers tried.\n\n| recipe | case | cold "
-        "iterations | warm iterations | cold correlation | warm correlation |\n" + "|---" * 6 + "|"
+        "### Cold and warm starts of PCIN as published\n\nIterations until the residual is within "
+        "2 % of the least of the cold run.\n\n| case | cold iterations | warm iterations | cold "
+        "correlation | warm correlation |\n" + "|---" * 5 + "|"
     )
     return "\n".join([head, *rows])
 
 
-def _verdicts(lines: list[Line]) -> str:
-    """Means and verdicts by method, scale "wall"."""
+def _verdicts(lines: list[Line], scale: str) -> str:
+    """Correlations, verdicts and seconds by method."""
     rows = []
     for method in FAMILY:
         found = [
-            x
-            for x in lines
-            if x["method"] == method and x["scale"] == "wall" and "correlation" in x
+            x for x in lines if x["method"] == method and x["scale"] == scale and "correlation" in x
         ]
         if not found:
             continue
         values = np.array([x["correlation"] for x in found])
         said = np.array([x["status"] == "converged" for x in found])
-        told = f"{int(np.sum(said & (values <= 0.9)))}" if method != "image" else ""
         rows.append(
             f"| {method} | {len(found)} | {np.median(values):.3f} | {values.min():.3f} | "
-            f"{int(np.sum(values > 0.9))} | {told} | "
+            f"{values.max():.3f} | {int(np.sum(values > 0.9))} | {int(np.sum(said))} | "
+            f"{int(np.sum(said & (values <= 0.9)))} | "
             f"{np.median([x['seconds'] for x in found]):.2f} |"
         )
     if not rows:
         return ""
     head = (
-        "### Methods over all cases of scale: wall\n\n| method | cases | median correlation | least"
-        " | above 0.9 | converged but not above 0.9 | median seconds |\n" + "|---" * 7 + "|"
+        f"### Methods over all runs, {scale}\n\n| method | runs | median correlation | least | "
+        "largest | above 0.9 | converged | converged, not above 0.9 | median seconds |\n"
+        + "|---" * 9
+        + "|"
     )
     return "\n".join([head, *rows])
 
 
-def _all(lines: list[Line]) -> str:
-    rows = [
-        "### All cases",
-        "",
-        "| scale | object | wall | ms | method | " + " | ".join(COLUMNS) + " |",
-        "|---" * (5 + len(COLUMNS)) + "|",
-    ]
-    for line in lines:
-        place = [line[k] for k in ("scale", "object", "wall", "exposure_ms", "method")]
-        cells = [_figure(name, line.get(name)) for name in COLUMNS]
-        rows.append("| " + " | ".join(map(str, [*place, *cells])) + " |")
-    return "\n".join(rows)
-
-
-def _figure(name: str, value: Any) -> str:
-    digits = {"correlation": 3, "psnr": 1, "ssim": 3, "seconds": 2}.get(name)
-    return "" if value is None else str(value) if digits is None else f"{value:.{digits}f}"
-
-
 def _pictures(lines: list[Line], folder: Path) -> None:
-    """Rows of pictures for each question, of what there is."""
-    at = {"scale": "wall", "object": "letter", "wall": "concave", "exposure_ms": 40}
-    _rows(lines, folder / "walls.png", at, "wall", WALLS, FAMILY)
-    _rows(lines, folder / "exposures.png", at, "exposure_ms", (10, 20, 30, 40), FAMILY)
+    """Rows of pictures for each question, of the first seed."""
     objects = ("letter", "posed", "cartoon", "hanzi", "tilted")
-    _rows(lines, folder / "objects.png", at, "object", objects, FAMILY)
-    known = ("image", "inverse_filter", "tv")
-    paper = {**at, "scale": "paper", "wall": "flat"}
-    _rows(lines, folder / "paper_exposures.png", paper, "exposure_ms", (10, 20, 30, 40), known)
-    _rows(lines, folder / "paper_walls.png", paper, "wall", WALLS, known)
+    times = (10, 20, 30, 40)
+    for scale, base in (("smooth", "concave"), ("rough", "flat"), ("paper", "flat")):
+        at = {"scale": scale, "object": "letter", "wall": base, "exposure_ms": 40, "seed": 1}
+        walls = ("flat", "concave", "convex", "wavy")
+        _rows(lines, folder / f"{scale}_walls.png", at, "wall", walls, FAMILY)
+        _rows(lines, folder / f"{scale}_exposures.png", at, "exposure_ms", times, FAMILY)
+        if scale != "paper":
+            _rows(lines, folder / f"{scale}_objects.png", at, "object", objects, FAMILY)
 
 
 def _rows(
@@ -185,7 +170,7 @@ def _rows(
         if all(x[k] == v for k, v in fixed.items() if k != varied)
     }
     rows = [v for v in values if any((v, m) in cases for m in chosen)]
-    used = [m for m in chosen if any((v, m) in cases for v in rows)]
+    used = [m for m in chosen if m != "box" and any((v, m) in cases for v in rows)]
     if not rows:
         return
     from matplotlib.figure import Figure
@@ -218,4 +203,7 @@ def _panel(axis: Any, case: Line | None, method: str, *, folder: Path) -> None:
         shown: Callable[[Any], Any] = np.asarray
         axis.imshow(shown(np.load(path)).astype(np.float32), cmap="gray", interpolation="nearest")
     if method != "truth":
-        axis.set_title(_cell(case), fontsize=7, pad=2)
+        score = case.get("correlation")
+        star = "*" if case["status"] == "converged" else ""
+        text = case["status"] if score is None else f"{score:.3f}{star}"
+        axis.set_title(text, fontsize=7, pad=2)

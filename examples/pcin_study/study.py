@@ -3,8 +3,7 @@
 python examples/pcin_study/study.py --setting small --out pcin_study [--report]
 
 One line of JSON for each finished case in OUT/SETTING.jsonl; started again, it goes on where it was
-cut off. Then tables (tables.md) and pictures. "small" takes some minutes on one core, "full" is the
-whole grid at 128 x 128 pixels and takes hours: give it --jobs.
+cut off. Then tables (tables.md) and pictures of what is finished.
 """
 
 from __future__ import annotations
@@ -30,71 +29,75 @@ from nlosoptics import limits
 
 Key = dict[str, Any]
 
-EXPOSURES = (10, 20, 30, 40)  # ms
+SEEDS = (1, 2, 3)  # of the noise, and of the facets
+SIZES = {"smooth": 64, "rough": 128, "paper": 192}
+BASE = {"smooth": "concave", "rough": "flat"}  # behind a smooth flat wall the image is the object
 KNOWN = ("image", "inverse_filter", "tv")
-UNTRAINED = ("phase_retrieval", "hio")
-SETTINGS = ("smallest", "small", "full")
+FAST = (*KNOWN, "phase_retrieval", "hio", "cnn")
+SETTINGS = ("smallest", "small")
+SECONDS = 30.0  # limit of a fit by evidence
+ITERATIONS, FEW = methods.COLD, 20  # of PCIN as published
+
+
+def figures(scale: str) -> dict[int, list[tuple[str, str, int]]]:
+    """Objects, walls and exposures, ms, of the paper's figures."""
+    base, exposures = BASE[scale], (10, 20, 30, 40)
+    return {
+        5: [("letter", base, ms) for ms in exposures],
+        6: [("posed", base, ms) for ms in exposures],
+        7: [(name, base, ms) for name in ("cartoon", "hanzi") for ms in exposures],
+        8: [("letter", wall, 40) for wall in ("flat", "concave", "convex", "wavy")],
+        9: [("letter", base, 40)],
+        10: [("tilted", base, 40)],
+        11: [("letter", base, 20)],
+    }
 
 
 def keys(setting: str) -> list[Key]:
-    """All cases of a setting, those that share data beside each other."""
+    """All cases of a setting, the most telling first, so that a run may be cut off anywhere."""
     if setting == "smallest":
         fast = ("image", "inverse_filter", "tv", "hio", "wu2024", "evidence_2frames")
-        return list(_cases("wall", ["letter"], ["concave"], [40], fast, 48, iterations=20))
-    if setting == "full":
-        blind = [m for m in methods.NAMES if m not in methods.FAST and m != "evidence"]
-        everything = (*methods.FAST, *blind, "evidence")
-        names = list(data.OBJECTS)
-        cases = _cases("wall", names, data.WALLS, EXPOSURES, everything, 128, pairs=2000)
-        known = _cases("paper", names, data.WALLS, EXPOSURES, KNOWN, 256)
-        return [*cases, *known]
-    return list(itertools.chain(*_small()))
+        return [_key("smooth", ("letter", "concave", 40), m, 1, 48, FEW) for m in fast]
+    both = ("smooth", "rough")
+    every = tuple(figures("smooth"))
+    found = [key for seed in SEEDS for scale in both for key in _rows(scale, every, FAST, seed)]
+    fits = ("wu2024", "evidence_2frames", "evidence")
+    walls = [("letter", wall, 40) for wall in data.WALLS]
+    paper = [*walls, *(("letter", "flat", ms) for ms in (10, 20, 30))]
+    found += [key for s in both for key in _rows(s, (9,), fits[:1], 1)]
+    found += _rows("smooth", (9, 11, 10, 8), fits[1:2], 1)
+    found += [_key("paper", row, m, 1) for row in paper for m in KNOWN]
+    found += [key for s in both for key in _rows(s, (11, 10), fits[:1], 1)]
+    found += [key for s in both for key in _rows(s, (9,), fits[1:], 1)]
+    found += [_key("paper", row, m, seed) for seed in SEEDS for row in paper for m in KNOWN]
+    found.append(_key("smooth", ("letter", BASE["smooth"], 40), "wu2024_warm", 1))
+    for seed in SEEDS:
+        found += [key for m in fits for s in both for key in _rows(s, every, (m,), seed)]
+    return list({report.name_of(key, key["method"]): key for key in found}.values())
 
 
-def _small() -> Iterator[Iterator[Key]]:
-    """A part of the grid: each question of the paper on one or two objects."""
-    fast = (*methods.FAST, "cnn")
-    flat, concave = ["flat"], ["concave"]
-    yield _cases("wall", ["letter", "hanzi"], data.WALLS, [10, 40], (*fast, "evidence_2frames"), 64)
-    yield _cases("wall", ["letter", "hanzi"], concave, [20, 30], (*fast, "evidence_2frames"), 64)
-    more = ["posed", "cartoon", "tilted"]
-    yield _cases("wall", more, concave, [40], (*fast, "evidence_2frames"), 64)
-    yield _cases("paper", ["letter"], flat, EXPOSURES, KNOWN, 192)
-    yield _cases("paper", ["hanzi"], flat, [10, 40], KNOWN, 192)
-    yield _cases("paper", ["letter"], ["concave", "convex", "wavy"], [10, 40], KNOWN, 192)
-    yield _cases("wall", ["letter"], ["flat", "concave"], [40], ("wu2024",), 64)
-    yield _cases("wall", ["letter"], concave, [40], ("wu2024_warm", "evidence_2frames_warm"), 64)
-    yield _cases("wall", ["tilted"], concave, [40], ("wu2024",), 64)
-    yield _cases("wall", ["letter"], concave, [40], ("evidence",), 64)
+def _rows(scale: str, chosen: tuple[int, ...], used: tuple[str, ...], seed: int) -> list[Key]:
+    rows = dict.fromkeys(row for figure in chosen for row in figures(scale)[figure])
+    return [_key(scale, row, method, seed) for row in rows for method in used]
 
 
-def _cases(
+def _key(
     scale: str,
-    names: Any,
-    walls: Any,
-    exposures: Any,
-    chosen: Any,
-    size: int,
-    *,
-    pairs: int = 400,
-    iterations: int = methods.COLD,
-) -> Iterator[Key]:
-    for name, wall, exposure, method in itertools.product(names, walls, exposures, chosen):
-        key: Key = {
-            "scale": scale,
-            "object": name,
-            "wall": wall,
-            "exposure_ms": exposure,
-            "method": method,
-            "size": size,
-        }
-        if method == "cnn":
-            key["pairs"] = pairs
-        if method.startswith("wu2024"):
-            key["iterations_asked"] = iterations
-        if method == "evidence":
-            key["max_seconds"] = 45.0 if size == 64 else 600.0
-        yield key
+    row: tuple[str, str, int],
+    method: str,
+    seed: int,
+    size: int = 0,
+    iterations: int = ITERATIONS,
+) -> Key:
+    key: Key = dict(zip(("object", "wall", "exposure_ms"), row, strict=True))
+    key = {"scale": scale, **key, "method": method, "seed": seed, "size": size or SIZES[scale]}
+    if method == "cnn":
+        key["pairs"] = 400 if scale == "smooth" else 200
+    if method.startswith("wu2024"):
+        key["iterations_asked"] = iterations
+    if method.startswith("evidence"):
+        key["max_seconds"] = SECONDS
+    return key
 
 
 def work(job: tuple[Key, Path]) -> dict[str, Any]:
@@ -155,7 +158,7 @@ def main(arguments: list[str] | None = None) -> None:
                 file.flush()
                 told = (report.name_of(line, line["method"]), line.get("correlation"))
                 print(*told, line["status"], line.get("seconds"), flush=True)
-    report.write(lines, options.out)
+    report.write(lines, figures, options.out)
 
 
 def feasibility() -> str:
@@ -165,9 +168,10 @@ def feasibility() -> str:
         " correlation | Z4 one frame | Z4 two frames |",
         "|---" * 10 + "|",
     ]
-    for scale, size in (("wall", 64), ("paper", 192)):
+    for scale in data.TOL:
         for wall, exposure in itertools.product(data.WALLS, (10, 40)):
-            scene = data.study_scene(scale, "letter", wall, size, exposure * 1e-3)
+            place = (scale, "letter", wall, SIZES[scale], 1)
+            scene = data.study_scene(place, exposure * 1e-3)
             told = limits.feasibility(scene)
             # a period of two strokes is what tells a stroke from its neighbour
             passed = np.interp(0.5 / told.stroke, told.frequency, told.modulation)
