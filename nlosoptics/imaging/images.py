@@ -99,7 +99,7 @@ class SpeckleImage(Noun, Shown):
     See Also
     --------
     form_image : Image in electrons, with noise.
-    CameraImage : Corrected camera image with its noise.
+    CameraImage : Corrected camera image with its masked pixels.
     nlosoptics.views.image : Camera image.
     """
 

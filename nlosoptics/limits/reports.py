@@ -106,9 +106,9 @@ class Feasibility(Noun, Shown):
     two_frame_bounds : mapping of int to float
         Cramer-Rao bounds from two images, the second with a known defocus of half a wave rms.
     one_frame_fits, two_frame_fits : float
-        Share of test fits, with wall and object unknown, that found the object for walls with an
-        aberration of this size; from one image, and from two of known defocus. NaN if no such case
-        was tested or no fit is needed.
+        Share of test fits, with wall and object unknown, that found the object for walls with as
+        much aberration as this one; from one image, and from two of known defocus. NaN if no such
+        case was tested or no fit is needed.
     blind : str
         Forecast for blind fits, in which neither object nor wall is known, with its reason.
 

@@ -1,4 +1,4 @@
-"""Answers of searches: the best points, Pareto fronts, and inverse sensitivities."""
+"""Answers of searches: the best trials, Pareto fronts, and inverse sensitivities."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ class Optimum(Noun):
         "minimise" or "maximise", for each objective.
     objectives : ndarray, (trials, objectives)
         Objectives of all trials, each in the unit of its figure of merit; NaN where that could not
-        be computed. For an objective with limits, the value is the share of points within them.
+        be computed. For an objective with limits, the value is the yield: the share of the
+        trial's points (its draws and axis values) that lie within the limits.
     feasible : ndarray of bool, (trials,)
         Whether all figures of merit could be computed and all constraints are met.
     failed : ndarray of bool, (trials,)
@@ -49,7 +50,7 @@ class Optimum(Noun):
 
     See Also
     --------
-    optimum : Best points of an optimisation.
+    optimum : Best trials of an optimisation.
     nlosoptics.views.pareto : Picture of two objectives.
     """
 
@@ -128,7 +129,7 @@ class Optimum(Noun):
 
 
 def optimum(results: Results, *, incomplete: bool = False) -> Optimum:
-    """Return the best points of an optimisation: one, or the Pareto front of several objectives.
+    """Return the best trials of an optimisation: one, or the Pareto front of several objectives.
 
     Parameters
     ----------
@@ -296,7 +297,7 @@ def inverse_sensitivities(results: Results) -> tuple[Allowance, ...]:
     See Also
     --------
     sensitivities : Change of a figure of merit with each value.
-    optimum : Best points of an optimisation.
+    optimum : Best trials of an optimisation.
 
     Notes
     -----

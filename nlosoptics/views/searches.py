@@ -42,7 +42,7 @@ def pareto(found: Optimum, *, first: int = 0, second: int = 1, axes: Axes | None
 
     See Also
     --------
-    nlosoptics.study.optimum : Best points of an optimisation.
+    nlosoptics.study.optimum : Best trials of an optimisation.
     search_history : Objective of each trial.
     """
     count = len(found.labels)
@@ -93,7 +93,7 @@ def search_history(found: Optimum, *, axes: Axes | None = None) -> Axes:
 
     See Also
     --------
-    nlosoptics.study.optimum : Best points of an optimisation.
+    nlosoptics.study.optimum : Best trials of an optimisation.
     pareto : Picture of two objectives.
     """
     if len(found.labels) != 1:

@@ -378,7 +378,7 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
     See Also
     --------
     tv_deconvolve : Non-negative deconvolution with total variation.
-    nlosoptics.imaging.CameraImage : Corrected camera image with its noise.
+    nlosoptics.imaging.CameraImage : Corrected camera image with its masked pixels.
 
     Notes
     -----

@@ -55,7 +55,8 @@ class PointSpreads(Noun):
         (waves, ny, nx), read-only, row 0 at the lowest y; the reference point is at
         [ny//2, nx//2].
     error_estimate : ndarray
-        (waves,), bound of max |dI|/max I of each wave against the wave that its nodes sample.
+        (waves,), bound of max |dI|/max I of each PSF, compared with the exact image of the wave
+        that the nodes sample.
     aberration : ndarray
         (waves, n_r, n_theta), read-only: aberration of each wave on the pupil's nodes, m.
     wavefront : Wavefront
@@ -69,7 +70,8 @@ class PointSpreads(Noun):
     tol : float
         Largest error estimate that was accepted.
     accuracy : float
-        Accuracy of the field that the sum over nodes was made for, relative to its ideal peak.
+        Error that the sum over nodes may add to the field, relative to the field's peak without
+        aberration.
 
     See Also
     --------

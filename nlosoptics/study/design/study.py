@@ -125,7 +125,7 @@ class Study(Noun):
     --------
     plan_study : Predict number of points, time and size.
     run_study : Run a study, or continue it.
-    optimum : Best points of an optimisation.
+    optimum : Best trials of an optimisation.
 
     Examples
     --------

@@ -60,7 +60,7 @@ def lct(
         frequencies. "curvature" penalises its second derivatives, with ``q^4/snr``, where q^2 is
         the squared frequency relative to its mean.
     dtype : {"float32", "float64"}
-        Precision of the waves; the error of float32 is about 1e-6 of the brightest voxel.
+        Precision of the spectra; the error of float32 is about 1e-6 of the brightest voxel.
     progress : callable(str, float), optional
         Called with a line of text and the completed fraction.
 
