@@ -245,6 +245,32 @@ def _percent(share: float) -> str:
     return f"{100 * share:.3g} %"
 
 
+def fast_tier(found: Sequence[Row]) -> str:
+    """Return yields in full, fast and corrected, and what they cost."""
+    (cost,) = (row for row in found if row["kind"] == "cost")
+    head = ["figure", "limit", "in full", "fast", "draws that differ", "corrected", "interval"]
+    body = table(
+        head,
+        (
+            [
+                row["kind"],
+                number(row["limit"], 2),
+                *(f"{100 * row[key]:.2f} %" for key in ("full", "fast")),
+                str(row["disagree"]),
+                f"{100 * row['value']:.2f} %",
+                f"{100 * row['low']:.2f} to {100 * row['high']:.2f} %",
+            ]
+            for row in found
+            if row["kind"] != "cost"
+        ),
+    )
+    return (
+        f"{body}\nA draw in full takes {seconds(cost['in full, of a draw'])} of CPU time, all "
+        f"{cost['draws']:,} fast ones together {seconds(cost['fast, of all draws'])}. The whole "
+        f"study takes {seconds(cost['whole study'])}, most of it for the draws in full.\n"
+    )
+
+
 def studies(found: Sequence[Row]) -> str:
     """Return one row for each number of workers, and what limits them."""
     head = [
@@ -1058,6 +1084,15 @@ SECTIONS = (
         "that never wait.",
         f"{RUN}/studies.py --memory /dev/shm --json benchmarks/results/studies.json",
         studies,
+    ),
+    Section(
+        "fast_tier.json",
+        "Tolerance draws by expanded waves",
+        "Yields of 10,000 draws from waves expanded to second order, corrected by 400 draws in "
+        "full. Yields in full and fast are of the same 2,000 draws; the last columns are the "
+        "corrected yield of all draws and its interval of 95 %.",
+        f"{RUN}/studies.py --fast --json benchmarks/results/fast_tier.json",
+        fast_tier,
     ),
     Section(
         "views.json",

@@ -90,7 +90,9 @@ class Store:
                 f"{path} is no store of a study ({reason(error)}); name another"
             ) from None
         if "format" not in group.attrs:
-            if set(group.array_keys()) <= {"id", "seconds", "message"}:
+            # the folders themselves: zarr warns of an array whose creation was interrupted
+            folders = {child.name for child in path.iterdir() if child.is_dir()}
+            if folders <= {"id", "seconds", "message", "files"}:
                 return None
             raise SceneError(f"{path} is a zarr group of another program; name another")
         if group.attrs["format"] != FORMAT:

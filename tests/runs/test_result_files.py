@@ -248,7 +248,7 @@ def test_a_save_that_fails_leaves_the_old_result(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(result_files.np, "savez", full)
-    with pytest.raises(SceneError, match="kept cannot be written .No space.*; choose"):
+    with pytest.raises(SceneError, match="kept: cannot be written .No space.*make room"):
         replace(found, seed=1).save(tmp_path / "kept")
     monkeypatch.undo()
     assert nlos.load_result(tmp_path / "kept").seed == found.seed

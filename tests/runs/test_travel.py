@@ -174,6 +174,7 @@ MADE: Mapping[str, Any] = {
     "Roughness": lambda: psf.Roughness(
         1e-7, 1e-3, np.array([[0.0, 1e-3, 2e-3, 3e-3], [1, 0.3, 0.1, 0]])
     ),
+    "PointSpreads": lambda: psf.point_spreads(wave(), wave().aberration[None], shape=16),
     "Wavefront": lambda: wave(aperture=psf.Aperture.round(5e-3, 0.3)),
     "PointSpread": lambda: psf.point_spread(wave(), shape=64),
     "ScenePointSpread": lambda: psf.scene_point_spread(room(), shape=32),
