@@ -96,7 +96,8 @@ def phase_retrieval(
         to an uninterrupted one. See `inverse.data.checkpoints`.
     progress : callable or None
         Called repeatedly with a text and the completed fraction; may raise `Stop`, which returns
-        the mean of the restarts so far. The preview in a state has a maximum of 1.
+        the mean of the restarts so far. The preview ``"object"`` in a saved state has a maximum
+        of 1.
 
     Returns
     -------

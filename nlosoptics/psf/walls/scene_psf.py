@@ -30,16 +30,15 @@ class ScenePointSpread(Noun):
     exit_pupil : ExitPupil
         Exit pupil of lens and wall.
     wavefront : Wavefront
-        Wave in the exit pupil. It includes a roughness of the wall only if rays computed it, see
-        ``pupil_field``.
+        Wave in the exit pupil. It is that of the smooth wall, unless rays on the rough surface gave
+        the aberration; ``point_spread.reason`` states the method.
     point_spread : PointSpread
         Point spread of that wave, blurred by the slopes of the wall's mirror-like lobes; energy
         per pixel. If the scene has a roughness, it is the point spread of this rough wall, or the
         mean over all walls of this roughness.
     pupil_field : PupilField or None
-        Pupil function of a rough wall, if the field was propagated from the wall to the pupil. If
-        rays gave the aberration of the rough wall instead, ``wavefront`` includes it, and this is
-        None.
+        Pupil function of a rough wall, if the field was propagated from the wall to the pupil;
+        None otherwise.
 
     See Also
     --------

@@ -157,12 +157,15 @@ class Study(Noun):
         Parameters
         ----------
         path : str or Path
-            TOML file. Paths in it are relative to its folder.
+            TOML file; the how-to page "Choose a design with a study" describes its
+            tables. Paths in it are
+            relative to its folder.
 
         Raises
         ------
         SceneError
-            If a key, value, address or figure of merit is wrong. The message names file and key.
+            If a key, a value, an address (such as "camera.f_number") or a figure of merit is
+            wrong. The message names file and key.
         """
         path = path_of("path", path)
         try:
