@@ -157,9 +157,8 @@ class Study(Noun):
         Parameters
         ----------
         path : str or Path
-            TOML file; the how-to page "Choose a design with a study" describes its
-            tables. Paths in it are
-            relative to its folder.
+            TOML file; the how-to page "Choose a design with a study" describes its tables. Paths
+            in it are relative to its folder.
 
         Raises
         ------
