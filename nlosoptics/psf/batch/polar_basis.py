@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..._vectors import product
 from ..aperture.quadrature_nodes import frozen, gauss_legendre, shared_polar_nodes
 from ..wave.fits import projection
-from ..wave.polar_series import analysis, legendre_tables
+from ..wave.polar_series import analysis, fraction_of, legendre_tables, rho_of
 from ..wave.wavefront import Wavefront
 from ..wave.zernikes import kept_zernikes, zernike, zernike_order
 
@@ -49,7 +49,7 @@ class PolarBasis:
         self.obscuration = obscuration
         self.n_k = n_r if degree is None else degree + 1
         most = n_theta // 2 if order is None else order
-        rho = self._rho(gauss_legendre(n_r)[0])
+        rho = rho_of(gauss_legendre(n_r)[0], obscuration)
         radial = analysis(n_r)[: self.n_k]
         angle = 2 * math.pi * np.arange(n_theta) / n_theta
         self.orders, self._angular, self._radial = [], [], []
@@ -79,7 +79,7 @@ class PolarBasis:
     def at(self, u: Array, v: Array) -> list[Array]:
         """Return the terms of each part, (terms, n), at points u, v relative to the radius."""
         rho, angle = np.hypot(u, v), np.arctan2(v, u)
-        radial = legendre_tables(self.n_k, self._fraction(rho))[0]
+        radial = legendre_tables(self.n_k, fraction_of(rho, self.obscuration))[0]
         found = []
         for (sines, odd), orders in zip(PARTS, self.orders, strict=True):
             waves = (np.sin if sines else np.cos)(np.outer(orders, angle))
@@ -92,7 +92,7 @@ class PolarBasis:
 
         Points are given by rho = r/radius and angle, (n,); derivatives are per radius.
         """
-        value, slope = legendre_tables(self.n_k, self._fraction(rho))
+        value, slope = legendre_tables(self.n_k, fraction_of(rho, self.obscuration))
         slope = slope * (2 * rho / (1 - self.obscuration**2))
         cosine, sine = np.cos(angle), np.sin(angle)
         along_u, along_v = [], []
@@ -105,16 +105,6 @@ class PolarBasis:
             along_u.append((out * cosine - round_ * sine).reshape(-1, rho.size))
             along_v.append((out * sine + round_ * cosine).reshape(-1, rho.size))
         return along_u, along_v
-
-    def _rho(self, fraction: Array) -> Array:
-        """Return r/radius at Legendre coordinates in (0, 1)."""
-        inner = self.obscuration**2
-        return np.asarray(np.sqrt(inner + (1 - inner) * fraction))
-
-    def _fraction(self, rho: Array) -> Array:
-        """Return the Legendre coordinate at r/radius."""
-        inner = self.obscuration**2
-        return np.asarray((rho**2 - inner) / (1 - inner))
 
 
 class SmoothModes:

@@ -42,7 +42,7 @@ class PolarSpectrum:
         if self.n_theta % 2 == 0:
             waves[:, -1] /= 2  # the highest order is the sum of +m and -m
         fraction, _ = gauss_legendre(self.n_r)
-        waves[:, 1::2] /= self._rho(fraction)[:, None]
+        waves[:, 1::2] /= rho_of(fraction, self.obscuration)[:, None]
         # einsum does not call BLAS, so results are bit-identical for any thread count.
         self.coefficients = _product(analysis(self.n_r), waves)
 
@@ -64,8 +64,8 @@ class PolarSpectrum:
     def at_nodes(self, n_r: int, n_theta: int) -> Array:
         """Return values on polar nodes (n_r, n_theta), at least as many as the samples each way."""
         fraction, _ = gauss_legendre(n_r)
-        rho = self._rho(fraction)
-        value = self._sum(legendre(self._counts[0], self._fraction(rho)))
+        rho = rho_of(fraction, self.obscuration)
+        value = self._sum(legendre(self._counts[0], fraction_of(rho, self.obscuration)))
         value[:, 1::2] *= rho[:, None]
         return self._synthesis(value, n_theta)
 
@@ -135,16 +135,6 @@ class PolarSpectrum:
         series[n_m - 1 : 0 : -1] = np.conj(waves[1:])
         return series
 
-    def _rho(self, fraction: Array) -> Array:
-        """Return r/radius at Legendre coordinates in (0, 1)."""
-        inner = self.obscuration**2
-        return np.asarray(np.sqrt(inner + (1 - inner) * fraction))
-
-    def _fraction(self, rho: Array) -> Array:
-        """Return the Legendre coordinate, 0 at the inner and 1 at the outer rim, at r/radius."""
-        inner = self.obscuration**2
-        return np.asarray((rho**2 - inner) / (1 - inner))
-
     def _sum(self, table: Array) -> ComplexArray:
         """Sum the series over the Legendre degree; result (points, orders)."""
         n_k, n_m = self._counts
@@ -165,7 +155,7 @@ class PolarSpectrum:
 
     def _polynomial(self, rho: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return the radial parts and their r derivatives at rho = r/radius, (len(rho), n_m)."""
-        tables = legendre_tables(self._counts[0], self._fraction(rho))
+        tables = legendre_tables(self._counts[0], fraction_of(rho, self.obscuration))
         value, slope = (self._sum(table) for table in tables)
         slope *= (2 * rho / (1 - self.obscuration**2))[:, None]
         slope[:, 1::2] = rho[:, None] * slope[:, 1::2] + value[:, 1::2]
@@ -212,6 +202,18 @@ def values_at(
             slope = transform([s.rim_series(rim) for s in pair], angle[outside][:, None])
             values[outside] += slope * (r[outside] - rim * radius)
     return values.real, None if second is None else values.imag
+
+
+def rho_of(fraction: Array, obscuration: float) -> Array:
+    """Return r/radius at Legendre coordinates in (0, 1)."""
+    inner = obscuration**2
+    return np.asarray(np.sqrt(inner + (1 - inner) * fraction))
+
+
+def fraction_of(rho: Array, obscuration: float) -> Array:
+    """Return the Legendre coordinate, 0 at the inner and 1 at the outer rim, at r/radius."""
+    inner = obscuration**2
+    return np.asarray((rho**2 - inner) / (1 - inner))
 
 
 @lru_cache(maxsize=16)
