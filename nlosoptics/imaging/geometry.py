@@ -162,6 +162,13 @@ def picture_coordinates(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, A
         Coordinates in texels: texel (i, j) spans rows i to i + 1 and columns j to j + 1, with row 0
         on top. NaN where a ray does not meet the front of the plane.
     """
+    right, up = plane_coordinates(hidden, rays)
+    rows, columns = hidden.reflectance.shape
+    return (right / hidden.size[0] + 0.5) * columns, (0.5 - up / hidden.size[1]) * rows
+
+
+def plane_coordinates(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, Array]:
+    """Return the points of `picture_coordinates` in metres, right of and above the position."""
     right, up, normal = hidden.axes
     toward = np.array(hidden.position) - rays.points
     facing = dot(rays.reflected, normal)
@@ -171,10 +178,7 @@ def picture_coordinates(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, A
     t = np.full(facing.shape, np.nan)
     np.divide(height, facing, out=t, where=meets)
     offset = t[..., None] * rays.reflected - toward
-    rows, columns = hidden.reflectance.shape
-    column = (dot(offset, right) / hidden.size[0] + 0.5) * columns
-    row = (0.5 - dot(offset, up) / hidden.size[1]) * rows
-    return column, row
+    return dot(offset, right), dot(offset, up)
 
 
 def picture_points(hidden: PlanarObject, column: Array, row: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from ..imaging.geometry import chief_rays, picture_coordinates
+from ..imaging.geometry import chief_rays, plane_coordinates
 from ..scene import PlanarObject, Scene
 from .relay import CELLS, CONTRAST
 
@@ -186,13 +186,11 @@ def object_scale(scene: Scene) -> float:
         return flat
     line = scene.mirrored_object_point - np.array(scene.camera.position)
     x, y, _ = (float(line @ axis) * scene.image_distance / depth for axis in scene.camera.frame)
-    # a curved wall magnifies: differentiate the picture's coordinates over the detector
+    # a curved wall magnifies: differentiate coordinates on the object over the detector
     step = 1e-3 * scene.image_distance
     at = np.array([-step, 0.0, step])
-    column, row = picture_coordinates(hidden, chief_rays(scene, -x + at, -y + at))
-    rows, columns = hidden.reflectance.shape
-    across, up = column * hidden.size[0] / columns, row * hidden.size[1] / rows
-    turn = [(a[1, 2] - a[1, 0], a[2, 1] - a[0, 1]) for a in (across, up)]
+    on_object = plane_coordinates(hidden, chief_rays(scene, -x + at, -y + at))
+    turn = [(a[1, 2] - a[1, 0], a[2, 1] - a[0, 1]) for a in on_object]
     area = abs(turn[0][0] * turn[1][1] - turn[0][1] * turn[1][0])
     scale = math.sqrt(area) / (2 * step)
     return scale if math.isfinite(scale) and scale > 0.0 else flat

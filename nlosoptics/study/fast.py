@@ -20,7 +20,7 @@ from ..scene.file.addresses import value_at
 from .design.designs import Spread
 from .design.fast import fast_spreads
 from .design.figures import Figure
-from .design.point import StageCache, StudyPoint
+from .design.point import StudyPoint, stage_caches
 from .design.study import Study
 from .design.values import canonical, label, number, with_unit
 from .expansion import Expansion, first_steps
@@ -152,8 +152,9 @@ class _Waves:
 
     def in_full(self, figure: Figure) -> float:
         """Return a figure of the full path in the middle."""
-        caches = {name: StageCache() for name in ("scene", "point spread", "forecast")}
-        point = StudyPoint(self.study.base, self.delta(self.middle), 0, self.study.tol, caches)
+        point = StudyPoint(
+            self.study.base, self.delta(self.middle), 0, self.study.tol, stage_caches()
+        )
         return figure.value(point, self.study.folder)[0]
 
 

@@ -63,12 +63,9 @@ def prepare(key: str, packed: bytes, *, own_process: bool = True) -> None:
         os.environ |= dict.fromkeys(THREADS, "1")
     import pickle
 
-    from .design.point import StageCache
+    from .design.point import stage_caches
 
-    _studies[key] = (
-        pickle.loads(packed),
-        {name: StageCache() for name in ("scene", "point spread", "forecast")},
-    )
+    _studies[key] = pickle.loads(packed), stage_caches()
 
 
 def forget(key: str) -> None:

@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from nlosoptics import psf
-from nlosoptics.errors import SceneError
+from nlosoptics import limits, psf
+from nlosoptics.errors import SceneError, ValidityWarning
 from nlosoptics.study import Results, Study, plan_study, run_study
 from nlosoptics.study.design.point import NOT_IN_POINT_SPREAD
 from nlosoptics.study.store import Store
@@ -83,6 +84,7 @@ def test_what_a_point_spread_does_not_read_does_not_change_it() -> None:
     assert psf.scene_point_spread(scene, 1e-2).point_spread.intensity.tobytes() == (
         before.intensity.tobytes()
     )
+    assert limits.object_scale(scene) == limits.object_scale(base.scene(stopped))  # for the MTF
 
 
 def test_points_share_their_point_spread(tmp_path: Path, monkeypatch) -> None:
@@ -90,11 +92,26 @@ def test_points_share_their_point_spread(tmp_path: Path, monkeypatch) -> None:
     study = made("strehl", "aberration_rms", axes=axes)
     assert plan_study(study).point_spreads == 2
     calls = []
-    real = psf.scene_point_spread
-    monkeypatch.setattr(psf, "scene_point_spread", lambda *a: calls.append(a) or real(*a))
+
+    def counted(name):
+        function = getattr(psf, name)
+
+        def call(*given, **options):
+            calls.append(name)
+            warnings.warn(f"of {name}", ValidityWarning, stacklevel=1)
+            return function(*given, **options)
+
+        return call
+
+    for name in ("scene_point_spread", "strehl", "rms_aberration"):
+        monkeypatch.setattr(psf, name, counted(name))
     results = run_study(study, tmp_path / "store", workers=0)
-    assert len(calls) == 2
+    assert sorted(calls) == ["rms_aberration"] * 2 + ["scene_point_spread"] * 2 + ["strehl"] * 2
     assert results.counts["done"] == 18
+    assert set(results.dataset["message"].values.ravel()) == {
+        "strehl: of scene_point_spread; of strehl; "
+        "aberration_rms: of scene_point_spread; of rms_aberration"
+    }
 
 
 def test_a_point_that_fails_says_why(tmp_path: Path) -> None:

@@ -70,10 +70,18 @@ class Figure:
         if self.compensate is not None:
             there = compensated(point, self.compensate, folder)
             there.warnings.clear()
-        answer = _function(self.source, folder)(there, **self.options)
+        answer = self._answer(there, folder)
         point.warnings |= there.warnings
         value, error = answer if isinstance(answer, tuple) else (answer, math.nan)
         return real(self.name, value), float(error)
+
+    def _answer(self, point: StudyPoint, folder: Path) -> Answer:
+        """Return what the function returns; points with the same point spread share it."""
+        function = _function(self.source, folder)
+        if self.source not in FIGURES or self.stage != "point spread":
+            return function(point, **self.options)
+        name = json.dumps([self.source, self.options], sort_keys=True)
+        return point.of_point_spread(name, lambda: function(point, **self.options))
 
 
 def strehl(point: StudyPoint) -> Answer:

@@ -35,6 +35,7 @@ NOT_IN_POINT_SPREAD = (
     "camera.glare_fraction",
 )
 KEPT = 4  # results of each stage that a worker keeps
+KEPT_FIGURES = 64  # figures of merit that a worker keeps
 
 
 def point_spread_key(delta: Mapping[str, Any]) -> str:
@@ -48,9 +49,10 @@ def point_spread_key(delta: Mapping[str, Any]) -> str:
 
 
 class StageCache:
-    """Latest results of a stage by key, including refusals and warnings."""
+    """Latest ``kept`` results of a stage by key, including refusals and warnings."""
 
-    def __init__(self) -> None:
+    def __init__(self, kept: int = KEPT) -> None:
+        self._most = kept
         self._kept: OrderedDict[str, tuple[Any, tuple[str, ...]]] = OrderedDict()
 
     def get(self, key: str, make: Callable[[], Any]) -> tuple[Any, tuple[str, ...]]:
@@ -66,11 +68,21 @@ class StageCache:
                     result = error
             told = tuple(dict.fromkeys(str(warning.message) for warning in caught))
             found = self._kept[key] = result, told
-            if len(self._kept) > KEPT:
+            if len(self._kept) > self._most:
                 self._kept.popitem(last=False)
         if isinstance(found[0], NlosError):
             raise found[0]
         return found
+
+
+def stage_caches() -> dict[str, StageCache]:
+    """Return the caches that the points of a study share in one process."""
+    return {
+        "scene": StageCache(),
+        "point spread": StageCache(),
+        "forecast": StageCache(),
+        "figure": StageCache(KEPT_FIGURES),
+    }
 
 
 class StudyPoint:
@@ -88,7 +100,7 @@ class StudyPoint:
     tol : float
         Error tolerance of point spreads, max |dI|/max I.
     caches : mapping of str to StageCache
-        Stages shared with other points: "scene", "point spread" and "forecast".
+        Stages shared with other points, from `stage_caches`.
 
     Attributes
     ----------
@@ -164,6 +176,14 @@ class StudyPoint:
             "forecast", self._key, lambda: limits.feasibility(self.scene)
         )
         return found
+
+    def of_point_spread(self, name: str, make: Callable[[], Any]) -> Any:
+        """Return a figure of merit that depends on the point spread only.
+
+        ``make`` computes it; points with the same point spread share the result under ``name``.
+        """
+        _ = self.point_spread  # its warnings belong to every point
+        return self._stage("figure", f"{name} {point_spread_key(self._delta)}", make)
 
     def _stage(self, name: str, key: str, make: Callable[[], Any]) -> Any:
         result, told = self._caches[name].get(key, make)
