@@ -68,7 +68,9 @@ def light(points):
     with tempfile.TemporaryDirectory() as folder:
         begun = _cpu()
         run_study(study, f"{folder}/light.zarr", workers=1, progress=progress)
-        client, worker = ((after - before) / side**2 for before, after in zip(begun, _cpu()))
+        client, worker = (
+            (after - before) / side**2 for before, after in zip(begun, _cpu(), strict=True)
+        )
     return {
         "kind": "light",
         "points": side**2,
