@@ -81,7 +81,8 @@ class Figure:
         if self.source not in FIGURES or self.stage != "point spread":
             return function(point, **self.options)
         name = json.dumps([self.source, self.options], sort_keys=True)
-        return point.of_point_spread(name, lambda: function(point, **self.options))
+        shared: Answer = point.of_point_spread(name, lambda: function(point, **self.options))
+        return shared
 
 
 def strehl(point: StudyPoint) -> Answer:
