@@ -36,7 +36,8 @@ class CameraImage(Noun):
     values : ndarray, (ny, nx) float64
         Corrected counts of each pixel: the dark frame is subtracted, the rest is divided by the
         flat field scaled to a mean of 1, and binned pixels are added up. Row 0 is the top row of
-        the file, as in `SpeckleImage`. Masked pixels hold the mean of the others.
+        the file; it corresponds to row 0 of a `SpeckleImage`. Masked pixels hold the mean of the
+        others.
     masked : ndarray of bool, (ny, nx)
         True for pixels to ignore: saturated, or dead (below 5 % of the mean of the flat field).
     saturated_fraction : float

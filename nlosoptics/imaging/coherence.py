@@ -26,14 +26,16 @@ def spot_coherence(
     """Compute how coherent the laser spot's light is at two points of the room.
 
     The laser spot on the rough wall acts as an extended incoherent source. The light that it sends
-    into the room is partially coherent: nearby points see the same speckle, distant ones do not.
+    into the room is partially coherent: the fields at two points are correlated if the points are
+    close to each other.
 
     Parameters
     ----------
     scene : Scene
         Scene that defines the laser and the wall.
     points : array_like, (..., 3)
-        First point of each pair, in the room, world frame, m.
+        First point of each pair, in the room, world frame (origin at the centre of the relay wall,
+        z toward the room, y up), m.
     reference : array_like, (3,), optional
         Second point, common to all pairs, world frame, m. None: the centre of the hidden image, or
         the centroid of the hidden mesh.

@@ -21,7 +21,7 @@ Boundary = Literal["padded", "circular"]
 
 @dataclass(frozen=True, eq=False)
 class ForwardModel(Noun):
-    """Image model that convolves an object with its point spread function; with the adjoint.
+    """Linear image model: convolution of an object with a point spread function, and its adjoint.
 
     Object and image share the same pixels: ``image[i] = sum_j kernel[centre + i - j] object[j]``,
     where i and j are pixels. If the point spread varies over the object, it is given as a

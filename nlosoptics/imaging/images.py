@@ -60,10 +60,9 @@ MESH_SAMPLES = 2  # chief rays along each side of a pixel
 class SpeckleImage(Noun, Shown):
     """Simulated camera image in electrons, with its components and noise.
 
-    `form_image` computes it. The arrays are read-only and ordered [y, x]: the column counts along
-    the detector's x axis, e1, and the row along its y axis, e2; both are rows of ``camera.frame``.
-    Row 0 is at the lowest y. The lens inverts the image, so that it appears as the camera shows it
-    if row 0 is drawn on top.
+    `form_image` computes it. The arrays are read-only and ordered [y, x], with row 0 at the lowest
+    y of the detector. The lens inverts the image, so that the scene appears upright if row 0 is
+    drawn on top. The x and y axes of the detector are the first two rows of ``camera.frame``.
 
     Parameters
     ----------
@@ -282,10 +281,10 @@ def form_image(
 
     Notes
     -----
-    Rays through the centre of the lens (chief rays) are traced from the edges of each pixel via the
-    wall to the object, to find the area that the pixel sees. The unblurred pixel value is the mean
-    reflectance of that area, times the radiance of a white object at the pixel's centre, times the
-    reflectance of the mirror-like part of the wall's material. This image is convolved with the
+    Rays through the centre of the lens (chief rays) are traced from the corners of each pixel via
+    the wall to the object, to find the area that the pixel sees. The unblurred pixel value is the
+    mean reflectance of that area, times the radiance of a white object at the pixel's centre, times
+    the reflectance of the mirror-like part of the wall's material. This image is convolved with the
     point spread function, which sums to the energy inside its window. The energy outside is lost
     and listed in ``SpeckleImage.ledger``.
 

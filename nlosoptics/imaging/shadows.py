@@ -111,12 +111,11 @@ def cast_shadows(scene: Scene) -> Shadows:
 
     Notes
     -----
-    ``image`` and ``view`` are the unblocked fractions of 16 paths per pixel, through different
-    points of the pixel and of the lens. Their error at the edge of a shadow is a few hundredths.
-    For each of these points of the pixel, the chief ray is traced, which passes through the centre
-    of the lens. Two approximations hold for the path through the other point of the lens: the wall
-    near the chief ray is replaced by its tangent plane, and the path meets the object where the
-    chief ray does.
+    ``image`` and ``view`` are the unblocked fractions of 16 paths per pixel, each with its own
+    point of the pixel and its own point of the lens. Their error at the edge of a shadow is a few
+    hundredths. For each point of the pixel, the chief ray, through the centre of the lens, is
+    traced exactly. The path through the other point of the lens is approximated: it meets the wall
+    in the tangent plane at the chief ray's wall point, and the object where the chief ray does.
 
     ``veil`` is summed over 1024 object points at 65 x 65 pixels and interpolated bilinearly. Its
     error is a few thousandths, or a few hundredths at the edge of a shadow that an occluder close

@@ -221,9 +221,9 @@ def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
     -------
     Axes
         Axes with the shift in mm, positive in the direction of the light. The criteria "rms" and
-        "spot" are in um, the others are relative. The shaded range is the depth of focus about the
-        best plane: ``2 lambda N^2`` to each side, with the wavelength lambda and the F-number N,
-        which is a quarter of a wave of defocus at the pupil's rim.
+        "spot" are in um, "strehl" and "mtf" are relative. The shaded range is the depth of focus
+        about the best plane: ``2 lambda N^2`` to each side, with the wavelength lambda and the
+        F-number N, which is a quarter of a wave of defocus at the pupil's rim.
 
     See Also
     --------

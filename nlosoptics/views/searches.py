@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 def pareto(found: Optimum, *, first: int = 0, second: int = 1, axes: Axes | None = None) -> Axes:
     """Draw two objectives of an optimisation against each other, with the Pareto front.
 
-    The front is the set of trials that no other trial beats: none is at least as good in all
-    objectives and better in one.
+    A trial is on the front if it meets all constraints and no other such trial is at least as good
+    in all objectives and better in one.
 
     Parameters
     ----------

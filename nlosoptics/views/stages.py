@@ -59,14 +59,14 @@ def pyvista() -> Any:
 def rendering_works() -> None:
     """Check that this machine can render 3-D views as images; raise an error if it cannot.
 
-    Web pages (``.html``) and ``.glb`` files need no rendering. The check runs in a separate
-    process, because a missing OpenGL may crash that process, and only once.
+    Web pages (``.html``) and ``.glb`` files need no rendering. The check runs only
+    once, in a separate process, because a missing OpenGL would crash the process.
 
     Raises
     ------
     MissingExtraError
-        If pyvista is not installed, or if VTK, on which it builds, finds neither a display nor an
-        off-screen OpenGL (EGL or OSMesa). The message says what to install.
+        If pyvista is not installed, or if VTK, which draws its views, finds neither a display nor
+        an off-screen OpenGL (EGL or OSMesa). The message says what to install.
 
     See Also
     --------

@@ -49,7 +49,8 @@ class RayPaths(Noun):
     Parameters
     ----------
     points : ndarray, (n, k, 3)
-        Vertices of n paths, world frame, m: the source, each point of reflection, and the end.
+        Vertices of n paths, m: the source, each point of reflection, and the end. They are in the
+        world frame: origin at the centre of the relay wall, z toward the room, y up.
         A path with fewer than k vertices repeats its end. n is 0 if no paths were kept.
     path_length : ndarray, (n,)
         Length of each path from source to end, m; equal to the optical path in air.
@@ -81,7 +82,7 @@ class RayPaths(Noun):
         Standard error of each value in ``ledger``, W.
     flux : float
         Detected power of light that met the hidden object, W. For `pupil_rays`, the power through
-        the lens.
+        the lens for a source of 1 W/sr.
     standard_error : float
         Standard error of ``flux``, W.
     by_bounce, by_bounce_error : ndarray, (max_bounces + 1,)

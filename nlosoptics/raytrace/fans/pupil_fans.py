@@ -37,8 +37,8 @@ def pupil_rays(
         Scene with a smooth wall or a height map. The wall's material and ``wall_roughness`` are
         ignored; to include the roughness, pass ``scene.with_relief()``.
     object_point : array_like, (3,), optional
-        Object point, world frame, m. By default the centre of the hidden image, or the centroid of
-        the hidden mesh.
+        Object point, world frame (origin at the centre of the relay wall, z toward the room, y up),
+        m. By default the centre of the hidden image, or the centroid of the hidden mesh.
     n_rays : int
         Number of rays, at least 16.
     seed : int

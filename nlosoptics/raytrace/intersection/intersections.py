@@ -31,14 +31,15 @@ MARCH: Final = 8.0  # evaluations of a wall's height that a ray takes
 class Hits(Noun):
     """First intersections of rays with a relay wall, as `intersect` returns them.
 
-    The arrays are read-only and begin with the shape (...) of the rays.
+    The arrays are read-only. Their shapes begin with that of the array of rays, written (...).
 
     Parameters
     ----------
     distance : ndarray, shape (...)
         Distance from the origin of each ray to its hit, m; NaN without a hit.
     points : ndarray, shape (..., 3)
-        Hit points, world frame, m; NaN without a hit.
+        Hit points, world frame (origin at the centre of the relay wall, z toward the room, y up),
+        m; NaN without a hit.
     normals : ndarray, shape (..., 3)
         Unit normals of the wall at the hits, toward the room, world frame; NaN without a hit.
     status : ndarray of int8, shape (...)
@@ -76,7 +77,8 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     wall : Wall
         Relay wall, such as ``scene.wall``.
     origins : array_like, (..., 3)
-        Starting points of the rays, world frame, m.
+        Starting points of the rays, world frame (origin at the centre of the relay wall, z toward
+        the room, y up), m.
     directions : array_like, (..., 3)
         Direction vectors in the world frame, of any length but zero. The shapes of ``origins``
         and ``directions`` broadcast.

@@ -33,7 +33,7 @@ OFFSET: Final = 1e-9  # hits nearer than this to an end of a path count as on it
 class MeshHits(Hits):
     """First intersections of rays with a triangle mesh, as `intersect_mesh` returns them.
 
-    The arrays are read-only and begin with the shape (...) of the rays.
+    The arrays are read-only. Their shapes begin with that of the array of rays, written (...).
 
     Parameters
     ----------

@@ -119,11 +119,11 @@ def wall_irradiance(
 
     Notes
     -----
-    Light reaches the map in two ways. Each point that reflects a ray is connected to a random point
-    of the wall, and rays that happen to hit the wall are counted as well. The balance heuristic
-    weights the two, as in `trace`, so that no light is counted twice. The standard errors come from
-    32 independent groups of rays. On a rough wall, the irradiance is the power per area of the mean
-    surface.
+    The arriving light is sampled in two ways. Each point that reflects a ray is connected to a
+    random point of the wall, and rays that happen to hit the wall are counted. The balance
+    heuristic weights the two, as in `trace`, so that no light is counted twice. The standard errors
+    come from 32 independent groups of rays. On a rough wall, the irradiance is the power per area
+    of the mean surface.
 
     Examples
     --------

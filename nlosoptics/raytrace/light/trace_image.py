@@ -85,9 +85,9 @@ class PathHistogram(Noun):
 class TracedImage(Noun, Shown):
     """Camera image by Monte Carlo ray tracing, with the standard error of every pixel.
 
-    `trace_image` computes it. Images are [y, x]: the column counts along the detector's x axis, e1,
-    and the row along its y axis, e2; both are rows of ``camera.frame``. Row 0 is at the lowest y.
-    The lens inverts the image, so that it appears upright if row 0 is drawn on top.
+    `trace_image` computes it. The arrays are read-only and ordered [y, x], with row 0 at the lowest
+    y of the detector. The lens inverts the image, so that the scene appears upright if row 0 is
+    drawn on top. The x and y axes of the detector are the first two rows of ``camera.frame``.
 
     Parameters
     ----------

@@ -126,8 +126,8 @@ def trace_point(
     scene : Scene
         Scene to trace; its laser is not used.
     object_point : array_like, (3,), optional
-        Emitting point, world frame, m. By default the centre of the hidden image, or the centroid
-        of the hidden mesh.
+        Emitting point, world frame (origin at the centre of the relay wall, z toward the room, y
+        up), m. By default the centre of the hidden image, or the centroid of the hidden mesh.
     emission : {"lambertian", "isotropic"}
         Angular distribution of the 1 W that the point emits: Lambertian about the normal of the
         hidden image (-z for a mesh), or equal in all directions.

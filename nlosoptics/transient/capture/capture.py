@@ -30,8 +30,9 @@ class TransientCapture(Noun, Shown):
 
     A laser lights points of the wall one after the other, and a sensor records the light that
     returns to points of the wall. Times are given as optical path, the length that the light has
-    travelled: 1 m is 3.34 ns. The wall is the plane z = 0 with normal +z, unless other normals are
-    given. Grids of points are ordered [y, x], with row 0 at the lowest y.
+    travelled: 1 m is 3.34 ns. In the world frame, the wall is the plane z = 0, y points up, and the
+    wall's normal is +z, unless other normals are given. Grids of points are ordered [y, x], with
+    row 0 at the lowest y.
 
     Parameters
     ----------
@@ -292,9 +293,9 @@ class TransientCapture(Noun, Shown):
     ) -> TransientCapture:
         """Read a capture from a file of this or another program.
 
-        The layout is recognised from the names of the variables in the file. Only the path is
-        needed for most files. If the file does not state a value, an error names the argument that
-        supplies it. An argument that is given replaces the value in the file.
+        The layout is recognised from the names of the variables in the file. The arguments after
+        ``path`` are for values that the file does not state: an error then names the argument that
+        supplies the value. An argument that is given replaces the value in the file.
 
         Parameters
         ----------

@@ -46,9 +46,10 @@ def backprojection(
         Capture of any pairing and grid, without light that goes directly from the laser spot to the
         sensor. Its times may include the outer legs (see `TransientCapture`) or not.
     volume : Volume, optional
-        Voxels in front of the wall. None: one voxel column in front of each sensor point, at the
-        depths of the bins, up to the farthest plane that the time window covers completely. This
-        requires an evenly spaced grid of sensor points [y, x] and times without outer legs.
+        Voxels in front of the wall. None: the x and y of the sensor points, at the depths of the
+        bins (half their optical path), up to the farthest plane that the time window covers
+        completely. This requires an evenly spaced grid of sensor points [y, x] and times without
+        outer legs.
     filter : {"none", "second_derivative", "laplacian"}
         Filter that sharpens the sums, applied after a Gaussian blur. "second_derivative":
         ``-d^2/dz^2``. "laplacian": minus the Laplacian over all axes with at least 3 voxels.

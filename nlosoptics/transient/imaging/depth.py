@@ -25,7 +25,8 @@ Array = NDArray[np.floating]
 class DepthMap(Noun):
     """Depth of a reconstructed scene over x and y: distance from the wall to the surface along z.
 
-    `depth_map` computes it from the image on a volume.
+    `depth_map` computes it from the image on a volume. Each x and y of the volume is a cell of the
+    map.
 
     Parameters
     ----------
@@ -61,8 +62,9 @@ class DepthMap(Noun):
 class DepthError(Noun):
     """Error of a depth map against the truth, at the threshold of confidence with the least error.
 
-    `depth_error` computes it. Confidence is the intensity of a cell relative to the brightest
-    voxel. Cells below the threshold are taken as empty.
+    `depth_error` computes it. Each x and y is a cell of the depth map. The confidence of a cell is
+    its largest intensity along z, relative to the brightest voxel of the image. Cells below the
+    threshold are taken as empty.
 
     Parameters
     ----------
@@ -294,6 +296,14 @@ def true_depths(
     --------
     depth_error : Error of a depth map.
     voxelised : Voxels that a surface passes through.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from nlosoptics.transient import true_depths
+    >>> box = trimesh.creation.box((1.0, 1.0, 1.0)).apply_translation((0.0, 0.0, 1.5))
+    >>> print(true_depths(box, ([0.1, 2.0], [0.2])))
+    [[ 1. nan]]
     """
     from ...raytrace import intersect_mesh
 

@@ -61,7 +61,7 @@ def fk_migration(
         sensor, and its times do not include the outer legs; see `gated` and `without_outer_legs`.
     volume : Volume, optional
         Voxels within the depths that the time window covers. None: the x and y of the grid's
-        points, at the depths of the bins.
+        points, at the depths of the bins (half their optical path).
     target : {"diffuse", "retroreflective"}
         Kind of hidden surface. It sets the falloff of the intensity that is undone: the fourth or
         the second power of the distance.

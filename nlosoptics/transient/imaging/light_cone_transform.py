@@ -42,8 +42,8 @@ def lct(
 ) -> VolumeImage:
     """Reconstruct a hidden scene by the light-cone transform (LCT) of a confocal capture.
 
-    In squared times and squared depths, a confocal capture is a convolution of the hidden albedo. A
-    Wiener filter inverts it.
+    In squared times and squared depths, a confocal capture is the hidden albedo convolved with a
+    known kernel. A Wiener filter inverts this convolution.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def lct(
         sensor, and its times do not include the outer legs; see `gated` and `without_outer_legs`.
     volume : Volume, optional
         Voxels within the depths that the time window covers. None: the x and y of the grid's
-        points, at the depths of the bins.
+        points, at the depths of the bins (half their optical path).
     target : {"diffuse", "retroreflective"}
         Kind of hidden surface. It sets the falloff of the intensity that is undone: the fourth or
         the second power of the distance.

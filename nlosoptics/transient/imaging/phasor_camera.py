@@ -84,7 +84,7 @@ def phasor_image(
     volume : Volume
         Voxels to image, in front of the wall, z > 0.
     camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
-        Virtual camera; the formulas of all four come first on this page.
+        Virtual camera, one of the four described at the beginning.
     wl_mean : float
         Wavelength of the virtual wave, m.
     wl_sigma : float, optional
@@ -141,9 +141,8 @@ def phasor_image(
     Warns
     -----
     ValidityWarning
-        If the distance of the wall points, the width of the bins or the range of times is too
-        coarse or too small for the wavelength or the volume. The texts are also in
-        ``PhasorImage.notes``.
+        If the wall points are too far apart or the bins too wide for the wavelength, or if the bins
+        leave out paths to some voxels. The texts are also in ``PhasorImage.notes``.
     PerformanceWarning
         If a large volume is summed directly, often a hundred times slower than by transforms,
         because its voxels do not lie on the grid of the wall points.

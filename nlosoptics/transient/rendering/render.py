@@ -96,7 +96,7 @@ def render(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> TransientCapture:
-    """Compute the light over time at a Lambertian relay wall that hidden meshes scatter back.
+    """Compute the light over time that hidden meshes scatter back to a Lambertian relay wall.
 
     The laser lights points of the wall, and the light returns to points of the wall via the meshes.
     Times are given as optical path, the length that the light has travelled: 1 m is 3.34 ns.
