@@ -28,8 +28,8 @@ def save(
     Parameters
     ----------
     picture : matplotlib Figure, Axes, iterable of Axes or FuncAnimation, or pyvista Plotter
-        What to write, as the functions of `nlosoptics.views` return it. For axes, the whole figure
-        to which they belong is written; several axes must belong to the same figure.
+        Drawing to write, as the functions of ``nlosoptics.views`` return it. For axes, the whole
+        figure to which they belong is written; several axes must belong to the same figure.
     path : str or Path
         File to write; its suffix selects the format. Figures: ``.png``, ``.pdf`` or ``.svg``. 3-D
         views: ``.png``, ``.html`` (an interactive page, see `html_page`) or ``.glb`` (glTF with

@@ -59,8 +59,8 @@ def pyvista() -> Any:
 def rendering_works() -> None:
     """Check that this machine can render 3-D views as images; raise an error if it cannot.
 
-    Web pages (``.html``) and ``.glb`` files need no rendering. The check runs only
-    once, in a separate process, because a missing OpenGL would crash the process.
+    Web pages (``.html``) and ``.glb`` files need no rendering. The check runs only once, in a
+    separate process, because a missing OpenGL would crash the process.
 
     Raises
     ------

@@ -68,11 +68,10 @@ class RayPaths(Noun):
         Surface that reflects the light at each vertex: 0 for the wall, 1 for the hidden object, -1
         for the source and the end. Empty for `pupil_rays`.
     lobe : ndarray of int8, (n, k)
-        Part of the surface's material that reflects most of the path's light at each vertex; -1
-        for the source and the end. A material is a sum of lobes, each with its own angular
-        distribution, and this is the index of one, from 0. Light that leaves in exactly the
-        mirror direction is assigned to the lobe of a smooth mirror, if the material has one.
-        Empty for `pupil_rays`.
+        Index, from 0, of the lobe that reflects most of the path's light at each vertex; -1 for the
+        source and the end. Lobes are the parts of the surface's material, each with its own angular
+        distribution, such as diffuse or glossy. Light that leaves in exactly the mirror direction
+        is assigned to the lobe of a smooth mirror, if the material has one. Empty for `pupil_rays`.
     ledger : mapping of str to float
         Power by where it ended, W. "detected"; "escaped" from the scene; "left", still under way
         when tracing ended; "blocked" at the lens, including its transmission loss; "absorbed by
