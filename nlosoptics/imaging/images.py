@@ -382,6 +382,13 @@ def diffuse_background(
     --------
     form_image : Image in electrons, with noise.
     cast_shadows : Effect of occluders.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, imaging
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml").resized(16)
+    >>> imaging.diffuse_background(scene).shape
+    (16, 16)
     """
     exposure = positive("exposure", scene.camera.exposure if exposure is None else exposure)
     if object_image is not None:

@@ -95,6 +95,14 @@ def plan(plan: Plan, *, axes: Axes | None = None) -> Axes:
     --------
     nlosoptics.plan : Predict stages, time and error.
     feasibility : Modulation and noise against frequency.
+
+    Examples
+    --------
+    >>> import nlosoptics as nlos
+    >>> from nlosoptics import views
+    >>> scene = nlos.Scene.load("examples/scenes/letter_flat.toml")
+    >>> views.plan(nlos.plan(scene)).get_xlabel()
+    'predicted time on one core (s)'
     """
     stages = (*plan.stages, *plan.skipped)
     if axes is None:

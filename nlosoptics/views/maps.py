@@ -523,6 +523,14 @@ def irradiance(irradiance: WallIrradiance, *, axes: Axes | None = None) -> Axes:
     See Also
     --------
     nlosoptics.raytrace.wall_irradiance : Map of the light that returns to the wall.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, raytrace, views
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml")
+    >>> found = raytrace.wall_irradiance(scene, shape=(8, 12), n_rays=1024)
+    >>> views.irradiance(found).get_xlabel()
+    'x (m)'
     """
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.4, height=4.6)
     drawn = axes.pcolormesh(

@@ -51,8 +51,8 @@ def study_map(
         Value of the figure of merit at which to draw a line between cells, for example that from
         which a reconstruction is readable. In a map, cells below this value are hatched.
     contours : sequence of float, optional
-        Values of contour lines in a map, interpolated between the centres of its cells. None: the
-        values are written into the cells instead.
+        Values of contour lines in a map, interpolated between the centres of its cells. None: no
+        lines; instead, a map of at most 80 cells shows its values as numbers.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
@@ -118,7 +118,8 @@ def study_panels(
         Value of the figure of merit at which to draw a line between cells; cells below it are
         hatched.
     contours : sequence of float, optional
-        Values of contour lines. None: the values are written into the cells instead.
+        Values of contour lines. None: no lines; instead, maps of at most 80 cells show their values
+        as numbers.
 
     Returns
     -------

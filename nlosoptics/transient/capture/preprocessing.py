@@ -102,6 +102,19 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
     Notes
     -----
     Standard errors are combined as for independent values.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.transient import TransientCapture, downsampled, wall_grid
+    >>> capture = TransientCapture(
+    ...     H=np.ones((100, 4, 4)),
+    ...     laser_points=(0, 0, 0),
+    ...     sensor_points=wall_grid(side=1.0, count=4),
+    ...     delta_t=0.02,
+    ... )
+    >>> downsampled(capture, bins=5, grid=2).H.shape
+    (20, 2, 2)
     """
     bins, grid = whole("bins", bins), whole("grid", grid)
     if capture.n_bins % bins:

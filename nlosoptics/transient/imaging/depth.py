@@ -348,6 +348,15 @@ def voxelised(
     --------
     true_depths : Depths of meshes.
     Volume : Voxel grid.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from nlosoptics.transient import Volume, voxelised
+    >>> box = trimesh.creation.box((1.0, 1.0, 1.0)).apply_translation((0.0, 0.0, 1.5))
+    >>> volume = Volume.box(centre=(0.0, 0.0, 1.5), size=(0.2, 0.2, 1.4), pitch=0.2)
+    >>> print(voxelised(box, volume)[:, 0, 0].astype(int))
+    [0 1 0 0 0 1 0]
     """
     if len(volume.z) < 2:
         raise SamplingError("the volume has 1 voxel along z, must have at least 2; give more")
