@@ -277,7 +277,7 @@ def form_image(
     See Also
     --------
     nlosoptics.psf.scene_point_spread : Compute the point spread.
-    cast_shadows : Effect of occluders.
+    cast_shadows : Fractions of light that occluders let through.
 
     Notes
     -----
@@ -381,7 +381,7 @@ def diffuse_background(
     See Also
     --------
     form_image : Image in electrons, with noise.
-    cast_shadows : Effect of occluders.
+    cast_shadows : Fractions of light that occluders let through.
 
     Examples
     --------

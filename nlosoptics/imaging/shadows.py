@@ -69,7 +69,7 @@ class Shadows(Noun):
 
     See Also
     --------
-    cast_shadows : Effect of occluders.
+    cast_shadows : Fractions of light that occluders let through.
     """
 
     image: Array

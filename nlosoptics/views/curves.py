@@ -290,7 +290,7 @@ def history(
 
     See Also
     --------
-    reconstruction : Object next to the truth.
+    reconstruction : Reconstructed object next to the true one.
     nlosoptics.inverse.Reconstruction : Result of every solver.
     """
     panels: dict[str, dict[str, Array]] = {}

@@ -89,7 +89,7 @@ def transient(
 
     See Also
     --------
-    transient_film : All frames as a film.
+    transient_film : Film of the signal over time.
 
     Examples
     --------

@@ -120,7 +120,7 @@ def pupil_field(
 
     See Also
     --------
-    wavefront : Wave aberration, where it is defined.
+    wavefront : Map of the wave aberration.
 
     Examples
     --------
@@ -254,7 +254,7 @@ def hybrid_parts(
 
     See Also
     --------
-    nlosoptics.psf.hybrid_point_spread : PSF of all lobes of the wall.
+    nlosoptics.psf.hybrid_point_spread : PSF by mirror-like and diffuse reflection.
     point_spread : Map of a PSF.
     """
     positive("decades", decades)

@@ -99,7 +99,7 @@ def search_history(found: Optimum, *, axes: Axes | None = None) -> Axes:
     See Also
     --------
     nlosoptics.study.optimum : Best trials of an optimisation.
-    pareto : Picture of two objectives.
+    pareto : Two objectives against each other.
     """
     if len(found.labels) != 1:
         raise SceneError(f"there are {len(found.labels)} objectives; draw them with pareto")

@@ -72,7 +72,7 @@ def study_map(
     --------
     nlosoptics.study.Results : Results of a study.
     study_slices : Curves along each dimension.
-    tornado : Bars of one-at-a-time changes.
+    tornado : Change of a figure of merit with each value.
     """
     figure, dataset = results.study.figure(figure).name, results.dataset
     wide = [str(name) for name in dataset[figure].dims if dataset.sizes[name] > 1]
@@ -134,7 +134,7 @@ def study_panels(
 
     See Also
     --------
-    study_map : One map.
+    study_map : Figure of merit over two dimensions.
     study_slices : Curves along each dimension.
     """
     figure, dataset = results.study.figure(figure).name, results.dataset
@@ -473,7 +473,7 @@ def study_slices(
     See Also
     --------
     study_map : Figure of merit over two dimensions.
-    tornado : Bars of one-at-a-time changes.
+    tornado : Change of a figure of merit with each value.
     """
     figure, dataset = results.study.figure(figure).name, results.dataset
     names = slice_names(results)
@@ -565,7 +565,7 @@ def sobol_bars(indices: Any, *, label: str = "", axes: Axes | None = None) -> Ax
     See Also
     --------
     nlosoptics.study.sobol_indices : Shares of the variance of a figure of merit.
-    tornado : Bars of one-at-a-time changes.
+    tornado : Change of a figure of merit with each value.
     """
     order = np.argsort(-indices["total"].values, kind="stable")
     names = indices["address"].values[order]

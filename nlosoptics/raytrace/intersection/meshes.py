@@ -268,7 +268,7 @@ def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> N
     See Also
     --------
     intersect_mesh : First hits of rays on a mesh.
-    nlosoptics.imaging.cast_shadows : Effect of occluders.
+    nlosoptics.imaging.cast_shadows : Fractions of light that occluders let through.
 
     Examples
     --------

@@ -69,7 +69,7 @@ class PointTrace(Noun):
     See Also
     --------
     trace_point : Light of one object point to the detector.
-    nlosoptics.psf.hybrid_point_spread : PSF of all lobes of the wall.
+    nlosoptics.psf.hybrid_point_spread : PSF by mirror-like and diffuse reflection.
     """
 
     energy: Array
@@ -170,7 +170,7 @@ def trace_point(
     See Also
     --------
     trace : Light from the laser to the detector.
-    nlosoptics.psf.hybrid_point_spread : PSF of all lobes of the wall.
+    nlosoptics.psf.hybrid_point_spread : PSF by mirror-like and diffuse reflection.
 
     Notes
     -----

@@ -81,8 +81,8 @@ class TransientCapture(Noun, Shown):
     See Also
     --------
     TransientCapture.load : Read a capture from a file.
-    render : Capture of meshes.
-    render_scene : Capture of a scene file.
+    render : Simulated capture of hidden meshes.
+    render_scene : Simulated capture of a scene.
     phasor_image : Image by virtual waves, for any capture.
     nlosoptics.views.transient : Streak image of a capture.
 

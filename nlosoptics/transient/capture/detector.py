@@ -61,7 +61,7 @@ class Detector:
 
     See Also
     --------
-    render : Capture of meshes.
+    render : Simulated capture of hidden meshes.
     TransientCapture : Time-resolved capture.
 
     Examples

@@ -44,7 +44,7 @@ def gated(
     See Also
     --------
     downsampled : Sum bins and average points.
-    without_outer_legs : Remove the paths from laser and to sensor.
+    without_outer_legs : Subtract the paths from laser to wall and from wall to sensor.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
     See Also
     --------
     smoothed : Gaussian blur of a capture.
-    gated : Cut to a range of optical path.
+    gated : Crop a capture to a range of optical path.
 
     Notes
     -----
@@ -230,7 +230,7 @@ def distance_weighted(capture: TransientCapture, power: float) -> TransientCaptu
 
     See Also
     --------
-    gated : Cut to a range of optical path.
+    gated : Crop a capture to a range of optical path.
     backprojection : Sum over ellipsoids of equal path.
     """
     power = real("power", power)
@@ -271,7 +271,7 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
 
     See Also
     --------
-    gated : Cut to a range of optical path.
+    gated : Crop a capture to a range of optical path.
     fk_migration : Wave-based image of a confocal capture.
     lct : Albedo from a confocal capture.
 

@@ -41,7 +41,7 @@ def wall_grid(side: float, count: int, *, centre: tuple[float, float] = (0.0, 0.
 
     See Also
     --------
-    render : Capture of meshes.
+    render : Simulated capture of hidden meshes.
     TransientCapture : Time-resolved capture.
 
     Examples

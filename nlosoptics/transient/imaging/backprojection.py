@@ -84,8 +84,8 @@ def backprojection(
 
     See Also
     --------
-    fk_migration, lct : Sharper and faster, for confocal captures.
-    phasor_image : Wave-based, for any capture.
+    fk_migration, lct : Faster methods with sharper images, for confocal captures.
+    phasor_image : Image by virtual waves, for any capture.
 
     Notes
     -----

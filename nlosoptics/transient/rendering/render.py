@@ -177,7 +177,7 @@ def render(
 
     See Also
     --------
-    render_scene : Render a scene file.
+    render_scene : Simulated capture of a scene.
     Detector : Photon counts of a capture.
 
     Notes
