@@ -27,18 +27,21 @@ FORMATS = "grey PNG or TIFF of 8 or 16 bits, or .npy"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraImage(Noun):
-    """Camera image corrected for dark frame and flat field, ready for a solver.
+    """Measured camera image, corrected for dark frame and flat field and ready for a solver.
+
+    `camera_image` reads it from files.
 
     Parameters
     ----------
     values : ndarray, (ny, nx) float64
-        Counts minus dark frame, divided by the flat field relative to its mean, and summed over
-        binned pixels. Row 0 is the file's top row, which matches the package's image arrays.
-        Masked pixels hold the mean of the others.
+        Corrected counts of each pixel: the dark frame is subtracted, the rest is divided by the
+        flat field scaled to a mean of 1, and binned pixels are added up. Row 0 is the top row of
+        the file; it corresponds to row 0 of a `SpeckleImage`. Masked pixels hold the mean of the
+        others.
     masked : ndarray of bool, (ny, nx)
-        Pixels to ignore: saturated, or dead according to the flat field.
+        True for pixels to ignore: saturated, or dead (below 5 % of the mean of the flat field).
     saturated_fraction : float
-        Fraction of saturated pixels.
+        Fraction of the pixels that are saturated.
 
     See Also
     --------
@@ -55,7 +58,9 @@ class CameraImage(Noun):
         self.masked.flags.writeable = False
 
     def noise(self, sigma: float) -> float | Array:
-        """Return the noise argument for a solver, infinite at masked pixels.
+        """Return the rms noise of each pixel for a solver, infinite at masked pixels.
+
+        Solvers ignore pixels of infinite noise.
 
         Parameters
         ----------
@@ -65,7 +70,7 @@ class CameraImage(Noun):
         Returns
         -------
         float or ndarray, (ny, nx)
-            ``sigma`` itself if no pixel is masked.
+            Rms noise of each pixel, counts; the number ``sigma`` itself if no pixel is masked.
         """
         if not self.masked.any():
             return sigma
@@ -73,7 +78,7 @@ class CameraImage(Noun):
 
 
 def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
-    """Read the counts of one image file.
+    """Read the counts of one image file, without any correction.
 
     Parameters
     ----------
@@ -157,18 +162,19 @@ def camera_image(
     paths : path or sequence of paths
         Image files: greyscale PNG or TIFF of 8 or 16 bits, or ``.npy``.
     shape : (int, int), optional
-        Rows and columns of the result. The file's size must be k times this along both axes, with
-        the same integer k. Counts of k x k pixels are then summed, and a group with a saturated or
-        dead pixel is masked. By default pixels are not binned.
+        Rows and columns of the result, for binning. The files must have k times as many rows and
+        columns, with one integer k for both. The counts of k x k pixels are then added up, and a
+        group with a saturated or dead pixel is masked. None: no binning.
     dark : path, optional
-        Dark frame: an image of the same exposure without light. It is subtracted from the images
-        and from the flat field.
+        Dark frame: an image with the same exposure time but without light. It is subtracted from
+        the images and from the flat field. None: nothing is subtracted.
     flat : path, optional
-        Flat field: an image of uniform illumination. The images are divided by the flat field
-        relative to its mean, so that they remain counts. Pixels below 5 % of this mean are dead.
+        Flat field: an image of an evenly lit surface. The images are divided by the flat field
+        scaled to a mean of 1, so that they remain counts. Pixels in which it is below 5 % of its
+        mean are dead. None: no division.
     full : float, optional
-        Pixels with this count or more are saturated. The default is 255 for unsigned 8-bit and
-        65535 for unsigned 16-bit data; by default, other types have no saturated pixels.
+        Count from which on a pixel is saturated. None: 255 for unsigned 8-bit and 65535 for
+        unsigned 16-bit data, and no limit for other types.
 
     Returns
     -------

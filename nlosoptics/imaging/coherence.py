@@ -23,21 +23,28 @@ BLOCK = 256
 def spot_coherence(
     scene: Scene, points: ArrayLike, reference: ArrayLike | None = None
 ) -> NDArray[np.complex128]:
-    """Compute the degree of coherence between points lit by the laser spot and a reference point.
+    """Compute how coherent the laser spot's light is at two points of the room.
+
+    The laser spot on the rough wall acts as an extended incoherent source. The light that it sends
+    into the room is partially coherent: the fields at two points are correlated if the points are
+    close to each other.
 
     Parameters
     ----------
     scene : Scene
         Scene that defines the laser and the wall.
     points : array_like, (..., 3)
-        Points in the room, world frame, m.
+        First point of each pair, in the room, world frame (origin at the centre of the relay wall,
+        z toward the room, y up), m.
     reference : array_like, (3,), optional
-        Second point of each pair, world frame, m; by default the object's central point.
+        Second point, common to all pairs, world frame, m. None: the centre of the hidden image, or
+        the centroid of the hidden mesh.
 
     Returns
     -------
     ndarray of complex, (...)
-        Degree of coherence, of modulus at most 1; 1 at the reference point itself.
+        Complex degree of coherence between each point and the reference; its modulus is at most 1,
+        and it is 1 at the reference itself.
 
     Raises
     ------
@@ -45,7 +52,7 @@ def spot_coherence(
         If the points are not finite, lie in or behind the wall's mean plane, or the beam misses the
         wall.
     MemoryLimitError
-        If the points are so far apart that the spot would need too many nodes.
+        If the points are so far apart that the sum over the spot would need too many terms.
 
     See Also
     --------
@@ -53,14 +60,18 @@ def spot_coherence(
 
     Notes
     -----
-    Van Cittert-Zernike theorem [1]_: ``mu = sum E exp(ik(|p - x| - |p - x0|)) / sum E`` over the
-    points p of the spot with irradiance E, uniform across the beam. The wall's microscopic heights
-    make the points p mutually incoherent; mu is the mean over these heights. Lobe, distance and
-    obliquity are taken as equal for all p. The correlation of polarised speckle intensities at both
-    points is ``|mu|^2``. A round spot of diameter D seen at normal incidence from a distance z has
-    ``mu = 2 J1(v)/v`` with ``v = pi D s/(lambda z)`` at a separation s: the first zero is at
-    ``1.22 lambda z/D``. On a surface that is wide compared with that, the light averages to
-    spatially incoherent light.
+    By the van Cittert-Zernike theorem [1]_, the degree of coherence between points x and x0 is
+    ``mu = sum E exp(ik(|p - x| - |p - x0|)) / sum E``. The sums run over the points p of the spot,
+    E is the irradiance there, and k = 2 pi/lambda with the wavelength lambda. The beam is uniform
+    across its diameter. The microscopic heights of the wall make the light of different points p
+    mutually incoherent, and mu is the mean over these heights. The wall's reflection, the distance
+    and the obliquity are taken as equal for all p.
+
+    For polarised light, the correlation of the speckle intensities at both points is ``|mu|^2``. A
+    round spot of diameter D, seen at normal incidence from the distance z, has
+    ``mu = 2 J1(v)/v`` with ``v = pi D s/(lambda z)`` at a separation s of the points, where J1 is a
+    Bessel function. The first zero is at ``s = 1.22 lambda z/D``. A surface much wider than this s
+    can be treated as spatially incoherent.
 
     References
     ----------

@@ -21,44 +21,50 @@ Boundary = Literal["padded", "circular"]
 
 @dataclass(frozen=True, eq=False)
 class ForwardModel(Noun):
-    """Convolution of an object with a point spread function, and its adjoint.
+    """Linear image model: convolution of an object with a point spread function, and its adjoint.
 
-    Object and image share the same pixels: ``image[i] = sum_j kernel[centre + i - j] object[j]``.
-    For a field, ``kernel`` is the point spread at object pixel j, expressed as a weighted sum of
-    modes.
+    Object and image share the same pixels: ``image[i] = sum_j kernel[centre + i - j] object[j]``,
+    where i and j are pixels. If the point spread varies over the object, it is given as a
+    `nlosoptics.psf.PointSpreadField`. The kernel then depends on the object pixel j: it is a sum of
+    a few fixed modes, with a weight for each mode and pixel.
 
     Parameters
     ----------
     point_spread : PointSpread, PointSpreadField or array_like
-        Kernel, (ky, kx), energy per pixel, centred at ``[ky//2, kx//2]``. It is not renormalised.
-        A field costs one convolution per mode.
+        Kernel of the convolution, (ky, kx), energy per pixel, with its centre at
+        ``[ky//2, kx//2]``. It is used as it is, without normalisation. A field costs one
+        convolution per mode.
     shape : (int, int)
         Rows H and columns W of object and image.
     boundary : {"padded", "circular"}
-        Surroundings of the object: dark (light that leaves the frame is lost), or periodic copies.
+        What surrounds the object. "padded": darkness, and light that is spread beyond the frame is
+        lost. "circular": periodic copies of the object.
     at : (array_like, array_like), optional
-        For a field: coordinates (across, up) of the point of the hidden picture that each pixel
-        shows, each (H, W), -1 to 1 from edge to edge of the picture. By default the frame
-        coincides with the picture, with row 0 at its lower edge.
+        Only for a field: which point of the hidden object each pixel shows. Two arrays (H, W) with
+        coordinates along the object's width and height, -1 at its left and lower edges, 1 at its
+        right and upper edges. None: the frame covers the object exactly, with row 0 at its lower
+        edge.
 
     Attributes
     ----------
     kernel : ndarray, (ky, kx) or (K, ky, kx)
         Kernel, or the K modes of a field; float64, read-only.
     weights : ndarray, (K, H, W), or None
-        Weights of a field's modes, read-only; None for a single kernel.
+        Weight of each mode of a field at each object pixel, read-only; None for a single kernel.
     pitch : float or None
         Pixel pitch of the point spread, m; None for a plain array.
     grid : (int, int)
-        Rows and columns of the FFT grid. Object and image occupy its first H x W samples.
+        Rows and columns of the grid of the Fourier transforms. Object and image occupy its first H
+        x W samples.
     transfer : ndarray, (rows, columns//2 + 1) or (K, rows, columns//2 + 1)
-        ``rfft2`` of the kernel, or of each mode, on ``grid``, with the centre at sample [0, 0];
-        complex128, read-only.
+        Fourier transform of the kernel, or of each mode, by ``rfft2`` on ``grid``, with the
+        kernel's centre at sample [0, 0]; complex128, read-only.
 
     Raises
     ------
     SamplingError
-        If the kernel is not finite, is zero everywhere, or is larger than a circular frame.
+        If the kernel is not finite, is zero everywhere, or is larger than a circular frame, or if
+        the arrays in ``at`` do not have the given shape.
     SceneError
         If ``shape``, ``boundary`` or the pitch is out of range.
     MemoryLimitError
@@ -72,10 +78,11 @@ class ForwardModel(Noun):
 
     Notes
     -----
-    A padded grid has the size of the frame plus the larger of the kernel's extents on either side
-    of its centre. Light that wraps around then falls outside the frame and is cropped. Kernel
-    samples farther from the centre than the frame is wide are dropped. scipy's transforms run on
-    one thread, so that results do not depend on the number of threads.
+    The convolution is computed by fast Fourier transforms. With "padded", the grid is larger than
+    the frame by the extent of the kernel to one side of its centre, the larger of the two. Light
+    that wraps around then falls outside the frame and is cropped. Kernel samples farther from the
+    centre than the frame is wide have no effect and are dropped. The transforms run on one thread,
+    so that results do not depend on the number of threads.
 
     Examples
     --------
@@ -151,12 +158,12 @@ class ForwardModel(Noun):
         Parameters
         ----------
         object_image : array_like, (..., H, W)
-            Object, any unit; (H, W) is the model's shape.
+            Object, in any unit; (H, W) is the model's shape.
 
         Returns
         -------
         ndarray, (..., H, W)
-            Image, float64, in the object's unit times the kernel's.
+            Image, float64, in the unit of the object times that of the kernel.
         """
         picture = self._checked("object_image", object_image)
         if self.weights is None:
@@ -166,7 +173,7 @@ class ForwardModel(Noun):
         return self._frame(spectrum)
 
     def adjoint(self, image: ArrayLike) -> Array:
-        """Apply the transpose of `forward`: correlate an image with the kernel.
+        """Apply the transpose of `forward` to an image, as gradients of a fit need it.
 
         Parameters
         ----------
@@ -176,7 +183,7 @@ class ForwardModel(Noun):
         Returns
         -------
         ndarray, (..., H, W)
-            Correlation, float64.
+            Correlation of the image with the kernel, float64.
         """
         picture = self._checked("image", image)
         if self.weights is None:

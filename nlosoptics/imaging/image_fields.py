@@ -38,27 +38,30 @@ def image_field(
     most_nodes: int = COUNTS[-1],
     progress: Progress | None = None,
 ) -> tuple[PointSpreadField, float]:
-    """Compute point spreads at as many points of the hidden picture as an accurate image needs.
+    """Compute PSFs at as many points of the hidden object as an accurate camera image needs.
+
+    The point spread functions (PSFs) are computed on a grid of points, the nodes, over the planar
+    object. The grid is refined, from 1 to 27 nodes along each side, until the camera image computed
+    with it no longer changes.
 
     Parameters
     ----------
     scene : Scene or SceneOptics
-        Scene whose hidden object is a `PlanarObject`.
+        Scene whose hidden object is a `nlosoptics.scene.PlanarObject`. A
+        `nlosoptics.psf.SceneOptics` keeps its pupil and waves for further calls.
     tol : float
-        Tolerance for the rms error of the picture's image relative to its rms, and for the error
-        of each point spread, max |dI|/max I.
+        Tolerance of the result, 1e-9 to 0.1. It limits two errors: that of the object's image, rms
+        error over rms image, and that of each PSF, max |dI| / max I with its intensity I.
     most_nodes : int
-        Largest number of nodes, that is of points with a point spread, along each side of the
-        picture; at least 4.
+        Largest number of nodes along each side of the object, at least 4.
     progress : callable(str, float), optional
         Called with "field" and the completed fraction of the nodes that may be needed.
 
     Returns
     -------
     field : PointSpreadField
-        Point spreads on the finest grid of nodes that was computed. The grid is refined until the
-        camera images computed with three successive grids agree within ``tol``, or those of two
-        grids within a tenth of it.
+        PSFs on the finest grid of nodes that was computed. The refinement ends when the
+        images of three successive grids agree within ``tol``, or those of two within a tenth of it.
     error : float
         Difference between these images, rms over rms. It estimates the error of the coarser grids,
         which usually exceeds that of ``field``.
@@ -68,10 +71,10 @@ def image_field(
     SceneError
         If an option is out of range, or the object is a mesh.
     SamplingError
-        If the images still differ at ``most_nodes``, or the next grid would exceed the time limit
-        of the run.
+        If the images still differ at ``most_nodes``, or if the next grid would take longer than the
+        ``max_seconds`` of the run that called this function.
     NlosError
-        If a point spread cannot be computed; see `psf.point_spread_field`.
+        If a PSF cannot be computed; see `nlosoptics.psf.point_spread_field`.
 
     See Also
     --------

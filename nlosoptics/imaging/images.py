@@ -58,10 +58,11 @@ MESH_SAMPLES = 2  # chief rays along each side of a pixel
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpeckleImage(Noun, Shown):
-    """Camera image with its components and noise; all arrays are read-only.
+    """Simulated camera image in electrons, with its components and noise.
 
-    Rows run along the camera's e2 axis and columns along e1. Row 0 is at the lowest y of the
-    detector; drawn with row 0 on top, the image appears as the camera shows it.
+    `form_image` computes it. The arrays are read-only and ordered [y, x], with row 0 at the lowest
+    y of the detector. The lens inverts the image, so that the scene appears upright if row 0 is
+    drawn on top. The x and y axes of the detector are the first two rows of ``camera.frame``.
 
     Parameters
     ----------
@@ -72,18 +73,19 @@ class SpeckleImage(Noun, Shown):
     expected : ndarray, (ny, nx)
         ``signal + background``, electrons: the mean of many exposures if no pixel saturates.
     signal : ndarray, (ny, nx)
-        Expected electrons of the object's image formed by the wall's mirror-like lobes, blurred by
-        the point spread; zero without such a lobe.
+        Expected electrons of the object's image that the mirror-like part of the wall's reflection
+        forms, blurred by the point spread function; zero if the wall has no such part.
     ideal : ndarray, (ny, nx)
-        ``signal`` before the blur: the ground truth in the image frame.
+        Electrons of ``signal`` before the blur: the ground truth on the same pixels.
     background : ndarray, (ny, nx)
-        Expected electrons of the wall's diffuse light, the laser spot, glare and dark current.
+        Expected electrons that are not of the object's image: diffuse light of the wall, image of
+        the laser spot, glare (light scattered in the lens), and dark current.
     noise_sigma : ndarray, (ny, nx)
         Expected rms noise of photons, speckle, dark current, readout and digitisation, electrons.
     saturated_fraction : float
         Fraction of saturated image pixels.
     pitch : float
-        Pitch of the image pixels, m.
+        Side of an image pixel, m: that of a detector pixel times ``camera.binning``.
     exposure : float
         Exposure time, s.
     speckle_contrast : float
@@ -91,10 +93,11 @@ class SpeckleImage(Noun, Shown):
     seed : int
         Seed of the noise.
     ledger : mapping of str to float
-        Expected electrons summed over the detector, by contribution. ``ideal`` is the object's
-        image without blur. It is the sum of ``signal`` (on the detector), ``beyond_window``
-        (outside the point spread's window) and ``beyond_detector`` (blurred past the edges).
-        ``diffuse``, ``spot``, ``glare`` and ``dark`` form the background.
+        Expected electrons summed over the detector, by contribution. "ideal" is the object's image
+        without blur. It is the sum of "signal", which stays on the detector; "beyond_window",
+        which the point spread function sends outside the window on which it was computed; and
+        "beyond_detector", which is blurred past the edges of the detector. "diffuse", "spot",
+        "glare" and "dark" form the background.
 
     See Also
     --------
@@ -236,29 +239,30 @@ def form_image(
     seed: int = 0,
     shadows: Shadows | None = None,
 ) -> SpeckleImage:
-    """Form the image of the hidden object in one exposure of the camera.
+    """Compute the camera image of the hidden object in one exposure, in electrons and with noise.
 
     Parameters
     ----------
     scene : Scene
         Scene to image.
     point_spread : PointSpread or PointSpreadField
-        Point spread in energy per pixel (``"unit-sum"``), at the pitch of the camera's image
-        pixels; a field gives it for every point of the picture.
+        Point spread function from the same scene, with ``normalisation="unit-sum"`` (energy per
+        pixel) and the pitch of the camera's image pixels. A field gives it for every point of a
+        planar object.
     object_image : array_like, (rows, columns), optional
-        Reflectances, 0 to 1, that replace the planar object's own picture, row 0 on top. The
-        object's size is unchanged.
+        Reflectances, 0 to 1, that replace the image on a planar object, row 0 on top. The object's
+        size is unchanged. None: the scene's own.
     exposure : float, optional
         Exposure time, s; by default the camera's.
     seed : int, default 0
         Seed of the noise. The same seed gives bit-identical results.
     shadows : Shadows, optional
-        Result of `cast_shadows` for this scene; computed if omitted and there are occluders.
+        Result of `cast_shadows` for this scene. None: computed if the scene has occluders.
 
     Returns
     -------
     SpeckleImage
-        Reading of the camera with its components.
+        Reading of the camera with its components and noise.
 
     Raises
     ------
@@ -273,17 +277,20 @@ def form_image(
     See Also
     --------
     nlosoptics.psf.scene_point_spread : Compute the point spread.
-    cast_shadows : Effect of occluders.
+    cast_shadows : Fractions of light that occluders let through.
 
     Notes
     -----
-    Each pixel receives the mean of the picture over the area that it sees, found by chief rays via
-    the wall. It is multiplied by the radiance of a white object at the pixel's centre and by the
-    reflectance of the wall's mirror-like lobes. The point spread sums to the energy inside its
-    window; the energy outside is lost and listed in ``SpeckleImage.ledger``. Two effects are
-    neglected: blurred light from parts of the object outside the field of view, and the laser beam
-    that a perfectly smooth lobe reflects into the room. Occluders dim the light by the fractions
-    in `Shadows`; the point spread remains that of an unobstructed pupil.
+    Rays through the centre of the lens (chief rays) are traced from the corners of each pixel via
+    the wall to the object, to find the area that the pixel sees. The unblurred pixel value is the
+    mean reflectance of that area, times the radiance of a white object at the pixel's centre, times
+    the reflectance of the mirror-like part of the wall's material. This image is convolved with the
+    point spread function, which sums to the energy inside its window. The energy outside is lost
+    and listed in ``SpeckleImage.ledger``.
+
+    Two effects are neglected: blurred light from parts of the object outside the field of view, and
+    the laser beam that a perfectly smooth wall reflects into the room. Occluders dim the light by
+    the fractions in `Shadows`, but the point spread function remains that of an unobstructed pupil.
 
     Examples
     --------
@@ -343,9 +350,10 @@ def diffuse_background(
     *,
     exposure: float | None = None,
 ) -> Array:
-    """Compute the expected electrons of the wall's diffuse light alone.
+    """Compute the part of the camera image that the wall reflects diffusely, in electrons.
 
-    The distribution of this light over the image hardly depends on the picture. If the picture is
+    This is light from the laser spot via the hidden object, without blur, glare, dark current and
+    noise. Its distribution over the image hardly depends on what the object shows. If the object is
     unknown, the distribution for a white object is a good approximation.
 
     Parameters
@@ -353,14 +361,15 @@ def diffuse_background(
     scene : Scene
         Scene to image.
     object_image : array_like, (rows, columns), optional
-        Reflectances 0 to 1 that replace the planar object's own picture, row 0 on top.
+        Reflectances, 0 to 1, that replace the image on a planar object, row 0 on top. None: the
+        scene's own.
     exposure : float, optional
         Exposure time, s; by default the camera's.
 
     Returns
     -------
     ndarray, (ny, nx)
-        Electrons per image pixel.
+        Expected electrons in each image pixel, row 0 at the lowest y of the detector.
 
     Raises
     ------
@@ -372,7 +381,14 @@ def diffuse_background(
     See Also
     --------
     form_image : Image in electrons, with noise.
-    cast_shadows : Effect of occluders.
+    cast_shadows : Fractions of light that occluders let through.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, imaging
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml").resized(16)
+    >>> imaging.diffuse_background(scene).shape
+    (16, 16)
     """
     exposure = positive("exposure", scene.camera.exposure if exposure is None else exposure)
     if object_image is not None:

@@ -48,27 +48,28 @@ SHADOW_BYTES = 450  # measured memory per pixel
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Shadows(Noun):
-    """Fractions of light that pass the black occluders, 1 without any shadow.
+    """Fractions of the light that pass the black occluders of a scene; 1 without any shadow.
 
-    The arrays are read-only.
+    `cast_shadows` computes them for each image pixel. The arrays are read-only.
 
     Parameters
     ----------
     image : ndarray, (ny, nx)
-        Unblocked fraction of the paths from the laser spot via object and wall to the lens,
-        averaged over the pixel's area and the lens.
+        For the object's image: fraction of the paths from the laser spot via object and wall to the
+        lens that are not blocked, averaged over the area of the pixel and over the lens.
     view : ndarray, (ny, nx)
-        Unblocked fraction of the paths from the wall to the lens, averaged over the pixel's area
-        and the lens.
+        For diffuse light, last leg: fraction of the paths from the wall to the lens that are not
+        blocked, averaged over the area of the pixel and over the lens.
     veil : ndarray, (ny, nx)
-        Unblocked fraction of the light that goes from the laser spot via the object to the wall
-        point seen by each pixel, where the wall scatters it diffusely.
+        For diffuse light, other legs: fraction of the light from the laser spot via the object that
+        reaches the wall point seen by the pixel. The wall scatters it there, and it veils the
+        image.
     spot : float
         Fraction of the lens that receives direct light from the laser spot.
 
     See Also
     --------
-    cast_shadows : Effect of occluders.
+    cast_shadows : Fractions of light that occluders let through.
     """
 
     image: Array
@@ -82,7 +83,7 @@ class Shadows(Noun):
 
 
 def cast_shadows(scene: Scene) -> Shadows:
-    """Compute the fractions of light that the scene's occluders let through.
+    """Compute which fractions of the light the occluders of a scene let through.
 
     Parameters
     ----------
@@ -92,7 +93,8 @@ def cast_shadows(scene: Scene) -> Shadows:
     Returns
     -------
     Shadows
-        Fractions for image, view of the wall, diffuse light and direct light.
+        Fractions for the object's image and for diffuse light, in each image pixel, and for direct
+        light of the laser spot.
 
     Raises
     ------
@@ -109,13 +111,17 @@ def cast_shadows(scene: Scene) -> Shadows:
 
     Notes
     -----
-    ``image`` and ``view`` are fractions of 16 paths per pixel, which pass through different points
-    of the pixel and of the lens, so that their error at the edges of shadows is a few hundredths.
-    Two approximations are made for them: the wall near the chief ray is replaced by its tangent
-    plane, and all paths of a pixel meet the object where its chief ray does. ``veil`` is summed
-    over 1024 object points at 65 x 65 pixels and interpolated bilinearly. Its error is a few
-    thousandths, or a few hundredths at the edge of a shadow that an occluder close to the wall
-    casts on it. The spot is treated as a point, and its image is dimmed uniformly.
+    ``image`` and ``view`` are the unblocked fractions of 16 paths per pixel, each with its own
+    point of the pixel and its own point of the lens. Their error at the edge of a shadow is a few
+    hundredths. For each point of the pixel, the chief ray, through the centre of the lens, is
+    traced exactly. The path through the other point of the lens is approximated: it meets the wall
+    in the tangent plane at the chief ray's wall point, and the object where the chief ray does.
+
+    ``veil`` is summed over 1024 object points at 65 x 65 pixels and interpolated bilinearly. Its
+    error is a few thousandths, or a few hundredths at the edge of a shadow that an occluder close
+    to the wall casts on it.
+
+    The laser spot is treated as a point, and its image is dimmed uniformly.
     """
     ny, nx = scene.camera.shape
     fits_memory(

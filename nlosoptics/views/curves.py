@@ -63,10 +63,11 @@ def mtf(
     frequency : array_like, (n,)
         Spatial frequency in the image, cycles per m.
     along_x, along_y : array_like or MetricEstimate, (n,)
-        Modulation at these frequencies, from `psf.mtf` with ``azimuth`` 0 and pi/2. A result of
-        `psf.metric_estimate` is drawn with a band of one standard error.
+        Modulation at these frequencies, 0 to 1, from `nlosoptics.psf.mtf` with ``azimuth`` 0 and
+        pi/2. A result of `nlosoptics.psf.metric_estimate` is drawn with a band of one standard
+        error.
     diffraction_limit : array_like, (n,), optional
-        Modulation of an aberration-free wave.
+        Modulation without aberration, drawn as a dashed line. None: no line.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
@@ -133,20 +134,20 @@ def encircled_energy(
     shares: Sequence[float] = (0.5, 0.8),
     axes: Axes | None = None,
 ) -> Axes:
-    """Draw the encircled energy against the radius, and mark the radii of given fractions.
+    """Draw the energy of a point spread within circles against their radius.
 
     Parameters
     ----------
     radius : array_like, (n,)
         Radii of the circles, m, in increasing order.
     energy : array_like or MetricEstimate, (n,)
-        Fraction of the energy within each circle, from `psf.encircled_energy`. A result of
-        `psf.metric_estimate` is drawn with a band of one standard error.
+        Fraction of the energy within each circle, from `nlosoptics.psf.encircled_energy`. A result
+        of `nlosoptics.psf.metric_estimate` is drawn with a band of one standard error.
     diffraction_limit : array_like, (n,), optional
-        Encircled energy of an aberration-free wave.
+        Encircled energy without aberration, drawn as a dashed line. None: no line.
     shares : sequence of float
-        Fractions of the energy, above 0 and up to 1, whose radii are marked. The radii are
-        interpolated linearly.
+        Fractions of the energy, above 0 and up to 1. The radius of the circle that contains each
+        of them is marked, interpolated linearly.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
@@ -207,21 +208,22 @@ def encircled_energy(
 
 
 def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
-    """Draw a metric against the displacement of the image plane, and mark the best plane.
+    """Draw the quality of a point spread against the shift of the image plane, and the best plane.
 
     Parameters
     ----------
     found : ThroughFocus
-        Result of `psf.through_focus`.
+        Result of `nlosoptics.psf.through_focus`, whose ``criterion`` is the quality measure.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes with the displacement along the light's direction in mm. The metric is in um for "rms"
-        and "spot". The shaded range is the depth of focus about the best plane, ``2 lambda N^2``
-        to each side: a quarter of a wave of defocus at the pupil's rim.
+        Axes with the shift in mm, positive in the direction of the light. The criteria "rms" and
+        "spot" are in um, "strehl" and "mtf" are relative. The shaded range is the depth of focus
+        about the best plane: ``2 lambda N^2`` to each side, with the wavelength lambda and the
+        F-number N, which is a quarter of a wave of defocus at the pupil's rim.
 
     See Also
     --------
@@ -263,21 +265,22 @@ def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
 def history(
     fit: Reconstruction | Training, *, axes: Sequence[Axes] | None = None
 ) -> tuple[Axes, ...]:
-    """Draw the history of a fit: each recorded quantity against the iteration.
+    """Draw how a fit converged: each quantity that the solver recorded, against the iteration.
 
     Parameters
     ----------
     fit : Reconstruction or Training
-        Result with a ``history``.
+        Result of a solver or of the training of a network; its ``history`` is drawn.
     axes : sequence of matplotlib Axes, optional
-        Axes to draw on, one for each recorded quantity; training and validation error share
-        axes. A new figure by default.
+        Axes to draw on, one for each recorded quantity. Training and validation error share axes.
+        A new figure by default.
 
     Returns
     -------
     tuple of Axes
         Axes in the order of the history. A scale is logarithmic where the values are positive and
-        span more than a factor of ten. A dashed line marks the residual that equals the noise.
+        span more than a factor of ten. For the residual (measured minus modelled image), a dashed
+        line marks the level of the noise.
 
     Raises
     ------
@@ -287,7 +290,7 @@ def history(
 
     See Also
     --------
-    reconstruction : Object next to the truth.
+    reconstruction : Reconstructed object next to the true one.
     nlosoptics.inverse.Reconstruction : Result of every solver.
     """
     panels: dict[str, dict[str, Array]] = {}
@@ -370,24 +373,23 @@ def _crossing(places: Array, values: Array, level: float) -> float | None:
 
 
 def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = None) -> Axes:
-    """Draw a spot diagram: the ray intersections with the image plane, and the Airy disc for scale.
+    """Draw a spot diagram: the points at which rays meet the image plane, with the Airy disc.
 
     Parameters
     ----------
     spots : SpotDiagram
-        Result of `psf.spot_diagram`.
+        Result of `nlosoptics.psf.spot_diagram`.
     most : int
-        Largest number of rays drawn. Where there are more, only every second, third, ... ray is
-        drawn.
+        Largest number of rays drawn. If there are more, every second, third, ... ray is drawn.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes in image coordinates, um, with the orientation of `image`: -y points up. The area of a
-        dot is proportional to the energy of its ray. The circle around the centroid is the first
-        dark ring of the Airy pattern.
+        Axes in image coordinates, um; -y points up, because the lens inverts the image. The area of
+        a dot is proportional to the energy of its ray. The circle around the centroid is the first
+        dark ring of the Airy pattern, the image of a point without aberration.
 
     See Also
     --------
@@ -432,14 +434,14 @@ def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = 
 def compare_methods(
     comparison: Comparison, *, tol: float | None = None, axes: Axes | None = None
 ) -> Axes:
-    """Draw the errors of the transforms against their computation times.
+    """Draw the errors of several methods for one point spread function against their run times.
 
     Parameters
     ----------
     comparison : Comparison
-        Result of `psf.compare`.
+        Result of `nlosoptics.psf.compare`, which runs all methods on one wave.
     tol : float, optional
-        Requested error, max abs(dI) / max I, drawn as a line.
+        Requested error of the intensity I, max |dI| / max I, drawn as a line. None: no line.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
@@ -447,14 +449,14 @@ def compare_methods(
     -------
     Axes
         Axes with logarithmic scales. Filled markers show the error estimates, which bound the
-        errors. Hollow markers show the difference from the best transform, which is the one with
-        the smallest estimate; the title names it. Transforms that did not run are listed below
-        the axes with the reason.
+        errors. Hollow markers show the difference from the best method, which is the one with the
+        smallest estimate; the title names it. Methods that did not run are listed below the axes
+        with the reason.
 
     Raises
     ------
     SceneError
-        If no transform ran, or ``tol`` is not above 0.
+        If no method ran, or ``tol`` is not above 0.
 
     See Also
     --------
@@ -524,20 +526,21 @@ def _tell_left_out(comparison: Comparison, axes: Axes) -> None:
 
 
 def path_lengths(histogram: PathHistogram, *, axes: Axes | None = None) -> Axes:
-    """Draw detected power against path length, by number of reflections.
+    """Draw the detected power against the path length of the light, by number of reflections.
 
     Parameters
     ----------
     histogram : PathHistogram
-        Histogram from `raytrace.trace_image`.
+        The ``histogram`` of a result of `nlosoptics.raytrace.trace_image`.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes with the power per bin in W, on a logarithmic scale, against the path length in m. The
-        bands are one standard error. Numbers of reflections that contribute no power are omitted.
+        Axes with the power per bin in W, on a logarithmic scale, against the path length in m, with
+        one curve for each number of reflections that contributes, and one for light that never met
+        the hidden object. The bands are one standard error.
 
     Raises
     ------

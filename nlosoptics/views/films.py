@@ -50,18 +50,22 @@ def transient(
     laser: int = 0,
     axes: Sequence[Axes] | None = None,
 ) -> tuple[Axes, ...]:
-    """Draw a transient capture: a streak image, and frames if the sensor points form a grid.
+    """Draw a transient capture: the signal on the relay wall over time.
+
+    A streak image shows the signal over time along one row of the wall. Frames show the signal on
+    the whole wall at single times, if the sensor points form a grid. Times are given as optical
+    path, the length that the light has travelled.
 
     Parameters
     ----------
     capture : TransientCapture
         Capture to draw.
     at : sequence of float, optional
-        Optical paths of the frames, m. By default three, at which one, three and five sixths of
+        Times of the frames, m of optical path. None: three, at which one, three and five sixths of
         the total signal have arrived. An empty sequence draws no frames.
     laser : int
-        Number of the laser point whose signal is drawn, in C order, for captures with
-        ``pairing="all"``.
+        Index of the laser point whose signal is drawn, in the flattened (C order) grid of laser
+        points; only for captures with ``pairing="all"``.
     axes : sequence of matplotlib Axes, optional
         Axes to draw on, one for the streak image and one for each frame. A new figure by default.
 
@@ -85,7 +89,7 @@ def transient(
 
     See Also
     --------
-    transient_film : All frames as a film.
+    transient_film : Film of the signal over time.
 
     Examples
     --------
@@ -146,18 +150,18 @@ def transient_film(
     most: int = 100,
     axes: Axes | None = None,
 ) -> FuncAnimation:
-    """Make a film of the signal on the relay wall; `save` writes it as ``.gif`` or ``.html``.
+    """Make a film of the signal on the relay wall over time; `save` writes it to a file.
 
     Parameters
     ----------
     capture : TransientCapture
         Capture at a grid of sensor points.
     between : (float, float), optional
-        Optical paths of the first and last frame, m; by default the first and last bin with
-        signal.
+        Times of the first and last frame, m of optical path (the length that the light has
+        travelled). None: the first and last bin with signal.
     laser : int
-        Number of the laser point whose signal is drawn, in C order, for captures with
-        ``pairing="all"``.
+        Index of the laser point whose signal is drawn, in the flattened (C order) grid of laser
+        points; only for captures with ``pairing="all"``.
     most : int
         Largest number of frames. If there are more bins, each frame is the sum of several bins.
     axes : matplotlib Axes, optional

@@ -20,22 +20,25 @@ LOWEST = 1e-4  # lower limit of the modulation axis
 
 
 def feasibility(found: Feasibility, *, axes: Axes | None = None) -> Axes:
-    """Draw the modulation against the spatial frequency on the object, with the noise limits.
+    """Draw which detail an image can show: contrast against spatial frequency, with noise limits.
 
     Parameters
     ----------
     found : Feasibility
-        Result of `limits.feasibility`.
+        Result of `nlosoptics.limits.feasibility`.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes with the modulation of the specular image and of the diffuse reflection. A dashed line
-        of the same colour marks the modulation at which the signal-to-noise ratio is 1; only
-        frequencies with a modulation above it are detectable. A grey line marks the frequency
-        whose period is twice the width of the object's strokes.
+        Axes with the modulation against the spatial frequency on the hidden object, cycles/m. The
+        modulation is the contrast of a sine pattern on the object that is left in the camera image.
+        One curve is for the image formed by the mirror-like part of the wall's reflection, one for
+        its diffuse part. A dashed line of the same colour marks the modulation at which the
+        signal-to-noise ratio is 1; only frequencies with a modulation above it are detectable. A
+        grey line marks the frequency whose period is twice the width of the object's strokes. The
+        title gives the verdict.
 
     See Also
     --------
@@ -73,25 +76,33 @@ def feasibility(found: Feasibility, *, axes: Axes | None = None) -> Axes:
 
 
 def plan(plan: Plan, *, axes: Axes | None = None) -> Axes:
-    """Draw the predicted time of each stage of a plan as a bar, and why stages are skipped.
+    """Draw the predicted time of each step of a run as a bar, and why steps are skipped.
 
     Parameters
     ----------
     plan : Plan
-        Result of `nlosoptics.plan`.
+        Result of `nlosoptics.plan`, which lists the steps (stages) of a run.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes with one row per stage: first those that run, in their order, then the skipped ones.
-        Times are in seconds on one core.
+        Axes with one row per stage: first those that run, in their order, with time and error, then
+        the skipped ones with the reason. Times are in seconds on one core.
 
     See Also
     --------
     nlosoptics.plan : Predict stages, time and error.
     feasibility : Modulation and noise against frequency.
+
+    Examples
+    --------
+    >>> import nlosoptics as nlos
+    >>> from nlosoptics import views
+    >>> scene = nlos.Scene.load("examples/scenes/letter_flat.toml")
+    >>> views.plan(nlos.plan(scene)).get_xlabel()
+    'predicted time on one core (s)'
     """
     stages = (*plan.stages, *plan.skipped)
     if axes is None:

@@ -42,16 +42,17 @@ def wavefront(
     Parameters
     ----------
     wavefront : Wavefront
-        Wavefront with any layout of nodes. Nodes without amplitude are blank.
+        Wave to draw. Parts of the pupil without light are blank.
     unit : {"waves", "nm"}
-        Unit of the colour bar.
+        Unit of the aberration: wavelengths or nanometres.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes in pupil coordinates, mm. Red marks a longer optical path.
+        Axes in pupil coordinates u and v, mm. Red marks a longer optical path than that of a
+        perfect spherical wave.
 
     See Also
     --------
@@ -100,25 +101,26 @@ def pupil_field(
     quantity: Literal["phase", "amplitude"] = "phase",
     axes: Axes | None = None,
 ) -> Axes:
-    """Draw the phase or amplitude of light from a rough wall over the exit pupil.
+    """Draw the phase or amplitude, over the exit pupil, of light from a rough wall.
 
     Parameters
     ----------
     pupil_field : PupilField
-        Pupil function.
+        Complex field in the exit pupil, for example ``pupil_field`` of a result of
+        `nlosoptics.simulate`.
     quantity : {"phase", "amplitude"}
-        Phase, from -pi to pi, or modulus.
+        What to draw: the phase, from -pi to pi, or the modulus, relative.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes in pupil coordinates, mm. Dark parts are blank.
+        Axes in pupil coordinates u and v, mm. In the phase, dark parts are blank.
 
     See Also
     --------
-    wavefront : Wave aberration, where it is defined.
+    wavefront : Map of the wave aberration.
 
     Examples
     --------
@@ -156,17 +158,18 @@ def point_spread(
     half_width: float | None = None,
     axes: Axes | None = None,
 ) -> Axes:
-    """Draw a point spread function.
+    """Draw a point spread function as a map or as a relief.
 
     Parameters
     ----------
     point_spread : PointSpread
-        Function to draw.
+        Point spread function to draw, for example from `nlosoptics.psf.point_spread`.
     scale : {"log", "linear", "surface"}
-        Scale of the colours. "surface" draws a relief with linear heights and logarithmic colours
-        on 3-D axes.
+        Scale of the colours of the map. "surface" draws a relief instead, with linear heights and
+        logarithmic colours, on 3-D axes.
     decades : float
-        Range of the logarithmic scale below the peak. Fainter samples are drawn as the faintest.
+        Range of the logarithmic scale below the peak, in powers of ten. Fainter samples get the
+        lowest colour.
     half_width : float, optional
         Half the side of the displayed square about the centre, m; the whole window by default.
     axes : matplotlib Axes, optional
@@ -175,8 +178,8 @@ def point_spread(
     Returns
     -------
     Axes
-        Axes in image coordinates, um, with the orientation of `image`: -y points up. On a surface
-        y points toward the viewer.
+        Axes in image coordinates, um. In a map -y points up, because the lens inverts the image. In
+        a relief y points toward the viewer.
 
     Raises
     ------
@@ -229,29 +232,29 @@ def hybrid_parts(
 ) -> tuple[Axes, ...]:
     """Draw the three parts of a hybrid point spread function side by side, with a common scale.
 
-    A hybrid point spread function adds waves for the mirror-like reflection and rays for the
-    diffuse one.
+    A hybrid point spread function is the sum of a coherent part (light that the wall reflects like
+    a smooth mirror, computed by waves), a halo (mirror-like light that the wall's roughness
+    scatters, averaged over random walls) and a diffuse part (traced by rays).
 
     Parameters
     ----------
     point_spread : HybridPointSpread
-        Function to draw: its coherent part (specular reflection), its halo (scatter by the
-        surface roughness of mirror-like lobes, averaged over walls) and its diffuse part.
+        Result of `nlosoptics.psf.hybrid_point_spread`.
     decades : float
-        Range of the logarithmic scale below the peak of the sum, powers of ten. Fainter samples get
-        the lowest colour.
+        Range of the logarithmic scale below the peak of the sum, in powers of ten. Fainter samples
+        get the lowest colour.
     axes : sequence of three matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     tuple of three Axes
-        Coherent, halo and diffuse part, with axes in um. As in `image`, -y points up, so that the
-        picture is upright.
+        Coherent part, halo and diffuse part, in image coordinates, um; -y points up, because the
+        lens inverts the image. The titles give the energy of each part.
 
     See Also
     --------
-    nlosoptics.psf.hybrid_point_spread : PSF of all lobes of the wall.
+    nlosoptics.psf.hybrid_point_spread : PSF by mirror-like and diffuse reflection.
     point_spread : Map of a PSF.
     """
     positive("decades", decades)
@@ -289,10 +292,11 @@ def image(
     Parameters
     ----------
     speckle_image : SpeckleImage
-        Image to draw.
+        Image to draw, such as ``image`` of a result of `nlosoptics.simulate`.
     object_scale : float, optional
-        Metres on the hidden object per metre on the detector, such as
-        `limits.object_scale` returns. It adds a scale bar with a length on the object.
+        Metres on the hidden object per metre on the detector, from
+        `nlosoptics.limits.object_scale`. It adds a scale bar with a length on the object. None: no
+        bar.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
@@ -333,24 +337,25 @@ def traced_image(
     quantity: Literal["expected", "power", "stray"] = "expected",
     axes: Sequence[Axes] | None = None,
 ) -> tuple[Axes, ...]:
-    """Draw a traced image and the relative standard error of its pixels.
+    """Draw a ray-traced camera image and the relative standard error of its pixels.
 
     Parameters
     ----------
     traced_image : TracedImage
-        Image to draw.
+        Result of `nlosoptics.raytrace.trace_image`.
     quantity : {"expected", "power", "stray"}
-        Expected electrons of all light, the power of light that met the hidden object, or the
-        power of light that never met it. Choose "power" if the laser spot is brighter than the
-        object.
+        What to draw: the expected electrons of all light; the power of light that met the hidden
+        object; or the power of light that never met it. Choose "power" if the laser spot is
+        brighter than the object.
     axes : sequence of two matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     tuple of two Axes
-        Values of the pixels, with the orientation of `image`, and their standard errors in per
-        cent. Pixels without light are blank in the map of errors.
+        Values of the pixels, and their standard errors in per cent, in detector coordinates, mm; -y
+        points up, because the lens inverts the image. Pixels without light are blank in the map of
+        errors.
 
     See Also
     --------
@@ -431,21 +436,23 @@ def reconstruction(
     Parameters
     ----------
     reconstruction : Reconstruction
-        Reconstruction to draw.
-    truth : array_like (ny, nx), optional
-        True object on the pixels of the reconstruction, in the units of the reconstruction.
+        Result of a solver, such as `nlosoptics.inverse.tv_deconvolve`.
+    truth : array_like, (ny, nx), optional
+        True object on the pixels of the reconstruction, in the units of the reconstruction. None:
+        only the reconstruction is drawn.
     pitch : float, optional
-        Side of a pixel on the object, m. The axes are then in metres about the middle of the image;
-        without it they count pixels.
+        Side of a pixel on the hidden object, m. The axes are then in metres about the middle of the
+        image. None: the axes count pixels.
     axes : sequence of matplotlib Axes, optional
         Axes to draw on: one, or two with a truth. A new figure by default.
 
     Returns
     -------
     tuple of Axes
-        Axes of the truth (if given) and of the reconstruction. The mirror reversal by the wall is
-        undone, so that letters are readable; y points up. The colour bar is labelled relative
-        brightness if the largest value is 1, and object units otherwise.
+        Axes of the truth (if given) and of the reconstruction. They are drawn as seen by a viewer
+        in front of the object, upright and without the mirror reversal by the wall. The title of
+        the reconstruction gives its status. The colour bar is labelled relative brightness if the
+        largest value is 1, and object units otherwise.
 
     See Also
     --------
@@ -499,23 +506,31 @@ def colour_bar(axes: Axes, drawn: Any, label: str) -> None:
 
 
 def irradiance(irradiance: WallIrradiance, *, axes: Axes | None = None) -> Axes:
-    """Draw the irradiance of the relay wall.
+    """Draw a map of the irradiance on the relay wall.
 
     Parameters
     ----------
     irradiance : WallIrradiance
-        Irradiance to draw.
+        Result of `nlosoptics.raytrace.wall_irradiance`.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes in world x and y, m; y points up.
+        Axes in world x and y, m; y points up. Colours are in W/m^2.
 
     See Also
     --------
     nlosoptics.raytrace.wall_irradiance : Map of the light that returns to the wall.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, raytrace, views
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml")
+    >>> found = raytrace.wall_irradiance(scene, shape=(8, 12), n_rays=1024)
+    >>> views.irradiance(found).get_xlabel()
+    'x (m)'
     """
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.4, height=4.6)
     drawn = axes.pcolormesh(

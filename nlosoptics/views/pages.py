@@ -24,19 +24,19 @@ LAST = "THREE.GLTFLoader=GLTFLoader;})();"  # end of the libraries in trimesh's 
 
 
 def html_page(plotter: Plotter) -> str:
-    """Return an HTML page with an interactive 3-D view.
+    """Return the text of a web page that shows a 3-D view interactively.
 
     Parameters
     ----------
     plotter : pyvista Plotter
-        Plotter with the scene. The page shows its surfaces and lines, with its legend and colour
-        bars below, under its title.
+        3-D view to show, for example from `scene_3d`. The page shows its title, its surfaces and
+        lines, and below them its legend and colour bars.
 
     Returns
     -------
     str
-        Text of one HTML file that loads nothing from the network. The view is rendered in the
-        browser, and turned by mouse, touch or arrow keys.
+        Text of one HTML file that loads nothing from the network. The browser renders the view,
+        which is turned by mouse, touch or arrow keys.
 
     Raises
     ------

@@ -27,20 +27,20 @@ THIN = 0.0016  # smallest radius of the beam and the optical axis over that exte
 
 
 def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
-    """Draw a scene in 3-D.
+    """Draw a scene in 3-D: relay wall, laser, hidden object, camera and occluders.
 
     Parameters
     ----------
     scene : Scene
         Scene to draw.
     plotter : pyvista Plotter, optional
-        Plotter to draw on; a new one that renders off screen by default. A scene that it already
-        shows is replaced.
+        Plotter to draw on; by default a new one that renders off screen, for `save`. For a window,
+        give that of `window`. A scene that the plotter already shows is replaced.
 
     Returns
     -------
     Plotter
-        Plotter in world coordinates, m. It shows the relay wall, the laser beam, the hidden
+        Plotter in world coordinates, m. It shows the relay wall, the laser and its beam, the hidden
         object, the camera with its lens and optical axis, the occluders, a floor grid and the
         axes x, y and z. The legend states the step of the grid.
 
@@ -57,11 +57,12 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
     Notes
     -----
     Positions, the lens and the wall are to scale. The housings of laser and camera only mark
-    positions. Beam and optical axis are drawn with a minimum width, so that they are always
-    visible. The shading of the wall shows its slopes, normalised to the steepest, which the legend
-    states. It has 768 samples along the wall's longer side. If the wall's finest period is at most
+    positions. Beam and optical axis have a minimum width, so that they are always visible.
+
+    The shading of the wall shows its slopes relative to the steepest one, which the legend states.
+    It has 768 samples along the wall's longer side. If the wall's shortest period covers at most
     three samples, the shading shows no slopes, and the legend says so. Grain and highlights only
-    distinguish rough from mirror-like materials; they do not render the material.
+    distinguish rough from mirror-like materials; they do not show how the wall would look.
 
     Examples
     --------
@@ -125,35 +126,40 @@ def ray_paths(
     Parameters
     ----------
     paths : RayPaths
-        Paths from `raytrace.trace` with ``keep_paths=True``, or from `raytrace.pupil_rays`.
+        Paths from `nlosoptics.raytrace.trace` with ``keep_paths=True``, or from
+        `nlosoptics.raytrace.pupil_rays`.
     scene : Scene
         Scene in which the paths were traced.
     colour : {"bounces", "path_length", "weight", "aberration"}
-        Quantity that sets the colours: the number of reflections before each segment; the path
-        length from the source, m, along the path; the power at the end of the path, W, on a
-        logarithmic scale; or the wave aberration at the pupil, waves.
+        Quantity that sets the colours. "bounces": number of reflections before each segment of a
+        path. "path_length": length from the source along the path, m. "weight": power at the end of
+        the path, W, on a logarithmic scale. "aberration": wave aberration of the path at the pupil,
+        waves.
     wavefront : Wavefront, optional
-        Wavefront of these paths from `psf.wavefront_from_rays`, with one node per detected path in
-        the same order. Required for "aberration", which needs ``only_detected=True`` too.
+        Wave computed from these paths by `nlosoptics.psf.wavefront_from_rays`, with one value per
+        detected path in the same order. Required for "aberration", which also needs
+        ``only_detected=True``.
     n_bounces : int, optional
-        Number of reflections of the drawn paths; any number by default.
+        Draw only paths with this number of reflections. None: any number.
     only_detected : bool
-        Whether to draw only paths that reach the detector through the pupil.
+        Whether to draw only paths with status 0: those that reach the detector or, for
+        `nlosoptics.raytrace.pupil_rays`, the lens.
     most : int
         Largest number of paths drawn. Paths that the hidden object reflected come first, and stray
-        light is drawn only if they are fewer. If there are more paths, a systematic sample of them
-        is drawn, in proportion to power, so that the density of lines follows the power.
+        light is drawn only if they are fewer. From more paths, a sample is drawn in proportion to
+        their power, so that the density of lines shows the power.
     plotter : pyvista Plotter, optional
-        Plotter to draw on; a new one that renders off screen by default. A scene and paths that it
-        already shows are replaced.
+        Plotter to draw on; by default a new one that renders off screen, for `save`. A scene and
+        paths that the plotter already shows are replaced.
 
     Returns
     -------
     Plotter
-        Plotter with the view of `scene_3d` and all path segments as one set of lines, the actor
-        "ray paths", in world coordinates, m. Its cells are the segments. Cell arrays are "path"
-        (index into ``paths``), "preceding reflections" and, for such a ``colour``, "power", W, or
-        "aberration", waves. For ``colour="path_length"``, "path length", m, is a point array.
+        Plotter with the view of `scene_3d` and the paths, in world coordinates, m. All segments of
+        paths are one set of lines, the actor "ray paths", with one cell per segment. Its cell
+        arrays are "path" (index into ``paths``) and "preceding reflections"; also "power", W, for
+        ``colour="weight"``, and "aberration", waves, for ``colour="aberration"``. For
+        ``colour="path_length"`` it has the point array "path length", m.
 
     Raises
     ------

@@ -21,19 +21,20 @@ if TYPE_CHECKING:
 
 
 def overview(result: Result) -> tuple[Axes, ...]:
-    """Draw the results of a run in one figure, in the order of the computation.
+    """Draw all results of a simulation in one figure, in the order of the computation.
 
     Parameters
     ----------
     result : Result
-        Result of `simulate`, with or without a reconstruction.
+        Result of `nlosoptics.simulate`, with or without a reconstruction.
 
     Returns
     -------
     tuple of Axes
-        Two rows. The upper row shows the room from above, the wave aberration (for a rough wall,
-        the phase in the pupil) and the point spread function. The lower row shows the camera image
-        and, where there is one, the reconstruction without and with the ground truth.
+        Axes in two rows. The upper row shows the room from above, the wave aberration (or, if the
+        result has a ``pupil_field``, the phase in the exit pupil) and the point spread function.
+        The lower row shows the camera image and, where there is one, the reconstruction and the
+        true object.
 
     Raises
     ------
@@ -90,25 +91,30 @@ def study_gallery(
     smallest_is_best: bool = False,
     axes: Sequence[Axes] | None = None,
 ) -> tuple[Axes, ...]:
-    """Draw the point spreads of the worst, the median and the best point of a study.
+    """Draw the point spread functions of the worst, the median and the best point of a study.
+
+    A design study computes figures of merit, such as the Strehl ratio, at many points. Each point
+    is the scene with one set of values.
 
     Parameters
     ----------
     results : Results
-        Results of a study, complete or not. The point spreads of the three points are computed
-        again by `study.Results.point_spread`.
+        Results of a study, complete or not. The point spread functions of the three points are
+        computed again by `nlosoptics.study.Results.point_spread`.
     figure : str
-        Name of the figure of merit by which the points are ranked.
+        Name of the figure of merit by which the points are ranked, as in the study file.
     smallest_is_best : bool
-        Whether the best point has the smallest figure, as for a spot radius.
+        Whether the best point has the smallest figure of merit, as for a spot radius. By default it
+        has the largest.
     axes : sequence of 3 matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     tuple of Axes
-        Three maps of the same size, in micrometres. Their titles give the figure of merit and the
-        values of the points.
+        Worst, median and best point: three maps with the same limits, in um, on logarithmic colour
+        scales. Their titles give the figure of merit and the values that the study sets at the
+        point.
 
     Raises
     ------

@@ -28,12 +28,13 @@ def save(
     Parameters
     ----------
     picture : matplotlib Figure, Axes, iterable of Axes or FuncAnimation, or pyvista Plotter
-        Object to write. For axes, the whole figure to which they belong is written; several axes
-        must belong to the same figure.
+        Drawing to write, as the functions of ``nlosoptics.views`` return it. For axes, the whole
+        figure to which they belong is written; several axes must belong to the same figure.
     path : str or Path
-        File to write. Figures: ``.png``, ``.pdf`` or ``.svg``. Plotters: ``.png``, ``.html`` (the
-        page of `html_page`) or ``.glb`` (glTF with surfaces, lines and camera, but no text).
-        Films: ``.gif`` or ``.html`` (a page with a slider). HTML pages are self-contained.
+        File to write; its suffix selects the format. Figures: ``.png``, ``.pdf`` or ``.svg``. 3-D
+        views: ``.png``, ``.html`` (an interactive page, see `html_page`) or ``.glb`` (glTF with
+        surfaces, lines and camera, but no text). Films: ``.gif`` or ``.html`` (a page with a
+        slider). HTML pages load nothing from the network.
 
     Raises
     ------
@@ -41,7 +42,7 @@ def save(
         If the suffix is not one of these, the axes belong to several figures, or the file cannot be
         written.
     MissingExtraError
-        If a plotter is written as PNG on a machine without the libraries for rendering, see
+        If a 3-D view is written as ``.png`` on a machine that cannot render, see
         `rendering_works`.
 
     See Also

@@ -16,15 +16,18 @@ if TYPE_CHECKING:
 
 
 def pareto(found: Optimum, *, first: int = 0, second: int = 1, axes: Axes | None = None) -> Axes:
-    """Draw two objectives of an optimisation: all trials, and the Pareto front.
+    """Draw two objectives of an optimisation against each other, with the Pareto front.
+
+    A trial is on the front if it meets all constraints and no other such trial is at least as good
+    in all objectives and better in one.
 
     Parameters
     ----------
     found : Optimum
-        Result of `study.optimum`, with two objectives or more.
+        Result of `nlosoptics.study.optimum`, with two objectives or more.
     first, second : int
-        Numbers of the objectives on the horizontal and the vertical axis, counted from 0. If there
-        are more than two objectives, the front is that of all of them, and no line joins its
+        Index of the objective on the horizontal axis and of that on the vertical axis, from 0. If
+        there are more than two objectives, the front is that of all of them, and no line joins its
         points.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
@@ -32,8 +35,9 @@ def pareto(found: Optimum, *, first: int = 0, second: int = 1, axes: Axes | None
     Returns
     -------
     Axes
-        Axes with the trials that meet all constraints as dots, the others as crosses, and the
-        front. Trials that failed have no objectives, so that only the legend states their number.
+        Axes with one mark for each trial: a dot if it meets all constraints, a cross if not, and a
+        red dot on the front. Trials that could not be computed appear only in the legend, with
+        their number.
 
     Raises
     ------
@@ -72,19 +76,20 @@ def pareto(found: Optimum, *, first: int = 0, second: int = 1, axes: Axes | None
 
 
 def search_history(found: Optimum, *, axes: Axes | None = None) -> Axes:
-    """Draw the objective of each trial of an optimisation, and the best one so far.
+    """Draw the progress of an optimisation: the objective of each trial, and the best one so far.
 
     Parameters
     ----------
     found : Optimum
-        Result of `study.optimum`, with one objective.
+        Result of `nlosoptics.study.optimum`, with one objective.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes with the trials in their order; those that violate a constraint are crosses.
+        Axes with the trials in their order. Trials that violate a constraint are crosses, and do
+        not count for the best one.
 
     Raises
     ------
@@ -94,7 +99,7 @@ def search_history(found: Optimum, *, axes: Axes | None = None) -> Axes:
     See Also
     --------
     nlosoptics.study.optimum : Best trials of an optimisation.
-    pareto : Picture of two objectives.
+    pareto : Two objectives against each other.
     """
     if len(found.labels) != 1:
         raise SceneError(f"there are {len(found.labels)} objectives; draw them with pareto")

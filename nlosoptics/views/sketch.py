@@ -40,19 +40,20 @@ def scene_sketch(
     Parameters
     ----------
     scene : Scene
-        Scene to draw: the wall's profile through the origin, the laser beam, the hidden object and
-        its mirror image in the mean wall, the camera with its axis, boxes around occluders, and
-        the chief path of the light from the laser via the object to the camera. The chief path is
-        that of a flat wall.
+        Scene to draw.
     stacked : bool
-        Whether a new figure has one view above the other, for narrow screens.
+        Whether to place one view above the other in a new figure, for narrow screens. By default
+        they are side by side.
     axes : sequence of two matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     (Axes, Axes)
-        Axes of the top view and of the side view, m.
+        Axes of the top view and of the side view, m. They show the wall's profile through the
+        origin, the laser beam, the hidden object and its mirror image in the plane z = 0, the
+        camera with its axis, and boxes around the occluders. A dashed line is the central path of
+        the light, from the laser spot via object and wall to the camera, drawn as for a flat wall.
 
     See Also
     --------

@@ -57,15 +57,16 @@ def pyvista() -> Any:
 
 
 def rendering_works() -> None:
-    """Check that this machine can render 3-D views.
+    """Check that this machine can render 3-D views as images; raise an error if it cannot.
 
-    The check runs in a separate process, because a missing OpenGL may crash it. It runs only once.
+    Web pages (``.html``) and ``.glb`` files need no rendering. The check runs only once, in a
+    separate process, because a missing OpenGL would crash the process.
 
     Raises
     ------
     MissingExtraError
-        If pyvista is not installed, or if VTK cannot render because the machine has no display,
-        EGL or OSMesa. The message says what to install.
+        If pyvista is not installed, or if VTK, which draws its views, finds neither a display nor
+        an off-screen OpenGL (EGL or OSMesa). The message says what to install.
 
     See Also
     --------
@@ -79,12 +80,13 @@ def rendering_works() -> None:
 
 
 def window() -> Plotter:
-    """Return a plotter for an interactive window.
+    """Return an empty plotter for 3-D views in an interactive window.
 
     Returns
     -------
     pyvista Plotter
-        Empty plotter. Its ``show()`` opens the window.
+        Plotter to pass to `scene_3d`, `ray_paths` or `phasor_volume`. Its method ``show()`` then
+        opens the window.
 
     Raises
     ------

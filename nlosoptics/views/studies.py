@@ -33,31 +33,35 @@ def study_map(
     contours: Sequence[float] | None = None,
     axes: Axes | None = None,
 ) -> Axes:
-    """Draw a figure of merit over the last two dimensions of a study, or over its only dimension.
+    """Draw a figure of merit of a design study: a map over two dimensions, or a curve over one.
+
+    A dimension is a value of the scene that the study varies, such as ``wall.radius``, and its
+    steps are the values that it takes. The last two dimensions with several steps are drawn.
 
     Parameters
     ----------
     results : Results
         Results of a study, complete or not.
     figure : str
-        Name of the figure of merit.
+        Name of the figure of merit, as in the study file, for example ``"strehl"``.
     at : mapping of str to int, optional
-        Number of the step along each other dimension, counted from 0; by default the middle step.
-        Dimensions with a single step need no entry.
+        Index of the step to show along other dimensions, from 0, by the name of the dimension. A
+        dimension without entry is shown at its middle step.
     boundary : float, optional
-        Value of the figure at which to draw a line between cells, for example where a picture
-        becomes readable. In a map, cells below this value are hatched.
+        Value of the figure of merit at which to draw a line between cells, for example that from
+        which a reconstruction is readable. In a map, cells below this value are hatched.
     contours : sequence of float, optional
-        Values of a map's contour lines, interpolated between the centres of its cells. They
-        replace the values written into the cells.
+        Values of contour lines in a map, interpolated between the centres of its cells. None: no
+        lines; instead, a map of at most 80 cells shows its values as numbers.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes with a map of equal cells, labelled by their values, or with a curve and its error.
-        Points that failed are grey.
+        Axes with a map of equal cells, one for each pair of steps, or with a curve and error bars.
+        Cells that could not be computed are grey. The title gives the steps of the other
+        dimensions.
 
     Raises
     ------
@@ -68,7 +72,7 @@ def study_map(
     --------
     nlosoptics.study.Results : Results of a study.
     study_slices : Curves along each dimension.
-    tornado : Bars of one-at-a-time changes.
+    tornado : Change of a figure of merit with each value.
     """
     figure, dataset = results.study.figure(figure).name, results.dataset
     wide = [str(name) for name in dataset[figure].dims if dataset.sizes[name] > 1]
@@ -96,19 +100,26 @@ def study_panels(
     boundary: float | None = None,
     contours: Sequence[float] | None = None,
 ) -> tuple[Axes, ...]:
-    """Draw a figure of merit over the last three dimensions of a study, as maps side by side.
+    """Draw a figure of merit over three dimensions of a design study, as maps side by side.
+
+    A dimension is a value of the scene that the study varies, and its steps are the values that it
+    takes. The last three dimensions with several steps are drawn.
 
     Parameters
     ----------
     results : Results
         Results of a study, complete or not.
     figure : str
-        Name of the figure of merit.
+        Name of the figure of merit, as in the study file, for example ``"strehl"``.
     at : mapping of str to int, optional
-        Number of the step along each further dimension, counted from 0; by default the middle
-        step.
-    boundary, contours : float and sequence of float, optional
-        Lines in the maps; see `study_map`.
+        Index of the step to show along other dimensions, from 0, by the name of the dimension. A
+        dimension without entry is shown at its middle step.
+    boundary : float, optional
+        Value of the figure of merit at which to draw a line between cells; cells below it are
+        hatched.
+    contours : sequence of float, optional
+        Values of contour lines. None: no lines; instead, maps of at most 80 cells show their values
+        as numbers.
 
     Returns
     -------
@@ -123,7 +134,7 @@ def study_panels(
 
     See Also
     --------
-    study_map : One map.
+    study_map : Figure of merit over two dimensions.
     study_slices : Curves along each dimension.
     """
     figure, dataset = results.study.figure(figure).name, results.dataset
@@ -307,22 +318,23 @@ def _draw_curve(
 
 
 def tornado(bars: Sequence[Sensitivity], *, label: str = "", axes: Axes | None = None) -> Axes:
-    """Draw the changes of a figure of merit as bars, with one row for each changed value.
+    """Draw how much each value of a scene changes a figure of merit, as bars (tornado diagram).
 
     Parameters
     ----------
     bars : sequence of Sensitivity
-        Result of `study.sensitivities`, the largest change first.
+        Result of `nlosoptics.study.sensitivities`: changes of the figure of merit when one value
+        changes alone, the largest first.
     label : str
-        Name of the figure of merit, with its unit.
+        Name of the figure of merit, with its unit, for the axis label.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes with the largest changes on top. Changes smaller than their errors are pale. If the
-        computation failed, the row says so.
+        Axes with one row for each changed value, the largest change on top. Changes smaller than
+        their errors are pale. If the computation failed, the row says so.
 
     See Also
     --------
@@ -369,24 +381,26 @@ def yield_curve(
     label: str = "",
     axes: Axes | None = None,
 ) -> Axes:
-    """Draw the yield against the limit on a figure of merit, with its confidence interval.
+    """Draw the yield of a tolerance study against the limit that the figure of merit must meet.
+
+    The yield is the fraction of randomly drawn scenes (draws) that meet the limit.
 
     Parameters
     ----------
     limits : array_like, (n,)
         Limits on the figure of merit, in its unit.
     fractions : sequence of n Fraction
-        Result of `study.fraction_within` for each limit.
+        Result of `nlosoptics.study.fraction_within` for each limit.
     label : str
-        Name of the figure of merit, with its unit.
+        Name of the figure of merit, with its unit, for the axis label.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes with the yield in percent, that is the share of points that meet the limit, and a band
-        for its confidence interval.
+        Axes with the yield in percent, and a band for its confidence interval. The legend gives the
+        number of draws.
 
     See Also
     --------
@@ -423,39 +437,43 @@ def study_slices(
     boundary: float | None = None,
     axes: Sequence[Axes] | None = None,
 ) -> tuple[Axes, ...]:
-    """Draw the response of a figure of merit to each dimension, or to each drawn value.
+    """Draw how a figure of merit depends on each value that a design study varies, one at a time.
+
+    A study varies values of the scene, such as ``wall.radius``, in steps along a dimension each, or
+    draws all of them at random.
 
     Parameters
     ----------
     results : Results
         Results of a study, complete or not.
     figure : str
-        Name of the figure of merit.
+        Name of the figure of merit, as in the study file, for example ``"strehl"``.
     at : mapping of str to int, optional
-        Number of the step along each dimension, counted from 0, at which the curves along the
-        other dimensions are taken; by default the middle step.
+        Index of the step, from 0, at which a dimension is held in the curves along the others, by
+        the name of the dimension. A dimension without entry is held at its middle step.
     boundary : float, optional
-        Value of the figure at which to draw a line.
+        Value of the figure of merit at which to draw a horizontal line. None: no line.
     axes : sequence of matplotlib Axes, optional
         Axes to draw on, one for each panel; a new figure by default.
 
     Returns
     -------
     tuple of Axes
-        A panel for each dimension of more than one step, with the others held fixed. For a study
-        of draws there is a panel for each drawn value, with a dot for each draw and a mark at the
-        lower edge for each draw that failed. All panels have the same scale of the figure.
+        One panel for each dimension of more than one step, with a curve. For random draws, one
+        panel for each drawn value, with a dot for each draw and a mark at the lower edge for each
+        draw that failed. All panels have the same vertical scale.
 
     Raises
     ------
     SceneError
-        If the study has no such figure of merit, dimension or step, has the table
-        ``one_at_a_time``, or mixes draws with other dimensions.
+        If the study has no such figure of merit, dimension or step; if it changes values one at a
+        time (table ``one_at_a_time``), for which `tornado` is made; or if it mixes random draws
+        with other dimensions.
 
     See Also
     --------
     study_map : Figure of merit over two dimensions.
-    tornado : Bars of one-at-a-time changes.
+    tornado : Change of a figure of merit with each value.
     """
     figure, dataset = results.study.figure(figure).name, results.dataset
     names = slice_names(results)
@@ -525,28 +543,29 @@ def _draw_dots(axes: Axes, dataset: Any, figure: str, name: str, boundary: float
 
 
 def sobol_bars(indices: Any, *, label: str = "", axes: Axes | None = None) -> Axes:
-    """Draw Sobol indices as bars with their intervals, the largest total on top.
+    """Draw Sobol indices as bars: which values of a scene cause the variance of a figure of merit.
 
     Parameters
     ----------
     indices : Dataset
-        Result of `study.sobol_indices`.
+        Dataset of xarray that `nlosoptics.study.sobol_indices` returns.
     label : str
-        Name of the figure of merit.
+        Name of the figure of merit, for the axis label.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes with two bars for each address: its share of the variance alone (first order) and with
-        all interactions (total). An interval that contains zero means that the share is not
-        resolved.
+        Axes with two bars for each varied value, such as ``wall.radius``: the fraction of the
+        variance that it causes alone (first order), and together with all interactions with other
+        values (total). The largest total is on top. Lines on the bars are confidence intervals. If
+        an interval contains zero, the fraction is not distinguishable from zero.
 
     See Also
     --------
     nlosoptics.study.sobol_indices : Shares of the variance of a figure of merit.
-    tornado : Bars of one-at-a-time changes.
+    tornado : Change of a figure of merit with each value.
     """
     order = np.argsort(-indices["total"].values, kind="stable")
     names = indices["address"].values[order]

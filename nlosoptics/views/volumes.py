@@ -33,23 +33,24 @@ FLAT: dict[str, Any] = {"lighting": False}
 
 
 def volume(image: VolumeImage, *, axis: str = "z", axes: Axes | None = None) -> Axes:
-    """Draw the maximum projection of a volume along an axis.
+    """Draw a reconstructed volume as seen along an axis, by its maximum intensity projection.
 
     Parameters
     ----------
     image : VolumeImage
-        Volume to draw.
+        Reconstruction to draw, for example from `nlosoptics.transient.lct`.
     axis : {"z", "y", "x"}
-        Axis of the projection: "z" for the view from the wall, "y" for the top view, "x" for the
-        side view.
+        Axis along which the largest intensity is taken: "z" for the view from the wall, "y" for the
+        top view, "x" for the side view.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes in world coordinates, m. In the views from the wall and from above x points left, so
-        that letters are readable. Colours are relative to the brightest voxel.
+        Axes in world coordinates, m. In the views from the wall and from above, x points left, as
+        it does for a viewer who looks from the wall into the room. Colours are relative to the
+        brightest voxel.
 
     See Also
     --------
@@ -101,24 +102,25 @@ def _ends(values: Any) -> tuple[float, float]:
 def phasor_volume(
     image: VolumeImage, *, threshold: float = 0.25, plotter: Plotter | None = None
 ) -> Plotter:
-    """Draw the isosurface of a volume in 3-D, coloured by the distance from the wall.
+    """Draw a reconstructed volume in 3-D: its isosurface, coloured by the distance from the wall.
 
     Parameters
     ----------
     image : VolumeImage
-        Volume to draw, for example a `transient.PhasorImage`.
+        Reconstruction to draw, for example from `nlosoptics.transient.phasor_image`.
     threshold : float
-        Intensity on the surface, relative to the brightest voxel, 0.001 to 0.999.
+        Intensity on the isosurface, relative to the brightest voxel, 0.001 to 0.999.
     plotter : pyvista Plotter, optional
-        Plotter to draw on, for example from `scene_3d`; a new one that renders off screen by
-        default. A volume that it already shows is replaced.
+        Plotter to draw on, for example from `scene_3d`; by default a new one that renders off
+        screen, for `save`. A volume that the plotter already shows is replaced.
 
     Returns
     -------
     Plotter
-        Plotter in world coordinates, m. It shows the surface, interpolated linearly between
-        voxels, and the box of the voxel centres. A new plotter also shows a floor grid, whose step
-        the legend states, and the axes x, y and z, all seen from the far end of the room.
+        Plotter in world coordinates, m. It shows the isosurface, interpolated linearly between
+        voxels, and the box of the voxel centres. A new plotter looks toward the wall from the far
+        end of the room, and also shows a floor grid, whose step the legend states, and the axes x,
+        y and z.
 
     Raises
     ------

@@ -40,65 +40,80 @@ def _nothing() -> Mapping[str, float]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RayPaths(Noun):
-    """Light paths through a scene, and the balance of the light's power.
+    """Light paths through a scene, and the power of the light, sorted by how its paths end.
+
+    `trace` returns the paths from the laser to the detector, and `pupil_rays` those from one object
+    point to the lens. The powers from ``ledger`` on include all traced light, even if no single
+    paths were kept.
 
     Parameters
     ----------
     points : ndarray, (n, k, 3)
-        Vertices of each path, world frame, m: the source, ``n_bounces`` reflections, the end.
-        Paths with fewer vertices than k repeat their end. Empty if paths were not kept.
+        Vertices of n paths, m: the source, each point of reflection, and the end. They are in the
+        world frame: origin at the centre of the relay wall, z toward the room, y up.
+        A path with fewer than k vertices repeats its end. n is 0 if no paths were kept.
     path_length : ndarray, (n,)
-        Length from source to end, m; equal to the optical path in air.
+        Length of each path from source to end, m; equal to the optical path in air.
     weight : ndarray, (n,)
-        Power carried by the path at its end, W. Detected paths add up to ``flux + stray``.
+        Power that each path carries at its end, W. If all detected paths were kept, their weights
+        add up to ``flux + stray``.
     n_bounces : ndarray of int32, (n,)
-        Number of reflections.
+        Number of reflections of each path.
     status : ndarray of int8, (n,)
-        0: detected. 1: escaped from the scene. 2: absorbed, or not resolved. 3: not finished when
-        ``max_bounces`` was reached. 4: blocked at the lens, by missing the detector, by the field
-        stop or by the lens's transmission.
+        How each path ended. 0: at the detector; for `pupil_rays`, at the lens. 1: outside the
+        scene. 2: absorbed, or at a hit that could not be resolved in float64. 3: still under way
+        when tracing ended, usually after ``max_bounces`` reflections. 4: at the lens, but without
+        reaching the detector, because of its edges or of the field stop.
     surface : ndarray of int8, (n, k)
-        Surface that reflects the light at each point: 0 for the wall, 1 for the hidden object, -1
-        for the source, the end and repeated ends. Empty if unknown.
+        Surface that reflects the light at each vertex: 0 for the wall, 1 for the hidden object, -1
+        for the source and the end. Empty for `pupil_rays`.
     lobe : ndarray of int8, (n, k)
-        Lobe that reflects most of the path's light at each point, counted from 0 in the order of
-        the surface's material; -1 without a surface. A reflection in exactly the mirror direction
-        is assigned to the lobe of the smooth mirror. Empty if unknown.
+        Index, from 0, of the lobe that reflects most of the path's light at each vertex; -1 for the
+        source and the end. Lobes are the parts of the surface's material, each with its own angular
+        distribution, such as diffuse or glossy. Light that leaves in exactly the mirror direction
+        is assigned to the lobe of a smooth mirror, if the material has one. Empty for `pupil_rays`.
     ledger : mapping of str to float
-        Power by what happened to it, W: "detected", "escaped", "left" (status 3) and "blocked" as
-        in ``status``; "absorbed by wall", "absorbed by object" and "absorbed by occluders"; and
-        "unresolved", the power of rays whose hit could not be resolved in float64.
+        Power by where it ended, W. "detected"; "escaped" from the scene; "left", still under way
+        when tracing ended; "blocked" at the lens, including its transmission loss; "absorbed by
+        wall", "absorbed by object", "absorbed by occluders"; "unresolved", on rays whose hit could
+        not be resolved in float64. `pupil_rays` gives only the first three, without any that is 0.
     ledger_error : mapping of str to float
-        Standard errors of the ledger, W.
+        Standard error of each value in ``ledger``, W.
     flux : float
-        Detected power of light that met the hidden object, W.
+        Detected power of light that met the hidden object, W. For `pupil_rays`, the power through
+        the lens for a source of 1 W/sr.
     standard_error : float
         Standard error of ``flux``, W.
     by_bounce, by_bounce_error : ndarray, (max_bounces + 1,)
-        Contributions to ``flux`` by number of reflections, and their standard errors, W.
+        Element j is the part of ``flux`` that was reflected j times, and its standard error, W.
     stray, stray_error : float
         Detected power of light that never met the hidden object, and its standard error, W.
     wall_to_wall : float
-        Power that goes directly from wall to wall, summed over all reflections, W.
+        Power that the wall reflects directly to another point of the wall, W. Light that does so
+        several times is counted each time.
     trapped, trapped_error : float
-        Part of ``wall_to_wall`` that the wall absorbs (light-trap loss), and its standard error, W.
+        Part of ``wall_to_wall`` that the wall absorbs on arrival (light-trap loss), and its
+        standard error, W.
     mean_path_length : float
         Power-weighted mean path length of the light in ``flux``, m; 0 if ``flux`` is 0.
     n_rays : int
         Number of rays traced.
     stopped : {"rays", "tol", "time"}
-        Limit that ended the tracing.
+        Limit that ended the tracing: the number of rays, the requested error, or the time limit.
     uncertain : tuple of str
-        Names of values whose error is dominated by rare paths: ``"flux"``, ``"stray"`` or, for
-        four reflections, ``"bounce 4"``. Their errors are increased, but may still be too small;
-        trace more rays.
+        Names of results to which a few rare paths contribute most: ``"flux"``, ``"stray"`` or, for
+        element 4 of ``by_bounce``, ``"bounce 4"``. Their standard errors were increased, but may
+        still be too small; trace more rays.
     unreached : tuple of str
-        Kinds of paths that rays find only by chance. The values may miss light on these paths, and
+        Kinds of paths that rays find only by chance. The results may miss light on these paths, and
         the errors may not show it.
     seconds : float
-        Wall-clock time.
+        Wall-clock time, s.
     queries : mapping of str to int
-        Number of intersection tests by kind of surface; absent or 0 for a kind that was skipped.
+        Number of intersection tests by kind: "wall" and "mesh", where rays were tested for a hit;
+        "wall shadow" and "shadow", where connecting lines were tested against the wall and against
+        meshes; and "wall to wall", the rays in "wall" that start on the wall. A kind that was
+        skipped is absent or 0.
 
     See Also
     --------
@@ -142,7 +157,10 @@ class RayPaths(Noun):
 
     @property
     def met_object(self) -> NDArray[np.bool_]:
-        """Whether the hidden object reflected the light of each path, (n,); False if unknown."""
+        """Whether the light of each path was reflected by the hidden object, (n,) bool.
+
+        It is False everywhere if ``surface`` is empty.
+        """
         if not self.surface.size:
             return np.zeros(len(self.weight), dtype=bool)
         return np.asarray((self.surface == ON_OBJECT).any(axis=1))

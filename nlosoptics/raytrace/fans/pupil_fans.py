@@ -28,28 +28,31 @@ def pupil_rays(
 ) -> RayPaths:
     """Trace a fan of rays from one object point via the mirroring wall to the lens.
 
+    The wall reflects as a perfect mirror of its own shape. The rays sample the pupil evenly, for
+    example for a spot diagram or to compute the wave.
+
     Parameters
     ----------
     scene : Scene
-        Scene with a smooth wall or a height map, which reflects as a mirror of exactly this shape.
-        The material and ``wall_roughness`` are ignored; `Scene.with_relief` adds the roughness to
-        the wall.
+        Scene with a smooth wall or a height map. The wall's material and ``wall_roughness`` are
+        ignored; to include the roughness, pass ``scene.with_relief()``.
     object_point : array_like, (3,), optional
-        Object point, world frame, m; by default the hidden object's reference point.
+        Object point, world frame (origin at the centre of the relay wall, z toward the room, y up),
+        m. By default the centre of the hidden image, or the centroid of the hidden mesh.
     n_rays : int
         Number of rays, at least 16.
     seed : int
-        Seed for the random shift of the lattice of launch directions, 0 to 2^64 - 1.
+        Seed of the random shift of the regular pattern of ray directions, 0 to 2^64 - 1.
 
     Returns
     -------
     RayPaths
-        ``points`` (n_rays, 3, 3): object point, wall point, point in the plane of the lens. Rays
-        that miss the wall, or are not reflected toward the lens, repeat their last vertex.
+        ``points`` (n_rays, 3, 3): object point, wall point, point in the plane of the lens. A ray
+        that misses the wall, or is not reflected toward the lens, repeats its last vertex.
         ``status``: 0 for rays through the lens, 3 for rays that would meet the wall again, 1 for
-        all others. ``weight``: power in W for a point source of 1 W/sr, without losses at wall and
-        lens. ``standard_error`` is the value for independent rays, which overestimates the error
-        of this regular fan.
+        all others. ``weight``: power of each ray, W, for a point source of 1 W/sr, without losses
+        at wall and lens. ``standard_error`` is that of independent random rays; the error of this
+        regular fan is smaller.
 
     Raises
     ------
@@ -67,8 +70,9 @@ def pupil_rays(
     Notes
     -----
     The fan covers all light from the point to the lens, plus a margin. Its directions form a rank-1
-    lattice in Lambert's equal-area projection about the fan's axis, so that every ray represents
-    the same solid angle. A smooth wall maps them to a smoothly distorted lattice on the lens.
+    lattice (a regular set of points) in Lambert's equal-area projection about the fan's axis, so
+    that every ray represents the same solid angle. A smooth wall maps them to a smoothly distorted
+    lattice on the lens.
 
     Examples
     --------

@@ -18,6 +18,7 @@ from ...scene.walls.relief import relief_limits
 
 Array = NDArray[np.float64]
 
+# Outcomes for a ray; `Hits` describes them.
 HIT: Final = 0
 MISS: Final = 1
 OUTSIDE: Final = 2
@@ -28,21 +29,24 @@ MARCH: Final = 8.0  # evaluations of a wall's height that a ray takes
 
 @dataclass(frozen=True, eq=False)
 class Hits(Noun):
-    """Intersections of rays with a wall, as read-only arrays with the shape (...) of the rays.
+    """First intersections of rays with a relay wall, as `intersect` returns them.
+
+    The arrays are read-only. Their shapes begin with that of the array of rays, written (...).
 
     Parameters
     ----------
     distance : ndarray, shape (...)
-        Distance from the origin along the unit direction, m; NaN without a hit.
+        Distance from the origin of each ray to its hit, m; NaN without a hit.
     points : ndarray, shape (..., 3)
-        Hit points, world frame, m; NaN without a hit.
+        Hit points, world frame (origin at the centre of the relay wall, z toward the room, y up),
+        m; NaN without a hit.
     normals : ndarray, shape (..., 3)
-        Unit normals toward the room, world; NaN without a hit.
+        Unit normals of the wall at the hits, toward the room, world frame; NaN without a hit.
     status : ndarray of int8, shape (...)
-        0 (`HIT`): hit. 1 (`MISS`): no hit, the ray does not travel toward the mean plane.
-        2 (`OUTSIDE`): the ray travels toward that plane, but passes outside the wall's edges. 3
-        (`UNRESOLVED`): the ray touches or grazes the wall, so that the hit is not resolved. 4
-        (`BEHIND`): the ray starts behind the wall or arrives from behind.
+        Outcome for each ray. 0 (`HIT`): hit. 1 (`MISS`): no hit, and the ray does not travel toward
+        the wall's mean plane z = 0. 2 (`OUTSIDE`): no hit, because the ray meets that plane outside
+        the wall's edges. 3 (`UNRESOLVED`): the ray touches or grazes the wall, so that float64
+        cannot resolve the hit. 4 (`BEHIND`): the ray starts behind the wall or arrives from behind.
 
     See Also
     --------
@@ -61,31 +65,34 @@ class Hits(Noun):
 
     @property
     def hit(self) -> NDArray[np.bool_]:
-        """Whether each ray hits the surface, boolean, shape (...)."""
+        """Whether each ray hits the surface, (...) bool."""
         return np.asarray(self.status == HIT)
 
 
 def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
-    """Find the first intersection of every ray with the wall, from its room side.
+    """Find the first point at which every ray hits the relay wall, from the room side.
 
     Parameters
     ----------
     wall : Wall
-        Relay wall.
+        Relay wall, such as ``scene.wall``.
     origins : array_like, (..., 3)
-        Starting points of the rays, world frame, m.
+        Starting points of the rays, world frame (origin at the centre of the relay wall, z toward
+        the room, y up), m.
     directions : array_like, (..., 3)
-        Direction vectors in the world frame, of any length but zero; shapes broadcast.
+        Direction vectors in the world frame, of any length but zero. The shapes of ``origins``
+        and ``directions`` broadcast.
 
     Returns
     -------
     Hits
-        Hits with a relative error of the distance below 1e-12, except for grazing rays.
+        Distance, point, normal and status of each ray. The relative error of the distance is below
+        1e-12, except for grazing rays.
 
     Raises
     ------
     SceneError
-        If a ray holds NaN or infinity, or a direction is zero.
+        If a ray holds NaN or infinity, a direction is zero, or the shapes do not broadcast.
 
     See Also
     --------
@@ -94,14 +101,14 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
 
     Notes
     -----
-    Planes, spheres and cylinders have closed forms. On other walls the ray is marched. With f the
-    height of the ray above the wall and M a bound on its second derivative along the ray, each
-    step is the root s of f + f' s - M s^2/2. Such a step never passes a crossing, and near a
-    crossing it converges like Newton's method. On a wall of facets each step ends within its
-    facet.
+    Planes, spheres and cylinders are intersected in closed form. For other walls, points are tried
+    in steps along the ray. Let f be the height of the ray above the wall, f' its derivative along
+    the ray, and M a bound on its second derivative. Each step is the positive root s of
+    ``f + f' s - M s^2/2 = 0``. Such a step never passes a crossing, and near a crossing it
+    converges like Newton's method.
 
-    A `SumWall` without a size that contains a sphere or cylinder is searched up to 0.999 of its
-    radius.
+    A `nlosoptics.scene.SumWall` without a size that contains a sphere or cylinder is searched only
+    up to 0.999 of the radius from the axis, since the slope is infinite at the rim.
 
     Examples
     --------

@@ -31,21 +31,23 @@ OFFSET: Final = 1e-9  # hits nearer than this to an end of a path count as on it
 
 @dataclass(frozen=True, eq=False)
 class MeshHits(Hits):
-    """Intersections of rays with a mesh, as read-only arrays with the shape (...) of the rays.
+    """First intersections of rays with a triangle mesh, as `intersect_mesh` returns them.
+
+    The arrays are read-only. Their shapes begin with that of the array of rays, written (...).
 
     Parameters
     ----------
     distance : ndarray, shape (...)
-        Distance from the origin along the unit direction, m; NaN without a hit.
+        Distance from the origin of each ray to its hit, m; NaN without a hit.
     points : ndarray, shape (..., 3)
         Hit points, world frame, m; NaN without a hit.
     normals : ndarray, shape (..., 3)
         Unit normals of the triangles, on the side from which the ray comes, world frame; NaN
         without a hit.
     status : ndarray of int8, shape (...)
-        0 (`HIT`) or 1 (`MISS`).
+        0 (`HIT`): the ray hits the mesh. 1 (`MISS`): it does not.
     triangle : ndarray of int32, shape (...)
-        Index into ``mesh.faces``; -1 without a hit.
+        Row of ``mesh.faces`` that holds the triangle; -1 without a hit.
 
     See Also
     --------
@@ -77,9 +79,11 @@ def intersect_mesh(
     origins : array_like, (..., 3)
         Starting points of the rays, world frame, m.
     directions : array_like, (..., 3)
-        Direction vectors in the world frame, of any length but zero; shapes broadcast.
+        Direction vectors in the world frame, of any length but zero. The shapes of ``origins`` and
+        ``directions`` broadcast.
     min_distance : float
-        Hits at a smaller distance are ignored, m; useful for rays that start on the mesh.
+        Hits closer to the origin of the ray than this are ignored, m; useful for rays that start on
+        the mesh. The default 0 keeps all.
 
     Returns
     -------
@@ -92,20 +96,20 @@ def intersect_mesh(
     SceneError
         If a ray holds NaN or infinity, a direction is zero, or the mesh has no area.
 
-    Notes
-    -----
-    In meshes of more than 256 triangles, a ray may be assigned the wrong triangle, or none, where
-    distances are below 1e-6 of the mesh's extent. This concerns two sheets that are so close to
-    each other, and rays that pass so close to the outline of a part or to its sharp corners.
-    Smaller meshes have no such cases.
-
-    A ray that starts on a triangle may miss it, or hit it at a distance of the order of rounding
-    errors. Give ``min_distance`` to ignore such hits. Other triangles are not affected.
-
     See Also
     --------
     all_hits : All intersections of every ray.
     occluded : Whether a mesh blocks the line between two points.
+
+    Notes
+    -----
+    Large meshes, of more than 256 triangles, are first searched in single precision. A ray may then
+    be assigned a wrong triangle, or none, in two cases: where two sheets of the mesh are closer to
+    each other than 1e-6 of its extent, and where the ray passes within this distance of an outline
+    or of a sharp corner. Smaller meshes are searched in float64 and have no such cases.
+
+    A ray that starts on a triangle may miss it, or hit it at a distance of the order of rounding
+    errors. Give ``min_distance`` to ignore such hits. Other triangles are not affected.
 
     Examples
     --------
@@ -143,18 +147,20 @@ def intersect_mesh(
 
 @dataclass(frozen=True, eq=False)
 class AllHits(Noun):
-    """All intersections of rays with a mesh: read-only arrays, sorted by ray, then by distance.
+    """All intersections of rays with a triangle mesh, as `all_hits` returns them.
+
+    The arrays are read-only and list h hits, sorted by ray and then by distance.
 
     Parameters
     ----------
     ray : ndarray of int64, (h,)
-        Index of the ray, with all rays counted in C order.
+        Index of the ray that each hit belongs to, in the flattened (C order) array of rays.
     distance : ndarray, (h,)
-        Distance from the origin along the unit direction, m.
+        Distance from the origin of the ray to the hit, m.
     points : ndarray, (h, 3)
         Hit points, world frame, m.
     triangle : ndarray of int32, (h,)
-        Index into ``mesh.faces``.
+        Row of ``mesh.faces`` that holds the triangle.
 
     See Also
     --------
@@ -188,14 +194,15 @@ def all_hits(
     origins : array_like, (..., 3)
         Starting points of the rays, world frame, m.
     directions : array_like, (..., 3)
-        Direction vectors in the world frame, of any length but zero; shapes broadcast.
+        Direction vectors in the world frame, of any length but zero. The shapes of ``origins`` and
+        ``directions`` broadcast.
     min_distance : float
-        Hits nearer than this are ignored, m.
+        Hits closer to the origin of the ray than this are ignored, m. The default 0 keeps all.
 
     Returns
     -------
     AllHits
-        All hits of all rays.
+        Hits of all rays, sorted by ray and then by distance.
 
     Raises
     ------
@@ -213,6 +220,15 @@ def all_hits(
     through a shared edge or vertex and to coincident sheets. Where a ray only touches an outline,
     it enters and leaves the mesh there, which counts as two hits. A ray from outside a closed mesh
     therefore has an even number of hits. A triangle whose plane contains the ray is not hit.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from nlosoptics import raytrace
+    >>> box = trimesh.creation.box((1.0, 1.0, 1.0))
+    >>> hits = raytrace.all_hits(box, (0.1, 0.2, 2.0), [(0, 0, -1), (0, 1, 0)])
+    >>> hits.ray.tolist(), hits.distance.round(6).tolist()
+    ([0, 0], [1.5, 2.5])
     """
     nearest = in_range("min_distance", min_distance, 0.0, unit="m")
     o, d, _ = flat_rays(origins, directions)
@@ -235,9 +251,9 @@ def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> N
     mesh : trimesh.Trimesh
         Triangle mesh, world frame, m.
     origins, targets : array_like, (..., 3)
-        Ends of the lines, world frame, m; shapes broadcast. Both may lie on the mesh:
-        intersections closer to an end than 1e-9 of half the mesh's extent, or than the rounding of
-        the coordinates, are ignored.
+        First and second ends of the lines, world frame, m; their shapes broadcast. Ends may lie on
+        the mesh, because intersections very close to an end are ignored: closer than 1e-9 of half
+        the mesh's extent, or than the rounding of the coordinates.
 
     Returns
     -------
@@ -252,7 +268,15 @@ def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> N
     See Also
     --------
     intersect_mesh : First hits of rays on a mesh.
-    nlosoptics.imaging.cast_shadows : Effect of occluders.
+    nlosoptics.imaging.cast_shadows : Fractions of light that occluders let through.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from nlosoptics import raytrace
+    >>> box = trimesh.creation.box((1.0, 1.0, 1.0))
+    >>> raytrace.occluded(box, (0.0, 0.0, 2.0), [(0.0, 0.0, -2.0), (0.0, 2.0, 2.0)]).tolist()
+    [True, False]
     """
     o, p = (np.asarray(v, dtype=np.float64) for v in (origins, targets))
     try:

@@ -24,22 +24,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WallIrradiance(Noun):
-    """Irradiance of the relay wall on a grid of cells.
+    """Map of the irradiance on the relay wall, as `wall_irradiance` returns it.
 
     Parameters
     ----------
     x, y : ndarray, (nx,) and (ny,)
         Centres of the cells, world frame, m.
     irradiance : ndarray, (ny, nx)
-        Power incident on a cell divided by the wall's area there, W/m^2; row 0 at the lowest y.
+        Power that arrives on each cell, divided by the area of the wall's surface in it, W/m^2;
+        row 0 at the lowest y.
     standard_error : ndarray, (ny, nx)
         Standard error of ``irradiance``, W/m^2.
     power, power_error : float
-        Power on all cells and its standard error, W.
+        Power on all cells together and its standard error, W.
     n_rays : int
         Number of rays traced.
     seconds : float
-        Wall-clock time.
+        Wall-clock time, s.
 
     See Also
     --------
@@ -72,27 +73,29 @@ def wall_irradiance(
     sampler: Literal["sobol", "philox"] = "sobol",
     seed: int = 0,
 ) -> WallIrradiance:
-    """Compute a map of the irradiance on the relay wall by light that returns to it.
+    """Compute a map of the irradiance on the relay wall, by Monte Carlo ray tracing.
 
     Parameters
     ----------
     scene : Scene
         Scene to trace.
     shape : (int, int)
-        Number of cells (ny, nx).
+        Number of cells of the map, (ny, nx).
     size : (float, float), optional
         Width and height of the map, centred on the origin, m; by default the size of the wall.
     source : {"laser", "object"}
-        ``"laser"``: light of the laser, without the direct irradiance of its spot. ``"object"``:
-        the hidden object emits as a Lambertian source with a radiant exitance of 1 W/m^2 times its
-        brightness, and the laser is off.
+        ``"laser"``: the laser's light that returns to the wall after one or more reflections. The
+        direct irradiance of the laser spot is left out. ``"object"``: the laser is off, and the
+        hidden object emits as a Lambertian source. Its radiant exitance is 1 W/m^2, times the
+        reflectance of each point of a hidden image.
     n_rays : int
         Number of rays.
     max_bounces : int
-        Largest number of reflections before light is counted at the wall, 1 to 62. With
+        Largest number of reflections before light arrives at the wall, 1 to 62. With
         ``source="object"``, 0 gives the direct light of the object alone.
     sampler : {"sobol", "philox"}
-        Scrambled Sobol points in 32 independent groups, or independent random numbers.
+        ``"sobol"``: scrambled Sobol points, which usually give less noise. ``"philox"``:
+        independent random numbers.
     seed : int
         Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bitwise identical results
         for any number of threads.
@@ -116,9 +119,11 @@ def wall_irradiance(
 
     Notes
     -----
-    Light vertices are connected to points spread uniformly over the wall. Light that reaches the
-    wall by scattering is counted too. The balance heuristic weights the two strategies. On a wall
-    with roughness the irradiance is the power per area of the mean wall.
+    The arriving light is sampled in two ways. Each point that reflects a ray is connected to a
+    random point of the wall, and rays that happen to hit the wall are counted. The balance
+    heuristic weights the two, as in `trace`, so that no light is counted twice. The standard errors
+    come from 32 independent groups of rays. On a rough wall, the irradiance is the power per area
+    of the mean surface.
 
     Examples
     --------

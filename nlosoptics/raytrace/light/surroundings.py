@@ -32,30 +32,32 @@ AIMED: Final = ((0.75, 0.75), (0.5, 0.25))
 
 @dataclass(frozen=True, kw_only=True)
 class RayPlan:
-    """Intersection tests and strategies needed to trace a scene; ``str(plan)`` gives the reasons.
+    """Tests and methods that tracing a scene needs; printing the plan gives the reasons.
+
+    `ray_plan` computes the plan from the scene. Tests that cannot change the result are skipped.
 
     Parameters
     ----------
     wall_hits : {"closed form", "march", "python"}
-        Method to intersect rays with the wall: in closed form, by marching along the ray in
-        compiled code, or by marching in Python (`CallableWall`).
+        How hits on the wall are found: in closed form, by steps along the ray in compiled code, or
+        by such steps in Python, for a `nlosoptics.scene.CallableWall`.
     embree : bool
-        Whether the scene has triangles: a mesh as hidden object, or occluders.
+        Whether rays are tested against triangles: those of a hidden mesh or of occluders.
     wall_to_wall : bool
-        Whether light from the wall can meet the wall again.
+        Whether light from one point of the wall can meet the wall again.
     wall_shadows : bool
         Whether the wall can block the line between two of its points, or between the wall and a
         point in the room.
     glossy : bool
-        Whether wall or object has a microfacet or Ward lobe. Such a lobe requires three sampling
-        strategies instead of one.
+        Whether the material of wall or object has a glossy part (a microfacet or Ward lobe). Its
+        light is then sampled in three ways instead of one; see the notes of `trace`.
     chains : bool
-        Whether light that mirror-like lobes of wall and object reflect one after the other is
-        traced by solving for its reflection points.
+        Whether the points at which mirror-like parts of wall and object reflect light, one after
+        the other, are computed by solving the law of reflection. Random rays hardly find them.
     unreached : tuple of str
-        Kinds of paths that rays find only if they happen to meet the lens, and the reasons. If
-        there are any, `trace` does not accept ``tol``, because its error estimate may not include
-        their light.
+        Kinds of paths that rays find only if they happen to meet the lens, each with the reason.
+        If there are any, `trace` refuses the option ``tol``, because its error estimate may not
+        include their light.
 
     See Also
     --------
@@ -116,7 +118,7 @@ class RayPlan:
 
 
 def ray_plan(scene: Scene) -> RayPlan:
-    """Determine which intersection tests are needed to trace a scene, and which can be skipped.
+    """Return which intersection tests the tracing of a scene needs, and which can be skipped.
 
     Parameters
     ----------
@@ -126,7 +128,7 @@ def ray_plan(scene: Scene) -> RayPlan:
     Returns
     -------
     RayPlan
-        Needed tests; printing it shows the reasons.
+        Tests and methods that `trace` uses for this scene; printing the plan shows the reasons.
 
     See Also
     --------
@@ -135,10 +137,9 @@ def ray_plan(scene: Scene) -> RayPlan:
 
     Notes
     -----
-    A flat or convex wall cannot illuminate itself. A concave sphere or cylinder can. The space
-    inside it is convex, so that it does not block lines between points in this space. Its rim may
-    block lines to points outside. Walls of other shapes can both illuminate themselves and block
-    lines.
+    A flat or convex wall cannot illuminate itself. A concave sphere or cylinder can. It blocks no
+    line between two points in the space that it encloses, but its rim may block lines to points
+    outside. Walls of other shapes can both illuminate themselves and block lines.
 
     Examples
     --------

@@ -62,25 +62,28 @@ def trace(
     scene : Scene
         Scene to trace.
     n_rays : int, optional
-        Number of rays; with ``tol`` or ``max_seconds`` the largest number, 2^36 by default. The
-        default without either is 65536.
+        Number of rays. With ``tol`` or ``max_seconds`` it is the largest number. None: 65536, or
+        2^36 with ``tol`` or ``max_seconds``.
     tol : float, optional
-        Target for the relative standard error of ``flux``, 1e-6 to 1.
+        Target for the relative standard error of the flux from the hidden object to the detector,
+        1e-6 to 1. None: no target.
     max_seconds : float, optional
-        Time limit, s; the result of the rays traced by then is returned.
+        Time limit, s; the result of the rays traced by then is returned. None: no limit.
     max_bounces : int, default 5
         Largest number of reflections, 1 to 64. Three correspond to wall, object, wall.
     keep_paths : bool
-        Keep vertices, lobes, lengths and powers of single paths, for example to plot them: all
-        paths with ``analog``, else the detected ones. Otherwise memory does not grow with the
-        number of rays. With ``tol`` or ``max_seconds``, also give ``n_rays``, so small that the
-        paths fit into memory.
+        Whether to return single paths (vertices, lobes, lengths, powers), for example to plot them:
+        all paths with ``analog``, else the detected ones. Without them, memory does not grow with
+        the number of rays. With ``tol`` or ``max_seconds``, also give ``n_rays``, so small that
+        the paths fit into memory.
     analog : bool
-        Trace rays as physical light propagates, without connections to object and lens and without
-        Russian roulette. This is slow, but `RayPaths.ledger` then adds up to the laser's power
-        within rounding.
+        Whether to follow rays only as physical light propagates. Such rays meet the object and the
+        lens by chance alone, which is slow, but `RayPaths.ledger` then adds up to the laser's power
+        within rounding. By default, rays are also aimed at the object and connected to the lens,
+        and weak rays are ended at random (Russian roulette); the expected results are the same.
     sampler : {"sobol", "philox"}
-        Scrambled Sobol points in 32 independent groups, or independent random numbers.
+        ``"sobol"``: scrambled Sobol points, which usually give less noise. ``"philox"``:
+        independent random numbers.
     seed : int
         Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bitwise identical results
         for any number of threads.
@@ -95,40 +98,46 @@ def trace(
     Raises
     ------
     SceneError
-        If an option is out of range, a part of the scene is behind the wall, or if ``tol`` is
-        given and no light reaches the detector via the hidden object, or some of it is found only
-        by chance (`RayPlan.unreached`).
+        If an option is out of range, or a part of the scene is behind the wall. With ``tol``, also
+        if no light reaches the detector via the hidden object, or if some of it is found only by
+        chance (`RayPlan.unreached`).
     MemoryLimitError
         If the paths to keep would not fit in memory.
-
-    Notes
-    -----
-    This is bidirectional path tracing. At the wall, directions are drawn from its lobes or toward
-    the object and weighted by the one-sample balance heuristic. The detected power follows from
-    connecting light vertices with scene points that are seen from random points of the detector
-    and the lens. With a glossy lobe, the paths from the lens are extended by a second reflection,
-    and light vertices are also connected to the lens. The balance heuristic then weights these
-    three strategies (Veach, Robust Monte Carlo methods for light transport simulation, 1997, ch. 9
-    and 10). From the fourth reflection on, weak paths are ended by Russian roulette. Standard
-    errors are those of the mean over the 32 groups, times ``sqrt(31/29)`` for the variance of
-    Student's distribution. They are infinite for fewer than 4 rays.
-
-    Mirror-like lobes of wall and object can reflect light one after the other. Connections cannot
-    find such paths if the lobes are narrow. Such chains are traced by solving for their reflection
-    points: Newton steps lead from a vertex to a point of the lens, and the Jacobian gives the
-    power (Hanika et al., Manifold next event estimation, 2015). On walls that may have several
-    solutions, the starting points are random, and the weights keep the estimate unbiased (Zeltner
-    et al., Specular manifold sampling, 2020). Each path is split by the lobes that reflect it, so
-    that no light is counted twice. `ray_plan` lists the kinds of paths that rays still find only
-    by chance; ``tol`` is refused for scenes that have any.
-
-    If the distribution over the groups is skewed, rare paths dominate the error, and it is
-    increased; ``uncertain`` names these values.
 
     See Also
     --------
     ray_plan : Intersection tests that the scene requires.
     trace_point : Light of a single object point, resolved by pixels.
+
+    Notes
+    -----
+    The method is bidirectional path tracing [1]_. A material is a sum of lobes, each with its own
+    angular distribution. Rays leave the wall in directions drawn from its lobes, or toward the
+    object; the one-sample balance heuristic weights the two. Each point that reflects a ray is then
+    connected to a point of the scene that is seen from the detector through the lens, and these
+    connections give the detected power. If a lobe is glossy, the paths seen from the lens are
+    extended by a second reflection, and the points that reflect rays are also connected to the lens
+    itself. The balance heuristic weights these three strategies. From the fourth reflection on,
+    weak paths are ended by Russian roulette.
+
+    Mirror-like lobes of wall and object can reflect light one after the other. Random connections
+    cannot find such paths if the lobes are narrow, so their reflection points are computed: Newton
+    steps lead from a point of the ray to a point of the lens, and the Jacobian gives the power
+    [2]_. On walls that may have several solutions, the starting points are random, and the weights
+    keep the estimate unbiased [3]_. `ray_plan` lists the kinds of paths that rays still find only
+    by chance; ``tol`` is refused for scenes that have any.
+
+    The standard error is that of the mean over 32 independent groups of rays, times
+    ``sqrt(31/29)``, the standard deviation of Student's distribution for 32 groups. It is infinite
+    for fewer than 4 rays. If the groups have a skewed distribution, rare paths dominate the error.
+    It is then increased, and ``uncertain`` names the results concerned.
+
+    References
+    ----------
+    .. [1] Veach, Robust Monte Carlo methods for light transport simulation (1997), ch. 9 and 10.
+    .. [2] Hanika, Droske, Fascione, Manifold next event estimation, Computer Graphics Forum 34, 87
+       (2015).
+    .. [3] Zeltner, Georgiev, Jakob, Specular manifold sampling, ACM Trans. Graph. 39, 149 (2020).
 
     Examples
     --------

@@ -25,24 +25,26 @@ MOST_BINS = 1 << 20  # largest number of bins of a histogram
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PathHistogram(Noun):
-    """Detected power in bins of path length.
+    """Histogram of the path lengths of the detected light, weighted by power.
+
+    `trace_image` computes it if bins are given.
 
     Parameters
     ----------
     t_start, delta_t : float
         Start of bin 0 and width of a bin, m of optical path.
     outer_legs : bool
-        Whether path lengths include the leg from the laser to the first reflection and the leg
-        from the last reflection to the lens.
+        Whether path lengths include the first leg, from the laser to the first reflection, and the
+        last leg, from the last reflection to the lens.
     power, power_error : ndarray, (n_bins,)
-        Power of light that met the hidden object, and its standard error, W. Values are integrals
-        over each bin.
+        Power in each bin of light that met the hidden object, and its standard error, W.
     by_bounce, by_bounce_error : ndarray, (max_bounces + 1, n_bins)
-        Contributions to ``power`` by number of reflections, and their standard errors, W.
+        Row j is the part of ``power`` that was reflected j times, and its standard error, W.
     stray, stray_error : ndarray, (n_bins,)
-        Power of light that never met the hidden object, and its standard error, W.
+        Power in each bin of light that never met the hidden object, and its standard error, W.
     before, after : float
-        Power of light that met the hidden object on paths shorter and longer than the bins, W.
+        Power of light that met the hidden object and arrives before the first bin or after the
+        last one, W.
 
     See Also
     --------
@@ -81,31 +83,32 @@ class PathHistogram(Noun):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TracedImage(Noun, Shown):
-    """Image of a scene by traced light, with the standard error of every pixel.
+    """Camera image by Monte Carlo ray tracing, with the standard error of every pixel.
 
-    Rows run along the camera's e2 axis and columns along e1, as in `imaging.SpeckleImage`. Row 0 is
-    at the lowest y of the detector.
+    `trace_image` computes it. The arrays are read-only and ordered [y, x], with row 0 at the lowest
+    y of the detector. The lens inverts the image, so that the scene appears upright if row 0 is
+    drawn on top. The x and y axes of the detector are the first two rows of ``camera.frame``.
 
     Parameters
     ----------
     expected, expected_error : ndarray, (ny, nx)
-        Mean electrons of each pixel in one exposure and their standard error. All detected light
-        and the dark current are included, glare is not.
+        Mean number of electrons of each pixel in one exposure, and its standard error. All detected
+        light and the dark current are included. Glare (light scattered in the lens) is not.
     power, power_error : ndarray, (ny, nx)
         Power on each pixel of light that met the hidden object, and its standard error, W.
     by_bounce, by_bounce_error : ndarray, (max_bounces + 1, ny, nx)
-        Contributions to ``power`` by number of reflections, and their standard errors, W.
+        Image j is the part of ``power`` that was reflected j times, and its standard error, W.
     stray, stray_error : ndarray, (ny, nx)
         Power on each pixel of light that never met the hidden object, and its standard error, W.
     pitch : float
-        Pitch of the image pixels, m.
+        Side of an image pixel, m: that of a detector pixel times ``camera.binning``.
     exposure : float
-        Exposure time of ``expected``, s.
+        Exposure time that ``expected`` refers to, s.
     histogram : PathHistogram or None
-        Detected power by path length, if bins were given.
+        Detected power in bins of path length; None if no bins were given.
     paths : RayPaths
-        Totals of the same rays: flux, power balance, number of rays. The sum of ``power`` is
-        ``paths.flux``.
+        Flux, power balance and number of the same rays. The pixels of ``power`` add up to
+        ``paths.flux``. Single paths are not kept.
 
     See Also
     --------
@@ -171,38 +174,43 @@ def trace_image(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> TracedImage:
-    """Trace the laser's light to the pixels of the camera, and sort it by path length.
+    """Compute the camera image by Monte Carlo ray tracing of the laser's light.
+
+    A histogram of the path lengths of the detected light is computed too, if bins are given.
 
     Parameters
     ----------
     scene : Scene
         Scene to trace; its camera defines the pixels.
     n_rays : int, optional
-        Number of rays; with ``tol`` or ``max_seconds`` the largest number, 2^36 by default. The
-        default without either is 65536.
+        Number of rays. With ``tol`` or ``max_seconds`` it is the largest number. None: 65536, or
+        2^36 with ``tol`` or ``max_seconds``.
     tol : float, optional
-        Target for the relative standard error of the flux, that is of the sum over all pixels,
-        1e-6 to 1. Single pixels have larger errors.
+        Target for the relative standard error of the hidden object's light summed over all pixels,
+        1e-6 to 1. Single pixels have larger errors. None: no target.
     max_seconds : float, optional
-        Time limit, s; the result of the rays traced by then is returned.
+        Time limit, s; the result of the rays traced by then is returned. None: no limit.
     max_bounces : int, default 5
         Largest number of reflections, 1 to 64. Three correspond to wall, object, wall.
     t_start, delta_t : float, optional
         Start of bin 0 and width of a bin of the histogram, m of optical path.
     n_bins : int, optional
-        Number of bins, at most 2^20. Give all three of ``t_start``, ``delta_t`` and ``n_bins``, or
-        none for no histogram.
+        Number of bins of the histogram, at most 2^20. Give all three of ``t_start``, ``delta_t``
+        and ``n_bins``, or none for no histogram.
     outer_legs : bool
-        Whether path lengths are those from the laser to the lens. If False, they are those from
-        the first to the last reflection, that is from wall to wall for three reflections.
+        Start and end of the path lengths in the histogram. True: from the laser to the lens.
+        False: from the first to the last reflection, that is from wall to wall for three
+        reflections.
     exposure : float, optional
-        Exposure time, s; by default the camera's.
+        Exposure time of the expected electrons, s; by default the camera's.
     analog : bool
-        Trace rays as physical light propagates, without connections to object and lens and without
-        Russian roulette. This is slow, but serves as a check that does not depend on these
-        techniques.
+        Whether to follow rays only as physical light propagates. Such rays meet the object and the
+        lens by chance alone, which is slow, but serves as an independent check. By default, rays
+        are also aimed at the object and connected to the lens, and weak rays are ended at random;
+        the expected results are the same.
     sampler : {"sobol", "philox"}
-        Scrambled Sobol points in 32 independent groups, or independent random numbers.
+        ``"sobol"``: scrambled Sobol points, which usually give less noise. ``"philox"``:
+        independent random numbers.
     seed : int
         Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bitwise identical results
         for any number of threads.
@@ -212,16 +220,19 @@ def trace_image(
     Returns
     -------
     TracedImage
-        Electrons and power of every pixel with standard errors, the histogram, and the totals.
+        Electrons and power of every pixel with standard errors, the histogram, and the power
+        balance.
 
     Raises
     ------
     SceneError
-        If an option is out of range, a part of the scene is behind the wall, only a part of the
-        bins is given, or ``tol`` is given and no light reaches the detector via the hidden object.
+        If an option is out of range, a part of the scene is behind the wall, or some but not all of
+        ``t_start``, ``delta_t`` and ``n_bins`` are given. With ``tol``, also if no light reaches
+        the detector via the hidden object, or if some of it is found only by chance
+        (`RayPlan.unreached`).
     MemoryLimitError
-        If the sums of all pixels would not fit in memory. They take 304 bytes per pixel and number
-        of reflections, counting 0, and 304 more per pixel.
+        If the sums would not fit in memory. They take ``304 (max_bounces + 2)`` bytes per pixel
+        and ``304 (max_bounces + 1)`` per bin.
 
     See Also
     --------
@@ -232,19 +243,21 @@ def trace_image(
 
     Notes
     -----
-    The estimate is that of `trace`. For the same options, ``paths`` is the result of `trace`, and
-    the sums over pixels and bins agree with it to rounding. A ray that enters the lens at any
-    point of the stop is imaged by an ideal thin lens: the point where it crosses the plane in
-    focus is projected through the centre of the lens onto the detector. Walls and objects out of
-    focus are blurred accordingly. Path lengths end at the point where the light enters the lens.
+    The rays are those of `trace`, whose notes describe the method. For the same options, ``paths``
+    is the result of `trace`, and the sums over pixels agree with it to rounding.
 
-    Standard errors come from 32 groups of rays. Only few rays carry bright light to a pixel at the
-    edge of a bright area, such as a letter seen in a mirror. Its value and its error are then too
-    small until enough rays have hit it.
+    The camera has an ideal thin lens. A ray that enters the lens at any point of the stop is
+    extended back to the plane in focus, and that point is projected through the centre of the lens
+    onto the detector. Walls and objects out of focus are blurred accordingly. Path lengths end
+    where the light enters the lens.
 
-    `imaging.form_image` computes the same image from point spreads. It takes the lens as small and
-    the laser spot as a point, includes diffraction and glare, and stops at three reflections. The
-    ray trace has none of these limits, but no diffraction.
+    The standard errors come from 32 groups of rays. At the edge of a bright area, such as a letter
+    seen in a mirror, a pixel receives bright light from few rays. Until enough of them have hit the
+    pixel, its value and its standard error are too small.
+
+    `nlosoptics.imaging.form_image` computes the image from point spread functions. It includes
+    diffraction and glare, but takes the lens as small and the laser spot as a point, and stops at
+    three reflections. The ray trace has none of these limits, but no diffraction and no glare.
 
     Examples
     --------

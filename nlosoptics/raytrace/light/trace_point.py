@@ -38,12 +38,14 @@ SPECK = 1e-9  # m, side of the black square that replaces the hidden object
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PointTrace(Noun):
-    """Image of one object point that emits 1 W, with the flux through the lens.
+    """Camera image of a single object point that emits 1 W, by Monte Carlo ray tracing.
+
+    `trace_point` computes it.
 
     Parameters
     ----------
     energy, energy_error : ndarray, (ny, nx)
-        Power on each pixel and its standard error, W; row 0 at the lowest y.
+        Power on each pixel and its standard error, W; row 0 at the lowest y of the detector.
     pitch : float
         Side of a pixel, m.
     first : (float, float)
@@ -51,7 +53,8 @@ class PointTrace(Noun):
     flux, flux_error : float
         Power transmitted by the lens, inside and outside the pixels, and its standard error, W.
     by_bounce, by_bounce_error : ndarray, (max_bounces + 1,)
-        Contributions to ``flux`` by number of reflections, and their standard errors, W.
+        Element j is the part of ``flux`` that the wall reflected j times, and its standard error,
+        W.
     missed, missed_error : float
         Part of ``flux`` that falls outside the pixels, and its standard error, W.
     n_rays : int
@@ -59,14 +62,14 @@ class PointTrace(Noun):
     rays_per_pixel : int
         Number of rays used for each pixel.
     seconds : float
-        Wall-clock time.
+        Wall-clock time, s.
     queries : mapping of str to int
-        Number of intersection tests by kind of surface.
+        Number of intersection tests by kind of surface, with the keys of `RayPaths.queries`.
 
     See Also
     --------
     trace_point : Light of one object point to the detector.
-    nlosoptics.psf.hybrid_point_spread : PSF of all lobes of the wall.
+    nlosoptics.psf.hybrid_point_spread : PSF by mirror-like and diffuse reflection.
     """
 
     energy: Array
@@ -113,21 +116,26 @@ def trace_point(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> PointTrace:
-    """Trace the light of one object point via the wall to the detector pixels.
+    """Compute the camera image of one object point via the wall, by Monte Carlo ray tracing.
+
+    The result is a point spread function by geometrical optics, without diffraction. It includes
+    both diffuse and mirror-like reflection by the wall.
 
     Parameters
     ----------
     scene : Scene
         Scene to trace; its laser is not used.
     object_point : array_like, (3,), optional
-        Emitting point, world frame, m; by default the hidden object's reference point.
+        Emitting point, world frame (origin at the centre of the relay wall, z toward the room, y
+        up), m. By default the centre of the hidden image, or the centroid of the hidden mesh.
     emission : {"lambertian", "isotropic"}
         Angular distribution of the 1 W that the point emits: Lambertian about the normal of the
         hidden image (-z for a mesh), or equal in all directions.
     mirror_image : bool
-        Whether to include light that reaches the lens by one reflection at the wall's mirror-like
-        lobes. It forms the mirror image of the point. `psf.hybrid_point_spread` sets this to False
-        and computes that light from waves instead.
+        Whether to include the mirror image of the point: light that reaches the lens after one
+        reflection by the mirror-like part of the wall's material.
+        `nlosoptics.psf.hybrid_point_spread` sets this to False, because it computes that light from
+        waves.
     pitch : float, optional
         Side of a pixel, m; by default that of the camera's image pixels.
     shape : (int, int), optional
@@ -136,8 +144,8 @@ def trace_point(
         Centre (x, y) of pixel [0, 0] in the detector plane, m; by default the pixels are centred
         on the optical axis.
     n_rays : int
-        Number of rays for the flux, and again for all pixels together; each pixel gets at least
-        16 and at most 65536.
+        Number of rays for the flux. About as many again are divided among the pixels, with at least
+        16 and at most 65536 for each.
     max_bounces : int
         Largest number of reflections at the wall, 1 to 64. More than one occurs only on walls that
         can illuminate themselves.
@@ -150,7 +158,7 @@ def trace_point(
     Returns
     -------
     PointTrace
-        Power per pixel and flux, with standard errors.
+        Power per pixel and power through the lens, with standard errors.
 
     Raises
     ------
@@ -162,27 +170,29 @@ def trace_point(
     See Also
     --------
     trace : Light from the laser to the detector.
-    nlosoptics.psf.hybrid_point_spread : PSF of all lobes of the wall.
+    nlosoptics.psf.hybrid_point_spread : PSF by mirror-like and diffuse reflection.
 
     Notes
     -----
-    Flux: light vertices are spread uniformly over the wall (on a wide wall, in proportion to the
-    point's emission) and connected to points of the lens. With a glossy lobe, half of the rays are
-    aimed at the part of the wall in which the mirror image of the point is seen from the lens. The
-    balance heuristic then weights the connections and the rays that reach the lens by scattering
-    (Veach 1997, ch. 9). Smooth mirrors get additional rays, aimed at their mirror image.
+    The flux: rays from the object point are spread uniformly over the wall (on a wide wall, in
+    proportion to the point's emission), and the wall points are connected to points of the lens. If
+    the wall has a glossy lobe, half of the rays are aimed at the part of the wall in which the lens
+    sees the mirror image of the point. The balance heuristic then weights the connections and the
+    rays that reach the lens by scattering, as in `trace`. A smooth mirror gets additional rays,
+    aimed at the mirror image.
 
-    Pixels: light of one reflection at mirror-like lobes is taken from the rays of the flux. For
-    all other light, separate rays are traced from the lens into the field of view of each pixel.
-    They are connected to the point and to vertices of its light. A wall out of focus is blurred:
-    the point where a ray meets the plane in focus is projected through the centre of the lens.
+    The pixels: light of one mirror-like reflection is taken from the rays of the flux. For all
+    other light, separate rays are traced from the lens into the field of view of each pixel, and
+    the wall points that they meet are connected to the object point and to wall points that it
+    lights. A wall out of focus is blurred: the point where a ray meets the plane in focus is
+    projected through the centre of the lens.
 
-    Limits: the hidden object does not block light. On walls that can illuminate themselves, paths
-    with two or more mirror-like reflections are found only by chance; if one of the lobes is
+    The limits: the hidden object does not block light. On walls that can illuminate themselves,
+    paths with two or more mirror-like reflections are found only by chance; if one of the lobes is
     glossy rather than smooth, single pixels are far noisier than the others. If the point is much
-    closer to the wall than the width of a pixel there, the rays of a pixel may miss the light of
-    the point, and the error does not show it. The sum of ``energy`` and ``missed`` is then far
-    below ``flux``.
+    closer to the wall than the width of a pixel there, the rays of a pixel may miss its light, and
+    the standard error does not show it. The sum of ``energy`` and ``missed`` is then far below
+    ``flux``.
 
     Examples
     --------

@@ -28,18 +28,22 @@ QUANTITIES = ("irradiance", "radiance", "radiosity", "counts", "unknown")
 class TransientCapture(Noun, Shown):
     """Time-resolved intensity at points of the relay wall, in bins of optical path.
 
-    The wall is the plane z = 0 with normal +z, unless other normals are given. Grids of points are
-    ordered [y, x], with row 0 at the lowest y.
+    A laser lights points of the wall one after the other, and a sensor records the light that
+    returns to points of the wall. Times are given as optical path, the length that the light has
+    travelled: 1 m is 3.34 ns. In the world frame, the wall is the plane z = 0, y points up, and the
+    wall's normal is +z, unless other normals are given. Grids of points are ordered [y, x], with
+    row 0 at the lowest y.
 
     Parameters
     ----------
     H : array_like
-        (n_bins, *laser_shape, *sensor_shape) for ``pairing="all"``, (n_bins, *shape) for
-        ``"confocal"``. Values are integrals over each bin, not densities, in the unit of
-        ``quantity``. Single precision is kept.
+        Signal in each bin: (n_bins, *laser_shape, *sensor_shape) for ``pairing="all"``,
+        (n_bins, *shape) for ``"confocal"``. Values are integrals over each bin, not densities, in
+        the unit of ``quantity``. float32 is kept, other types become float64.
     laser_points, sensor_points : array_like
-        (*laser_shape, 3) and (*sensor_shape, 3), world frame, m. A single point may have shape
-        (3,); it adds no axis to ``H``.
+        Points lit by the laser, (*laser_shape, 3), and points observed by the sensor,
+        (*sensor_shape, 3), world frame, m. A single point may have shape (3,); it adds no axis to
+        ``H``.
     delta_t : float
         Width of a bin, m of optical path.
     t_start : float
@@ -48,18 +52,22 @@ class TransientCapture(Noun, Shown):
         "all": every laser point is observed at every sensor point. "confocal": laser point i is
         observed at sensor point i only; the two points may differ.
     quantity : {"irradiance", "radiance", "radiosity", "counts", "unknown"}
-        Physical quantity of ``H``; `render` states the units.
+        Physical quantity of ``H``. The first three are per W of laser power on the wall: irradiance
+        and radiosity in W/m^2, radiance in W/(m^2 sr). "counts" are detected photons. "unknown" is
+        any other unit.
     outer_legs : bool
         Whether times include the outer legs: the paths from laser to wall and from wall to sensor.
     laser_origin, sensor_origin : array_like of 3 floats, optional
-        Positions of laser and sensor, world frame, m. Required to subtract the outer legs.
+        Positions of laser and sensor, world frame, m. Required to subtract the outer legs. None:
+        unknown.
     laser_normals, sensor_normals : array_like, optional
-        Unit normals of the wall, shaped like the points; None means +z.
+        Unit normals of the wall at the points, shaped like the points. None: +z everywhere.
     by_bounce : mapping of int to array_like
-        Contributions to ``H``, each shaped like ``H``, by number of reflections. The number
-        includes the two reflections at the wall: 3, 4, 5.
+        Contributions to ``H`` by number of reflections, each shaped like ``H``. The number
+        includes the two reflections at the wall, so that 3 is the least. Empty if unknown.
     standard_error : array_like, optional
         Standard error of ``H``, same shape and unit; 0 for values computed without random numbers.
+        None: unknown.
     details : mapping
         Further information from a file or a renderer, by name.
 
@@ -72,8 +80,9 @@ class TransientCapture(Noun, Shown):
 
     See Also
     --------
-    render : Capture of meshes.
-    render_scene : Capture of a scene file.
+    TransientCapture.load : Read a capture from a file.
+    render : Simulated capture of hidden meshes.
+    render_scene : Simulated capture of a scene.
     phasor_image : Image by virtual waves, for any capture.
     nlosoptics.views.transient : Streak image of a capture.
 
@@ -158,12 +167,12 @@ class TransientCapture(Noun, Shown):
 
     @property
     def laser_shape(self) -> tuple[int, ...]:
-        """Shape of the laser points without the last axis; () for a single point."""
+        """Shape of the grid or list of laser points, such as (ny, nx); () for a single point."""
         return self.laser_points.shape[:-1]
 
     @property
     def sensor_shape(self) -> tuple[int, ...]:
-        """Shape of the sensor points without the last axis; () for a single point."""
+        """Shape of the grid or list of sensor points, such as (ny, nx); () for a single point."""
         return self.sensor_points.shape[:-1]
 
     @property
@@ -183,7 +192,7 @@ class TransientCapture(Noun, Shown):
 
     @property
     def is_confocal(self) -> bool:
-        """Whether each laser point is observed only at the same point, to 1e-9 m."""
+        """Whether each laser point is observed only at itself, to 1e-9 m."""
         return self.pairing == "confocal" and bool(
             np.allclose(self.laser_points, self.sensor_points, rtol=0.0, atol=1e-9)
         )
@@ -210,7 +219,7 @@ class TransientCapture(Noun, Shown):
         Parameters
         ----------
         **more
-            Entries to add to ``details``, by name; existing entries are replaced.
+            Entries to add to ``details``, by name. An existing entry of the same name is replaced.
 
         Returns
         -------
@@ -220,7 +229,7 @@ class TransientCapture(Noun, Shown):
         return replace(self, details={**self.details, **more})
 
     def save(self, path: str | Path, *, compression: int = 0) -> None:
-        """Write the capture to an HDF5 file in the layout of y-tal.
+        """Write the capture to an HDF5 file, in the layout of the transient imaging library y-tal.
 
         `load` and y-tal can read the file. If writing fails, no partial file is left.
 
@@ -229,7 +238,7 @@ class TransientCapture(Noun, Shown):
         path : str or Path
             File to write; an existing file is replaced.
         compression : int
-            gzip level of ``H``, 0 (none) to 9. Attributes are never compressed.
+            gzip level of ``H``, 0 (not compressed) to 9.
 
         Raises
         ------
@@ -240,11 +249,14 @@ class TransientCapture(Noun, Shown):
         -----
         Spatial axes are [x, y] in the file. y-tal supports grids and lists of points; points of
         any other shape are written as lists. Data that y-tal's layout lacks are stored where y-tal
-        ignores them: ``by_bounce``, ``standard_error`` and array-valued ``details`` as attributes
-        of ``H``, everything else as JSON in ``scene_info``. ``details`` that JSON cannot express
-        become lists or text. An unknown origin of laser or sensor is written as zeros, which y-tal
-        needs but does not use, and is marked in ``scene_info``, so that `load` returns None again.
-        If the times include the outer legs, the origin is left empty, and y-tal refuses the file.
+        ignores them: ``by_bounce``, ``standard_error`` and arrays in ``details`` as uncompressed
+        attributes of ``H``, everything else as JSON in ``scene_info``. ``details`` that JSON cannot
+        express become lists or text.
+
+        y-tal needs positions of laser and sensor even where it does not use them. An unknown one is
+        therefore written as zeros and marked in ``scene_info``, so that `load` returns None again.
+        If the times include the outer legs, an unknown position is left empty instead, and y-tal
+        refuses the file.
 
         Examples
         --------
@@ -281,42 +293,49 @@ class TransientCapture(Noun, Shown):
     ) -> TransientCapture:
         """Read a capture from a file of this or another program.
 
-        The layout is recognised from the names of the variables in the file. If the file does not
-        state a value, an error names the argument that supplies it. Arguments override the file.
+        The layout is recognised from the names of the variables in the file. The arguments after
+        ``path`` are for values that the file does not state: an error then names the argument that
+        supplies the value. An argument that is given replaces the value in the file.
 
         Parameters
         ----------
         path : str or Path
-            HDF5 file of y-tal, Z-NLOS or NLOS-DIRAC, or ``.mat`` file (v5 or v7.3) of the phasor
-            field (2019, 2020) or the LCT (2018).
-        format : {"tal", "znlos", "dirac", "phasor_field_2019", "phasor_field_2020", "lct"}
-            Format of the file. Naming it confirms conventions that the file itself does not state.
-            For "lct": pairs are confocal and ``width`` is half the side. For "phasor_field_2020":
-            ``SPAD_index`` counts from 0.
-        bin_width : float
+            HDF5 file of the library y-tal or of the data sets Z-NLOS (2019) or NLOS-DIRAC; or a
+            ``.mat`` file (v5 or v7.3) from the data of the phasor-field papers (2019, 2020) or of
+            the light-cone transform (LCT, 2018).
+        format : str, optional
+            Layout that the file must have: "tal", "znlos", "dirac", "phasor_field_2019",
+            "phasor_field_2020" or "lct". None: any. Naming it also confirms conventions that the
+            file itself does not state. For "lct": laser and sensor points are equal (confocal), and
+            the variable ``width`` is half the side of the wall. For "phasor_field_2020": the
+            variable ``SPAD_index`` counts from 0.
+        bin_width : float, optional
             Width of a bin, m of optical path; 4 ps are 1.2e-3 m.
-        t_start : float
+        t_start : float, optional
             Start of bin 0, m of optical path.
-        side : float
+        side : float, optional
             Full side of the square wall, m. The scanned points are the centres of its cells.
-        pairing : {"all", "confocal"}
-            Pairing of laser and sensor points, see `TransientCapture`.
-        laser_point : array_like of 3 floats
+        pairing : {"all", "confocal"}, optional
+            "all": every laser point is observed at every sensor point. "confocal": laser point i
+            is observed at sensor point i only.
+        laser_point : array_like of 3 floats, optional
             Position of the only laser point, world frame, m.
-        outer_legs : bool
+        outer_legs : bool, optional
             Whether times include the outer legs: the paths from laser to wall and from wall to
             sensor.
-        quantity : str
-            Physical quantity of the bins; "unknown" if neither file nor argument states it.
-        gate_start : float
-            Bins that start before this optical path, m, are set to 0 to remove direct light.
+        quantity : str, optional
+            Physical quantity of the bins, see `TransientCapture`; "unknown" if neither file nor
+            argument states it.
+        gate_start : float, optional
+            Bins that start before this optical path, m, are set to 0, to remove light that goes
+            directly from the laser spot to the sensor.
 
         Returns
         -------
         TransientCapture
-            Grids are [y, x], with row 0 at the lowest y. Phasor-field captures scan the laser and
-            keep the sensor fixed; they are returned with laser and sensor swapped, which leaves
-            the data unchanged by reciprocity.
+            Capture with grids ordered [y, x] and row 0 at the lowest y. In phasor-field captures
+            the laser scans the wall and the sensor point is fixed. They are returned with laser and
+            sensor points swapped; by reciprocity this leaves the signal unchanged.
 
         Raises
         ------

@@ -26,31 +26,33 @@ MOST_COUNTS = 2.0**50
 
 @dataclass(frozen=True, kw_only=True)
 class Detector:
-    """Time-stamping photon counter, such as a SPAD, far from saturation.
+    """Model of a photon counter with time stamps, such as a single-photon avalanche diode (SPAD).
 
-    Lengths are in m of optical path: 50 ps are 0.015 m. Pile-up and dead time are neglected, which
-    is valid below about 5 % detections per pulse.
+    It turns the bins of a capture into photon counts, with the errors of a real detector. Times are
+    given as optical path, m: 50 ps are 0.015 m. Pile-up and dead time are neglected, which is valid
+    if fewer than about 5 % of the pulses lead to a detection.
 
     Parameters
     ----------
     photons : float, optional
-        Expected number of photons at the detector, before the gate, summed over all bins and
-        points of the capture. None: the values of ``H`` are already photon numbers.
+        Expected number of photons that reach the detector, summed over all bins and points of the
+        capture, with the gate open; the capture's signal ``H`` is scaled to this sum. None: the
+        values of ``H`` are already photon numbers.
     efficiency : float
         Fraction of the photons that is counted, 0 to 1.
     jitter : float
         Standard deviation of the Gaussian time-stamp error, m of optical path.
     tail : float
-        Mean delay of the exponential diffusion tail, m of optical path. Time stamps in the tail
-        also have the Gaussian error.
+        Mean delay of the late counts, m of optical path. Slow carriers in the detector give them an
+        exponentially distributed delay (the diffusion tail), in addition to the Gaussian error.
     tail_share : float
-        Fraction of the counts that lie in the tail, 0 to 1.
+        Fraction of the counts that are delayed by the tail, 0 to 1.
     dark_counts : float
-        Expected dark counts per bin and point while the gate is open; ``efficiency`` does not
-        apply to them.
+        Expected dark counts per bin and point while the gate is open. They do not depend on
+        ``efficiency``.
     gate : (float, float), optional
-        Opening and closing time of the gate, m of optical path. It applies to arrival times, so
-        that recorded time stamps, which have an error, may lie outside. None: always open.
+        Opening and closing time of the gate, m of optical path. Photons that arrive outside are
+        lost. Recorded time stamps have an error and may lie outside. None: always open.
 
     Raises
     ------
@@ -59,7 +61,7 @@ class Detector:
 
     See Also
     --------
-    render : Capture of meshes.
+    render : Simulated capture of hidden meshes.
     TransientCapture : Time-resolved capture.
 
     Examples
@@ -118,23 +120,23 @@ class Detector:
 
     @property
     def mean_delay(self) -> float:
-        """Mean delay of a time stamp after its photon, due to the tail, m of optical path."""
+        """Mean time from the arrival of a photon to its time stamp, m of optical path."""
         return self.tail_share * self.tail
 
     @property
     def spread(self) -> float:
-        """Standard deviation of a time stamp's error, m of optical path."""
+        """Standard deviation of the error of a time stamp, m of optical path."""
         tail = self.tail_share * (2.0 - self.tail_share) * self.tail**2
         return math.sqrt(self.jitter**2 + tail)
 
     def expected(self, capture: TransientCapture) -> Array:
-        """Return the expected counts in every bin.
+        """Return the expected counts in every bin, without photon noise.
 
         Parameters
         ----------
         capture : TransientCapture
-            Capture with values of at least 0. Arrival times are taken as uniformly distributed
-            within each bin; the gate may open or close inside a bin.
+            Capture with values of at least 0. Within each bin, arrival times are taken as uniformly
+            distributed. The gate may open or close inside a bin.
 
         Returns
         -------

@@ -21,13 +21,15 @@ def gated(
 ) -> TransientCapture:
     """Crop a capture to a range of optical path, for example to remove direct light.
 
+    Direct light goes from the laser spot straight to the sensor, without the hidden scene.
+
     Parameters
     ----------
     capture : TransientCapture
         Capture to crop.
     start, stop : float, optional
-        Start and end of the range to keep, m of optical path; None keeps everything on that side.
-        Bins that the range covers only in part are removed.
+        Start and end of the range to keep, m of optical path. None: no limit on that side. Bins
+        that the range covers only in part are removed.
 
     Returns
     -------
@@ -42,7 +44,7 @@ def gated(
     See Also
     --------
     downsampled : Sum bins and average points.
-    without_outer_legs : Remove the paths from laser and to sensor.
+    without_outer_legs : Subtract the paths from laser to wall and from wall to sensor.
 
     Examples
     --------
@@ -70,17 +72,17 @@ def gated(
 
 
 def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> TransientCapture:
-    """Reduce the resolution: sum neighbouring bins, average neighbouring wall points.
+    """Reduce the resolution of a capture: sum neighbouring bins and average neighbouring points.
 
     Parameters
     ----------
     capture : TransientCapture
         Capture to reduce.
     bins : int
-        Number of bins that are summed to one.
+        Number of consecutive bins that are summed to one; 1 leaves the bins unchanged.
     grid : int
-        Number of points along each axis that are averaged to one, in position, normal and
-        intensity. Axes with a single point are unchanged.
+        Number of neighbouring wall points along each axis that are averaged to one, in position,
+        normal and intensity. Axes with a single point are unchanged.
 
     Returns
     -------
@@ -95,11 +97,24 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
     See Also
     --------
     smoothed : Gaussian blur of a capture.
-    gated : Cut to a range of optical path.
+    gated : Crop a capture to a range of optical path.
 
     Notes
     -----
     Standard errors are combined as for independent values.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.transient import TransientCapture, downsampled, wall_grid
+    >>> capture = TransientCapture(
+    ...     H=np.ones((100, 4, 4)),
+    ...     laser_points=(0, 0, 0),
+    ...     sensor_points=wall_grid(side=1.0, count=4),
+    ...     delta_t=0.02,
+    ... )
+    >>> downsampled(capture, bins=5, grid=2).H.shape
+    (20, 2, 2)
     """
     bins, grid = whole("bins", bins), whole("grid", grid)
     if capture.n_bins % bins:
@@ -145,7 +160,7 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
 def smoothed(
     capture: TransientCapture, *, path: float = 0.0, grid: float = 0.0
 ) -> TransientCapture:
-    """Blur a capture by a Gaussian to reduce noise.
+    """Blur a capture with a Gaussian, over time and over the wall points, to reduce noise.
 
     A blur as wide as the detector's time response suppresses noise with little loss of signal.
 
@@ -154,9 +169,10 @@ def smoothed(
     capture : TransientCapture
         Capture without standard errors.
     path : float
-        Standard deviation along time, m of optical path.
+        Standard deviation of the Gaussian over time, m of optical path; 0 for no blur.
     grid : float
-        Standard deviation along every axis of wall points, in steps between neighbouring points.
+        Standard deviation of the Gaussian along every axis of wall points, in units of the distance
+        between neighbouring points; 0 for no blur.
 
     Returns
     -------
@@ -193,12 +209,14 @@ def smoothed(
 def distance_weighted(capture: TransientCapture, power: float) -> TransientCapture:
     """Multiply each bin by a power of half its optical path, to undo the falloff with distance.
 
+    Half the optical path is the distance of the object in a confocal capture.
+
     Parameters
     ----------
     capture : TransientCapture
         Capture whose times do not include the outer legs, see `TransientCapture`.
     power : float
-        Exponent of half the path in m: 4 for diffuse targets, 2 for retro-reflective ones.
+        Exponent of half the path in m: 4 for diffuse objects, 2 for retro-reflective ones.
 
     Returns
     -------
@@ -212,7 +230,7 @@ def distance_weighted(capture: TransientCapture, power: float) -> TransientCaptu
 
     See Also
     --------
-    gated : Cut to a range of optical path.
+    gated : Crop a capture to a range of optical path.
     backprojection : Sum over ellipsoids of equal path.
     """
     power = real("power", power)
@@ -228,21 +246,21 @@ def distance_weighted(capture: TransientCapture, power: float) -> TransientCaptu
 
 
 def without_outer_legs(capture: TransientCapture) -> TransientCapture:
-    """Subtract the legs from laser to wall and from wall to sensor from all times.
+    """Subtract the paths from laser to wall and from wall to sensor from the times of a capture.
 
     Parameters
     ----------
     capture : TransientCapture
-        Capture with ``laser_origin`` and ``sensor_origin``. It is returned unchanged if its times
-        do not include outer legs.
+        Capture with ``laser_origin`` and ``sensor_origin``. If its times do not include these two
+        paths (``outer_legs`` is False), it is returned unchanged.
 
     Returns
     -------
     TransientCapture
-        Capture without the legs: those of each pair of points are subtracted from its times, with
-        linear interpolation between bins. Only bins that all pairs cover are kept, so that their
-        number decreases. The first one begins at the old ``t_start`` minus the smallest sum of
-        legs of any pair.
+        Capture whose times begin at the laser point and end at the sensor point. The signal of each
+        pair of points is shifted by the sum of its two paths, with linear interpolation between
+        bins. Only bins that all pairs cover are kept, so that there are fewer of them. The first
+        one begins at the old ``t_start`` minus the smallest of the sums.
 
     Raises
     ------
@@ -253,7 +271,7 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
 
     See Also
     --------
-    gated : Cut to a range of optical path.
+    gated : Crop a capture to a range of optical path.
     fk_migration : Wave-based image of a confocal capture.
     lct : Albedo from a confocal capture.
 

@@ -18,7 +18,7 @@ UNEVEN = 1e-3
 
 
 def wall_grid(side: float, count: int, *, centre: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """Return the cell centres of a square grid on the wall z = 0.
+    """Return the points of a square grid on the wall z = 0, at the centres of its cells.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def wall_grid(side: float, count: int, *, centre: tuple[float, float] = (0.0, 0.
     Returns
     -------
     ndarray
-        (count, count, 3), ordered [y, x], world frame, m.
+        Points (count, count, 3), ordered [y, x] with row 0 at the lowest y, world frame, m.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def wall_grid(side: float, count: int, *, centre: tuple[float, float] = (0.0, 0.
 
     See Also
     --------
-    render : Capture of meshes.
+    render : Simulated capture of hidden meshes.
     TransientCapture : Time-resolved capture.
 
     Examples

@@ -34,35 +34,43 @@ def backprojection(
     falloff: Falloff = "none",
     progress: Progress | None = None,
 ) -> VolumeImage:
-    """Reconstruct a hidden scene by backprojection onto ellipsoids.
+    """Reconstruct a hidden scene by backprojection: sum the light that may come from each voxel.
+
+    For one laser and one sensor point, all light of the same optical path comes from an ellipsoid
+    with its foci at the two points. The value of a voxel is the sum over all pairs of points of the
+    signal at the path via the voxel.
 
     Parameters
     ----------
     capture : TransientCapture
-        Capture of any pairing and grid, without direct light. Its times may include the outer legs
-        (see `TransientCapture`) or not.
+        Capture of any pairing and grid, without light that goes directly from the laser spot to the
+        sensor. Its times may include the outer legs (see `TransientCapture`) or not.
     volume : Volume, optional
-        Voxels in front of the wall. None: one voxel column in front of each sensor point, at the
-        depths of the bins, up to the farthest plane that the time window covers completely. This
-        requires an evenly spaced grid of sensor points [y, x] and times without outer legs.
+        Voxels in front of the wall. None: the x and y of the sensor points, at the depths of the
+        bins (half their optical path), up to the farthest plane that the time window covers
+        completely. This requires an evenly spaced grid of sensor points [y, x] and times without
+        outer legs.
     filter : {"none", "second_derivative", "laplacian"}
-        Filter that is applied to the sums after a Gaussian blur: none, ``-d^2/dz^2``, or minus the
-        Laplacian over all axes with at least 3 voxels.
+        Filter that sharpens the sums, applied after a Gaussian blur. "second_derivative":
+        ``-d^2/dz^2``. "laplacian": minus the Laplacian over all axes with at least 3 voxels.
     width : float, optional
-        Standard deviation of the Gaussian, m; only with a filter. None: pitch of the voxels along
-        z.
+        Standard deviation of the Gaussian blur, m; only with a filter. None: pitch of the voxels
+        along z.
     falloff : {"none", "matched", "diffuse", "retroreflective"}
-        Weight of each path with legs r1 and r2: 1 for "none"; ``1/(r1 r2)^2``, the falloff itself,
-        for "matched", which makes the sum the adjoint of the intensity from points; ``(r1 r2)^2``
-        and ``r1 r2`` undo the falloff of diffuse and retro-reflective targets.
+        Weight of each path, where r1 and r2 are its lengths from the laser point to the voxel and
+        from there to the sensor point. "none": 1. "matched": ``1/(r1 r2)^2``, the falloff of the
+        light itself, which makes the sum the adjoint of the forward model of light from points.
+        "diffuse": ``(r1 r2)^2``, which undoes the falloff of diffuse objects. "retroreflective":
+        ``r1 r2``, which undoes that of retro-reflective ones.
     progress : callable(str, float), optional
-        Called with a line of text and the completed fraction.
+        Called with a line of text and the completed fraction, 0 to 1.
 
     Returns
     -------
     VolumeImage
-        Sums per voxel, linear in the capture if unfiltered. Negative filtered values are set to 0;
-        ``details["below_zero"]`` is their sum relative to the sum of the positive ones.
+        Sum of each voxel, linear in the capture without a filter. With a filter, negative values
+        are set to 0; ``details["below_zero"]`` is their sum relative to the sum of the positive
+        ones.
 
     Raises
     ------
@@ -76,15 +84,15 @@ def backprojection(
 
     See Also
     --------
-    fk_migration, lct : Sharper and faster, for confocal captures.
-    phasor_image : Wave-based, for any capture.
+    fk_migration, lct : Faster methods with sharper images, for confocal captures.
+    phasor_image : Image by virtual waves, for any capture.
 
     Notes
     -----
-    Each voxel sums the values at the path ``r1 + r2`` over all pairs [1]_, interpolated linearly
-    between bin centres. Values outside the bins are 0. Values are float32, sums float64. The image
-    of a point without filter decreases only about as 1/distance from it; the filters make it
-    sharper [2]_.
+    Each voxel sums the signal at the path ``r1 + r2`` over all pairs [1]_, interpolated linearly
+    between bin centres. The signal outside the bins is taken as 0. The signal is stored in float32
+    and summed in float64. Without a filter, the image of a point decreases only about as 1/distance
+    from it; the filters make it sharper [2]_.
 
     References
     ----------

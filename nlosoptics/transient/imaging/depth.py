@@ -23,18 +23,22 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DepthMap(Noun):
-    """Distance from the wall to the surface seen along z.
+    """Depth of a reconstructed scene over x and y: distance from the wall to the surface along z.
+
+    `depth_map` computes it from the image on a volume. Each x and y of the volume is a cell of the
+    map.
 
     Parameters
     ----------
     depth : ndarray
-        (ny, nx), m; NaN for cells without a surface.
+        (ny, nx): distance from the wall z = 0, m; NaN for cells without a surface.
     confidence : ndarray
-        (ny, nx): intensity at that depth relative to the brightest voxel, 0 to 1.
+        (ny, nx): largest intensity of each cell's voxels along z, relative to the brightest voxel
+        of the image, 0 to 1.
     x, y : ndarray
         (nx,) and (ny,): cell centres, world frame, m.
     threshold : float
-        Confidence below which cells have no surface.
+        Confidence below which a cell is taken as empty, 0 to 1.
 
     See Also
     --------
@@ -56,23 +60,28 @@ class DepthMap(Noun):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DepthError(Noun):
-    """Mean absolute error of a depth map at its best threshold.
+    """Error of a depth map against the truth, at the threshold of confidence with the least error.
+
+    `depth_error` computes it. Each x and y is a cell of the depth map. The confidence of a cell is
+    its largest intensity along z, relative to the brightest voxel of the image. Cells below the
+    threshold are taken as empty.
 
     Parameters
     ----------
     mae : float
         Mean absolute error, m, over the cells in which both maps have a depth.
     threshold : float
-        Threshold of confidence with the least error.
+        Threshold of confidence with the least error, 0 to 1.
     coverage : float
-        Fraction of the true map's cells that have a depth at this threshold.
+        Fraction of the cells with a true depth that have a reconstructed depth at this threshold.
     missed, false : float
         Fraction of the cells with a true depth that have no reconstructed depth, and fraction of
         the cells with a reconstructed depth that have no true depth.
     median : float
         Median of reconstructed minus true depth, m.
     curve : ndarray
-        (n, 3): thresholds, errors, m, and coverages. Errors are NaN if no cell is left.
+        (n, 3): for each threshold that was tried, the threshold, the mean absolute error, m, and
+        the coverage. The error is NaN if no cell is left.
 
     See Also
     --------
@@ -91,23 +100,25 @@ class DepthError(Noun):
 def depth_map(
     image: VolumeImage, *, threshold: float | None = None, interpolate: bool = True
 ) -> DepthMap:
-    """Return the depth of the brightest voxel along z.
+    """Return the depth of the brightest voxel along z, for each x and y of an image.
 
     Parameters
     ----------
     image : VolumeImage
-        Image of the hidden scene.
+        Image of the hidden scene on the voxels of a volume.
     threshold : float, optional
-        Columns with a peak below this fraction of the brightest voxel have no depth. None: only
-        columns whose voxels are all 0 have no depth.
+        Least confidence of a depth, 0 to 1: the largest intensity along z at x and y, relative to
+        the brightest voxel of the image. Below it there is no depth (NaN). None: only where all
+        voxels along z are 0.
     interpolate : bool
-        Whether to interpolate between planes, see `VolumeImage.peak_depth`. The depth then differs
-        by up to half a voxel from that of the brightest voxel.
+        Whether to interpolate the position of the maximum between voxels, as
+        `VolumeImage.peak_depth` does. The depth then differs by up to half a voxel from that of the
+        brightest voxel.
 
     Returns
     -------
     DepthMap
-        Distance from the wall and confidence of each column, (ny, nx).
+        Distance from the wall and confidence for each x and y, (ny, nx).
 
     Raises
     ------
@@ -155,19 +166,22 @@ def depth_error(
     n_thresholds: int = 100,
     min_coverage: float = 0.5,
 ) -> DepthError:
-    """Return the mean absolute depth error at the best threshold of confidence.
+    """Compare a reconstructed depth map with the truth: mean absolute error at the best threshold.
+
+    Cells with a confidence below the threshold are taken as empty; see `DepthMap`. Thresholds from
+    0 to 1 are tried, and the one with the least error is used.
 
     Parameters
     ----------
     found : DepthMap or VolumeImage
         Reconstructed depths; an image is converted by `depth_map`.
     truth : DepthMap or array_like
-        (ny, nx): true depths, m; NaN for cells without a surface.
+        True depths on the same cells, (ny, nx), m; NaN for cells without a surface.
     n_thresholds : int
         Number n of thresholds to try: 0, 1/n, ..., 1 - 1/n.
     min_coverage : float
-        Least fraction of the true cells that must keep a depth, 0 to 1. Without this limit, the
-        best threshold could keep a single cell.
+        Fraction of the cells with a true depth that must also keep a reconstructed one, 0 to 1.
+        Without this limit, the best threshold could keep a single cell.
 
     Returns
     -------
@@ -254,14 +268,17 @@ def depth_error(
 def true_depths(
     meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh], grid: Volume | tuple[ArrayLike, ArrayLike]
 ) -> Array:
-    """Return the distance along +z from the wall to the first surface, by rays at cell centres.
+    """Return the true depth map of meshes: distance from the wall to the first surface along +z.
+
+    One ray is traced from each cell centre on the wall z = 0.
 
     Parameters
     ----------
     meshes : trimesh.Trimesh or iterable of them
-        Surfaces, world frame, m.
+        Hidden surfaces, world frame, m.
     grid : Volume or (array_like, array_like)
-        Cells: a volume, or its axes x (nx,) and y (ny,), m. The depths of a volume are ignored.
+        Where to evaluate: cell centres x (nx,) and y (ny,), m, or a volume with these axes, whose
+        depths are ignored.
 
     Returns
     -------
@@ -279,6 +296,14 @@ def true_depths(
     --------
     depth_error : Error of a depth map.
     voxelised : Voxels that a surface passes through.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from nlosoptics.transient import true_depths
+    >>> box = trimesh.creation.box((1.0, 1.0, 1.0)).apply_translation((0.0, 0.0, 1.5))
+    >>> print(true_depths(box, ([0.1, 2.0], [0.2])))
+    [[ 1. nan]]
     """
     from ...raytrace import intersect_mesh
 
@@ -295,20 +320,22 @@ def true_depths(
 def voxelised(
     meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh], volume: Volume
 ) -> NDArray[np.bool_]:
-    """Mark the voxels that surfaces cross, found by rays through the voxels' centres.
+    """Return which voxels of a volume are crossed by the surfaces of meshes.
+
+    The surfaces are found by rays through the centres of the voxels, along each axis with at least
+    two voxels. Rays along a single axis would miss the surfaces that are parallel to it.
 
     Parameters
     ----------
     meshes : trimesh.Trimesh or iterable of them
-        Surfaces, world frame, m.
+        Hidden surfaces, world frame, m.
     volume : Volume
         Volume with at least two voxels along z.
 
     Returns
     -------
     ndarray of bool
-        (nz, ny, nx), True at a surface. Rays run along each axis with at least two voxels, because
-        rays along one axis miss the surfaces that are parallel to it.
+        (nz, ny, nx), True for voxels that a surface crosses.
 
     Raises
     ------
@@ -321,6 +348,15 @@ def voxelised(
     --------
     true_depths : Depths of meshes.
     Volume : Voxel grid.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from nlosoptics.transient import Volume, voxelised
+    >>> box = trimesh.creation.box((1.0, 1.0, 1.0)).apply_translation((0.0, 0.0, 1.5))
+    >>> volume = Volume.box(centre=(0.0, 0.0, 1.5), size=(0.2, 0.2, 1.4), pitch=0.2)
+    >>> print(voxelised(box, volume)[:, 0, 0].astype(int))
+    [0 1 0 0 0 1 0]
     """
     if len(volume.z) < 2:
         raise SamplingError("the volume has 1 voxel along z, must have at least 2; give more")

@@ -48,31 +48,36 @@ def fk_migration(
     dtype: Precision = "float32",
     progress: Progress | None = None,
 ) -> VolumeImage:
-    """Reconstruct a hidden scene by f-k migration of a confocal capture.
+    """Reconstruct a hidden scene by frequency-wavenumber (f-k) migration of a confocal capture.
+
+    The method treats the recorded light as a wave field on the wall and propagates it back to the
+    time at which the hidden surfaces would have emitted it.
 
     Parameters
     ----------
     capture : TransientCapture
-        Confocal capture on an evenly spaced grid [y, x] in z = 0, without direct light. Its times
-        must not include the outer legs, see `without_outer_legs`.
+        Capture in which each wall point is observed only while it is lit (confocal), on an evenly
+        spaced grid [y, x] in z = 0. It has no light that goes directly from the laser spot to the
+        sensor, and its times do not include the outer legs; see `gated` and `without_outer_legs`.
     volume : Volume, optional
-        Voxels within the depths that the time window covers. None: the grid's points at the depths
-        of the bins.
+        Voxels within the depths that the time window covers. None: the x and y of the grid's
+        points, at the depths of the bins (half their optical path).
     target : {"diffuse", "retroreflective"}
-        Falloff of the intensity to undo: the fourth or the second power of the distance.
+        Kind of hidden surface. It sets the falloff of the intensity that is undone: the fourth or
+        the second power of the distance.
     amplitude : {"root", "light"}
-        Wave to migrate. "root": the square root of the falloff-corrected intensity [1]_; the image
-        scales linearly with the capture. "light": the corrected intensity itself; waves of several
-        objects then add linearly, and weak objects appear darker in the image.
+        Wave to propagate back. "root": the square root of the falloff-corrected intensity [1]_; the
+        image scales linearly with the capture. "light": the corrected intensity itself; the waves
+        of several objects then add linearly, and weak objects appear darker in the image.
     dtype : {"float32", "float64"}
         Precision of the waves; the error of float32 is about 1e-6 of the brightest voxel.
     progress : callable(str, float), optional
-        Called with a line of text and the completed fraction.
+        Called with a line of text and the completed fraction, 0 to 1.
 
     Returns
     -------
     VolumeImage
-        Squared modulus of the migrated wave, (nz, ny, nx), in arbitrary units.
+        Squared modulus of the back-propagated wave in each voxel, (nz, ny, nx), in arbitrary units.
 
     Raises
     ------
@@ -91,10 +96,11 @@ def fk_migration(
 
     Notes
     -----
-    With w half the path, the wave is the sum over kx, ky and kz > 0 of
-    ``Psi(kx, ky, f) (kz/f) exp(2 pi i (kx x + ky y + kz z))`` at ``f = sqrt(kx^2 + ky^2 + kz^2)``,
-    with Psi the spectrum of the amplitude over x, y and w [1]_. The grid is zero-padded to twice
-    its width. Psi at the frequencies f is computed by gridding [2]_, to a relative error of 1e-6.
+    Let w be half the optical path, and Psi the spectrum of the amplitude on the wall over x, y and
+    w, with the frequencies kx, ky and f, 1/m. The back-propagated wave is the sum over kx, ky and
+    kz > 0 of ``Psi(kx, ky, f) (kz/f) exp(2 pi i (kx x + ky y + kz z))``, where
+    ``f = sqrt(kx^2 + ky^2 + kz^2)`` [1]_. The grid of wall points is zero-padded to twice its
+    width. Psi at these frequencies f is interpolated by gridding [2]_, to a relative error of 1e-6.
 
     References
     ----------

@@ -42,33 +42,39 @@ def lct(
 ) -> VolumeImage:
     """Reconstruct a hidden scene by the light-cone transform (LCT) of a confocal capture.
 
+    In squared times and squared depths, a confocal capture is the hidden albedo convolved with a
+    known kernel. A Wiener filter inverts this convolution.
+
     Parameters
     ----------
     capture : TransientCapture
-        Confocal capture on an evenly spaced grid [y, x] in z = 0, without direct light. Its times
-        must not include the outer legs, see `without_outer_legs`.
+        Capture in which each wall point is observed only while it is lit (confocal), on an evenly
+        spaced grid [y, x] in z = 0. It has no light that goes directly from the laser spot to the
+        sensor, and its times do not include the outer legs; see `gated` and `without_outer_legs`.
     volume : Volume, optional
-        Voxels within the depths that the time window covers. None: the grid's points at the depths
-        of the bins.
+        Voxels within the depths that the time window covers. None: the x and y of the grid's
+        points, at the depths of the bins (half their optical path).
     target : {"diffuse", "retroreflective"}
-        Falloff of the intensity to undo: the fourth or the second power of the distance.
+        Kind of hidden surface. It sets the falloff of the intensity that is undone: the fourth or
+        the second power of the distance.
     snr : float
-        Ratio of signal to noise power in the Wiener filter, relative to the mean power of the
-        cone's spectrum.
+        Assumed ratio of signal to noise power, above 0. A larger value gives a sharper image with
+        more noise. It is relative to the mean power of the convolution kernel's spectrum.
     penalty : {"size", "curvature"}
-        Regularisation of the Wiener filter. "size" penalises the albedo, with ``1/snr`` at all
-        frequencies. "curvature" penalises its second derivatives, with ``q^4/snr``, where q^2 is
-        the squared frequency relative to its mean.
+        Quantity that the Wiener filter keeps small. "size": the albedo itself, with the weight
+        ``1/snr`` at all frequencies. "curvature": its second derivatives, with the weight
+        ``q^4/snr``, where q^2 is the squared frequency relative to its mean.
     dtype : {"float32", "float64"}
         Precision of the spectra; the error of float32 is about 1e-6 of the brightest voxel.
     progress : callable(str, float), optional
-        Called with a line of text and the completed fraction.
+        Called with a line of text and the completed fraction, 0 to 1.
 
     Returns
     -------
     VolumeImage
-        Albedo per unit depth, linear in the capture up to clipping. Negative values are set to 0;
-        ``details["below_zero"]`` is their sum relative to the sum of the positive ones.
+        Albedo per unit depth in each voxel, in arbitrary units. It is linear in the capture, except
+        that negative values are set to 0; ``details["below_zero"]`` is their sum relative to the
+        sum of the positive ones.
 
     Raises
     ------
@@ -87,10 +93,11 @@ def lct(
 
     Notes
     -----
-    Let v be the squared half path and u the squared depth. The falloff-corrected capture is then
-    the albedo in (x, y, u) convolved with ``delta(x^2 + y^2 - v)`` [1]_. The spectrum of this cone
-    over v is a product of a factor in x and a factor in y. Their means over a cell are Fresnel
-    integrals, so the cone itself is never sampled.
+    Let v be the square of half the optical path and u the squared depth. The falloff-corrected
+    capture, over x, y and v, is then the albedo, over x, y and u, convolved with the kernel
+    ``delta(x^2 + y^2 - v)``, the light cone [1]_. The spectrum of the cone over v is the product of
+    a factor in x and a factor in y. Their means over a cell are Fresnel integrals, so that the cone
+    itself is never sampled.
 
     References
     ----------

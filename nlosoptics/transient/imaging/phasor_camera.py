@@ -55,81 +55,94 @@ def phasor_image(
     device: str | None = None,
     progress: Progress | None = None,
 ) -> PhasorImage:
-    """Image a hidden volume with a virtual camera in place of the relay wall.
+    """Image a hidden volume by phasor fields: a virtual camera in place of the relay wall.
 
-    The virtual pulse is ``K(t) = exp(2 pi i t/wl_mean - t^2/(2 wl_sigma^2))``. With sums over laser
-    points l and sensor points s, the field at a voxel x is
+    The capture is convolved with a short pulse of a virtual wave, with a wavelength of centimetres
+    to decimetres. The result is the wave that the wall would receive if the laser points emitted
+    this pulse. As in a camera, the wave is then focused on each voxel.
+
+    Times t are optical paths, m. The pulse is
+    ``K(t) = exp(2 pi i t/wl_mean - t^2/(2 wl_sigma^2))``. Let l be a laser point, s a sensor point,
+    ``H_ls`` the capture for this pair over time, ``*`` a convolution over time, and ``|x-l|`` the
+    distance between two points. The field at a voxel x and a time t depends on the virtual camera:
 
     - "confocal_time_gated": ``sum_ls (H_ls * K)(|x-l| + |x-s| + t)``. Pulse and camera are focused
       on x, where the pulse arrives at t = 0.
-    - "direct_light": as "confocal_time_gated", but only at t = 0, so that light that the hidden
-      scene reflects once, at x, is in focus.
+    - "direct_light": as "confocal_time_gated", but only at t = 0, when light that the hidden scene
+      has reflected once, at x, is in focus.
     - "transient": ``sum_s (H_ls * K)(|x-s| + t)`` for one laser point l. A camera focused on x
       films a pulse that leaves l at t = 0.
-    - "projector_camera": ``sum_ls (H_ls * K)(|p-l| + |x-s| + t)``. The pulse is focused on p, where
-      it arrives at t = 0; the camera is focused on x.
+    - "projector_camera": ``sum_ls (H_ls * K)(|p-l| + |x-s| + t)``. The pulse is focused on a
+      point p, where it arrives at t = 0; the camera is focused on x.
 
     Parameters
     ----------
     capture : TransientCapture
-        Capture of the relay wall. If its times include the outer legs (see `TransientCapture`),
-        these are subtracted, which requires ``laser_origin`` and ``sensor_origin``.
+        Capture of the relay wall. If its times include the outer legs (the paths from laser to wall
+        and from wall to sensor), these are subtracted, which requires ``laser_origin`` and
+        ``sensor_origin``.
     volume : Volume
-        Voxels to image, z > 0.
+        Voxels to image, in front of the wall, z > 0.
     camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
-        Virtual camera, see above.
+        Virtual camera, one of the four described at the beginning.
     wl_mean : float
-        Virtual wavelength, m of optical path.
+        Wavelength of the virtual wave, m.
     wl_sigma : float, optional
         Standard deviation of the pulse, m of optical path. None: wl_mean/sqrt(2).
     times : array_like, optional
-        (n_times,): times t, m of optical path. Required for "transient", excluded for
-        "direct_light". None: t = 0.
+        Times t of the field, (n_times,), m of optical path. Required for "transient", not accepted
+        for "direct_light". None: t = 0 alone.
     laser : int or tuple of int, optional
-        Index of the laser point l of "transient"; required if there are several.
+        Index of the laser point l for "transient"; required if there are several.
     projector_focus : array_like of 3 floats, optional
-        Focus p of "projector_camera", world frame, m.
+        Point p for "projector_camera", world frame, m; required there.
     aperture : float or array_like of bool, optional
-        Side of a square about the centre of the wall points, m, or a mask in the shape of the
-        points. None: all points. A single laser or sensor point is always used.
+        Part of the wall that is used: side of a square about the centre of the wall points, m, or a
+        mask in the shape of the points. None: all points. A single laser or sensor point is always
+        used.
     aperture_of : {"both", "laser", "sensor"}
         Wall points to which ``aperture`` applies.
     weight : {"unit", "inverse"}
-        Weight of each path: 1, or a factor 1/r for each of its legs, of length r, as in the
-        Rayleigh-Sommerfeld integral.
+        Weight of each path. "unit": 1. "inverse": 1/r for each straight part of the path between
+        the wall and a hidden point, of length r, as in the Rayleigh-Sommerfeld integral.
     tol : float
-        Largest error of K as a sum of plane waves, relative to its peak, 1e-14 to 0.1. The number
-        of waves grows at most as log(1/tol).
+        Error allowed for the pulse, which is computed as a sum of plane waves: largest deviation
+        relative to the peak of K, 1e-14 to 0.1. The number of waves, and with it the time, grows at
+        most as log(1/tol).
     method : {"auto", "fft", "direct"}
-        "direct" sums over all paths. "fft" requires a volume with the x and y pitch of the sensor
-        grid (with a single sensor: laser grid), or with a whole multiple or fraction of it. "auto"
+        "direct" sums over all paths. "fft" convolves plane by plane, usually much faster. It
+        requires a volume with the x and y pitch of the sensor grid (with a single sensor point, of
+        the laser grid), or with a whole multiple or fraction of it; see `Volume.facing`. "auto"
         selects "fft" if possible and faster.
     dtype : {"float64", "float32"}
         Precision of the transforms; sums of "direct" are always float64.
     device : str, optional
-        torch device, such as "cuda" or "cpu". None: numba and FFT on the CPU.
+        Device on which torch computes the field, such as "cuda" or "cpu". None: the CPU, without
+        torch.
     progress : callable(str, float), optional
-        Called with a line of text and the completed fraction.
+        Called with a line of text and the completed fraction, 0 to 1.
 
     Returns
     -------
     PhasorImage
-        Field and intensity on the volume. ``details["sum"]`` is the method used.
+        Complex field on the volume, and intensity: the largest squared modulus of the field over
+        the times. ``details["sum"]`` is the method used, "fft" or "direct".
 
     Raises
     ------
     SceneError
-        If an argument is invalid or missing for this camera, or required origins are missing.
+        If an argument is invalid or missing for this camera, or if positions of laser and sensor
+        that are needed are missing.
     SamplingError
-        If bins, pairs or grids are unsuitable for this camera or method.
+        If the bins, the pairs of points or the grids are unsuitable for this camera or method.
     MemoryLimitError
         If fields or spectra exceed the free memory.
 
     Warns
     -----
     ValidityWarning
-        If the pitch of the wall points, the bins or their window limit the image; also in
-        ``notes``.
+        If the wall points are too far apart or the bins too wide for the wavelength, or if the bins
+        leave out paths to some voxels. The texts are also in ``PhasorImage.notes``.
     PerformanceWarning
         If a large volume is summed directly, often a hundred times slower than by transforms,
         because its voxels do not lie on the grid of the wall points.
@@ -141,8 +154,15 @@ def phasor_image(
 
     Notes
     -----
-    The cameras follow Liu et al., Nature 572, 620 (2019); the projector follows Marco et al., ICCV
-    2021. The factors 1/r and the cosines of the real light paths are not compensated.
+    The cameras follow [1]_, the projector follows [2]_. The falloff of the real light with distance
+    and its cosines are not compensated.
+
+    References
+    ----------
+    .. [1] Liu et al., Non-line-of-sight imaging using phasor-field virtual wave optics, Nature 572,
+       620 (2019).
+    .. [2] Marco et al., Virtual light transport matrices for non-line-of-sight imaging, ICCV
+       (2021).
 
     Examples
     --------

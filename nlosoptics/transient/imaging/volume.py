@@ -21,13 +21,16 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, eq=False)
 class Volume(Noun):
-    """Rectangular grid of voxels, given by the coordinates of their centres.
+    """Rectangular grid of voxels in the hidden space, given by the coordinates of their centres.
+
+    Images are reconstructed on such a grid. `Volume.box` fills a box with voxels, and
+    `Volume.before` and `Volume.facing` place them in front of the points of a wall grid.
 
     Parameters
     ----------
     x, y, z : array_like
-        (nx,), (ny,) and (nz,): world coordinates, m, evenly spaced and increasing. An axis may
-        have a single value. z is the distance from the wall.
+        Centres along each axis, (nx,), (ny,) and (nz,), world frame, m, evenly spaced and
+        increasing. An axis may have a single value. z is the distance from the wall.
 
     Raises
     ------
@@ -93,7 +96,7 @@ class Volume(Noun):
 
     @classmethod
     def before(cls, side: Any, count: int, depths: ArrayLike) -> Volume:
-        """Return a volume with one voxel column in front of each cell of a wall grid.
+        """Return a volume whose x and y are the cell centres of a wall grid, about the origin.
 
         Parameters
         ----------
@@ -102,12 +105,12 @@ class Volume(Noun):
         count : int
             Number of cells along each side, as in `wall_grid`.
         depths : array_like
-            (nz,): distances of the planes from the wall, m.
+            Distances of the planes of voxels from the wall, (nz,), m, evenly spaced.
 
         Returns
         -------
         Volume
-            Voxels (nz, count, count), with x and y at the centres of the wall's cells.
+            Voxels (nz, count, count).
         """
         width, height = pair("side", side)
         middles = (np.arange(whole("count", count)) + 0.5) / count - 0.5
@@ -115,21 +118,23 @@ class Volume(Noun):
 
     @classmethod
     def facing(cls, points: ArrayLike, planes: tuple[float, float, float]) -> Volume:
-        """Return a volume with one voxel column in front of each point of a grid on the wall.
+        """Return a volume whose x and y are those of given wall points, at evenly spaced depths.
+
+        On such a volume, `phasor_image` can use its fast method.
 
         Parameters
         ----------
         points : array_like
-            (ny, nx, 3): wall points, m, increasing along x and y, and evenly spaced to 1/1000 of
-            the pitch.
+            Wall points, (ny, nx, 3), world frame, m, increasing along x and y, and evenly spaced
+            to 1/1000 of the pitch.
         planes : (float, float, float)
-            Nearest and farthest distance from the wall and the step, m. The first plane is at the
-            nearest distance; the last one does not exceed the farthest.
+            Nearest and farthest distance of a plane of voxels from the wall, and the step, m. The
+            first plane is at the nearest distance; the last one does not exceed the farthest.
 
         Returns
         -------
         Volume
-            Voxels (nz, ny, nx), with x and y of the wall points.
+            Voxels (nz, ny, nx).
 
         Raises
         ------
@@ -151,7 +156,7 @@ class Volume(Noun):
         return cls(x, y, near + step * np.arange(count))
 
     def check_before_wall(self) -> None:
-        """Raise `SceneError` if a plane is in the wall z = 0 or behind it."""
+        """Raise `SceneError` if voxels lie in the wall, z = 0, or behind it."""
         if self.z[0] <= 0.0:
             raise SceneError(
                 f"volume.z begins at {self.z[0]:g} m, must be above 0, in front of the wall; give "
@@ -172,20 +177,20 @@ class Volume(Noun):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class VolumeImage(Noun, Shown):
-    """Image of a hidden scene on the voxels of a volume.
+    """Reconstructed image of a hidden scene on the voxels of a volume.
 
     Parameters
     ----------
     intensity : ndarray
-        (nz, ny, nx): non-negative values; the unit depends on the method.
+        Value of each voxel, (nz, ny, nx), at least 0; the unit depends on the method.
     volume : Volume
-        Voxels of the image.
+        Positions of the voxels.
     method : str
-        Name of the reconstruction method.
+        Name of the reconstruction method, such as "lct".
     seconds : float
         Computation time, s.
     details : mapping
-        Parameters and results of the method, by name.
+        Options and further results of the method, by name.
 
     Raises
     ------
@@ -224,37 +229,38 @@ class VolumeImage(Noun, Shown):
         return Figures("Volume", figures, alt)
 
     def projection(self, axis: str = "z") -> Array:
-        """Return the maximum intensity projection along an axis.
+        """Return the image seen along an axis: the largest intensity on each line of voxels.
 
         Parameters
         ----------
         axis : {"x", "y", "z"}
-            Axis along which to take the maximum.
+            Axis along which to take the maximum; "z" is the view from the wall.
 
         Returns
         -------
         ndarray
-            (ny, nx) for "z", (nz, nx) for "y", (nz, ny) for "x".
+            Maximum intensity projection, (ny, nx) for "z", (nz, nx) for "y", (nz, ny) for "x".
         """
         return np.asarray(self.intensity.max(axis="zyx".index(one_of("axis", axis, "zyx"))))
 
     def peak_depth(self) -> Array:
-        """Return the depth of the maximum along z, interpolated between planes.
+        """Return the depth of the maximum along z for each x and y, interpolated between voxels.
 
         Returns
         -------
         ndarray
-            (ny, nx), m: vertex of the parabola through the logarithm of the intensity at the
-            brightest plane and its two neighbours. It is the depth of the brightest plane if that
-            is the first or last one, or if a neighbour is 0. Dark columns get a depth, too; use
-            `depth_map` with a threshold to exclude them.
+            Distance from the wall, (ny, nx), m. A parabola is fitted to the logarithm of the
+            intensity of the brightest voxel and its two neighbours along z, and the depth is that
+            of its vertex. If the brightest voxel is the first or the last one, or if a neighbour is
+            0, it is the depth of that voxel. Dark lines of voxels get a depth, too; use `depth_map`
+            with a threshold to exclude them.
 
         Notes
         -----
-        The interpolation is exact for a single surface with a Gaussian envelope in depth, as the
-        pulse of `phasor_image` gives. For planes spaced by 1, 1/2 and 1/4 of the virtual
-        wavelength, the error for a point is 0.5, 0.1 and 0.3 % of the spacing. A parabola through
-        the intensity itself would give 18, 10 and 3 %.
+        The interpolation is exact for a single surface with a Gaussian intensity over depth, as the
+        pulse of `phasor_image` gives. For a point imaged by `phasor_image`, on planes spaced by 1,
+        1/2 and 1/4 of the virtual wavelength, the error is 0.5, 0.1 and 0.3 % of the spacing. A
+        parabola through the intensity itself would give 18, 10 and 3 %.
         """
         light, z = self.intensity, self.volume.z
         best = light.argmax(axis=0)
@@ -314,7 +320,10 @@ Camera = Literal["confocal_time_gated", "transient", "direct_light", "projector_
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PhasorImage(VolumeImage):
-    """Phasor field on a volume; ``intensity`` is its largest squared modulus over time.
+    """Image of a hidden scene by virtual waves, with the complex field, from `phasor_image`.
+
+    It has all attributes of `VolumeImage`; its ``intensity`` is the largest squared modulus of the
+    field over the times.
 
     Parameters
     ----------
@@ -324,13 +333,13 @@ class PhasorImage(VolumeImage):
     camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
         Virtual camera, see `phasor_image`.
     wl_mean, wl_sigma : float
-        Wavelength and standard deviation of the virtual pulse, m of optical path.
+        Wavelength of the virtual wave, and standard deviation of its Gaussian pulse, m.
     times : ndarray, optional
-        (n_times,): times of ``field``, m of optical path. None: t = 0.
+        Times of ``field``, (n_times,), m of optical path. None: t = 0 alone.
     aperture : float or ndarray of bool, optional
         Used part of the wall: side of a square, m, or a mask shaped like the points. None: all.
     notes : tuple of str
-        Limits of the sampling that the image exceeds, with the text of the warnings.
+        Warnings: one text for each limit of sampling that the image exceeds.
 
     See Also
     --------

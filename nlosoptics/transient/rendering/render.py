@@ -96,7 +96,10 @@ def render(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> TransientCapture:
-    """Render the time-resolved intensity at a Lambertian relay wall, scattered by hidden meshes.
+    """Compute the light over time that hidden meshes scatter back to a Lambertian relay wall.
+
+    The laser lights points of the wall, and the light returns to points of the wall via the meshes.
+    Times are given as optical path, the length that the light has travelled: 1 m is 3.34 ns.
 
     Parameters
     ----------
@@ -104,8 +107,8 @@ def render(
         Hidden meshes, world frame, m, and their materials. Both sides of a triangle scatter alike.
         Meshes lie in front of the wall z = 0 and may touch it.
     laser_points, sensor_points : array_like
-        (*laser_shape, 3) and (*sensor_shape, 3): points on the wall z = 0, m. A single point may
-        have shape (3,).
+        Points on the wall z = 0 that are lit, (*laser_shape, 3), and observed, (*sensor_shape, 3),
+        m; `wall_grid` makes a square grid of them. A single point may have shape (3,).
     pairing : {"all", "confocal"}
         "all": every laser point with every sensor point. "confocal": laser point i with sensor
         point i only.
@@ -116,48 +119,52 @@ def render(
     n_bins : int
         Number of bins.
     min_bounces, max_bounces : int
-        Least and greatest number of reflections of a path, 3 to 32, including the two at the wall.
-        ``min_bounces`` above 3 omits shorter paths, for example to average several seeds without
-        recomputing the deterministic three bounces.
+        Least and greatest number of reflections (bounces) of a path, 3 to 32, including the two at
+        the wall. ``min_bounces`` above 3 omits shorter paths, for example to average several seeds
+        without computing three bounces again, which use no random numbers.
     quantity : {"irradiance", "radiance", "radiosity"}
-        Quantity at the sensor points, per W of laser power on the wall (time-integrated: per J of
-        pulse energy): irradiance E in W/m^2, radiance ``wall_albedo E/pi`` in W/(m^2 sr), or
-        radiosity ``wall_albedo E`` in W/m^2.
+        Quantity at the sensor points, per W of laser power on the wall: irradiance E in W/m^2,
+        radiance ``wall_albedo E/pi`` in W/(m^2 sr), or radiosity ``wall_albedo E`` in W/m^2.
+        Equally, it is the time integral of the quantity per J of energy of a laser pulse.
     keep_laser_cosine : bool
-        Whether the source is a point at ``laser_origin`` that emits 1 W/sr and illuminates 1 m^2
-        of the wall. All values are then multiplied by cos/d^2 of the leg from laser to wall,
-        1/m^2.
+        Model of the light on the wall. False: 1 W on each laser point. True: a point source at
+        ``laser_origin`` emits 1 W/sr and illuminates 1 m^2 of the wall. All values are then
+        multiplied by cos/d^2, 1/m^2, with the distance d from the source to the laser point and the
+        cosine of the angle of incidence there.
     outer_legs : bool
         Whether times include the outer legs: the paths from ``laser_origin`` to the wall and from
-        the wall to ``sensor_origin``.
+        the wall to ``sensor_origin``. If False, times begin at the laser point and end at the
+        sensor point.
     laser_origin, sensor_origin : (float, float, float), optional
-        Positions of laser and sensor, world frame, m; required by the two options above.
+        Positions of laser and sensor, world frame, m. Both are required with ``outer_legs``, the
+        first with ``keep_laser_cosine``.
     tol, tol_multiple : float
-        Relative L1 error over the bins of each pair of points: ``tol`` for three bounces,
-        ``tol_multiple`` (expected error) for each higher number of bounces.
+        Error allowed for each pair of points: sum of the absolute errors of all bins, relative to
+        the sum of the values. ``tol`` applies to three bounces, ``tol_multiple`` to the expected
+        error of each higher number of bounces.
     n_rays : int, optional
-        Largest number of random paths with more than three bounces. None: as many as take about
-        ten minutes on one core.
+        Largest number of random paths with more than three bounces, at least 8. None: as many as
+        take about ten minutes on one core.
     wall_size : float or (float, float), optional
-        Sides of a wall about the origin, m, that also reflects between hidden surfaces, as in wall,
-        object, wall, object, wall. None: the wall reflects at laser and sensor points only.
+        Sides of a wall about the origin, m, that also reflects light between hidden surfaces, as in
+        wall, object, wall, object, wall. None: the wall reflects only at laser and sensor points.
     seed : int
         Seed of the random paths, 0 to 2^64 - 1. Results are identical for any number of threads.
         Three bounces use no random numbers.
     progress : callable(str, float), optional
-        Called with a line of text and the completed fraction.
+        Called with a line of text and the completed fraction, 0 to 1.
 
     Returns
     -------
     TransientCapture
-        Capture with ``by_bounce`` and ``standard_error`` (0 for three bounces). For three bounces,
-        ``details`` has arrays shaped like the pairs: ``"error_estimate"`` (difference of the last
-        two passes, summed over bins), ``"before"`` and ``"after"`` (intensity outside the bins) and
-        ``"parts"`` (number of parts into which the surface was divided), and the flag
-        ``"shadows"`` (whether the meshes were searched for shadows). For more bounces,
-        ``"multiple_bounces"`` has the number of paths, the errors reached and the reason to stop:
-        "tol" if ``tol_multiple`` was reached; "paths" if ``n_rays`` was reached first; or "dark"
-        if some number of bounces contributes nothing to the bins.
+        Capture with ``by_bounce`` and ``standard_error`` (0 for three bounces). Its ``details``
+        tell how it was computed. For three bounces they have arrays with one value for each pair of
+        points: "error_estimate" (change in the last refinement, summed over bins), "before" and
+        "after" (signal outside the bins), and "parts" (number of parts into which the surfaces were
+        divided); "shadows" is True if the meshes were searched for shadows. For more bounces,
+        "multiple_bounces" has the number of paths, the errors reached and the reason to stop: "tol"
+        if ``tol_multiple`` was reached, "paths" if ``n_rays`` was reached first, or "dark" if some
+        number of bounces contributes nothing to the bins.
 
     Raises
     ------
@@ -170,13 +177,13 @@ def render(
 
     See Also
     --------
-    render_scene : Render a scene file.
+    render_scene : Simulated capture of a scene.
     Detector : Photon counts of a capture.
 
     Notes
     -----
-    The wall never occludes. Three bounces (wall, hidden surface, wall) are integrated by adaptive
-    quadrature, more bounces by Monte Carlo.
+    The wall never blocks light. Three bounces (wall, hidden surface, wall) are integrated by
+    adaptive quadrature, more bounces by Monte Carlo.
 
     Examples
     --------

@@ -33,34 +33,37 @@ def render_scene(
     progress: Progress | None = None,
     **options: Any,
 ) -> TransientCapture:
-    """Render the time-resolved capture of a scene.
+    """Compute the time-resolved capture of a scene: light over time at points of its relay wall.
 
-    The laser spot is a point with 1 W (or a pulse of 1 J) on the wall. The outer legs begin at the
-    laser's position and end at the camera's position. With five or more bounces, the whole wall
-    also reflects between hidden surfaces. A hidden image is converted to a mesh of its white area,
-    on at most 64 cells across, that scatters on both sides. Occluders are black surfaces.
-    If the wall has a roughness, its realisation must be ``"mean"``; the Lambertian wall then
-    remains unchanged.
+    The scene's ``transient`` entry, a `nlosoptics.scene.TransientScan`, defines the wall points and
+    the bins. The laser spot is a point with 1 W (or a pulse of 1 J) on the wall. If times include
+    the outer legs, these begin at the laser's position and end at the camera's position. With five
+    or more bounces, the whole wall also reflects light between hidden surfaces. A hidden image is
+    converted to a mesh of its white area, of at most 64 cells along each side, that scatters on
+    both sides. Occluders are black surfaces. If the scene has a ``wall_roughness``, its
+    ``realisation`` must be ``"mean"``; the Lambertian wall then remains unchanged.
 
     Parameters
     ----------
     scene : Scene
         Scene with ``transient``, a flat Lambertian wall, and a mesh or a black-and-white image.
     tol : float
-        Relative L1 error of three bounces over the bins of each pair of points.
+        Error allowed for three bounces, for each pair of points: sum of the absolute errors of all
+        bins, relative to the sum of the values.
     seed : int
         Seed of the random paths with more than three bounces, 0 to 2^64 - 1.
     progress : callable(str, float), optional
-        Called with a line of text and the completed fraction.
+        Called with a line of text and the completed fraction, 0 to 1.
     **options
-        Options of `render`: ``quantity``, ``keep_laser_cosine``, ``outer_legs``, ``tol_multiple``,
-        ``min_bounces``, ``n_rays``. All others follow from the scene.
+        Further arguments of `render`: ``quantity``, ``keep_laser_cosine``, ``outer_legs``,
+        ``tol_multiple``, ``min_bounces``, ``n_rays``. All others follow from the scene.
 
     Returns
     -------
     TransientCapture
-        Capture with the scene's imaging options ``wl_mean``, ``near``, ``far`` and ``step`` in
-        ``details["picture"]``.
+        Capture of all bounces. Where the scene gives them, ``details["picture"]`` holds the options
+        for its later reconstruction: virtual wavelength ``wl_mean``, and the range of depths
+        ``near`` and ``far`` with its ``step``, m.
 
     Raises
     ------
