@@ -39,8 +39,9 @@ PAINT = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 0.0))
 class Scene(Noun, Shown):
     """Laser, relay wall, hidden object and camera in one world frame.
 
-    The origin is the wall's centre. The mean wall plane is z = 0, its normal +z points into the
-    room, and y is up. Laser, object and camera have z > 0 and lie in front of a curved wall.
+    The origin of the world frame is the wall's centre. The mean wall plane is z = 0, its normal +z
+    points into the room, and y is up. Laser, object and camera have z > 0, and lie in front of the
+    surface of a curved wall.
 
     Parameters
     ----------
@@ -53,27 +54,31 @@ class Scene(Noun, Shown):
     camera : Camera
         Thin-lens camera that looks at the wall.
     occluders : tuple of trimesh.Trimesh or Occluder
-        Black bodies that block light: meshes in the world frame, m, or mesh files with a pose.
+        Black bodies that block light: meshes in the world frame, m, or `Occluder` objects with a
+        mesh file, a position and a rotation. By default none.
     wall_material : Material
-        Scattering of the relay wall; the default is matt paint with a 5 % mirror-like lobe.
+        Bidirectional reflectance of the relay wall. The default is matt paint (albedo 0.7) with a
+        smooth mirror-like part that reflects 5 % of the light.
     transient : TransientScan, optional
-        Time-resolved capture and the volume that is reconstructed from it.
+        Settings of a time-resolved capture, for example by a single-photon camera, and the volume
+        that is reconstructed from it. Not needed for the image of an ordinary camera.
     wall_roughness : WallRoughness, optional
-        Relief that is added to ``wall``, which is then the mean surface. The relief determines the
-        slopes of the mirror-like lobes: each such lobe of ``wall_material`` must have the rms slope
-        of the relief or zero.
+        Random or measured heights that are added to ``wall``, which is then the mean surface. They
+        determine how far the wall's mirror-like reflection is spread. The mirror-like lobes of
+        ``wall_material`` must therefore have the rms slope of these heights, or zero. By default
+        no heights are added.
 
     Raises
     ------
     SceneError
-        If a part has the wrong type, the laser is not aimed at the plane z = 0, a part lies
-        behind the wall, or the roughness does not agree with wall or material.
+        If a part has the wrong type, the laser is not aimed at a point of the plane z = 0, a part
+        lies behind the wall, or the roughness contradicts the wall or its material.
 
     Notes
     -----
-    A planar object is checked against a curved wall at its corners and centre. Checks that must
-    read a mesh file or fit a surface (`MeshWall`, `MeshObject`, `Occluder`) are made later, by
-    `imaging.form_image` and `raytrace.trace`.
+    Whether a planar object lies in front of a curved wall is checked at its corners and centre.
+    Checks that must read a mesh file or fit a surface (`MeshWall`, `MeshObject`, `Occluder`) are
+    made later, by `imaging.form_image` and `raytrace.trace`.
 
     See Also
     --------
@@ -141,17 +146,18 @@ class Scene(Noun, Shown):
         Parameters
         ----------
         path : str or Path
-            Scene file. Its keys are described by the JSON schema from ``nlosoptics schema``.
+            Scene file. The command ``nlosoptics schema`` prints a JSON schema that describes its
+            keys.
         changes : mapping of str to value, optional
-            Values written as in the file, with units, by address. An address is the table and the
-            key, such as ``wall.radius``, with indices from 0 for lists, such as
-            ``wall.material[1].slope_rms``. Keys that would contradict a new one are removed:
+            New values by address. A value is written as in the file, with its unit. An address is
+            table and key, such as ``wall.radius``. An element of a list has an index from 0, as in
+            ``wall.material[1].slope_rms``. Keys of the file that contradict a new one are removed:
             setting ``camera.f_number`` removes ``camera.stop_diameter``.
 
         Returns
         -------
         Scene
-            The scene, with the image and mesh files of object and occluders read.
+            Scene described by the file. Paths in the file are relative to its folder.
 
         Raises
         ------
@@ -175,9 +181,10 @@ class Scene(Noun, Shown):
         return read_scene(path_of("path", path), cls, changes)
 
     def save(self, path: str | Path) -> None:
-        """Write a scene file that `load` reads back without any change of values.
+        """Write a scene file from which `load` restores exactly the same values.
 
-        An image, heights or meshes held in memory are written losslessly into the same folder.
+        An image, heights or meshes that are arrays in memory are written to files of their own in
+        the same folder, without loss.
 
         Parameters
         ----------
@@ -223,17 +230,21 @@ class Scene(Noun, Shown):
         return Figures("Scene", figures, alt)
 
     def resized(self, size: int) -> Scene:
-        """Return a copy whose camera image has ``size`` pixels along x over the same field.
+        """Return a copy whose camera image has ``size`` pixels along x over the same field of view.
+
+        Only the binning of the camera changes: the number of native pixels of the sensor that are
+        summed to one image pixel.
 
         Parameters
         ----------
         size : int
-            Image pixels along x; must divide the camera's native pixels.
+            Image pixels along x. ``camera.pixels[0] / size`` must be a whole number that also
+            divides ``camera.pixels[1]``.
 
         Raises
         ------
         SceneError
-            If ``size`` does not divide the native pixels.
+            If no binning gives this size.
         """
         return replace(self, camera=self.camera.resized(size))
 
@@ -243,15 +254,15 @@ class Scene(Noun, Shown):
         Returns
         -------
         Scene
-            Scene without ``wall_roughness``. If the roughness has the realisation "pattern", the
-            wall is the sum of mean wall and heights, and its mirror-like lobes are smooth. If it
-            is "mean", the wall is the mean wall, and its mirror-like lobes have the rms slope of
-            the roughness. A scene without roughness is returned as it is.
+            Scene without ``wall_roughness``. If ``wall_roughness.realisation`` is "pattern", the
+            wall is the sum of mean wall and heights, and the mirror-like lobes of the material have
+            slope 0. If it is "mean", the wall is the mean wall, and these lobes have the rms slope
+            of the roughness. A scene without roughness is returned unchanged.
 
         Raises
         ------
         SceneError
-            If a height map does not cover the wall, or a part lies behind the relief.
+            If a height map does not cover the wall, or a part lies behind the rough surface.
 
         Examples
         --------
@@ -268,7 +279,10 @@ class Scene(Noun, Shown):
 
     @property
     def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
-        """Mirror-like lobes of the wall; those of a rough wall have its rms slope."""
+        """Lobes of the wall's reflectance that are mirror-like: of rms slope up to 0.1 rad.
+
+        If the scene has ``wall_roughness``, each lobe has the rms slope of the roughness.
+        """
         lobes = self.wall_material.mirror_lobes
         if self.wall_roughness is None:
             return lobes
@@ -327,7 +341,11 @@ class Scene(Noun, Shown):
 
     @property
     def focus_distance(self) -> float:
-        """Axial distance from the lens to the plane in focus, m."""
+        """Distance along the optical axis from the lens to the plane in focus, m.
+
+        It is ``camera.focus_distance`` or, if that is None, the distance of the hidden object's
+        mirror image.
+        """
         if self.camera.focus_distance is not None:
             return self.camera.focus_distance
         return float(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from typing import Any
 
 from ..parts.camera import Camera
@@ -17,6 +18,15 @@ from ..walls.mesh_walls import MeshWall
 from ..walls.relief import FacetWall, GaussianWall
 from ..walls.roughness import WallRoughness
 from . import tables
+
+#: Descriptions of keys that every wall has, which are parts of the scene and not of the wall.
+WALL_KEYS = {
+    "material": "Bidirectional reflectance of the wall: one lobe (a table), a sum of lobes (an "
+    "array of tables), or the name of a material of the library. By default matt paint of albedo "
+    "0.7 with a smooth mirror-like lobe of reflectance 0.05.",
+    "roughness": "Random or measured heights that are added to the wall. They determine the slope "
+    "of its mirror-like lobes. By default no heights are added.",
+}
 
 
 def scene_schema() -> dict[str, Any]:
@@ -56,6 +66,7 @@ def scene_schema() -> dict[str, Any]:
         notes |= {
             "realisation": _parameter_notes(inspect.getdoc(WallRoughness) or "")["realisation"]
         }
+        notes |= WALL_KEYS if "shape" in table["properties"] else {}
         section = "wall" if name in ("HeightMapTable", "RandomTable") else ""
         section = (
             "roughness" if name in ("FacetsTable", "GaussianTable", "RoughMapTable") else section
@@ -71,7 +82,10 @@ def scene_schema() -> dict[str, Any]:
 
 
 def _parameter_notes(docstring: str) -> dict[str, str]:
-    """Return the description of each parameter of a numpydoc docstring, in one line."""
+    """Return the description of each parameter of a numpydoc docstring, in one line.
+
+    References such as [1]_ and the marks of code are left out.
+    """
     notes: dict[str, str] = {}
     names: list[str] = []
     _, _, section = docstring.partition("Parameters\n----------\n")
@@ -83,7 +97,7 @@ def _parameter_notes(docstring: str) -> dict[str, str]:
         elif line:
             for name in names:
                 notes[name] = f"{notes.get(name, '')} {line.strip()}".strip()
-    return notes
+    return {name: re.sub(r" \[\d+\]_|``?", "", note) for name, note in notes.items()}
 
 
 def _tidy(key: str, schema: dict[str, Any], notes: dict[str, str], section: str = "") -> None:
@@ -98,7 +112,7 @@ def _tidy(key: str, schema: dict[str, Any], notes: dict[str, str], section: str 
     elif choices:
         schema["anyOf"] = choices
     if key in notes:
-        form = f" ({schema['description']})" if "description" in schema else ""
+        form = f" Written as {schema['description']}." if "description" in schema else ""
         schema["description"] = notes[key] + form
     example = tables.example(section, key)
     if example is not None and not schema.keys() & {"const", "enum"}:

@@ -205,15 +205,20 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
+def _key(description: str) -> Any:
+    """Return an optional key with a description for editors."""
+    return Field(None, description=description)
+
+
 class LambertTable(Table):
-    """Ideal diffuse lobe."""
+    """Ideal diffuse reflection."""
 
     lobe: Literal["lambert"]
     albedo: float
 
 
 class OrenNayarTable(Table):
-    """Rough diffuse lobe."""
+    """Diffuse reflection of a rough surface (Oren and Nayar)."""
 
     lobe: Literal["oren_nayar"]
     albedo: float
@@ -223,7 +228,7 @@ class OrenNayarTable(Table):
 
 
 class SpecularTable(Table):
-    """Mirror-like lobe."""
+    """Glossy or mirror-like reflection by microfacets."""
 
     lobe: Literal["specular"]
     reflectance: float
@@ -232,7 +237,7 @@ class SpecularTable(Table):
 
 
 class WardTable(Table):
-    """Ward lobe about the mirror direction."""
+    """Glossy reflection after Ward, centred on the mirror direction."""
 
     lobe: Literal["ward"]
     albedo: float
@@ -289,17 +294,21 @@ MaterialTable = Annotated[
 
 
 class LaserTable(Table):
-    """Laser; ``distance`` and ``incidence`` as seen from ``aim`` may replace ``position``."""
+    """Laser. Its place is given by position, or by distance and incidence as seen from aim."""
 
     wavelength: LengthText
     power: PowerText
     beam_diameter: LengthText
     aim: VectorText | None = None
     position: VectorText | None = None
-    distance: LengthText | None = Field(None, description="from aim to the start of the beam")
-    incidence: AngleText | None = Field(None, description="between the beam and the wall's normal")
-    azimuth: AngleText | None = Field(
-        None, description="direction from aim to the start of the beam, from +x toward +y"
+    distance: LengthText | None = _key(
+        "Distance from aim to the start of the beam. With incidence it replaces position."
+    )
+    incidence: AngleText | None = _key(
+        "Angle between beam and normal of the plane z = 0. With distance it replaces position."
+    )
+    azimuth: AngleText | None = _key(
+        "Angle, from +x toward +y, of the plane of incidence; by default 0. Goes with incidence."
     )
     independent_patterns: int | None = None
 
@@ -312,7 +321,7 @@ class _RoughnessTable(Table):
 
 
 class FacetsTable(_RoughnessTable):
-    """Plane random facets; slope_rms is by default that of the wall's mirror-like lobe."""
+    """Plane random facets. The default of slope_rms is the slope of the wall's mirror-like lobe."""
 
     model: Literal["facets"]
     cell: LengthText
@@ -320,18 +329,18 @@ class FacetsTable(_RoughnessTable):
 
 
 class GaussianTable(_RoughnessTable):
-    """Smooth random heights; their slope is by default that of the wall's mirror-like lobe."""
+    """Smooth random heights. The default of slope_rms is that of the wall's mirror-like lobe."""
 
     model: Literal["gaussian"]
     correlation_length: LengthText
     height_rms: LengthText | None = None
-    slope_rms: AngleText | None = Field(
-        None, description="slope rms per axis, sqrt(2) height_rms / l; replaces height_rms"
+    slope_rms: AngleText | None = _key(
+        "Rms slope along each axis, sqrt(2) height_rms / correlation_length; replaces height_rms."
     )
 
 
 class RoughMapTable(Table):
-    """Measured heights on a grid, read from an .npy file in m."""
+    """Measured heights in m on a grid, from an .npy file."""
 
     model: Literal["height_map"]
     heights: str
@@ -378,7 +387,7 @@ class CylinderTable(_WallTable):
 
 
 class WavyTable(_WallTable):
-    """Wall with a one-dimensional cosine wave."""
+    """Wall whose height is a sine wave along one direction."""
 
     shape: Literal["wavy"]
     amplitude: LengthText
@@ -388,7 +397,7 @@ class WavyTable(_WallTable):
 
 
 class SumTable(_WallTable):
-    """Wall whose height is the sum of several heights."""
+    """Wall whose height is the sum of the heights of several walls."""
 
     shape: Literal["sum"]
     terms: list[WallTable] = Field(min_length=1)
@@ -405,7 +414,7 @@ class MeshWallTable(Table):
 
 
 class HeightMapTable(_WallTable):
-    """Wall through heights on a grid, read from an .npy file in m."""
+    """Wall that interpolates heights in m on a grid, from an .npy file."""
 
     shape: Literal["height_map"]
     heights: str
@@ -473,7 +482,7 @@ def _hidden_tag(table: Any) -> str:
 
 
 class OccluderTable(Table):
-    """Black mesh that blocks light."""
+    """Black triangle mesh that blocks light."""
 
     mesh: str
     scale: float | None = None
@@ -490,21 +499,21 @@ HiddenTable = Annotated[
 
 
 class CameraTable(Table):
-    """Camera; it takes the keys of the table in ``file`` and may override them."""
+    """Camera. Its keys override those of the table [camera] in the given file, if any."""
 
-    file: str | None = Field(None, description="file with a [camera] table that supplies defaults")
+    file: str | None = _key("Path of a file with a table [camera], whose keys are the defaults.")
     position: VectorText | None = None
     aim: VectorText | None = None
     focal_length: LengthText | None = None
-    field_of_view: AngleText | None = Field(
-        None, description="full angle across sensor_width; replaces focal_length"
+    field_of_view: AngleText | None = _key(
+        "Full angle that the lens sees across the width sensor_width; replaces focal_length."
     )
-    sensor_width: LengthText | None = Field(
-        None, description="width spanned by field_of_view; default pixels[0] * pixel_pitch"
+    sensor_width: LengthText | None = _key(
+        "Width on the sensor to which field_of_view refers; by default pixels[0] * pixel_pitch."
     )
     stop_diameter: LengthText | None = None
-    f_number: float | None = Field(
-        None, description="focal_length / stop_diameter; replaces stop_diameter"
+    f_number: float | None = _key(
+        "F-number of the lens, focal_length / stop_diameter. It replaces stop_diameter."
     )
     pixel_pitch: LengthText | None = None
     pixels: list[int] | None = Field(None, min_length=2, max_length=2)
@@ -528,7 +537,7 @@ class CameraFile(Table):
 
 
 class TransientTable(Table):
-    """Time-resolved capture; times are lengths of optical path."""
+    """Time-resolved capture. Times are optical path lengths: time times the speed of light."""
 
     side: LengthText
     count: int

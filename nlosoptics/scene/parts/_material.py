@@ -17,7 +17,10 @@ MIRROR_SLOPE = 0.1
 
 
 class Material:
-    """Base class of all materials.
+    """Base class of all materials: the bidirectional reflectance of a surface.
+
+    The reflectance is a sum of lobes. A lobe is one kind of reflection, such as the diffuse or the
+    glossy part.
 
     See Also
     --------
@@ -27,14 +30,14 @@ class Material:
     """
 
     def lobe_table(self) -> Array:
-        """Return the lobes as a table for compiled kernels.
+        """Return the parameters of all lobes as an array, as compiled code needs them.
 
         Returns
         -------
         ndarray, (n, 4)
-            One row per lobe: its kind, from `LAMBERT` to `WARD_BOUNDED` of `kernels.codes`; its
-            albedo or reflectance; its rms slope or alpha, rad; and a factor on the whole lobe,
-            which is 1 unless the lobe is normalised.
+            One row per lobe. Its columns are a code for the kind of lobe (a constant of
+            `kernels.codes`), the albedo or reflectance, the rms slope or alpha in rad, and a factor
+            on the whole lobe, which is 1 unless the lobe is normalised.
         """
         raise NotImplementedError
 
@@ -43,7 +46,8 @@ class Material:
         """Fraction of the incident power that mirror-like lobes reflect, 0 to 1.
 
         A lobe counts as mirror-like if its rms slope is at most 0.1 rad, which spreads the
-        reflected light by 11 deg. Rougher lobes do not form a useful image and count as diffuse.
+        reflected light by 0.2 rad (11 deg) rms. Wider lobes form no useful image and count as
+        diffuse.
         """
         return 0.0
 
@@ -54,7 +58,7 @@ class Material:
 
     @property
     def diffuse(self) -> Material | None:
-        """Material without its mirror-like lobes (see `mirror_lobes`); None if none is left."""
+        """Material without its mirror-like lobes (see `mirror_lobes`); None if no lobe remains."""
         return self
 
     def evaluate(self, incident: ArrayLike, exitant: ArrayLike, normal: ArrayLike) -> Array:
@@ -68,8 +72,9 @@ class Material:
         Returns
         -------
         ndarray, (...)
-            f_r, zero where either direction is below the surface. A lobe of zero slope is a mirror:
-            its delta function contributes to `specular_reflectance` but not to this value.
+            f_r, zero where either direction is below the surface. A lobe of zero slope is a mirror,
+            whose reflectance is a delta function of direction. It is not included here, but in
+            `specular_reflectance`.
 
         Raises
         ------
@@ -98,9 +103,10 @@ class Material:
         Returns
         -------
         ndarray, (...)
-            Density per solid angle. Its integral over the whole sphere, not the hemisphere, is 1
-            minus the share of lobes of zero slope, since facets can reflect a sample below the
-            surface. Zero where the incident direction is below the surface.
+            Density per solid angle; zero where the incident direction is below the surface. Facets
+            can reflect a sample below the surface, so the density is normalised to 1 over the whole
+            sphere, not the hemisphere. Lobes of zero slope reflect into a single direction and have
+            no density; the integral is smaller by the fraction of samples that they receive.
 
         Raises
         ------
@@ -133,8 +139,9 @@ class Material:
         exitant : ndarray, (..., 3)
             Unit vectors with the density `pdf`.
         weight : ndarray, (...)
-            f_r cos(theta) / density, with the directional albedo as its mean. Zero for exitant
-            directions below the surface, and wherever the incident direction is below it.
+            ``f_r cos(theta) / pdf``, with theta the angle between exitant direction and normal. The
+            mean weight is the directional albedo, see `albedo`. The weight is zero if either
+            direction is below the surface.
 
         Raises
         ------
@@ -175,9 +182,10 @@ class Material:
         Returns
         -------
         ndarray, (...)
-            Reflected fraction, in the shape of ``theta``: in closed form where one exists,
-            otherwise by quadrature with an error of about 1e-9, or 1e-16/(s cos theta)^2 if
-            larger, for a mirror-like lobe of rms slope s.
+            Reflected fraction, in the shape of ``theta``. It has a closed form for Lambert,
+            Oren-Nayar ("fit") and smooth mirrors. Otherwise it is integrated numerically with an
+            error of about 1e-9; for narrow lobes of rms slope s, of ``1e-16/(s cos(theta))^2`` if
+            that is larger.
 
         Raises
         ------
@@ -188,14 +196,15 @@ class Material:
 
 
 class MirrorLobe(Material):
-    """Base class of lobes about the mirror direction.
+    """Base class of glossy reflections: lobes centred on the mirror direction.
 
-    A lobe counts as mirror-like if its rms slope is at most 0.1 rad, otherwise as diffuse.
+    A lobe is one part of a bidirectional reflectance. It counts as mirror-like if its rms slope is
+    at most 0.1 rad, otherwise as diffuse.
 
     Attributes
     ----------
     slope_rms : float
-        Standard deviation of the facet slope per axis, rad.
+        Standard deviation of the facets' slope along each axis, rad.
 
     See Also
     --------

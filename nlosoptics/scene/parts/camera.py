@@ -19,44 +19,47 @@ class Camera:
     Parameters
     ----------
     position : (float, float, float)
-        Centre of the lens, m.
+        Centre of the lens, world frame, m.
     aim : (float, float, float)
-        A point on the optical axis in front of the lens, m.
+        A point on the optical axis in front of the lens, world frame, m.
     focal_length : float
         Focal length of the thin lens, m.
     stop_diameter : float
-        Clear diameter of the lens, which is the diameter of its entrance pupil, m. The Notes
-        relate it to the F-number.
+        Clear diameter of the lens, m, which is also the diameter of its entrance pupil. The
+        F-number engraved on a lens is ``focal_length/stop_diameter``.
     pixel_pitch : float
-        Side of a native pixel, m, 1e-12 to 1.
+        Side of a native pixel (a pixel of the sensor, before binning), m, 1e-12 to 1.
     pixels : (int, int)
-        Number of native pixels that are read out in x and y: the whole sensor, or a region of
-        interest centred on the optical axis.
+        Number of native pixels (pixels of the sensor, before binning) that are read out in x and y:
+        the whole sensor, or a region of interest centred on the optical axis.
     binning : int, default 8
-        Native pixels summed along each side of an image pixel. With the default, 512 x 512 native
-        pixels give an image of 64 x 64; 1 keeps every native pixel.
+        Number of native pixels that are summed along each side of an image pixel. With the default,
+        512 x 512 native pixels give an image of 64 x 64 pixels; 1 keeps every native pixel.
     exposure : float
         Exposure time, s.
     quantum_efficiency : float
-        Electrons per photon, 0 to 1.
+        Electrons per photon on the detector, above 0 and up to 1.
     transmission : float
-        Transmittance of the lens, 0 to 1.
+        Transmittance of the lens, above 0 and up to 1.
     full_well : float
         Full-well capacity of a native pixel, electrons.
     read_noise : float
         Read noise per native pixel and readout, electrons rms.
     dark_current : float
-        Electrons per native pixel and second.
+        Dark current: electrons per native pixel and second.
     bit_depth : int
-        Bits of the analogue-to-digital converter; one step is full_well/2^bit_depth electrons.
-    focus_distance : float or None
-        Axial distance from the lens to the plane in focus, m; None focuses on the mirror image of
-        the hidden object.
+        Bits of the analogue-to-digital converter, 1 to 32. One digital step is
+        ``full_well/2^bit_depth`` electrons.
+    focus_distance : float, optional
+        Distance along the optical axis from the lens to the plane in focus, m. By default the lens
+        is focused on the mirror image of the hidden object in the wall.
     glare_fraction : float
-        Fraction of the laser spot's light in the lens that is scattered evenly over the sensor.
-    field_stop : float or None
-        Full angle, rad, of a round baffle in front of the lens. Light from outside this cone, for
-        example from the laser spot, causes neither signal nor glare. None for no baffle.
+        Fraction, 0 to 1, of the laser spot's light entering the lens that is scattered evenly over
+        the sensor (veiling glare).
+    field_stop : float, optional
+        Full angle, rad, of the cone of light that a round baffle in front of the lens transmits.
+        Light from outside the cone, for example from the laser spot, causes neither signal nor
+        glare. By default there is no baffle.
 
     Raises
     ------
@@ -76,11 +79,11 @@ class Camera:
     the lens along the optical axis and Y = (0, 1, 0) (X = (1, 0, 0) if n is parallel to Y). The
     lens inverts the image, so that an image array drawn with row 0 on top appears upright.
 
-    The F-number engraved on a lens is ``focal_length/stop_diameter``. This library computes with
-    the working F-number, ``N = d/stop_diameter = 1/(2 sin(alpha))``, with d the distance from lens
-    to detector and alpha the half angle of the cone of light on the detector. This holds for a
-    lens that satisfies the sine condition, as photographic lenses do. N must be above 0.5. If the
-    relay wall is the stop, `psf.ExitPupil.f_number` is larger.
+    The computation uses the working F-number ``N = d/stop_diameter``, with d the distance from lens
+    to detector. For a lens that satisfies the sine condition, as photographic lenses do, this is
+    ``1/(2 sin(alpha))``, with alpha the half angle of the cone of light on the detector. N must be
+    above 0.5. If the edge of the relay wall, not the lens, limits the cone of light, the F-number
+    is larger; see `psf.ExitPupil.f_number`.
 
     Examples
     --------
@@ -175,7 +178,7 @@ class Camera:
 
     @property
     def frame(self) -> NDArray[np.float64]:
-        """Camera axes as rows e1, e2 and n, world frame, (3, 3)."""
+        """Unit vectors e1, e2 and n of the camera's axes as rows, world frame, (3, 3)."""
         return pupil_frame(self.axis)
 
     @property
@@ -194,12 +197,13 @@ class Camera:
         Parameters
         ----------
         size : int
-            Image pixels along x; must divide the native pixels.
+            Image pixels along x. ``pixels[0] / size`` must be a whole number that also divides
+            ``pixels[1]``.
 
         Raises
         ------
         SceneError
-            If ``size`` does not divide the native pixels.
+            If no binning gives this size.
         """
         whole("size", size)
         if self.pixels[0] % size or self.pixels[1] % (self.pixels[0] // size):
@@ -212,7 +216,7 @@ class Camera:
 
 
 def pupil_frame(axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return transverse axes for an optical axis, as used for pupil and image coordinates.
+    """Return the axes of pupil and image coordinates for a given direction of the optical axis.
 
     Parameters
     ----------

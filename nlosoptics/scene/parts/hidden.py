@@ -42,24 +42,31 @@ def _check_hidden(hidden: PlanarObject | MeshObject) -> None:
 class PlanarObject(Posed):
     """Greyscale image on a plane, such as a hidden letter.
 
-    Without rotation it faces the wall with its top toward +y. Seen from the wall, it is not
+    Without rotation the image faces the wall, with its top toward +y. Seen from the wall it is not
     mirrored: the right side of the image points to -x and its normal to -z.
 
     Parameters
     ----------
     image : str, Path or array_like (ny, nx)
-        File (PNG, TIFF, JPEG or ``.npy``) or array, row 0 on top. Brightness from 0 to 1 (8- and
-        16-bit integers: from 0 to the largest value of their type) scales the reflectance of the
-        material.
+        Greyscale image: a file (PNG, TIFF, JPEG or ``.npy``) or an array with row 0 on top. The
+        brightness, 0 (black) to 1 (white), multiplies the reflectance of ``material``. Integers of
+        8 and 16 bits are divided by the largest value of their type.
     size : float or (float, float)
-        Width and height, m. A single number is the width; the height follows from the image's
-        shape.
+        Width and height of the image in the room, m. A single number is the width; the height then
+        follows from the image's shape.
     position : (float, float, float)
         Centre of the image, world frame, m.
-    yaw, pitch, roll : float
-        Rotation angles about the world axes y, x and z, rad; applied in the order roll, pitch, yaw.
+    yaw : float
+        Right-handed rotation about the world's y axis, rad. It is applied last: the order is roll,
+        pitch, yaw.
+    pitch : float
+        Right-handed rotation about the world's x axis, rad. It is applied after roll and before
+        yaw.
+    roll : float
+        Right-handed rotation about the world's z axis, rad. It is applied first: the order is roll,
+        pitch, yaw.
     material : Material
-        Material of a white pixel.
+        Bidirectional reflectance of a white pixel.
 
     Raises
     ------
@@ -147,7 +154,7 @@ class PlanarObject(Posed):
     def corners(self) -> Array:
         """Corners of the image, (4, 3), world frame, m.
 
-        Their order is top right, bottom right, bottom left, top left, in the image's own sense.
+        Their order is top right, bottom right, bottom left, top left, as seen in the image itself.
         """
         right, up, _ = self.axes
         sides = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)]) / 2 * self.size
@@ -243,10 +250,17 @@ class MeshObject(PosedMesh):
         Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
     position : (float, float, float)
         Position of the mesh's origin, world frame, m.
-    yaw, pitch, roll : float
-        Rotation angles about the world axes y, x and z, rad; applied in the order roll, pitch, yaw.
+    yaw : float
+        Right-handed rotation about the world's y axis, rad. It is applied last: the order is roll,
+        pitch, yaw.
+    pitch : float
+        Right-handed rotation about the world's x axis, rad. It is applied after roll and before
+        yaw.
+    roll : float
+        Right-handed rotation about the world's z axis, rad. It is applied first: the order is roll,
+        pitch, yaw.
     material : Material
-        Material of the whole surface.
+        Bidirectional reflectance of the whole surface.
 
     Raises
     ------
@@ -256,7 +270,7 @@ class MeshObject(PosedMesh):
 
     See Also
     --------
-    PlanarObject : Hidden picture.
+    PlanarObject : Hidden image on a plane.
     Occluder : Black object that casts shadows.
     """
 

@@ -17,16 +17,17 @@ class Laser:
     wavelength : float
         Vacuum wavelength, m, 1e-8 to 1e-4.
     power : float
-        Continuous power on the wall, W.
+        Power of the continuous beam on the wall, W.
     beam_diameter : float
         Diameter of the beam, m; the irradiance is uniform across it.
     position : (float, float, float)
         Start of the beam, world frame, m.
     aim : (float, float, float)
         Point of the mean wall plane z = 0 that the beam is aimed at, world frame, m.
-    independent_patterns : int or None
-        Number of independent speckle patterns averaged in one exposure. None for spatially
-        incoherent light (a fast diffuser in the beam), which shows no speckle.
+    independent_patterns : int, optional
+        Number of independent speckle patterns that are averaged in one exposure; 1 for a laser
+        without averaging. By default the light is spatially incoherent, as behind a fast rotating
+        diffuser, and the image shows no speckle.
 
     Raises
     ------

@@ -35,17 +35,17 @@ class MaterialValue:
     Parameters
     ----------
     address : str
-        Address of the value within the material, such as "[1].slope_rms" for the slope of its
-        second lobe.
+        Place of the value within the material: number of the lobe, from 0, and key, such as
+        "[1].slope_rms" for the slope of the second lobe.
     value : float
-        Value, in rad for a slope.
+        Value, in rad for a slope, otherwise without unit.
     low, high : float
         Smallest and largest value to expect for a real surface of this name.
     basis : str
-        "published", "fitted", "computed" or "estimate".
+        "published": value of the source. "fitted": width of a fit to measured data. "computed":
+        from constants of the material. "estimate": informed guess with wide limits.
     source : str
-        Publication, with the table in it and the kind of light used, or how the value was
-        estimated.
+        Publication with the table used, or how the value was obtained.
 
     See Also
     --------
@@ -66,26 +66,26 @@ class MaterialValue:
 
     @property
     def unit(self) -> str:
-        """Unit of value and spread, which may be empty."""
+        """Unit of ``value``, ``low`` and ``high``: "rad" for a slope, otherwise empty."""
         return "rad" if self.key in ANGLES else ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NamedMaterial:
-    """Wall material of the library.
+    """Wall material of the built-in library, with range and source of each value.
 
     Parameters
     ----------
     name : str
-        Name in scene files.
+        Name by which a scene file refers to the material.
     what : str
-        Surface that it describes.
+        Description of the surface.
     note : str
         Restrictions on the use of the material; may be empty.
     material : Material
-        Its lobes.
+        Bidirectional reflectance: one lobe, or a sum of lobes.
     values : tuple of MaterialValue
-        Values of all lobes, each with its spread and source.
+        Values of all lobes, each with its range and source.
 
     See Also
     --------
@@ -116,12 +116,12 @@ class NamedMaterial:
 
 
 def material_library() -> Mapping[str, NamedMaterial]:
-    """Return all materials of the library by name.
+    """Return all wall materials of the built-in library by name.
 
     Returns
     -------
     mapping of str to NamedMaterial
-        Read-only, in the order of the library's file.
+        Read-only mapping from name, such as "whiteboard", to material.
 
     See Also
     --------
@@ -138,7 +138,7 @@ def material_library() -> Mapping[str, NamedMaterial]:
 
 
 def named_material(name: str) -> Material:
-    """Return the library's material with the given name, such as "whiteboard".
+    """Return a wall material of the built-in library, such as "whiteboard".
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def named_material(name: str) -> Material:
 
     See Also
     --------
-    material_library : All materials, with sources and spreads.
+    material_library : All materials, with ranges and sources.
 
     Examples
     --------

@@ -23,8 +23,9 @@ ROUNDING = 1e-12  # relative to the largest coordinate: error of rotating a mesh
 class Occluder(PosedMesh):
     """Black body: a triangle mesh that absorbs all light that meets it from either side.
 
-    It may touch the plane z = 0 but not reach behind it. Parts of it behind a curved wall block
-    nothing, and a face that lies in the wall's surface does not cover the wall.
+    The mesh may touch the plane z = 0 but must not reach behind it. Its parts behind the surface of
+    a curved wall block nothing, and a triangle that lies in the wall's surface does not cover the
+    wall.
 
     Parameters
     ----------
@@ -34,8 +35,15 @@ class Occluder(PosedMesh):
         Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
     position : (float, float, float)
         Position of the mesh's origin, world frame, m.
-    yaw, pitch, roll : float
-        Rotation angles about the world axes y, x and z, rad; applied in the order roll, pitch, yaw.
+    yaw : float
+        Right-handed rotation about the world's y axis, rad. It is applied last: the order is roll,
+        pitch, yaw.
+    pitch : float
+        Right-handed rotation about the world's x axis, rad. It is applied after roll and before
+        yaw.
+    roll : float
+        Right-handed rotation about the world's z axis, rad. It is applied first: the order is roll,
+        pitch, yaw.
 
     Raises
     ------

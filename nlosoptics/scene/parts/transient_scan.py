@@ -16,31 +16,40 @@ VOLUME = ("near", "far", "step")
 class TransientScan:
     """Time-resolved capture on the plane wall z = 0, and the volume to reconstruct from it.
 
-    Times are optical path lengths in m. They exclude the paths from the laser to the wall and from
-    the wall to the camera.
+    A time-resolved detector records histograms of arrival times at points of a square grid on the
+    wall. Times are given as optical path lengths in m (time multiplied by the speed of light). They
+    exclude the paths from the laser to the wall and from the wall to the detector.
 
     Parameters
     ----------
     side : float
         Side of the scanned square, centred on the wall, m.
     count : int
-        Scan points along each side, at the centres of cells.
+        Number of scan points along each side of the square. The points are the centres of
+        count x count equal cells.
     scan : {"single", "confocal", "exhaustive"}
-        Illuminated points: ``laser.aim`` only; the sensor point itself; or, for each sensor point,
-        every scan point in turn.
+        Which points the laser illuminates while the detector scans the grid. "single":
+        ``laser.aim`` only. "confocal": the point that the detector looks at. "exhaustive": every
+        grid point in turn, for each point of the detector.
     delta_t : float
-        Width of a time bin, m of optical path.
+        Width of a time bin as optical path length, m.
     n_bins : int
         Number of time bins.
     t_start : float
-        Start of bin 0, m of optical path.
+        Start of the first time bin as optical path length, m.
     max_bounces : int
         Largest number of reflections of a path, 3 to 5, including the two at the wall.
     wl_mean : float, optional
-        Virtual wavelength for the phasor-field reconstruction, m.
-    near, far, step : float, optional
-        Distances of the first and last reconstructed plane from the wall, and the spacing of the
-        planes, m. Give all three or none.
+        Central wavelength of the virtual pulse for the phasor-field reconstruction, m.
+    near : float, optional
+        Distance of the first reconstructed plane from the wall, m. Give near, far and step, or none
+        of them.
+    far : float, optional
+        Distance of the last reconstructed plane from the wall, m. Give near, far and step, or none
+        of them.
+    step : float, optional
+        Distance between neighbouring reconstructed planes, m. Give near, far and step, or none of
+        them.
 
     Raises
     ------

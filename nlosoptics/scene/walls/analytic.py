@@ -36,9 +36,8 @@ def _term(kind: int, *parameters: float) -> Array:
 class Wall(Noun):
     """Relay wall: the surface that scatters light from the hidden object to the camera.
 
-    This is the common base class; use one of the walls below. The surface is a height h(x, y) above
-    the plane z = 0, positive toward the room. Every wall has ``height``, ``derivatives`` and
-    ``normal``.
+    This is the common base class of the walls listed under See Also. The surface is a height
+    h(x, y) above the plane z = 0, positive toward the room.
 
     Attributes
     ----------
@@ -65,10 +64,11 @@ class Wall(Noun):
         Returns
         -------
         terms : ndarray, (n, 8)
-            One row per summand: its kind, from `PLANE` to `GRID`, then its parameters in SI units.
+            One row per term of a sum of heights: a code for the kind of surface (a constant of
+            `kernels.codes`), then its parameters in SI units.
         tables : ndarray, (m,)
-            Samples of summands that are given on a grid; their rows of ``terms`` hold an offset
-            into this array.
+            Samples of all terms that are given on a grid. The row of such a term holds the index at
+            which its samples start.
 
         Raises
         ------
@@ -175,7 +175,7 @@ class Wall(Noun):
         return self.derivatives(x, y)[..., 0]
 
     def normal(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Return the unit normals toward the room, (..., 3), world frame.
+        """Return the surface's unit normals toward the room, (..., 3), world frame.
 
         Parameters
         ----------
@@ -197,21 +197,21 @@ class Wall(Noun):
         Returns
         -------
         trimesh.Trimesh
-            Mesh with vertices on the surface, in m, and normals toward the room.
+            Mesh with vertices on the surface, world frame, m, and normals toward the room.
 
         Raises
         ------
         SceneError
-            If the wall is unbounded or reaches beyond the radius of a summand.
+            If the wall is unbounded, or reaches beyond the radius of a sphere or cylinder.
         MemoryLimitError
             If the mesh would not fit in memory.
 
         Notes
         -----
-        The cell side c follows from the bound b on the second derivatives: every point of half a
-        cell is within c / sqrt(2) of the midpoint of its longest side, so that the distance to the
-        surface is at most b c^2 / 4. On a wall of plane facets with slopes up to g, the error is
-        larger by at most g c / sqrt(2).
+        The mesh splits square cells of side c into two triangles each. Every point of a triangle is
+        within c / sqrt(2) of the midpoint of its longest side. With a bound b on the second
+        derivatives of the height, the distance to the surface is therefore at most b c^2 / 4. On a
+        wall of plane facets with slopes up to g, it is larger by at most g c / sqrt(2).
         """
         import trimesh
 
@@ -252,7 +252,8 @@ class FlatWall(Wall):
     Parameters
     ----------
     size : float or (float, float), optional
-        Full extent in x and y, m; None for an unbounded wall.
+        Full extent of the wall in x and y, m; one number for a square. By default the wall is
+        unbounded.
 
     Raises
     ------
@@ -338,18 +339,19 @@ class _CurvedWall(Wall):
 
 @dataclass(frozen=True)
 class ConcaveWall(_CurvedWall):
-    """Concave sphere or cylinder: hollow toward the room, vertex at the origin.
+    """Concave wall: part of a sphere or cylinder, hollow toward the room, vertex at the origin.
 
     Parameters
     ----------
     radius : float
         Radius of curvature, m.
     size : float or (float, float), optional
-        Full extent in x and y, m; None extends the surface up to its radius.
+        Full extent of the wall in x and y, m; one number for a square. By default the surface
+        extends to a distance of one radius from its vertex (sphere) or axis (cylinder).
     shape : {"sphere", "cylinder"}
-        Kind of surface.
+        Kind of surface: part of a sphere, or part of a cylinder.
     axis : {"x", "y"}, default "y"
-        Direction of the axis of a cylinder; ignored for a sphere.
+        Direction of a cylinder's axis; without effect for a sphere.
 
     Raises
     ------
@@ -374,18 +376,19 @@ class ConcaveWall(_CurvedWall):
 
 @dataclass(frozen=True)
 class ConvexWall(_CurvedWall):
-    """Convex sphere or cylinder: bulging toward the room, vertex at the origin.
+    """Convex wall: part of a sphere or cylinder, bulging toward the room, vertex at the origin.
 
     Parameters
     ----------
     radius : float
         Radius of curvature, m.
     size : float or (float, float), optional
-        Full extent in x and y, m; None extends the surface up to its radius.
+        Full extent of the wall in x and y, m; one number for a square. By default the surface
+        extends to a distance of one radius from its vertex (sphere) or axis (cylinder).
     shape : {"sphere", "cylinder"}
-        Kind of surface.
+        Kind of surface: part of a sphere, or part of a cylinder.
     axis : {"x", "y"}, default "y"
-        Direction of the axis of a cylinder; ignored for a sphere.
+        Direction of a cylinder's axis; without effect for a sphere.
 
     Raises
     ------
@@ -403,20 +406,24 @@ class ConvexWall(_CurvedWall):
 
 @dataclass(frozen=True)
 class WavyWall(Wall):
-    """Wall with a one-dimensional wave, h = amplitude cos(2 pi s/period + phase).
+    """Wall whose height is a sine wave along one direction.
+
+    The height is ``amplitude cos(2 pi s/period + phase)``, with s the distance from the origin
+    along the direction of the wave.
 
     Parameters
     ----------
     amplitude : float
-        Half the peak-to-valley height, m; a negative value shifts the phase by pi.
+        Half the peak-to-valley height of the wave, m; a negative value shifts the phase by pi.
     period : float
-        Period of the wave along s, m.
+        Period of the wave, m.
     phase : float, default 0
-        Phase at the origin, rad.
+        Phase of the wave at the origin, rad; with 0 there is a crest.
     size : float or (float, float), optional
-        Full extent in x and y, m; None for an unbounded wall.
+        Full extent of the wall in x and y, m; one number for a square. By default the wall is
+        unbounded.
     direction : float, default 0
-        Angle of the coordinate s from +x toward +y, rad.
+        Direction in which the height varies, as an angle from +x toward +y, rad.
 
     Raises
     ------
@@ -467,19 +474,20 @@ class WavyWall(Wall):
 
 @dataclass(frozen=True, init=False)
 class SumWall(Wall):
-    """Wall whose height is the sum of several heights, for example two crossed waves.
+    """Wall whose height is the sum of the heights of several walls, for example two crossed waves.
 
     Parameters
     ----------
     *terms : Wall
-        Summands; their own sizes are ignored.
+        Walls whose heights are added; their own sizes are ignored.
     size : float or (float, float), optional
-        Full extent in x and y, m; None for an unbounded wall.
+        Full extent of the wall in x and y, m; one number for a square. By default the wall is
+        unbounded.
 
     Raises
     ------
     SceneError
-        If a summand is not a wall, or is a `CallableWall`.
+        If a term is not a wall, or is a `CallableWall`.
 
     See Also
     --------
@@ -513,7 +521,7 @@ class SumWall(Wall):
         self._check_size()
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the arrays of all summands, concatenated; see `Wall.compiled`."""
+        """Return the arrays of all terms, concatenated; see `Wall.compiled`."""
         rows, tables, offset = [], [np.zeros(1)], 1
         for term in self.terms:
             row, table = term.compiled()
@@ -526,7 +534,7 @@ class SumWall(Wall):
 
     @property
     def max_curvature(self) -> float:
-        """Sum of the curvature bounds of the summands, 1/m."""
+        """Upper bound on the principal curvatures, 1/m: the sum of the terms' bounds."""
         return sum(term.max_curvature for term in self.terms)
 
     def _max_bend(self, size: tuple[float, float]) -> float:
@@ -539,7 +547,7 @@ class SumWall(Wall):
         return sum(term._max_crease for term in self.terms)
 
     def height(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Return the sum of the summands' heights, (...), m, positive toward the room.
+        """Return the sum of the terms' heights, (...), m, positive toward the room.
 
         Parameters
         ----------
@@ -551,10 +559,10 @@ class SumWall(Wall):
 
     @property
     def finest_period(self) -> float:
-        """Shortest period of the summands, m."""
+        """Shortest period of the terms, m; infinite if no term oscillates."""
         return min(term.finest_period for term in self.terms)
 
     @property
     def is_flat(self) -> bool:
-        """Whether every summand is flat."""
+        """Whether every term is flat."""
         return all(term.is_flat for term in self.terms)

@@ -27,23 +27,27 @@ REACH: Final = {"gaussian": 6.0, "exponential": 35.0}
 
 @dataclass(frozen=True, eq=False)
 class HeightMapWall(Wall):
-    """Wall through heights on a regular grid, by bicubic interpolation with continuous slopes.
+    """Wall that interpolates heights on a regular grid, for example measured ones.
+
+    The interpolation is bicubic, with continuous slopes.
 
     Parameters
     ----------
     heights : array_like (ny, nx), str or Path
-        Heights [y, x], m, row 0 at the lowest y, or an .npy file of them; at least 4 by 4 values.
-        The grid is centred on the origin.
+        Heights in m, indexed [y, x] with row 0 at the lowest y: an array, or the path of an .npy
+        file. At least 4 x 4 values. The centre of the grid is the origin.
     pitch : float
         Distance between neighbouring heights, m.
     size : float or (float, float), optional
-        Full extent in x and y, m; at most that of the grid, which is the default.
+        Full extent of the wall in x and y, m, at most that of the grid; one number for a square. By
+        default the extent of the grid.
 
     Attributes
     ----------
     drawn : dict or None
-        Arguments of `random` if it drew the heights. A scene file stores them instead of the
-        heights. None for other walls, and for a copy with another size.
+        Arguments of `HeightMapWall.random`, if that method drew the heights. A scene file stores
+        these arguments instead of the heights. None for other walls, and for a copy with another
+        size.
 
     Raises
     ------
@@ -115,22 +119,25 @@ class HeightMapWall(Wall):
         autocorrelation: str = "gaussian",
         seed: int = 0,
     ) -> HeightMapWall:
-        """Draw a wall with stationary Gaussian random heights.
+        """Draw a wall with random heights: a stationary Gaussian process on a grid.
 
         Parameters
         ----------
         height_rms : float
-            Rms height of the ensemble, m. The rms of a single wall deviates from it by a fraction
-            of about ``correlation_length / size``.
+            Rms height of the ensemble of such walls, m. The rms of a single wall deviates from it
+            by a fraction of about ``correlation_length / size``.
         correlation_length : float
-            Lag l at which the autocorrelation has fallen to 1/e, m; at least two pitches.
+            Distance l at which the autocorrelation of the heights has fallen to 1/e, m; at least
+            two pitches.
         size : float or (float, float)
-            Full extent in x and y, m; rounded up to a whole number of pitches.
+            Full extent of the wall in x and y, m; one number for a square. Rounded up to a whole
+            number of pitches.
         pitch : float
             Distance between neighbouring heights, m.
         autocorrelation : {"gaussian", "exponential"}
-            ``C(r) = exp(-r^2/l^2)`` or ``C(r) = exp(-r/l)``. The rms slope of the second grows
-            without limit as the pitch decreases, so that it depends on the pitch.
+            Autocorrelation C of the heights at distance r, with l the correlation length:
+            ``C = exp(-r^2/l^2)`` or ``C = exp(-r/l)``. An exponential surface has steeper slopes
+            the finer the pitch, without limit.
         seed : int
             Seed of the random generator, 0 to 2^64 - 1. The same seed and grid give the same wall
             for any number of threads.
@@ -138,7 +145,7 @@ class HeightMapWall(Wall):
         Returns
         -------
         HeightMapWall
-            Wall through the random heights; its ``drawn`` holds the arguments.
+            Wall with the random heights. Its attribute ``drawn`` holds the arguments.
 
         Raises
         ------
@@ -151,9 +158,10 @@ class HeightMapWall(Wall):
 
         Notes
         -----
-        Circulant embedding: white noise is filtered by the square root of the discrete spectrum of
-        the autocorrelation. The periodic grid exceeds the wall by the lag at which the
-        autocorrelation is below 1e-15, so that opposite edges are uncorrelated.
+        White noise on a periodic grid is filtered by the square root of the power spectrum, which
+        is the discrete Fourier transform of the autocorrelation (circulant embedding). The grid is
+        larger than the wall by the distance at which the autocorrelation is below 1e-15. Opposite
+        edges of the wall are therefore uncorrelated.
 
         Examples
         --------
@@ -235,11 +243,11 @@ class HeightMapWall(Wall):
 
     @cached_property
     def slope_rms(self) -> float:
-        """Rms slope per axis at the nodes, rad; a uniform tilt counts as well."""
+        """Rms slope along each axis at the grid points, rad; a uniform tilt counts as well."""
         return math.sqrt(float(np.mean(self.node_slopes() ** 2)))
 
     def node_slopes(self) -> Array:
-        """Return dh/dx and dh/dy at the nodes, (2, ny nx), of the interpolated surface."""
+        """Return the slopes dh/dx and dh/dy of the surface at the grid points, (2, ny nx)."""
         count = self._samples.size
         return self._fit[1][count : 3 * count].reshape(2, count)
 
@@ -303,8 +311,8 @@ def grid_limits(row: Array, tables: Array) -> tuple[float, float, float]:
 class CallableWall(Wall):
     """Wall whose height is given by vectorised Python functions.
 
-    It can be used like every other wall. Rays are intersected in Python instead of compiled code,
-    which is about a hundred times slower. It cannot be saved in a scene file.
+    Such a wall can be used like every other, but cannot be saved in a scene file. Rays are
+    intersected with it in Python instead of compiled code, which is about a hundred times slower.
 
     Parameters
     ----------
@@ -313,23 +321,25 @@ class CallableWall(Wall):
     gradient : callable
         ``gradient(x, y)`` returns (dh/dx, dh/dy).
     hessian : callable, optional
-        ``hessian(x, y)`` returns (d2h/dx2, d2h/dxdy, d2h/dy2), 1/m. By default it is computed by
-        central differences of the gradient with a step of 1e-5 of the finest period, or 1e-5 m if
+        ``hessian(x, y)`` returns (d2h/dx2, d2h/dxdy, d2h/dy2), 1/m. By default these are central
+        differences of the gradient with a step of 1e-5 of the finest period, or 1e-5 m if
         the finest period is infinite.
     size : float or (float, float), optional
-        Full extent in x and y, m; None for an unbounded wall.
+        Full extent of the wall in x and y, m; one number for a square. By default the wall is
+        unbounded.
     max_height : float
         Upper bound on abs(height) over the wall, m.
     max_curvature : float
-        Upper bound on the second derivative of the height in any direction, 1/m; required.
+        Upper bound on the magnitude of the height's second derivative in any direction, 1/m.
+        Required.
     finest_period : float
         Shortest lateral period of the height, m; infinite if it does not oscillate.
 
     Raises
     ------
     SceneError
-        If a value is out of range. Every later use raises it if a function exceeds a bound, or
-        returns values of the wrong shape or that are not finite.
+        If a value is out of range. Later uses of the wall raise it if a function exceeds a bound,
+        or returns values that are not finite or of the wrong shape.
 
     See Also
     --------

@@ -24,16 +24,16 @@ from ..parts.meshes import load_mesh
 
 @dataclass(frozen=True, eq=False)
 class MeshWall(Wall):
-    """Relay wall given by a triangle mesh that is a height field over the plane z = 0.
+    """Relay wall given by a triangle mesh with a single height above each point of the plane z = 0.
 
     Waves need a smooth surface, so a bicubic surface with continuous slopes is fitted to the
-    vertices. `fit_residual` estimates its error. `mesh_error` is the mean distance of the flat
-    triangles from it.
+    vertices. `fit_residual` estimates the error of this fit. `mesh_error` is the mean distance of
+    the flat triangles from the fitted surface.
 
     Parameters
     ----------
     mesh : str, Path or trimesh.Trimesh
-        Mesh file (STL, OBJ, PLY) or mesh in the world frame, m, around the origin, facing +z.
+        Mesh file (STL, OBJ, PLY) or mesh, in the world frame, m. It must surround the origin.
     scale : float
         Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
 
@@ -78,7 +78,7 @@ class MeshWall(Wall):
 
     @property
     def size(self) -> tuple[float, float]:  # type: ignore[override]
-        """Largest extent in x and y, centred on the origin, that the mesh covers, m."""
+        """Full extent in x and y of the largest rectangle centred on the origin in the mesh, m."""
         low, high = self.triangles.bounds
         reach = np.minimum(-low[:2], high[:2])
         if not (reach > 0).all():
@@ -152,9 +152,10 @@ class MeshWall(Wall):
     def fit_residual(self) -> float:
         """Estimated error of the fitted surface relative to the wall that the mesh samples, m.
 
-        For vertices on a regular grid: the largest misfit of a surface through every other vertex,
-        which overestimates the error of the surface through all of them. For other meshes: the
-        largest misfit of a least-squares bicubic spline with fewer coefficients than vertices.
+        If the vertices lie on a regular grid, a second surface is fitted to every other vertex, and
+        its largest misfit at the remaining vertices is returned. This overestimates the error of
+        the surface through all vertices. For other meshes it is the largest misfit of a
+        least-squares bicubic spline, which has fewer coefficients than there are vertices.
         """
         return self._fit[2]
 
@@ -162,9 +163,10 @@ class MeshWall(Wall):
     def mesh_error(self) -> float:
         """Mean distance in z between the triangles and the fitted surface, m.
 
-        This is the height error if rays are intersected with the triangles; the error of a
-        reflected ray's path length is twice as large. For a square grid of pitch h and a radius of
-        curvature R it is h^2/(6R), the mean sag of a paraboloid over a right triangle.
+        This is the height error of rays that are intersected with the triangles; the error of a
+        reflected ray's path length is up to twice as large. For vertices on a square grid of pitch
+        h and a radius of curvature R it is h^2/(6R), the mean sag of a paraboloid over a right
+        triangle.
         """
         corners = np.asarray(self.triangles.triangles, dtype=np.float64)
         first, second = (corners[:, i, :2] - corners[:, 0, :2] for i in (1, 2))
@@ -180,7 +182,7 @@ class MeshWall(Wall):
         return total / whole
 
     def wave_grade(self, wavelength: float) -> bool:
-        """Return whether the surface is accurate enough for waves, to a twentieth of a wavelength.
+        """Return whether `fit_residual` is at most a twentieth of a wavelength, as waves need it.
 
         Parameters
         ----------
@@ -196,12 +198,12 @@ class MeshWall(Wall):
 
     @property
     def max_curvature(self) -> float:
-        """Upper bound on the curvature of the fitted surface at its nodes, 1/m."""
+        """Upper bound on the curvature of the fitted surface at its grid points, 1/m."""
         return self._fit[3]
 
     @property
     def finest_period(self) -> float:
-        """Shortest period that the surface is assumed to resolve: eight of its cells, m."""
+        """Shortest period that the fitted surface is assumed to resolve: eight grid cells, m."""
         return 8 * float(max(self._fit[0][0, 3], self._fit[0][0, 4]))
 
 

@@ -57,8 +57,8 @@ class _Relief(Wall):
     def height(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Return the height h(x, y), (...), m, positive toward the room.
 
-        The heights equal those of `derivatives` bit by bit, but each node of the lattice is drawn
-        once for all points.
+        The values equal those of `derivatives` bit for bit. For many points this method is faster,
+        since each random number is drawn only once.
 
         Parameters
         ----------
@@ -68,7 +68,8 @@ class _Relief(Wall):
         Raises
         ------
         SceneError
-            If a coordinate is not finite, or more than 2^31 cells from the origin.
+            If a coordinate is not finite, or a point is more than 2^31 cells of the random lattice
+            from the origin.
         """
         from ...kernels.relief import relief_heights
 
@@ -87,12 +88,16 @@ class _Relief(Wall):
 
     @property
     def max_height(self) -> float:
-        """Upper bound on the magnitude of the height, m; no draw exceeds it."""
+        """Upper bound on the magnitude of the height, m, which no random height exceeds."""
         return relief_limits(self.compiled()[0][0])[0]
 
     @property
     def max_curvature(self) -> float:
-        """Bound on the second derivatives, 1/m: 0 for facets, 8.65 times their rms for bumps."""
+        """Bound on the second derivatives of the height, 1/m.
+
+        It is 0 for plane facets. For smooth random heights it is 8.65 times the rms of the second
+        derivatives, which are larger at a point with a probability of about 1e-15.
+        """
         return relief_limits(self.compiled()[0][0])[1]
 
 
@@ -103,20 +108,21 @@ class FacetWall(_Relief):
     Parameters
     ----------
     cell : float
-        Side of a triangle, m.
+        Side of a triangular facet, m.
     slope_rms : float
-        Rms slope per axis, rad, 0 to 1. The slopes of a facet are Gaussian and isotropic.
+        Rms slope of the facets along each axis, rad, 0 to 1. The slopes are Gaussian and isotropic.
     seed : int
-        Seed of the random generator, 0 to 2^64 - 1.
+        Seed of the random heights, 0 to 2^64 - 1. The same seed gives the same surface.
     size : float or (float, float), optional
-        Full extent in x and y, m; None for an unbounded wall.
+        Full extent of the wall in x and y, m; one number for a square. By default the wall is
+        unbounded.
 
     Attributes
     ----------
     node_rms : float
-        Rms height of the lattice nodes, m.
+        Rms height of the triangles' corners, m.
     height_rms : float
-        Rms height over the area, m.
+        Rms height averaged over the area of the triangles, m.
 
     Raises
     ------
@@ -125,15 +131,16 @@ class FacetWall(_Relief):
 
     Notes
     -----
-    Node heights are independent Gaussian draws of rms s_n. On triangles of side c the slopes per
-    axis have the rms ``sqrt(2) s_n / c``, and heights the rms s_n at a node, s_n/sqrt(3) in the
-    middle of a facet and s_n/sqrt(2) over the area. The height of a node depends only on the seed
-    and the node's indices, and the position of the lattice only on the seed. Positions are
-    uniformly distributed, so that the ensemble of all seeds is stationary.
+    The corners of the triangles form a lattice. Their heights are independent Gaussian draws of rms
+    s. With triangles of side c, the slope along each axis has the rms ``sqrt(2) s / c``. The rms of
+    the height is s at a corner, s/sqrt(3) in the middle of a facet, and s/sqrt(2) averaged over the
+    area. The seed determines the height of every corner and the position of the lattice. The
+    position is uniformly distributed, so that the ensemble of all seeds has the same statistics at
+    every point of the wall.
 
     See Also
     --------
-    GaussianWall : Smooth relief with a Gaussian autocorrelation.
+    GaussianWall : Smooth random heights with a Gaussian autocorrelation.
 
     Examples
     --------
@@ -163,12 +170,12 @@ class FacetWall(_Relief):
 
     @property
     def node_rms(self) -> float:
-        """Rms height of the lattice nodes, m."""
+        """Rms height of the triangles' corners, m."""
         return self.cell * self.slope_rms / math.sqrt(2.0)
 
     @property
     def height_rms(self) -> float:
-        """Rms height over the area, m."""
+        """Rms height averaged over the area of the triangles, m."""
         return self.node_rms / math.sqrt(2.0)
 
     def compiled(self) -> tuple[Array, Array]:
@@ -184,7 +191,7 @@ class FacetWall(_Relief):
 
     @property
     def finest_period(self) -> float:
-        """Shortest period of the node heights, m: sqrt(3) times ``cell``, or infinite if flat."""
+        """Shortest period of the corners' heights, m: sqrt(3) times ``cell``; infinite if flat."""
         return math.sqrt(3.0) * self.cell if self.slope_rms else math.inf
 
     @property
@@ -195,23 +202,27 @@ class FacetWall(_Relief):
 
 @dataclass(frozen=True)
 class GaussianWall(_Relief):
-    """Wall with smooth stationary Gaussian heights, of autocorrelation ``exp(-r^2/l^2)``.
+    """Wall with smooth random heights: a stationary Gaussian process, computed from a seed.
+
+    The autocorrelation of the heights at distance r is ``exp(-r^2/l^2)``, with correlation length
+    l. No heights are stored, so that the wall may have any extent.
 
     Parameters
     ----------
     height_rms : float
         Rms height, m.
     correlation_length : float
-        Lag l at which the autocorrelation has fallen to 1/e, m.
+        Distance l at which the autocorrelation of the heights has fallen to 1/e, m.
     seed : int
-        Seed of the random generator, 0 to 2^64 - 1.
+        Seed of the random heights, 0 to 2^64 - 1. The same seed gives the same surface.
     size : float or (float, float), optional
-        Full extent in x and y, m; None for an unbounded wall.
+        Full extent of the wall in x and y, m; one number for a square. By default the wall is
+        unbounded.
 
     Attributes
     ----------
     slope_rms : float
-        Rms slope per axis, ``sqrt(2) height_rms / l``, rad.
+        Rms slope along each axis, ``sqrt(2) height_rms / l``, rad.
 
     Raises
     ------
@@ -220,16 +231,16 @@ class GaussianWall(_Relief):
 
     Notes
     -----
-    Independent normal draws on a square lattice of pitch l/2 are convolved with the kernel
-    ``exp(-2 r^2/l^2)``. The draw at a node depends only on the seed and the node's indices, and
-    the position of the lattice only on the seed. For one position, the variance varies by 2e-4 of
-    its value with the period of the lattice. Positions are uniformly distributed, so that the
-    ensemble of all seeds is stationary and has the stated autocorrelation exactly.
+    Independent Gaussian draws on a square lattice of pitch l/2 are convolved with the kernel
+    ``exp(-2 r^2/l^2)``. The seed determines all draws and the position of the lattice. For one
+    position of the lattice, the variance of the height varies along the wall by 2e-4 of its value.
+    The position is uniformly distributed, so that the ensemble of all seeds has the same statistics
+    at every point of the wall, and exactly the stated autocorrelation.
 
     See Also
     --------
-    FacetWall : Relief of plane facets.
-    HeightMapWall.random : Stored heights on a grid, with other autocorrelations too.
+    FacetWall : Wall of plane random facets.
+    HeightMapWall.random : Random heights stored on a grid, with other autocorrelations too.
 
     Examples
     --------
@@ -263,7 +274,7 @@ class GaussianWall(_Relief):
 
     @property
     def slope_rms(self) -> float:
-        """Rms slope per axis, rad."""
+        """Rms slope along each axis, rad."""
         return math.sqrt(2.0) * self.height_rms / self.correlation_length
 
     def compiled(self) -> tuple[Array, Array]:
@@ -275,9 +286,9 @@ class GaussianWall(_Relief):
 
     @property
     def finest_period(self) -> float:
-        """Shortest period of the heights, m, which is the correlation length l.
+        """Shortest relevant period of the heights, m: the correlation length; infinite if flat.
 
-        Shorter periods have a spectral density below exp(-pi^2), 5e-5, of the maximum.
+        Shorter periods have a spectral density below exp(-pi^2) = 5e-5 of the maximum.
         """
         return self.correlation_length if self.height_rms else math.inf
 

@@ -23,20 +23,21 @@ SAME = 1e-9  # relative difference of slopes that count as equal
 
 @dataclass(frozen=True)
 class WallRoughness(Noun):
-    """Roughness of the relay wall: heights that are added to the mean wall.
+    """Roughness of the relay wall: heights that are added to the mean wall `Scene.wall`.
 
-    The roughness replaces the slopes of the wall's mirror-like lobes, so that no slope is counted
+    The slopes of these heights spread the mirror-like reflection of the wall. They replace the
+    slopes that the mirror-like lobes of `Scene.wall_material` may have, so that no slope is counted
     twice.
 
     Parameters
     ----------
     heights : FacetWall, GaussianWall or HeightMapWall
-        Heights relative to the mean wall, without a size of their own. A height map must cover the
-        wall.
+        Heights relative to the mean wall. They must have no size of their own, and a height map
+        must cover the wall.
     realisation : {"pattern", "mean"}
-        "pattern" is one surface, that of the seed or height map. "mean" is the mean over all
-        surfaces of this roughness; for rays it is a microfacet lobe of the same rms slope on the
-        mean wall.
+        "pattern": one rough surface, given by the seed or the height map. "mean": the average over
+        all surfaces with the same statistics. For rays, the average is a microfacet lobe of the
+        same rms slope on the mean wall.
 
     Raises
     ------
@@ -49,9 +50,8 @@ class WallRoughness(Noun):
 
     Notes
     -----
-    The microfacet lobe has Gaussian slopes and belongs to geometrical optics: it is valid if the
-    heights exceed the wavelength. A height map with the realisation "mean" is treated as if its
-    slopes were Gaussian.
+    The microfacet lobe of "mean" has Gaussian slopes, also for a height map. It is a model of
+    geometrical optics and valid if the heights exceed the wavelength.
 
     Examples
     --------
@@ -91,7 +91,7 @@ class WallRoughness(Noun):
 
     @property
     def slope_rms(self) -> float:
-        """Rms slope per axis, rad; for a height map the rms over its nodes."""
+        """Rms slope along each axis, rad; for a height map the rms over its grid points."""
         return self.heights.slope_rms
 
     @property
@@ -133,7 +133,9 @@ class WallRoughness(Noun):
                 )
 
     def check_wall(self, wall: Wall) -> None:
-        """Check that the heights can be added to the mean wall; with "mean", nothing is added.
+        """Check that the heights can be added to the mean wall.
+
+        With the realisation "mean" nothing is added, and every wall is accepted.
 
         Parameters
         ----------
@@ -165,7 +167,7 @@ class WallRoughness(Noun):
             )
 
     def added_to(self, wall: Wall, material: Material) -> tuple[Wall, Material]:
-        """Return wall and material in which the roughness is explicit.
+        """Return a wall and a material that include the roughness.
 
         Parameters
         ----------
@@ -188,7 +190,13 @@ class WallRoughness(Noun):
         return SumWall(wall, self.heights, size=wall.size), self._relobed(material, 0.0)
 
     def mean_lobe(self, lobe: MirrorLobe) -> MirrorLobe:
-        """Return a mirror-like lobe of the same rms slope: the mean over many such walls."""
+        """Return a lobe with the rms slope of the roughness: the mean over many such walls.
+
+        Parameters
+        ----------
+        lobe : MirrorLobe
+            Mirror-like lobe of the wall's material, of slope 0 or the slope of the roughness.
+        """
         found = self._relobed(lobe, self.slope_rms)
         assert isinstance(found, MirrorLobe)
         return found
