@@ -1,7 +1,8 @@
-"""Reconstruction of the hidden object, in numpy and torch.
+"""Reconstruction of the hidden object from camera images.
 
-Solvers accept arrays or tensors and return the same kind. `tv_deconvolve` and the scores run
-without torch; the others need it. `nlosoptics.limits.feasibility` predicts what a fit can reach.
+The solvers take numpy arrays or torch tensors, and return an object of the same type.
+`tv_deconvolve` and the scores run without torch; the other solvers need it.
+`nlosoptics.limits.feasibility` predicts how well a fit can recover the object.
 """
 
 from typing import Any

@@ -63,91 +63,97 @@ def evidence_fit(
     start: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Fit object and wall to images from random starts, by maximising the evidence.
+    """Fit the hidden object and the unknown wall's aberration to one or several camera images.
 
-    Give two images if possible, one of them with a known additional defocus of half a wave rms
-    (one wave rms if the wall's aberration is about one wave rms). The trivial answer, a wave
-    without blur and the image itself as the object, then cannot explain both images, and most
-    random starts lead to the true object. With one image a trained network proposes further
-    starts, the search takes many times longer, and the answer is reliable only if ``status`` is
-    "converged".
+    This is the recommended solver if the wall is unknown. Give two images if possible, one of them
+    with a known additional defocus of half a wave rms (one wave rms if the wall's aberration is
+    about one wave rms). One image alone can always be explained by no blur, with the image itself
+    as the object. Two images of different defocus exclude this, and most random starts of the fit
+    then lead to the true object. With one image the search takes many times longer, and the result
+    is reliable only if ``status`` is "converged".
 
     Parameters
     ----------
     images : ndarray or Tensor
-        Images, (K, H, W) or (H, W), any unit, of one object via one wall with K known defoci, or
-        via several walls. The object must lie inside the frame.
+        K camera images, (K, H, W), or one, (H, W), in any unit, which is called the image unit
+        below. All show the same object: via one wall with K known defoci, or via several walls. The
+        object must lie inside the image.
     pupil_psf : PupilPSF
-        Point spread with Zernike coefficients, (M,) or (n_walls, M). Coefficients other than 0 are
-        an additional start of the fit. A known wave or transmission in it is kept fixed. Its shape
-        is that of the images or larger.
+        Point spread function (PSF) of the wall and lens as a function of the M Zernike coefficients
+        to fit, (M,) or (n_walls, M). Coefficients other than 0 are an additional start of the fit.
+        A known wave or transmission in ``pupil_psf`` is kept fixed. Its shape must be that of the
+        images or larger.
     defocus : array_like, optional
-        Known additional defocus of each image, (K,), m rms (Noll 4).
+        Known additional defocus of each image, (K,), m rms over the pupil (Noll 4).
     walls : array_like of int, optional
-        Number of the wall of each image, (K,), counted from 0; by default one wall for all.
+        Number of the wall of each image, (K,), counted from 0. By default all images show the same
+        wall.
     start_error : float, optional
-        Expected rms error of the whole wave that ``pupil_psf`` has at the start, waves, at most
-        0.25. Each of the M coefficients then has a Gaussian prior of standard deviation
-        ``start_error/sqrt(M)``, and one image can be sufficient. Overestimate it if in doubt. By
-        default there is no prior, and the coefficients are only an additional start.
+        Expected rms error, waves, at most 0.25, of the wave that the coefficients in ``pupil_psf``
+        describe, if the wall is roughly known. Each coefficient then has a Gaussian prior of
+        standard deviation ``start_error/sqrt(M)`` about its given value, and one image can be
+        sufficient. Overestimate the error if in doubt. By default there is no prior.
     known_object : array_like, optional
-        Known object, (H, W); only its brightness and the walls are fitted then.
+        Object, (H, W), if it is known. Then only its brightness and the walls are fitted.
     support : array_like, optional
-        Mask, (H, W), 0 where the object is known to be dark.
+        Mask, (H, W), 0 at pixels where the object is known to be dark.
     object_model : {"pixels", "unet"}
-        Final object for one image without ``support``. "pixels": mean of the fitted object and that
-        of `tv_deconvolve`. "unet": mean of the fitted object and that of `deep_image_prior`, which
-        takes longer and tolerates more noise.
+        How the object is refined after the fit, for one image without ``support``. It becomes the
+        mean of the fitted object and another estimate with the fitted wall: that of `tv_deconvolve`
+        ("pixels"), or that of `deep_image_prior` ("unet"), which takes longer and tolerates more
+        noise.
     fit_gains : bool
         Whether to fit the relative brightness of the images.
     noise_sigma : float or array_like, optional
-        Standard deviation of the noise: one number, (K,), (H, W) or (K, H, W), image units; pixels
-        of infinite noise are left out. None: estimated.
+        Standard deviation of the noise: one number, (K,), (H, W) or (K, H, W), image units. Pixels
+        of infinite noise are ignored. By default it is estimated by `estimate_noise`.
     background : float or array_like
-        Known background: one number, (K,), (H, W) or (K, H, W), image units.
+        Known background of the images: one number, (K,), (H, W) or (K, H, W), image units.
     fit_background : bool
-        Whether to fit the strength of an additional background for each image.
+        Whether to fit an additional background of unknown strength for each image.
     background_shape : array_like or None
-        Shape of the additional background, (H, W), non-negative; None: uniform.
+        Distribution of the additional background over the image, (H, W), non-negative, in any unit.
+        None: it is uniform.
     gain : float or None
-        Known image units per object unit; None: the object is scaled to a maximum of 1.
+        Image units per unit of the object, if known. None: the object is scaled to a maximum of 1.
     strength : float or None
-        Rms of the wall's wave, waves. None: unknown; several values are tried.
+        Rms aberration of the wall, waves, if known. None: several values are tried.
     max_iterations : int, optional
         Maximum number of search rounds. The default is 2 if a known object or a defocused image
-        excludes the answer without blur, otherwise 4. A round optimises 32 random walls. For a
-        single image it optimises about 400 walls, including variations of the best. If the network
-        is confident of its proposals, a search from these alone comes first.
+        excludes the answer without blur, otherwise 4. A round starts from 32 random walls. For a
+        single image it fits about 400 walls, including random variations of the best.
     max_seconds : float, optional
-        Time after which the search starts no further step, s; it first completes one answer. The
-        result then depends on the speed of the machine.
+        Time, s, after which the search begins no further step, once it has found a first result.
+        With such a limit, the result depends on the speed of the machine. By default there is no
+        limit.
     seed : int
         Seed of the random starts.
     start : mapping, optional
-        Saved state of this solver with the same images and options, to resume from with the same
-        result bit for bit; see `inverse.data.checkpoints`.
+        Saved state of this solver with the same images and options (see `Stop`), from which the
+        search resumes with the same result bit for bit.
     progress : callable or None
-        Called repeatedly with a text and the completed fraction. It may raise `Stop`, which ends
-        the search before its next step.
+        Function that is called repeatedly with a text and the completed fraction, 0 to 1. It may
+        raise `Stop` to end the search before its next step.
 
     Returns
     -------
     Reconstruction
-        Object, status and score. ``physical_parameters`` also contains
+        Object, status and score. ``physical_parameters`` also contains the values below. The Notes
+        explain the free energy.
 
-        - ``coefficients``, (M,) or (n_walls, M), waves rms,
-        - ``more_modes`` (L,) and ``more_coefficients``, (L,) or (n_walls, L): Noll indices and
-          coefficients of modes that were added because the residual exceeded the noise,
-        - ``image_gains`` (K,), relative brightness of the images,
-        - ``free_energy`` of the answer,
-        - ``margin``: free energy minus that of fits started without blur; negative values favour
-          the answer; NaN if the images exclude a wave without blur,
-        - ``sharp_margin``: free energy minus that of a fit in which the image itself is the
-          object; NaN also with ``start_error``,
-        - ``model_error``: rms of the residual in excess of the noise, over the images' range.
+        - ``coefficients``, (M,) or (n_walls, M): Zernike coefficients, waves rms.
+        - ``more_modes``, (L,), and ``more_coefficients``, (L,) or (n_walls, L): Noll indices and
+          coefficients, waves rms, of modes that were added because the residual exceeded the noise.
+        - ``image_gains``, (K,): relative brightness of the images.
+        - ``free_energy``: free energy of the result.
+        - ``margin``: free energy of the result minus that of the best fit that starts without blur.
+          A negative value favours the result. NaN if the images exclude a wave without blur.
+        - ``sharp_margin``: free energy of the result minus that of a fit in which the image itself
+          is the object. NaN if ``margin`` is NaN, or with ``start_error``.
+        - ``model_error``: rms residual in excess of the noise, as a fraction of the images' range.
 
-        ``background`` is (K,) for several images. The history has one entry per wall that
-        was fitted to the end, with the values of the best so far.
+        ``background`` is (K,) for several images. ``history`` has one entry for each wall that was
+        fitted to the end, with the values of the best wall so far.
 
     Raises
     ------
@@ -164,30 +170,36 @@ def evidence_fit(
 
     Notes
     -----
-    The answer is the wall with the least variational free energy of the images, in which the object
-    is integrated out. A criterion of squared residuals would, for one image, prefer the answer
-    without blur to the truth.
+    **Criterion.** Many walls are fitted, and the one with the least free energy is returned. The
+    free energy is an upper bound on -log(evidence). The evidence of a wall is the probability of
+    the images for this wall, averaged over all objects. Comparing squared residuals instead would
+    prefer no blur to the truth if there is only one image.
 
-    For one image without ``start_error``, a network proposes walls of the Noll modes 4 to 21 if the
-    pixels are no wider than Nyquist's, the frame has 24 to 96 of Nyquist's pixels along each side,
-    and the pupil has no known wave or transmission. They are accepted or rejected by the free
-    energy, as all other starts.
+    **Network.** For one image without ``start_error``, a trained network proposes additional starts
+    with the Noll modes 4 to 21. The free energy accepts or rejects them like all other starts. The
+    network is used if the pixels are at most as wide as the Nyquist pitch of the optics, the image
+    is 24 to 96 Nyquist pitches wide and high, and the pupil has no known wave or transmission. If
+    the network is confident, a search from its proposals alone comes first.
 
-    The answer must explain the images to be "converged": ``model_error`` is at most 0.004, plus
-    0.003 times the wall's rms in waves (0.01 times with one image), counted up to one wave. Three
-    standard errors of the mean squared residual are added to the square of this limit. Images of
-    one wall whose defoci differ by less than 0.1 waves are judged like one image. If the residual
-    exceeds the noise significantly, modes up to radial orders 5, 7 and 8 are added to fits
-    of several images, as long as they lower the free energy by more than the additional parameters
-    alone would.
+    **Residual.** For the status "converged" the result must explain the images. With w the wall's
+    rms aberration in waves, at most 1, the limit of ``model_error`` is ``0.004 + 0.003 w`` for
+    several images and ``0.004 + 0.01 w`` for one. Three standard errors of the mean squared
+    residual are added to the square of the limit. Images of one wall whose defoci differ by less
+    than 0.1 waves count as one image. If the residual of several images exceeds the noise
+    significantly, further modes are fitted, up to radial order 5, then 7 and 8, as long as the free
+    energy falls.
 
-    One image must also exclude a wave without blur. Without ``start_error``, ``margin`` must be
-    below -70, or ``sharp_margin`` below -0.092 per pixel (-0.146 at 0.3 % noise), because fits
-    without blur can also find a weak wall. With ``start_error``, ``margin`` must be below -50; or
-    at most 100 (at 1 % noise; 20 at 5 %) if the prior of the coefficients puts the no-blur fit at
-    least 100 above the answer, and the residual is at least 0.93 of the noise, because a smaller
-    residual shows that noise was fitted. The status is "trivial" if the answer has almost no blur,
-    or equals the answer of a fit that starts without blur.
+    **No blur.** One image must also exclude a wave without blur. Without ``start_error``, one of
+    two conditions must be met: ``margin`` is below -70, or ``sharp_margin`` is below -0.092 for
+    each pixel at 1 % noise (-0.146 at 0.3 %). The second is needed because a fit that starts
+    without blur may find the wall, too. With ``start_error``, either ``margin`` is below -50, or
+    three conditions hold. ``margin`` is below 100 at 1 % noise (20 at 5 %). The prior of the
+    coefficients, added to the free energy without blur, lifts it to more than 100 above that of the
+    result. The residual is at least 0.93 of the noise, since a smaller one shows that noise was
+    fitted.
+
+    The status is "trivial" if the result has almost no blur (less than 0.12 waves rms), or is the
+    same as that of a fit that starts without blur.
     """
     started = time.perf_counter()
     checked_seed(seed)

@@ -32,40 +32,46 @@ def pcin(
     progress: Progress | None = None,
     **options: Any,
 ) -> Reconstruction:
-    """Reconstruct object and wall from images, both unknown (blind reconstruction).
+    """Reconstruct the hidden object via an unknown wall, by one of two solvers that fit both.
+
+    The name stands for physics-constrained inverse network, the published method (recipe
+    "wu2024").
 
     Parameters
     ----------
     images : ndarray or Tensor
-        Images, (K, H, W) or (H, W), any unit. Two images of the same scene, the second with a known
-        defocus of half a wave to one wave rms, give a reliable answer. One image is in general not
-        sufficient.
+        K camera images, (K, H, W), or one, (H, W), in any unit, which is called the image unit
+        below. Two images of the same scene, the second with a known defocus of half a wave to one
+        wave rms, give a reliable result. One image is in general not sufficient.
     pupil_psf : PupilPSF
-        Point spread with the unknown wave coefficients. Their values are one of the starts of the
-        fit.
+        Point spread function of wall and lens as a function of the unknown coefficients of the
+        wave. Their values in ``pupil_psf`` are one of the starts of the fit.
     defocus : array_like, optional
-        Known additional defocus of each image, (K,), m rms (Noll 4).
+        Known additional defocus of each image, (K,), m rms over the pupil (Noll 4).
     recipe : {"evidence", "wu2024"}
-        - ``evidence``: minimises the free energy from random starts; see `evidence_fit`.
-        - ``wu2024``: for one image; alternates between the weights of a U-net and the wave
-          coefficients. The published method, for comparison; see `wu2024_fit`.
+        Solver. "evidence": compares many fits with random starts by the evidence of the images; see
+        `evidence_fit`. "wu2024": the published method, for one image and for comparison, which fits
+        a U-net and the coefficients in turn; see `wu2024_fit`.
     noise_sigma : float or array_like, optional
-        Standard deviation of the noise, image units; None: estimated.
+        Standard deviation of the noise: one number, (K,), (H, W) or (K, H, W), image units. By
+        default it is estimated by `estimate_noise`.
     max_iterations : int, optional
-        Maximum number of iterations; by default that of the recipe.
+        Maximum number of iterations; by default that of the solver.
     seed : int
         Seed of the random numbers.
     start : mapping, optional
-        Saved state of the same recipe to resume from; see `inverse.data.checkpoints`.
+        Saved state of the same solver with the same images and options (see `Stop`), from which the
+        fit resumes with the same result bit for bit.
     progress : callable or None
-        Called repeatedly with a text and the completed fraction; may raise `Stop`.
+        Function that is called repeatedly with a text and the completed fraction, 0 to 1. It may
+        raise `Stop` to end the fit.
     **options
-        Further options of the recipe.
+        Further options of the solver, see `evidence_fit` and `wu2024_fit`.
 
     Returns
     -------
     Reconstruction
-        Object, status, score and the fitted coefficients.
+        Object, status and score. ``physical_parameters`` contains the fitted ``coefficients``.
 
     Raises
     ------
@@ -74,7 +80,7 @@ def pcin(
     SamplingError
         If array shapes do not match.
     TypeError
-        If the recipe does not have one of the options.
+        If the solver does not have one of the options.
 
     See Also
     --------

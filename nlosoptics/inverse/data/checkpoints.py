@@ -1,13 +1,6 @@
 """Progress callbacks of solvers, stopping a solver early, and resuming it from a saved state.
 
-Each solver repeatedly calls ``progress(text, fraction)`` with a text and the completed fraction. A
-callback has two further possibilities:
-
-- It may raise `Stop`. The solver then returns its best result so far, with status "unconverged".
-- It may have a method ``look(snapshot)``, which is called after each report. ``snapshot()`` returns
-  the solver's state as a dict of arrays. Its entry ``"object"``, (H, W) in image units, serves as a
-  preview; the whole dict can be passed to the solver as ``start``. The resumed fit is bit-identical
-  to an uninterrupted one. Nothing is copied unless ``snapshot`` is called.
+The docstring of `Stop` describes what a callback may do.
 """
 
 from __future__ import annotations
@@ -29,10 +22,37 @@ Snapshot = Callable[[], State]
 class Stop(Exception):
     """Exception that a progress callback raises to end a fit with its best result so far.
 
+    Every iterative solver takes an argument ``progress``: a function that the solver calls
+    repeatedly as ``progress(text, fraction)``, with a text and the completed fraction, 0 to 1. If
+    this function raises `Stop`, the solver returns its best result so far, with status
+    "unconverged".
+
     See Also
     --------
     Reconstruction : Result of every solver.
     tv_deconvolve : Non-negative deconvolution with total variation.
+
+    Notes
+    -----
+    To save the state of a fit, pass as ``progress`` a callable object with a method ``look``. The
+    solver calls ``look(snapshot)`` after each report. ``snapshot()`` returns the state as a dict of
+    arrays; nothing is copied unless it is called. The entry ``"object"``, (H, W), in image units,
+    serves as a preview. The whole dict can be passed as ``start`` to the same solver with the same
+    image and options. The fit then resumes, with the same result bit for bit as without
+    interruption.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.imaging import ForwardModel
+    >>> from nlosoptics.inverse import Stop, tv_deconvolve
+    >>> model = ForwardModel(np.full((3, 3), 1 / 9), shape=(24, 24))
+    >>> image = model.forward(np.eye(24)) + np.random.default_rng(0).normal(0.0, 0.01, (24, 24))
+    >>> def stop_early(text, fraction):
+    ...     if fraction > 0.1:
+    ...         raise Stop
+    >>> tv_deconvolve(image, model, noise_sigma=0.01, progress=stop_early).status
+    'unconverged'
     """
 
     def __init__(self) -> None:

@@ -38,16 +38,17 @@ def padded_transfer(kernel: Tensor, frame: tuple[int, int]) -> tuple[tuple[int, 
 
 
 class TorchForwardModel(nn.Module):
-    """Differentiable convolution with a point spread, or with one that varies over the object.
+    """Differentiable image model in torch: convolution with a point spread function (PSF).
 
-    Calling it maps objects (..., H, W) to images (..., H, W); ``adjoint`` is the transpose. Build
-    it by `from_numpy`, which also sets device and precision. Grid, boundary, transfer functions and
-    weights are those of the numpy model.
+    It is the torch version of `imaging.ForwardModel`, and the PSF may vary over the object. Calling
+    the model maps objects (..., H, W) to images (..., H, W). The method ``adjoint`` applies the
+    transpose. Build the model by `from_numpy`, which also sets device and precision.
 
     Parameters
     ----------
     model : ForwardModel
-        Model with numpy arrays, of one point spread or of a `psf.PointSpreadField`.
+        Model in numpy, with a single PSF or a `psf.PointSpreadField` (PSFs over the object). FFT
+        grid, boundary, transfer functions and weights are taken from this model.
 
     See Also
     --------
@@ -76,12 +77,12 @@ class TorchForwardModel(nn.Module):
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> Self:
-        """Convert a numpy model to torch.
+        """Convert an image model in numpy to torch.
 
         Parameters
         ----------
         model : ForwardModel
-            Model with numpy arrays.
+            Model in numpy.
         device : torch.device or str
             Device of the tensors.
         dtype : torch.dtype
@@ -90,7 +91,7 @@ class TorchForwardModel(nn.Module):
         Returns
         -------
         TorchForwardModel
-            Model with the same transfer function on the device.
+            Model with the same transfer functions as tensors on the device.
 
         Raises
         ------
@@ -123,11 +124,15 @@ class TorchForwardModel(nn.Module):
 
     @property
     def transfer(self) -> Tensor:
-        """``rfft2`` of the kernel on ``grid``, complex; (K, ...) for the K modes of a field."""
+        """Transfer function: ``rfft2`` of the PSF on the FFT grid, complex, (rows, columns//2 + 1).
+
+        If the PSF varies over the object, it is a weighted sum of K fixed PSFs (modes), and the
+        shape is (K, rows, columns//2 + 1).
+        """
         return torch.view_as_complex(self._transfer)
 
     def to_numpy_model(self) -> ForwardModel:
-        """Return the model in numpy, with the same transfer functions in double precision."""
+        """Return the model as a `ForwardModel` in numpy, in double precision."""
         transfer = self.transfer.detach().cpu().to(torch.complex128).numpy()
         kernel = np.fft.fftshift(np.fft.irfft2(transfer, s=self.grid), axes=(-2, -1))
         weights = None if self.weights is None else self.weights.detach().cpu().double().numpy()
@@ -153,7 +158,7 @@ class TorchForwardModel(nn.Module):
         return self._frame((parts * self.transfer).sum(dim=-3))
 
     def adjoint(self, image: Tensor) -> Tensor:
-        """Apply the transpose of `forward`: correlate an image (..., H, W) with the kernel."""
+        """Apply the transpose of `forward`: correlate an image (..., H, W) with the PSF."""
         self._check("image", image)
         spectrum = self._spectrum(image)
         if self.weights is None:

@@ -352,15 +352,18 @@ def shape_of(name: str, value: Any) -> tuple[int, ...]:
 
 
 def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> float:
-    """Estimate the rms noise of an image, assuming white noise within blocks of 12 x 12 pixels.
+    """Estimate the rms noise of an image from its pixels.
+
+    The noise must be uncorrelated between pixels. Its strength may vary over the image.
 
     Parameters
     ----------
     image : array_like or Tensor
         Image, (H, W), at least 3 x 3 pixels.
     model : ForwardModel or TorchForwardModel, optional
-        Image model of shape (H, W). If given, the noise is taken from the frequencies that its
-        point spread does not pass, if there are enough of them.
+        Image model of shape (H, W): the convolution with the known point spread function (PSF). If
+        given, the noise is measured at those spatial frequencies that the PSF does not transmit, if
+        there are enough of them.
 
     Returns
     -------
@@ -382,19 +385,21 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
 
     Notes
     -----
-    Without a model the estimate is the median absolute response to a second difference along both
-    axes [1]_ [2]_, on which smooth images and a few edges have little effect. It is taken in blocks
-    of about 12 pixels, because signal-dependent noise would otherwise be underestimated, and the
-    squares are averaged. A block with zero median, for example a dark region with few counts,
-    contributes its rms response instead. For white noise the result is 2 % too high, with a
-    relative spread of 2/sqrt(pixels). Fine detail of a sharp image raises it: by 35 % at worst for
+    Without a model, second differences of the image along both axes are taken [1]_, in which a
+    smooth image nearly vanishes and noise remains. The noise follows from the median of their
+    magnitudes [2]_, on which a few edges have little effect. Because the noise may vary over the
+    image, this is done in blocks of about 12 x 12 pixels, and the squares are averaged. A block
+    whose median is zero, for example a dark region with few counts, contributes its rms value
+    instead. For uniform noise the result is 2 % too high, with a relative standard deviation of
+    2/sqrt(number of pixels). Fine detail of a sharp image increases the result: by up to 35 % for
     images of 64 x 64 pixels with 0.5 % noise.
 
-    With a model, an object with a power spectrum proportional to 1/f^2 and the image's variance is
-    assumed. The noise is the mean power of those frequencies at which the image of that object is
-    below 5 % of the noise. At least 500 of them are needed; otherwise the second differences are
-    used. The relative standard error is 1/sqrt(2 n) for n frequencies. Differences between opposite
-    edges of the frame are removed first, because they would spread over all frequencies [3]_.
+    With a model, the image of a typical object is predicted, whose power spectrum falls as 1/f^2
+    and which has the image's variance. The noise is the mean power at those frequencies at which
+    this image has less than 5 % of the noise's power. If there are fewer than 500 such frequencies,
+    the second differences are used. The relative standard error is 1/sqrt(2 n) for n frequencies.
+    Differences between opposite edges of the image are removed first, because they would spread
+    over all frequencies [3]_.
 
     References
     ----------

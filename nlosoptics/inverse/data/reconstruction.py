@@ -20,40 +20,41 @@ from .status import Ending, Status, judged
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Reconstruction(Noun, Shown):
-    """Object recovered from an image, with status and fitted parameters.
+    """Object that a solver recovered from an image, with its status and the fitted parameters.
 
-    The image is modelled as ``gain * model.forward(object) + background``.
+    Solvers fit the image by ``gain * model.forward(object) + background``, with the image model
+    that they were given. Values in the unit of the image's pixels are called image units.
 
     Parameters
     ----------
     object : ndarray or Tensor, (H, W)
-        Object, [y, x] in the image's frame. It has the type of the given image and, for a tensor,
-        its dtype and device. Its maximum is 1 unless the gain was given.
+        Object, [y, x], on the pixels of the image. It has the type of the given image and, for a
+        tensor, its dtype and device. Its maximum is 1 unless the gain was given.
     physical_parameters : mapping of str to float or ndarray
-        ``gain`` (image units per object unit), ``background`` (mean of the fitted background,
-        image units; a known background is not counted), ``noise_sigma`` (rms noise, image units;
-        for a noise map, the value whose inverse square is the mean of the map's inverse squares),
-        and further parameters of the solver such as ``tv_weight``. If the wall was fitted too,
-        ``coefficients`` is an array.
+        Fitted and given values. ``gain``: image units per unit of the object. ``background``: mean
+        of the fitted background, image units, without the known background. ``noise_sigma``: rms
+        noise, image units; for a noise map, the value whose inverse square is the mean of the map's
+        inverse squares. The docstring of a solver names further values and the shapes of arrays,
+        such as the wave's ``coefficients`` if the wall was fitted as well.
     status : {"converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"}
-        "converged": the solver met its stopping criterion and, with a known point spread, no test
-        found that image and model disagree; see `inverse.data.status`. "unconverged": the stopping
-        criterion was not met, and the object is not reliable. "trivial": the wall was fitted too,
-        and the answer is the image itself without blur. "too_few_photons": the noise hides most of
-        the object's detail, and ``object`` is a rough estimate; it is zero if no object was
-        detected. "does_not_fit": image and model contradict each other, so the object is not to be
-        trusted.
+        "converged": the solver met its stopping criterion, and no test found a contradiction
+        between image and model. "unconverged": the stopping criterion was not met, and the object
+        is not reliable. "trivial": in a fit of object and wall, the result is no blur and the image
+        itself as the object. "too_few_photons": the noise hides most of the object's detail, and
+        ``object`` is a rough estimate; it is zero if no object was detected. "does_not_fit": the
+        image contradicts the model, so the object is not reliable.
     score : float
-        Weighted rms residual in units of the noise; 1 if only noise remains. For phase retrieval
-        the correlation between two halves of the restarts; 1 is full agreement.
+        Rms of the residual divided by the noise; 1 if only noise remains. For phase retrieval: the
+        correlation between the results of two halves of the restarts; 1 is full agreement.
     history : mapping of str to ndarray, (n_iterations,)
-        Records per iteration, float64, read-only: ``objective``, ``residual`` (as ``score``) and
-        ``change`` (relative). For phase retrieval ``fourier_error`` per restart.
+        Values after each iteration, float64, read-only. ``objective``: the minimised function.
+        ``residual``: as ``score``. ``change``: relative change of the object in the iteration. For
+        phase retrieval there is only ``fourier_error``, with one value for each restart.
     seconds : float
-        Wall-clock time, s.
+        Wall-clock time of the fit, s.
     reasons : tuple of str
-        Reasons against the status "converged", one sentence each, with values and limits. Empty
-        for "converged" and for solvers that do not test the model.
+        Sentences that say why the status is not "converged", with values and limits. Empty for
+        "converged", and for solvers that do not test the model.
 
     See Also
     --------

@@ -25,10 +25,10 @@ _SSIM_EDGE = 5
 def registered_correlation(
     reconstruction: Any, truth: Any, *, upsampling: int = 20, flip: bool = False
 ) -> float:
-    """Largest Pearson correlation of a reconstruction with the truth over all shifts.
+    """Return the Pearson correlation of a reconstruction with the truth at the best shift.
 
-    Scale and offset do not matter. The position does not matter either, because an image does not
-    determine it: a tilt of the wavefront shifts the object.
+    Brightness, offset and position of the reconstruction do not matter. An image does not determine
+    the position of the object, because a tilt of the wavefront shifts the image.
 
     Parameters
     ----------
@@ -39,13 +39,13 @@ def registered_correlation(
     upsampling : int
         Number of steps per pixel in which the shift is searched; 1 for whole pixels.
     flip : bool
-        Whether to try a rotation by half a turn too, which an autocorrelation does not determine.
+        Whether to try the reconstruction turned by half a turn as well. Phase retrieval needs this,
+        since an object and its turned copy have the same autocorrelation.
 
     Returns
     -------
     float
-        Largest correlation, 0 to 1; 0 for a uniform image. It cannot be negative, because the mean
-        over all shifts is 0.
+        Largest correlation over all shifts, 0 to 1; 0 if an image is uniform.
 
     Raises
     ------
@@ -60,9 +60,10 @@ def registered_correlation(
 
     Notes
     -----
-    The circular cross-correlation of the two mean-free images, divided by the product of their
-    norms, is the Pearson correlation at each shift. Its peak among whole pixels is refined by a
-    matrix DFT [1]_, with band-limited interpolation between pixels.
+    Both images are treated as periodic. Their circular cross-correlation, after subtraction of the
+    means and division by the product of the norms, is the Pearson correlation at each shift. Its
+    mean over all shifts is 0, so that its largest value is not negative. The largest value among
+    whole pixels is refined by a matrix Fourier transform with band-limited interpolation [1]_.
 
     References
     ----------
@@ -86,12 +87,12 @@ def registered_correlation(
 
 @dataclass(frozen=True)
 class RegisteredScores:
-    """Similarity of a registered reconstruction and the truth.
+    """Similarity of a reconstruction and the true object, after registration by shift and scale.
 
     Parameters
     ----------
     correlation : float
-        Pearson correlation, see `registered_correlation`.
+        Pearson correlation at the best shift, 0 to 1.
     psnr : float
         Peak signal-to-noise ratio, dB; infinite for identical images.
     ssim : float
@@ -115,10 +116,10 @@ def registered_scores(
     flip: bool = False,
     data_range: float | None = None,
 ) -> RegisteredScores:
-    """Correlation, PSNR and SSIM of a reconstruction after registration to the truth.
+    """Return correlation, PSNR and SSIM of a reconstruction and the true object.
 
-    Registration shifts and scales the reconstruction and adds an offset, for the best fit to the
-    truth.
+    The reconstruction is first registered: it is shifted, scaled and given an offset such that it
+    fits the truth best.
 
     Parameters
     ----------
@@ -129,14 +130,16 @@ def registered_scores(
     upsampling : int
         Number of steps per pixel in which the shift is searched; 1 for whole pixels.
     flip : bool
-        Whether to try a rotation by half a turn too.
+        Whether to try the reconstruction turned by half a turn as well. Phase retrieval needs this,
+        since an object and its turned copy have the same autocorrelation.
     data_range : float or None
-        Peak value for PSNR and SSIM, in the truth's unit; None: range of the truth.
+        Range of values to which PSNR and SSIM refer, in the unit of the truth. None: the range of
+        the truth.
 
     Returns
     -------
     RegisteredScores
-        Correlation, PSNR and SSIM.
+        Correlation, peak signal-to-noise ratio (PSNR) and structural similarity (SSIM).
 
     Raises
     ------
@@ -152,10 +155,11 @@ def registered_scores(
 
     Notes
     -----
-    Scale and offset are least-squares values; the shift is periodic and band-limited. Structural
-    similarity [1]_ uses Gaussian windows with a sigma of 1.5 pixels, truncated at 5 pixels,
-    population variances and the constants 0.01 and 0.03. It is averaged without the 5 pixels
-    nearest to each edge.
+    The shift is that of the largest correlation; the image is treated as periodic and interpolated
+    within its band limit. Scale and offset are least-squares values. Structural similarity [1]_
+    uses Gaussian windows with a standard deviation of 1.5 pixels, truncated at 5 pixels, population
+    variances and the constants 0.01 and 0.03. It is averaged without the 5 pixels nearest to each
+    edge.
 
     References
     ----------

@@ -38,31 +38,34 @@ def inverse_filter(
 ) -> Reconstruction:
     """Reconstruct an object by dividing the image's spectrum by the transfer function.
 
-    Frequencies at which the transfer function is close to zero are left out.
+    Frequencies at which the modulus of the transfer function is close to zero are left out.
 
     Parameters
     ----------
     image : ndarray or Tensor
-        Image, (H, W), any unit.
+        Camera image, (H, W), in any unit, which is called the image unit below.
     model : ForwardModel or TorchForwardModel
-        Image model with the shape (H, W).
+        Image model of shape (H, W): the convolution of an object with the known point spread
+        function.
     guard : float or None
-        Frequencies whose transfer relative to the largest is below this value, 1e-13 to 1, are left
-        out. None: the largest value for which the residual does not exceed the noise.
+        Least modulus of the transfer function relative to its maximum, 1e-13 to 1. Frequencies with
+        a smaller modulus are left out. None: the largest value for which the residual does not
+        exceed the noise.
     noise_sigma : float, array_like or None
-        Standard deviation of the noise, one number or (H, W), image units; None: estimated by
-        `estimate_noise`.
+        Standard deviation of the noise, one number or (H, W), image units. None: it is estimated
+        by `estimate_noise`.
     background : float or array_like
-        Known background, one number or (H, W), image units.
+        Known background of the image, one number or (H, W), image units.
     fit_background : bool
-        Whether to fit the strength of an additional background. It is first estimated at the
-        frame's border and then fitted to the residual.
+        Whether to fit an additional background of unknown strength. It is first estimated from the
+        pixels at the image's border and then fitted to the residual.
     background_shape : array_like or None
-        Shape of the additional background, (H, W), non-negative; None: uniform.
+        Distribution of the additional background over the image, (H, W), non-negative, in any unit.
+        None: it is uniform.
     gain : float or None
-        Known image units per object unit; None: the object is scaled to a maximum of 1.
+        Image units per unit of the object, if known. None: the object is scaled to a maximum of 1.
     progress : callable or None
-        Called once at the end with a text and 1.
+        Function that is called once at the end, with a text and 1.
 
     Returns
     -------
@@ -72,7 +75,8 @@ def inverse_filter(
     Raises
     ------
     SamplingError
-        If an array does not fit the model, or the model's point spread varies over the field.
+        If an array does not have the model's shape, or the model's point spread function varies
+        over the object.
     SceneError
         If a value is out of range or not finite.
 
@@ -83,10 +87,11 @@ def inverse_filter(
 
     Notes
     -----
-    ``o = F^-1(I/Phi)`` [1]_, for the image spectrum I and the transfer function Phi. Beyond the
-    pupil's cutoff Phi is zero up to rounding, so these frequencies are left out. The automatic
-    guard follows the discrepancy principle for a truncated spectrum [2]_. A padded frame is assumed
-    to be dark outside.
+    The object is the inverse Fourier transform of I/Phi, with the image's spectrum I and the
+    transfer function Phi [1]_. Frequencies beyond the cut-off of the pupil, at which Phi is zero
+    but for rounding, are always left out. The automatic guard follows the discrepancy principle for
+    a truncated spectrum [2]_. If the model has the boundary "padded", the object is assumed to be
+    dark outside the image.
 
     References
     ----------

@@ -43,44 +43,47 @@ def richardson_lucy(
     Parameters
     ----------
     image : ndarray or Tensor
-        Image, (H, W), any unit.
+        Camera image, (H, W), in any unit, which is called the image unit below.
     model : ForwardModel or TorchForwardModel
-        Image model with the shape (H, W), of one point spread or of a field of them.
+        Image model of shape (H, W): the convolution of an object with the known point spread
+        function (PSF), which may vary over the object.
     accelerated : bool
-        Whether to extrapolate each step along the last two iterates.
+        Whether to accelerate the convergence by extrapolation from the last two iterates.
     noise_sigma : float, array_like or None
-        Standard deviation of the noise, one number or (H, W), image units; None: estimated by
-        `estimate_noise`.
+        Standard deviation of the noise, one number or (H, W), image units. None: it is estimated
+        by `estimate_noise`.
     background : float or array_like
-        Known background, one number or (H, W), image units.
+        Known background of the image, one number or (H, W), image units.
     fit_background : bool
-        Whether to fit the strength of an additional background.
+        Whether to fit an additional background of unknown strength.
     background_shape : array_like or None
-        Shape of the additional background, (H, W), non-negative; None: uniform.
+        Distribution of the additional background over the image, (H, W), non-negative, in any unit.
+        None: it is uniform.
     gain : float or None
-        Known image units per object unit; None: the object is scaled to a maximum of 1.
+        Image units per unit of the object, if known. None: the object is scaled to a maximum of 1.
     max_iterations : int
         Maximum number of iterations.
     tolerance : float
         Stop also when the relative change of the object per iteration is below this value.
     start : array_like, mapping or None
-        Initial object, (H, W) in image units, or a saved state, from which the fit resumes
-        bit-identically; see `inverse.data.checkpoints`. Pixels that are 0 in the initial object
-        remain 0.
+        Initial object, (H, W), in image units, or a saved state of this solver (see `Stop`), from
+        which the fit resumes with the same result bit for bit. None: the solver chooses it. Pixels
+        that are 0 in the initial object remain 0.
     progress : callable or None
-        Called repeatedly with a text and the completed fraction; may raise `Stop`.
+        Function that is called repeatedly with a text and the completed fraction, 0 to 1. It may
+        raise `Stop` to end the fit.
 
     Returns
     -------
     Reconstruction
-        "converged": the first iterate with a residual at the noise level, or one that no longer
-        changes, in which case its score may differ from 1. "unconverged": the iterate with the
-        least ``objective``.
+        Object, status and score. With the status "converged", the object is the first iterate whose
+        residual is at the noise level, or one that no longer changes; the score of the latter may
+        differ from 1. With "unconverged", it is the iterate with the least ``objective``.
 
     Raises
     ------
     SamplingError
-        If an array does not fit the model.
+        If an array does not have the model's shape.
     SceneError
         If a value is out of range or not finite.
 
@@ -91,16 +94,18 @@ def richardson_lucy(
 
     Notes
     -----
-    With the object x, image y, image model A and background b, the iteration is
-    ``x <- x A'(w y/(A x + b))/A'w`` [1]_ [2]_. It conserves flux and sign; w are the pixel weights
-    of a noise map. ``A'w`` accounts for light lost at the frame, so that padded edges do not ring.
-    The background's strength is updated by the same step and starts from its estimate with the
-    Wiener filter; a start far from the solution would need thousands of iterations. Noise can make
-    dark pixels negative, which the method does not allow. Instead of clipping, a pedestal that
-    lifts every pixel to at least one noise sigma is added to image and model [3]_. Early stopping
-    is the regularisation; further iterations would fit the noise. The acceleration follows Biggs
-    and Andrews [4]_. ``objective`` is the weighted divergence between model and image, in units of
-    the image's range.
+    The iteration is ``x <- x A'(w y/(A x + b))/A'w`` [1]_ [2]_, for the object x, image y, image
+    model A with transpose A', background b and pixel weights w, which are 1 without a noise map. It
+    keeps the object non-negative and conserves the total intensity. The divisor A'w accounts for
+    light that leaves the image at its edges, which therefore do not ring. The strength of an
+    unknown background is updated in the same way. It starts from an estimate with the Wiener
+    filter, because a bad start would need thousands of iterations.
+
+    The method needs positive pixels, but noise can make dark pixels negative. A constant that lifts
+    every pixel to at least one standard deviation of the noise is therefore added to image and
+    model [3]_. The iteration stops at the noise level, since further iterations would fit the
+    noise. The acceleration follows Biggs and Andrews [4]_. ``objective`` in the history is the
+    weighted Kullback-Leibler divergence between image and model, in units of the image's range.
 
     References
     ----------

@@ -57,39 +57,46 @@ def tv_deconvolve(
     start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Reconstruct the non-negative object of least total variation that agrees with an image.
+    """Reconstruct the non-negative object of least total variation that fits an image.
+
+    Total variation is the sum of the gradient's magnitude over the pixels. It suppresses noise and
+    keeps sharp edges. This is the recommended solver if the point spread function is known.
 
     Parameters
     ----------
     image : ndarray or Tensor
-        Image, (H, W), any unit.
+        Camera image, (H, W), in any unit, which is called the image unit below.
     model : ForwardModel or TorchForwardModel
-        Image model with the shape (H, W).
+        Image model of shape (H, W): the convolution of an object with the known point spread
+        function.
     noise_sigma : float, array_like or None
-        Standard deviation of the noise, one number or (H, W), image units; None: estimated by
-        `estimate_noise`. Infinite for pixels to ignore, such as saturated ones.
+        Standard deviation of the noise, one number or (H, W), image units. Pixels of infinite
+        noise are ignored, for example saturated ones. None: it is estimated by `estimate_noise`.
     tv_weight : float or None
-        Weight of the total variation, dimensionless. None: chosen by the discrepancy principle, so
-        that the residual equals the noise.
+        Weight of the total variation, dimensionless; larger values give a smoother object. None:
+        the weight at which the residual equals the noise (discrepancy principle).
     background : float or array_like
-        Known background, one number or (H, W), image units.
+        Known background of the image, one number or (H, W), image units.
     fit_background : bool
-        Whether to fit the strength of an additional background.
+        Whether to fit an additional background of unknown strength.
     background_shape : array_like or None
-        Shape of the additional background, (H, W), non-negative; None: uniform.
+        Distribution of the additional background over the image, (H, W), non-negative, in any unit.
+        None: it is uniform.
     gain : float or None
-        Known image units per object unit; None: the object is scaled to a maximum of 1.
+        Image units per unit of the object, if known. None: the object is scaled to a maximum of 1.
     max_iterations : int
         Maximum number of iterations.
     tolerance : float
-        Stop when three values are below this: the object's relative change per iteration, the
-        relative difference between the object and its non-negative copy in the algorithm, and 0.05
-        times the difference of the residual from its target, in units of the noise.
+        The solver stops when the object changes by less than this fraction per iteration, and
+        differs by less than this fraction from the same object without negative values. With an
+        automatic weight, the residual must also be within 20 times this fraction of its target,
+        relative to the noise.
     start : array_like, mapping or None
-        Initial object, (H, W) in image units, or a saved state, from which the fit resumes
-        bit-identically; see `inverse.data.checkpoints`.
+        Initial object, (H, W), in image units, or a saved state of this solver (see `Stop`), from
+        which the fit resumes with the same result bit for bit. None: the solver chooses it.
     progress : callable or None
-        Called repeatedly with a text and the completed fraction; may raise `Stop`.
+        Function that is called repeatedly with a text and the completed fraction, 0 to 1. It may
+        raise `Stop` to end the fit.
 
     Returns
     -------
@@ -99,7 +106,7 @@ def tv_deconvolve(
     Raises
     ------
     SamplingError
-        If an array does not fit the model.
+        If an array does not have the model's shape.
     SceneError
         If a value is out of range or not finite.
 
@@ -112,22 +119,21 @@ def tv_deconvolve(
 
     Notes
     -----
-    Minimises ``sum (g A x + b - y)^2 / (2 sigma_i^2) + tv_weight TV(g x)/sigma`` over the object x
-    >= 0 in the frame and the background b. Here y is the image, A the image model, g the gain,
-    sigma_i the noise of a pixel, and 1/sigma^2 the mean of 1/sigma_i^2; TV is isotropic. It is
-    solved by the alternating direction method of multipliers. This method treats the fit to the
-    image, the gradient and the sign constraint in separate steps, so that one of them is diagonal
-    in Fourier space and the frame is a mask [1]_. For a field of point spreads this step takes a
-    few conjugate gradients, preconditioned by the mean. The weight is adjusted in every data step,
-    in closed form for uniform noise [2]_.
+    The solver minimises ``sum_i (g A x + b - y)_i^2 / (2 sigma_i^2) + tv_weight TV(g x)/sigma``
+    over non-negative objects x on the image's pixels and over the background b. Here y is the
+    image, A the image model, g the gain and sigma_i the noise of pixel i. 1/sigma^2 is the mean of
+    1/sigma_i^2, and TV is the isotropic total variation. The algorithm is the alternating direction
+    method of multipliers [1]_. If the PSF varies over the object, each of its steps takes a few
+    conjugate gradients. The automatic weight is adjusted in every step [2]_.
 
-    The residual that the discrepancy principle aims at is slightly below the noise, because a fit
-    absorbs some of the noise. The expected sum of squared residuals, one per pixel, is reduced by
-    the number of pixels along the frame's outline (rms 0.984 of the noise at 128 x 128), and by
-    less for faint images, where the fit absorbs less noise. Otherwise weak images would be
-    over-smoothed, and faint ones grainy. The computation uses float32 unless the noise is below
-    1e-4 of the image's range, on one thread, and torch only for an image on a GPU. ``objective``
-    is evaluated at the final weight, so it may rise while the weight is being adjusted.
+    The automatic weight aims at a residual slightly below the noise, because a fit always follows
+    some of the noise. For noise alone, the sum of ``(residual/sigma_i)^2`` is the number of pixels.
+    The target is smaller by the number of pixels along the image's outline, and by less for faint
+    images. For 128 x 128 pixels the rms residual is then 0.984 of the noise.
+
+    The computation runs on one thread in single precision, or in double precision if the noise is
+    below 1e-4 of the image's range. Only an image on a GPU is processed by torch. ``objective`` in
+    the history is evaluated at the final weight, so it may rise while the weight is adjusted.
 
     References
     ----------

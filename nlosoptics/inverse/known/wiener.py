@@ -39,46 +39,49 @@ def wiener(
     start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Reconstruct an object with the Wiener filter for a 1/f^2 power spectrum.
+    """Reconstruct an object with the Wiener filter, for objects of power spectrum 1/f^2.
 
     Parameters
     ----------
     image : ndarray or Tensor
-        Image, (H, W), any unit.
+        Camera image, (H, W), in any unit, which is called the image unit below.
     model : ForwardModel or TorchForwardModel
-        Image model with the shape (H, W).
+        Image model of shape (H, W): the convolution of an object with the known point spread
+        function.
     noise_sigma : float, array_like or None
-        Standard deviation of the noise, one number or (H, W), image units; None: estimated by
-        `estimate_noise`. Infinite for pixels to ignore, such as saturated ones.
+        Standard deviation of the noise, one number or (H, W), image units. Pixels of infinite
+        noise are ignored, for example saturated ones. None: it is estimated by `estimate_noise`.
     background : float or array_like
-        Known background, one number or (H, W), image units.
+        Known background of the image, one number or (H, W), image units.
     fit_background : bool
-        Whether to fit the strength of an additional background.
+        Whether to fit an additional background of unknown strength.
     background_shape : array_like or None
-        Shape of the additional background, (H, W), non-negative; None: uniform.
+        Distribution of the additional background over the image, (H, W), non-negative, in any unit.
+        None: it is uniform.
     gain : float or None
-        Known image units per object unit; None: the object is scaled to a maximum of 1.
+        Image units per unit of the object, if known. None: the object is scaled to a maximum of 1.
     max_iterations : int
         Maximum number of iterations.
     tolerance : float
-        Stop when the residual of the normal equations, relative to their right-hand side, is below
-        this value.
+        Stop when the residual of the filter's linear equations, relative to their right-hand side,
+        is below this value.
     start : array_like, mapping or None
-        Initial object, (H, W) in image units, or a saved state, from which the fit resumes
-        bit-identically; see `inverse.data.checkpoints`.
+        Initial object, (H, W), in image units, or a saved state of this solver (see `Stop`), from
+        which the fit resumes with the same result bit for bit. None: the solver chooses it.
     progress : callable or None
-        Called repeatedly with a text and the completed fraction; may raise `Stop`.
+        Function that is called repeatedly with a text and the completed fraction, 0 to 1. It may
+        raise `Stop` to end the fit.
 
     Returns
     -------
     Reconstruction
-        The object may have negative values. ``objective`` is half the squared residual in units of
-        the noise, plus half the object's squared norm under the prior.
+        Object, status and score. The object may have negative values. In ``history``, ``objective``
+        is half the function that is minimised, see Notes.
 
     Raises
     ------
     SamplingError
-        If an array does not fit the model.
+        If an array does not have the model's shape.
     SceneError
         If a value is out of range or not finite.
 
@@ -89,14 +92,17 @@ def wiener(
 
     Notes
     -----
-    Minimises ``|A x + b - y|^2/sigma^2 + x' S^-1 x`` for the object x, image y, image model A,
-    background b and noise sigma. The prior spectrum S is proportional to 1/(f^2 + f_0^2), with f_0
-    one cycle per frame, as in natural scenes [1]_. Its strength matches the image's variance in
-    excess of the noise; for an image that is uniform up to noise, without a background to fit, it
-    matches the mean square instead. For a circular frame without weights this is the classical
-    filter, solved in one step. For a padded frame or a field of point spreads, the filter with the
-    mean point spread preconditions conjugate gradients over objects inside the frame. No edge
-    tapering is needed, and edges do not ring.
+    The filter minimises ``|A x + b - y|^2/sigma^2 + x' S^-1 x`` over the object x and background b,
+    for the image y, image model A and noise sigma. S is the expected power spectrum of the object.
+    It is proportional to 1/(f^2 + f_0^2) at spatial frequency f, with f_0 one cycle per image
+    width, as in natural scenes [1]_. S is scaled such that the predicted variance of the image
+    equals the measured variance minus that of the noise. If the image is uniform up to noise and no
+    background is fitted, the mean square of the image takes the place of its variance.
+
+    With the boundary "circular", a single PSF and uniform noise, this is the classical Wiener
+    filter, which takes one step. Otherwise the equations are solved by conjugate gradients for
+    objects inside the image, with the classical filter as preconditioner. The edges of the image
+    need no tapering and cause no ringing.
 
     References
     ----------

@@ -42,17 +42,17 @@ _ENTRY = "nlosoptics"
 class CnnBaseline(nn.Module):
     """U-net that estimates the object from an image, for comparison with model-based solvers.
 
-    A new instance has random weights: train it by `train_cnn`, or read it by `load`. Called on
-    images (B, H, W) in any unit it returns objects (B, H, W) from 0 to 1; `reconstruct` takes one
-    image. The network has no physical model and recovers only objects like those that it was
-    trained on, seen via similar walls.
+    A new instance has random weights. Train a network by `train_cnn`, or read a trained one by
+    `load`. Calling the network on a batch of B images, (B, H, W), in any unit, returns objects
+    (B, H, W) from 0 to 1; `reconstruct` takes one image. The network knows no optics. It recovers
+    only objects like those of its training, seen via similar walls.
 
     Parameters
     ----------
     base : {8, 16, 32}
-        Channels at full resolution, see `UNet`.
+        Number of channels of the U-net at full resolution.
     depth : int
-        Number of times the resolution is halved, 1 to 8, see `UNet`.
+        Number of times that the U-net halves the resolution, 1 to 8.
     seed : int
         Seed of the initial weights.
 
@@ -67,7 +67,7 @@ class CnnBaseline(nn.Module):
         self.network = UNet(base, depth, seed=seed)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Compute objects (B, H, W), 0 to 1, from images (B, H, W) in any unit."""
+        """Compute objects (B, H, W), 0 to 1, from a batch of images (B, H, W) in any unit."""
         if images.ndim != 3:
             raise SamplingError(f"images has shape {tuple(images.shape)}, must be (B, H, W)")
         centred = images - images.mean(dim=(1, 2), keepdim=True)
@@ -88,28 +88,31 @@ class CnnBaseline(nn.Module):
         gain: float | None = None,
         tolerance: float = 0.1,
     ) -> Reconstruction:
-        """Reconstruct the object of one image.
+        """Reconstruct the object of one image by the network.
 
-        The image model does not affect the object's shape. It only provides gain, background and
-        residual.
+        The network determines the object up to brightness. The image model is only used to fit
+        gain and background, and to compare the object's image with the given one.
 
         Parameters
         ----------
         image : ndarray or Tensor
-            Image, (H, W), any unit.
+            Camera image, (H, W), in any unit, which is called the image unit below.
         model : ForwardModel or TorchForwardModel
-            Image model with the shape (H, W).
+            Image model of shape (H, W): the convolution of an object with the known point spread
+            function.
         noise_sigma : float, array_like or None
-            Standard deviation of the noise, one number or (H, W), image units; None: estimated by
-            `estimate_noise`.
+            Standard deviation of the noise, one number or (H, W), image units. None: it is
+            estimated by `estimate_noise`.
         background : float or array_like
-            Known background, one number or (H, W), image units.
+            Known background of the image, one number or (H, W), image units.
         fit_background : bool
-            Whether to fit the strength of an additional background.
+            Whether to fit an additional background of unknown strength.
         background_shape : array_like or None
-            Shape of the additional background, (H, W), non-negative; None: uniform.
+            Distribution of the additional background over the image, (H, W), non-negative, in any
+            unit. None: it is uniform.
         gain : float or None
-            Known image units per object unit; None: the object is scaled to a maximum of 1.
+            Image units per unit of the object, if known. None: the object is scaled to a maximum
+            of 1.
         tolerance : float
             The status is "converged" if the residual exceeds the noise by at most this fraction.
 
@@ -121,7 +124,7 @@ class CnnBaseline(nn.Module):
         Raises
         ------
         SamplingError
-            If an array does not fit the model.
+            If an array does not have the model's shape.
         SceneError
             If a value is out of range or not finite.
         """
@@ -149,7 +152,9 @@ class CnnBaseline(nn.Module):
         return reconstructed(solve, image, model, *known)
 
     def save(self, path: Path | str) -> None:
-        """Save the weights to a safetensors file, atomically.
+        """Save the network to a file in the safetensors format.
+
+        If an error occurs, no partial file remains.
 
         Parameters
         ----------
@@ -230,13 +235,14 @@ class Training(Noun):
     Parameters
     ----------
     network : CnnBaseline
-        Network after the epoch with the least validation error.
+        Network after the epoch (pass over all training pairs) with the least validation error.
     history : mapping of str to ndarray, (n_epochs,)
-        Mean squared errors ``training`` and ``validation`` per epoch, float64, read-only.
+        Mean squared error of the objects after each epoch, float64, read-only: ``training`` over
+        the pairs used for training, ``validation`` over the pairs held out.
     interrupted : bool
-        Whether Ctrl-C ended the training.
+        Whether Ctrl-C ended the training early.
     seconds : float
-        Wall-clock time, s.
+        Wall-clock time of the training, s.
 
     See Also
     --------
@@ -265,31 +271,34 @@ def train_cnn(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Training:
-    """Train a network on pairs of image and object; Ctrl-C ends it with the best epoch so far.
+    """Train a network to estimate objects from images, on given pairs of image and object.
+
+    Ctrl-C ends the training and returns the best network so far.
 
     Parameters
     ----------
     pairs : TrainingPairs
-        Training pairs, for example from `training_pairs`.
+        Pairs of image and object, for example from `training_pairs`.
     base : {8, 16, 32}
-        Channels at full resolution, see `UNet`.
+        Number of channels of the U-net at full resolution.
     depth : int
-        Number of times the resolution is halved, see `UNet`.
+        Number of times that the U-net halves the resolution, 1 to 8.
     epochs : int
-        Passes over all training pairs.
+        Number of passes over all training pairs.
     batch : int
-        Pairs per optimiser step.
+        Number of pairs in one step of the optimiser.
     learning_rate : float
-        Initial learning rate of Adam; it decreases to zero along a cosine.
+        Initial learning rate of the optimiser (Adam); it decreases to zero along a cosine.
     validation : float
-        Fraction of the pairs, taken from the end, that is held out to select the best epoch.
+        Fraction of the pairs, above 0 and up to 0.9, that is not used for training, but to select
+        the best epoch. These pairs are taken from the end.
     device : torch.device or str
         Device for training; the network is returned on the CPU.
     seed : int
-        Seed of the initial weights and of the order of the pairs. On one processor the same seed
-        gives bit-identical results.
+        Seed of the initial weights and of the order of the pairs. On the same kind of processor,
+        the same seed gives the same result bit for bit.
     progress : callable or None
-        Called after every step with a text and the completed fraction.
+        Function that is called after every step with a text and the completed fraction, 0 to 1.
 
     Returns
     -------

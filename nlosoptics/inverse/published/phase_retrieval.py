@@ -63,56 +63,61 @@ def phase_retrieval(
     start: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Reconstruct an object from the autocorrelation of its speckle image via an unknown wall.
+    """Reconstruct an object from its speckle image via an unknown wall, by the autocorrelation.
+
+    The autocorrelation of the image approximates that of the object. The object is computed from it
+    by phase retrieval.
 
     Parameters
     ----------
     image : ndarray or Tensor
-        Image, (H, W), any unit; a uniform background has no effect.
+        Camera image, (H, W), in any unit, which is called the image unit below. A uniform
+        background has no effect.
     model : ForwardModel or TorchForwardModel or None
-        Image model. The modulus of its transfer function is divided out of the image's power
-        spectrum; its phase is not used. None: the wall is assumed to transmit all frequencies
-        equally on average, like a diffuser.
+        Image model, if the modulus of its transfer function is known. The image's power spectrum is
+        divided by the squared modulus; the phase is not used. None: the wall is assumed to transmit
+        all spatial frequencies equally on average, like a diffuser.
     method : {"alternating", "hio", "raar"}
-        "alternating": alternating minimisation from a truncated spectral start, for real objects of
-        either sign. "hio": hybrid input-output. "raar": relaxed averaged alternating reflections.
-        The last two require a non-negative object.
+        Algorithm. "alternating": alternating minimisation from a truncated spectral start, for real
+        objects of either sign. "hio": hybrid input-output. "raar": relaxed averaged alternating
+        reflections. The last two require a non-negative object.
     object_size : (int, int) or None
         Rows and columns of a box that contains the object. None: half the extent of the
-        autocorrelation's peak above its ground, plus a margin.
+        autocorrelation's central peak above its background, plus a margin.
     restarts : int
-        Number of random starts, at least 2.
+        Number of runs with different random starts, at least 2.
     noise_sigma : float, array_like or None
-        Standard deviation of the noise, one number or (H, W), image units; None: estimated by
-        `estimate_noise`.
+        Standard deviation of the noise, one number or (H, W), image units. None: it is estimated
+        by `estimate_noise`.
     background : float or array_like
-        Known background, one number or (H, W), image units.
+        Known background of the image, one number or (H, W), image units.
     max_iterations : int
-        Maximum number of iterations of each restart.
+        Maximum number of iterations of each run.
     seed : int
         Seed of the random starts.
     start : mapping or None
-        Saved state of this solver with the same image and options; the resumed run is bit-identical
-        to an uninterrupted one. See `inverse.data.checkpoints`.
+        Saved state of this solver with the same image and options (see `Stop`), from which the run
+        resumes with the same result bit for bit.
     progress : callable or None
-        Called repeatedly with a text and the completed fraction; may raise `Stop`, which returns
-        the mean of the restarts so far. The preview ``"object"`` in a saved state has a maximum
-        of 1.
+        Function that is called repeatedly with a text and the completed fraction, 0 to 1. It may
+        raise `Stop`; the mean of the runs so far is then returned. The entry ``"object"`` of a
+        saved state has a maximum of 1.
 
     Returns
     -------
     Reconstruction
-        Object at the centre of the frame, with a maximum of 1; its position and a rotation by half
-        a turn remain unknown. ``score`` is the registered correlation between two independent
-        halves of the restarts. ``status`` is "unconverged" even if they agree, because agreement
-        does not show that the image's autocorrelation is the object's. ``physical_parameters``
-        contains the least ``fourier_error``, ``object_size`` and ``noise_sigma``; ``history``
-        contains the ``fourier_error`` of each restart.
+        Object at the centre of the image, with a maximum of 1. Its true position is unknown, and it
+        may be turned by half a turn. ``score`` is the correlation between the mean objects of two
+        halves of the runs, at the best shift. ``status`` is "unconverged" even if they agree,
+        because agreement does not show that the image's autocorrelation is that of the object.
+        ``history["fourier_error"]`` holds, for each run, the deviation of the object's spectrum
+        from the measured modulus. ``physical_parameters`` contains the least ``fourier_error``,
+        ``object_size`` and ``noise_sigma``.
 
     Raises
     ------
     SamplingError
-        If an array does not fit the model, or the autocorrelation shows no object.
+        If an array does not have the model's shape, or the autocorrelation shows no object.
     SceneError
         If a value is out of range or not finite.
 
@@ -123,16 +128,17 @@ def phase_retrieval(
 
     Notes
     -----
-    The autocorrelation of a diffuser's point spread is a peak on a broad ground, so that the
-    autocorrelation of the image is that of the object on a ground [1]_. The residual influence of
-    the wall's speckle decreases with the number of speckle grains in the frame. The object may fill
-    at most half of the frame's width. Restarts with nearly the least Fourier error are averaged.
+    The point spread function of a diffuser is a speckle pattern. Its autocorrelation is a sharp
+    peak on a broad background. The autocorrelation of the image is therefore that of the object
+    plus a background [1]_. The random deviations decrease with the number of speckle grains in the
+    image. The object may fill at most half of the image's width. The result is the mean of the runs
+    with nearly the least Fourier error.
 
-    Agreement of the two halves is no proof. Without the sign constraint they can agree on a wrong
-    picture, and in a box much larger than the object its twin can be superimposed. A tight
-    ``object_size`` helps most. The alternating method [2]_ is proven for random measurement
-    vectors, not for moduli of a plain spectrum; it is included for comparison. Each of its restarts
-    starts from a random half of the measurements.
+    Agreement of the two halves of the runs is no proof. Without the constraint to non-negative
+    values they can agree on a wrong object. In a box much larger than the object, a copy turned by
+    half a turn can be superimposed. A tight ``object_size`` helps most. The method "alternating"
+    [2]_ is proven for random measurements, not for the modulus of a Fourier spectrum; it is
+    included for comparison. Each of its runs starts from a random half of the measured values.
 
     References
     ----------
@@ -187,37 +193,41 @@ def object_from_autocorrelation(
     start: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Reconstruct an object from its measured autocorrelation.
+    """Reconstruct an object from its measured autocorrelation, by phase retrieval.
 
     Parameters
     ----------
-    autocorrelation : array_like
-        Autocorrelation with odd numbers of rows and columns, zero lag at the centre, and an
-        arbitrary constant ground. The value at zero lag is ignored.
+    autocorrelation : array_like (rows, columns)
+        Autocorrelation of the object, in any unit, with an arbitrary constant background. Rows and
+        columns are odd numbers, with zero shift at the centre. The value at zero shift, which also
+        contains noise, is ignored.
     method : {"alternating", "hio", "raar"}
-        Algorithm, see `phase_retrieval`.
+        Algorithm. "raar": relaxed averaged alternating reflections. "hio": hybrid input-output.
+        Both require a non-negative object. "alternating": alternating minimisation from a truncated
+        spectral start, for real objects of either sign.
     object_size : (int, int) or None
-        Rows and columns of a box that contains the object. None: half the extent of the peak above
-        the ground, plus a margin.
+        Rows and columns of a box that contains the object. None: half the extent of the central
+        peak above the background, plus a margin.
     restarts : int
-        Number of random starts, at least 2.
+        Number of runs with different random starts, at least 2.
     max_iterations : int
-        Maximum number of iterations of each restart.
+        Maximum number of iterations of each run.
     seed : int
         Seed of the random starts.
     start : mapping or None
-        Saved state of a run with the same options, from which this one resumes bit-identically. See
-        `inverse.data.checkpoints`.
+        Saved state of this solver with the same data and options (see `Stop`), from which the run
+        resumes with the same result bit for bit.
     progress : callable or None
-        Called repeatedly with a text and the completed fraction; may raise `Stop`, which returns
-        the mean of the restarts so far.
+        Function that is called repeatedly with a text and the completed fraction, 0 to 1. It may
+        raise `Stop`; the mean of the runs so far is then returned.
 
     Returns
     -------
     Reconstruction
-        Object in a frame of the autocorrelation's size, with a maximum of 1. ``score`` is the
-        correlation between two halves of the restarts; ``status`` is "converged" if it is at
-        least 0.9.
+        Object in an array of the autocorrelation's shape, with a maximum of 1. Its true position is
+        unknown, and it may be turned by half a turn. ``score`` is the correlation between the mean
+        objects of two halves of the runs, at the best shift. ``status`` is "converged" if the score
+        is at least 0.9.
 
     Raises
     ------
@@ -228,7 +238,7 @@ def object_from_autocorrelation(
 
     See Also
     --------
-    phase_retrieval : Object from the modulus of its spectrum.
+    phase_retrieval : Object from a speckle image.
     """
     started = time.perf_counter()
     lags = checked_lags(autocorrelation)

@@ -27,15 +27,15 @@ _TOL = 1e-2  # of a point spread's peak: the noise is of that size
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TrainingPairs(Noun):
-    """Pairs of image and object for training.
+    """Pairs of camera image and object, to train a network with.
 
     Parameters
     ----------
     images : ndarray, (N, H, W) float32
-        Images, electrons, [y, x] with row 0 at the lowest y.
+        Images of N objects, electrons, [y, x] with row 0 at the lowest y.
     objects : ndarray, (N, H, W) float32
-        Objects on the same pixels, without blur, background or noise, each scaled to a maximum of
-        1.
+        The objects as they would appear in these images without blur, background and noise. Each is
+        scaled to a maximum of 1.
 
     See Also
     --------
@@ -57,27 +57,29 @@ def training_pairs(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> TrainingPairs:
-    """Simulate images of random pictures via random walls, with the other values of a scene.
+    """Simulate camera images of random objects via random walls, as training data for a network.
 
     Parameters
     ----------
     scene : Scene
-        Scene with a flat wall, a smooth mirror-like lobe and a planar object. The object's picture
-        is replaced by random ones.
+        Scene that provides laser, camera and positions. It must have a flat wall with a smooth
+        mirror-like lobe, and a planar object. Each pair replaces the object's image by random bars,
+        discs and rings, and adds the wave aberration of a random wall.
     count : int
         Number of pairs.
     waves : float
         Largest rms wave aberration of a wall, waves. The rms of each wall is drawn uniformly from
         0 to this value.
     size : int or None
-        Side of a square region of the image about the axis, pixels, at least 8; the object is
-        scaled down with it. None: the whole image.
+        Side, pixels, at least 8, of a square region of the image about the optical axis, to which
+        camera image and object are reduced. None: the whole image.
     modes : sequence of int
-        Noll indices of the walls' modes, with equal variances.
+        Noll indices of the Zernike modes of the random aberrations, which have equal variances.
     seed : int
-        Seed of the random numbers. A larger ``count`` extends the pairs of a smaller one.
+        Seed of the random numbers. A call with a larger ``count`` gives the same pairs and further
+        ones.
     progress : callable or None
-        Called repeatedly with a text and the completed fraction.
+        Function that is called repeatedly with a text and the completed fraction, 0 to 1.
 
     Returns
     -------
@@ -95,8 +97,8 @@ def training_pairs(
 
     Notes
     -----
-    Each image is computed as in `simulate`: by `psf.wide_point_spread`, to 1 % of its peak, and
-    `imaging.form_image` with all of the camera's noise.
+    Each image is computed as in `simulate`: the point spread function by `psf.wide_point_spread`,
+    to 1 % of its peak, and the image by `imaging.form_image`, with all of the camera's noise.
     """
     checked_seed(seed)
     count = whole("count", count)

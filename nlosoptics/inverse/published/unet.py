@@ -19,17 +19,17 @@ _SLOPE = 0.1
 
 
 class UNet(nn.Module):
-    """Encoder and decoder with skip connections [1]_, for pictures of any size.
+    """U-net: convolutional network from images to images of the same, arbitrary size [1]_.
 
     Parameters
     ----------
     base : {8, 16, 32}
-        Channels at full resolution, doubled at each lower level. The network has 0.44, 1.77 or 7.06
-        million weights at depth 4.
+        Number of channels at full resolution; it doubles each time the resolution is halved. At
+        depth 4 the network has 0.44, 1.77 or 7.06 million weights.
     depth : int
-        Number of times the resolution is halved, 1 to 8.
+        Number of times that the resolution is halved, 1 to 8.
     in_channels, out_channels : int
-        Channels of the input and output pictures.
+        Number of channels of the input and output images.
     seed : int
         Seed of the initial weights.
 
@@ -40,14 +40,14 @@ class UNet(nn.Module):
 
     Notes
     -----
-    Each level has two 3 x 3 convolutions in the encoder and one in the decoder, where a second one
-    would take a third of the run time without a better fit. Each convolution is followed by
-    normalisation over all channels and pixels of a picture (one group, independent of the
-    batch) and a leaky ReLU. A 1 x 1 convolution without activation gives the output, which is
-    not bounded. The decoder doubles the samples and concatenates those of the encoder. Sides
-    that 2^depth does not divide are padded with their last samples and cropped again. The
-    memory layout is channels_last, which makes a step on a CPU a fifth faster with the same
-    results.
+    At each resolution the encoder has two 3 x 3 convolutions and the decoder one; a second one in
+    the decoder would take a third of the run time without a better fit. Each convolution is
+    followed by normalisation over all channels and pixels of an image and by a leaky ReLU. The
+    decoder doubles the number of samples along each side and appends the encoder's channels of the
+    same resolution (skip connections). A final 1 x 1 convolution without activation gives the
+    output, which is not bounded. If 2^depth does not divide a side of the image, the image is
+    padded with its last samples, and the output is cropped. The weights have torch's memory format
+    channels_last, with which a step on a CPU is a fifth faster.
 
     References
     ----------
@@ -88,7 +88,7 @@ class UNet(nn.Module):
         self.head = nn.Conv2d(self.base, self.out_channels, 1, dtype=torch.float32)
 
     def forward(self, picture: Tensor) -> Tensor:
-        """Map pictures (B, in_channels, H, W) to pictures (B, out_channels, H, W)."""
+        """Map a batch of images (B, in_channels, H, W) to images (B, out_channels, H, W)."""
         if picture.ndim != 4 or picture.shape[1] != self.in_channels:
             raise SamplingError(
                 f"picture has shape {tuple(picture.shape)}, must be (B, {self.in_channels}, H, W); "

@@ -65,68 +65,75 @@ def wu2024_fit(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Fit object and wall to one image with an untrained U-net and random angles [1]_.
+    """Fit object and wall to one image by the method of Wu et al. 2024, for comparison [1]_.
 
-    This is the physics-constrained inverse network (PCIN) as published, for comparison;
-    `evidence_fit` is the solver to use.
+    The method is the physics-constrained inverse network (PCIN): an untrained U-net represents the
+    object, and the angles at which light leaves the exit pupil represent the wall. Use
+    `evidence_fit` to reconstruct objects.
 
     Parameters
     ----------
     images : ndarray or Tensor
-        One image, (H, W) or (1, H, W), any unit.
+        Camera image, (H, W) or (1, H, W), in any unit, which is called the image unit below.
     pupil_psf : PupilPSF or FacetPSF
-        Point spread of shape (H, W): of a wave, or of facets that send light without interference,
-        as for coarse pixels. Its coefficients take the role of the exit angles; ``pupil_psf`` is
-        not modified.
+        Point spread function (PSF) of shape (H, W) as a function of coefficients, which take the
+        role of the angles. It is that of a wave, or for coarse pixels that of independent facets.
+        ``pupil_psf`` is not modified.
     defocus : sequence of one float, or None
-        Known additional defocus of the image, m rms; a sequence as in the solvers of several
-        images.
+        Known additional defocus of the image, m rms over the pupil (Noll 4). It is a sequence as in
+        solvers that take several images.
     start : Reconstruction, mapping or None
-        Warm start: an earlier result of this function for a similar object, which provides angles
-        and network. A saved state of a run with the same options resumes that run bit-identically
-        (see `inverse.data.checkpoints`). None: cold start with random angles and weights.
+        Reconstruction: warm start from an earlier result of this function for a similar object,
+        which provides angles and network. Mapping: saved state of this solver with the same image
+        and options (see `Stop`), from which the fit resumes with the same result bit for bit. None:
+        cold start with random angles and weights.
     start_rms : float or None
         Strength of a cold start's random angles. For `PupilPSF` the rms wave aberration, waves; by
         default 0.5. For `FacetPSF` the rms displacement in the image along each axis, pixels; by
         default 5.
     base : {8, 16, 32}
-        Channels of the network at full resolution, see `UNet`. Ignored for a warm start.
+        Number of channels of the U-net at full resolution. Not used in a warm start.
     depth : int
-        Number of times the resolution is halved, see `UNet`. Ignored for a warm start.
+        Number of times that the U-net halves the resolution, 1 to 8. Not used in a warm start.
     alternate : int
-        Number of steps on the angles, followed by as many on the network.
+        Number of steps that fit the angles, followed by the same number of steps that fit the
+        network.
     network_input : {"image", "reconstruction"}
-        Input of the network when it is fitted: the measured image or the last reconstruction.
+        Input of the network while it is fitted: the camera image or the last reconstruction.
     learning_rate : float
-        Learning rate of Adam for angles and weights.
+        Learning rate of the optimiser (Adam) for angles and network weights.
     tv_weight : float
-        Weight of the total variation in the loss (equation 9), for an image with range 1.
+        Weight of the total variation in the minimised function (equation 9 of the paper), for an
+        image with range 1.
     noise_sigma : float, array_like or None
-        Standard deviation of the noise, one number, (H, W) or (1, H, W), image units; None:
+        Standard deviation of the noise, one number, (H, W) or (1, H, W), image units. None: it is
         estimated by `estimate_noise`.
     background : float or array_like
-        Known background, one number, (H, W) or (1, H, W), image units.
+        Known background of the image, one number, (H, W) or (1, H, W), image units.
     fit_background : bool
-        Whether to fit the strength of an additional background.
+        Whether to fit an additional background of unknown strength.
     background_shape : array_like or None
-        Shape of the additional background, (H, W), non-negative; None: uniform.
+        Distribution of the additional background over the image, (H, W), non-negative, in any unit.
+        None: it is uniform.
     gain : float or None
-        Known image units per object unit; None: the object is scaled to a maximum of 1.
+        Image units per unit of the object, if known. None: the object is scaled to a maximum of 1.
     max_iterations : int or None
-        Maximum number of steps on angles and network together; None: 4000 cold, 1800 warm.
+        Maximum number of steps for angles and network together. None: 4000 for a cold start, 1800
+        for a warm start.
     seed : int
         Seed of the random angles and weights.
     progress : callable or None
-        Called after each alternation with a text and the completed fraction; may raise `Stop`.
+        Function that is called after each change between angles and network, with a text and the
+        completed fraction, 0 to 1. It may raise `Stop` to end the fit.
 
     Returns
     -------
     Reconstruction
-        Object, status and score. ``physical_parameters`` also contains ``coefficients`` (as in
-        ``pupil_psf``), ``network_weights`` (n,) float32, ``network_base``, ``network_depth``,
-        ``strehl`` (peak of the point spread relative to the unaberrated one) and ``iterations``.
-        The status is "trivial" if the answer is the image itself (a correlation of 0.95 or more),
-        otherwise "unconverged" (see Notes).
+        Object, status and score. ``physical_parameters`` also contains the fitted ``coefficients``
+        in the shape and unit of ``pupil_psf.coefficients``, ``network_weights`` (n,) float32,
+        ``network_base``, ``network_depth``, ``strehl`` (peak of the PSF relative to that without
+        aberration) and ``iterations``. The status is "trivial" if the object is the image itself (a
+        correlation of 0.95 or more), otherwise "unconverged" (see Notes).
 
     Raises
     ------
@@ -143,7 +150,7 @@ def wu2024_fit(
 
     Notes
     -----
-    The paper's section 2.2 and what this function does:
+    Statements of the paper's section 2.2, and what this function does:
 
     ==================================================  ===========================================
     paper                                               here
@@ -159,8 +166,8 @@ def wu2024_fit(
     2. optimized parameters held, the loss optimizes    ``alternate`` steps on the network, with
     the network parameters, "repeated"                  the angles held
     3. "These two steps are alternated"                 until ``max_iterations``
-    equation 9: squared error plus TV of the            the same, summed over pixels, with the
-    reconstruction                                      factor ``tv_weight``
+    equation 9: squared error plus total variation      the same, summed over pixels, with the
+    (TV) of the reconstruction                          factor ``tv_weight``
     ADAM, learning rate 0.01                            two Adam optimisers, ``learning_rate``
     "estimated and outputted as the final layer"        the last object, no average, no best one
     4000 iterations, 1800 with "the previous run's      ``max_iterations``; ``start``
@@ -168,16 +175,17 @@ def wu2024_fit(
     512 x 512 pixels                                    any
     ==================================================  ===========================================
 
-    The paper leaves some choices open, which are options here: the number of repetitions of steps 1
-    and 2 (``alternate``); the input of the network in step 2 (``network_input``); the network's
-    size (``base``); the spread of the random angles (``start_rms``); the weight of TV
-    (``tv_weight``), which equation 9 sets to 1 without the image's scale. Fixed choices are a
-    sigmoid as last layer, least-squares brightness and background in every step, and moments of
-    Adam that persist through the alternation. The frame is circular, as equation 8 implies.
+    The paper leaves some choices open. They are options here: the number of repetitions of steps 1
+    and 2 (``alternate``), the input of the network in step 2 (``network_input``), the size of the
+    network (``base``), the strength of the random angles (``start_rms``), and the weight of TV
+    (``tv_weight``). Equation 9 has the weight 1, but the paper does not state the scale of the
+    image. Other choices are fixed here: the network's last layer is a sigmoid, brightness and
+    background take their least-squares values in every step, and the optimisers keep their state
+    through the alternation. The image is treated as periodic, as equation 8 implies.
 
-    In tests with random angles and one image, this method never found the true object and wall. It
-    converged to the image itself, or to another object that agrees with the image within the noise
-    (`benchmarks/inverse/wu2024.py`). When started at the true wall, it moved away from it. A
+    In tests with random angles and one image, this method never found the true object and wall. The
+    result was the image itself, or another object that agrees with the image within the noise
+    (`benchmarks/inverse/wu2024.py`). Fits that started at the true wall moved away from it. A
     residual at the noise level is therefore no sign of success, and the status is never
     "converged".
 

@@ -22,22 +22,23 @@ _DEFOCUS = 2.0 * math.sqrt(3.0)
 
 
 class FacetPSF(nn.Module):
-    """Point spread of a round pupil of independent facets as a function of their exit angles.
+    """Differentiable point spread function (PSF) of a round pupil of independent facets.
 
-    Each facet sends its share of the light to one point of the image,
-    ``tan(angle) * image_distance`` from the centre, wherever the facet is in the pupil. The angle
-    0 is perfect focus. Unlike in `PupilPSF`, the facets form no continuous wave and do not
-    interfere, so that angles and pixels may have any size. Use it for spots that are much wider
-    than lambda times the F-number. All methods accept batches of coefficients (..., g, g, 2).
+    The exit pupil is divided into square facets. Each facet sends its light to one point of the
+    image, at the distance ``tan(angle) * image_distance`` from the centre; with all angles 0 the
+    image is in perfect focus. Unlike in `PupilPSF`, the facets form no continuous wave, and their
+    light does not interfere. Angles and pixels may therefore have any size. Use this model for
+    spots that are much wider than wavelength times F-number. All methods accept batches of
+    coefficients (..., g, g, 2).
 
     Parameters
     ----------
     angles : array_like, (g, g, 2)
-        Start values of the angles by which the facets deflect light from the image's centre, toward
-        u and v, rad. The first index counts along v, the second along u. Facet [g//2, g//2] is on
-        the axis. Facets outside the pupil have no effect.
+        Start values of the angles by which the g x g facets deflect light from the image's centre,
+        rad: toward +u (x in the image) and +v (y). The first index counts along v, the second along
+        u. Facet [g//2, g//2] is on the axis. Facets outside the pupil have no effect.
     angle_pitch : float
-        Side of the square facets in the pupil, m; the grid must cover the pupil.
+        Side of a facet, m. The facets must cover the pupil.
     pupil_radius : float
         Radius of the exit pupil, m.
     image_distance : float
@@ -45,9 +46,10 @@ class FacetPSF(nn.Module):
     pitch : float
         Pixel pitch of the image, m.
     shape : int or (int, int)
-        Image rows H and columns W. The image is periodic.
+        Image rows H and columns W; one number for a square. The image is periodic.
     wavelength : float, optional
-        Wavelength, m, to add the diffraction of one facet. None: rays alone.
+        Wavelength, m, of the diffraction at each facet. By default only rays are used, without
+        diffraction.
     device : torch.device or str
         Device of the tensors.
     dtype : torch.dtype
@@ -56,8 +58,9 @@ class FacetPSF(nn.Module):
     Attributes
     ----------
     coefficients : torch.nn.Parameter
-        Fit parameters (g, g, 2): coordinates x and y at which each facet's light arrives in the
-        image, from the centre, pixels. They start at ``tan(angles) * image_distance / pitch``.
+        Fit parameters (g, g, 2): image coordinates x and y at which the light of each facet
+        arrives, relative to the centre, pixels. They start at
+        ``tan(angles) * image_distance / pitch``.
 
     Raises
     ------
@@ -73,11 +76,12 @@ class FacetPSF(nn.Module):
 
     Notes
     -----
-    A facet's light fills a square of one pixel, centred where its ray lands, so that energies are
-    bilinear in the displacement and have a gradient. With a wavelength the transfer function is
-    multiplied by that of a square aperture of side c, ``(1 - lambda d |f_x|/c)(1 - lambda d
-    |f_y|/c)``, since patterns of independent facets add without interference. Facets that the
-    pupil's rim cuts are weighted by their area, but diffract like whole ones.
+    The light of a facet fills a square of one pixel around the point where its ray lands. The
+    energy of a pixel is therefore a bilinear function of the displacement and has a gradient. With
+    a wavelength lambda, the transfer function at the spatial frequency (f_x, f_y) is multiplied by
+    that of a square aperture of side c (``angle_pitch``),
+    ``(1 - lambda d |f_x|/c)(1 - lambda d |f_y|/c)``, with d the image distance. Facets at the
+    pupil's edge are weighted by their area inside the pupil, but diffract like whole ones.
 
     Examples
     --------
@@ -144,20 +148,21 @@ class FacetPSF(nn.Module):
     def forward(
         self, coefficients: Tensor | None = None, *, defocus: Tensor | Sequence[float] | None = None
     ) -> Tensor:
-        """Compute the point spread.
+        """Compute the PSF.
 
         Parameters
         ----------
         coefficients : Tensor, optional
-            Displacements (..., g, g, 2), pixels; by default the module's own.
+            Displacements (..., g, g, 2), pixels; by default the attribute ``coefficients``.
         defocus : Tensor or sequence of float, optional
-            Known additional defoci, (K,), m rms (Noll 4).
+            K known additional defoci, (K,), m rms over the pupil (Noll 4). One PSF is computed for
+            each.
 
         Returns
         -------
         Tensor
-            Energy per pixel, (..., H, W), or (..., K, H, W) with ``defocus``, sum 1, centred at
-            [H//2, W//2].
+            Energy per pixel, (..., H, W), or (..., K, H, W) with ``defocus``. It sums to 1 and is
+            centred at [H//2, W//2].
 
         Raises
         ------
@@ -175,8 +180,15 @@ class FacetPSF(nn.Module):
     ) -> Tensor:
         """Compute the transfer function, (..., H, W//2 + 1), complex.
 
-        It is the ``rfft2`` of the point spread with the centre at sample [0, 0]. The parameters are
-        those of `forward`.
+        The transfer function is the ``rfft2`` of the PSF, with the PSF's centre at sample [0, 0].
+
+        Parameters
+        ----------
+        coefficients : Tensor, optional
+            Displacements (..., g, g, 2), pixels; by default the attribute ``coefficients``.
+        defocus : Tensor or sequence of float, optional
+            K known additional defoci, (K,), m rms over the pupil (Noll 4). With them the shape is
+            (..., K, H, W//2 + 1).
         """
         spectrum: Tensor = torch.fft.rfft2(self._density(coefficients, defocus))
         return spectrum if self._facet is None else spectrum * self._facet

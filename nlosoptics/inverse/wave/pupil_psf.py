@@ -35,29 +35,29 @@ MOST_DEFOCUS = 1e-3
 
 
 class PupilPSF(nn.Module):
-    """Point spread of a round pupil as a differentiable function of the wave's coefficients.
+    """Point spread function (PSF) of a round pupil, differentiable with respect to its wave.
 
+    A torch module whose parameters are coefficients of the wave aberration W in the exit pupil.
     Build it by `from_zernike`, `from_slopes`, `from_angles` or `from_scene`. All methods accept
-    batches: coefficients of shape (..., M), or (..., g, g, 2) for slopes, give point spreads
+    batches: M Zernike coefficients, (..., M), or slopes at g x g points, (..., g, g, 2), give PSFs
     (..., H, W). A warning is issued if W changes by more than half a wavelength between
-    neighbouring pupil samples for the start values; `steepest` returns this change for any
-    coefficients.
+    neighbouring pupil samples; `steepest` returns this change.
 
     Parameters
     ----------
     optics : PupilOptics
         Pupil, image grid and transform.
     waves : ZernikeWaves or SlopeWaves
-        Parametrisation of the wave.
+        How the coefficients determine the wave: as Zernike modes, or as slopes at grid points.
     coefficients : array_like, (..., M) or (..., g, g, 2)
         Start values of the coefficients.
 
     Attributes
     ----------
     coefficients : torch.nn.Parameter
-        Fit parameters, dimensionless, so that optimiser steps have a natural size: Zernike
-        coefficients in waves (not metres) rms over the full disc, slopes in waves per pupil
-        radius. All other lengths are in m.
+        Fit parameters: Zernike coefficients in waves rms over the full pupil, or slopes in waves
+        per pupil radius. Unlike all lengths, which are in m, they are in units of the wavelength,
+        so that the steps of an optimiser have a suitable size.
 
     See Also
     --------
@@ -96,29 +96,32 @@ class PupilPSF(nn.Module):
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> Self:
-        """Build a point spread whose wave is a sum of Zernike modes on a clear round pupil.
+        """Build a PSF whose wave is a sum of Zernike modes on a clear round pupil.
 
         Parameters
         ----------
         modes : sequence of int, or mapping of int to float
-            Noll indices from 2, or a mapping from index to start value, m rms. Without values all
-            coefficients start at 0.
+            Noll indices of the modes, from 2, or a mapping from index to start value of the
+            coefficient, m rms. Without values all coefficients start at 0.
         wavelength, pupil_radius : float
             Vacuum wavelength and radius of the exit pupil, m.
         image_distance : float
             Signed distance from exit pupil to image, m.
         pitch : float
-            Pitch of the image samples, m.
+            Distance between the samples of the PSF, m.
         shape : int or (int, int)
-            Image rows H and columns W.
+            Rows H and columns W of the PSF; one number for a square.
         method : {"fft", "mdft"}
-            "fft": the image is periodic, and the transfer function is that of a circular frame.
-            "mdft": the image is a window of the image plane, computed by matrix products.
+            Transform from pupil to image. "fft": fast Fourier transform; the image is periodic.
+            "mdft": matrix Fourier transform; the image is a window of the image plane, outside
+            which light is lost.
         samples : int, optional
-            For "mdft": pupil cells per side; by default the period is twice the window.
+            Number of pupil samples per side for "mdft". By default they are so fine that the PSF
+            repeats only after twice the window.
         pixel_integrated : bool
-            Whether to integrate over square detector pixels of side ``pitch``, which can then have
-            any size. Point samples need a pitch of at most lambda |d|/(4 radius).
+            Whether the PSF is integrated over square detector pixels of side ``pitch``, which can
+            then have any size. Otherwise it is sampled at points, and the pitch must be at most
+            wavelength times |image_distance| / (4 pupil_radius).
         device : torch.device or str
             Device of the tensors.
         dtype : torch.dtype
@@ -127,7 +130,7 @@ class PupilPSF(nn.Module):
         Returns
         -------
         PupilPSF
-            Point spread with ``coefficients`` of shape (M,), waves rms.
+            PSF with ``coefficients`` of shape (M,), waves rms.
 
         Raises
         ------
@@ -172,23 +175,24 @@ class PupilPSF(nn.Module):
         shape: int | tuple[int, int],
         **options: Unpack[ImageOptions],
     ) -> Self:
-        """Build a point spread whose wave is the least-squares fit to slopes on a coarse grid.
+        """Build a PSF whose wave is the least-squares fit to slopes on a coarse grid.
 
         Parameters
         ----------
         slopes : array_like, (g, g, 2)
-            Start values of dW/du and dW/dv, rad, with rows along v and node [g//2, g//2] on the
-            axis. The wave is interpolated by splines between the nodes.
+            Start values of the slopes dW/du and dW/dv of the wave aberration W at g x g grid points
+            of the pupil, rad. Rows are along v, and point [g//2, g//2] is on the axis. Between the
+            points the wave is interpolated by splines.
         slope_pitch : float
-            Distance between nodes, m; the grid must cover the pupil.
+            Distance between grid points, m; the grid must cover the pupil.
         wavelength, pupil_radius : float
             Vacuum wavelength and radius of the exit pupil, m.
         image_distance : float
             Signed distance from exit pupil to image, m.
         pitch : float
-            Pitch of the image samples, m.
+            Distance between the samples of the PSF, m.
         shape : int or (int, int)
-            Image rows H and columns W.
+            Rows H and columns W of the PSF; one number for a square.
         **options
             ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype``, see
             `from_zernike`.
@@ -196,7 +200,7 @@ class PupilPSF(nn.Module):
         Returns
         -------
         PupilPSF
-            Point spread with ``coefficients`` of shape (g, g, 2): slopes in waves per pupil radius.
+            PSF with ``coefficients`` of shape (g, g, 2): slopes in waves per pupil radius.
 
         Raises
         ------
@@ -208,8 +212,9 @@ class PupilPSF(nn.Module):
 
         Notes
         -----
-        The wave is that of `psf.wavefront_from_slopes` on the whole grid. `curl_residual` returns
-        the part of the slopes that no wave can have.
+        The wave is computed as in `psf.wavefront_from_slopes`, over the whole grid. Arbitrary
+        slopes need not be the gradient of any wave; `curl_residual` returns the rms of the part
+        that is not.
         """
         optics = PupilOptics(
             wavelength=wavelength,
@@ -237,24 +242,25 @@ class PupilPSF(nn.Module):
         shape: int | tuple[int, int],
         **options: Unpack[ImageOptions],
     ) -> Self:
-        """Build a point spread from the angles at which light leaves the exit pupil.
+        """Build a PSF from the angles at which light leaves points of the exit pupil.
 
         Parameters
         ----------
         angles : array_like, (g, g, 2)
-            Start values, rad, from the axis toward u and v, with rows along v. The ray of a node
-            meets the image at ``tan(angle) * image_distance``, so that the wave's slope is the
-            tangent.
+            Start values of the angles toward u and v at g x g grid points of the pupil, rad; 0 is
+            the direction to the image's centre. Rows are along v, and point [g//2, g//2] is on the
+            axis. The ray from a point meets the image at ``tan(angle) * image_distance``, so that
+            the slope of the wave is ``tan(angle)``.
         angle_pitch : float
-            Distance between nodes, m; the grid must cover the pupil.
+            Distance between grid points, m; the grid must cover the pupil.
         wavelength, pupil_radius : float
             Vacuum wavelength and radius of the exit pupil, m.
         image_distance : float
             Signed distance from exit pupil to image, m.
         pitch : float
-            Pitch of the image samples, m.
+            Distance between the samples of the PSF, m.
         shape : int or (int, int)
-            Image rows H and columns W.
+            Rows H and columns W of the PSF; one number for a square.
         **options
             ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype``, see
             `from_zernike`.
@@ -262,7 +268,7 @@ class PupilPSF(nn.Module):
         Returns
         -------
         PupilPSF
-            Point spread with slopes as ``coefficients``, see `from_slopes`.
+            PSF with ``coefficients`` of shape (g, g, 2): slopes in waves per pupil radius.
 
         Raises
         ------
@@ -296,19 +302,20 @@ class PupilPSF(nn.Module):
         object_point: ArrayLike | None = None,
         **options: Unpack[ImageOptions],
     ) -> Self:
-        """Build a point spread that starts at the wave aberration W of an approximate scene.
+        """Build a PSF whose coefficients start at the wave aberration W of an approximate scene.
 
         Parameters
         ----------
         scene : Scene
             Scene that provides W, exit pupil and wavelength.
         modes : sequence of int
-            Noll indices of the fit parameters, from 2. They start at their least-squares fit to W;
-            the rest of W stays constant.
+            Noll indices of the Zernike modes to fit, from 2. Their coefficients start at the
+            least-squares fit to W; the rest of W is kept as a fixed part of the wave.
         pitch : float
-            Pitch of the image samples, m; for a camera image ``scene.camera.image_pitch``.
+            Distance between the samples of the PSF, m; for camera images
+            ``scene.camera.image_pitch``.
         shape : int or (int, int)
-            Image rows H and columns W.
+            Rows H and columns W of the PSF; one number for a square.
         object_point : array_like, (3,), optional
             Object point, world frame, m; by default the hidden object's reference point.
         **options
@@ -318,7 +325,7 @@ class PupilPSF(nn.Module):
         Returns
         -------
         PupilPSF
-            Point spread with ``coefficients`` of shape (M,), waves rms.
+            PSF with ``coefficients`` of shape (M,), waves rms.
 
         Raises
         ------
@@ -345,12 +352,12 @@ class PupilPSF(nn.Module):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of the point spread."""
+        """Rows and columns of the PSF."""
         return self.optics.shape
 
     @property
     def pitch(self) -> float:
-        """Pitch of the image samples, m."""
+        """Distance between the samples of the PSF, m."""
         return self.optics.pitch
 
     @property
@@ -360,27 +367,29 @@ class PupilPSF(nn.Module):
 
     @property
     def modes(self) -> tuple[int, ...]:
-        """Noll indices of the coefficients; empty for slopes."""
+        """Noll indices of the coefficients; empty if these are slopes."""
         return self.waves.modes
 
     def forward(
         self, coefficients: Tensor | None = None, *, defocus: Tensor | Sequence[float] | None = None
     ) -> Tensor:
-        """Compute the point spread.
+        """Compute the PSF.
 
         Parameters
         ----------
         coefficients : Tensor, optional
-            Coefficients, (..., M) or (..., g, g, 2), as in the class; by default the module's own.
+            Coefficients, (..., M) or (..., g, g, 2), in the unit of the attribute ``coefficients``,
+            which is the default.
         defocus : Tensor or sequence of float, optional
-            Known additional defoci, (K,), m rms (Noll 4).
+            K known additional defoci, (K,), m rms over the pupil (Noll 4). One PSF is computed for
+            each.
 
         Returns
         -------
         Tensor
-            Energy per pixel, (..., H, W), or (..., K, H, W) with ``defocus``, centred at
-            [H//2, W//2]. For "fft" it sums to 1; for "mdft" the sum over the whole image plane is
-            1.
+            Energy per sample, (..., H, W), or (..., K, H, W) with ``defocus``, centred at
+            [H//2, W//2]. For the method "fft" it sums to 1. For "mdft" the sum over the whole image
+            plane would be 1.
 
         Raises
         ------
@@ -397,8 +406,18 @@ class PupilPSF(nn.Module):
     ) -> Tensor:
         """Compute the transfer function, (..., H, W//2 + 1), complex.
 
-        It is the ``rfft2`` of the point spread with the centre at sample [0, 0]. Multiplied by
-        ``torch.fft.rfft2`` of an object, it gives the spectrum of its image in a periodic frame.
+        The transfer function is the ``rfft2`` of the PSF, with the PSF's centre at sample [0, 0].
+        Multiplied by ``torch.fft.rfft2`` of an object, (H, W), it gives the spectrum of the
+        object's image, with both periodic.
+
+        Parameters
+        ----------
+        coefficients : Tensor, optional
+            Coefficients, (..., M) or (..., g, g, 2), in the unit of the attribute ``coefficients``,
+            which is the default.
+        defocus : Tensor or sequence of float, optional
+            K known additional defoci, (K,), m rms over the pupil (Noll 4). With them the shape is
+            (..., K, H, W//2 + 1).
         """
         return self.optics.transfer(self._turns(coefficients, defocus))
 
@@ -412,19 +431,21 @@ class PupilPSF(nn.Module):
         background: Tensor | float = 0.0,
         boundary: Boundary = "padded",
     ) -> Tensor:
-        """Compute an object's image: ``gain * (point spread convolved with object) + background``.
+        """Compute an object's image: ``gain * (PSF convolved with object) + background``.
 
         Parameters
         ----------
         object_image : Tensor
-            Object, (..., h, w), on the image's pixels. Its shape must be the point spread's if
-            ``boundary`` is "circular". Batch dimensions broadcast with those of the coefficients.
+            Object, (..., h, w), on the image's pixels. If ``boundary`` is "circular", (h, w) must
+            be the shape of the PSF. Batch dimensions broadcast with those of the coefficients.
         coefficients : Tensor, optional
-            Coefficients, (..., M) or (..., g, g, 2), as in the class; by default the module's own.
+            Coefficients, (..., M) or (..., g, g, 2), in the unit of the attribute ``coefficients``,
+            which is the default.
         defocus : Tensor or sequence of float, optional
-            Known additional defoci, (K,), m rms (Noll 4).
+            K known additional defoci, (K,), m rms over the pupil (Noll 4). One image is computed
+            for each.
         gain, background : float or Tensor
-            Image units; tensors broadcast with the result.
+            Factor and offset of the image, in any unit; tensors broadcast with the result.
         boundary : {"padded", "circular"}
             Surroundings of the object: dark, or periodic copies.
 
@@ -436,8 +457,7 @@ class PupilPSF(nn.Module):
         Raises
         ------
         SamplingError
-            If the object is empty, or with ``boundary="circular"`` has another shape than the
-            point spread.
+            If the object is empty, or with ``boundary="circular"`` has another shape than the PSF.
         SceneError
             If the object or the coefficients are not tensors, or a defocus is out of range.
         """
@@ -475,7 +495,8 @@ class PupilPSF(nn.Module):
         Parameters
         ----------
         coefficients : Tensor, optional
-            Coefficients, as in the class; by default the module's own.
+            Coefficients, (..., M) or (..., g, g, 2), in the unit of the attribute ``coefficients``,
+            which is the default.
 
         Returns
         -------
@@ -488,18 +509,20 @@ class PupilPSF(nn.Module):
         return turns * self.wavelength
 
     def steepest(self, coefficients: Tensor | None = None) -> float:
-        """Return the largest difference of W between neighbouring pupil samples, wavelengths.
+        """Return the largest change of W between neighbouring pupil samples, in wavelengths.
 
-        Above 1/2 the samples are too coarse for the wave.
+        If it is above 1/2, the samples are too coarse for the wave. ``coefficients`` are those of
+        `forward`.
         """
         with torch.no_grad():
             return self.optics.steepest(self.aberration(coefficients) / self.wavelength)
 
     def curl_residual(self, coefficients: Tensor | None = None) -> float:
-        """Return the rms difference between slopes given as coefficients and the wave's, rad.
+        """Return the rms difference between given slopes and the slopes of the fitted wave, rad.
 
-        The wave is the least-squares fit to the slopes, see `psf.wavefront_from_slopes`. The
-        result is 0 for Zernike modes.
+        The wave is the least-squares fit to the slopes, see `psf.wavefront_from_slopes`. The result
+        is 0 if the coefficients are those of Zernike modes. ``coefficients`` are those of
+        `forward`.
         """
         if not isinstance(self.waves, SlopeWaves):
             return 0.0
@@ -553,7 +576,7 @@ class PupilPSF(nn.Module):
         return turns.unsqueeze(-3) + self.defocus_turns(extra)
 
     def defocus_turns(self, extra: Tensor) -> Tensor:
-        """Return the aberration W that known defoci add at the pupil's samples, in wavelengths.
+        """Return the wave aberration that known defoci add at the pupil's samples, in wavelengths.
 
         Parameters
         ----------

@@ -33,26 +33,31 @@ LEAVES = (
 
 
 class SceneLeaves(nn.Module):
-    """Point spread of a scene as a differentiable function of some scene parameters.
+    """Point spread function (PSF) of a scene, differentiable with respect to scene parameters.
+
+    A torch module whose parameters are values of the scene, such as the wall's radius. It serves to
+    fit them to a measured PSF or image.
 
     Parameters
     ----------
     scene : Scene
-        Scene that provides the start values.
+        Scene that provides the start values of the parameters and all other values.
     leaves : sequence of str
-        Names of the parameters to fit:
+        Names of the parameters to fit ("leaves" of torch's graph):
 
-        - ``wall_radius``: radius of a sphere or cylinder, m.
-        - ``object_position``: (3,), world frame, m.
-        - ``object_tilt``: (2,), yaw and pitch of a planar object, rad. It affects only points away
-          from the object's centre.
-        - ``camera_position``: (3,), world frame, m; the camera keeps looking at its aim.
-        - ``focus_distance``: distance of the plane in focus, m, at constant image distance.
-        - ``lobe_slope``: rms slope per axis of the wall's mirror-like lobe, rad.
+        - ``wall_radius``: radius of a spherical or cylindrical wall, m.
+        - ``object_position``: position of the object, (3,), world frame, m.
+        - ``object_tilt``: yaw and pitch of a planar object, (2,), rad. They have no effect at the
+          object's centre.
+        - ``camera_position``: position of the lens, (3,), world frame, m. The camera keeps looking
+          at its aim.
+        - ``focus_distance``: distance from the lens to the plane in focus, m. The distance from
+          lens to detector is kept.
+        - ``lobe_slope``: rms slope along each axis of the wall's mirror-like lobe, rad.
     pitch : float
-        Pitch of the image samples, m.
+        Distance between the samples of the PSF, m.
     shape : int or (int, int)
-        Image rows H and columns W.
+        Rows H and columns W of the PSF; one number for a square.
     **options
         ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype``, see
         `PupilPSF.from_zernike`.
@@ -60,8 +65,8 @@ class SceneLeaves(nn.Module):
     Attributes
     ----------
     leaves : torch.nn.ParameterDict
-        Fit parameters by name, always float64, because paths of metres must be accurate to
-        nanometres.
+        Fit parameters by name. They are always float64, because path lengths of metres must be
+        accurate to nanometres.
 
     Raises
     ------
@@ -79,13 +84,15 @@ class SceneLeaves(nn.Module):
 
     Notes
     -----
-    The wave is that of `psf.wavefront`, computed anew at every call. Its piston and tilt over the
-    pupil are removed by least squares, because tilt only shifts the image. Amplitudes and the
-    geometry of the lobe's blur (`psf.wall_view`) keep their start values. A lobe with rms slope
-    s multiplies the transfer function at frequency f by
-    ``exp(-2 pi^2 |s (cos_i + cos_o) d_i M f|^2)``, the rough limit of `psf.mean_point_spread`,
-    with the angles of incidence and exit, the image distance d_i and the footprint M of
-    `psf.wall_view`. The rays to the pupil points are found on the CPU; the transform runs on
+    The wave is computed as in `psf.wavefront`, anew at every call. Its piston and tilt over the
+    pupil are removed by least squares, because tilt only shifts the image. The amplitude in the
+    pupil keeps its start value.
+
+    A mirror-like lobe of rms slope s multiplies the transfer function at the image frequency f by
+    ``exp(-2 pi^2 |s (cos_i + cos_o) d_i M f|^2)``. Here i and o are the angles of incidence and
+    exit at the wall, d_i is the image distance, and the matrix M is the footprint from
+    `psf.wall_view`; all keep their start values. This is the limit of `psf.mean_point_spread` for
+    heights much larger than the wavelength. Rays are traced on the CPU; the transform runs on
     ``device``.
     """
 
@@ -139,18 +146,19 @@ class SceneLeaves(nn.Module):
             self.optics.warn_of_steps(self.aberration() / self.optics.wavelength)
 
     def forward(self, field: ArrayLike | None = None) -> Tensor:
-        """Compute the point spread at one or several object points.
+        """Compute the PSF at one or several object points.
 
         Parameters
         ----------
         field : array_like, (K, 2), optional
-            Positions on a planar object relative to its centre, right and up, m; by default its
-            centre.
+            Positions of K points on a planar object relative to its centre, to the right and up, m.
+            By default one point, the centre.
 
         Returns
         -------
         Tensor
-            Point spread, (H, W) or (K, H, W), centred at [H//2, W//2] on the point's mean ray.
+            PSF, (H, W), or (K, H, W) with ``field``. Each is centred at [H//2, W//2] on the mean
+            ray from its object point.
         """
         turns = self._turns(field)
         if not self._blurs:
@@ -160,14 +168,19 @@ class SceneLeaves(nn.Module):
         return spread.roll((rows // 2, columns // 2), (-2, -1))
 
     def transfer(self, field: ArrayLike | None = None) -> Tensor:
-        """Compute the transfer function, (..., H, W//2 + 1), complex, centre at sample [0, 0]."""
+        """Compute the transfer function, (H, W//2 + 1) or (K, H, W//2 + 1), complex.
+
+        It is the ``rfft2`` of the PSF, with the PSF's centre at sample [0, 0]. ``field`` is that of
+        `forward`.
+        """
         turns = self._turns(field)
         return self._blurred(turns) if self._blurs else self.optics.transfer(turns)
 
     def aberration(self, field: ArrayLike | None = None) -> Tensor:
-        """Compute the aberration W at the pupil's samples, m; 0 outside the pupil.
+        """Compute the wave aberration at the pupil's samples, m; 0 outside the pupil.
 
-        The shape is (n_v, n_u), or (K, n_v, n_u) for K object points.
+        The shape is (n_v, n_u), or (K, n_v, n_u) for K object points. ``field`` is that of
+        `forward`.
         """
         if field is None:
             return self._path(self._value("object_position"))
