@@ -33,12 +33,15 @@ INTERRUPTED = 130  # what typer returns for Ctrl-C outside of `errors_told`
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit with 0 (done), 1 (failed) or 2 (bad input).
+    """Run the command line program ``nlosoptics`` and end the process.
+
+    The exit code is 0 (done), 1 (failed) or 2 (bad input).
 
     Parameters
     ----------
     arguments : sequence of str, optional
-        Arguments after the program's name; by default those of this process.
+        Arguments after the program's name, for example ``["plan", "scene.toml"]``; by default those
+        of this process.
 
     See Also
     --------

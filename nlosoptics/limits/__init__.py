@@ -1,9 +1,8 @@
-"""Information limits of a scene's image before any fit: photons, modulation, modes, Fisher bounds.
+"""Prediction, before any fit, of what an image of a scene can show of the hidden object.
 
-- `relay`: transfer of wide lobes and the number of their modes above the noise.
-- `modulation`: spectrum of the image formed by mirror-like lobes, and its noise.
-- `wave_bounds`: Cramer-Rao bounds for the wall's wave.
-- `verdicts`: whether the object is recoverable, in text; `reports`: `feasibility`.
+`feasibility` is the main function: it predicts photons, noise, modulation, resolution and whether
+the object can be recovered. The other functions give the modulation that a diffuse or a glossy wall
+transmits.
 """
 
 import lazy_loader as _lazy

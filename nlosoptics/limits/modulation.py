@@ -148,14 +148,16 @@ class Picture:
 
 
 def object_scale(scene: Scene) -> float:
-    """Return metres on the hidden object per metre on the detector, at the middle of its image.
+    """Return the scale of the image: metres on the hidden object per metre on the detector.
+
+    It is the inverse magnification at the middle of the object's image.
 
     Parameters
     ----------
     scene : Scene
-        Scene to evaluate. For a mesh as object or a flat wall, the scale is that of a plane
-        mirror. For a curved wall and a planar object it is found by tracing chief rays, as the
-        square root of the ratio of areas.
+        Scene to evaluate. For a flat wall, or a mesh as hidden object, the scale is that of a plane
+        mirror. For a curved wall and a planar object, chief rays are traced, and the scale is the
+        square root of the ratio of areas on object and detector.
 
     Returns
     -------
@@ -169,7 +171,7 @@ def object_scale(scene: Scene) -> float:
 
     Examples
     --------
-    A pixel's side on the object, in millimetres:
+    Side of an image pixel on the object, in millimetres:
 
     >>> import nlosoptics as nlos
     >>> from nlosoptics import limits

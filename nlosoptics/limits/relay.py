@@ -37,7 +37,10 @@ PAIRS = 200_000  # pairs of wall point and cell held in memory at a time
 
 
 def lambert_relay_transfer(frequency: ArrayLike, distance: float) -> Array:
-    """Modulation transfer from an object plane to the irradiance of a matt wall parallel to it.
+    """Return the modulation transfer function (MTF) from an object to a diffuse wall.
+
+    It is the contrast of the wall's irradiance for a sinusoidal pattern on a plane that is parallel
+    to the wall, relative to the contrast of the pattern.
 
     Parameters
     ----------
@@ -49,7 +52,7 @@ def lambert_relay_transfer(frequency: ArrayLike, distance: float) -> Array:
     Returns
     -------
     ndarray
-        Modulation, 0 to 1, of the shape of ``frequency``.
+        MTF, 0 to 1, of the shape of ``frequency``.
 
     Raises
     ------
@@ -63,9 +66,10 @@ def lambert_relay_transfer(frequency: ArrayLike, distance: float) -> Array:
 
     Notes
     -----
-    The result is q z K1(q z), with q = 2 pi f, distance z and the modified Bessel function K1. It
-    is the Fourier transform of the irradiance of a Lambertian point, z^2/(r^2 + z^2)^2, normalised
-    to 1 at zero frequency.
+    The MTF at the spatial frequency f is ``q z K1(q z)``, with q = 2 pi f, the distance z and the
+    modified Bessel function K1. It is the Fourier transform of the irradiance that a Lambertian
+    object point causes at the distance r from the wall's nearest point, ``z^2/(r^2 + z^2)^2``,
+    normalised to 1 at zero frequency.
 
     Examples
     --------
@@ -80,7 +84,10 @@ def lambert_relay_transfer(frequency: ArrayLike, distance: float) -> Array:
 
 
 def lobe_relay_transfer(frequency: ArrayLike, distance: float, slope_rms: float) -> Array:
-    """Modulation transfer of a mirror-like lobe for an object plane parallel to the wall.
+    """Return the modulation transfer function (MTF) of a glossy wall for an object parallel to it.
+
+    The wall consists of small facets with random slopes, which mirror the object. Their slopes blur
+    its image.
 
     Parameters
     ----------
@@ -89,12 +96,12 @@ def lobe_relay_transfer(frequency: ArrayLike, distance: float, slope_rms: float)
     distance : float
         Distance between wall and object plane, m.
     slope_rms : float
-        Rms slope of the wall's facets per axis, rad.
+        Rms slope of the wall's facets along each axis, rad.
 
     Returns
     -------
     ndarray
-        Modulation, 0 to 1, of the shape of ``frequency``.
+        MTF, 0 to 1, of the shape of ``frequency``.
 
     Raises
     ------
@@ -108,8 +115,9 @@ def lobe_relay_transfer(frequency: ArrayLike, distance: float, slope_rms: float)
 
     Notes
     -----
-    The result is exp(-8 pi^2 slope_rms^2 distance^2 f^2) at normal incidence: a facet tilted by t
-    shifts its view of the object by 2 t distance.
+    The MTF at the spatial frequency f is ``exp(-8 pi^2 slope_rms^2 distance^2 f^2)``, for Gaussian
+    slopes and light near normal incidence. A facet tilted by the angle t mirrors a point of the
+    object that is shifted by ``2 t distance``.
 
     Examples
     --------
@@ -125,20 +133,21 @@ def lobe_relay_transfer(frequency: ArrayLike, distance: float, slope_rms: float)
 
 
 def lambert_relay_limit(electrons: float, distance: float) -> float:
-    """Compute the spatial frequency up to which a matt wall passes detail above photon noise.
+    """Compute the spatial frequency up to which a diffuse wall transmits detail above photon noise.
 
     Parameters
     ----------
     electrons : float
-        Photoelectrons of the whole image, above 2. Only photon noise is considered.
+        Number of photoelectrons in the whole image, above 2.
     distance : float
         Distance between wall and object plane, m.
 
     Returns
     -------
     float
-        Frequency f of a full-contrast sinusoid on the object, cycles/m, with
-        ``lambert_relay_transfer(f, distance) * sqrt(electrons/2) = 1``.
+        Frequency f, cycles/m, at which a sinusoidal pattern of full contrast on the object has a
+        signal-to-noise ratio of 1: ``lambert_relay_transfer(f, distance) * sqrt(electrons/2) = 1``.
+        Photon noise is the only noise considered.
 
     Raises
     ------

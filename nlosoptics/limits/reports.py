@@ -43,74 +43,80 @@ LOWEST = 1e-4  # lowest of them, relative to the highest
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Feasibility(Noun, Shown):
-    """Information in a scene's image about the hidden object and the wall's wave.
+    """Report, before any fit, on what a scene's image shows of the hidden object and the wall.
+
+    `feasibility` computes it, and ``print`` shows it as text. The wall reflects light in two ways.
+    Its mirror-like reflection forms an image of the object. Its diffuse reflection spreads the
+    object's light over the whole detector and shows coarse detail only.
 
     Parameters
     ----------
     recoverable : bool
         Whether a fit with known wall is expected to reach a correlation of at least 0.9 with the
-        true object, from the image or from the wall's diffuse light.
+        true object, from the image or from the diffuse light.
     verdict : str
         "recoverable", or "not recoverable: ..." with the changes that would help.
     score : float
-        Predicted correlation with the true object of a fit to the image with known point spread; 0
-        if the wall forms no image.
+        Predicted correlation between the true object and the result of a fit to the image with
+        known point spread function; 0 if the wall forms no image.
     score_spread : float
-        Expected rms difference between the correlation that such a fit reaches and ``score``.
+        Standard deviation to expect of the correlation of such a fit about ``score``.
     relay_score : float
-        Predicted correlation with the true object of a linear fit to the diffuse light. The object
-        is divided into cells, 24 along its longer side, and the light that each cell causes is
-        taken as known, with the shadows of occluders.
+        Predicted correlation between the true object and the result of a linear fit to the diffuse
+        light. In this fit the object is divided into cells, 24 along its longer side. The light
+        that each cell causes on the detector is taken as known, with the shadows of occluders.
     photons : float
-        Photons of the object's image on the detector in one exposure.
+        Number of photons of the object's image on the detector in one exposure.
     electrons : mapping of str to float
         Expected electrons in the whole image by source: ``signal`` (the object's image),
-        ``diffuse``, ``spot``, ``glare``, ``dark``.
+        ``diffuse`` (diffuse reflection of the wall), ``spot`` (image of the laser spot), ``glare``
+        (scattering in the lens) and ``dark`` (dark current).
     brightest : float
         Electrons in the brightest pixel of the object's unblurred image.
     veil : float
-        Fraction of the light on the detector that is not the object's image: diffuse light of the
-        wall, laser spot and glare.
+        Fraction of the light on the detector that is not the object's image, but comes from the
+        wall's diffuse reflection, the laser spot and glare.
     saturated : float
         Expected fraction of saturated pixels.
     noise : mapping of str to float
-        Mean rms noise of a pixel, electrons: ``photons``, ``readout``, ``speckle``, ``total``.
+        Rms noise of a pixel by cause, electrons: ``photons`` (shot noise), ``readout``, ``speckle``
+        and ``total``. Variances are averaged over the image.
     stroke : float
-        Mean width of the object's bright parts, m.
+        Mean width of the bright parts of the object, such as the strokes of a letter, m.
     frequency : ndarray, (n,)
-        Spatial frequencies on the object, increasing from 0 to the pixels' Nyquist frequency,
-        cycles/m. They are evenly spaced, with added octaves of 1/(2 stroke), the frequency of
-        lines as wide as a stroke.
+        Spatial frequencies on the object at which the arrays below are given, cycles/m. They
+        increase from 0 to the Nyquist frequency of the pixels.
     modulation : ndarray, (n,)
-        Modulation transfer through mirror-like lobes, lens and pixels; 0 without such a lobe.
+        Modulation transfer function of the image: mirror-like reflection, lens and pixels together.
+        0 if the wall forms no image.
     relay_modulation : ndarray, (n,)
-        Modulation transfer of a matt wall, for the diffuse light.
+        Modulation transfer function of a diffuse wall.
     signal_to_noise : ndarray, (n,)
-        Signal-to-noise ratio of a full-contrast sinusoid over the object with the same total
-        light, using all pixels that show the object.
+        Signal-to-noise ratio in the image of a sinusoidal pattern with full contrast and the
+        object's total light, summed over all pixels that show the object.
     relay_signal_to_noise : ndarray, (n,)
-        Signal-to-noise ratio of that sinusoid in the diffuse light, using all pixels.
+        Signal-to-noise ratio of the same pattern in the diffuse light, summed over all pixels.
     limit : float
-        Resolution limit: the frequency at which the larger of the two signal-to-noise ratios first
-        falls below 1, cycles/m; 0 if it is below 1 from the start.
+        Resolution limit, cycles/m: the frequency at which the larger of the two signal-to-noise
+        ratios first falls below 1; 0 if it is below 1 at all frequencies.
     modes : int
-        Number of independent patterns of the object, of contrast 0.3, whose signal exceeds the
-        noise. The object is divided into cells, 24 along its longer side.
+        Number of independent patterns of the object that the image shows above the noise, each with
+        an rms contrast of 0.3. The patterns are made of cells, 24 along the object's longer side.
     diffuse_modes : int
-        Number of such patterns in the light of wide (diffuse) lobes alone, including the shadows
-        of occluders.
+        Number of such patterns that the diffuse light alone shows, including the shadows of
+        occluders.
     wave_bounds : mapping of int to float
-        Cramer-Rao bounds for the wave's Zernike coefficients from one image of a known object:
-        standard deviation in waves rms by Noll index; infinity without information. Empty if the
-        wall forms no image.
+        Least possible standard deviation (Cramer-Rao bound) of each Zernike coefficient of the
+        wall's aberration, estimated from one image of a known object: waves rms by Noll index.
+        Infinite if the image has no information about it. Empty if the wall forms no image.
     two_frame_bounds : mapping of int to float
-        Cramer-Rao bounds from two images, the second with a known defocus of half a wave rms.
+        The same bounds for two images, the second with a known defocus of half a wave rms.
     one_frame_fits, two_frame_fits : float
-        Share of test fits, with wall and object unknown, that found the object for walls with as
-        much aberration as this one; from one image, and from two of known defocus. NaN if no such
-        case was tested or no fit is needed.
+        Fraction of test fits with unknown wall and object that found the object, for walls with as
+        much aberration as this one: from one image, and from two images of known defocus. NaN if no
+        such case was tested or no fit is needed.
     blind : str
-        Forecast for blind fits, in which neither object nor wall is known, with its reason.
+        Forecast, with its reason, for fits in which neither object nor wall is known.
 
     See Also
     --------
@@ -218,7 +224,7 @@ class Feasibility(Noun, Shown):
         return Figures("Feasibility", figures, alt)
 
     def figures(self) -> dict[str, Any]:
-        """Return all fields as a dictionary for JSON, with None for infinity and NaN."""
+        """Return all fields as a dictionary that JSON can express: None for infinity and NaN."""
 
         def plain(value: Any) -> Any:
             if isinstance(value, Mapping):
@@ -236,14 +242,15 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     Parameters
     ----------
     scene : Scene
-        Scene to judge. Its hidden object serves as an example of the objects to recover.
+        Scene to evaluate. Its hidden object serves as an example of the objects to recover.
     exposure : float, optional
-        Exposure, s; by default the camera's.
+        Exposure time, s; by default that of the scene's camera.
 
     Returns
     -------
     Feasibility
-        Verdict, photons, noise, modulation, modes above the noise and bounds for the wave.
+        Report with verdict, photons, noise, modulation transfer function, resolution and bounds for
+        the wall's aberration. ``print`` shows it as text.
 
     Raises
     ------
@@ -259,19 +266,19 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
 
     Notes
     -----
-    Signal and noise are those of `imaging.form_image`. Pixels are first binned to at most 64 along
-    the longer side, unless this would no longer resolve the strokes. The modulation is the
-    transfer function at the object's reference point; that of lobes is a closed form. Modes are
-    independent patterns of the object, counted if their signal exceeds the noise. For wide lobes
-    the modes are the singular vectors of the wall's response on a grid of object cells, with the
-    shadows of occluders. For mirror-like lobes they are sine patterns on the same grid. The larger
-    count is reported.
+    Signal and noise are computed as in `imaging.form_image`. To save time, pixels are first binned
+    to at most 64 along the longer side, but to no fewer than 3 across a bright stroke of the
+    object. The modulation transfer function is that of the object's reference point.
 
-    The predicted correlation is that of `inverse.tv_deconvolve` with its default settings. It is a
-    smooth function of signal and noise at every frequency, whose constants were fitted to such
-    fits; ``score_spread`` is the scatter of other fits about it. The forecast does not include the
-    test by which the solver decides whether there is an object at all. See
-    `benchmarks/inverse/feasibility.py`.
+    The patterns counted in ``modes`` are sine patterns on a grid of object cells for the image, and
+    the singular vectors of the wall's response on this grid for the diffuse light. The larger of
+    the two numbers is reported.
+
+    The predicted correlation is that of `inverse.tv_deconvolve` with its default settings. It is
+    computed from signal and noise at every spatial frequency. The constants of this formula were
+    fitted to results of the solver, and ``score_spread`` is the scatter of other results about it
+    (`benchmarks/inverse/feasibility.py`). The prediction does not include the solver's test whether
+    there is any object at all.
 
     Examples
     --------

@@ -104,14 +104,16 @@ class Record(_Model):
 
 @dataclass(frozen=True)
 class Folder:
-    """Output folder of a run, as a report reads it.
+    """Output folder of ``nlosoptics run``, ``reconstruct`` or ``phasor``, with access to its files.
+
+    Make one with `read`.
 
     Parameters
     ----------
     path : Path
         Path of the folder.
     record : Record
-        Contents of its ``result.json``.
+        Contents of the file ``result.json`` in the folder.
 
     See Also
     --------
@@ -124,7 +126,7 @@ class Folder:
 
     @classmethod
     def read(cls, path: Path) -> Folder:
-        """Read and validate the record of a folder.
+        """Read and check the file ``result.json`` of a folder.
 
         Parameters
         ----------
@@ -134,7 +136,7 @@ class Folder:
         Returns
         -------
         Folder
-            Folder with its record.
+            Folder with the contents of this file.
 
         Raises
         ------

@@ -15,20 +15,20 @@ from .rooms import Room, room
 
 
 def page(folder: str | Path, *, interactive: bool = True) -> str:
-    """Make a self-contained HTML report of a run.
+    """Make an HTML report of a run as a single file: key figures, pictures and provenance.
 
     Parameters
     ----------
     folder : str or Path
         Folder written by ``nlosoptics run``, ``reconstruct`` or ``phasor``.
     interactive : bool
-        Whether to include a 3-D view, for which light paths are traced. If the view cannot be
-        drawn, the page states the reason instead.
+        Whether to include a 3-D view of the scene that can be rotated. Light paths are traced for
+        it. If the view cannot be drawn, the page states the reason instead.
 
     Returns
     -------
     str
-        Text of an HTML file that refers to no other file.
+        Text of an HTML file, which needs no other file and no network.
 
     Raises
     ------

@@ -26,25 +26,27 @@ PENDING = "{} of {} are pending. Ranges and pictures show the finished ones only
 
 
 def study_page(path: str | Path, *, gallery: bool = True) -> str:
-    """Make a self-contained HTML report of a study from its store.
+    """Make an HTML report of a design study as a single file.
+
+    The page shows what was varied, each figure of merit with its extreme points, and failures.
 
     Parameters
     ----------
     path : str or Path
-        Folder of the store, complete or not.
+        Folder with the results of the study (the store), complete or not.
     gallery : bool
-        Whether to compute and show the point spreads of the worst, the median and the best point
-        of the first figure of merit that needs them.
+        Whether to show the point spread functions of the worst, the median and the best point by
+        the first figure of merit that is computed from them. They are computed again for the page.
 
     Returns
     -------
     str
-        Text of an HTML file that refers to no other file.
+        Text of an HTML file, which needs no other file and no network.
 
     Raises
     ------
     SceneError
-        If there is no store of a study.
+        If the folder has no results of a study.
     MissingExtraError
         If matplotlib is not installed.
 

@@ -50,29 +50,32 @@ LARGER = "use a larger tol, wider pixels or a smaller stop"
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Stages of a simulation, made by `plan`.
+    """Stages of a simulation with predicted time, memory and error, from the function `plan`.
+
+    ``print`` shows them as a table.
 
     Parameters
     ----------
     stages : tuple of Stage
-        Stages that run, in order.
+        Steps that the simulation runs, in order. Each has ``name``, ``reason``, ``seconds``
+        (predicted run time, s), ``error`` (predicted error, a text) and ``memory`` (bytes).
     skipped : tuple of Stage
-        Stages that do not run, each with its reason.
+        Steps that do not run, each with its reason.
     tol : float
-        Error tolerance of the point spreads, max |dI|/max I. If the point spread varies over the
-        object, ``tol`` also limits the error of the image, rms error over rms. Other stages report
-        their own errors.
+        Error tolerance of the point spread functions (PSFs), max |dI|/max I, with I the intensity.
+        If the PSF varies over the object, ``tol`` also limits the error of the image (rms error
+        over rms value). Other stages state their own errors.
     waves : float
-        Peak-to-valley aberration at the object's centre with tilt removed, waves; NaN if the wave
-        is undefined.
+        Peak-to-valley wave aberration at the object's centre with tilt removed, waves; NaN if the
+        wave is undefined.
     exit_pupil : ExitPupil
         Exit pupil of the scene, reused by `simulate`.
     budget : Budget
         Limits of memory and time of the run.
     pattern_nodes : int
-        Number of object points along each side of the picture for which the speckle pattern of a
-        rough wall is computed. 0 if the wall is smooth, or the image uses the mean over many rough
-        walls.
+        Number of object points along each side of the hidden image for which the PSF of one given
+        rough wall, a speckle pattern, is computed. 0 if the wall is smooth, or if the image uses
+        the mean over many such walls.
 
     See Also
     --------
@@ -91,7 +94,7 @@ class Plan:
 
     @property
     def layout(self) -> Literal["polar", "grid"]:
-        """Layout of the pupil nodes: "grid" if the wall cuts the cone of light, else "polar"."""
+        """Sampling of the pupil: "grid" if the wall's edge cuts the cone of light, else "polar"."""
         return self.exit_pupil.layout
 
     @property
@@ -105,7 +108,7 @@ class Plan:
         return sum(stage.seconds for stage in self.stages)
 
     def runs(self, name: str) -> bool:
-        """Return whether the run includes the stage of this ``name``, such as "image"."""
+        """Return whether the run includes the stage with the given ``name``, such as "image"."""
         return any(stage.name == name for stage in self.stages)
 
     def __str__(self) -> str:
@@ -151,14 +154,15 @@ def plan(
     scene : Scene
         Scene to simulate.
     tol : float, default 1e-3
-        Error tolerance of the point spreads, max |dI|/max I, 1e-12 to 0.1. If the point spread
-        varies over the object, ``tol`` also limits the error of the image, rms error over rms.
+        Error tolerance of the point spread functions (PSFs), max |dI|/max I, with I the intensity,
+        1e-12 to 0.1. If the PSF varies over the object, ``tol`` also limits the error of the image
+        (rms error over rms value).
     reconstruct : bool, default False
-        Whether to include the reconstruction with known point spread.
+        Whether to include the reconstruction of the object, with known PSF.
     memory : float, optional
         Limit for the memory of the whole run, bytes; by default three quarters of the free memory.
     max_seconds : float, default 900
-        Limit for the predicted run time on one core, s.
+        Limit for the predicted run time on one core, s. A longer run is refused.
 
     Returns
     -------
@@ -186,7 +190,8 @@ def plan(
     Notes
     -----
     The waves from the object's centre, corners and edges are computed, which takes some
-    milliseconds each. Windows and sampling then follow from the same functions as in the run.
+    milliseconds each. Sizes and sampling of the PSFs are then determined by the same functions as
+    in the run.
 
     Examples
     --------

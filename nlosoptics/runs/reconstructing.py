@@ -64,18 +64,19 @@ LEAST_WITHIN = 0.5  # least fraction of the point spread's energy inside the ima
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """Checked inputs of one reconstruction.
+    """Checked inputs of one reconstruction, made by `prepared`.
 
     Parameters
     ----------
     scene : Scene
         Scene in which the images were taken.
     images : tuple of CameraImage
-        One image, or for blind methods several frames with different known focus.
+        One image, or several for the methods "evidence" and "wu2024", which also fit the wall.
     method : str
-        Method, one of `METHODS`.
+        Name of the solver: "tv", "wiener", "inverse_filter", "richardson_lucy", "deep_image_prior",
+        "phase_retrieval", "cnn", "evidence" or "wu2024".
     defocus : tuple of float
-        Known additional defocus of each frame, waves rms; empty for non-blind methods.
+        Known additional defocus of each image, waves rms; empty if the wall is known.
     network : inverse.CnnBaseline or None
         Trained network of the method "cnn".
     iterations : int or None
@@ -83,7 +84,7 @@ class Task:
     seed : int
         Seed of the random numbers.
     tol : float
-        Error tolerance of the point spread, max |dI|/max I.
+        Error tolerance of the point spread function, max |dI|/max I, with I the intensity.
     """
 
     scene: Scene
@@ -96,7 +97,7 @@ class Task:
     tol: float = 1e-3
 
     def identity(self) -> str:
-        """Hash of method, images and options; a saved state is resumed only if it matches."""
+        """Return a hash of method, images and options; a saved state must have the same one."""
         digest = hashlib.sha256(self.method.encode())
         for image in self.images:
             digest.update(image.values.tobytes() + image.masked.tobytes())
@@ -125,17 +126,16 @@ def prepared(
     scene : Scene
         Scene in which the images were taken.
     paths : sequence of Path
-        Image files. Non-blind methods average them as exposures of the same scene. Blind methods,
-        which fit the wall's wave as well, treat each file as a separate frame with its own
-        ``defocus``.
+        Image files. Most methods average them as exposures of the same scene. The methods
+        "evidence" and "wu2024", which also fit the wall, need the ``defocus`` of each file.
     method : str
-        Method, one of `METHODS`.
+        Name of the solver, see `Task`.
     dark, flat : Path, optional
         Files of the dark frame and the flat field, see `imaging.camera_image`.
     full : float, optional
         Count at which a pixel is saturated; by default the largest of the file's type.
     defocus : sequence of float
-        Known additional defocus of each image, waves rms; for blind methods only.
+        Known additional defocus of each image, waves rms; for "evidence" and "wu2024" only.
     network : Path, optional
         File of the trained network; required by the method "cnn", invalid otherwise.
     iterations : int, optional
@@ -143,7 +143,7 @@ def prepared(
     seed : int
         Seed of the random numbers, 0 to 2^64 - 1.
     tol : float
-        Error tolerance of the point spread, max |dI|/max I.
+        Error tolerance of the point spread function, max |dI|/max I, with I the intensity.
 
     Returns
     -------
@@ -229,12 +229,12 @@ def reconstructed(
     task : Task
         Inputs, from `prepared`.
     model : ForwardModel, optional
-        Result of `known_model`; computed if omitted. Blind methods do not use it.
+        Result of `known_model`; computed if omitted. "evidence" and "wu2024" do not use it.
     start : mapping, optional
-        Saved solver state to resume from; see `inverse.data.checkpoints`.
+        Saved state of the solver, from which the fit resumes; see `inverse.Stop`.
     progress : callable(str, float), optional
-        Called with a text and the completed fraction. It may raise `inverse.Stop` to end the fit,
-        and its method ``look``, if present, receives the solver's state.
+        Function that is called with a text and the completed fraction, 0 to 1. It may end the fit
+        and save its state, see `inverse.Stop`.
 
     Returns
     -------
@@ -312,24 +312,24 @@ def _taken(solver: Any, method: str, offered: dict[str, Any]) -> dict[str, Any]:
 
 
 def known_model(scene: Scene, *, tol: float = 1e-3) -> ForwardModel:
-    """Image model of a scene: convolution with its point spread, averaged over the object.
+    """Return the image model of a scene: convolution with its mean PSF over the object.
 
     Parameters
     ----------
     scene : Scene
-        Scene whose point spread is computed.
+        Scene to model.
     tol : float
-        Error tolerance of the point spread, max |dI|/max I.
+        Error tolerance of the PSF, max |dI|/max I, with I the intensity.
 
     Returns
     -------
     ForwardModel
-        Model of the camera's image size, for the solvers of `inverse`.
+        Image model of the shape of the camera image.
 
     Raises
     ------
     SamplingError
-        If less than half of the point spread's energy falls inside the image frame.
+        If less than half of the energy of the point spread function (PSF) falls inside the image.
     NlosError
         If `plan` rejects the scene; see there.
 
@@ -369,7 +369,7 @@ def carry_out(
     interrupted: Callable[[], bool] | None = None,
     command_line: str = "",
 ) -> dict[str, Any]:
-    """Run a reconstruction and write its files to a folder.
+    """Run a reconstruction and write the object, its picture and ``result.json`` to a folder.
 
     Parameters
     ----------
@@ -378,11 +378,11 @@ def carry_out(
     folder : Path
         Output folder, created if missing.
     resume : bool
-        Whether to resume from the state saved in the folder.
+        Whether to resume the fit from the state saved in the folder.
     progress : callable(str, float), optional
-        Called with a text and the completed fraction.
+        Function that is called with a text and the completed fraction, 0 to 1.
     interrupted : callable, optional
-        Returns True once the fit is to end with its current state.
+        Function without arguments that returns True once the fit is to end with its current state.
     command_line : str
         Command line as typed, for the record.
 

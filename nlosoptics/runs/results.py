@@ -25,32 +25,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Result(Noun):
-    """All results of a simulation.
+    """All results of a simulation, from the function `simulate`.
 
     Parameters
     ----------
     scene : Scene
         Scene that was simulated.
     plan : Plan
-        Plan that was carried out.
+        Stages that were run, with their predicted times and errors.
     exit_pupil : ExitPupil
-        Exit pupil of lens and wall.
+        Exit pupil of the system of lens and wall.
     wavefront : Wavefront
-        Wave aberration at the object's reference point.
+        Wave aberration for the object's reference point.
     point_spread : PointSpread
-        Point spread at the object's reference point.
+        Point spread function (PSF) of the object's reference point.
     field : PointSpreadField or None
-        Point spreads over the object; None if a single one is accurate enough.
+        PSFs of points over the whole object; None if a single PSF is accurate enough.
     image : SpeckleImage
-        Camera image with its parts and its noise.
+        Camera image, with the signal, the other contributions of light and the noise.
     pupil_field : PupilField or None
-        Pupil function of a rough wall at the object's reference point, if the wall's field was
-        propagated to the pupil.
+        Complex field in the exit pupil for the object's reference point, if the wall is rough and
+        its field was propagated to the pupil; otherwise None.
     reconstruction : Reconstruction or None
         Reconstructed object; None if not requested or not possible.
     errors : dict of str to float
-        Estimated relative errors: ``point spread``, max |dI|/max I; ``field of point spreads``,
-        rms error of the image over its rms.
+        Estimated relative errors: ``point spread``, max |dI|/max I, with I the intensity;
+        ``field of point spreads``, rms error of the image over its rms value.
     timings : dict of str to float
         Run time of each stage, s.
     seed : int
@@ -122,7 +122,8 @@ def load_result(folder: str | Path) -> Result:
     Returns
     -------
     Result
-        Bit-identical to the saved result. Its scene refers to the files in the folder.
+        The same values as the saved result, bit for bit. Its scene refers to the files in the
+        folder.
 
     Raises
     ------

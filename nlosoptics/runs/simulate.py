@@ -42,36 +42,40 @@ def simulate(
     max_seconds: float = MOST_SECONDS,
     progress: Progress | None = None,
 ) -> Result:
-    """Simulate the camera image of a scene, with all stages that `plan` selects.
+    """Simulate the camera image of a scene: exit pupil, wave aberration, PSF and image with noise.
+
+    It runs the stages that `plan` selects.
 
     Parameters
     ----------
     scene : Scene
         Scene to simulate.
     tol : float, default 1e-3
-        Error tolerance of the point spreads, max |dI|/max I, 1e-12 to 0.1. If the point spread
-        varies over the object, ``tol`` also limits the error of the image, rms error over rms.
+        Error tolerance of the point spread functions (PSFs), max |dI|/max I, with I the intensity,
+        1e-12 to 0.1. If the PSF varies over the object, ``tol`` also limits the error of the image
+        (rms error over rms value).
     seed : int, default 0
-        Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bit-identical results.
+        Seed of the random numbers, 0 to 2^64 - 1. The same seed gives the same results bit for bit.
     reconstruct : bool, default False
-        Whether to reconstruct the object too.
+        Whether to reconstruct the object from the image as well, with known PSF.
     memory : float, optional
         Limit for the memory of the whole run, bytes; by default three quarters of the free memory.
     max_seconds : float, default 900
-        Limit for the predicted run time on one core, s.
+        Limit for the predicted run time on one core, s. A longer run is refused.
     progress : callable(str, float), optional
-        Called with the name of the stage that begins and the completed fraction, 0 to 1.
+        Function that is called with the name of the current stage and the completed fraction of the
+        run, 0 to 1.
 
     Returns
     -------
     Result
-        Exit pupil, wave, point spread, image and, if requested, the reconstruction.
+        Exit pupil, wave, PSF, image and, if requested, the reconstructed object.
 
     Raises
     ------
     NlosError
-        The specific class depends on the cause: see `plan`, `psf.scene_point_spread` and
-        `imaging.form_image`.
+        If the scene cannot be simulated. The subclass depends on the cause; see `plan`,
+        `psf.scene_point_spread` and `imaging.form_image`.
 
     See Also
     --------

@@ -1,8 +1,9 @@
-"""Design studies: figures of merit over any values of a scene file, on all cores or a cluster.
+"""Design studies: figures of merit against any values of a scene, on all cores or a cluster.
 
-`Study.load` reads a study file. `run_study` computes its points and keeps them in a folder, the
-store, which a later run completes or extends. `Results` reads the store. `sensitivities`,
-`inverse_sensitivities`, `sobol_indices`, `fraction_within` and `optimum` evaluate the results.
+`Study.load` reads a study file. `run_study` computes the figures of merit at all points of the
+study and keeps them in a folder, the store, which a later run completes or extends. `Results` reads
+the store. `sensitivities`, `inverse_sensitivities`, `sobol_indices`, `fraction_within` and
+`optimum` evaluate the results.
 """
 
 import lazy_loader as _lazy

@@ -30,15 +30,15 @@ class Sensitivity:
     Parameters
     ----------
     case : str
-        Address and value, such as "wall.radius = 4.9 m".
+        The changed value, by table and key of the scene file, such as "wall.radius = 4.9 m".
     value : float
-        Figure of merit with this value; NaN if its computation failed.
+        Figure of merit of the changed scene, in its unit; NaN if its computation failed.
     change : float
-        Difference of the figure from that of the nominal scene.
+        Figure of merit of the changed scene minus that of the nominal scene, in its unit.
     resolved : bool
-        Whether the difference exceeds the errors of both figures, added in quadrature. If the
-        figures have no error, any change other than 0 is resolved; a failed case is never
-        resolved.
+        Whether the change exceeds the numerical errors of both figures of merit, added in
+        quadrature. Without such errors any change other than 0 is resolved. False if the
+        computation failed.
 
     See Also
     --------
@@ -54,12 +54,13 @@ class Sensitivity:
 def sensitivities(
     results: Results, figure: str, *, incomplete: bool = False
 ) -> tuple[Sensitivity, ...]:
-    """Return the changes of a figure of merit in a one-at-a-time study, the largest first.
+    """Return how much each single change of the scene changes a figure of merit, largest first.
 
     Parameters
     ----------
     results : Results
-        Results of a study with the table ``one_at_a_time`` and no other dimension.
+        Results of a study with the table ``one_at_a_time`` and nothing else that varies. Each of
+        its cases changes one value of the nominal scene.
     figure : str
         Name of the figure of merit.
     incomplete : bool
@@ -69,18 +70,18 @@ def sensitivities(
     Returns
     -------
     tuple of Sensitivity
-        One entry per case, sorted by the magnitude of the change; cases whose figure failed come
+        One entry for each case, sorted by the magnitude of the change. Cases without a value come
         last.
 
     Raises
     ------
     SceneError
-        If the study has other dimensions, the nominal scene failed, or points are not computed yet
-        and ``incomplete`` is False.
+        If the study varies anything else, the computation for the nominal scene failed, or points
+        are not computed yet and ``incomplete`` is False.
 
     See Also
     --------
-    Sensitivity : One case.
+    Sensitivity : Change of the figure of merit in one case.
     nlosoptics.views.tornado : Bars of the changes, sorted by size.
     """
     names = [d.name for d in results.study.dimensions]
@@ -111,27 +112,38 @@ def sensitivities(
 
 @dataclass(frozen=True, kw_only=True)
 class Fraction:
-    """Share of points that meet a specification, with its confidence interval.
+    """Yield of a study: fraction of points that meet a specification, with confidence limits.
+
+    A study whose draws have ``tier = "fast"`` computes all of them approximately, and some, the
+    checked draws, in full. The values ``checked``, ``gained``, ``lost`` and ``note`` concern this
+    check. In other studies they are 0 and empty.
 
     Parameters
     ----------
     value : float
-        Share of the points.
+        Yield, 0 to 1.
     low, high : float
-        Ends of the Clopper-Pearson interval of this share, at the confidence given to
-        `fraction_within`, by default 0.95.
-    met, points, failed : int
-        Number of points that meet the specification, of all finished points, and of finished
-        points whose figure of merit is not finite. The latter do not meet the specification.
-    checked, gained, lost : int
-        Number of draws of the fast tier that are computed in full, and of those among them that
-        meet the specification only in full, or only by the fast tier. 0 without the fast tier.
+        Ends of the confidence interval of the yield (Clopper-Pearson), at the confidence given to
+        `fraction_within`.
+    met : int
+        Number of points that meet the specification.
+    points : int
+        Number of finished points.
+    failed : int
+        Number of finished points whose figure of merit is not finite. They do not meet the
+        specification.
+    checked : int
+        Number of checked draws.
+    gained : int
+        Number of checked draws that meet the specification in full, but not approximately.
+    lost : int
+        Number of checked draws that meet the specification approximately, but not in full.
     note : str
-        Result of the check of the fast tier; empty without the fast tier.
+        Result of the check, in words.
 
     See Also
     --------
-    fraction_within : Share of points that meet a specification.
+    fraction_within : Fraction of points that meet a specification.
     """
 
     value: float
@@ -155,32 +167,33 @@ def fraction_within(
     confidence: float = 0.95,
     incomplete: bool = False,
 ) -> Fraction:
-    """Return the yield: the share of a study's draws whose figure of merit lies within limits.
+    """Return the yield: the fraction of random draws whose figure of merit lies within limits.
 
     Parameters
     ----------
     results : Results
-        Results of a study whose only dimension is ``draw``, by method random, latin or sobol.
+        Results of a study that varies the scene only by random draws (table ``draws``), with the
+        method "random", "latin" or "sobol".
     figure : str
         Name of the figure of merit.
     at_least, at_most : float, optional
-        Limits of the figure, in its unit; at least one of them.
+        Limits of the figure of merit, in its unit. Give one or both.
     confidence : float
-        Least probability that the interval contains the true share, for independent draws (method
-        random). For the other methods the interval is usually wider than needed.
+        Confidence level of the interval, 0.01 to 0.9999. It holds for independent draws (method
+        "random"); for the other methods the interval is usually wider than needed.
     incomplete : bool
         Whether to accept results in which points are still to be computed. These are not counted.
 
     Returns
     -------
     Fraction
-        Share of the finished points, with its interval and the numbers of points.
+        Yield with its confidence interval and the numbers of points.
 
     Raises
     ------
     SceneError
-        If the study has other dimensions, no limit is given, or points are not computed yet and
-        ``incomplete`` is False.
+        If the study varies the scene in another way, no limit is given, or points are not computed
+        yet and ``incomplete`` is False.
 
     See Also
     --------
@@ -188,11 +201,12 @@ def fraction_within(
 
     Notes
     -----
-    With the fast tier the yield is that of the fast figures of all draws, plus the mean difference
-    of "meets the specification in full" and "by the fast tier" over the checked draws. Its interval
-    joins the Clopper-Pearson intervals of the fast yield and of both kinds of differences in
-    quadrature [1]_. If the difference varies as much as the specification itself, the fast tier is
-    of no use, and the yield is that of the checked draws alone. ``note`` says which it is.
+    A study whose draws have ``tier = "fast"`` computes all of them approximately, and some, the
+    checked draws, in full as well. The approximate yield of all draws is corrected by the fraction
+    of checked draws that meet the specification in full only, minus the fraction that meet it
+    approximately only. The confidence limits of these three fractions are combined in quadrature
+    [1]_. If the approximation tells nothing about the checked draws, the yield is that of the
+    checked draws alone. ``Fraction.note`` states which of the two was used.
 
     References
     ----------
@@ -334,39 +348,42 @@ def yields(results: Results, figure: str) -> tuple[NDArray[np.float64], tuple[Fr
 
 
 def sobol_indices(results: Results, figure: str, *, confidence: float = 0.95) -> xr.Dataset:
-    """Return first-order and total Sobol indices of a figure of merit.
+    """Return the Sobol indices of a figure of merit: which drawn values cause its variance.
 
-    They are the shares of its variance that each drawn value causes, alone and with interactions.
+    The first-order index of a value is the fraction of the variance that it causes alone. The total
+    index also includes its interactions with other values.
 
     Parameters
     ----------
     results : Results
-        Complete results of a study whose only dimension is ``draw``, by method saltelli.
+        Complete results of a study that varies the scene only by random draws (table ``draws``),
+        with the method "saltelli".
     figure : str
         Name of the figure of merit.
     confidence : float
-        Coverage of the bootstrap intervals.
+        Confidence level of the intervals, 0.01 to 0.9999.
 
     Returns
     -------
     xarray.Dataset
-        ``first``, ``first_low``, ``first_high``, ``total``, ``total_low`` and ``total_high`` over
-        the dimension ``address``.
+        Indices ``first`` and ``total``, with the ends of their confidence intervals ``first_low``,
+        ``first_high``, ``total_low`` and ``total_high``. The dimension ``address`` names the drawn
+        values by table and key of the scene file, such as "wall.radius".
 
     Raises
     ------
     SceneError
-        If the study has another design or pending points, or the figure of merit could not be
-        computed at some point.
+        If the study has another design, points are not computed yet, or the computation of the
+        figure of merit failed at some point.
 
     See Also
     --------
-    fraction_within : Share of points that meet a specification.
+    fraction_within : Fraction of points that meet a specification.
 
     Notes
     -----
-    Estimators of Saltelli et al., Comput. Phys. Commun. 181, 259 (2010), as implemented in
-    `scipy.stats.sobol_indices`, with bootstrap intervals.
+    The estimators are those of Saltelli et al., Comput. Phys. Commun. 181, 259 (2010), as in
+    `scipy.stats.sobol_indices`. The confidence intervals are bootstrap intervals.
     """
     _check_draws(results, "Sobol indices", ("saltelli",))
     confidence = in_range("confidence", confidence, 0.01, 0.9999)

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Optimum(Noun):
-    """Trials of an optimisation and the best of them.
+    """Trials of an optimisation and the best of them, as returned by `optimum`.
+
+    A trial is one set of values of the optimisation's variables. An objective is a figure of merit
+    that is minimised or maximised.
 
     Parameters
     ----------
@@ -35,18 +38,18 @@ class Optimum(Noun):
     goals : tuple of str
         "minimise" or "maximise", for each objective.
     objectives : ndarray, (trials, objectives)
-        Objectives of all trials, each in the unit of its figure of merit; NaN where that could not
-        be computed. For an objective with limits, the value is the yield: the share of the
-        trial's points (its draws and axis values) that lie within the limits.
+        Values of the objectives in all trials, each in the unit of its figure of merit; NaN where
+        the computation failed. For an objective with limits, the value is the yield: the fraction
+        of the trial's points (its random draws and steps along axes) that lie within the limits.
     feasible : ndarray of bool, (trials,)
         Whether all figures of merit could be computed and all constraints are met.
     failed : ndarray of bool, (trials,)
         Whether a figure of merit could not be computed, for example because the scene is invalid.
     front : tuple of int
         Numbers of the best trials, counted from 0 (the Pareto front). A feasible trial belongs to
-        the front if no other one is at least as good in all objectives and better in one. The
-        trials are sorted by the first objective, and of equal trials only one is listed. Empty if
-        no trial is feasible.
+        the front if no other one is at least as good in all objectives and better in one. With a
+        single objective this is the best trial. The front is sorted by the first objective, and of
+        equal trials only one is listed. Empty if no trial is feasible.
 
     See Also
     --------
@@ -64,7 +67,7 @@ class Optimum(Noun):
 
     @property
     def best(self) -> int:
-        """Number of the best trial, for a study with a single objective.
+        """Number of the best trial, counted from 0, for a study with a single objective.
 
         Raises
         ------
@@ -81,10 +84,10 @@ class Optimum(Noun):
         return self.front[0]
 
     def values(self, trial: int | None = None) -> dict[str, Any]:
-        """Return the values that the method chose for a trial.
+        """Return the values of the variables in a trial.
 
-        A trial is one set of values of the variables. The keys are their addresses, such as
-        "camera.f_number"; the values are written as in a scene file.
+        The keys of the dict are addresses (table and key of the scene file), such as
+        "camera.f_number". The values are written as in a scene file.
 
         Parameters
         ----------
@@ -96,7 +99,9 @@ class Optimum(Noun):
         return dict(trials[chosen])
 
     def scene(self, trial: int | None = None) -> Scene:
-        """Return the scene of a trial, in which values that draws or axes change are nominal.
+        """Return the scene of a trial.
+
+        Values that random draws or axes of the study change have their nominal values.
 
         Parameters
         ----------
@@ -131,18 +136,20 @@ class Optimum(Noun):
 def optimum(results: Results, *, incomplete: bool = False) -> Optimum:
     """Return the best trials of an optimisation: one, or the Pareto front of several objectives.
 
+    A trial is one set of values of the optimisation's variables.
+
     Parameters
     ----------
     results : Results
         Results of a study with the table ``optimise``.
     incomplete : bool
-        Whether to accept a search that has not ended. Trials with points still to be computed are
-        left out of the front.
+        Whether to accept an optimisation that has not ended. Trials with points still to be
+        computed do not count as feasible.
 
     Returns
     -------
     Optimum
-        All trials with their objectives, and the numbers of the best ones.
+        All trials with the values of their objectives, and the numbers of the best ones.
 
     Raises
     ------
@@ -236,22 +243,24 @@ def _label(objective: Objective, figure: Figure, several: bool) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Allowance:
-    """Interval of a value within which a figure of merit loses less than a stated amount.
+    """Tolerance of one value of a scene: interval in which a figure of merit is still good enough.
+
+    Good enough means that the figure of merit is worse than in the nominal scene by at most the
+    loss that the study states.
 
     Parameters
     ----------
     address : str
-        Address of the value: table and key of the scene file, such as "wall.radius".
+        Table and key of the value in the scene file, such as "wall.radius".
     unit : str
-        SI unit of the values below; empty if they have none.
+        SI unit of ``nominal``, ``low`` and ``high``; empty if they have none.
     nominal : float
-        Value in the base scene.
+        Value in the nominal scene.
     low, high : float
-        Ends of the interval: the farthest values found at which the loss is still below the stated
-        amount.
+        Ends of the interval: the farthest values found at which the figure of merit is good enough.
     low_open, high_open : bool
-        True if the loss is still below the stated amount at the limit of the searched range, so
-        that the interval extends beyond it.
+        True if the figure of merit is still good enough at this end of the searched range, so that
+        the interval may extend beyond it.
 
     See Also
     --------
@@ -276,23 +285,27 @@ class Allowance:
 
 
 def inverse_sensitivities(results: Results) -> tuple[Allowance, ...]:
-    """Return how far each value alone may change until a figure of merit has lost a given amount.
+    """Return the tolerance of each value: how far it alone may change for a given loss.
+
+    The loss is the amount by which a figure of merit becomes worse than in the nominal scene.
 
     Parameters
     ----------
     results : Results
-        Complete results of a study with the table ``inverse_sensitivity``.
+        Complete results of a study with the table ``inverse_sensitivity``, which states the figure
+        of merit, its loss, and for each value the range in which to search.
 
     Returns
     -------
     tuple of Allowance
-        One interval per value, the narrowest first, measured as a fraction of the range that the
-        study states for the value.
+        One interval for each value. The tightest tolerance comes first: the narrowest interval
+        relative to the searched range.
 
     Raises
     ------
     SceneError
-        If the study has no such table or has not ended, or the nominal scene failed.
+        If the study has no such table or has not ended, or the computation for the nominal scene
+        failed.
 
     See Also
     --------
@@ -301,10 +314,10 @@ def inverse_sensitivities(results: Results) -> tuple[Allowance, ...]:
 
     Notes
     -----
-    Each end is found by bisection between the value in the base scene and the limit of the range.
-    The key ``precision`` of the table ``inverse_sensitivity`` is the accuracy, as a fraction of
-    that distance. Where the figure is not monotonic, the end is one of several at which the loss
-    is reached.
+    Each end is found by bisection between the nominal value and the limit of the range. The key
+    ``precision`` of the table ``inverse_sensitivity`` is the accuracy as a fraction of this
+    distance. If the figure of merit is not monotonic, there may be several values at which the loss
+    is reached, and the end is one of them.
     """
     table = results.study.table.inverse_sensitivity
     if table is None:

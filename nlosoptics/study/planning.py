@@ -35,15 +35,15 @@ class StudyPlan:
     Parameters
     ----------
     points : int
-        Number of points that are computed in full: those of the design, or the checked draws of
-        the fast tier.
+        Number of points (variants of the scene) that are computed in full. If random draws have
+        ``tier = "fast"``, these are the draws that check the approximation.
     figures : int
         Number of figures of merit.
     point_spreads : int
-        Number of different point spreads to compute. Points that differ only in values that a
-        point spread does not depend on share one. 0 if no figure of merit needs a point spread.
+        Number of different point spread functions (PSFs) to compute. Points that differ only in
+        values on which the PSF does not depend share one. 0 if no figure of merit needs a PSF.
     forecasts : int
-        Number of forecasts by `limits.feasibility` to compute; 0 if no figure of merit needs one.
+        Number of predictions by `limits.feasibility` to compute; 0 if no figure of merit needs one.
     seconds : float
         Predicted CPU time of all points after compilation, s; uncertain by a factor of about two.
     n_bytes : int
@@ -51,8 +51,8 @@ class StudyPlan:
     block : int
         Number of points that are computed and stored together.
     fast_draws : int
-        Number of draws whose figures of merit follow from an expansion of the wave; 0 without the
-        fast tier.
+        Number of random draws whose figures of merit are computed approximately
+        (``tier = "fast"``), by an expansion of the wave to second order; otherwise 0.
     waves : int
         Approximate number of waves that are traced for this expansion.
 
@@ -103,7 +103,8 @@ def plan_study(study: Study) -> StudyPlan:
     Returns
     -------
     StudyPlan
-        Numbers of points and point spreads, predicted CPU time, and size of the store.
+        Numbers of points and point spread functions, predicted CPU time, and size of the results
+        folder.
 
     See Also
     --------

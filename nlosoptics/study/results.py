@@ -46,23 +46,34 @@ class Results(Noun):
     study : Study
         Study that was run.
     dataset : xarray.Dataset
-        Figures of merit over the dimensions of the design (``study.shape``), with
-        ``<figure>_error`` for those that have an error. ``status`` is the worst status among the
-        figures of a point, in the order "done", "failed" (an exception), "lost" (the worker
-        process ended twice) and "pending". ``message`` holds errors and warnings, ``seconds`` the
-        computing time. Each coordinate has the name of its address, such as ``wall.radius``, and
-        holds numbers in SI units, or text. The dimension ``case`` has text labels only. The trials
-        of a search are the first dimension, ``trial``, and the attribute ``search`` says why the
-        search ended. With the fast tier, figures are those of expanded waves, and
-        ``<figure>_full`` holds the figures of the checked draws in full, NaN elsewhere; draws
-        without a check have the status "fast".
+        Figures of merit at all points of the study, as arrays of shape ``study.shape``; see Notes.
 
     See Also
     --------
     Study : Figures of merit over the points of a design.
     sensitivities : Change of a figure of merit with each value.
-    fraction_within : Share of points that meet a specification.
+    fraction_within : Fraction of points that meet a specification.
     nlosoptics.views.study_map : Figure of merit over two dimensions.
+
+    Notes
+    -----
+    Variables of ``dataset``:
+
+    - one for each figure of merit, under its name; NaN where the computation failed or is pending;
+    - ``<figure>_error``: numerical error of a figure of merit, if it has one;
+    - ``status``: "done", "failed" (an error was raised), "lost" (the process of the computation
+      ended twice) or "pending" (not computed yet). If the figures of merit of a point differ, it is
+      the last of these that applies;
+    - ``message``: errors and warnings; ``seconds``: computing time, s.
+
+    Coordinates have the name of the value that varies, by table and key of the scene file, such as
+    ``wall.radius``. They are numbers in SI units, or text. A study with the table ``one_at_a_time``
+    has the dimension ``case`` with a text for each case. An optimisation or another search has
+    ``trial`` as its first dimension, and the attribute ``search`` states why it ended.
+
+    If draws have ``tier = "fast"``, the figures of merit are approximate. Draws that are also
+    computed in full have these values in ``<figure>_full``, which is NaN elsewhere. All other draws
+    have the status "fast".
     """
 
     path: Path
@@ -71,7 +82,7 @@ class Results(Noun):
 
     @classmethod
     def load(cls, path: str | Path) -> Results:
-        """Read the results of a study from its folder; they may still be incomplete.
+        """Read the results of a study from its folder, also of one that is not finished.
 
         Parameters
         ----------
@@ -92,17 +103,17 @@ class Results(Noun):
             return cls(path=path, study=study, dataset=_dataset(study, store))
 
     def scene(self, index: int) -> Scene:
-        """Return the scene of a point, counted from 0 in the order of the flattened dataset.
+        """Return the scene of a point of the study.
 
         Parameters
         ----------
         index : int
-            Number of the point.
+            Number of the point, counted from 0 in the order of the flattened dataset.
         """
         return self.study.scene(index)
 
     def point_spread(self, index: int) -> ScenePointSpread:
-        """Return wave and point spread of a point, by computing them again, bit for bit the same.
+        """Compute wave and point spread function of a point again, bit for bit as in the study.
 
         Parameters
         ----------
@@ -112,7 +123,7 @@ class Results(Noun):
         Raises
         ------
         NlosError
-            If the scene cannot be built or has no point spread, as in the study itself.
+            If the scene is invalid or has no point spread function, as in the study itself.
         """
         from ..psf import scene_point_spread
 
@@ -159,28 +170,32 @@ class Results(Noun):
 
     @cached_property
     def counts(self) -> dict[str, int]:
-        """Number of points with each status: "done", "failed", "lost" and "pending"."""
+        """Number of points with each status: "done", "failed", "lost" and "pending".
+
+        The status "fast" is added if draws have ``tier = "fast"``.
+        """
         found = self.dataset["status"].values
         statuses = (*STATUSES, FAST) if self.study.fast else STATUSES
         return {status: int((found == status).sum()) for status in statuses}
 
     def fast_errors(self, figure: str) -> NDArray[np.float64]:
-        """Return the errors of the fast tier at the checked draws that are known in full.
+        """Return the errors of approximate figures of merit, for draws with ``tier = "fast"``.
 
         Parameters
         ----------
         figure : str
-            Name of the figure.
+            Name of the figure of merit.
 
         Returns
         -------
-        (n,) ndarray
-            Fast value minus the value in full, in the unit of the figure.
+        ndarray, (n,)
+            Approximate value minus the value computed in full, in the unit of the figure of merit,
+            for the n draws whose value in full is known.
 
         Raises
         ------
         SceneError
-            If the study has no such figure, or its draws are not of the fast tier.
+            If the study has no such figure of merit, or its draws are not of ``tier = "fast"``.
         """
         name = self.study.figure(figure).name
         if not self.study.fast:

@@ -32,15 +32,16 @@ def run_study(
     progress: Progress | None = None,
     interrupted: Callable[[], bool] | None = None,
 ) -> Results:
-    """Run a study: compute all points that its folder does not contain yet, and return all results.
+    """Run or continue a study: compute the points that are missing, and return all results.
 
-    A study with the table ``optimise`` or ``inverse_sensitivity`` is a search: it chooses each
-    point from the figures of merit of earlier points. All computed points are stored, and the same
-    seed leads to the same choices, so that a search that was stopped continues with the next
-    point.
+    A point is a variant of the study's scene, at which the figures of merit are computed. A study
+    with the table ``optimise`` or ``inverse_sensitivity`` is a search: it chooses each point by the
+    figures of merit of earlier points. All points are stored, and the same seed leads to the same
+    choices. A search that was stopped therefore continues with the next point.
 
-    Of draws with ``tier = "fast"``, all figures are computed by an expansion of the wave to second
-    order in the drawn values, and ``check`` random draws in full.
+    If the table ``draws`` has ``tier = "fast"``, the figures of merit of all draws are computed
+    approximately, by an expansion of the wave to second order in the drawn values. Some random
+    draws, whose number is the key ``check`` of the table, are computed in full as well.
 
     Parameters
     ----------
@@ -48,34 +49,34 @@ def run_study(
         Study to run.
     path : str or Path
         Folder for the results, also called the store. If it has results of this study, the run
-        continues from them. If the study has been given more values, draws or figures of merit,
+        continues from them. If values, draws or figures of merit were added to the study since,
         only what is missing is computed.
     workers : int, optional
         Number of processes on this machine, by default one for each core. With 0 no process is
-        started, and the calling process computes. A script that starts processes needs
-        ``if __name__ == "__main__":``.
+        started, and the calling process computes. A script that starts processes must be protected
+        by ``if __name__ == "__main__":``.
     scheduler : str, optional
         Address of a dask scheduler, such as "tcp://host:8786". Its workers then compute, and
         ``workers`` is not used.
     again : bool, default False
-        Whether to repeat points that failed or whose process ended, and the points stored with
-        them, for example after you corrected your own figure of merit.
+        Whether to repeat points that failed or whose process ended, for example after you corrected
+        your own figure of merit. Points that were stored in the same block are repeated as well.
     progress : callable(str, float), optional
-        Called with a text and the completed fraction, 0 to 1.
+        Function that is called with a text and the completed fraction, 0 to 1.
     interrupted : callable, optional
-        Function without arguments, called between blocks. If it returns True, the study ends after
-        the blocks that are being computed.
+        Function without arguments that is called between blocks of points. If it returns True, the
+        study ends after the blocks that are being computed.
 
     Returns
     -------
     Results
-        Results, incomplete if interrupted. Points whose computation failed are included, with a
-        message.
+        All results in the folder; incomplete if the run was interrupted. Points whose computation
+        failed are included, with a message.
 
     Raises
     ------
     SceneError
-        If the store belongs to another base scene or design, cannot be written, or is in use.
+        If the folder has results of another base scene or design, cannot be written, or is in use.
 
     See Also
     --------

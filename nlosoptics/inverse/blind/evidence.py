@@ -171,9 +171,9 @@ def evidence_fit(
     Notes
     -----
     **Criterion.** Many walls are fitted, and the one with the least free energy is returned. The
-    free energy is an upper bound on -log(evidence). The evidence of a wall is the probability of
-    the images for this wall, averaged over all objects. Comparing squared residuals instead would
-    prefer no blur to the truth if there is only one image.
+    free energy is a variational approximation of -log(evidence). The evidence of a wall is the
+    probability of the images for this wall, averaged over all objects. Comparing squared residuals
+    instead would prefer no blur to the truth if there is only one image.
 
     **Network.** For one image without ``start_error``, a trained network proposes additional starts
     with the Noll modes 4 to 21. The free energy accepts or rejects them like all other starts. The

@@ -308,7 +308,7 @@ class LaserTable(Table):
         "Angle between beam and normal of the plane z = 0. With distance it replaces position."
     )
     azimuth: AngleText | None = _key(
-        "Angle, from +x toward +y, of the plane of incidence; by default 0. Goes with incidence."
+        "Direction from aim to the laser in the plane z = 0, from +x toward +y; by default 0."
     )
     independent_patterns: int | None = None
 

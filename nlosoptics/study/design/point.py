@@ -86,7 +86,10 @@ def stage_caches() -> dict[str, StageCache]:
 
 
 class StudyPoint:
-    """One point of a study, as figures of merit see it.
+    """One point of a study: the argument of a figure of merit that is a function of your own.
+
+    Such a function takes a point and returns a number. It can use the point's `scene`,
+    `point_spread` and `forecast`, which are computed at first use and shared between points.
 
     Parameters
     ----------
@@ -96,18 +99,19 @@ class StudyPoint:
         Values of the scene that this point changes, by address (table and key of the scene file,
         such as "wall.radius").
     seed : int
-        Seed of this point, which depends on its values only.
+        Seed of this point.
     tol : float
-        Error tolerance of point spreads, max |dI|/max I.
+        Error tolerance of point spread functions (PSFs), max |dI|/max I, with I the intensity.
     caches : mapping of str to StageCache
-        Stages shared with other points, from `stage_caches`.
+        Results that the points of a study share in one process.
 
     Attributes
     ----------
     seed : int
-        Seed for random numbers of a figure of merit.
+        Seed for random numbers of a figure of merit. It depends on the values of the point and the
+        study's seed only.
     tol : float
-        Error tolerance of point spreads, max |dI|/max I.
+        Error tolerance of PSFs, max |dI|/max I.
     base : Base
         Base scene of the study.
 
@@ -131,17 +135,25 @@ class StudyPoint:
         self.warnings: dict[str, None] = {}
 
     def value(self, address: str) -> Any:
-        """Return the value at an address, written as in a scene file; None if there is none."""
+        """Return a value of the scene, written as in a scene file; None if it is absent.
+
+        ``address`` is table and key of the value, such as "wall.radius".
+        """
         return value_at(changed(self.base.tables, self._delta), address)
 
     def changed(self, delta: Mapping[str, Any]) -> StudyPoint:
-        """Return a copy of the point with other values at some addresses and the same seed."""
+        """Return a copy of the point with some values changed and the same seed.
+
+        ``delta`` maps addresses (table and key of the scene file, such as "wall.radius") to values
+        written as in a scene file.
+        """
         return StudyPoint(self.base, {**self._delta, **delta}, self.seed, self.tol, self._caches)
 
     def adjusted(self, key: str, make: Callable[[], StudyPoint]) -> StudyPoint:
-        """Return the point with its compensators adjusted.
+        """Return the point after compensation: with some values adjusted to improve it.
 
-        ``make`` computes it at the first call with ``key``; later calls return the same point.
+        ``make`` computes the adjusted point at the first call with ``key``; later calls with this
+        key return the same point.
         """
         if key not in self._adjusted:
             self._adjusted[key] = make()
@@ -155,9 +167,9 @@ class StudyPoint:
 
     @property
     def point_spread(self) -> ScenePointSpread:
-        """Wave and point spread at the object's reference point.
+        """Wave and PSF of the object's reference point.
 
-        Points that differ only in values that a point spread does not depend on share it.
+        Points that differ only in values on which the PSF does not depend share it.
         """
         from ... import psf
 
@@ -169,7 +181,7 @@ class StudyPoint:
 
     @property
     def forecast(self) -> Feasibility:
-        """Forecast of what the image shows, from `limits.feasibility`."""
+        """Prediction by `limits.feasibility` of what an image of the scene shows."""
         from ... import limits
 
         found: Feasibility = self._stage(

@@ -94,28 +94,28 @@ def _with_unit(one: Figure, base: Base, units: Mapping[str, str]) -> Figure:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Study(Noun):
-    """Design study: figures of merit, to be computed at every point of a design.
+    """Design study: figures of merit that are computed for many variants of a scene.
 
-    Make one with `load` or `from_tables`.
+    Make one with `load` or `from_tables`. The variants are called points. Each changes some values
+    of the base scene: along axes, at random, or as an optimisation chooses.
 
     Parameters
     ----------
     definition : dict
         Tables of the study file.
     folder : Path
-        Folder of the study file, which is searched for figures of merit that are functions of the
-        user.
+        Folder of the study file. It is searched for Python files with figures of merit of your own.
     base : Base
         Base scene with the changes of the table ``set``.
     dimensions : tuple of Dimension
-        Dimensions of the design. The points are all combinations of their steps, in C order: the
-        last dimension changes fastest.
+        What varies: axes, draws or cases, each a list of steps that set values of the scene. The
+        points are all combinations of the steps, in C order: the last dimension changes fastest.
     figures : tuple of Figure
         Figures of merit.
     tol : float
-        Error tolerance of point spreads, max |dI|/max I.
+        Error tolerance of point spread functions, max |dI|/max I, with I the intensity.
     seed : int
-        Seed of the draws, the points and a search.
+        Seed of random draws, of random numbers in figures of merit, and of an optimisation.
     variables : tuple of Variable
         Values that a search (table ``optimise`` or ``inverse_sensitivity``) may change; empty
         without a search. The points that the search has chosen so far are the first dimension,
@@ -157,14 +157,14 @@ class Study(Noun):
         Parameters
         ----------
         path : str or Path
-            TOML file; the how-to page "Choose a design with a study" describes its tables. Paths
-            in it are relative to its folder.
+            Study file (TOML). The how-to page "Choose a design with a study" describes its tables.
+            Paths in the file are relative to its folder.
 
         Raises
         ------
         SceneError
-            If a key, a value, an address (such as "camera.f_number") or a figure of merit is
-            wrong. The message names file and key.
+            If the file cannot be read, or a key, a value, the name of a scene's value (such as
+            "camera.f_number") or a figure of merit is wrong. The message names file and key.
         """
         path = path_of("path", path)
         try:
@@ -179,19 +179,20 @@ class Study(Noun):
 
     @classmethod
     def from_tables(cls, tables: Mapping[str, Any], folder: str | Path = ".") -> Study:
-        """Make a study from the tables that a study file would have.
+        """Make a study from a dict with the contents of a study file.
 
         Parameters
         ----------
         tables : mapping
-            Keys and values as in a study file.
+            Tables, keys and values as in a study file.
         folder : str or Path
-            Folder to which paths are relative.
+            Folder to which paths in ``tables`` are relative.
 
         Raises
         ------
         SceneError
-            If a key, value, address or figure of merit is wrong.
+            If a key, a value, the name of a scene's value (such as "camera.f_number") or a figure
+            of merit is wrong.
         """
         folder = path_of("folder", folder).absolute()
         definition = json.loads(json.dumps(dict(tables), default=str))
@@ -225,7 +226,11 @@ class Study(Noun):
         return found
 
     def with_trials(self, deltas: Iterable[Delta]) -> Study:
-        """Return a copy of the study with the given points as the trials of its search."""
+        """Return a copy of the study with given trials of its search.
+
+        Each element of ``deltas`` holds the values of one trial by address (table and key of the
+        scene file, such as "camera.f_number").
+        """
         first, *others = self.dimensions
         return replace(self, dimensions=(replace(first, deltas=tuple(deltas)), *others))
 
@@ -239,9 +244,14 @@ class Study(Noun):
         return int(np.prod(self.shape))
 
     def delta(self, index: int) -> dict[str, Any]:
-        """Return the values of the scene that a point changes, by address.
+        """Return the values of the scene that a point changes.
 
-        Points are counted from 0 in C order: the last dimension changes fastest.
+        The keys are addresses (table and key of the scene file, such as "camera.f_number").
+
+        Parameters
+        ----------
+        index : int
+            Number of the point, counted from 0 in C order: the last dimension changes fastest.
         """
         index = whole("index", index, 0, len(self) - 1)
         steps = np.unravel_index(index, self.shape)
@@ -251,12 +261,13 @@ class Study(Noun):
         return found
 
     def scene(self, index: int) -> Scene:
-        """Return the scene of a point. Points are counted from 0 in C order of the dimensions.
+        """Return the scene of a point.
 
         Parameters
         ----------
         index : int
-            Number of the point; ``np.ravel_multi_index(steps, study.shape)`` for given steps.
+            Number of the point, counted from 0 in C order: the last dimension changes fastest. For
+            given steps it is ``np.ravel_multi_index(steps, study.shape)``.
         """
         return self.base.scene(self.delta(index))
 
@@ -270,20 +281,20 @@ class Study(Noun):
 
     @cached_property
     def ids(self) -> tuple[str, ...]:
-        """Name of each point: a hash of its values and the study's seed.
+        """Identifier of each point: a hash of the values that it changes and the study's seed.
 
-        The values enter sorted by address, so that their order does not matter.
+        The order of the values does not matter.
         """
         return tuple(point_id(self.seed, self.delta(index)) for index in range(len(self)))
 
     @property
     def fast(self) -> bool:
-        """Whether the draws are of the fast tier."""
+        """Whether the random draws have ``tier = "fast"``: most are computed approximately."""
         return self.table.draws is not None and self.table.draws.tier == "fast"
 
     @cached_property
     def in_full(self) -> tuple[int, ...]:
-        """Points that are computed in full: all of them, or the checked draws of the fast tier."""
+        """Numbers of the points that are computed in full: all points unless `fast` is True."""
         return checked_draws(self.table, self.ids) if self.fast else tuple(range(len(self)))
 
 
