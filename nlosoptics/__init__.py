@@ -1,20 +1,21 @@
 """nlosoptics: optics of non-line-of-sight imaging, seeing around corners.
 
-A laser illuminates a rough relay wall, light scatters to a hidden object and back, and an ordinary
-camera looks at the wall. The subpackages follow the light:
+A laser illuminates a relay wall, light scatters from there to a hidden object and back, and an
+ordinary camera looks at the wall. Subpackages:
 
 - `scene`: laser, wall, hidden object, camera, materials, scene files.
 - `raytrace`: ray tracing and intersections.
 - `psf`: exit pupil, wave aberration, point spread functions, metrics.
 - `imaging`: radiometry, photons, camera noise, the image model.
-- `limits`: what can be recovered from an image, before any fit.
-- `inverse`: reconstruction of the hidden object, in torch.
+- `limits`: prediction of what an image can show, before any fit.
+- `inverse`: reconstruction of the hidden object.
 - `transient`: time-resolved captures and their reconstruction.
-- `study`: design studies: sweeps, tolerances, yield.
+- `study`: design studies: sweeps, tolerances, yield, optimisation.
 - `views`: plots and 3-D views.
-- `report`: HTML report of a run.
+- `report`: HTML report of a run or a study.
 
-`plan` predicts the stages that a scene needs, with time and error; `simulate` runs them.
+`Scene.load` reads a scene file, `plan` predicts the stages of its simulation with time and error,
+and `simulate` runs them.
 """
 
 import lazy_loader as _lazy

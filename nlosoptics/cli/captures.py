@@ -63,12 +63,13 @@ def transient_command(
     tol: Annotated[
         float,
         typer.Option(
-            help="Relative error of light with three reflections (L1 norm of each histogram)."
+            help="Largest relative error of light with three reflections: sum of the magnitudes of "
+            "the errors of all time bins, divided by the sum of the bins."
         ),
     ] = 1e-3,
     tol_multiple: Annotated[
         float,
-        typer.Option(help="Relative error of light with four or more reflections (L1 norm)."),
+        typer.Option(help="Largest relative error of light with four or more reflections."),
     ] = 1e-2,
     seed: Seed = 0,
     quantity: Annotated[
@@ -149,7 +150,8 @@ def phasor_command(
         str, typer.Option(help="Virtual camera: confocal_time_gated or direct_light.")
     ] = "confocal_time_gated",
     wl_mean: Annotated[
-        float | None, typer.Option(help="Virtual wavelength, m; by default from the file.")
+        float | None,
+        typer.Option(help="Central wavelength of the virtual pulse, m; by default from the file."),
     ] = None,
     wl_sigma: Annotated[
         float | None,
@@ -158,16 +160,18 @@ def phasor_command(
     near: Annotated[
         float | None,
         typer.Option(
-            help="Distance of the first plane from the wall, m; by default from the file."
+            help="Distance of the first image plane from the wall, m; by default from the file."
         ),
     ] = None,
     far: Annotated[
         float | None,
-        typer.Option(help="Distance of the last plane from the wall, m; by default from the file."),
+        typer.Option(
+            help="Distance of the last image plane from the wall, m; by default from the file."
+        ),
     ] = None,
     step: Annotated[
         float | None,
-        typer.Option(help="Distance between planes, m; by default from the file."),
+        typer.Option(help="Distance between neighbouring planes, m; by default from the file."),
     ] = None,
     aperture: Annotated[
         float | None,

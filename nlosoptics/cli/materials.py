@@ -16,9 +16,9 @@ def materials_command(
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """List the wall materials that a scene file may name, or show one with spread and sources.
+    """List the materials that a scene file may name, or show one with ranges and sources.
 
-    A scene file names one by material = "whiteboard" in [wall] or [hidden].
+    A scene file names one by material = "whiteboard" in its table [wall] or [hidden].
     """
     with errors_told(debug):
         from ..scene.parts.library import entry, material_library

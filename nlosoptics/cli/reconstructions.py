@@ -82,14 +82,14 @@ def reconstruct_command(
     method: Annotated[
         str,
         typer.Option(
-            help="With known point spread: tv, wiener, inverse_filter, richardson_lucy, "
-            "deep_image_prior, phase_retrieval. With a trained network: cnn. Fitting the wall's "
-            "wave too: evidence, wu2024."
+            help="Solver. If the wall is known: tv, wiener, inverse_filter, richardson_lucy, "
+            "deep_image_prior, phase_retrieval. With a trained network: cnn. If the wall is to be "
+            "fitted as well: evidence, wu2024."
         ),
     ] = "tv",
     network: Annotated[
         Path | None,
-        typer.Option(help="File of the trained network for cnn, written by nlosoptics train."),
+        typer.Option(help="Trained network for method cnn: file written by nlosoptics train."),
     ] = None,
     iterations: Annotated[
         int | None,
@@ -181,12 +181,13 @@ def train_command(
     frame: Annotated[
         int | None,
         typer.Option(
-            help="Side of a central square region of the image, pixels; the object is scaled down "
-            "with it. By default the whole image."
+            help="Side, pixels, of a central square of the image, to which image and object are "
+            "reduced. By default the whole image."
         ),
     ] = None,
     base: Annotated[
-        int, typer.Option(help="Channels of the network at full resolution: 8, 16 or 32.")
+        int,
+        typer.Option(help="Number of channels of the network at full resolution: 8, 16 or 32."),
     ] = 16,
     seed: Seed = 0,
     size: Size = None,

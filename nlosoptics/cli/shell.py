@@ -41,8 +41,8 @@ SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TO
 Tol = Annotated[
     float,
     typer.Option(
-        help="Wanted error of the point spread, 1e-12 to 0.1 of its peak. The error of the wall's "
-        "diffuse light in the image is fixed at 1e-3."
+        help="Largest error of the point spread function, 1e-12 to 0.1 of its peak. The error of "
+        "the wall's diffuse light in the image is always 1e-3."
     ),
 ]
 Size = Annotated[
@@ -56,7 +56,7 @@ Changes = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Value that replaces one of the scene file, such as wall.radius=2m; may be repeated.",
+        help="New value of a key of the scene file, such as wall.radius=2m; may be repeated.",
     ),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]

@@ -62,28 +62,30 @@ StoreFolder = Annotated[
 def run_command(
     study_file: StudyFile,
     out: Annotated[
-        Path | None, typer.Option(help="Folder of the store; ./<study's name>.zarr by default.")
+        Path | None,
+        typer.Option(help="Folder for the results (store); ./<study's name>.zarr by default."),
     ] = None,
     only_plan: Annotated[
         bool,
-        typer.Option("--plan", help="Show points, shared stages, time and size; compute nothing."),
+        typer.Option("--plan", help="Show number of points, time and size; compute nothing."),
     ] = False,
     workers: Annotated[
         int | None,
-        typer.Option(min=0, help="Processes; one for each core by default, 0 for none."),
+        typer.Option(min=0, help="Number of processes; by default one for each core, 0 for none."),
     ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(help="Address of a dask scheduler, such as tcp://host:8786."),
     ] = None,
     again: Annotated[
-        bool, typer.Option("--again", help="Also compute failed and lost points again.")
+        bool,
+        typer.Option("--again", help="Also repeat points that failed or whose process ended."),
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Run a study, or resume it: finished points are kept, new values and figures are added.
+    """Run a study or continue it: finished points are kept, and only missing ones are computed.
 
-    Ctrl-C ends after the points in flight and exits with code 1; the same command goes on.
+    Ctrl-C ends the run after the current points, with exit code 1. The same command continues it.
     """
     with errors_told(debug):
         _require_parts()
@@ -118,7 +120,10 @@ def run_command(
 
 @studies.command("status")
 def status_command(store: StoreFolder, debug: Debug = False) -> None:
-    """Show how many points are done, the range of each figure, why points failed, and answers."""
+    """Show how many points are done, the range of each figure of merit, and why points failed.
+
+    For an optimisation or another search, show its result, too.
+    """
     with errors_told(debug):
         typer.echo(_told(_results(store)))
 
@@ -134,7 +139,7 @@ def plot_command(
         Kind, typer.Option(help="Picture to draw; by default the one that fits the design.")
     ] = Kind.AUTO,
     boundary: Annotated[
-        float | None, typer.Option(help="Value of the figure at which to draw a line.")
+        float | None, typer.Option(help="Value of the figure of merit at which to draw a line.")
     ] = None,
     contours: Annotated[
         str | None, typer.Option(help='Values of contour lines of a map, such as "0.2,0.5,0.8".')
@@ -146,8 +151,8 @@ def plot_command(
 ) -> None:
     """Draw a figure of merit: map or curve, slices, tornado, yield, Sobol indices, point spreads.
 
-    The default is a tornado for one_at_a_time, Sobol indices for draws by saltelli, the yield
-    against the limit for other draws, and else a map or curve.
+    The default depends on the study: a tornado chart for one_at_a_time, Sobol indices for draws by
+    the method saltelli, the yield against the limit for other draws, otherwise a map or a curve.
     """
     with errors_told(debug):
         require("matplotlib", "views")
@@ -176,7 +181,7 @@ def report_command(
         bool,
         typer.Option(
             "--gallery/--no-gallery",
-            help="Compute the point spreads of the worst, median and best point.",
+            help="Show the point spread functions of the worst, median and best point.",
         ),
     ] = True,
     debug: Debug = False,
@@ -210,7 +215,7 @@ def optimum_command(
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Draw an optimisation: the front of two objectives, or one objective by trials."""
+    """Draw an optimisation: the Pareto front of its objectives, or one objective by trials."""
     with errors_told(debug):
         require("matplotlib", "views")
         from .. import views
@@ -229,7 +234,7 @@ def export_command(
     out: Annotated[Path, typer.Argument(metavar="CSV", help="Table to write (.csv).")],
     debug: Debug = False,
 ) -> None:
-    """Write all points as a table: values by address, figures, errors, status and message."""
+    """Write all points as a table: changed values, figures of merit, errors, status, message."""
     with errors_told(debug):
         if out.suffix.lower() != ".csv":
             raise typer.BadParameter(f"{out} does not end in .csv; give a name that does")

@@ -98,7 +98,8 @@ class Feasibility(Noun, Shown):
         Signal-to-noise ratio of the same pattern in the diffuse light, summed over all pixels.
     limit : float
         Resolution limit, cycles/m: the frequency at which the larger of the two signal-to-noise
-        ratios first falls below 1; 0 if it is below 1 at all frequencies.
+        ratios first falls below 1. 0 if it is below 1 even for the coarsest patterns, and the
+        highest frequency if it is nowhere below 1.
     modes : int
         Number of independent patterns of the object that the image shows above the noise, each with
         an rms contrast of 0.3. The patterns are made of cells, 24 along the object's longer side.
@@ -255,8 +256,8 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     Raises
     ------
     NlosError
-        If the point spread or the image cannot be computed; see `psf.scene_point_spread` and
-        `imaging.form_image`.
+        If the point spread function or the image cannot be computed; see `psf.scene_point_spread`
+        and `imaging.form_image`.
 
     See Also
     --------

@@ -1,7 +1,7 @@
-"""Reconstruction of camera images of a known scene, as ``nlosoptics reconstruct`` does it.
+"""Reconstruction from camera images of a known scene, as ``nlosoptics reconstruct`` does it.
 
-Each method is a solver of `inverse` under a short name. During a fit its state is saved to a
-folder, so that an interrupted fit can be resumed.
+Call `prepared` with the image files, then `reconstructed`, or `carry_out` to write a folder. The
+latter saves the state during the fit, so that an interrupted fit can be resumed.
 """
 
 from __future__ import annotations

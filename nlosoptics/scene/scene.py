@@ -290,7 +290,7 @@ class Scene(Noun, Shown):
 
     @property
     def mirror_slopes(self) -> tuple[float, ...]:
-        """Rms slope per axis of each mirror-like lobe, rad, including `wall_roughness`."""
+        """Rms slope along each axis of each mirror-like lobe, rad, including `wall_roughness`."""
         return tuple(lobe.slope_rms for lobe in self.mirror_lobes)
 
     def check_in_front(self, *, meshes: bool = True) -> None:

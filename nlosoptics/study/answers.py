@@ -27,6 +27,8 @@ SMALLEST_IS_BEST = ("aberration_rms", "spot_rms", "encircled_energy_radius")
 class Sensitivity:
     """Change of a figure of merit when one value of the scene changes.
 
+    The change is that from the nominal scene, which has the study's values without any change.
+
     Parameters
     ----------
     case : str
@@ -114,9 +116,10 @@ def sensitivities(
 class Fraction:
     """Yield of a study: fraction of points that meet a specification, with confidence limits.
 
-    A study whose draws have ``tier = "fast"`` computes all of them approximately, and some, the
-    checked draws, in full. The values ``checked``, ``gained``, ``lost`` and ``note`` concern this
-    check. In other studies they are 0 and empty.
+    The points are random variants (draws) of a scene. They meet the specification if a figure of
+    merit lies within given limits. A study whose draws have ``tier = "fast"`` computes all of them
+    approximately, and some, the checked draws, in full as well. The values ``checked``, ``gained``,
+    ``lost`` and ``note`` concern this check. In other studies they are 0 and empty.
 
     Parameters
     ----------
@@ -168,6 +171,8 @@ def fraction_within(
     incomplete: bool = False,
 ) -> Fraction:
     """Return the yield: the fraction of random draws whose figure of merit lies within limits.
+
+    A draw is a variant of the study's scene with random values, for example within tolerances.
 
     Parameters
     ----------

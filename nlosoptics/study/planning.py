@@ -93,7 +93,10 @@ class StudyPlan:
 
 
 def plan_study(study: Study) -> StudyPlan:
-    """Predict number of points, time and size of a study, without computing any point.
+    """Predict the number of points of a study, its run time and the size of its results.
+
+    A point is a variant of the study's scene, at which the figures of merit are computed. No point
+    is computed here.
 
     Parameters
     ----------

@@ -37,7 +37,10 @@ FAST = "fast"  # status of a draw of the fast tier that is not checked
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Results(Noun):
-    """Results of a study, complete or not.
+    """Results of a design study, complete or not.
+
+    A study computes figures of merit at many points. A point is a variant of the study's scene.
+    Read results from their folder by `load`.
 
     Parameters
     ----------
@@ -92,7 +95,7 @@ class Results(Noun):
         Raises
         ------
         SceneError
-            If there is no store of a study.
+            If the folder has no results of a study.
         """
         path = path_of("path", path)
         with reading(path):
@@ -165,7 +168,7 @@ class Results(Noun):
 
     @property
     def complete(self) -> bool:
-        """Whether no point is pending and a search, if there is one, has ended."""
+        """Whether no point is pending, and an optimisation or other search has ended."""
         return not self.counts["pending"] and self.dataset.attrs.get("search") != RUNNING
 
     @cached_property
@@ -204,7 +207,7 @@ class Results(Noun):
         return np.asarray(found[np.isfinite(found)], dtype=np.float64)
 
     def failures(self) -> dict[str, int]:
-        """Return the messages of failed points, each with the number of points that have it."""
+        """Return each error message of failed points with the number of points that have it."""
         status, told = (self.dataset[name].values.ravel() for name in ("status", "message"))
         found: dict[str, int] = {}
         for text in told[np.isin(status, ("failed", "lost"))]:

@@ -245,7 +245,7 @@ class MeshObject(PosedMesh):
     Parameters
     ----------
     mesh : str, Path or trimesh.Trimesh
-        File (STL, OBJ, PLY, ...) or mesh, in its own frame, m.
+        Mesh file (STL, OBJ, PLY, ...) or mesh. Its coordinates, m, refer to an origin of its own.
     scale : float
         Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
     position : (float, float, float)

@@ -318,7 +318,7 @@ class Ward(MirrorLobe):
 
     @property
     def slope_rms(self) -> float:  # type: ignore[override]  # frozen: neither can be written
-        """Standard deviation of the facet slope per axis, alpha/sqrt(2), rad."""
+        """Standard deviation of the facets' slope along each axis, alpha/sqrt(2), rad."""
         return self.alpha / math.sqrt(2.0)
 
     def lobe_table(self) -> Array:
@@ -349,7 +349,7 @@ class SumMaterial(Material):
     Raises
     ------
     SceneError
-        If a summand is not a material, or the albedos add up to more than 1.
+        If a part is not a material, or the albedos add up to more than 1.
 
     See Also
     --------

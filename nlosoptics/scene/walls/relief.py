@@ -278,7 +278,7 @@ class GaussianWall(_Relief):
         return math.sqrt(2.0) * self.height_rms / self.correlation_length
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the parameters of the relief as the arrays described in `Wall.compiled`."""
+        """Return the parameters of the heights as the arrays described in `Wall.compiled`."""
         length = self.correlation_length
         a, b = self._offset()
         offset = (0.5 * length * a, 0.5 * length * b)

@@ -86,10 +86,11 @@ def stage_caches() -> dict[str, StageCache]:
 
 
 class StudyPoint:
-    """One point of a study: the argument of a figure of merit that is a function of your own.
+    """One point of a study, a variant of its scene: argument of a figure of merit of your own.
 
-    Such a function takes a point and returns a number. It can use the point's `scene`,
-    `point_spread` and `forecast`, which are computed at first use and shared between points.
+    Such a figure of merit is a Python function that takes a point and returns a number. It can use
+    the point's `scene`, `point_spread` and `forecast`, which are computed at first use and shared
+    between points.
 
     Parameters
     ----------

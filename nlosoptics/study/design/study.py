@@ -157,8 +157,8 @@ class Study(Noun):
         Parameters
         ----------
         path : str or Path
-            Study file (TOML). The how-to page "Choose a design with a study" describes its tables.
-            Paths in the file are relative to its folder.
+            Study file (TOML). The page "Choose a design with a study" of the documentation
+            describes its tables. Paths in the file are relative to its folder.
 
         Raises
         ------
