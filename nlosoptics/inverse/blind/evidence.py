@@ -186,17 +186,19 @@ def evidence_fit(
     several images and ``0.004 + 0.01 w`` for one. Three standard errors of the mean squared
     residual are added to the square of the limit. Images of one wall whose defoci differ by less
     than 0.1 waves count as one image. If the residual of several images exceeds the noise
-    significantly, further modes are fitted, up to radial order 5, then 7 and 8, as long as the free
-    energy falls.
+    significantly, further Zernike modes are fitted: up to radial order 5, then 7, then 8. They are
+    kept if the free energy falls by more than additional parameters alone would cause.
 
     **No blur.** One image must also exclude a wave without blur. Without ``start_error``, one of
-    two conditions must be met: ``margin`` is below -70, or ``sharp_margin`` is below -0.092 for
-    each pixel at 1 % noise (-0.146 at 0.3 %). The second is needed because a fit that starts
-    without blur may find the wall, too. With ``start_error``, either ``margin`` is below -50, or
-    three conditions hold. ``margin`` is below 100 at 1 % noise (20 at 5 %). The prior of the
-    coefficients, added to the free energy without blur, lifts it to more than 100 above that of the
-    result. The residual is at least 0.93 of the noise, since a smaller one shows that noise was
-    fitted.
+    two conditions must be met: ``margin`` is below -70, or ``sharp_margin`` divided by the number
+    of pixels is below -0.092 (-0.146 at 0.3 % noise). The second is needed because a fit that
+    starts without blur may find the wall, too. With ``start_error``, either ``margin`` is below
+    -50, or three conditions hold:
+
+    - ``margin`` is below 100 at 1 % noise, and below 20 at 5 %.
+    - With the prior of the coefficients, the free energy of the fit without blur is more than 100
+      above that of the result.
+    - The residual is at least 0.93 of the noise, since a smaller one shows that noise was fitted.
 
     The status is "trivial" if the result has almost no blur (less than 0.12 waves rms), or is the
     same as that of a fit that starts without blur.

@@ -121,10 +121,11 @@ def tv_deconvolve(
     -----
     The solver minimises ``sum_i (g A x + b - y)_i^2 / (2 sigma_i^2) + tv_weight TV(g x)/sigma``
     over non-negative objects x on the image's pixels and over the background b. Here y is the
-    image, A the image model, g the gain and sigma_i the noise of pixel i. 1/sigma^2 is the mean of
-    1/sigma_i^2, and TV is the isotropic total variation. The algorithm is the alternating direction
-    method of multipliers [1]_. If the PSF varies over the object, each of its steps takes a few
-    conjugate gradients. The automatic weight is adjusted in every step [2]_.
+    image, A the image model, g the gain and sigma_i the noise of pixel i. The number sigma is given
+    by 1/sigma^2, the mean of 1/sigma_i^2, and TV is the isotropic total variation. The algorithm is
+    the alternating direction method of multipliers [1]_. If the PSF varies over the object, each
+    step takes a few iterations of conjugate gradients. The automatic weight is adjusted in every
+    step [2]_.
 
     The automatic weight aims at a residual slightly below the noise, because a fit always follows
     some of the noise. For noise alone, the sum of ``(residual/sigma_i)^2`` is the number of pixels.

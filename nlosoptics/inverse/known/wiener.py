@@ -94,10 +94,10 @@ def wiener(
     -----
     The filter minimises ``|A x + b - y|^2/sigma^2 + x' S^-1 x`` over the object x and background b,
     for the image y, image model A and noise sigma. S is the expected power spectrum of the object.
-    It is proportional to 1/(f^2 + f_0^2) at spatial frequency f, with f_0 one cycle per image
-    width, as in natural scenes [1]_. S is scaled such that the predicted variance of the image
-    equals the measured variance minus that of the noise. If the image is uniform up to noise and no
-    background is fitted, the mean square of the image takes the place of its variance.
+    It is proportional to 1/(f^2 + f_0^2) at spatial frequency f, as in natural scenes [1]_, with
+    f_0 one cycle per longer side of the image. S is scaled such that the predicted variance of the
+    image equals the measured variance minus that of the noise. If the image is uniform up to noise
+    and no background is fitted, the mean square of the image takes the place of its variance.
 
     With the boundary "circular", a single PSF and uniform noise, this is the classical Wiener
     filter, which takes one step. Otherwise the equations are solved by conjugate gradients for

@@ -80,8 +80,9 @@ class FacetPSF(nn.Module):
     energy of a pixel is therefore a bilinear function of the displacement and has a gradient. With
     a wavelength lambda, the transfer function at the spatial frequency (f_x, f_y) is multiplied by
     that of a square aperture of side c (``angle_pitch``),
-    ``(1 - lambda d |f_x|/c)(1 - lambda d |f_y|/c)``, with d the image distance. Facets at the
-    pupil's edge are weighted by their area inside the pupil, but diffract like whole ones.
+    ``(1 - lambda d |f_x|/c)(1 - lambda d |f_y|/c)``, with d the image distance; a negative factor
+    is replaced by 0. Facets at the pupil's edge are weighted by their area inside the pupil, but
+    diffract like whole ones.
 
     Examples
     --------

@@ -42,7 +42,8 @@ class WallRoughness(Noun):
     Raises
     ------
     SceneError
-        If a part has the wrong type, the heights have a size, or the slope is out of range.
+        If a part has the wrong type, the heights have a size, or with the realisation "mean" the
+        rms slope exceeds 0.7 rad.
 
     See Also
     --------
