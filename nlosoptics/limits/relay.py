@@ -62,7 +62,7 @@ def lambert_relay_transfer(frequency: ArrayLike, distance: float) -> Array:
     See Also
     --------
     lambert_relay_limit : Highest frequency above the photon noise.
-    lobe_relay_transfer : Transfer of a mirror-like lobe.
+    lobe_relay_transfer : Transfer function of a glossy wall.
 
     Notes
     -----

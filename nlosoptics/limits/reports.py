@@ -262,7 +262,7 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     See Also
     --------
     lambert_relay_transfer : Transfer function of a diffuse wall.
-    lobe_relay_transfer : Transfer function of a mirror-like lobe.
+    lobe_relay_transfer : Transfer function of a glossy wall.
     nlosoptics.views.feasibility : Modulation and noise against frequency.
 
     Notes

@@ -164,7 +164,7 @@ def evidence_fit(
 
     See Also
     --------
-    pcin : Entry point of the blind solvers.
+    pcin : Reconstruction via an unknown wall.
     tv_deconvolve : Object via a known wall.
     PupilPSF : Differentiable PSF of a wave.
 

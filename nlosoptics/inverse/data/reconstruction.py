@@ -59,7 +59,7 @@ class Reconstruction(Noun, Shown):
     See Also
     --------
     tv_deconvolve : Non-negative deconvolution with total variation.
-    pcin : Entry point of the blind solvers.
+    pcin : Reconstruction via an unknown wall.
     registered_scores : Correlation, PSNR and SSIM with the truth.
     nlosoptics.views.reconstruction : Object next to the truth.
     """

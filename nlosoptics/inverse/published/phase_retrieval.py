@@ -124,7 +124,7 @@ def phase_retrieval(
     See Also
     --------
     object_from_autocorrelation : Object from a given autocorrelation.
-    pcin : Entry point of the blind solvers.
+    pcin : Reconstruction via an unknown wall.
 
     Notes
     -----

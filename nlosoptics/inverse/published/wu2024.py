@@ -144,8 +144,8 @@ def wu2024_fit(
 
     See Also
     --------
-    pcin : Entry point of the blind solvers.
-    evidence_fit : Blind fit of one or more images by their evidence.
+    pcin : Reconstruction via an unknown wall.
+    evidence_fit : Fit of object and unknown wall to one or more images.
     PupilPSF, FacetPSF : Differentiable PSF of a wave, and of independent facets.
 
     Notes

@@ -62,7 +62,7 @@ class PupilPSF(nn.Module):
     See Also
     --------
     SceneLeaves : Differentiable PSF of scene parameters.
-    pcin : Entry point of the blind solvers.
+    pcin : Reconstruction via an unknown wall.
     nlosoptics.psf.point_spread : PSF of a given wave.
     """
 
