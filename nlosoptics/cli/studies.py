@@ -180,9 +180,7 @@ def plot_command(
         results = _results(store)
         check_file(out)
         if results.study.dimensions[0].name == "trial":
-            raise typer.BadParameter(
-                f"{store} is an optimisation or search; use nlosoptics study optimum {store}"
-            )
+            raise typer.BadParameter(f"{store} is a search; use nlosoptics study optimum {store}")
         results.values(figure, incomplete=incomplete)  # refuses pending points
         chosen = _default_kind(results) if kind is Kind.AUTO else kind
         if contours is not None and chosen not in (Kind.MAP, Kind.PANELS):

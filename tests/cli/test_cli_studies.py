@@ -266,7 +266,7 @@ def test_search_is_stopped_resumed_and_drawn(search: Path, capsys) -> None:
         assert len(list(csv.DictReader(file))) == 12
     code, _, err = call(capsys, "study", "plot", "powers.zarr", "power")
     assert (code, err.count("\n")) == (shell.BAD_INPUT, 1)
-    assert "draw it with study optimum" in err
+    assert "use nlosoptics study optimum" in err
 
 
 def test_inverse_sensitivity_is_told(study: Path, capsys) -> None:
