@@ -231,7 +231,7 @@ def tolerances(found: Sequence[Row]) -> str:
 def coverage(found: Sequence[Row]) -> str:
     """Return one row for each scene: how often the intervals of its flux hold."""
     head = ["scene", "standard error of the flux", "within 1 standard error", "within 2"]
-    head += ["called uncertain", "worst number of reflections", "its share within 2"]
+    head += ["called uncertain", "least reliable reflection", "within 2 for this one"]
     return table(
         head,
         (
@@ -831,10 +831,10 @@ SECTIONS = (
     Section(
         "psf_peers.json",
         "Point spreads compared with other programs",
-        "Time that each program takes to compute one point spread of 256 x 256 samples with the "
-        "error in the first column, on one thread. Each program has its fastest setting that "
-        "reaches this error; its set-up is not timed. The error is the largest difference of any "
-        "sample from an accurate reference, relative to the peak. It is in parentheses.",
+        "Run time of each program for one point spread of 256 x 256 samples, on one thread. Each "
+        "program has its fastest setting that keeps the error below the value in the first "
+        "column; its set-up is not timed. The error that it reaches is in parentheses: the "
+        "largest difference of any sample from an accurate reference, relative to the peak.",
         f"{RUN}/psf_peers.py --json benchmarks/results/psf_peers.json",
         psf_peers,
         draw_psf_peers,
@@ -868,12 +868,13 @@ SECTIONS = (
     Section(
         "trace_coverage.jsonl",
         "Intervals of traced light",
-        "Are the standard errors of traced light right? Each scene was traced 300 times with 1,024 "
-        "rays. The table states how often the true flux lies within one and two standard errors, "
-        "which should be 68 % and 95 % of the traces; the true flux is that of a trace with "
-        "262,144 rays. It also states how often a trace calls its error uncertain, and, in the "
-        "last two columns, the number of reflections for which the interval is right least often. "
-        "A share of 95 % is itself known to 1.3 %.",
+        "Are the standard errors of traced light right? Each scene was traced 300 times with "
+        "1,024 rays. The table states how often the true flux lies within one and two standard "
+        "errors, which should be 68 % and 95 % of the traces; the true flux is that of a trace "
+        "with 262,144 rays. It also states how often a trace calls its own error uncertain. The "
+        "last two columns name the number of reflections whose light has the least reliable "
+        "error, and how often this light lies within two standard errors. A share of 95 % is "
+        "itself known to 1.3 %.",
         f"{RUN}/trace_coverage.py --json benchmarks/results/trace_coverage.jsonl",
         coverage,
     ),
@@ -970,11 +971,14 @@ SECTIONS = (
         "mismatches.jsonl",
         "Status, point spread known",
         "Does the status of a reconstruction show that the model is wrong? In each row, the "
-        "image differs from the model of `tv_deconvolve` in another way (mismatch). The three "
-        "columns on the right sort the results by their correlation with the true object, and "
-        'state how many of them have the status "converged": few should on the left, most on '
-        "the right. Images have 64 x 64 pixels and 0.5 to 10 % noise. None of them was used to "
-        "set the limits of the tests. Some show nothing of the scene.",
+        "image differs from the model of `tv_deconvolve` in another way (mismatch): the optics "
+        "have another aberration or size of blur, the camera is not linear or saturates, there "
+        "is stray light, or the noise is not that of independent pixels. Some images show "
+        "nothing of the scene, but noise, speckle or another object. "
+        "`benchmarks/inverse/mismatches.py` describes each row. The three columns on the right "
+        "sort the results by their correlation with the true object, and state how many of them "
+        'have the status "converged": few should on the left, most on the right. Images have 64 '
+        "x 64 pixels and 0.5 to 10 % noise. None of them was used to set the limits of the tests.",
         f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 500000 "
         f"--cases 220; {RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl "
         "--first 600000 --cases 200 --kinds white_noise exponential_noise photon_noise "
@@ -1138,11 +1142,11 @@ SECTIONS = (
     Section(
         "studies.json",
         "Design studies on up to 1,000 workers",
-        "How many processes can compute a study at the same time? One client process sends blocks "
-        "of points to the workers and writes their results to the store. The first row is measured "
-        "with a real worker. In the others the workers only wait as long as a block would take; "
-        "client, messages and store are real. The share is the throughput divided by that of "
-        "workers that never wait for the client.",
+        "How many processes can compute a study at the same time? One client process sends "
+        "blocks of points to the workers and writes their results to the store. The first row is "
+        "measured with a real worker. In the others the workers only wait as long as a block "
+        "would take; client, messages and store are real. The share is the throughput divided by "
+        "that of workers that never wait for the client.",
         f"{RUN}/studies.py --memory /dev/shm --json benchmarks/results/studies.json",
         studies,
     ),
