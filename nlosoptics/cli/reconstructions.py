@@ -129,8 +129,8 @@ def reconstruct_command(
 ) -> None:
     """Reconstruct the hidden object from camera images.
 
-    Several images are averaged, or fitted together by methods evidence and wu2024. Ctrl-C ends the
-    fit, writes the best object so far and exits with code 1; --resume continues.
+    Several images are averaged, or fitted together by method evidence. Ctrl-C ends the fit, writes
+    the best object so far and exits with code 1; --resume continues.
     """
     with errors_told(debug):
         if method != "tv":

@@ -47,8 +47,8 @@ class _RunByDefault(TyperGroup):
 
 studies = typer.Typer(
     cls=_RunByDefault,
-    help="Design studies: compute many variants of a scene (sweeps, tolerances, yield, best "
-    "design). `nlosoptics study FILE` runs or resumes the study of a file.",
+    help="Compute many variants of a scene: design studies. They are sweeps, tolerances, yields "
+    "and searches for the best design. `nlosoptics study FILE` runs or resumes the study of a file.",
     no_args_is_help=True,
 )
 app.add_typer(studies, name="study")
@@ -135,7 +135,7 @@ def run_command(
             raise typer.Exit(FAILED)
 
 
-@studies.command("status")
+@studies.command("status", short_help="Show the state and the results of a study.")
 def status_command(store: StoreFolder, debug: Debug = False) -> None:
     """Show the state of a study: finished points, range of each figure of merit, and failures.
 
@@ -251,7 +251,7 @@ def optimum_command(
         typer.echo(f"{found}\n{out}: {len(found.feasible)} trials of {store}")
 
 
-@studies.command("export")
+@studies.command("export", short_help="Write all points of a study to a CSV table.")
 def export_command(
     store: StoreFolder,
     out: Annotated[Path, typer.Argument(metavar="CSV", help="Table to write (.csv).")],

@@ -11,9 +11,7 @@ import typer
 from .shell import Debug, app, errors_told, load, progress_bar
 
 
-@app.command(
-    "warmup", short_help="Compile in advance, so that the first run is as fast as later ones."
-)
+@app.command("warmup", short_help="Compile in advance, for a fast first run.")
 def warmup_command(
     scene_files: Annotated[
         list[Path] | None,
