@@ -48,7 +48,7 @@ class _RunByDefault(TyperGroup):
 studies = typer.Typer(
     cls=_RunByDefault,
     help="Compute many variants of a scene: design studies. They are sweeps, tolerances, yields "
-    "and searches for the best design. `nlosoptics study FILE` runs or resumes the study of a file.",
+    "and searches for the best design. `nlosoptics study FILE` runs or resumes a study.",
     no_args_is_help=True,
 )
 app.add_typer(studies, name="study")
