@@ -18,9 +18,9 @@ plt.style.use("nlosoptics.views.palette")
 # %%
 # Two images
 # ----------
-# The wall adds a random aberration of 0.4 waves rms in twelve Zernike modes. The images have 1 %
-# noise, and the second one is defocused by half a wave rms. They are simulated on a grid twice as
-# large as that of the fit, so that simulation and fit use different models.
+# The wall adds a random aberration of 0.4 wavelengths (waves) rms in twelve Zernike modes. The
+# images have 1 % noise, and the second one is defocused by half a wave rms. They are simulated on a
+# grid twice as large as that of the fit, so that simulation and fit use different models.
 
 wavelength = 632.8e-9
 modes = tuple(range(4, 16))
@@ -49,9 +49,9 @@ pictures = seen + noise * random.normal(size=seen.shape)
 # %%
 # The fit
 # -------
-# `inverse.evidence_fit` starts from random walls and compares them by their Bayesian evidence, with
-# the object integrated out. It knows the set of modes, the optical system and the defocus, but
-# neither the wall nor the letter.
+# `inverse.evidence_fit` starts from random walls and compares them by their Bayesian evidence: the
+# probability of the images for this wall, summed over all objects. It knows the set of modes, the
+# optical system and the defocus, but neither the wall nor the letter.
 
 pupil = inverse.PupilPSF.from_zernike(modes, shape=size, **optics)
 found = inverse.evidence_fit(

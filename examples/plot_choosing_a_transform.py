@@ -2,9 +2,9 @@
 Choosing a transform
 ====================
 
-The diffraction integral from the wavefront to the point spread function can be computed in several
-ways. Each method is the fastest for some wavefronts and inaccurate for others. `psf.compare` runs
-all of them. `psf.point_spread` selects one without running the others.
+The diffraction integral from the wavefront to the point spread function can be computed by several
+methods, called transforms. Each is the fastest for some wavefronts and inaccurate for others.
+`psf.compare` runs all of them. `psf.point_spread` selects one without running the others.
 """
 
 import matplotlib.pyplot as plt
@@ -16,8 +16,8 @@ plt.style.use("nlosoptics.views.palette")
 # %%
 # Three wavefronts
 # ----------------
-# Zernike coefficients in metres rms, by Noll index: no aberration, a quarter of a wave, and two
-# waves of defocus with some coma.
+# Zernike coefficients in metres rms, by Noll index: no aberration, a quarter of a wavelength, and
+# two wavelengths of defocus with some coma.
 
 wavelength = 632.8e-9
 coefficients = {
@@ -36,8 +36,8 @@ waves = {
 # All transforms
 # --------------
 # The image has 128 x 128 pixels of about one wavelength times the F-number. Filled markers show the
-# error that each transform estimates. Hollow markers show its difference from the best one.
-# Transforms that are not valid for a wavefront, or that would take too long, are listed below.
+# error that each transform estimates. Hollow markers show its difference from the most accurate
+# one. Transforms that are not valid for a wavefront, or that would take too long, are listed below.
 
 window = {"pitch": 8e-6, "shape": 128, "pixel_integrated": True}
 tables = {name: psf.compare(wave, repeats=2, longest=1.0, **window) for name, wave in waves.items()}

@@ -41,8 +41,8 @@ model = imaging.ForwardModel(spread, shape=scene.camera.shape)
 # Images and reconstructions
 # --------------------------
 # The upper row shows the camera images. The lower row shows their reconstructions by deconvolution
-# with total-variation regularisation and the known point spread function. The score is the
-# correlation with the ground truth, which is known here.
+# with total-variation regularisation and the known point spread function. The number above each is
+# its correlation with the true object, which is known here.
 
 exposures = [10e-3, 20e-3, 30e-3, 40e-3]
 scale = limits.object_scale(scene)

@@ -3,8 +3,9 @@ Field-dependent point spread function
 =====================================
 
 Light from different object points is reflected by different parts of the relay wall. A curved wall
-therefore gives every object point another point spread function. A few modes with smoothly varying
-weights represent all of them, and an image needs one convolution per mode.
+therefore gives every object point another point spread function. All of them can be written as
+weighted sums of a few functions, the modes. The weights vary smoothly over the object, and an image
+needs one convolution per mode.
 """
 
 from dataclasses import replace
@@ -24,9 +25,9 @@ plt.style.use("nlosoptics.views.palette")
 # A field of point spread functions
 # ---------------------------------
 # The wall is part of a sphere of 2.5 m radius, and the stop has a diameter of 8 mm.
-# `psf.point_spread_field` computes point spread functions at nodes over the object. It keeps the
-# smallest number of modes that represent them within ``tol``, and checks the result at points
-# between the nodes.
+# `psf.point_spread_field` computes point spread functions at a grid of object points (nodes). It
+# keeps the smallest number of modes that represent them within ``tol``, and checks the result at
+# points between the nodes.
 
 scenes = Path(__file__).parent / "scenes"
 scene = nlos.Scene.load(scenes / "letter_flat.toml")

@@ -33,10 +33,10 @@ concave = replace(flat, wall=ConcaveWall(6.0, size=flat.wall.size))
 # %%
 # Wavefront and point spread function
 # -----------------------------------
-# `psf.wavefront` traces a ray from the object point via the wall to every node of the pupil and
-# computes its optical path. Piston has no effect on the image, and tilt only shifts it; both are
-# removed. `psf.point_spread` selects the transform that reaches the requested error in the least
-# time, and states the reason.
+# `psf.wavefront` traces a ray from the object point via the wall to every sample point of the pupil
+# and computes its optical path. The constant part (piston) has no effect on the image, and the
+# linear part (tilt) only shifts it; both are removed. `psf.point_spread` selects the transform that
+# reaches the requested error in the least time, and states the reason.
 
 wave = psf.wavefront(concave)
 spread = psf.point_spread(wave, tol=1e-3, pitch=1e-6, shape=201)
@@ -50,7 +50,7 @@ print(f"error of the scalar model: {spread.model_error:.1g} of the peak")
 # -------
 # The wavefront shows defocus and astigmatism. The astigmatism is due to the oblique incidence on
 # the wall, which focuses more strongly along one axis. The last panel is a cut through the
-# reference point.
+# reference point, where a wave without aberration would have its peak.
 
 figure, axes = plt.subplots(1, 3, figsize=(13.5, 4), layout="constrained")
 views.wavefront(wave, axes=axes[0])

@@ -2,8 +2,9 @@
 Fast beams and polarised light
 ==============================
 
-At a large aperture the field at the focus is a vector. `psf.point_spread` bounds the error of the
-scalar model, and replaces it by vector diffraction where the tolerance needs it.
+A lens with a large aperture brings rays together at large angles, so that the directions of their
+electric fields matter. `psf.point_spread` bounds the error of the scalar model, which neglects
+this, and uses vector diffraction if the tolerance requires it.
 """
 
 import matplotlib.pyplot as plt
@@ -45,8 +46,8 @@ plt.show()
 # %%
 # The error of the scalar model
 # -----------------------------
-# Every scalar point spread states a bound of its model's error. The bound is larger for values that
-# add up to 1 over the image plane than for values relative to the ideal peak.
+# Every scalar point spread states a bound of the error of the scalar model. The bound is larger for
+# values that add up to 1 over the image plane than for values relative to the ideal peak.
 
 f_numbers = np.geomspace(0.55, 16, 16)
 figure, axis = plt.subplots(figsize=(5.1, 3.9), layout="constrained")

@@ -22,8 +22,8 @@ plt.style.use("nlosoptics.views.palette")
 # %%
 # One wall, three parts
 # ---------------------
-# The wall has a diffuse lobe and a specular lobe of 5 % reflectance, whose surface heights have an
-# rms of 60 nm. Most of the diffuse part lies outside this window, in which it is even.
+# The wall reflects diffusely and, with a reflectance of 5 %, like a mirror whose surface heights
+# have an rms of 60 nm. Most of the diffuse part is outside the window shown; inside, it is uniform.
 
 scenes = Path(__file__).parent / "scenes"
 scene = nlos.Scene.load(scenes / "letter_speckle.toml")

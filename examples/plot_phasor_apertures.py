@@ -2,7 +2,8 @@
 Aperture of a virtual camera
 ============================
 
-Phasor-field imaging turns the relay wall into the lens of a virtual camera. As with any lens, the
+Phasor-field imaging treats time-resolved light on the relay wall as a wave with a virtual
+wavelength of centimetres, and the wall as the lens of a virtual camera. As with any lens, the
 resolution is proportional to wavelength times distance over aperture: a larger scan of the wall
 resolves finer detail.
 """
@@ -41,8 +42,8 @@ capture = transient.render(
 # Four apertures
 # --------------
 # One capture is used throughout; ``aperture`` crops the scan to a square. Each point of the scan
-# stands for a cell of 4 cm, and the apertures hold whole cells. The virtual wavelength is 16 cm,
-# four times the pitch of the scan, which avoids aliased copies of the target.
+# represents a square of 4 cm, and the apertures contain whole squares. The virtual wavelength is 16
+# cm, four times the pitch of the scan, which avoids aliased copies of the target.
 
 wl_mean = 0.16
 axis = np.linspace(-0.2, 0.2, 81)

@@ -2,8 +2,9 @@
 Propagating a field
 ===================
 
-`psf.propagate` takes a sampled complex field from one plane to another. It selects the method, and
-states a bound of the numerical error and that of the Fresnel approximation.
+`psf.propagate` computes the light field on a plane from its samples on a parallel plane. It selects
+the method, and states bounds of two errors: of the numerical error and of the Fresnel
+approximation.
 """
 
 import matplotlib.pyplot as plt
@@ -51,8 +52,8 @@ for plane in found:
 # %%
 # Through the focus of a lens
 # ---------------------------
-# The output may have any pitch. Here the phase of a lens of f = 200 mm is applied to a beam that is
-# clipped softly, and rows through the focus are 1 um apart.
+# The output may have any pitch. Here a beam passes a soft aperture and a lens with a focal length
+# of 200 mm. The output samples near the focus are 1 um apart.
 
 focal_length = 0.2
 lens = psf.ScalarField.from_function(
@@ -79,9 +80,9 @@ each.set(xlabel="z, distance from the lens (mm)", ylabel="x (µm)", title="focus
 # %%
 # A grating repeats itself
 # ------------------------
-# One period of a field defines all of it with ``periodic=True``, and sums over its frequencies are
-# exact. The image of the grating returns at the Talbot distance, 2 period² / wavelength. Between
-# the Talbot images lie others of finer periods.
+# With ``periodic=True`` the samples are one period of an infinite field, and the sums over its
+# frequencies are exact. The grating appears again at the Talbot distance, 2 period² / wavelength.
+# Between these Talbot images there are others with finer periods.
 
 period = 80e-6
 grating = psf.ScalarField.from_function(
@@ -103,8 +104,9 @@ plt.show()
 # %%
 # Result
 # ------
-# The bright spot is there at every distance and widens with it. The focus is drawn by
-# 61 planes of one row each. At half the Talbot distance the grating is shifted by half a period.
+# The bright spot exists at every distance and becomes wider with it. The picture of the focus
+# consists of 61 planes, of which one row each was computed. At half the Talbot distance the grating
+# is shifted by half a period.
 
 half = psf.propagate(grating, talbot / 2, method="fresnel_transfer")
 shifted = np.roll(grating.intensity, 80, axis=1)

@@ -42,8 +42,8 @@ plotter.show()
 # %%
 # Power budget
 # ------------
-# The fractions of the laser power by fate, on a logarithmic scale. "still
-# travelling" is the power after the third reflection, "escaped" that which misses every surface.
+# The bars show where the laser power ends, as fractions on a logarithmic scale. "still travelling"
+# is the power after the third reflection; "escaped" is light that leaves the scene.
 
 shares = {fate: power / scene.laser.power for fate, power in paths.ledger.items() if power > 0}
 figure, axis = plt.subplots(figsize=(5.1, 3.4), layout="constrained")

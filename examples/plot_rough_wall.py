@@ -35,8 +35,9 @@ plt.colorbar(drawn, label="height (nm)")
 # %%
 # Gentle slopes: a wave aberration
 # --------------------------------
-# If the relief bends rays so little that diffraction between wall and pupil does not matter, rays
-# give the wave aberration W, and the pupil function is ``A exp(ikW)``.
+# If the relief deflects rays so little that diffraction between wall and pupil does not matter,
+# rays give the amplitude A and the wave aberration W. The pupil function is then ``A exp(ikW)``,
+# with the wavenumber k.
 
 
 def seen(heights, realisation="pattern", parts=16, shape=81):
@@ -66,8 +67,8 @@ views.point_spread(facets.point_spread, scale="linear", axes=right)
 # %%
 # The mean over walls
 # -------------------
-# The mean over all walls of this roughness needs no random wall. The average of some PSFs
-# approaches it, that of eight within about a third.
+# The mean over all walls of this roughness is computed without random walls. The average over
+# random walls approaches it; with eight walls the difference is about a third.
 mean = seen(wall, "mean")
 some = np.mean([seen(replace(wall, seed=n)).point_spread.intensity for n in range(8)], axis=0)
 _, axes = plt.subplots(figsize=(5.1, 3.9), layout="constrained")

@@ -2,9 +2,9 @@
 An image by rays and by waves
 =============================
 
-Two independent calculations of one camera image: by point spread functions, and by tracing the
-laser's light to the pixels. Within the standard errors they agree in every pixel. The same rays
-also give the lengths of the light's paths.
+The same camera image is computed by two independent methods: with point spread functions, and by
+tracing rays from the laser to the pixels. Within the standard errors they agree in every pixel. The
+same rays also give the lengths of the light's paths.
 """
 
 from dataclasses import replace
@@ -24,8 +24,8 @@ plt.style.use("nlosoptics.views.palette")
 # `imaging.form_image` multiplies the radiance of the letter, as each pixel sees it by way of the
 # wall, with the reflectance of the wall's mirror-like lobe, and convolves it with the point spread
 # function. The diffuse light of the wall is added. The camera reads out the middle of its sensor.
-# Since the blur is computed from pixel to pixel, pixels of a quarter of the side are used and
-# summed.
+# The image is computed with pixels of a quarter of the side, which are then summed, because the
+# convolution treats the light of a pixel as if it came from the pixel's centre.
 
 room = nlos.Scene.load(Path(__file__).parent / "scenes" / "letter_wavy.toml")
 room = replace(room, camera=replace(room.camera, pixels=(1536, 1536), binning=48))
@@ -47,8 +47,8 @@ rays = raytrace.trace_image(room, n_rays=1 << 20, max_bounces=3, seed=0, **bins)
 # Comparison
 # ----------
 # The third map shows the differences in standard errors, in colours that end at four of them. They
-# look like noise of unit variance. A few pixels differ by more, most of all where the edge of the
-# letter barely touches a pixel, so that few rays find its light.
+# look like noise of unit variance. A few pixels differ by more, mostly where the edge of the letter
+# barely touches a pixel, so that few rays contribute to it.
 
 off = (rays.expected - waves) / rays.expected_error
 figure, axes = plt.subplots(1, 3, figsize=(14, 3.9), layout="constrained")

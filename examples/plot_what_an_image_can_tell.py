@@ -21,7 +21,8 @@ plt.style.use("nlosoptics.views.palette")
 # %%
 # A wall of increasing roughness
 # ------------------------------
-# The wall has a diffuse lobe and a specular lobe of 5 %, whose rms slope is 0 to 0.08 rad.
+# The wall reflects most light diffusely and 5 % like a mirror (specular lobe). The slopes of the
+# mirror-like surface have an rms of 0 to 0.08 rad.
 
 scenes = Path(__file__).parent / "scenes"
 scene = nlos.Scene.load(scenes / "letter_flat.toml").resized(64)

@@ -24,16 +24,17 @@ class Section:
     Parameters
     ----------
     file : str
-        In ``benchmarks/results``.
+        Name in ``benchmarks/results``.
     title, text : str
+        Heading, and the paragraph below it.
     command : str
-        That wrote the file.
+        Command that wrote the file.
     body : callable
-        Takes what the file holds, returns Markdown.
+        Function of the content of the file that returns Markdown.
     draw : callable, optional
-        Takes the same, returns a figure.
+        Function of the content of the file that returns a figure.
     alternative : str
-        What the figure shows, for who cannot see it.
+        Description of the figure for readers who cannot see it.
     """
 
     file: str
@@ -126,7 +127,7 @@ def psf_peers(found: Sequence[Row]) -> str:
                 for name in PROGRAMS
             ]
             body.append([f"{case}, to {most:g}", *cells])
-    return table(["seconds (error)", *PROGRAMS], body)
+    return table(["run time (error)", *PROGRAMS], body)
 
 
 def draw_psf_peers(found: Sequence[Row]) -> Any:
@@ -164,17 +165,23 @@ def psf_study(found: Row) -> str:
     body = [
         ["random waves", found["cases"]],
         ["compared with a reference", found["compared"]],
-        ["of these: error within tol", f"{found['within_tol']:.1%}"],
-        ["estimate bounds the error", f"{found['bounded']:.1%}"],
-        ["estimate over error, median", number(found["median_overstatement"])],
+        ["of these: error within `tol`", f"{found['within_tol']:.1%}"],
+        ["error below the error estimate", f"{found['bounded']:.1%}"],
+        ["error estimate divided by error, median", number(found["median_overstatement"])],
         ["refused", f"{found['refused']:.1%}"],
-        ["refused without a remedy", found["refusals_without_remedy"]],
-        ["remedies tried, failed", f"{found['remedies_tried']}, {found['remedies_failed']}"],
-        ["seconds over predicted, median", number(found["median_seconds_over_predicted"])],
-        ["predicted within a factor of three", f"{found['seconds_within_three']:.1%}"],
-        ["longest", f"{found['longest_seconds']:g} s"],
+        ["refusals that name no remedy", found["refusals_without_remedy"]],
+        [
+            "remedies tried, and of these failed",
+            f"{found['remedies_tried']}, {found['remedies_failed']}",
+        ],
+        [
+            "run time divided by the predicted one, median",
+            number(found["median_seconds_over_predicted"]),
+        ],
+        ["run time predicted within a factor of three", f"{found['seconds_within_three']:.1%}"],
+        ["longest run time", f"{found['longest_seconds']:g} s"],
     ]
-    return table(["figure", "found"], body)
+    return table(["quantity", "value"], body)
 
 
 def draw_psf_study(found: Row) -> Any:
@@ -204,7 +211,7 @@ def draw_psf_study(found: Row) -> Any:
 
 def tolerances(found: Sequence[Row]) -> str:
     """Return one row a stage and tolerance."""
-    head = ["stage", "tol", "seconds", "estimate", "error", "work"]
+    head = ["stage", "tol", "run time", "error estimate", "error", "work"]
     return table(
         head,
         (
@@ -223,7 +230,8 @@ def tolerances(found: Sequence[Row]) -> str:
 
 def coverage(found: Sequence[Row]) -> str:
     """Return one row for each scene: how often the intervals of its flux hold."""
-    head = ["scene", "error", "68 % holds", "95 % holds", "uncertain", "worst bounce", "95 % holds"]
+    head = ["scene", "standard error of the flux", "within 1 standard error", "within 2"]
+    head += ["called uncertain", "least reliable reflection", "within 2 for this one"]
     return table(
         head,
         (
@@ -248,7 +256,8 @@ def _percent(share: float) -> str:
 def fast_tier(found: Sequence[Row]) -> str:
     """Return yields in full, fast and corrected, and what they cost."""
     (cost,) = (row for row in found if row["kind"] == "cost")
-    head = ["figure", "limit", "in full", "fast", "draws that differ", "corrected", "interval"]
+    head = ["figure of merit", "limit", "in full", "fast", "draws that differ"]
+    head += ["corrected yield", "95 % interval"]
     body = table(
         head,
         (
@@ -276,10 +285,10 @@ def studies(found: Sequence[Row]) -> str:
     head = [
         "kind",
         "workers",
-        "a block",
-        "client's CPU, a point",
-        "client's cores",
-        "blocks a second",
+        "time for one block",
+        "client's CPU time for one point",
+        "cores used by the client",
+        "blocks per second",
         "share",
     ]
     body = table(
@@ -329,7 +338,7 @@ def whole_runs(found: Sequence[Row]) -> str:
 def psf_batches(found: Sequence[Row]) -> str:
     """Return one row for each batch: milliseconds per wave, and errors."""
     head = [
-        "rms, waves",
+        "rms aberration, waves",
         "tol",
         "threads",
         "waves",
@@ -358,7 +367,7 @@ def psf_batches(found: Sequence[Row]) -> str:
 
 def growth(found: Sequence[Row]) -> str:
     """Return one row for each stage: its range, its times and memory, and their exponents."""
-    head = ["stage", "number n", "seconds", "grow as", "memory", "grows as"]
+    head = ["stage", "number n", "processor time", "grows as", "memory", "grows as"]
     return table(
         head,
         (
@@ -377,7 +386,8 @@ def growth(found: Sequence[Row]) -> str:
 
 def rough_walls(found: Row) -> str:
     """Return the closed-form mean against drawn walls."""
-    head = ["angle, phase rms", "mean", "one wall", "differ", "by chance", "falls with walls as"]
+    head = ["angle of incidence, phase rms", "time of the mean", "time of one wall"]
+    head += ["largest difference", "by chance", "falls with walls as"]
     return table(
         head,
         (
@@ -396,7 +406,8 @@ def rough_walls(found: Row) -> str:
 
 def rough_facets(found: Sequence[Row]) -> str:
     """Return the closed-form mean of facet walls against drawn walls."""
-    head = ["angle, phase rms", "mean", "one wall", "standard error", "largest deviation"]
+    head = ["angle of incidence, phase rms", "CPU time of the mean", "CPU time of one wall"]
+    head += ["standard error", "largest deviation"]
     return table(
         head,
         (
@@ -432,7 +443,7 @@ def known_psf(found: Sequence[Row]) -> str:
                     seconds(median(times)),
                 ]
             )
-    return table(["method, noise", "median correlation", "least", "median seconds"], body)
+    return table(["method, noise", "median correlation", "lowest", "median run time"], body)
 
 
 def fits(found: Sequence[Row], *keys: str) -> list[list[object]]:
@@ -468,12 +479,12 @@ def mismatches(found: Sequence[Row]) -> str:
     return table(head, body)
 
 
-FITS = ["cases", "above 0.9", "converged, not above 0.9", "median correlation", "median seconds"]
+FITS = ["fits", "above 0.9", "converged, not above 0.9", "median correlation", "median run time"]
 
 
 def evidence(found: Sequence[Row]) -> str:
     """Return success by the wall's strength."""
-    return table(["wall, waves rms", *FITS], sorted(fits(found, "rms")))
+    return table(["rms aberration, waves", *FITS], sorted(fits(found, "rms")))
 
 
 def pictures(found: Row) -> str:
@@ -518,13 +529,13 @@ def diffusers(found: Sequence[Row]) -> str:
                 seconds(median(row["seconds"] for row in own)),
             ]
         )
-    head = ["method", "cases", "median correlation", "least", "halves agree", "median seconds"]
+    head = ["method", "fits", "median correlation", "lowest", "halves agree", "median run time"]
     return table(head, body)
 
 
 def real_speckle(found: Row) -> str:
     """Return whether two halves of the restarts find the same picture."""
-    head = ["measured data, method", "halves agree", "status", "seconds"]
+    head = ["measured data, method", "halves agree", "status", "run time"]
     return table(
         head,
         (
@@ -554,7 +565,8 @@ def feasibility(found: Sequence[Row]) -> str:
                 seconds(median(row["seconds"] for row in part)),
             ]
         )
-    head = ["predicted", "fit above 0.9", "fit below", "seconds of the verdict", "of the fit"]
+    head = ["predicted", "correlation of the fit above 0.9", "below 0.9"]
+    head += ["median time of the verdict", "of the fit"]
     return table(head, body) + "\n" + forecast(found)
 
 
@@ -587,7 +599,7 @@ def forecast(found: Sequence[Row]) -> str:
         "predicted spread",
         "fits",
         "median difference",
-        "within 0.05, fits of 0.3 to 0.95",
+        "within 0.05, of fits with correlations of 0.3 to 0.95",
         "within the spread",
     ]
     return table(head, body)
@@ -609,7 +621,7 @@ def relay_modes(found: Sequence[Row]) -> str:
                 seconds(median(row["brute_force_cpu_seconds"] for row in part)),
             ]
         )
-    head = ["occluder", "scenes", "modes", "largest difference", "CPU s", "of brute force"]
+    head = ["occluder", "scenes", "modes", "largest difference", "CPU time", "of brute force"]
     return table(head, body)
 
 
@@ -628,19 +640,20 @@ def image_prior(found: Sequence[Row]) -> str:
                 seconds(median(row["seconds"] for row in part)),
             ]
         )
-    head = ["wall, noise", "fits", "median correlation", "least", "least, guide", "median seconds"]
+    head = ["wall, noise", "fits", "median correlation", "lowest", "lowest of the guide"]
+    head += ["median run time"]
     return table(head, body)
 
 
 def peer_prior(found: Sequence[Row]) -> str:
     """Return one row a run."""
     body = ([r["method"], number(r["correlation"], 4), seconds(r["seconds"])] for r in found)
-    return table(["method", "correlation", "seconds"], body)
+    return table(["method", "correlation", "run time"], body)
 
 
 def wu2024(found: Sequence[Row]) -> str:
     """Return one row a run."""
-    head = ["case", "correlation", "of the image itself", "status", "iterations", "seconds"]
+    head = ["case", "correlation", "of the image itself", "status", "iterations", "run time"]
     return table(
         head,
         (
@@ -660,7 +673,7 @@ def wu2024(found: Sequence[Row]) -> str:
 def wu2024_facets(found: Sequence[Row]) -> str:
     """Return one row a run."""
     head = ["case", "correlation", "with the true wall", "of the image itself", "status"]
-    head += ["iterations", "seconds"]
+    head += ["iterations", "run time"]
     body = (
         [
             f"{row['scene']}, {row['size']} x {row['size']}, blur of {row['blur']:.1f} pixels rms",
@@ -686,7 +699,7 @@ def dense_meshes(found: Sequence[Row]) -> str:
         ]
         for row in found
     )
-    return table(["pairs, mesh", "one pair of points", "relative L1 error, mean"], body)
+    return table(["pairing of points, mesh", "time for one pair", "mean relative error"], body)
 
 
 def phasor(found: Sequence[Row]) -> str:
@@ -695,12 +708,13 @@ def phasor(found: Sequence[Row]) -> str:
         [f"{r['wall']} x {r['wall']}, {r['method']}", number(r["iou"]), seconds(r["seconds"])]
         for r in found
     )
-    return table(["sensors, method", "overlap with the letter", "seconds"], body)
+    return table(["sensor points, method", "overlap with the letter", "run time"], body)
 
 
 def measured_charts(found: Sequence[Row]) -> str:
     """Return error of depth and seconds, by chart and method."""
-    head = ["chart, method", "mean error of depth", "over", "seconds", "seconds, whole volume"]
+    head = ["chart, method", "mean error of depth", "columns found"]
+    head += ["run time", "run time, whole volume"]
     return table(
         head,
         (
@@ -718,7 +732,8 @@ def measured_charts(found: Sequence[Row]) -> str:
 
 def bounces(found: Sequence[Row]) -> str:
     """Return seconds and error, and the seconds to 1 % that they make."""
-    head = ["program, bounces, samples", "seconds", "error, median", "at worst", "to 1 %, median"]
+    head = ["program, reflections, samples", "run time", "median error", "largest error"]
+    head += ["median time to 1 %"]
     return table(
         head,
         (
@@ -745,7 +760,7 @@ def draw_series(series: dict[str, list[tuple[float, float]]], label: str) -> Any
 
 def traces(found: Sequence[Row]) -> str:
     """Return what each program and setting takes to two errors."""
-    head = ["seconds", *(f"to {100 * goal:g} %" for goal in TRACE_GOALS)]
+    head = ["program", *(f"time to {100 * goal:g} %" for goal in TRACE_GOALS)]
     body = []
     three = [row for row in found if row.get("reflections", 3) == 3]
     for (name,), part in grouped(three, "name").items():
@@ -815,9 +830,11 @@ RUN = "python benchmarks"
 SECTIONS = (
     Section(
         "psf_peers.json",
-        "Point spreads beside their peers",
-        "Each program with its fastest setting that reaches the error in the first column. Its "
-        "set-up is not timed; 256 x 256 image samples, error as max |dI|/max I, one thread.",
+        "Point spreads compared with other programs",
+        "Run time of each program for one point spread of 256 x 256 samples, on one thread. Each "
+        "program has its fastest setting that keeps the error below the value in the first "
+        "column; its set-up is not timed. The error that it reaches is in parentheses: the "
+        "largest difference of any sample from an accurate reference, relative to the peak.",
         f"{RUN}/psf_peers.py --json benchmarks/results/psf_peers.json",
         psf_peers,
         draw_psf_peers,
@@ -826,9 +843,10 @@ SECTIONS = (
     Section(
         "psf_pupils.json",
         "Point spreads of vaned and segmented pupils",
-        "Each program with its fastest setting that reaches an error, for one wave of aberration "
-        "on a ring with four vanes and on 19 hexagons. The other programs store the pupil as the "
-        "fraction of each sample inside it. Optiland is not compared.",
+        "As in the previous table, for one wave of aberration on two other pupils: a ring with "
+        "four vanes (spider), as of a reflecting telescope, and a mirror of 19 hexagonal segments. "
+        "The other programs store a pupil as the fraction of each sample that is inside. Optiland "
+        "is not compared.",
         f"{RUN}/psf_peers.py --case spider --case '19 hexagons' --samples 1024 "
         "--json benchmarks/results/psf_pupils.json",
         psf_peers,
@@ -838,8 +856,10 @@ SECTIONS = (
     Section(
         "psf_study.json",
         "Choice and error estimate of `point_spread`",
-        "Random waves, apertures, nodes and tolerances, each judged against a reference that "
-        "shares no code with the transforms.",
+        'How often does `method="auto"` keep the requested error `tol`, and how good are its '
+        "error estimate and its predicted run time? Random waves, pupils, samplings and tolerances "
+        "were compared with a reference that shares no code with the transforms. A refusal is an "
+        "error message in place of a result.",
         f"{RUN}/psf_study.py --max-seconds 20 --json benchmarks/results/psf_study.json",
         psf_study,
         draw_psf_study,
@@ -848,28 +868,34 @@ SECTIONS = (
     Section(
         "trace_coverage.jsonl",
         "Intervals of traced light",
-        "How often the flux of 300 traces with 1,024 rays lies within its intervals about that of "
-        "a trace with 262,144 rays, and how often a trace calls it uncertain; then the number of "
-        "reflections whose interval holds least. The standard error of a share is 1.3 % at 95 %.",
+        "Are the standard errors of traced light right? Each scene was traced 300 times with "
+        "1,024 rays. The table states how often the true flux lies within one and two standard "
+        "errors, which should be 68 % and 95 % of the traces; the true flux is that of a trace "
+        "with 262,144 rays. It also states how often a trace calls its own error uncertain. The "
+        "last two columns name the number of reflections whose light has the least reliable "
+        "error, and how often this light lies within two standard errors. A share of 95 % is "
+        "itself known to 1.3 %.",
         f"{RUN}/trace_coverage.py --json benchmarks/results/trace_coverage.jsonl",
         coverage,
     ),
     Section(
         "whole_run.json",
         "Whole commands",
-        "Commands from start to exit, on two idle cores. The first case starts with an empty cache "
-        "of compiled kernels; the others find it filled. The last case is one call in a process "
-        "that is already running.",
+        "Run time of commands from start to exit, on two idle cores. In the first case all "
+        "functions must be compiled; in the others, their compiled code is on the disk. The last "
+        "case is one call in a Python process that is already running. Processor time is summed "
+        "over all cores.",
         f"{RUN}/whole_run.py --repeats 5 --json benchmarks/results/whole_run.json",
         whole_runs,
     ),
     Section(
         "traces.json",
-        "Traces beside Mitsuba 3 and Optiland",
-        "Light from a letter that reaches the lens by a matt wall, with different numbers of rays "
-        "or samples; the error is the relative standard deviation of the detected flux. All "
-        "programs ran with two threads, except Optiland, which uses one core; its time is "
-        "extrapolated from its rate of rays. Values have two digits: they were read off a figure.",
+        "Ray tracing compared with Mitsuba 3 and Optiland",
+        "Time to compute the light that reaches the lens from a letter by way of a matt wall. The "
+        "error is the relative standard deviation of the detected flux; it falls with the number "
+        "of rays. All programs ran with two threads, except Optiland, which uses one core; its "
+        "time is extrapolated from its number of rays per second. Values have two digits, because "
+        "they were read off a figure.",
         f"{RUN}/traces.py --peers-python PEER/bin/python --json benchmarks/results/traces.json",
         traces,
         draw_traces,
@@ -878,7 +904,9 @@ SECTIONS = (
     Section(
         "tolerances.json",
         "What a tolerance costs",
-        "Fields of point spreads and traced light at two tolerances.",
+        "How much longer does a more accurate result take? Point spreads over the object (fields) "
+        "and traced light were computed with two tolerances `tol`. The estimate is the error that "
+        "the result states, the error its difference from an accurate reference.",
         f"{RUN}/tolerances.py --json benchmarks/results/tolerances.json",
         tolerances,
         draw_tolerances,
@@ -887,54 +915,70 @@ SECTIONS = (
     Section(
         "psf_batches.json",
         "Many waves on one pupil",
-        "`psf.point_spreads` with 256 x 256 samples at lambda N/4: processor time per wave, with "
-        "the set-up of the call, and that of the gradient; a loop of `psf.point_spread`; and a "
-        "loop of matrix products of numpy on a pupil of 256 x 256 samples, 1024 x 1024 for the "
-        "smaller tol. A batch bounds its error for any wave. Two threads share the waves.",
+        "Processor time per wave for point spreads of 256 x 256 samples with a pitch of lambda "
+        "N/4. The batch is one call of `psf.point_spreads`, including its set-up; the gradient is "
+        "the additional time for it. It is compared with a loop of `psf.point_spread`, and with a "
+        "loop of matrix products in numpy on a pupil of 256 x 256 samples, or 1024 x 1024 for the "
+        "smaller tolerance. Errors are relative to the peak. With two threads, each computes half "
+        "of the waves.",
         f"{RUN}/psf_batches.py --json benchmarks/results/psf_batches.json",
         psf_batches,
     ),
     Section(
         "growth.json",
         "Growth with pixels and field points",
-        "Processor time of all threads and memory of numpy's arrays, of one call after a first one "
-        "that compiles. Exponents are fitted to four sizes; below 1, a part of the work does not "
-        "depend on the size.",
+        "How do time and memory grow with the size of a task? The table has the processor time of "
+        "all threads and the memory of numpy's arrays, for one call after all functions are "
+        "compiled. The exponents are fitted to four sizes. If an exponent is below 1, a part of "
+        "the work does not depend on the size.",
         f"{RUN}/growth.py --json benchmarks/results/growth.json",
         growth,
     ),
     Section(
         "rough_walls.json",
-        "Rough walls: the mean against drawn walls",
-        "Closed-form mean and the average of 2048 drawn walls, in rings of equal light; the last "
-        "column is how their difference falls with the number n of walls, by chance n^-0.5.",
+        "Rough walls: the mean against random walls",
+        "The point spread of a rough wall, averaged over all walls, has a closed form. Here it is "
+        "compared with the average of 2048 random walls, in rings that contain equal light. The "
+        "table has the run time of the mean and of one wall, and the largest difference of a ring "
+        "next to that expected by chance. The last column states how the difference falls with the "
+        "number n of walls; chance alone gives n^-0.5.",
         f"{RUN}/rough_walls.py",
         rough_walls,
     ),
     Section(
         "rough_facets.json",
-        "Walls of facets: the mean against drawn walls",
-        "Closed-form mean and the average of 1,000 drawn walls in 8 rings of equal width. The last "
-        "columns are the largest standard error of a ring and the largest deviation in standard "
-        "errors. By chance the largest of all 64 exceeds 2.5 in half of such runs.",
+        "Walls of facets: the mean against random walls",
+        "The same comparison for walls of flat facets: the closed-form mean, and the average of "
+        "1,000 random walls in 8 rings of equal width. The last columns are the largest standard "
+        "error of a ring, relative to its light, and the largest deviation, in standard errors. By "
+        "chance alone, the largest of all 64 deviations exceeds 2.5 standard errors in half of "
+        "such runs.",
         f"{RUN}/rough_facets.py --json benchmarks/results/rough_facets.json",
         rough_facets,
     ),
     Section(
         "known_psf.jsonl",
         "Reconstruction, point spread known",
-        "Images of objects blurred by smooth and by speckled point spreads, 128 x 128 pixels. The "
-        "images are not computed by the model that is inverted. scikit-image's solvers run with "
-        "the best of the settings tried.",
+        "How well do the solvers find the object if the wall is known? The images have 128 x 128 "
+        "pixels, are blurred by smooth and by speckled point spreads, and have 1 % or 5 % noise. "
+        "They are computed by another model than the one that the solvers invert. The correlation "
+        "is that of the result with the true object. scikit-image's solvers run with the best of "
+        "the settings tried.",
         f"{RUN}/inverse/known_psf.py --json benchmarks/results/known_psf.jsonl",
         known_psf,
     ),
     Section(
         "mismatches.jsonl",
         "Status, point spread known",
-        "How many answers of `tv_deconvolve` have the status converged, of those with the "
-        "correlation in the heading; 64 x 64 pixels, noise of 0.5 to 10 %. The seeds are not those "
-        "with which the limits of the tests were set. Some images show nothing of the scene.",
+        "Does the status of a reconstruction show that the model is wrong? In each row, the "
+        "image differs from the model of `tv_deconvolve` in another way (mismatch): the optics "
+        "have another aberration or size of blur, the camera is not linear or saturates, there "
+        "is stray light, or the noise is not that of independent pixels. Some images show "
+        "nothing of the scene, but noise, speckle or another object. "
+        "`benchmarks/inverse/mismatches.py` describes each row. The three columns on the right "
+        "sort the results by their correlation with the true object, and state how many of them "
+        'have the status "converged": few should on the left, most on the right. Images have 64 '
+        "x 64 pixels and 0.5 to 10 % noise. None of them was used to set the limits of the tests.",
         f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 500000 "
         f"--cases 220; {RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl "
         "--first 600000 --cases 200 --kinds white_noise exponential_noise photon_noise "
@@ -944,25 +988,30 @@ SECTIONS = (
     Section(
         "image_prior.jsonl",
         "Untrained networks, point spread known",
-        "`deep_image_prior` on images like those of `tv_deconvolve` above. The guide is the answer "
-        "by total variation, which is the input of the network.",
+        "`deep_image_prior` on images like those of the table for known point spreads. The guide "
+        "is the result of `tv_deconvolve`, which is the input of the network.",
         f"{RUN}/inverse/image_prior.py --json benchmarks/results/image_prior.jsonl",
         image_prior,
     ),
     Section(
         "peer_prior.jsonl",
-        "Untrained networks beside deepinv",
-        "A letter by a smooth wall, 1 % noise, both on our operator.",
+        "Untrained networks compared with deepinv",
+        "A letter by way of a smooth wall, with 1 % noise. Both programs use the image model of "
+        "this library.",
         f"PEER/bin/{RUN}/inverse/peer_prior.py --json benchmarks/results/peer_prior.jsonl",
         peer_prior,
         draw_peer_prior,
-        "Seconds against one minus correlation: ours, and deepinv after 250, 1000 and 2500 steps",
+        "Seconds against one minus correlation: nlosoptics, and deepinv after 250, 1000 and 2500 "
+        "steps",
     ),
     Section(
         "evidence_two_frames.jsonl",
         "Wall unknown, two frames",
-        "`evidence_fit` from random starts, the second frame with a known defocus, 64 x 64 pixels, "
-        "walls that were not used in tuning.",
+        "How often does `evidence_fit` find object and wall from two images (frames), of which the "
+        "second has a known defocus? The fits start from random walls; images have 64 x 64 pixels. "
+        "The columns count the fits, those whose object has a correlation above 0.9 with the true "
+        'object, and those with a lower correlation that wrongly have the status "converged". '
+        "None of the walls was used to tune the fit.",
         f"{RUN}/inverse/evidence.py --frames 2 --rms 0.25 0.5 1.0 "
         "--json benchmarks/results/evidence_two_frames.jsonl",
         evidence,
@@ -970,7 +1019,7 @@ SECTIONS = (
     Section(
         "evidence_one_frame.jsonl",
         "Wall unknown, one frame",
-        "`evidence_fit` for a single frame, otherwise as for two frames.",
+        "`evidence_fit` for a single image (frame), otherwise as for two.",
         f"{RUN}/inverse/evidence.py --frames 1 --rms 0.25 0.5 --jobs 2 "
         "--json benchmarks/results/evidence_one_frame.jsonl",
         evidence,
@@ -978,9 +1027,11 @@ SECTIONS = (
     Section(
         "known_start.jsonl",
         "Wall roughly known, or several walls",
-        "near10, near25: one image, start 0.10, 0.25 waves off; support: near10 with a known dark "
-        "surround; diversity3: nothing known, three defoci; walls4: nothing known, four walls; "
-        "calibrate: the wall from a known object first; noise5: near10 at 5 % noise.",
+        "`evidence_fit` with additional knowledge. The groups are: near10 and near25, one image, "
+        "and a wave that is known to within 0.10 or 0.25 wavelengths rms; support, as near10, and "
+        "the object is known to be dark outside a mask; noise5, as near10, with 5 % noise; "
+        "diversity3, three images with different known defoci; walls4, images by way of four "
+        "unknown walls; calibrate, the wall is first found from a known object.",
         f"{RUN}/inverse/known_start.py --json benchmarks/results/known_start.jsonl --sizes 64 "
         "--walls 1 --groups near10 near25 support diversity3 walls4 calibrate noise5",
         known_start,
@@ -988,39 +1039,46 @@ SECTIONS = (
     Section(
         "diffusers.jsonl",
         "Phase retrieval behind diffusers",
-        "Objects from the autocorrelation of one speckled frame of 512 x 512 pixels.",
+        "Objects from the autocorrelation of one simulated speckle image of 512 x 512 pixels. "
+        '"Halves agree" is the correlation between the results of two halves of the random '
+        "starts; it needs no knowledge of the object.",
         f"{RUN}/inverse/diffusers.py --walls 2 --json benchmarks/results/diffusers.jsonl",
         diffusers,
     ),
     Section(
         "real_speckle.json",
         "Phase retrieval from measured speckle",
-        "Exposures of Metzler 2020; there is no ground truth, only whether two independent halves "
-        "of the restarts find one picture.",
+        "Measured images of Metzler 2020. The true objects are not known. The only test is the "
+        "correlation between the results of two independent halves of the random starts.",
         f"{RUN}/inverse/real_speckle.py --json benchmarks/results/real_speckle.json",
         real_speckle,
     ),
     Section(
         "feasibility.jsonl",
         "Verdicts before the fit",
-        "Random scenes of 64 x 64 pixels, none of them used in setting the constants of the "
-        "forecast. The fit is `tv_deconvolve` with the point spread known. Differences are those "
-        "between the predicted and the reached correlation.",
+        "Does `limits.feasibility` predict correctly whether an object can be reconstructed? "
+        "Random scenes of 64 x 64 pixels, none of them used to set the constants of the forecast, "
+        "were reconstructed by `tv_deconvolve` with the point spread known. The second table has "
+        "the differences between the predicted correlation and that of the fit.",
         f"{RUN}/inverse/feasibility.py --json benchmarks/results/feasibility.jsonl",
         feasibility,
     ),
     Section(
         "relay_modes.jsonl",
         "Modes of diffuse light past occluders",
-        "Random scenes with a matt wall, every third with a wide mirror-like lobe too. The number "
-        "of modes by `limits.feasibility` is compared with singular values of the whole matrix.",
+        "Shadows of an occluder add detail to diffuse light. Modes are the independent patterns of "
+        "the object that exceed the noise. Their number by `limits.feasibility` is compared with a "
+        "count of singular values of the full matrix from object to image (brute force). The "
+        "random scenes have a matt wall, every third one with a wide mirror-like lobe too.",
         f"{RUN}/relay_modes.py --scenes 6 --json benchmarks/results/relay_modes.jsonl",
         relay_modes,
     ),
     Section(
         "wu2024.jsonl",
         "PCIN as published",
-        "From random angles and one image: the fit ends at the image itself, as its status says.",
+        "The physics-constrained inverse network (PCIN) of Wu 2024 fits object and wall to one "
+        "image, from random angles of the wall. Here the fitted object is the blurred image "
+        'itself, which the status "trivial" states.',
         f"{RUN}/inverse/wu2024.py --walls 1 --rms 0.25 --objects F --size 512 "
         "--json benchmarks/results/wu2024.jsonl",
         wu2024,
@@ -1028,40 +1086,44 @@ SECTIONS = (
     Section(
         "wu2024_facets.jsonl",
         "PCIN as published, with facets",
-        "The paper's geometry (F/2, pixels of 72 um, 40 ms, 512 x 512) and a wall of facets. The "
-        "simulator makes the image. The fit has a pair of exit angles for each facet that the lens "
-        "sees, and starts from random angles as strong as the wall's blur. For comparison, total "
-        "variation with the wall's point spread. The image itself is the letter with noise, and "
-        "the fit ends there.",
+        "As above, with a wall of facets and the geometry of the paper (F/2, pixels of 72 um, 40 "
+        "ms, 512 x 512). The image is a simulated one. The fit has a pair of exit angles for each "
+        "facet that the lens sees. It starts from random angles that blur as much as the wall "
+        'does. "With the true wall" is the correlation of `tv_deconvolve` with the true point '
+        "spread. The fitted object is the image itself.",
         f"{RUN}/inverse/wu2024.py --scene examples/scenes/letter_rough.toml --size 512 "
         "--json benchmarks/results/wu2024_facets.jsonl",
         wu2024_facets,
     ),
     Section(
         "dense_meshes.jsonl",
-        "Three bounces off dense meshes",
-        "A dragon in a corridor, tolerance 1 %, one thread. The reference of the error is a run "
-        "with a thirtieth of this tolerance.",
+        "Three bounces with meshes of many triangles",
+        "Time-resolved light from a mesh of a dragon in a corridor, for one pair of laser and "
+        "sensor point, with a tolerance of 1 % and one thread. The error is the difference from a "
+        "run with a thirtieth of this tolerance.",
         f"{RUN}/transient/dense_meshes.py --json benchmarks/results/dense_meshes.jsonl",
         dense_meshes,
     ),
     Section(
         "bounces.jsonl",
-        "Four and five bounces beside mitransient",
-        "A letter in a corridor, 32 x 32 sensors, bins of 1 cm; error is the relative L1 "
-        "difference of independent seeds over the root of 2. The last column follows from seconds "
-        "and error, which falls as the root of the samples.",
+        "Four and five bounces compared with mitransient",
+        "Time-resolved light with four and five reflections, from a letter in a corridor, at 32 x "
+        "32 sensor points in bins of 1 cm. The error of a sensor point is the sum of absolute "
+        "differences between two runs with different seeds, relative to the light, divided by the "
+        "square root of 2. The last column is the time to an error of 1 %. It is computed from "
+        "time and error, which falls with the square root of the samples.",
         f"{RUN}/transient/bounces.py --peer-python PEER/bin/python "
         "--json benchmarks/results/bounces.jsonl",
         bounces,
         draw_bounces,
-        "Seconds against the error of a sensor: nlosoptics lies far below mitransient",
+        "Seconds against the error of a sensor point: nlosoptics lies far below mitransient",
     ),
     Section(
         "phasor.json",
-        "Phasor fields beside y-tal",
-        "A letter at 1 m, one laser point; overlap is the intersection over union at its best "
-        "threshold, seconds are those of a call including its set-up.",
+        "Phasor fields compared with y-tal",
+        "Images of a letter 1 m from the wall, with one laser point. The overlap with the letter "
+        "is intersection over union (1: perfect), at the best threshold of brightness. Times are "
+        "those of one call, including its set-up.",
         f"{RUN}/transient/phasor.py --peer-python PEER/bin/python "
         "--json benchmarks/results/phasor.json",
         phasor,
@@ -1069,7 +1131,8 @@ SECTIONS = (
     Section(
         "measured_charts.json",
         "Measured charts at known depths",
-        "Confocal captures of O'Toole 2018, charts 40 and 65 cm from the wall.",
+        "Depths from measured confocal captures of O'Toole 2018. The objects are flat charts 40 "
+        "and 65 cm from the wall.",
         f"{RUN}/transient/measured.py --data DIR --peer-python PEER/bin/python "
         "--json benchmarks/results/measured_charts.json",
         measured_charts,
@@ -1079,26 +1142,31 @@ SECTIONS = (
     Section(
         "studies.json",
         "Design studies on up to 1,000 workers",
-        "A real worker process, then workers that wait as long as a point would take, with the "
-        "client, its store and the messages real. The share is the throughput over that of workers "
-        "that never wait.",
+        "How many processes can compute a study at the same time? One client process sends "
+        "blocks of points to the workers and writes their results to the store. The first row is "
+        "measured with a real worker. In the others the workers only wait as long as a block "
+        "would take; client, messages and store are real. The share is the throughput divided by "
+        "that of workers that never wait for the client.",
         f"{RUN}/studies.py --memory /dev/shm --json benchmarks/results/studies.json",
         studies,
     ),
     Section(
         "fast_tier.json",
         "Tolerance draws by expanded waves",
-        "Yields of 10,000 draws from waves expanded to second order, corrected by 400 draws in "
-        "full. Yields in full and fast are of the same 2,000 draws; the last columns are the "
-        "corrected yield of all draws and its interval of 95 %.",
+        'The yield is the share of random draws that meet a limit. With `tier = "fast"`, each '
+        "draw is computed from a Taylor series of second order, and the yield is corrected by 400 "
+        'draws that are computed in full. The columns "in full" and "fast" are yields of the '
+        "same 2,000 draws. The last columns are the corrected yield of all 10,000 draws and its 95 "
+        "% interval.",
         f"{RUN}/studies.py --fast --json benchmarks/results/fast_tier.json",
         fast_tier,
     ),
     Section(
         "views.json",
         "Pictures in three dimensions",
-        "A wavy wall's room with 500 light paths, rendered in software where no graphics card is "
-        "named; pages and models are written without rendering.",
+        "A room with a wavy wall and 500 light paths. If the table names no graphics card, the "
+        "pictures were rendered by the processor. HTML pages and glTF models are written without "
+        "rendering.",
         f"{RUN}/views.py",
         pictures,
     ),

@@ -74,7 +74,7 @@ def references(path: Path) -> dict[str, list[Row]]:
         listed = [
             {
                 "name": case["name"],
-                "formula": "|O-H| + |H-p| - |O'-p|, less that at p = 0; H by Fermat",
+                "formula": "|O-H| + |H-p| - |O'-p|, minus that at p = 0; reflection at H",
                 "source": "mpmath, 50 digits",
                 "tolerance": "see the test",
                 "values": len(case["rows"]),
@@ -204,7 +204,7 @@ def draw_walls(axes: Any) -> None:
         )
     axes.set(
         xlabel="reference of 50 digits (m)",
-        ylabel="difference (m; 1e-20: none)",
+        ylabel="difference (m; 1e-20 means none)",
         title="wave aberration of four walls",
     )
     axes.legend(fontsize="small")

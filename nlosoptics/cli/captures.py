@@ -40,10 +40,10 @@ OPTIONS = {
     "side": "--side (whole side of the square scanned, m)",
     "pairing": "--pairing confocal or --laser-point 'x, y, z' (m)",
     "laser_point": "--laser-point 'x, y, z' (m)",
-    "bin_width": "--bin-width (m of optical path)",
+    "bin_width": "--bin-width (width of a time bin, m of optical path)",
     "t_start": "--t-start (where bin 0 begins, m of optical path)",
-    "outer_legs": "--outer-legs or --no-outer-legs (whether times hold the legs from the laser to "
-    "the wall and on to the sensor)",
+    "outer_legs": "--outer-legs or --no-outer-legs (whether times include the ways from the laser "
+    "to the wall and from the wall to the sensor)",
     "gate_start": "--gate-start (m of optical path; earlier bins become 0, 0 keeps all)",
     "wl_mean": "--wl-mean (virtual wavelength, m)",
     "near": "--near (first plane, m from the wall)",
@@ -52,13 +52,13 @@ OPTIONS = {
 }
 
 
-@app.command("transient", short_help="Render the time-resolved light of a scene.")
+@app.command("transient", short_help="Simulate a time-resolved capture of a scene.")
 def transient_command(
     scene_file: SceneFile,
     changes: Changes = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="HDF5 file to write; ./<scene's name>.hdf5 by default."),
+        typer.Option(help="HDF5 file to write; by default the name of the scene file with .hdf5."),
     ] = None,
     tol: Annotated[
         float,
@@ -69,31 +69,37 @@ def transient_command(
     ] = 1e-3,
     tol_multiple: Annotated[
         float,
-        typer.Option(help="Largest relative error of light with four or more reflections."),
+        typer.Option(help="As --tol, for light with four or more reflections."),
     ] = 1e-2,
     seed: Seed = 0,
     quantity: Annotated[
-        str, typer.Option(help="Quantity at the wall: irradiance, radiance or radiosity.")
+        str,
+        typer.Option(
+            help="Quantity to store at each wall point: irradiance, radiance or radiosity."
+        ),
     ] = "irradiance",
     photons: Annotated[
         float | None,
         typer.Option(
-            help="Expected photons of the whole capture. If given, the file holds the counts of a "
-            "detector instead of the light."
+            help="Expected number of photons in the whole capture. If given, the file holds photon "
+            "counts with noise instead of the light."
         ),
     ] = None,
     jitter_ps: Annotated[
-        float, typer.Option(help="Timing jitter of the detector, standard deviation, ps.")
+        float, typer.Option(help="Standard deviation of the detector's arrival times, ps.")
     ] = 0.0,
     dark_counts: Annotated[
-        float, typer.Option(help="Expected dark counts of the detector per bin and point.")
+        float, typer.Option(help="Expected counts without light, for each time bin and wall point.")
     ] = 0.0,
     compression: Annotated[
-        int, typer.Option(min=0, max=9, help="gzip compression level of the file.")
+        int, typer.Option(min=0, max=9, help="gzip compression level of the file, 0 (none) to 9.")
     ] = 1,
     debug: Debug = False,
 ) -> None:
-    """Render the time-resolved light at a scene's wall to an HDF5 file, readable by y-tal."""
+    """Simulate a time-resolved capture: the light at points of the wall as a function of time.
+
+    The scene needs a table [transient]. The HDF5 file can also be read by the program y-tal.
+    """
     with errors_told(debug):
         start = time.perf_counter()
         if photons is None and (jitter_ps or dark_counts):
@@ -137,14 +143,15 @@ def transient_command(
         _print_capture(capture, path, time.perf_counter() - start)
 
 
-@app.command("phasor", short_help="Image the hidden scene of a time-resolved capture.")
+@app.command("phasor", short_help="Form an image of the hidden scene from a time-resolved capture.")
 def phasor_command(
     context: typer.Context,
     capture_file: Annotated[
         Path, typer.Argument(metavar="CAPTURE", help="Capture file: HDF5 or .mat.")
     ],
     out: Annotated[
-        Path | None, typer.Option(help="Output folder; ./<capture's name> by default.")
+        Path | None,
+        typer.Option(help="Output folder; by default the name of the capture without its suffix."),
     ] = None,
     camera: Annotated[
         str, typer.Option(help="Virtual camera: confocal_time_gated or direct_light.")
@@ -155,7 +162,7 @@ def phasor_command(
     ] = None,
     wl_sigma: Annotated[
         float | None,
-        typer.Option(help="Width (sigma) of the virtual pulse, m; wl-mean/sqrt(2) by default."),
+        typer.Option(help="Length (sigma) of the virtual pulse, m; by default wl-mean/sqrt(2)."),
     ] = None,
     near: Annotated[
         float | None,
@@ -175,13 +182,15 @@ def phasor_command(
     ] = None,
     aperture: Annotated[
         float | None,
-        typer.Option(help="Side of the central square of wall points to use, m; all by default."),
+        typer.Option(
+            help="Use only wall points in a central square with this side, m; by default all."
+        ),
     ] = None,
     layout: Annotated[
         str | None,
         typer.Option(
             "--format",
-            help="Layout of the file, if its contents leave it open: tal, znlos, dirac, "
+            help="Format of the file, if it cannot be recognised: tal, znlos, dirac, "
             "phasor_field_2019, phasor_field_2020 or lct.",
         ),
     ] = None,
@@ -200,7 +209,8 @@ def phasor_command(
     pairing: Annotated[
         str | None,
         typer.Option(
-            help="Pairs of laser and sensor points, all or confocal, if the file does not state it."
+            help="Which laser and sensor points belong together, if the file does not state it: "
+            "all (every pair) or confocal (the same point for both)."
         ),
     ] = None,
     laser_point: Annotated[
@@ -219,13 +229,15 @@ def phasor_command(
     ] = None,
     gate_start: Annotated[
         float | None,
-        typer.Option(
-            help="Start of the gate, m of optical path: earlier bins, with direct light, become 0."
-        ),
+        typer.Option(help="Set all earlier bins to 0, to remove direct light; m of optical path."),
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Image the hidden scene of a time-resolved capture with a virtual phasor-field camera."""
+    """Form an image of the hidden scene from a time-resolved capture, by the phasor-field method.
+
+    The output folder gets the volume (volume.npz), views from the front, the top and the side, and
+    result.json. Options that only describe the capture are needed if the file does not state them.
+    """
     with errors_told(debug):
         start = time.perf_counter()
         folder = Path(capture_file.stem) if out is None else out
@@ -320,7 +332,7 @@ def _loaded(
     wanted |= {name: value for name, value in picture.items() if value is not None}
     missing += [OPTIONS[name] for name in picture if name not in wanted]
     if missing:
-        raise SceneError(f"{path} does not give all that a picture needs; add {', '.join(missing)}")
+        raise SceneError(f"{path} does not state all values for an image; add {', '.join(missing)}")
     return capture, wanted
 
 
@@ -380,7 +392,7 @@ def _print_capture(capture: TransientCapture, path: Path, seconds: float) -> Non
     from rich.console import Console
     from rich.table import Table
 
-    table = Table("figure", "value", box=box.SIMPLE_HEAD)
+    table = Table("quantity", "value", box=box.SIMPLE_HEAD)
     table.add_row("bins", f"{capture.n_bins} of {1e3 * capture.delta_t:g} mm")
     lasers, sensors = (
         " x ".join(map(str, shape)) or "1" for shape in (capture.laser_shape, capture.sensor_shape)
@@ -400,7 +412,7 @@ def _print_picture(report: dict[str, Any], folder: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table("figure", "value", box=box.SIMPLE_HEAD)
+    table = Table("quantity", "value", box=box.SIMPLE_HEAD)
     figures = report["figures"]
     place = ", ".join(f"{value:.3g}" for value in figures["brightest_voxel"])
     table.add_row("brightest voxel", f"({place}) m")

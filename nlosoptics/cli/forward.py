@@ -32,7 +32,7 @@ from .shell import (
 )
 
 
-@app.command("plan", short_help="Show the stages of a run with predicted time and error.")
+@app.command("plan", short_help="List what a run will compute, with predicted time and error.")
 def plan_command(
     scene_file: SceneFile,
     changes: Changes = None,
@@ -42,7 +42,7 @@ def plan_command(
     max_seconds: MaxSeconds = MOST_SECONDS,
     debug: Debug = False,
 ) -> None:
-    """Show which stages a run computes or skips, why, and the predicted time and error."""
+    """List what a run will compute and skip, with reasons, predicted times and errors."""
     with errors_told(debug):
         from ..runs.plan import plan
 
@@ -53,7 +53,7 @@ def plan_command(
         typer.echo(str(planned))
 
 
-@app.command("run", short_help="Simulate a scene; write figures, arrays and pictures.")
+@app.command("run", short_help="Simulate a scene and write the results to a folder.")
 def run_command(
     context: typer.Context,
     scene_file: SceneFile,
@@ -61,18 +61,24 @@ def run_command(
     tol: Tol = 1e-3,
     seed: Seed = 0,
     out: Annotated[
-        Path | None, typer.Option(help="Output folder; ./<scene's name> by default.")
+        Path | None,
+        typer.Option(help="Output folder; by default the name of the scene file without .toml."),
     ] = None,
     size: Size = None,
     reconstruct: Annotated[
         bool,
-        typer.Option("--reconstruct/--no-reconstruct", help="Also reconstruct the object."),
+        typer.Option("--reconstruct/--no-reconstruct", help="Also reconstruct the hidden object."),
     ] = True,
     memory: Memory = None,
     max_seconds: MaxSeconds = MOST_SECONDS,
     debug: Debug = False,
 ) -> None:
-    """Simulate a scene, and write key figures, arrays and pictures to a folder."""
+    """Simulate the camera image of a scene and reconstruct the hidden object.
+
+    The output folder gets pictures (PNG), arrays (.npy and .npz) and result.json with the most
+    important numbers. overview.png shows all results. An existing folder is replaced only if an
+    earlier run wrote it.
+    """
     with errors_told(debug):
         start = time.perf_counter()
         folder = Path(scene_file.stem) if out is None else out
@@ -114,9 +120,12 @@ def run_command(
         _print_summary(report, folder)
 
 
-@app.command("schema", short_help="Print the JSON schema of scene files.")
+@app.command("schema", short_help="Print all keys of scene files, as a JSON schema.")
 def schema_command(debug: Debug = False) -> None:
-    """Print the JSON schema of scene files, for completion and checks in editors."""
+    """Print all keys of scene files with their descriptions, as a JSON schema.
+
+    Editors use the schema to complete and check scene files.
+    """
     with errors_told(debug):
         from ..scene.file.scene_file import scene_schema
 
@@ -130,7 +139,7 @@ def _print_summary(report: dict[str, Any], folder: Path) -> None:
     from rich.table import Table
 
     f = report["figures"]
-    table = Table("figure", "value", box=box.SIMPLE_HEAD)
+    table = Table("quantity", "value", box=box.SIMPLE_HEAD)
     table.add_row("exit pupil", f"radius {1e3 * f['exit_pupil_radius']:.4g} mm, stop: {f['stop']}")
     table.add_row("working F-number", f"{f['f_number']:.4g}")
     table.add_row(
@@ -148,18 +157,18 @@ def _print_summary(report: dict[str, Any], folder: Path) -> None:
     if f["field_nodes"] > 1:
         error = f["errors"]["field of point spreads"]
         table.add_row(
-            "field",
+            "point spreads over the object",
             f"{f['field_nodes']} points in {counted(f['field_modes'], 'mode')}, error {error:.1e}",
         )
     table.add_row(
         "electrons per pixel",
         f"{f['electrons_peak']:.3g} at most, {f['electrons_mean']:.3g} on average, "
-        f"signal {f['signal_electrons_peak']:.3g}",
+        f"{f['signal_electrons_peak']:.3g} at most from the object",
     )
     if "reconstruction_status" in f:
         told = "no light from the object reaches the camera"
         if "correlation_with_truth" in f:
-            told = f"correlation with truth {f['correlation_with_truth']:.4f}"
+            told = f"correlation with the true object {f['correlation_with_truth']:.4f}"
         table.add_row("reconstruction", f"{f['reconstruction_status']}, {told}")
     for stage, seconds in report["seconds"].items():
         table.add_row(f"  {stage}", f"{seconds:.2f} s")

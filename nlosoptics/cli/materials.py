@@ -9,16 +9,21 @@ import typer
 from .shell import Debug, app, errors_told
 
 
-@app.command("materials", short_help="List wall materials by name, with values and sources.")
+@app.command("materials", short_help="List wall materials by name, with their values.")
 def materials_command(
     name: Annotated[
-        str | None, typer.Argument(metavar="NAME", help="Material to show with its sources.")
+        str | None,
+        typer.Argument(
+            metavar="NAME",
+            help="Material to show with the range and source of each value; by default list all.",
+        ),
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """List the materials that a scene file may name, or show one with ranges and sources.
+    """List the wall materials that a scene file may name, or show one of them in detail.
 
-    A scene file names one by material = "whiteboard" in its table [wall] or [hidden].
+    A scene file names a material by a line such as material = "whiteboard" in the table [wall] or
+    [hidden].
     """
     with errors_told(debug):
         from ..scene.parts.library import entry, material_library

@@ -47,8 +47,8 @@ def view_command(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File to write: .png, .html (rotatable in a browser) or .glb. Without it, a "
-            "window opens."
+            help="File to write: .png, .html (can be turned in a browser) or .glb (3-D model). "
+            "Without it, a window opens."
         ),
     ] = None,
     paths: Annotated[
@@ -57,13 +57,14 @@ def view_command(
     ] = 500,
     bounces: Annotated[
         int | None,
-        typer.Option(min=1, max=64, help="Draw only paths with this number of reflections."),
+        typer.Option(min=1, max=64, help="Draw only light paths with this number of reflections."),
     ] = None,
     colour: Annotated[
         Colour,
         typer.Option(
-            help="Quantity that colours the paths. aberration draws the rays from the object's "
-            "reference point to the pupil, coloured by their wave aberration."
+            help="Quantity shown by the colour of the paths: number of reflections (bounces), "
+            "length, or power (weight). aberration draws rays from the middle of the object to the "
+            "lens, coloured by their wave aberration."
         ),
     ] = Colour.bounces,
     seed: Seed = 0,

@@ -30,18 +30,22 @@ from .shell import (
 )
 
 
-@app.command("feasibility", short_help="Predict what the scene's image can show.")
+@app.command("feasibility", short_help="Predict which detail of the object an image can show.")
 def feasibility_command(
     scene_file: SceneFile,
     changes: Changes = None,
     size: Size = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the forecast as JSON.")] = False,
     out: Annotated[
-        Path | None, typer.Option(help="Also draw the report to this file: .png or .pdf.")
+        Path | None, typer.Option(help="Also draw the forecast to this file: .png or .pdf.")
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Predict what can be recovered from the scene's image: light, noise, modulation, modes."""
+    """Predict whether the object can be reconstructed, and which detail its image can show.
+
+    The first line is the verdict, with what is missing if the object is not recoverable. No image
+    and no reconstruction is needed.
+    """
     with errors_told(debug):
         from ..limits import feasibility
 
@@ -58,55 +62,62 @@ def feasibility_command(
         typer.echo(json.dumps(found.figures(), indent=2) if as_json else str(found))
 
 
-@app.command("reconstruct")
+@app.command("reconstruct", short_help="Reconstruct the hidden object from camera images.")
 def reconstruct_command(
     context: typer.Context,
     images: Annotated[
         list[Path],
-        typer.Argument(metavar="IMAGE...", help="Camera images: greyscale PNG, TIFF or .npy."),
+        typer.Argument(metavar="IMAGE...", help="Camera images: grey PNG, TIFF or .npy files."),
     ],
-    scene_file: Annotated[Path, typer.Option("--scene", help="Scene file (TOML).")],
+    scene_file: Annotated[Path, typer.Option("--scene", help="Scene file (TOML) of the set-up.")],
     changes: Changes = None,
     dark: Annotated[
-        Path | None, typer.Option(help="Dark frame, taken with the same exposure.")
+        Path | None,
+        typer.Option(help="Dark frame: image with the same exposure time and the laser off."),
     ] = None,
     flat: Annotated[
-        Path | None, typer.Option(help="Flat field: image of uniform illumination.")
+        Path | None, typer.Option(help="Flat field: image of an evenly lit white surface.")
     ] = None,
     full: Annotated[
         float | None,
         typer.Option(
-            help="Count at which a pixel saturates; by default the largest of the file's type."
+            help="Pixel value at which a pixel is saturated; by default the largest that the "
+            "file's number format can hold."
         ),
     ] = None,
     method: Annotated[
         str,
         typer.Option(
-            help="Solver. If the wall is known: tv, wiener, inverse_filter, richardson_lucy, "
-            "deep_image_prior, phase_retrieval. With a trained network: cnn. If the wall is to be "
-            "fitted as well: evidence, wu2024."
+            help="Solver. If the scene file describes the wall: tv (total variation), wiener, "
+            "inverse_filter, richardson_lucy, deep_image_prior, phase_retrieval. If the wall is "
+            "unknown and fitted too: evidence, wu2024. A trained network: cnn."
         ),
     ] = "tv",
     network: Annotated[
         Path | None,
-        typer.Option(help="Trained network for method cnn: file written by nlosoptics train."),
+        typer.Option(
+            help="File of the trained network for method cnn, written by nlosoptics train."
+        ),
     ] = None,
     iterations: Annotated[
         int | None,
-        typer.Option(min=1, help="Maximum number of iterations; by default the method's own."),
+        typer.Option(min=1, help="Maximum number of iterations; by default that of the method."),
     ] = None,
     defocus: Annotated[
         str,
         typer.Option(
-            help="Known additional defocus of each image, waves rms, for example '0, 0.5'. Only "
-            "for evidence and wu2024."
+            help="Known additional defocus of each image, in wavelengths rms, for example '0, 0.5' "
+            "for two images. Only for methods evidence and wu2024."
         ),
     ] = "",
     tol: Tol = 1e-3,
     seed: Seed = 0,
     size: Size = None,
     out: Annotated[
-        Path | None, typer.Option(help="Output folder; ./<first image's name> by default.")
+        Path | None,
+        typer.Option(
+            help="Output folder; by default the name of the first image without its suffix."
+        ),
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Resume from the state saved in the output folder.")
@@ -118,7 +129,8 @@ def reconstruct_command(
 ) -> None:
     """Reconstruct the hidden object from camera images.
 
-    Ctrl-C ends the fit, writes the best object so far and exits with code 1; --resume continues.
+    Several images are averaged, or fitted together by method evidence. Ctrl-C ends the fit, writes
+    the best object so far and exits with code 1; --resume continues.
     """
     with errors_told(debug):
         if method != "tv":
@@ -158,13 +170,14 @@ def reconstruct_command(
             _print_reconstruction(report, folder)
         if report["status"] == "interrupted":
             typer.echo(
-                f"nlosoptics: interrupted; the best so far is in {folder}, --resume goes on",
+                f"nlosoptics: interrupted; the best object so far is in {folder}; "
+                "--resume continues",
                 err=True,
             )
             raise typer.Exit(FAILED)
 
 
-@app.command("train", short_help="Train the network of method cnn.")
+@app.command("train", short_help="Train a network for nlosoptics reconstruct --method cnn.")
 def train_command(
     scene_file: SceneFile,
     changes: Changes = None,
@@ -172,28 +185,28 @@ def train_command(
         "cnn.safetensors"
     ),
     pairs: Annotated[
-        int, typer.Option(min=2, help="Number of simulated pairs of image and object.")
+        int,
+        typer.Option(min=2, help="Number of simulated pairs of image and object to train with."),
     ] = 2000,
     epochs: Annotated[int, typer.Option(min=1, help="Passes over all training pairs.")] = 20,
     waves: Annotated[
-        float, typer.Option(help="Largest rms aberration of the random walls, waves.")
+        float, typer.Option(help="Largest rms wave aberration of the random walls, wavelengths.")
     ] = 0.5,
     frame: Annotated[
         int | None,
         typer.Option(
-            help="Side, pixels, of a central square of the image, to which image and object are "
-            "reduced. By default the whole image."
+            help="Side of a square in the middle of the image to train with, pixels; the object is "
+            "scaled down with it. By default the whole image."
         ),
     ] = None,
     base: Annotated[
-        int,
-        typer.Option(help="Number of channels of the network at full resolution: 8, 16 or 32."),
+        int, typer.Option(help="Size of the network: channels at full resolution, 8, 16 or 32.")
     ] = 16,
     seed: Seed = 0,
     size: Size = None,
     debug: Debug = False,
 ) -> None:
-    """Train the network of method cnn on simulated images of random objects and walls.
+    """Train a network for reconstruct --method cnn, on simulated images of random scenes.
 
     Ctrl-C ends the training, writes the best network so far and exits with code 1.
     """
@@ -240,7 +253,7 @@ def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
     from rich.table import Table
 
     f = report["figures"]
-    table = Table("figure", "value", box=box.SIMPLE_HEAD)
+    table = Table("quantity", "value", box=box.SIMPLE_HEAD)
     told = (
         f"{f['method']}: {f['reconstruction_status']} after {counted(f['iterations'], 'iteration')}"
     )
@@ -248,10 +261,10 @@ def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
     for reason in f["reconstruction_reasons"]:
         table.add_row("", reason)
     if f["method"] == "phase_retrieval":
-        table.add_row("agreement of halves", f"{f['reconstruction_score']:.4g}")
+        table.add_row("agreement of two halves of the starts", f"{f['reconstruction_score']:.4g}")
     else:
         table.add_row("residual", f"{f['reconstruction_score']:.4g} of the noise")
-    table.add_row("full pixels", f"{100 * f['saturated_fraction']:.2g} %")
+    table.add_row("saturated pixels", f"{100 * f['saturated_fraction']:.2g} %")
     table.add_row("seconds", f"{report['seconds']['total']:.2f} s")
     table.add_row("written to", str(folder))
     Console().print(table)

@@ -13,21 +13,24 @@ from ..runs.record import PAGE
 from .shell import Debug, app, check_file, errors_told, progress_bar
 
 
-@app.command("report", short_help="Write an HTML report of a run.")
+@app.command("report", short_help="Write one HTML page about a result folder.")
 def report_command(
     folder: Annotated[
         Path,
         typer.Argument(metavar="RESULT_DIR", help="Folder written by run, reconstruct or phasor."),
     ],
     out: Annotated[
-        Path | None, typer.Option(help=f"HTML file to write; RESULT_DIR/{PAGE} by default.")
+        Path | None, typer.Option(help=f"HTML file to write; by default RESULT_DIR/{PAGE}.")
     ] = None,
     three_d: Annotated[
         bool, typer.Option("--3d/--no-3d", help="Include a 3-D view that can be rotated.")
     ] = True,
     debug: Debug = False,
 ) -> None:
-    """Write a self-contained HTML report of a run, for screen and print."""
+    """Write one HTML page about a result folder, for screen and print.
+
+    The page contains all pictures and needs no network.
+    """
     with errors_told(debug):
         from .. import report
 

@@ -30,25 +30,28 @@ _UsageError: Any = typer.BadParameter.__base__
 
 app = typer.Typer(
     name="nlosoptics",
-    help="Optics of non-line-of-sight imaging: simulate and reconstruct what a camera sees via a "
-    "relay wall.",
+    help="Simulate what a camera sees of an object around a corner, by way of a visible wall, and "
+    "reconstruct the object.",
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # plain help: rich would take longer to load than all else
 )
 
-SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
+SceneFile = Annotated[
+    Path, typer.Argument(metavar="SCENE", help="Scene file (TOML): laser, wall, object and camera.")
+]
 Tol = Annotated[
     float,
     typer.Option(
-        help="Largest error of the point spread function, 1e-12 to 0.1 of its peak. The error of "
-        "the wall's diffuse light in the image is always 1e-3."
+        help="Largest error of the point spread (image of a point) relative to its peak, 1e-12 to "
+        "0.1. The error of the wall's diffuse light in the image is fixed at 1e-3."
     ),
 ]
 Size = Annotated[
     int | None,
     typer.Option(
-        help="Image pixels along x for the same field of view; by default those of the scene."
+        help="Width of the image in pixels, for the same field of view; by default that of the "
+        "scene. A small size, such as 64, makes a quick run."
     ),
 ]
 Changes = Annotated[
@@ -56,17 +59,18 @@ Changes = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="New value of a key of the scene file, such as wall.radius=2m; may be repeated.",
+        help="Change a value of the scene file: table and key, and the new value with its unit, "
+        "such as wall.radius=2m. May be repeated.",
     ),
 ]
-Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the Python traceback of an error.")]
 Memory = Annotated[
     float | None,
-    typer.Option(min=1e-3, help="Memory limit of the run, GiB; 3/4 of the free memory by default."),
+    typer.Option(min=1e-3, help="Memory limit of the run, GiB; by default 3/4 of the free memory."),
 ]
 MaxSeconds = Annotated[
     float,
-    typer.Option(min=1e-3, help="Do not start a run whose predicted time exceeds this, s."),
+    typer.Option(min=1e-3, help="Refuse a run whose predicted time exceeds this, s."),
 ]
 Seed = Annotated[
     int,

@@ -47,12 +47,18 @@ class _RunByDefault(TyperGroup):
 
 studies = typer.Typer(
     cls=_RunByDefault,
-    help="Design studies: sweeps, tolerances and yield. `nlosoptics study FILE` runs or resumes.",
+    help="Compute many variants of a scene: design studies. They are sweeps, tolerances, yields "
+    "and searches for the best design. `nlosoptics study FILE` runs or resumes a study.",
     no_args_is_help=True,
 )
 app.add_typer(studies, name="study")
 
-StudyFile = Annotated[Path, typer.Argument(metavar="FILE", help="Study file (TOML).")]
+StudyFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FILE", help="Study file (TOML): scene, values that change, figures of merit."
+    ),
+]
 StoreFolder = Annotated[
     Path, typer.Argument(metavar="STORE", help="Folder written by nlosoptics study.")
 ]
@@ -63,29 +69,40 @@ def run_command(
     study_file: StudyFile,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for the results (store); ./<study's name>.zarr by default."),
+        typer.Option(
+            help="Folder for the results (store); by default the name of the study file with .zarr."
+        ),
     ] = None,
     only_plan: Annotated[
         bool,
-        typer.Option("--plan", help="Show number of points, time and size; compute nothing."),
+        typer.Option(
+            "--plan", help="Only print what the study will compute, with predicted time and size."
+        ),
     ] = False,
     workers: Annotated[
         int | None,
-        typer.Option(min=0, help="Number of processes; by default one for each core, 0 for none."),
+        typer.Option(
+            min=0,
+            help="Number of processes; by default one for each core. 0: compute in this process.",
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(help="Address of a dask scheduler, such as tcp://host:8786."),
+        typer.Option(
+            help="Compute on a dask cluster: address of its scheduler, such as tcp://host:8786."
+        ),
     ] = None,
     again: Annotated[
         bool,
-        typer.Option("--again", help="Also repeat points that failed or whose process ended."),
+        typer.Option("--again", help="Also compute again the points that failed or were lost."),
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Run a study or continue it: finished points are kept, and only missing ones are computed.
+    """Run a study, or resume it.
 
-    Ctrl-C ends the run after the current points, with exit code 1. The same command continues it.
+    Points that are already in the store are kept. Only missing points, and values or figures of
+    merit that were added to the file, are computed. Ctrl-C ends the study after the points that are
+    being computed, and exits with code 1; the same command continues.
     """
     with errors_told(debug):
         _require_parts()
@@ -114,15 +131,15 @@ def run_command(
             )
         typer.echo(_told(results))
         if not results.complete:
-            typer.echo("nlosoptics: interrupted; the same command goes on", err=True)
+            typer.echo("nlosoptics: interrupted; the same command continues", err=True)
             raise typer.Exit(FAILED)
 
 
-@studies.command("status")
+@studies.command("status", short_help="Show the state and the results of a study.")
 def status_command(store: StoreFolder, debug: Debug = False) -> None:
-    """Show how many points are done, the range of each figure of merit, and why points failed.
+    """Show the state of a study: finished points, range of each figure of merit, and failures.
 
-    For an optimisation or another search, show its result, too.
+    For an optimisation or an inverse sensitivity, also show the answer.
     """
     with errors_told(debug):
         typer.echo(_told(_results(store)))
@@ -136,23 +153,25 @@ def plot_command(
         "study.png"
     ),
     kind: Annotated[
-        Kind, typer.Option(help="Picture to draw; by default the one that fits the design.")
+        Kind,
+        typer.Option(help="Kind of picture; by default the one that fits the tables of the study."),
     ] = Kind.AUTO,
     boundary: Annotated[
-        float | None, typer.Option(help="Value of the figure of merit at which to draw a line.")
+        float | None, typer.Option(help="Limit of the figure of merit; a line is drawn there.")
     ] = None,
     contours: Annotated[
         str | None, typer.Option(help='Values of contour lines of a map, such as "0.2,0.5,0.8".')
     ] = None,
     incomplete: Annotated[
-        bool, typer.Option("--incomplete", help="Also draw a study with pending points.")
+        bool, typer.Option("--incomplete", help="Draw although some points are not yet computed.")
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Draw a figure of merit: map or curve, slices, tornado, yield, Sobol indices, point spreads.
+    """Draw one figure of merit of a study.
 
-    The default depends on the study: a tornado chart for one_at_a_time, Sobol indices for draws by
-    the method saltelli, the yield against the limit for other draws, otherwise a map or a curve.
+    By default the picture is a tornado diagram for a table [one_at_a_time], Sobol indices for
+    [draws] with method "saltelli", the yield against the limit for other [draws], and otherwise a
+    map or curve.
     """
     with errors_told(debug):
         require("matplotlib", "views")
@@ -161,7 +180,7 @@ def plot_command(
         results = _results(store)
         check_file(out)
         if results.study.dimensions[0].name == "trial":
-            raise typer.BadParameter(f"{store} is a search; draw it with study optimum")
+            raise typer.BadParameter(f"{store} is a search; use nlosoptics study optimum {store}")
         results.values(figure, incomplete=incomplete)  # refuses pending points
         chosen = _default_kind(results) if kind is Kind.AUTO else kind
         if contours is not None and chosen not in (Kind.MAP, Kind.PANELS):
@@ -175,18 +194,19 @@ def plot_command(
 def report_command(
     store: StoreFolder,
     out: Annotated[
-        Path | None, typer.Option(help="HTML file to write; ./<store's name>.html by default.")
+        Path | None,
+        typer.Option(help="HTML file to write; by default the name of the store with .html."),
     ] = None,
     gallery: Annotated[
         bool,
         typer.Option(
             "--gallery/--no-gallery",
-            help="Show the point spread functions of the worst, median and best point.",
+            help="Show the point spreads of the worst, median and best point, which are computed.",
         ),
     ] = True,
     debug: Debug = False,
 ) -> None:
-    """Write a self-contained HTML report of a study, complete or not."""
+    """Write one HTML page about a study, complete or not. It needs no network."""
     with errors_told(debug):
         require("matplotlib", "views")
         _results(store)  # check the input before the output path
@@ -211,11 +231,14 @@ def optimum_command(
         "optimum.png"
     ),
     incomplete: Annotated[
-        bool, typer.Option("--incomplete", help="Also draw a search that has not ended.")
+        bool, typer.Option("--incomplete", help="Draw although the search has not ended.")
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Draw an optimisation: the Pareto front of its objectives, or one objective by trials."""
+    """Print the best trials of an optimisation and draw it.
+
+    The picture shows the Pareto front of several objectives, or one objective over the trials.
+    """
     with errors_told(debug):
         require("matplotlib", "views")
         from .. import views
@@ -228,13 +251,13 @@ def optimum_command(
         typer.echo(f"{found}\n{out}: {len(found.feasible)} trials of {store}")
 
 
-@studies.command("export")
+@studies.command("export", short_help="Write all points of a study to a CSV table.")
 def export_command(
     store: StoreFolder,
     out: Annotated[Path, typer.Argument(metavar="CSV", help="Table to write (.csv).")],
     debug: Debug = False,
 ) -> None:
-    """Write all points as a table: changed values, figures of merit, errors, status, message."""
+    """Write all points to a CSV table: changed values, figures of merit, errors and status."""
     with errors_told(debug):
         if out.suffix.lower() != ".csv":
             raise typer.BadParameter(f"{out} does not end in .csv; give a name that does")
@@ -319,4 +342,6 @@ def _numbers(text: str | None) -> list[float]:
     try:
         return [float(part) for part in (text or "").split(",") if part.strip()]
     except ValueError:
-        raise typer.BadParameter(f"--contours {text!r} is no list such as 0.2,0.5,0.8") from None
+        raise typer.BadParameter(
+            f"--contours {text!r} is not a list of numbers such as 0.2,0.5,0.8"
+        ) from None

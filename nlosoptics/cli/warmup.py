@@ -11,18 +11,21 @@ import typer
 from .shell import Debug, app, errors_told, load, progress_bar
 
 
-@app.command("warmup", short_help="Compile the kernels that a run uses.")
+@app.command("warmup", short_help="Compile in advance, for a fast first run.")
 def warmup_command(
     scene_files: Annotated[
         list[Path] | None,
         typer.Argument(
             metavar="[SCENE...]",
-            help="Scene files whose kernels to compile; by default two usual scenes.",
+            help="Scene files for whose runs to compile; by default two typical scenes.",
         ),
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Compile the kernels that a run uses, so that the first run is as fast as the next."""
+    """Compile the functions that a run uses, so that the first run is as fast as later ones.
+
+    The compiled code is kept on the disk. A run compiles by itself what is missing.
+    """
     with errors_told(debug):
         start = time.perf_counter()
         from ..runs.warmup import warm_up
@@ -30,4 +33,4 @@ def warmup_command(
         scenes = [load(path, None, None) for path in scene_files or ()]
         with progress_bar() as progress:
             warm_up(scenes, progress)
-        typer.echo(f"kernels are ready, {time.perf_counter() - start:.1f} s")
+        typer.echo(f"compiled functions are ready, {time.perf_counter() - start:.1f} s")

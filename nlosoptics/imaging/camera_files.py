@@ -105,7 +105,7 @@ def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
     """
     path = Path(path)
     if not path.is_file():
-        raise SceneError(f"there is no file {path}; give the path of a picture")
+        raise SceneError(f"there is no file {path}; give the path of an image")
     try:
         raw = np.load(path, allow_pickle=False) if path.suffix == ".npy" else _decoded(path)
     except SceneError:
@@ -113,11 +113,11 @@ def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
     # Pillow's decoders raise SyntaxError for broken files
     except Exception as error:
         raise SceneError(
-            f"{path} is not a picture ({type(error).__name__}); give {FORMATS}"
+            f"{path} is not an image ({type(error).__name__}); give {FORMATS}"
         ) from None
     if not isinstance(raw, np.ndarray) or raw.ndim != 2 or raw.size == 0:
         shape = getattr(raw, "shape", "several arrays")
-        raise SceneError(f"{path} holds {shape}, must be one (ny, nx) picture; give {FORMATS}")
+        raise SceneError(f"{path} holds {shape}, must be one (ny, nx) image; give {FORMATS}")
     if raw.dtype.kind not in "biuf":
         raise SceneError(f"{path} holds {raw.dtype} values; give counts as whole or real numbers")
     counts = raw.astype(np.float64)
@@ -135,7 +135,7 @@ def _decoded(path: Path) -> NDArray[Any]:
     with opened_picture(path, str(path)) as picture:
         frames = getattr(picture, "n_frames", 1)
         if frames > 1:
-            raise SceneError(f"{path} holds {frames} pictures, must be one; save one per file")
+            raise SceneError(f"{path} holds {frames} images, must be one; save one per file")
         if picture.mode not in ("1", "L", "I", "F") and not picture.mode.startswith("I;16"):
             raise SceneError(
                 f"{path} is in colour (mode {picture.mode}); save the laser's channel as grey"
@@ -211,7 +211,7 @@ def camera_image(
     """
     files = [paths] if isinstance(paths, (str, Path)) else list(paths)
     if not files:
-        raise SceneError("no picture is given; name one file or more")
+        raise SceneError("no image is given; name one file or more")
     full = None if full is None else positive("full", full, unit="counts")
     shape = None if shape is None else _whole_shape(shape)
     total: Array | None = None
@@ -229,8 +229,8 @@ def camera_image(
         limit = largest if full is None else full
         if limit is not None and largest is not None and limit > largest:
             raise SceneError(
-                f"full = {limit:g} counts, {path} holds up to {largest:g}: no pixel could be full; "
-                "give the count at which the camera saturates"
+                f"full = {limit:g} counts, {path} holds up to {largest:g}: no pixel could be "
+                "saturated; give the count at which the camera saturates"
             )
         if limit is not None:
             saturated |= counts >= limit
@@ -305,13 +305,13 @@ def _checked(path: str | Path, values: Array, saturated: Mask, dead: Mask) -> Ca
     share = float(saturated.mean())
     if share > MOST_MASKED:
         raise SceneError(
-            f"{path}: {100 * share:.3g} % of the pixels are full, limit {100 * MOST_MASKED:g} %; "
-            "expose shorter"
+            f"{path}: {100 * share:.3g} % of the pixels are saturated, limit "
+            f"{100 * MOST_MASKED:g} %; expose shorter"
         )
     masked = saturated | dead
     if float(masked.mean()) > MOST_MASKED:
         raise SceneError(
-            f"{path}: {100 * masked.mean():.3g} % of the pixels are full, or dead in the flat "
+            f"{path}: {100 * masked.mean():.3g} % of the pixels are saturated, or dead in the flat "
             f"field, limit {100 * MOST_MASKED:g} %; record another flat field"
         )
     good = values[~masked]

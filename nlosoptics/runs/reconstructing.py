@@ -173,14 +173,13 @@ def prepared(
         )
     if defocus and len(defocus) != len(paths):
         raise SceneError(
-            f"defocus has {counted(len(defocus), 'value')} for {counted(len(paths), 'picture')}; "
+            f"defocus has {counted(len(defocus), 'value')} for {counted(len(paths), 'image')}; "
             "give one for each"
         )
     if blind and not defocus and len(paths) > 1:
         raise SceneError(
-            f"{len(paths)} pictures without defocus, but {method} needs the known focus of each, "
-            "and equal ones tell no more than their mean; give their defocus, for example 0 and "
-            "0.5 waves, or average them to one picture"
+            f"{len(paths)} images without defocus, but {method} needs the known defocus of each; "
+            "give it, for example 0 and 0.5 waves rms, or average images of the same focus to one"
         )
     if iterations is not None and method in (CNN, "inverse_filter"):
         raise SceneError(f"iterations is given, but {method} does not iterate; leave it out")

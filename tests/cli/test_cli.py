@@ -292,7 +292,7 @@ def test_seed_limit_is_the_generators() -> None:
 def test_help_of_tol_claims_no_more_than_it_does(run: Run) -> None:
     """It bounds the point spread; the image's own error is fixed."""
     text = " ".join(run("run", "--help").out.replace("\u2502", " ").split())
-    assert "Largest error of the point spread function" in text
+    assert "Largest error of the point spread" in text
     assert "point spread and image" not in text
 
 

@@ -152,7 +152,7 @@ def test_interrupt_keeps_what_is_done(study: Path, capsys) -> None:
     thread.join()
     assert code == shell.FAILED
     assert "pending" in out
-    assert err == "nlosoptics: interrupted; the same command goes on\n"
+    assert err == "nlosoptics: interrupted; the same command continues\n"
     code, out, _ = call(capsys, "study", study, "--workers", 0)
     assert code == 0
     assert "12 points: 12 done" in out
@@ -168,7 +168,7 @@ def test_plot_has_a_picture_for_each_kind(study: Path, capsys) -> None:
         assert Path(f"{more[1]}.png").read_bytes()[1:4] == b"PNG"
     for more, told in (
         (("--kind", "slices", "--contours", "1"), "contours belong to a map"),
-        (("--contours", "a,b"), "--contours 'a,b' is no list such as 0.2,0.5,0.8"),
+        (("--contours", "a,b"), "--contours 'a,b' is not a list of numbers such as 0.2,0.5,0.8"),
         (("--kind", "sobol"), "Sobol indices needs a study with .draws. alone"),
         (("--kind", "tornado"), "sensitivities need a study with one_at_a_time alone"),
     ):
@@ -249,7 +249,7 @@ def test_search_is_stopped_resumed_and_drawn(search: Path, capsys) -> None:
     thread.join()
     assert code == shell.FAILED
     assert "search: running; " in out
-    assert err == "nlosoptics: interrupted; the same command goes on\n"
+    assert err == "nlosoptics: interrupted; the same command continues\n"
     code, _, err = call(capsys, "study", "optimum", "powers.zarr")
     assert (code, err.count("\n")) == (shell.BAD_INPUT, 1)
     code, out, err = call(capsys, "study", search, "--workers", 0)
@@ -266,7 +266,7 @@ def test_search_is_stopped_resumed_and_drawn(search: Path, capsys) -> None:
         assert len(list(csv.DictReader(file))) == 12
     code, _, err = call(capsys, "study", "plot", "powers.zarr", "power")
     assert (code, err.count("\n")) == (shell.BAD_INPUT, 1)
-    assert "draw it with study optimum" in err
+    assert "use nlosoptics study optimum" in err
 
 
 def test_inverse_sensitivity_is_told(study: Path, capsys) -> None:

@@ -103,8 +103,8 @@ BAD = {
     "constant": (np.full((12, 16), 7.0), {}, ["reads 7 in every pixel"]),
     "black": (np.zeros((12, 16)), {}, ["reads 0 in every pixel"]),
     "NaN": (np.where(COUNTS > 190, np.nan, COUNTS), {}, ["not finite"]),
-    "full": (FULL, {}, ["58.3 % of the pixels are full", "limit 50 %"]),
-    "stack": (np.zeros((2, 12, 16)), {}, ["(2, 12, 16)", "one (ny, nx) picture"]),
+    "full": (FULL, {}, ["58.3 % of the pixels are saturated", "limit 50 %"]),
+    "stack": (np.zeros((2, 12, 16)), {}, ["(2, 12, 16)", "one (ny, nx) image"]),
     "complex": (COUNTS * 1j, {}, ["complex128"]),
     "no photons": (
         COUNTS * 1.0,
@@ -146,16 +146,16 @@ def test_files_that_are_no_grey_picture(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="no file"):
         camera_image(tmp_path / "nowhere.png")
     (tmp_path / "t.png").write_text("no picture")
-    with pytest.raises(SceneError, match="not a picture"):
+    with pytest.raises(SceneError, match="not an image"):
         camera_image(tmp_path / "t.png")
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(tmp_path / "c.png")
     with pytest.raises(SceneError, match="in colour"):
         camera_image(tmp_path / "c.png")
     pages = [Image.fromarray(COUNTS.astype(np.uint8)) for _ in range(2)]
     pages[0].save(tmp_path / "p.tif", save_all=True, append_images=pages[1:])
-    with pytest.raises(SceneError, match="2 pictures"):
+    with pytest.raises(SceneError, match="2 images"):
         camera_image(tmp_path / "p.tif")
-    with pytest.raises(SceneError, match="no picture is given"):
+    with pytest.raises(SceneError, match="no image is given"):
         camera_image([])
     saved(tmp_path / "a.npy", COUNTS)
     saved(tmp_path / "b.npy", COUNTS[:, :8])

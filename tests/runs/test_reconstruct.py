@@ -160,7 +160,7 @@ def bad_files() -> None:
         (["flat.npy"], ["reads 3 in every pixel"]),
         (["small.npy"], ["64 x 60", "64 x 64"]),
         (["full.png"], ["reads 255 in every pixel"]),
-        (["half.png"], ["68.8 % of the pixels are full"]),
+        (["half.png"], ["68.8 % of the pixels are saturated"]),
         (["dark.npy", "--dark", "bright.npy"], ["not brighter than the dark frame"]),
         (["nowhere.png"], ["no file nowhere.png"]),
         (["letter.png", "--scene", "matt.toml"], ["no mirror-like lobe", "feasibility"]),

@@ -214,10 +214,10 @@ def test_methods_without_a_state_say_so(frames: np.ndarray, capsys) -> None:
         (["a.npy", "--network", "a.npy"], ["network is given, but tv uses none"]),
         (
             ["a.npy", "b.npy", "--method", "evidence", "--defocus", "0"],
-            ["defocus has 1 value for 2 pictures"],
+            ["defocus has 1 value for 2 images"],
         ),
-        (["a.npy", "b.npy", "--method", "wu2024"], ["2 pictures without defocus"]),
-        (["a.npy", "b.npy", "--method", "evidence"], ["2 pictures without defocus", "average"]),
+        (["a.npy", "b.npy", "--method", "wu2024"], ["2 images without defocus"]),
+        (["a.npy", "b.npy", "--method", "evidence"], ["2 images without defocus", "average"]),
         (["colour.png", "--method", "evidence"], ["colour.png", "colour"]),
         (["fine.toml"], ["fine.toml"]),
         (["a.npy", "--size", "64", "--method", "evidence"], ["32 x 32 pixels", "64 x 64"]),
