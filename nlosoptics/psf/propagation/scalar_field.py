@@ -149,7 +149,7 @@ class ScalarField(Noun):
 
     @property
     def power(self) -> float:
-        """Integral of the intensity over the plane: sum of the intensity times ``pitch**2``, m^2."""
+        """Integral of the intensity over the plane, unit of the intensity times m^2."""
         return float(self.intensity.sum()) * self.pitch**2
 
     @property
