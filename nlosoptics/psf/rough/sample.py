@@ -71,8 +71,8 @@ def sample_point_spread(
         Random seed, 0 or more. Required with a `Roughness`, and not allowed with given heights. The
         same seed and sampling yield the same wall.
     independent_patterns : int
-        Number of random walls whose patterns are averaged. It reduces the contrast of fully
-        developed speckle to ``1/sqrt(independent_patterns)``. Use it to model a wall that moves during the
+        Number of random walls whose patterns are averaged. Fully developed speckle then has the
+        contrast ``1/sqrt(independent_patterns)``. Use it to model a wall that moves during the
         exposure, or light of several wavelengths, see Notes. Must be 1 with given heights.
     footprint : float or array_like (2, 2), optional
         Matrix M: a step (du, dv) in the exit pupil changes the wall point that is seen by the step
