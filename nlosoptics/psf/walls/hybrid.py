@@ -344,8 +344,8 @@ def hybrid_point_spread(
         Statistics of the wall's heights, which replace the slopes of its mirror-like reflection. By
         default the material's own slopes blur the image, as in `lobe_point_spread`.
     emission : {"lambertian", "isotropic"}
-        Directions into which the point emits: as a matt surface in the object's plane, or equally
-        in all directions.
+        Directions into which the point emits: like a matt surface that faces along the normal of
+        the hidden image (-z for a mesh), or equally in all directions.
     tol : float
         Largest error of the part computed by waves, relative to its peak; above 0, at most 1.
     n_rays : int
