@@ -470,9 +470,11 @@ class _Batch:
         return BatchTransform(basis, nodes, sizes, turns, window, rule, scale, self.single)
 
     def errors(self, field: Array, peaks: Array, pitch: float, pixel_integrated: bool) -> Array:
-        """Bound max |dI|/max I of each wave from the field's error and the peak.
+        """Return an upper bound of the error of each wave's image, relative to its peak.
 
-        Both are relative to the ideal peak. With a peak of 1 it is a lower bound.
+        ``field`` is the error of the complex field and ``peaks`` the largest intensity of each
+        wave, (waves,), relative to the peak without aberration. With ``peaks`` of 1 the result is a
+        lower bound.
         """
         pixel = pitch / self.residual.airy_unit if pixel_integrated else 0.0
         level = self.residual.pixel_share(pitch)

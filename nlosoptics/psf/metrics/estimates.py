@@ -71,7 +71,7 @@ def metric_estimate(
     See Also
     --------
     sample_point_spread : PSF of one random rough wall.
-    strehl : Strehl ratio at the reference point.
+    strehl : Strehl ratio on the axis.
     encircled_energy : Energy within circles.
 
     Notes

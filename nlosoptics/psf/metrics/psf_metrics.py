@@ -109,7 +109,7 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     See Also
     --------
     fit_zernike : Zernike coefficients of a wave.
-    strehl : Strehl ratio at the reference point.
+    strehl : Strehl ratio on the axis.
 
     Examples
     --------

@@ -76,7 +76,7 @@ class SurfaceField:
     density : float
         Fraction of the transmitted energy per m^2 at intensity 1.
     error : float
-        Bound of max |dI|/max I.
+        Upper bound of the error, relative to the largest intensity.
     """
 
     intensity: Array
@@ -145,7 +145,7 @@ def huygens_point_spread(
         F-number is 0.5 or less with ``pupil="sphere"``.
     SamplingError
         If the samples of a wave with the layout "grid" or "scattered" are too far apart for the
-        phase of the spherical waves.
+        phase of the spherical waves, or if such a wave has an ``aperture``.
     MemoryLimitError
         If the interpolated wave would not fit into memory.
 

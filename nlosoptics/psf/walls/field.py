@@ -336,7 +336,7 @@ def picture_point(hidden: PlanarObject, across: float, up: float) -> Array:
 
 
 def _off(found: Array, exact: Array) -> float:
-    """Return the error max |dI|/max I of a point spread relative to an exact one."""
+    """Return the largest error of a point spread, relative to the peak of the exact one."""
     return float(np.abs(found - exact).max() / exact.max())
 
 

@@ -157,7 +157,7 @@ class MirrorLobes:
         shape : (int, int)
             Pixels (ny, nx).
         tol : float
-            Wanted error, max |dI|/max I.
+            Largest permitted error, relative to the peak.
         model : {"scalar", "auto", "high-aperture"}
             Model of diffraction, see `transform.point_spread`. Slopes blur the scalar one.
 

@@ -181,7 +181,7 @@ def rough_choice(
     shape : (int, int)
         Pixels (ny, nx).
     tol : float
-        Wanted error, max |dI|/max I.
+        Largest permitted error, relative to the peak.
 
     Returns
     -------
@@ -306,7 +306,7 @@ def rough_image(
     shape : (int, int)
         Pixels (ny, nx).
     tol : float
-        Wanted error of the image, max |dI|/max I.
+        Largest permitted error of the image, relative to its peak.
 
     Returns
     -------

@@ -210,7 +210,7 @@ def point_image(
     shape : (int, int)
         Pixels (ny, nx).
     tol : float
-        Wanted error of the image, max |dI|/max I.
+        Largest permitted error of the image, relative to its peak.
     model : {"scalar", "auto", "high-aperture"}
         Model of diffraction for a wall without roughness, see `scene_point_spread`.
 
