@@ -371,7 +371,7 @@ class Aperture(Noun):
 
     @cached_property
     def rims(self) -> Curve:
-        """All n lines and arcs of the pupil's edges, as one `Curve` object of shape (n,)."""
+        """The n lines and arcs of all edges of the pupil, stacked in one `Curve` object."""
         return Curve.stack([curve for cell in self.cells for curve in cell.outline])
 
     @cached_property
@@ -397,23 +397,27 @@ class Aperture(Noun):
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """Index of the cell to which each patch belongs, (n_patches,); see the class's Notes."""
+        """Index of the cell (connected part) to which each patch of `patches` belongs, (n,)."""
         return np.repeat(np.arange(len(self.cells)), [len(cell.sides) for cell in self.cells])
 
     @cached_property
     def patches(self) -> tuple[Curve, Curve]:
-        """The two opposite curves A(t) and B(t) of all patches, each of shape (n_patches,)."""
+        """Patches into which the pupil is divided for integration, given by two opposite curves.
+
+        The two `Curve` objects contain the curves A(t) and B(t) of all n patches; see the Notes of
+        `Aperture`.
+        """
         pairs = [pair for cell in self.cells for pair in cell.sides]
         return Curve.stack([a for a, _ in pairs]), Curve.stack([b for _, b in pairs])
 
     @cached_property
     def patch_areas(self) -> Array:
-        """Area of every patch, (n_patches,), m^2."""
+        """Area of every patch of `patches`, (n,), m^2."""
         return np.asarray(self.nodes(12, 12)[2].sum(axis=(1, 2)))
 
     @cached_property
     def patch_size(self) -> tuple[float, float]:
-        """Largest width of a patch from curve A to curve B, and largest length along them, m."""
+        """Largest width and length of a patch of `patches`, m: across, and along its two curves."""
         a, b = self.patches
         t = np.linspace(0.0, 1.0, 17)
         across = np.hypot(*np.moveaxis(b.at(t) - a.at(t), -1, 0))

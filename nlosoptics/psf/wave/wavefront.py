@@ -464,7 +464,7 @@ class Wavefront(Noun, Shown):
 
     @property
     def flux(self) -> float:
-        """Energy through the pupil divided by that through a clear disc of the pupil radius."""
+        """Energy through the pupil divided by that through a clear disc of the pupil's radius."""
         disc = np.pi * self.pupil_radius**2
         return float(np.sum(self.amplitude**2 * self.weights) / disc)
 
