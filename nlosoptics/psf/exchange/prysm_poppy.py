@@ -88,6 +88,8 @@ def to_prysm(wavefront: Wavefront) -> PrysmPupil:
 
     Examples
     --------
+    A wave with 50 nm rms of defocus on a grid of 65 x 65 samples:
+
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
     ...     {4: 50e-9}, wavelength=632.8e-9, pupil_radius=0.0125, image_distance=1.0,

@@ -104,6 +104,8 @@ def write_zernikes(
 
     Examples
     --------
+    Write 50 nm of defocus and -20 nm of coma, and read them again:
+
     >>> from pathlib import Path
     >>> from tempfile import TemporaryDirectory
     >>> from nlosoptics import psf

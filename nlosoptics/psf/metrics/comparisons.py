@@ -146,6 +146,8 @@ def compare(
 
     Examples
     --------
+    Best method for a wave with 50 nm rms of defocus, and the methods that did not run:
+
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
     ...     {4: 50e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1

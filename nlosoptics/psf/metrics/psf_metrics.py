@@ -113,6 +113,8 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
 
     Examples
     --------
+    A Noll coefficient is the rms of its term:
+
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
     ...     {4: 50e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1

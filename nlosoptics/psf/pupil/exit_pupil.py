@@ -105,6 +105,8 @@ def exit_pupil(scene: Scene) -> ExitPupil:
 
     Examples
     --------
+    Aperture stop, radius and F-number of an example scene:
+
     >>> from nlosoptics import Scene, psf
     >>> pupil = psf.exit_pupil(Scene.load("examples/scenes/letter_flat.toml"))
     >>> print(f"{pupil.stop}, {1e3 * pupil.radius:.1f} mm, F/{pupil.f_number:.2f}")

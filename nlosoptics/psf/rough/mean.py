@@ -100,6 +100,9 @@ def mean_point_spread(
 ) -> RoughPointSpread:
     """Compute the mean point spread function (PSF) of rough walls, without random samples.
 
+    It consists of a sharp core, like the PSF of a smooth wall, and a halo of light that the
+    roughness scatters.
+
     Parameters
     ----------
     source : Wavefront, Scene or SceneOptics
@@ -123,7 +126,7 @@ def mean_point_spread(
         lambda and the F-number N.
     shape : int or (int, int), optional
         Samples or pixels (ny, nx); one number means a square. By default at least 256 per side, and
-        enough for all rays, a margin of 16 lambda N for diffraction, and the halo.
+        enough for all rays, a margin of 16 lambda N for diffraction, and the scattered light.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Quantity that has the value 1: the energy in the whole image plane, the peak of the smooth
         wall without aberration, or the energy that a clear disc of the pupil's radius transmits.

@@ -94,7 +94,7 @@ def sample_point_spread(
         lambda and the F-number N.
     shape : int or (int, int), optional
         Samples or pixels (ny, nx); one number means a square. By default at least 256 per side, and
-        enough for all rays, a margin of 16 lambda N for diffraction, and the halo.
+        enough for all rays, a margin of 16 lambda N for diffraction, and the scattered light.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Quantity that has the value 1, for the smooth wall: the energy in the whole image plane, the
         peak without aberration, or the energy that a clear disc of the pupil's radius transmits.

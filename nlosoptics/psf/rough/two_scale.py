@@ -162,7 +162,7 @@ def two_scale_point_spread(
         lambda and the F-number N.
     shape : int or (int, int), optional
         Samples or pixels (ny, nx); one number means a square. By default at least 256 per side, and
-        enough for all rays, a margin of 16 lambda N for diffraction, and the halo.
+        enough for all rays, a margin of 16 lambda N for diffraction, and the scattered light.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Quantity that has the value 1, for the smooth wall: the energy in the whole image plane, the
         peak without aberration, or the energy that a clear disc of the pupil's radius transmits.
@@ -197,8 +197,8 @@ def two_scale_point_spread(
     `mean_point_spread` for the fine heights. This neglects that light scattered by fine heights
     arrives at the pupil displaced sideways. The displacement is 0 for geometric propagation, and
     small compared with the coarse structure if the cutoff is at least `split_scale`. The mean over
-    walls is exact for any cutoff. The values are also correct if the halo of the fine heights is
-    much wider than the window.
+    walls is exact for any cutoff. The values are also correct if the light scattered by the fine
+    heights extends far beyond the window.
     """
     one_of("normalisation", normalisation, NORMALISATIONS)
     one_of("propagation", propagation, ("fresnel", "geometric"))

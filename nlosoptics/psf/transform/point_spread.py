@@ -280,6 +280,8 @@ def point_spread(
 
     Examples
     --------
+    An F/10 beam with 50 nm rms of defocus; its peak is the Strehl ratio:
+
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(  # Noll index 4: 50 nm rms of defocus
     ...     {4: 50e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1

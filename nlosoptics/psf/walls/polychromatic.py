@@ -50,6 +50,8 @@ def gaussian_band(centre: float, bandwidth: float, *, count: int = 5) -> tuple[A
 
     Examples
     --------
+    Three wavelengths for a line of 10 nm width at 632.8 nm:
+
     >>> from nlosoptics import psf
     >>> wavelengths, weights = psf.gaussian_band(632.8e-9, 10e-9, count=3)
     >>> print([f"{1e9 * w:.1f} nm" for w in wavelengths], weights.round(3))

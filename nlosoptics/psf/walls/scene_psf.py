@@ -133,6 +133,8 @@ def scene_point_spread(
 
     Examples
     --------
+    Image of the centre of the hidden object, on the camera's pixels:
+
     >>> from nlosoptics import Scene, psf
     >>> scene = Scene.load("examples/scenes/letter_flat.toml")
     >>> found = psf.scene_point_spread(scene, tol=1e-2)

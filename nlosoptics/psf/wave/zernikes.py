@@ -49,6 +49,8 @@ def zernike_order(index: int, ordering: Ordering = "noll") -> tuple[int, int]:
 
     Examples
     --------
+    Coma is Noll term 8, primary spherical aberration Fringe term 9:
+
     >>> from nlosoptics import psf
     >>> psf.zernike_order(8), psf.zernike_order(9, "fringe")
     ((3, 1), (4, 0))

@@ -207,6 +207,8 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
 
     Examples
     --------
+    Pixels per side that hold the image of an F/2 beam on pixels of 9 micrometres:
+
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
     ...     {4: 50e-9}, wavelength=632.8e-9, pupil_radius=0.0125, image_distance=0.05
