@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from .. import imaging, inverse, psf
 from .._checks import Budget, reason
 from ..errors import NlosError, SceneError
-from ..psf.aperture.aperture import Cell
+from ..psf.aperture.cells import Cell
 from ..psf.aperture.curves import Curve
 from . import plan
 from .record import arrays

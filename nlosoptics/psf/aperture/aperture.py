@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
@@ -15,64 +15,33 @@ from ..._checks import fits_memory, in_range, positive, real, whole
 from ..._nouns import Noun
 from ...errors import SceneError
 from . import shapes as parts
-from .curves import Curve, box, cross, lengths, moments, shares, within
-from .polygons import Sides, convex_polygon, sees_all, simple_polygon, straight_sides
+from .cells import Cell, polygon_cell, ring_cell
+from .curves import Curve, box, cross, lengths, shares, within
+from .polygons import convex_polygon, simple_polygon
 from .quadrature_nodes import fitting_pitch, gauss_legendre
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Point = tuple[float, float]
 
-#: Least distance from the centroid of an obscured polygon to the line of each side, relative to the
-#: distance of the farthest corner. Below it, rounding decides on which side the centroid lies.
-SEEN: Final = 1e-9
 #: Inset of the points that test cells for overlap, as a fraction of the patch's size: cells that
 #: merely touch do not overlap.
 TOUCH: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Cell(Noun):
-    """Connected part of a pupil, over which the wave is smooth.
-
-    Parameters
-    ----------
-    outline : tuple of Curve
-        Curves that form closed loops: the outer boundary counterclockwise, holes clockwise.
-    sides : tuple of (Curve, Curve)
-        Patches that cover the cell, each given by two opposite sides. A patch consists of the
-        straight lines between points of equal t on its two sides.
-
-    Attributes
-    ----------
-    area : float
-        Area, m^2.
-    centroid : (float, float)
-        Centre of area, m.
-    """
-
-    outline: tuple[Curve, ...]
-    sides: tuple[Sides, ...]
-    area: float = field(init=False)
-    centroid: Point = field(init=False)
-
-    def __post_init__(self) -> None:
-        area, x, y = moments(self.outline)
-        object.__setattr__(self, "area", area)
-        object.__setattr__(self, "centroid", (x / area, y / area))
-
-
-@dataclass(frozen=True, eq=False)
 class Aperture(Noun):
-    """Pupil outline made of disjoint cells, each bounded by line segments and elliptic arcs.
+    """Outline of a pupil of any shape, made of straight lines and elliptic arcs.
 
-    Build one with `ellipse`, `round`, `polygon`, `regular`, `hexagons`, `discs` or `union`. All
-    coordinates are (u, v) in the exit pupil, m.
+    A pupil consists of one or more cells. A cell is a connected part of the pupil, such as a ring,
+    a sector between two vanes or a mirror segment. Build an aperture with `ellipse`, `round`,
+    `polygon`, `regular`, `hexagons`, `discs` or `union`. Coordinates are (u, v) in the exit pupil,
+    m, with the optical axis at (0, 0).
 
     Parameters
     ----------
     cells : tuple of Cell
-        Connected parts of the pupil; they must not overlap.
+        Connected parts of the pupil; they must not overlap. The methods named above make them.
 
     See Also
     --------
@@ -80,11 +49,12 @@ class Aperture(Noun):
 
     Notes
     -----
-    Patches cover every cell. A patch has two opposite sides A and B and the map
-    ``(1 - s) A(t) + s B(t)``, 0 <= s, t <= 1. A side may be a single point, such as the centre of
-    a circular sector. Quadrature uses Gauss-Legendre nodes in s and t, with the Jacobian of the
-    map in the weights. It converges spectrally for waves that are smooth over a cell, and is exact
-    for polynomials where the sides are straight.
+    Integrals over the pupil are sums over patches, into which every cell is divided. A patch is the
+    area between two opposite curves A(t) and B(t). Its points are ``(1 - s) A(t) + s B(t)``, with s
+    and t from 0 to 1. One of the curves may be a single point, such as the centre of a circular
+    sector. `nodes` returns Gauss-Legendre nodes in s and t, whose weights contain the Jacobian of
+    this map. The integral of a function that is smooth over each cell converges exponentially with
+    the number of nodes. With straight curves it is exact for polynomials.
 
     Examples
     --------
@@ -110,18 +80,19 @@ class Aperture(Noun):
         obscuration: float = 0.0,
         centre: Point = (0.0, 0.0),
     ) -> Aperture:
-        """Return an ellipse, or the ring between two similar concentric ellipses.
+        """Return an elliptic pupil, with or without a similar hole in its middle.
 
         Parameters
         ----------
         a, b : float
-            Half axes, m.
+            Half axes (half of the two diameters), m.
         angle : float
-            Angle of the axis a from u toward v, rad.
+            Angle from the u axis to the half axis a, rad, positive toward v.
         obscuration : float
-            Linear size of the inner ellipse relative to the outer, 0 to 0.99.
+            Size of the hole: its half axes divided by those of the ellipse, 0 to 0.99. Default 0,
+            no hole.
         centre : (float, float)
-            Centre (u, v), m.
+            Centre (u, v) of the ellipse, m.
 
         Returns
         -------
@@ -137,7 +108,7 @@ class Aperture(Noun):
         inner = in_range("obscuration", obscuration, 0.0, 0.99)
         middle = parts.place("centre", centre)
         outer = Curve.arc(middle, axes[0], axes[1], 0.0, 2 * math.pi).parts()
-        return cls((_ring(outer, middle, inner),))
+        return cls((ring_cell(outer, middle, inner),))
 
     @classmethod
     def round(
@@ -149,9 +120,9 @@ class Aperture(Noun):
         vane_width: float = 0.0,
         angle: float = 0.0,
     ) -> Aperture:
-        """Return a disc or ring about the axis, optionally crossed by straight vanes.
+        """Return a disc or ring centred on the axis, optionally crossed by straight vanes.
 
-        Each sector between two vanes is a cell.
+        Vanes are the arms that hold a secondary mirror; no light passes them.
 
         Parameters
         ----------
@@ -164,12 +135,12 @@ class Aperture(Noun):
         vane_width : float
             Width of each arm, m.
         angle : float
-            Angle of the first vane from u toward v, rad.
+            Angle from the u axis to the first vane, rad, positive toward v.
 
         Returns
         -------
         Aperture
-            One cell, or one per sector between two vanes.
+            One cell without vanes; otherwise one cell for each sector between two vanes.
 
         Raises
         ------
@@ -198,15 +169,16 @@ class Aperture(Noun):
 
     @classmethod
     def polygon(cls, vertices: ArrayLike, *, obscuration: float = 0.0) -> Aperture:
-        """Return any polygon that does not cross itself.
+        """Return a polygonal pupil, convex or not, whose sides do not cross each other.
 
         Parameters
         ----------
         vertices : array_like, (n, 2)
-            Corners (u, v), m, clockwise or counterclockwise.
+            Corners (u, v), m, in clockwise or counterclockwise order.
         obscuration : float
-            Linear size of a hole relative to the polygon, 0 to 0.99. The hole is a similar polygon
-            about the centroid, from which every side must be visible.
+            Size of a hole: its side lengths divided by those of the polygon, 0 to 0.99. The hole
+            has the shape of the polygon and the same centroid, from which every side of the
+            polygon must be visible. Default 0, no hole.
 
         Returns
         -------
@@ -216,16 +188,16 @@ class Aperture(Noun):
         Raises
         ------
         SceneError
-            If the polygon crosses itself, has no area or has fewer than 3 corners, or if a hole
-            is wanted and some side is not visible from the centroid.
+            If the polygon crosses itself, has no area or has fewer than 3 corners, or if it has a
+            hole and one of its sides is not visible from the centroid.
         """
-        return cls((_polygon_cell(simple_polygon(vertices), obscuration),))
+        return cls((polygon_cell(simple_polygon(vertices), obscuration),))
 
     @classmethod
     def regular(
         cls, sides: int, radius: float, angle: float = 0.0, *, obscuration: float = 0.0
     ) -> Aperture:
-        """Return a regular polygon about the axis.
+        """Return a regular polygon centred on the axis.
 
         Parameters
         ----------
@@ -234,9 +206,10 @@ class Aperture(Noun):
         radius : float
             Radius of the circle through the corners, m.
         angle : float
-            Angle of one corner from u toward v, rad.
+            Angle from the u axis to one of the corners, rad, positive toward v.
         obscuration : float
-            Linear size of a similar central hole relative to the polygon, 0 to 0.99.
+            Size of a central hole of the same shape: its side length divided by that of the
+            polygon, 0 to 0.99. Default 0, no hole.
 
         Returns
         -------
@@ -252,7 +225,7 @@ class Aperture(Noun):
         positive("radius", radius, unit="m")
         turn = real("angle", angle) + 2 * math.pi * np.arange(sides) / sides
         corners = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        return cls((_polygon_cell(simple_polygon(corners), obscuration),))
+        return cls((polygon_cell(simple_polygon(corners), obscuration),))
 
     @classmethod
     def hexagons(
@@ -269,19 +242,20 @@ class Aperture(Noun):
         Parameters
         ----------
         rings : int
-            Number of rings about the central segment; 3 rings make 37 segments.
+            Number of rings of segments around the central one; 3 rings make 37 segments.
         flat_to_flat : float
             Width of a segment between opposite sides, m.
         gap : float
             Distance between the sides of neighbouring segments, m.
         angle : float
-            Angle of one corner of each segment from u toward v, rad.
+            Angle from the u axis to one corner of each segment, rad, positive toward v.
         central : bool
-            Whether there is a central segment.
+            Whether the central segment is part of the pupil.
 
         Returns
         -------
         Aperture
+            One cell for each segment.
 
         Raises
         ------
@@ -302,7 +276,7 @@ class Aperture(Noun):
         corners = width / math.sqrt(3) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
         centres = parts.hexagon_centres(rings, pitch, float(turn[0]) + math.pi / 6)
         return cls(
-            tuple(_polygon_cell(corners + middle, 0.0) for middle in centres[0 if central else 1 :])
+            tuple(polygon_cell(corners + middle, 0.0) for middle in centres[0 if central else 1 :])
         )
 
     @classmethod
@@ -316,11 +290,13 @@ class Aperture(Noun):
         discs : iterable of ((float, float), float)
             Centre (u, v) and radius of each disc, m.
         within : array_like, (n, 2), optional
-            Corners (u, v), m, of a convex polygon. The aperture is the part of the discs inside it.
+            Corners (u, v), m, of a convex polygon that limits the pupil as well. Default: no such
+            polygon.
 
         Returns
         -------
         Aperture
+            One cell: the points that lie in all discs and in the polygon.
 
         Raises
         ------
@@ -329,11 +305,11 @@ class Aperture(Noun):
         """
         corners = None if within is None else convex_polygon(within, "within")
         outer, middle = parts.common_outline(discs, corners)
-        return cls((_ring(outer, middle, 0.0),))
+        return cls((ring_cell(outer, middle, 0.0),))
 
     @classmethod
     def union(cls, *apertures: Aperture) -> Aperture:
-        """Return one aperture with the cells of several.
+        """Return one aperture made of several, for example a pupil with separate parts.
 
         Parameters
         ----------
@@ -360,7 +336,18 @@ class Aperture(Noun):
         return whole_one
 
     def moved(self, by: Point) -> Aperture:
-        """Return the aperture shifted by ``by`` = (u, v), m."""
+        """Return the aperture shifted sideways.
+
+        Parameters
+        ----------
+        by : (float, float)
+            Shift along u and v, m.
+
+        Returns
+        -------
+        Aperture
+            Pupil of the same shape.
+        """
         step = parts.place("by", by)
         return Aperture(
             tuple(
@@ -374,22 +361,22 @@ class Aperture(Noun):
 
     @cached_property
     def area(self) -> float:
-        """Area of the pupil, m^2."""
+        """Area of the pupil, without its holes, m^2."""
         return math.fsum(cell.area for cell in self.cells)
 
     @cached_property
     def perimeter(self) -> float:
-        """Length of all outer and inner rims, m."""
+        """Length of all outer and inner edges of the pupil, m."""
         return float(np.sum(lengths(self.rims)))
 
     @cached_property
     def rims(self) -> Curve:
-        """All line segments and arcs of the outlines, stacked as one `Curve` of shape (n,)."""
+        """The n lines and arcs of all edges of the pupil, stacked in one `Curve` object."""
         return Curve.stack([curve for cell in self.cells for curve in cell.outline])
 
     @cached_property
     def bounding_radius(self) -> float:
-        """Radius of the smallest circle about the axis that encloses the pupil, m."""
+        """Radius of the smallest circle centred on the axis that encloses the pupil, m."""
         # The distance along an arc has few maxima: sample densely, then refine by a parabola.
         t = np.linspace(0.0, 1.0, 129)
         r = np.hypot(*np.moveaxis(self.rims.at(t), -1, 0))
@@ -410,23 +397,27 @@ class Aperture(Noun):
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """Index of the cell to which each patch belongs, (n_patches,)."""
+        """Index of the cell (connected part) to which each patch of `patches` belongs, (n,)."""
         return np.repeat(np.arange(len(self.cells)), [len(cell.sides) for cell in self.cells])
 
     @cached_property
     def patches(self) -> tuple[Curve, Curve]:
-        """Sides A and B of all patches, each a `Curve` of shape (n_patches,)."""
+        """Patches into which the pupil is divided for integration, given by two opposite curves.
+
+        The two `Curve` objects contain the curves A(t) and B(t) of all n patches; see the Notes of
+        `Aperture`.
+        """
         pairs = [pair for cell in self.cells for pair in cell.sides]
         return Curve.stack([a for a, _ in pairs]), Curve.stack([b for _, b in pairs])
 
     @cached_property
     def patch_areas(self) -> Array:
-        """Area of every patch, (n_patches,), m^2."""
+        """Area of every patch of `patches`, (n,), m^2."""
         return np.asarray(self.nodes(12, 12)[2].sum(axis=(1, 2)))
 
     @cached_property
     def patch_size(self) -> tuple[float, float]:
-        """Length of the longest coordinate line along s, and along t, over all patches, m."""
+        """Largest width and length of a patch of `patches`, m: across, and along its two curves."""
         a, b = self.patches
         t = np.linspace(0.0, 1.0, 17)
         across = np.hypot(*np.moveaxis(b.at(t) - a.at(t), -1, 0))
@@ -434,10 +425,17 @@ class Aperture(Noun):
         return float(across.max()), float(max(r.max() for r in along))
 
     def map(self, s: Array, t: Array) -> tuple[Array, Array, Array]:
-        """Return points (u, v) of each patch, m, and their derivatives with respect to s and t, m.
+        """Return pupil points of every patch, from coordinates within the patch.
 
-        ``s`` (n_s,) and ``t`` (n_t,) are coordinates within a patch, 0 to 1. Each of the three
-        arrays is (n_patches, n_s, n_t, 2).
+        Parameters
+        ----------
+        s, t : ndarray, (n_s,) and (n_t,)
+            Coordinates, 0 to 1: s from one curve of the patch to the other, t along the curves.
+
+        Returns
+        -------
+        points, along_s, along_t : ndarray, (n_patches, n_s, n_t, 2)
+            Points (u, v), m, and their derivatives with respect to s and t, m.
         """
         a, b = self.patches
         low, high = a.at(t)[:, None], b.at(t)[:, None]
@@ -448,19 +446,22 @@ class Aperture(Noun):
         return place, along_s, along_t
 
     def nodes(self, n_s: int, n_t: int) -> tuple[Array, Array, Array]:
-        """Return Gauss-Legendre nodes of every patch.
+        """Return points and weights for integrals over the pupil (Gauss-Legendre quadrature).
+
+        The sum of ``weights * f(u, v)`` is the integral of a function f over the pupil.
 
         Parameters
         ----------
         n_s, n_t : int
-            Nodes per patch along s and along t.
+            Number of nodes per patch, along its coordinates s and t. See the Notes of `Aperture`.
 
         Returns
         -------
         u, v : ndarray
-            Coordinates (n_patches, n_s, n_t), m.
+            Coordinates of the nodes, (n_patches, n_s, n_t), m.
         weights : ndarray
-            Area of each node, (n_patches, n_s, n_t), m^2. The weights sum to the area.
+            Area that each node represents, (n_patches, n_s, n_t), m^2. The weights sum to the area
+            of the pupil.
 
         Raises
         ------
@@ -479,26 +480,27 @@ class Aperture(Noun):
     def grid_nodes(
         self, samples: int, radius: float | None = None
     ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-        """Return a square grid over the pupil, weighted by the area of each square inside it.
+        """Return a square grid over the pupil, with the part of each grid square inside the pupil.
 
         Parameters
         ----------
         samples : int
-            Squares per side.
+            Grid squares per side, n.
         radius : float, optional
-            Half side of the centred square that the grid just covers, m; default `half_width`.
+            Half side of the area that the grid covers, m, centred on the axis. Default: the largest
+            ``|u|`` or ``|v|`` in the pupil (`half_width`).
 
         Returns
         -------
         u, v : ndarray
-            Coordinates ``(arange(n) - n//2) * pitch`` of the squares' centres, (samples, samples),
-            rows are v, m.
+            Centres of the squares, (n, n), m: ``(arange(n) - n//2) * pitch`` with the side
+            ``pitch`` of a square; rows run along v.
         weights : ndarray
-            Area of each square inside the pupil, (samples, samples), m^2, accurate to 1e-12 of the
+            Area of the part of each square inside the pupil, (n, n), m^2, accurate to 1e-12 of the
             pupil's area.
         owners : ndarray of int
-            Index of the cell that covers most of each square, (samples, samples); 0 where no cell
-            covers any of it.
+            Index of the cell of the aperture that covers most of each square, (n, n); 0 where no
+            cell covers any of it.
 
         Raises
         ------
@@ -515,12 +517,12 @@ class Aperture(Noun):
         return u, v, total * pitch**2, owners
 
     def grid_shares(self, samples: int, pitch: float) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Return the fraction of each square of a grid inside the pupil and inside one cell.
+        """Return the fraction of each grid square that lies inside the pupil.
 
         Parameters
         ----------
         samples : int
-            Squares per side, n.
+            Grid squares per side, n.
         pitch : float
             Side of a square, m; square [n//2, n//2] is centred on the axis.
 
@@ -529,7 +531,8 @@ class Aperture(Noun):
         total : ndarray
             Fraction of each square inside the pupil, (n, n).
         largest : ndarray
-            Fraction of each square inside the cell that covers most of it, (n, n).
+            Fraction of each square inside one cell of the aperture: the cell that covers most of
+            the square, (n, n).
         owners : ndarray of int
             Index of that cell, (n, n); 0 where no cell covers any of the square.
         """
@@ -551,7 +554,18 @@ class Aperture(Noun):
         return np.minimum(total, 1.0), most, owners
 
     def contains(self, u: ArrayLike, v: ArrayLike) -> Bools:
-        """Return whether points (u, v), m, lie inside the pupil, in the broadcast shape."""
+        """Return whether points lie inside the pupil.
+
+        Parameters
+        ----------
+        u, v : array_like
+            Coordinates of the points, m, of any shapes that broadcast.
+
+        Returns
+        -------
+        ndarray of bool
+            In the broadcast shape of ``u`` and ``v``.
+        """
         x, y = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
         inside = np.zeros(np.broadcast(x, y).shape, dtype=bool)
         for cell in self.cells:
@@ -573,28 +587,3 @@ class Aperture(Noun):
                         f"cells {i} and {j} of the aperture overlap at u = {u:.4g} m, v = "
                         f"{v:.4g} m; move them apart"
                     )
-
-
-def _ring(outer: Sequence[Curve], centre: Array, inner: float) -> Cell:
-    """Cell between an outline and a similar one, ``inner`` times as large, about ``centre``."""
-    if inner == 0:
-        return Cell(tuple(outer), tuple((Curve.point(centre), c) for c in outer))
-    holes = [c.scaled(inner, centre) for c in outer]
-    outline = (*outer, *(c.part(1.0, 0.0) for c in holes))
-    return Cell(outline, tuple(zip(holes, outer, strict=True)))
-
-
-def _polygon_cell(corners: Array, obscuration: float) -> Cell:
-    """Cell of a simple counterclockwise polygon, with a similar hole if it is obscured."""
-    outer = [Curve.line(a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
-    area, x, y = moments(outer)
-    centre = np.array([x / area, y / area])
-    inner = in_range("obscuration", obscuration, 0.0, 0.99)
-    if inner > 0:
-        if not sees_all(corners, centre, SEEN):
-            raise SceneError(
-                f"obscuration = {inner:g} needs a polygon with every side visible from its "
-                "centroid; give two polygons and their union"
-            )
-        return _ring(outer, centre, inner)
-    return Cell(tuple(outer), tuple(straight_sides(corners, centre)))

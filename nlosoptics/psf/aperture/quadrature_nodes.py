@@ -37,25 +37,26 @@ def frozen(array: Array) -> Array:
 def polar_nodes(
     radius: float, n_r: int, n_theta: int, obscuration: float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """Return polar nodes of a round or annular pupil: Gauss-Legendre in r^2, uniform in angle.
+    """Return points on concentric rings of a round or annular pupil, with weights for integrals.
 
-    The quadrature is exact for polynomials in u and v of degree below min(4 n_r, n_theta).
+    The sum of ``weights * f(u, v)`` is the integral of a function f over the pupil. It is exact for
+    polynomials in u and v of degree below min(4 n_r, n_theta).
 
     Parameters
     ----------
     radius : float
-        Outer radius, m.
+        Outer radius of the pupil, m.
     n_r, n_theta : int
-        Number of radii and of angles.
+        Number of rings, and of points on each ring.
     obscuration : float
-        Inner radius as a fraction of the outer, 0 to 0.99.
+        Inner radius of the pupil divided by the outer, 0 to 0.99. Default 0, a full disc.
 
     Returns
     -------
     u, v : ndarray
-        Coordinates (n_r, n_theta), m.
+        Coordinates of the points (nodes), (n_r, n_theta), m.
     weights : ndarray
-        Area of each node, (n_r, n_theta), m^2. The weights sum to the pupil's area.
+        Area that each node represents, (n_r, n_theta), m^2. The weights sum to the pupil's area.
 
     Raises
     ------
@@ -68,6 +69,11 @@ def polar_nodes(
     --------
     grid_nodes : Square grid over a circular pupil.
     Wavefront : Sampled wave in the exit pupil.
+
+    Notes
+    -----
+    The squared radii are Gauss-Legendre nodes, in ascending order; no node lies at the centre or on
+    the rim. The angles are evenly spaced and begin on the u axis.
 
     Examples
     --------
@@ -127,25 +133,26 @@ def kept_even(n_r: int, n_theta: int) -> Array:
 
 
 def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[Array, Array, Array]:
-    """Return a square grid over a round or annular pupil, with exact area weights at the rim.
+    """Return a square grid over a round or annular pupil, with the area of each square inside it.
 
     Parameters
     ----------
     radius : float
-        Outer radius, m.
+        Outer radius of the pupil, m.
     samples : int
-        Grid cells per side, 2 or more.
+        Grid squares per side, n, 2 or more.
     obscuration : float
-        Inner radius as a fraction of the outer, 0 to 0.99.
+        Inner radius of the pupil divided by the outer, 0 to 0.99. Default 0, a full disc.
 
     Returns
     -------
     u, v : ndarray
-        Coordinates ``(arange(n) - n//2) * pitch`` of the cells' centres, (samples, samples), rows
-        are v, m. The grid just encloses the pupil: pitch is ``2 radius/n`` for odd n,
-        ``2 radius/(n - 1)`` for even n.
+        Centres of the squares, (n, n), m: ``(arange(n) - n//2) * pitch``, where rows run along v.
+        The grid just encloses the pupil, so that the side ``pitch`` of a square is ``2 radius/n``
+        for odd n and ``2 radius/(n - 1)`` for even n.
     weights : ndarray
-        Area of each cell inside the pupil, (samples, samples), m^2.
+        Area of the part of each square inside the pupil, (n, n), m^2. It is exact also for squares
+        that the rim crosses.
 
     Raises
     ------

@@ -47,31 +47,34 @@ FEWER = "give fewer waves at a time, or a smaller shape"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PointSpreads(Noun):
-    """Point spread functions of many waves on one pupil, with their errors.
+    """Point spread functions of many waves that share one pupil, with their errors.
 
     Parameters
     ----------
     intensity : ndarray
-        (waves, ny, nx), read-only, row 0 at the lowest y; the reference point is at
-        [ny//2, nx//2].
+        Intensities (waves, ny, nx), read-only, row 0 at the lowest y. Sample [ny//2, nx//2] is on
+        the optical axis.
     error_estimate : ndarray
-        (waves,), bound of max |dI|/max I of each PSF, compared with the exact image of the wave
-        that the nodes sample.
+        Largest error of each point spread relative to its peak, an upper bound, (waves,). It is the
+        difference from the exact image of the wave that interpolates the given samples.
     aberration : ndarray
-        (waves, n_r, n_theta), read-only: aberration of each wave on the pupil's nodes, m.
+        Aberration of each wave at the sample points of the pupil, (waves, n_r, n_theta), m,
+        read-only.
     wavefront : Wavefront
-        Wave that gives the pupil: nodes, amplitude, wavelength and distances.
+        Wave whose pupil, amplitude, wavelength and image distance all waves share. Its own
+        aberration is not used.
     pitch : float
         Distance between samples, or pixel side, m.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
-        Meaning of 1, as in `PointSpread`.
+        Quantity that has the value 1: the energy in the whole image plane, the peak without
+        aberration, or the energy that a clear disc of the pupil's radius transmits.
     pixel_integrated : bool
         Whether values are integrals over pixels rather than point samples times pixel area.
     tol : float
-        Largest error estimate that was accepted.
+        Error that was requested, relative to the peak; all error estimates are below it.
     accuracy : float
-        Error that the sum over nodes may add to the field, relative to the field's peak without
-        aberration.
+        Error of the complex field due to the finite number of quadrature nodes, relative to the
+        field's peak without aberration. `aberration_gradient` uses the same accuracy.
 
     See Also
     --------
@@ -98,23 +101,22 @@ class PointSpreads(Noun):
         return len(self.intensity)
 
     def aberration_gradient(self, intensity_gradient: ArrayLike, *, degree: int = 12) -> Array:
-        """Return the gradient of a function of the intensities with respect to the aberrations.
+        """Return the gradient of a loss function with respect to the aberrations (backpropagation).
 
         Parameters
         ----------
         intensity_gradient : array_like
-            (waves, ny, nx), derivative of the function with respect to each value of
-            ``intensity``.
+            Derivative of the loss with respect to each value of ``intensity``, (waves, ny, nx).
         degree : int
-            Highest degree in u and v of the changes of an aberration to which the gradient
-            refers: all polynomials up to this degree.
+            The gradient is valid for changes of the aberration that are polynomials in u and v up
+            to this degree.
 
         Returns
         -------
         ndarray
-            (waves, n_r, n_theta), 1/m. The sum of its products with a change of ``aberration`` is
-            the change of the function, for every change that is a polynomial of the degree. For
-            aberrations that are sums of modes, the gradient with respect to their coefficients is
+            Gradient (waves, n_r, n_theta), unit of the loss per m. A small change dW of the
+            aberration changes the loss by ``sum(gradient * dW)``. If the aberrations are sums of
+            modes (k, n_r, n_theta), the gradient with respect to their coefficients is
             ``einsum("wrt,krt->wk", gradient, modes)``.
 
         Raises
@@ -122,24 +124,25 @@ class PointSpreads(Noun):
         SceneError
             If ``degree`` is below 1.
         SamplingError
-            If the gradient has another shape or is not finite, or if the wave has too few nodes for
-            polynomials of the degree.
+            If ``intensity_gradient`` has another shape than ``intensity`` or is not finite, or if
+            the wave has too few sample points for polynomials of the degree.
         MemoryLimitError
             If the arrays do not fit into memory.
 
         Notes
         -----
-        It is the adjoint of the transform, exact to rounding error, in the precision in which the
-        intensities were computed. It takes two to three times as long as the point spreads, whose
+        The gradient is exact to rounding error, in the precision in which the intensities were
+        computed. It takes two to three times as long as the point spreads, because their complex
         fields are computed again.
 
-        The gradient refers to polynomials because a change of a single node is no smooth function
-        of u and v. As a density, ``gradient/wavefront.weights``, it is a polynomial itself: a step
-        along this density leaves a wave smooth.
+        The gradient is limited to polynomials because changing the aberration at a single point
+        does not give a smooth function. Divided by the area of each node,
+        ``gradient/wavefront.weights``, it is a polynomial itself. A gradient step along this
+        quotient therefore keeps the wave smooth.
 
         Examples
         --------
-        The gradient of the peak with respect to a defocus of 20 nm rms:
+        Derivative of the peak with respect to defocus, at a defocus of 20 nm rms:
 
         >>> from nlosoptics import psf
         >>> import numpy as np
@@ -201,32 +204,35 @@ def point_spreads(
     pixel_integrated: bool = False,
     out: Array | None = None,
 ) -> PointSpreads:
-    """Compute the point spread functions of many waves on one disc or ring, in one window.
+    """Compute the point spread functions of many waves that share one round or annular pupil.
+
+    For many waves this is much faster than calling `point_spread` for each.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of layout "polar" that gives the pupil: nodes, amplitude, wavelength and distances. Its
-        own aberration is not used.
+        Wave with the layout "polar" whose pupil, amplitude, wavelength and image distance all waves
+        share. Its own aberration is not used.
     aberrations : array_like
-        (waves, n_r, n_theta), m: aberration of each wave on the nodes of ``wavefront``. A tilt
-        shifts the spot, as in `point_spread`.
+        Aberration of each wave at the sample points of ``wavefront``, (waves, n_r, n_theta), m. A
+        tilt shifts the spot.
     tol : float
-        Largest error, max |dI|/max I, 0 to 1. The number of nodes follows from it, from the window
-        and from the steepest wave.
+        Largest permitted error of a point spread, relative to its peak; above 0, at most 1.
     pitch : float, optional
-        Image sampling or pixel side, m. Default lambda N/4 with the F-number N.
+        Distance between image samples, or pixel side, m. Default lambda N/4, with the wavelength
+        lambda and the F-number N.
     shape : int or (int, int), optional
-        Pixels (ny, nx). By default square, with all rays of all waves and 16 lambda N of their
-        tails inside, and with at least 256 per side without ``pixel_integrated``. A window given
-        may show any part of the image.
+        Samples or pixels (ny, nx). By default a square that contains all rays of all waves and a
+        margin of 16 lambda N for diffraction; without ``pixel_integrated`` it has at least 256
+        samples per side. A smaller window is allowed and shows the middle of the image.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
-        As in `point_spread`.
+        Quantity that has the value 1: the energy in the whole image plane, the peak without
+        aberration, or the energy that a clear disc of the pupil's radius transmits.
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
     out : ndarray, optional
-        (waves, ny, nx), float64: array for the intensities, which become read-only in the result.
-        An array that has been used before saves the time to get memory from the system.
+        Array (waves, ny, nx), float64, into which the intensities are written. It becomes read-only
+        in the result. By default a new array is allocated; reusing one saves time.
 
     Returns
     -------
@@ -238,8 +244,8 @@ def point_spreads(
     SceneError
         If an option is out of range or an array has the wrong shape.
     SamplingError
-        If the wave is not of layout "polar", the pitch is too wide, or the nodes of a wave are too
-        few for ``tol``.
+        If ``wavefront`` has another layout than "polar", the pitch is too wide, or the sample
+        points are too few for ``tol``.
     MemoryLimitError
         If the intensities do not fit into memory; raised before they are allocated.
 
@@ -250,17 +256,18 @@ def point_spreads(
 
     Notes
     -----
-    The model is that of ``point_spread(model="scalar")``. The sum over the pupil runs over
-    Gauss nodes on parallel chords, so that it separates into products of matrices, first along the
-    chords and then across them. Both have mirror symmetry, which saves three quarters of the
-    operations. Where ``tol`` allows it, the products are in single precision. The waves are shared
-    among all cores. The values do not depend on the number of threads.
+    The result is that of ``point_spread(model="scalar")``. The pupil is integrated along parallel
+    chords, so that the integral becomes two matrix products, which use its mirror symmetry. Single
+    precision is used where ``tol`` allows it. The waves are computed on all cores; the values do
+    not depend on the number of threads.
 
-    A batch pays for its steepest wave: all waves have the nodes that this one needs. Sort very
-    different waves into several batches.
+    All waves are computed with the number of nodes that the steepest one needs. Put waves of very
+    different aberration into separate calls.
 
     Examples
     --------
+    Peaks of three waves with 0, 20 and 40 nm rms of defocus, relative to the first:
+
     >>> from nlosoptics import psf
     >>> import numpy as np
     >>> wave = psf.Wavefront.from_zernike(
@@ -465,9 +472,11 @@ class _Batch:
         return BatchTransform(basis, nodes, sizes, turns, window, rule, scale, self.single)
 
     def errors(self, field: Array, peaks: Array, pitch: float, pixel_integrated: bool) -> Array:
-        """Bound max |dI|/max I of each wave from the field's error and the peak.
+        """Return an upper bound of the error of each wave's image, relative to its peak.
 
-        Both are relative to the ideal peak. With a peak of 1 it is a lower bound.
+        ``field`` is the error of the complex field and ``peaks`` the largest intensity of each
+        wave, (waves,), relative to the peak without aberration. With ``peaks`` of 1 the result is a
+        lower bound.
         """
         pixel = pitch / self.residual.airy_unit if pixel_integrated else 0.0
         level = self.residual.pixel_share(pitch)

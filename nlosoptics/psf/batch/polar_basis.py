@@ -26,16 +26,21 @@ PARTS = ((False, False), (False, True), (True, True), (True, False))
 
 
 class PolarBasis:
-    """Series on polar nodes up to a degree in the squared radius and an angular order.
+    """Basis of smooth functions on a disc or ring, to interpolate many waves at once.
+
+    A basis function is a Legendre polynomial of r^2, times the cosine or sine of an angular order m
+    (times r if m is odd). The functions are divided into four parts by parity: even in both u and
+    v, odd in u, odd in v, and odd in both.
 
     Parameters
     ----------
     n_r, n_theta : int
-        Shape of the nodes of `polar_nodes`.
+        Number of rings and of points per ring of the samples, see `polar_nodes`.
     obscuration : float
-        Inner radius of the pupil as a fraction of the outer.
+        Inner radius of the pupil divided by the outer.
     degree, order : int, optional
-        Highest Legendre degree and angular order; all that the nodes hold by default.
+        Highest Legendre degree and highest angular order; by default the highest that the samples
+        determine, ``n_r - 1`` and ``n_theta//2``.
     """
 
     def __init__(
@@ -64,11 +69,22 @@ class PolarBasis:
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Number of terms of each part."""
+        """Number of basis functions of each of the four parts."""
         return tuple(self.n_k * len(orders) for orders in self.orders)
 
     def analysed(self, values: Array) -> list[Array]:
-        """Return the coefficients (waves, n_k, orders) of each part of waves (.., n_r, n_theta)."""
+        """Return the coefficients of functions that are given by samples.
+
+        Parameters
+        ----------
+        values : ndarray, (waves, n_r, n_theta)
+            Samples of each wave on the polar nodes.
+
+        Returns
+        -------
+        list of ndarray, (waves, n_degrees, n_orders)
+            Coefficients of each of the four parts.
+        """
         flat = values.reshape(-1, values.shape[2])
         found = product(flat, np.concatenate(self._angular, axis=1))
         found = found.reshape(*values.shape[:2], -1)
@@ -77,7 +93,18 @@ class PolarBasis:
         return [product(one, part) for one, part in zip(self._radial, parts, strict=True)]
 
     def at(self, u: Array, v: Array) -> list[Array]:
-        """Return the terms of each part, (terms, n), at points u, v relative to the radius."""
+        """Return the values of all basis functions at points of the pupil.
+
+        Parameters
+        ----------
+        u, v : ndarray, (n,)
+            Coordinates divided by the pupil's radius.
+
+        Returns
+        -------
+        list of ndarray, (functions, n)
+            Values for each of the four parts.
+        """
         rho, angle = np.hypot(u, v), np.arctan2(v, u)
         radial = legendre_tables(self.n_k, fraction_of(rho, self.obscuration))[0]
         found = []
@@ -88,9 +115,18 @@ class PolarBasis:
         return found
 
     def slopes_at(self, rho: Array, angle: Array) -> tuple[list[Array], list[Array]]:
-        """Return the derivatives of all terms along u and v, each part (terms, n).
+        """Return the derivatives of all basis functions along u and v.
 
-        Points are given by rho = r/radius and angle, (n,); derivatives are per radius.
+        Parameters
+        ----------
+        rho, angle : ndarray, (n,)
+            Polar coordinates of the points: radius divided by the pupil's radius, above 0, and
+            angle from u toward v, rad.
+
+        Returns
+        -------
+        along_u, along_v : list of ndarray, (functions, n)
+            Derivatives for each of the four parts, with lengths in units of the pupil's radius.
         """
         value, slope = legendre_tables(self.n_k, fraction_of(rho, self.obscuration))
         slope = slope * (2 * rho / (1 - self.obscuration**2))
@@ -108,7 +144,9 @@ class PolarBasis:
 
 
 class SmoothModes:
-    """Zernike polynomials up to a degree, by parity.
+    """All Zernike polynomials up to a degree, sorted by parity.
+
+    The four parts are the polynomials even in both u and v, odd in u, odd in v, and odd in both.
 
     Parameters
     ----------
@@ -124,7 +162,18 @@ class SmoothModes:
         self.indices = found
 
     def at(self, u: Array, v: Array) -> list[Array]:
-        """Return the modes of each parity, (modes, n), at points u, v relative to the radius."""
+        """Return the values of all polynomials at points of the pupil.
+
+        Parameters
+        ----------
+        u, v : ndarray, (n,)
+            Coordinates divided by the pupil's radius.
+
+        Returns
+        -------
+        list of ndarray, (polynomials, n)
+            Values for each of the four parts.
+        """
         rho, angle = np.hypot(u, v), np.arctan2(v, u)
         shape = -1, u.size  # of no modes too
         return [
@@ -132,10 +181,22 @@ class SmoothModes:
         ]
 
     def on_nodes(self, parts: list[Array], wave: Wavefront) -> Array:
-        """Return the gradient at polar nodes, (waves, n_r, n_theta), from that of all modes.
+        """Convert derivatives with respect to Zernike coefficients into a gradient at pupil nodes.
 
-        Its product with any sum of the modes is the sum of their derivatives, ``parts`` (waves,
-        modes). As a density over the pupil it is such a sum itself.
+        Parameters
+        ----------
+        parts : list of ndarray, (waves, polynomials)
+            Derivatives of a loss function with respect to the coefficients, for each of the four
+            parts.
+        wave : Wavefront
+            Wave with the layout "polar", which gives the nodes.
+
+        Returns
+        -------
+        ndarray, (waves, n_r, n_theta)
+            Gradient. Its sum of products with one of the polynomials is the derivative with respect
+            to the coefficient of that polynomial. Divided by the area of each node, it is a
+            sum of the polynomials.
         """
         order = tuple(j for part in self.indices for j in part)
         table = _kept_projection(order, *wave.u.shape, wave.obscuration)

@@ -54,22 +54,23 @@ READ: Final = (*KEYWORDS, "PIXELSCL", "BUNIT")
 
 
 def write_poppy(wavefront: Wavefront, *, opd: str | Path, amplitude: str | Path) -> None:
-    """Write a pupil to the two FITS files that ``poppy.FITSOpticalElement`` reads.
+    """Write a wave to two FITS files for the Python library POPPY (``poppy.FITSOpticalElement``).
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of layout "grid". POPPY centres a pupil on its array. An even grid has its axis on
-        sample n//2, so a dark row and column are added at its upper end to centre it exactly.
+        Wave with the layout "grid".
     opd : str or Path
-        File for the optical path difference, m, in POPPY's sign: ``OPD = -W``.
+        File for the optical path difference, m. Its sign is that of POPPY, opposite to the
+        aberration W of this library: ``OPD = -W``.
     amplitude : str or Path
-        File for the amplitude; in rim cells it is multiplied by the fraction inside the pupil.
+        File for the amplitude. In a square that the rim of the pupil crosses, it is multiplied by
+        the fraction of the square inside the pupil.
 
     Raises
     ------
     SamplingError
-        If the wave is not on a grid.
+        If the layout of the wave is not "grid".
     SceneError
         If a file cannot be written, or both names are the same.
     MissingExtraError
@@ -82,10 +83,15 @@ def write_poppy(wavefront: Wavefront, *, opd: str | Path, amplitude: str | Path)
 
     Notes
     -----
-    Values are float64. ``PUPLSCAL`` holds the pitch in m per pixel and ``BUNIT`` the unit; further
-    keywords hold the rest of the wavefront for `read_poppy`. POPPY's image coordinates are angles,
-    x and y divided by ``image_distance``; a negative distance rotates the image by 180 degrees.
-    Both files are written completely before either replaces an existing file.
+    Values are float64. The FITS keyword ``PUPLSCAL`` holds the pixel side in m and ``BUNIT`` the
+    unit; further keywords hold the rest of the wavefront for `read_poppy`.
+
+    POPPY centres a pupil on its array, while a grid of n squares in this library has its axis on
+    sample n//2. For even n a dark row and column are therefore added at the upper end.
+
+    POPPY's image coordinates are angles: x and y divided by ``image_distance``. A negative distance
+    rotates the image by 180 degrees. Both files are written completely before either replaces an
+    existing file.
     """
     fits = _fits()
     paths = {"opd": Path(opd), "amplitude": Path(amplitude)}
@@ -115,40 +121,45 @@ def read_poppy(
     pupil_radius: float | None = None,
     half_pixel: HalfPixel = "refuse",
 ) -> Wavefront:
-    """Read a wavefront from the FITS files of a POPPY pupil; give one of the two files or both.
+    """Read a wave from FITS files of the Python library POPPY: path difference, amplitude or both.
 
     Parameters
     ----------
     opd : str or Path, optional
-        File with the optical path difference in POPPY's sign; ``W = -OPD``. ``BUNIT`` gives its
-        unit: metres, microns, nanometres or radians. Values where the amplitude is 0 are ignored
-        and may be NaN. Default 0 everywhere.
+        File with the optical path difference in POPPY's sign; the aberration is ``W = -OPD``. The
+        FITS keyword ``BUNIT`` gives its unit: metres, microns, nanometres or radians. Values where
+        the amplitude is 0 are ignored and may be NaN. Default 0 everywhere.
     amplitude : str or Path, optional
-        File with the amplitude (not intensity) transmission, 0 to 1. Default 1 everywhere, which
-        is a square pupil.
-    wavelength, image_distance, pupil_radius : float, optional
-        As in `Wavefront`, m. They override the values in the files. Wavelength and distance are
-        required for files written by POPPY, which hold neither, and optional for those of
-        `write_poppy`. The default radius is that of the disc that just fits the array.
+        File with the transmission of the amplitude (not of the intensity), 0 to 1. Default 1
+        everywhere, which is a square pupil.
+    wavelength : float, optional
+        Vacuum wavelength, m. Default: the value in the files, as written by `write_poppy`. Required
+        for files written by POPPY, which do not contain it.
+    image_distance : float, optional
+        Distance from the pupil to the image plane, m; negative if the pupil lies beyond the image.
+        Default and requirement as for ``wavelength``.
+    pupil_radius : float, optional
+        Radius of the pupil, m, which defines the F-number. Default: the value in the files, or else
+        the radius of the disc that just fits the array.
     half_pixel : {"refuse", "shift", "scattered"}
-        Treatment of arrays with an even side. Their centre is between four pixels in POPPY, but on
-        pixel n//2 in a grid of this library. "refuse" raises an error. "shift" moves the pupil by
-        half a pixel toward lower u and v, which changes the phase of the image field but not the
-        intensity. "scattered" makes every pixel of non-zero amplitude a scattered node at its true
-        position. Values are never interpolated.
+        Treatment of arrays with an even number n of pixels per side. Their centre lies between four
+        pixels in POPPY, but on pixel n//2 in this library. "refuse" raises an error. "shift" moves
+        the pupil by half a pixel toward lower u and v, which changes the phase of the image but not
+        its intensity. "scattered" keeps the true position of every pixel of non-zero amplitude, in
+        a wave of the layout "scattered". Values are never interpolated.
 
     Returns
     -------
     Wavefront
-        Layout "grid", or "scattered" if ``half_pixel`` is "scattered" and the side is even.
+        Wave of the layout "grid", or "scattered" if ``half_pixel`` is "scattered" and n is even.
 
     Raises
     ------
     SceneError
-        If a file is missing, is not a square image, lacks its scale or unit, or contradicts the
-        other file.
+        If a file is missing, is not a square image, lacks its pixel side or unit, or contradicts
+        the other file; if no file is given; or if wavelength or image distance is not known.
     SamplingError
-        If the side is even and ``half_pixel`` is "refuse".
+        If n is even and ``half_pixel`` is "refuse".
     MissingExtraError
         If astropy is not installed.
 

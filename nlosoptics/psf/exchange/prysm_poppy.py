@@ -31,18 +31,18 @@ Array = NDArray[np.float64]
 
 
 class PrysmPupil(NamedTuple):
-    """Pupil in prysm's units and in the order of prysm's arguments.
+    """Pupil arrays for the Python library prysm, in its units and in the order of its arguments.
 
     Parameters
     ----------
     amplitude : ndarray, (n, n)
-        Relative amplitude.
+        Relative amplitude, 0 outside the pupil.
     phase : ndarray, (n, n)
-        Aberration, nm, positive for a longer path.
+        Wave aberration, nm, positive for a longer path.
     wavelength : float
         Wavelength, micrometres.
     dx : float
-        Pitch of the samples, mm.
+        Distance between samples, mm.
 
     See Also
     --------
@@ -57,26 +57,29 @@ class PrysmPupil(NamedTuple):
 
 
 def to_prysm(wavefront: Wavefront) -> PrysmPupil:
-    """Return pupil arrays for ``prysm.propagation.Wavefront.from_amp_and_phase(*pupil)``.
+    """Convert a wave to arrays for the Python library prysm.
 
-    In prysm, focus this pupil with the distance ``1e3 * wavefront.image_distance``, mm. Terms in
-    ``wavefront.removed``, such as tilt, are not added back.
+    Pass the result on as ``prysm.propagation.Wavefront.from_amp_and_phase(*pupil)``. The distance
+    for prysm's focusing functions is ``1e3 * wavefront.image_distance``, mm.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of layout "grid". In cells that the rim cuts, the returned amplitude is multiplied by
-        the fraction of the cell inside the pupil.
+        Wave with the layout "grid". Terms listed in ``wavefront.removed``, such as tilt, are not
+        added back.
 
     Returns
     -------
     PrysmPupil
+        Amplitude, aberration in nm, wavelength in micrometres and sample distance in mm. In a
+        square that the rim of the pupil crosses, the amplitude is multiplied by the fraction of the
+        square inside the pupil.
         Amplitude and phase, (n, n) in the order of the wave's grid, wavelength and pitch.
 
     Raises
     ------
     SamplingError
-        If the wave is not on a grid.
+        If the layout of the wave is not "grid".
 
     See Also
     --------
@@ -85,6 +88,8 @@ def to_prysm(wavefront: Wavefront) -> PrysmPupil:
 
     Examples
     --------
+    A wave with 50 nm rms of defocus on a grid of 65 x 65 samples:
+
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
     ...     {4: 50e-9}, wavelength=632.8e-9, pupil_radius=0.0125, image_distance=1.0,
@@ -105,25 +110,30 @@ def from_prysm(
     image_distance: float,
     pupil_radius: float | None = None,
 ) -> Wavefront:
-    """Make a wavefront from prysm's pupil arrays.
+    """Make a wave from pupil arrays of the Python library prysm.
 
     Parameters
     ----------
     pupil : PrysmPupil or tuple
-        Amplitude, phase in nm, wavelength in micrometres and dx in mm, as in `PrysmPupil`. Phases
-        where the amplitude is 0 are ignored and may be NaN.
-    image_distance, pupil_radius : float
-        As in `Wavefront.from_map`, m.
+        Four values: relative amplitude (n, n); wave aberration (n, n), nm, positive for a longer
+        path; wavelength, micrometres; and distance between samples, mm. Aberrations where the
+        amplitude is 0 are ignored and may be NaN.
+    image_distance : float
+        Distance from the pupil to the image plane, m; negative if the pupil lies beyond the image.
+    pupil_radius : float, optional
+        Radius of the pupil, m, which defines the F-number; by default that of the disc that just
+        fits the arrays.
 
     Returns
     -------
     Wavefront
-        Wave of layout "grid".
+        Wave with the layout "grid".
 
     Raises
     ------
     SceneError
-        If arrays are not real, not square, not finite or differ in shape.
+        If the arrays are not real, not square, not finite or differ in shape, or a number is out of
+        range.
 
     See Also
     --------

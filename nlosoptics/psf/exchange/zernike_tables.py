@@ -34,15 +34,16 @@ LINE: Final = re.compile(rf"[zZ]?\s*(\d+)(?:\s*[,;:=]\s*|\s+)({NUMBER})\s*(?::.*
 
 @dataclass(frozen=True, kw_only=True)
 class ZernikeTable:
-    """Zernike coefficients for `Wavefront.from_zernike`, with their ordering and wavelength.
+    """Zernike coefficients read from a file, for `Wavefront.from_zernike`.
 
     Parameters
     ----------
     coefficients : mapping of int to float
-        Index to coefficient, m, positive for a longer path: the rms over the full disc for Noll
-        and OSA, the value at the rim for Fringe.
+        Zernike index to coefficient, m, positive for a longer path. With Noll and OSA indices a
+        coefficient is the rms of its term over the full disc; with Fringe indices it is the value
+        at the rim.
     ordering : {"noll", "osa", "fringe"}
-        Index scheme, see `zernike_order`.
+        Index scheme of the coefficients, see `zernike_order`.
     wavelength : float or None
         Wavelength, m; None if the table does not give it.
 
@@ -66,7 +67,7 @@ def write_zernikes(
     sign: Sign = "excess",
     wavelength: float | None = None,
 ) -> None:
-    """Write Zernike coefficients as comma-separated text, with ordering, unit and sign as comments.
+    """Write Zernike coefficients to a text file, with index scheme, unit and sign as comments.
 
     Parameters
     ----------
@@ -74,16 +75,16 @@ def write_zernikes(
         File to write. An existing file is replaced only after the new one has been written
         completely.
     coefficients : mapping of int to float
-        Index to coefficient, m, positive for a longer path, as returned by `fit_zernike`.
+        Zernike index to coefficient, m, positive for a longer path, as returned by `fit_zernike`.
     ordering : {"noll", "osa", "fringe"}
-        Index scheme of the coefficients, also used in the file; see `zernike_order`.
+        Index scheme of the coefficients, which the file states; see `zernike_order`.
     unit : {"m", "um", "nm", "waves"}
         Unit of the numbers in the file.
     sign : {"excess", "advance"}
-        "excess" writes the coefficients as they are. "advance" changes their sign, for tools that
-        count a shorter path as positive, such as POPPY and, untested here, Zemax.
+        Meaning of a positive number in the file: a longer path ("excess", as in this library) or a
+        shorter one ("advance", as in POPPY and, not tested, Zemax).
     wavelength : float, optional
-        Wavelength, m; required for unit "waves".
+        Wavelength, m, which the file then states; required for the unit "waves".
 
     Raises
     ------
@@ -103,6 +104,8 @@ def write_zernikes(
 
     Examples
     --------
+    Write 50 nm of defocus and -20 nm of coma, and read them again:
+
     >>> from pathlib import Path
     >>> from tempfile import TemporaryDirectory
     >>> from nlosoptics import psf
@@ -148,18 +151,24 @@ def read_zernikes(
         Text file. Each line holds an index and a coefficient, separated by a comma, semicolon,
         colon or blanks. A heading that begins with ``index`` is allowed. Comments begin with #, !
         or % and may give ``ordering: noll``, ``unit: nm``, ``sign: advance`` and
-        ``wavelength: 6.328e-07``. In a Zemax ``Listing of Zernike ...`` only lines such as
-        ``Z 4 0.12 : formula`` are read; its Standard terms have Noll ordering and are in waves.
-    ordering, unit, sign : str, optional
-        Meaning of the numbers, as in `write_zernikes`. Each must be given here or in the file; if
-        given in both, they must agree.
+        ``wavelength: 6.328e-07``. In an export of Zemax, whose first line is
+        ``Listing of Zernike ...``, only lines such as ``Z 4 0.12 : formula`` are read. Its Standard
+        terms have Noll indices and are in wavelengths.
+    ordering : {"noll", "osa", "fringe"}, optional
+        Index scheme of the coefficients. This and the next two must be given here or in the file;
+        if given in both, they must agree.
+    unit : {"m", "um", "nm", "waves"}, optional
+        Unit of the numbers in the file.
+    sign : {"excess", "advance"}, optional
+        Meaning of a positive number in the file: a longer path ("excess") or a shorter one
+        ("advance").
     wavelength : float, optional
         Wavelength, m; required for numbers in waves if the file does not give it.
 
     Returns
     -------
     ZernikeTable
-        Coefficients in m, positive for a longer path.
+        Coefficients in m, positive for a longer path, with index scheme and wavelength.
 
     Raises
     ------

@@ -19,17 +19,17 @@ ALIKE = ("shape", "pitch", "normalisation", "wavelength", "f_number", "pixel_int
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MetricEstimate(Noun):
-    """Metric of a mean point spread function, with its statistical error.
+    """Metric of the mean of several random point spreads, with its standard error.
 
     Parameters
     ----------
     value : ndarray
-        Metric of the mean of all patterns, of the metric's shape.
+        Metric of the mean of all point spreads, in the shape that the metric has.
     standard_error : ndarray
-        Jackknife estimate of the standard deviation that ``value`` has over independent sets of
-        ``n_patterns`` patterns; same shape.
+        Standard error of ``value``, in the same shape: its estimated standard deviation if the
+        point spreads were drawn again.
     n_patterns : int
-        Number of patterns.
+        Number of random point spreads.
 
     See Also
     --------
@@ -44,45 +44,47 @@ class MetricEstimate(Noun):
 def metric_estimate(
     metric: Callable[[PointSpread], Any], patterns: Iterable[PointSpread]
 ) -> MetricEstimate:
-    """Evaluate a metric on the mean of independent patterns, with a jackknife standard error.
+    """Evaluate a metric on the mean of random point spreads (speckle patterns), with an error bar.
 
     Parameters
     ----------
     metric : callable
-        Function of a point spread that returns a number or an array, such as
-        ``lambda p: psf.encircled_energy(p, radii)``, `fwhm` or `centroid`.
+        Function of a `PointSpread` that returns a number or an array, such as `fwhm`, `centroid` or
+        ``lambda p: psf.encircled_energy(p, radii)``.
     patterns : iterable of PointSpread
-        At least two, drawn independently on one grid, such as ``psf.sample_point_spread(scene,
-        roughness, seed=s)`` for many s. Each may itself be the mean of several draws, if this
-        number is the same for all.
+        Two or more independent random point spreads with the same pitch, shape and normalisation,
+        such as ``psf.sample_point_spread(scene, roughness, seed=s)`` for many s. Each may itself be
+        the mean of several draws, if their number is the same for all.
 
     Returns
     -------
     MetricEstimate
-        Metric of the mean pattern, its standard error, and the number of patterns.
+        Metric of the mean point spread, its standard error, and the number of patterns.
 
     Raises
     ------
     SceneError
-        If there are fewer than two patterns, or their grids or units differ.
+        If there are fewer than two patterns, or their pitch, shape or normalisation differs.
     SamplingError
         If the metric is not finite.
 
     See Also
     --------
     sample_point_spread : PSF of one random rough wall.
-    strehl : Strehl ratio at the reference point.
+    strehl : Strehl ratio on the axis.
     encircled_energy : Energy within circles.
 
     Notes
     -----
-    ``s^2 = (n - 1)/n sum_i (t_i - mean t)^2``, where t_i is the metric of the mean of all patterns
-    except the i-th [1]_. For metrics that are smooth functions of the image, (value - truth)/s
-    follows Student's t distribution of n - 1 degrees of freedom. A discontinuous metric needs many
-    patterns. An example is the width through the brightest pixel, which may change from one
-    speckle to another. The standard error does not include errors common to all patterns, such as
-    energy outside the window. A modulus such as `mtf` is biased upward where it is not larger than
-    its error.
+    The standard error s is the jackknife estimate [1]_:
+    ``s^2 = (n - 1)/n sum_i (t_i - mean t)^2``, where n is the number of patterns and t_i the metric
+    of the mean of all patterns except the i-th. If the metric is a smooth function of the image,
+    the error of ``value`` divided by s follows Student's t distribution with n - 1 degrees of
+    freedom. A metric that can jump needs many patterns. An example is `fwhm`: the brightest pixel,
+    through which it is measured, may change from one speckle to another.
+
+    The standard error does not include errors that all patterns share, such as energy outside the
+    window. A modulus such as `mtf` is biased upward where it is not larger than its error.
 
     References
     ----------

@@ -38,26 +38,27 @@ TOLERANCE: Final = 1e-6
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ThroughFocus(Noun, Shown):
-    """Metric of a wave in a sequence of image planes.
+    """Image quality of a wave, such as the Strehl ratio, in several image planes along the axis.
 
     Parameters
     ----------
     shifts : ndarray
-        (n,), read-only: displacements of the image plane along the light's direction, m.
+        Displacements of the image plane along the direction of the light, (n,), m, read-only.
     values : ndarray
-        (n,), read-only: the metric in each plane; m for "rms" and "spot".
+        Measure of image quality in each plane, (n,), read-only. In m for "rms" and "spot", without
+        unit for "strehl" and "mtf".
     criterion : str
-        Name of the metric.
+        Name of the measure: "strehl", "rms", "spot" or "mtf", or that of a given function.
     wavelength : float
         Vacuum wavelength, m.
     f_number : float
-        Working F-number at shift 0.
+        Working F-number (image distance over pupil diameter) at shift 0.
 
     See Also
     --------
-    through_focus : Metric in several image planes.
+    through_focus : Computes it.
     best_focus : Displacement of best focus.
-    nlosoptics.views.through_focus : Curve of the metric.
+    nlosoptics.views.through_focus : Plot of the values.
     """
 
     shifts: Array
@@ -68,7 +69,7 @@ class ThroughFocus(Noun, Shown):
 
     @property
     def best(self) -> int:
-        """Index of the best plane: least "rms" or "spot", or largest value of any other metric."""
+        """Index of the best plane: smallest "rms" or "spot", largest value of any other measure."""
         return int(np.argmin(self.values) if self.criterion in LEAST else np.argmax(self.values))
 
     def _figures(self) -> Figures:
@@ -83,20 +84,21 @@ class ThroughFocus(Noun, Shown):
 
 
 def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
-    """Return the wave with its image plane displaced along the axis.
+    """Return the wave that a detector sees which is displaced along the axis (defocus).
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with any ``layout`` of its nodes and any outline of its pupil.
+        Wave in the exit pupil, of any layout.
     shift : float
-        Displacement of the image plane along the light's direction, m; positive away from the lens.
+        Displacement of the image plane along the direction of the light, m; positive away from the
+        lens.
 
     Returns
     -------
     Wavefront
-        Wave with the image distance ``image_distance + shift``. Its aberration refers to the
-        sphere about the new reference point on the axis.
+        Wave with the image distance ``image_distance + shift``. Its aberration is relative to the
+        sphere about the point where the axis meets the new image plane.
 
     Raises
     ------
@@ -109,14 +111,17 @@ def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
 
     Notes
     -----
-    ``W' = W + r^2/(d' + s sqrt(r^2 + d'^2)) - r^2/(d + s sqrt(r^2 + d^2))`` with d' = d + shift
-    and s the sign of d, and with r^2 = u^2 + v^2. This is the exact path difference between the
-    spheres, from nodes in the pupil plane, as in `huygens_point_spread` with ``pupil="plane"``. The
-    paraxial term
-    ``(1/d' - 1/d) r^2/2`` differs from it by about the fraction ``3/(16 N^2)`` at the rim, 1e-4 at
-    F/40. A detector beyond focus has W < 0. The tilt is kept, so that a spot at ``a d`` moves to
-    ``a d'``. The amplitude is kept too; as power per area it would change by the fraction
-    ``r^2 shift/(2 d^3)``.
+    The aberration W changes to
+
+    ``W' = W + r^2/(d' + s sqrt(r^2 + d'^2)) - r^2/(d + s sqrt(r^2 + d^2))``
+
+    Here d is the image distance, d' = d + shift, s the sign of d, and r^2 = u^2 + v^2. This is the
+    exact path difference between the two reference spheres for points (u, v) in the plane of the
+    pupil. The paraxial term ``(1/d' - 1/d) r^2/2`` differs from it at the rim by about the fraction
+    ``3/(16 N^2)``, with N the F-number: 1e-4 at F/40. A detector beyond focus has W < 0.
+
+    The tilt is kept, so that a spot off the axis moves in proportion to the image distance. The
+    amplitude is kept, too; its exact change is about the fraction ``r^2 shift/(2 d^3)``.
 
     Examples
     --------
@@ -151,39 +156,41 @@ def through_focus(
     frequency: float | None = None,
     azimuth: float = 0.0,
 ) -> ThroughFocus:
-    """Compute a metric of a wave in displaced image planes.
+    """Compute the image quality of a wave in several image planes along the axis.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with any ``layout`` of its nodes and any outline of its pupil.
+        Wave in the exit pupil, of any layout.
     shifts : array_like, (n,)
-        Displacements of the image plane along the light's direction, m, see `focus_shifted`.
+        Displacements of the image plane along the direction of the light, m; positive away from the
+        lens.
     criterion : {"strehl", "rms", "spot", "mtf"} or callable
-        - ``strehl``: `strehl` without piston and tilt, so that it follows a spot that moves
-          sideways.
-        - ``rms``: `rms_aberration` without piston and tilt, m.
-        - ``spot``: `spot_radius`, m.
-        - ``mtf``: `mtf` at ``frequency``, from the PSF unless the wave has polar nodes without
-          obscuration.
-        - A function of a Wavefront that returns a number, such as
+        Measure of image quality:
+
+        - ``strehl``: Strehl ratio without tilt, which follows a spot that moves sideways.
+        - ``rms``: rms aberration without piston and tilt, m.
+        - ``spot``: rms radius of the spot of rays, without diffraction, m.
+        - ``mtf``: modulation transfer function at ``frequency``.
+        - A function of a `Wavefront` that returns a number, such as
           ``lambda wave: psf.encircled_energy(wave, 5e-6)``.
     frequency : float, optional
-        Cycles per m in the image; required for ``mtf``.
+        Spatial frequency in the image, cycles per m; required for ``mtf`` and not allowed
+        otherwise.
     azimuth : float
-        Direction of the frequency, rad from x toward y.
+        Direction along which the frequency is counted, rad from x toward y.
 
     Returns
     -------
     ThroughFocus
-        Metric in each plane, (n,), with the shifts in the given order.
+        Image quality in each plane, (n,), with the shifts in the given order.
 
     Raises
     ------
     SceneError
         If an option is unknown, missing or out of range.
     SamplingError
-        If a grid or scattered nodes are too few for the defocus.
+        If the samples of a wave with the layout "grid" or "scattered" are too few for the defocus.
 
     See Also
     --------
@@ -192,8 +199,8 @@ def through_focus(
 
     Examples
     --------
-    Strehl ratio without aberration: ``sinc^2`` of the waves of defocus at the rim, which are
-    ``shift/(8 N^2 lambda)``:
+    Strehl ratio 0.2 mm before, in and beyond the focus of an F/10 lens without aberration. It is
+    ``sinc(w)^2``, with w the defocus at the rim in wavelengths, ``shift/(8 N^2 lambda)``:
 
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
@@ -232,20 +239,26 @@ def best_focus(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with any ``layout`` of its nodes and any outline of its pupil.
+        Wave in the exit pupil, of any layout.
     criterion : {"strehl", "rms", "spot", "mtf"} or callable
-        Metric, see `through_focus`. ``rms`` and ``spot`` are minimised, all others maximised.
-    frequency, azimuth : float
-        As in `through_focus`.
+        Measure of image quality: Strehl ratio, rms aberration, rms radius of the spot of rays, MTF
+        at ``frequency``, or a function of a `Wavefront` that returns a number. ``rms`` and ``spot``
+        are minimised, all others maximised.
+    frequency : float, optional
+        Spatial frequency in the image, cycles per m; required for ``mtf`` and not allowed
+        otherwise.
+    azimuth : float
+        Direction along which the frequency is counted, rad from x toward y.
     limits : (float, float), optional
-        Least and largest shift to search, m. By default from the wave's defocus, largest slope and
-        depth of focus, see Notes.
+        Smallest and largest shift to search, m. By default the search covers every plane in which
+        the wave may be in focus, see Notes.
 
     Returns
     -------
     float
-        Shift of the image plane along the light's direction, m: the argument of `focus_shifted`.
-        It is accurate to ``1e-6 * 8 N^2 lambda``.
+        Displacement of the image plane along the direction of the light, m, which `focus_shifted`
+        takes. It is accurate to ``1e-6 * 8 N^2 lambda``, with the F-number N: a defocus of 1e-6
+        wavelengths at the rim.
 
     Raises
     ------
@@ -254,29 +267,28 @@ def best_focus(
         side of the pupil.
     SamplingError
         If the criterion is constant, has two equally good maxima, or has its maximum at an end of
-        the search range, if the search would be too long, or if the nodes are too few for it.
+        the search range, if the search would take more than 512 planes, or if the wave has too few
+        samples for it.
 
     See Also
     --------
-    through_focus : Metric in several image planes.
+    through_focus : Image quality in several image planes.
 
     Notes
     -----
-    The variable is the defocus ``t = (1/d' - 1/d) R^2/2`` at the rim of the pupil, with R the
-    pupil's radius, d the image distance and d' the shifted one, m. The search is centred on the
-    least rms aberration. Its half width is R times the largest slope of W without piston, tilt and
-    defocus, plus two wavelengths. This is at least twice the defocus that makes the steepest ray
-    from the rim cross the axis in the image plane. Image distances are limited to 1/8 to 8 times
-    that of the least rms.
+    The search range is counted in the defocus at the rim of the pupil, ``(1/d' - 1/d) R^2/2``, with
+    the pupil's radius R, the image distance d and the shifted one d', m. It is centred on the plane
+    of the smallest rms aberration. Its half width is R times the largest slope of the aberration
+    without piston, tilt and defocus, plus two wavelengths. Shifted image distances are limited to
+    1/8 to 8 times that of the smallest rms aberration.
 
-    The Strehl ratio and the square of the MTF are band-limited in t, with periods of at least
-    ``lambda`` and ``lambda/(8 x (1 - x))`` for the fraction x of the cutoff frequency. The search
-    takes four samples per period, or four per wavelength of t for a criterion given as a function.
-    By Bernstein's inequality the sample nearest to a maximum then reaches 85 % of it, so all local
-    maxima within 20 % of the range below the best sample are refined, by Brent's method [1]_.
+    The criterion is computed at planes close enough not to miss a maximum of the Strehl ratio or
+    the MTF: at least four per wavelength of defocus for the Strehl ratio and for given functions.
+    All local maxima within 20 % of the range of values from the best one are refined by Brent's
+    method [1]_.
 
-    The Strehl ratio is relative to a wave without aberration in the same plane. It therefore
-    ignores that, at Fresnel numbers of a few, the brightest plane is shifted toward the pupil.
+    The Strehl ratio is relative to a wave without aberration in the same plane. At Fresnel numbers
+    of a few, the plane of highest intensity is therefore another one, closer to the pupil.
 
     References
     ----------
@@ -284,7 +296,8 @@ def best_focus(
 
     Examples
     --------
-    A wave of primary spherical aberration is in focus at a wave of defocus, ``8 N^2 lambda``:
+    One wavelength of primary spherical aberration is balanced by one wavelength of defocus, a shift
+    of ``8 N^2 lambda`` = 0.4 mm:
 
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_function(

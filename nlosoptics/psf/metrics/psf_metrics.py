@@ -29,25 +29,22 @@ TERMS = ("piston", "tilt", "defocus")
 
 
 def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> float:
-    """Compute the Strehl ratio at the reference point.
-
-    It is the intensity there divided by the intensity without aberration.
+    """Compute the Strehl ratio of a wave: intensity on the axis, relative to a perfect wave's.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with any ``layout`` of its nodes. The layouts "polar" and "cells" are refined until
-        the sum has converged; nodes of other layouts are used as given.
+        Wave in the exit pupil, of any layout.
     remove : iterable of {"piston", "tilt", "defocus"}
-        Terms that are fitted by least squares, weighted by amplitude, and removed first. They are
-        fitted jointly, and always with a piston. Defocus is u^2 + v^2. Tilt that is not removed
-        moves the peak away from the reference point.
+        Terms that are removed from the aberration first, by a least-squares fit weighted by the
+        amplitude. Add "tilt" for the Strehl ratio at the centre of a shifted spot, and "defocus"
+        (u^2 + v^2) for that in best focus.
 
     Returns
     -------
     float
-        ``|sum A w exp(ikW)|^2 / (sum A w)^2``, with amplitude A, aberration W and area w of the
-        nodes, and k = 2 pi/wavelength.
+        Ratio, 0 to 1: ``|sum A w exp(ikW)|^2 / (sum A w)^2`` over the sample points of the pupil,
+        with amplitude A, aberration W, area w, and k = 2 pi/wavelength.
 
     Raises
     ------
@@ -57,6 +54,11 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     See Also
     --------
     peak_strehl : Ratio at the brightest point of the image.
+
+    Notes
+    -----
+    The sum is taken at x = y = 0, where the axis meets the image plane. For the layouts "polar" and
+    "cells" the wave is interpolated to as many points as the sum needs to converge.
 
     Examples
     --------
@@ -84,16 +86,15 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
 
 
 def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "tilt")) -> float:
-    """Compute the root mean square aberration over the pupil, weighted by amplitude.
+    """Compute the root mean square (rms) aberration of a wave over the pupil.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with any ``layout`` of its nodes; the mean is taken over the nodes.
+        Wave in the exit pupil, of any layout. The mean is weighted by the amplitude.
     remove : iterable of {"piston", "tilt", "defocus"}
-        Terms that are fitted jointly by least squares, weighted by amplitude, and removed first;
-        always with the piston, so that the result is a standard deviation. Empty: the root mean
-        square of the aberration as it is.
+        Terms that are removed from the aberration first, by a least-squares fit. The piston is
+        always removed with them. If empty, nothing is removed.
 
     Returns
     -------
@@ -108,10 +109,12 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     See Also
     --------
     fit_zernike : Zernike coefficients of a wave.
-    strehl : Strehl ratio at the reference point.
+    strehl : Strehl ratio on the axis.
 
     Examples
     --------
+    A Noll coefficient is the rms of its term:
+
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
     ...     {4: 50e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
@@ -127,29 +130,32 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
 def fit_zernike(
     wavefront: Wavefront, n_terms: int, *, ordering: Ordering = "noll"
 ) -> dict[int, float]:
-    """Fit Zernike coefficients to an aberration by least squares, weighted by amplitude.
+    """Fit Zernike polynomials to the aberration of a wave.
+
+    The fit is by least squares, weighted by the amplitude.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with any ``layout`` of its nodes. An obscured pupil is fitted with the polynomials of
+        Wave in the exit pupil, of any layout. A pupil with a hole is fitted with the polynomials of
         the full disc.
     n_terms : int
-        Number of terms: the first ``n_terms`` indices of the ordering.
+        Number of polynomials: the first ``n_terms`` of the index scheme.
     ordering : {"noll", "osa", "fringe"}
-        Convention of indices and normalisation, see `zernike`.
+        Index scheme and normalisation of the polynomials, see `zernike`.
 
     Returns
     -------
     dict of int to float
-        Coefficients by index, m, as for `Wavefront.from_zernike`.
+        Zernike index to coefficient, m, positive for a longer path. `Wavefront.from_zernike` takes
+        them.
 
     Raises
     ------
     SceneError
         If an option is out of range.
     SamplingError
-        If the nodes do not determine all terms.
+        If the sample points of the wave do not determine all coefficients.
     MemoryLimitError
         If the fit would not fit into memory.
 
@@ -185,18 +191,17 @@ def fit_zernike(
 
 
 def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Array:
-    """Compute the fraction of the transmitted energy within circles around the reference point.
+    """Compute the fraction of the transmitted energy within circles around the optical axis.
 
     Parameters
     ----------
     source : Wavefront or PointSpread
-        For a polar wavefront the result is accurate to rounding: ``2 pi sum_m int |U_m|^2 r dr``
-        over the angular orders of the image field. For the layout "cells" the error is below 1e-9:
-        the finely sampled image is multiplied by a disc and summed. The disc is smoothed only at
-        spatial frequencies that the image does not contain, which leaves the sum unchanged. For a
-        point spread the result is a sum over pixels, weighted by their area within the circle.
+        Wave in the exit pupil, of the layout "polar" (result accurate to rounding) or "cells"
+        (error below 1e-9); or a computed point spread, whose pixels are weighted by their area
+        within the circle.
     radius : array_like
-        Radii, m, of any shape.
+        Radii of the circles, m, of any shape. All circles are centred on x = y = 0, where the axis
+        meets the image plane.
 
     Returns
     -------
@@ -211,7 +216,7 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
         If the wavefront's layout is neither "polar" nor "cells", or a circle extends beyond the
         window of the point spread.
     MemoryLimitError
-        If the image of a wave on cells would not fit into memory.
+        If the image of a wave of the layout "cells" would not fit into memory.
 
     See Also
     --------
@@ -221,7 +226,7 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
 
     Examples
     --------
-    Within the first dark ring of the Airy pattern, at 1.22 lambda N:
+    Energy within the first dark ring of the Airy pattern, at 1.22 lambda N:
 
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
@@ -261,26 +266,26 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
 
 
 def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float = 0.0) -> Array:
-    """Compute the modulation transfer function along one direction.
+    """Compute the modulation transfer function (MTF) along one direction in the image.
 
     Parameters
     ----------
     source : Wavefront or PointSpread
-        For a wavefront of the layout "polar" or "cells", the result is the pupil's
-        autocorrelation, computed by quadrature. The error is below 1e-9 if the nodes resolve the
-        wave. For a point spread it is the modulus of its spectrum relative to frequency 0. It then
-        does not include energy outside the window. If the values are integrated over pixels, it
-        includes the pixel's sinc factor.
+        Wave in the exit pupil, of the layout "polar" or "cells", whose autocorrelation is the MTF;
+        the error is below 1e-9 if the samples resolve the wave. Or a computed point spread, whose
+        Fourier transform is taken: the MTF then includes the blur by its pixels, and neglects
+        energy outside its window.
     frequency : array_like
-        Cycles per m in the image, of any shape. For a wavefront on a round pupil the result is 0
-        beyond 1/(lambda N). For a point spread, frequencies above 1/(2 pitch) are aliased.
+        Spatial frequencies, cycles per m in the image, of any shape. For a wave on a round pupil
+        the MTF is 0 beyond 1/(lambda N), with the wavelength lambda and the F-number N. For a point
+        spread, frequencies above 1/(2 pitch) are aliased.
     azimuth : float
-        Direction, rad from x toward y.
+        Direction along which the frequencies are counted, rad from x toward y.
 
     Returns
     -------
     ndarray
-        Modulation, 1 at frequency 0, in the shape of ``frequency``.
+        Modulation, 0 to 1, in the shape of ``frequency``; 1 at frequency 0.
 
     Raises
     ------
@@ -296,7 +301,7 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
 
     Examples
     --------
-    At half the cutoff frequency 1/(lambda N), without aberration:
+    MTF without aberration at half the cutoff frequency 1/(lambda N) = 200 cycles per mm:
 
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
@@ -320,9 +325,21 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
 
 
 def transfers(wavefront: Wavefront, frequencies: Array, azimuth: float) -> ComplexArray:
-    """Return the optical transfer function of a wave on polar nodes or cells at frequencies, 1/m.
+    """Return the complex optical transfer function of a wave along one direction.
 
-    Its error is that of `mtf`; the result has the shape of ``frequencies``.
+    Parameters
+    ----------
+    wavefront : Wavefront
+        Wave of the layout "polar" or "cells".
+    frequencies : ndarray
+        Spatial frequencies, cycles per m in the image, of any shape.
+    azimuth : float
+        Direction along which the frequencies are counted, rad from x toward y.
+
+    Returns
+    -------
+    ndarray
+        Complex values in the shape of ``frequencies``; 1 at frequency 0.
     """
     if not wavefront.is_spectral:
         raise SamplingError(
@@ -346,15 +363,14 @@ def spectrum_along(point_spread: PointSpread, frequencies: Array, azimuth: float
 
 
 def fwhm(point_spread: PointSpread) -> tuple[float, float]:
-    """Compute the full width at half maximum along x and y through the brightest sample.
+    """Compute the full width at half maximum of a point spread, along x and along y.
 
-    Samples are interpolated by polynomials of degree 10. The relative error of the width is 1e-5
-    at a pitch of lambda N/4 and 1e-9 at lambda N/10.
+    The widths are taken through the brightest sample.
 
     Parameters
     ----------
     point_spread : PointSpread
-        Its window must hold both half-maximum crossings.
+        Point spread whose window is wide enough for the intensity to fall below half its peak.
 
     Returns
     -------
@@ -370,6 +386,12 @@ def fwhm(point_spread: PointSpread) -> tuple[float, float]:
     --------
     encircled_energy : Energy within circles.
     spot_radius : Rms radius of a spot.
+
+    Notes
+    -----
+    Samples are interpolated by polynomials of degree 10. The relative error of the width is 1e-5
+    for samples lambda N/4 apart and 1e-9 for lambda N/10, with the wavelength lambda and the
+    F-number N.
 
     Examples
     --------

@@ -27,26 +27,27 @@ DARK_RING: Final = 1.2196698912665045
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpotDiagram(Noun):
-    """Points at which the rays of a wave meet the image plane, without diffraction.
+    """Spot diagram: points at which the rays of a wave meet the image plane, without diffraction.
 
     Parameters
     ----------
     x, y : ndarray
-        Coordinates (n,) of the points relative to the reference point, m; read-only.
+        Coordinates of the points in the image plane, (n,), m, read-only. The optical axis is at
+        x = y = 0.
     energy : ndarray
-        (n,), read-only: fraction of the energy carried by each ray, above 0; sum 1.
+        Fraction of the energy that each ray carries, above 0, of sum 1; (n,), read-only.
     centroid : (float, float)
-        Energy-weighted mean of the landing points, (x, y), m.
+        Mean (x, y) of the points, weighted by energy, m.
     radius : float
-        Root mean square distance of the landing points from the centroid, m.
+        Root mean square distance of the points from the centroid, m.
     airy_radius : float
-        Radius of the first dark ring of the Airy pattern at this F-number, m.
+        Radius of the first dark ring of the Airy pattern, 1.22 times wavelength times F-number, m.
 
     See Also
     --------
-    spot_diagram : Points at which rays meet the image plane.
+    spot_diagram : Computes it.
     spot_radius : Rms radius of a spot.
-    nlosoptics.views.spot_diagram : Points at which rays meet the image plane.
+    nlosoptics.views.spot_diagram : Plot of the points.
     """
 
     x: Array
@@ -58,22 +59,21 @@ class SpotDiagram(Noun):
 
 
 def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
-    """Compute where the rays of a wave meet the image plane.
-
-    The position is the image distance times the gradient of the aberration.
+    """Compute the points at which the rays of a wave meet the image plane (spot diagram).
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with any ``layout`` of its nodes. One ray starts at each node of non-zero amplitude.
+        Wave in the exit pupil, of any layout. One ray starts at each sample point of non-zero
+        amplitude.
     rings : int
-        For a polar wavefront: least number of rings of rays. Each ring has at least twice as many
-        rays as there are rings.
+        Smallest number of rings of rays in the pupil, for the layout "polar" only. Each ring has at
+        least ``2 * rings`` rays.
 
     Returns
     -------
     SpotDiagram
-        Landing points relative to the reference point, m, and energies of the rays, (n,) each.
+        Coordinates in the image plane, m, and energies of the rays, (n,) each.
 
     Raises
     ------
@@ -83,11 +83,17 @@ def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
     See Also
     --------
     spot_radius : Rms radius of a spot.
-    point_spread : PSF of a given wave.
-    nlosoptics.views.spot_diagram : Points at which rays meet the image plane.
+    point_spread : Image with diffraction.
+    nlosoptics.views.spot_diagram : Plot of the points.
+
+    Notes
+    -----
+    A ray meets the image plane at the image distance times the gradient of the aberration.
 
     Examples
     --------
+    Half a micrometre rms (one wavelength) of defocus at F/10:
+
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
     ...     {4: 500e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
@@ -116,25 +122,32 @@ def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
 
 
 def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:
-    """Compute the centroid of the intensity in the image plane.
+    """Compute the centroid (centre of energy) of the image of a point.
 
     Parameters
     ----------
     source : Wavefront or PointSpread
-        For a wavefront the result is ``image_distance`` times the energy-weighted mean gradient of
-        the aberration: the centroid of the rays and also of the diffracted intensity (Goodman,
-        Introduction to Fourier Optics, 3rd ed., sec. 6.4). For a point spread it is the mean over
-        the window, without the diffraction tails outside.
+        Wave in the exit pupil, of any layout; or a computed point spread, whose energy outside the
+        window is then neglected.
 
     Returns
     -------
     (float, float)
-        Coordinates (x, y) of the centroid relative to the reference point, m.
+        Coordinates (x, y) of the centroid in the image plane, m. The optical axis is at x = y = 0.
 
     See Also
     --------
     spot_diagram : Points at which rays meet the image plane.
     encircled_energy : Energy within circles.
+
+    Notes
+    -----
+    For a wave the result is ``image_distance`` times the mean gradient of the aberration, weighted
+    by energy. This is the centroid of the rays, and also that of the diffracted intensity [1]_.
+
+    References
+    ----------
+    .. [1] Goodman, Introduction to Fourier Optics, 3rd ed., sec. 6.4.
     """
     if isinstance(source, PointSpread):
         total = float(source.intensity.sum())
@@ -147,19 +160,20 @@ def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:
 
 
 def spot_radius(wavefront: Wavefront) -> float:
-    """Compute the root mean square distance of the rays from their centroid in the image plane.
+    """Compute the rms radius of the spot that the rays of a wave form in the image plane.
 
-    Diffraction is not included: for a pupil with a hard edge its second moment is infinite.
+    It is the root mean square distance of the rays from their centroid. Diffraction is neglected,
+    because the rms radius of a diffracted spot is infinite if the pupil has a sharp rim.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with any ``layout`` of its nodes.
+        Wave in the exit pupil, of any layout.
 
     Returns
     -------
     float
-        Root mean square distance, m.
+        Rms radius, m.
 
     See Also
     --------
@@ -173,14 +187,15 @@ def spot_radius(wavefront: Wavefront) -> float:
 
 
 def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
-    """Compute the fraction of the transmitted energy within squares around the reference point.
+    """Compute the fraction of the transmitted energy within squares around the optical axis.
 
     Parameters
     ----------
     point_spread : PointSpread
-        Pixels are weighted by their area within the square.
+        Computed point spread, whose pixels are weighted by their area within the square.
     side : array_like
-        Sides of the squares, m, of any shape.
+        Sides of the squares, m, of any shape. All squares are centred on x = y = 0, where the axis
+        meets the image plane.
 
     Returns
     -------
@@ -192,7 +207,7 @@ def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
     SceneError
         If a side is negative or not finite.
     SamplingError
-        If a square extends beyond the window.
+        If a square extends beyond the window of the point spread.
 
     See Also
     --------
@@ -221,24 +236,26 @@ def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
 def ptf(
     point_spread: PointSpread | Wavefront, frequency: ArrayLike, *, azimuth: float = 0.0
 ) -> Array:
-    """Compute the phase of the optical transfer function along one direction.
+    """Compute the phase transfer function (PTF) along one direction in the image.
+
+    It is the phase of the optical transfer function, whose modulus is `mtf`.
 
     Parameters
     ----------
     point_spread : PointSpread or Wavefront
-        Energy outside the window of a point spread is not included. For a wavefront on polar nodes
-        or on cells, the phase is that of the pupil's autocorrelation; its error is below
-        ``1e-9 / mtf`` rad.
+        Computed point spread, whose energy outside the window is neglected; or a wave in the exit
+        pupil, of the layout "polar" or "cells". For a wave the error is below 1e-9 rad divided by
+        the MTF.
     frequency : array_like
-        Cycles per m in the image, of any shape.
+        Spatial frequencies, cycles per m in the image, of any shape.
     azimuth : float
-        Direction, rad from x toward y.
+        Direction along which the frequencies are counted, rad from x toward y.
 
     Returns
     -------
     ndarray
-        Phase, rad, in (-pi, pi], of the shape of ``frequency``. For a spot at +x it decreases with
-        the frequency along x.
+        Phase, rad, above -pi and at most pi, in the shape of ``frequency``. A spot at positive x
+        has a phase that decreases with the frequency along x.
 
     Raises
     ------
@@ -266,28 +283,30 @@ def peak_strehl(wavefront: Wavefront) -> float:
 
     It is the peak intensity divided by the peak intensity of the same pupil without aberration.
 
-    The image is sampled in steps of lambda N/3, with N the F-number. Newton's method then finds
-    the peak near the brightest sample, with a relative error of about 1e-12.
-
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with any ``layout`` of its nodes. The layouts "polar" and "cells" are refined as
-        needed; nodes of other layouts are used as given.
+        Wave in the exit pupil, of any layout.
 
     Returns
     -------
     float
-        Ratio, 0 to 1; at least the Strehl ratio at the reference point.
+        Ratio, 0 to 1; not below the Strehl ratio on the axis.
 
     Raises
     ------
     SamplingError
-        If the starting image cannot be computed, see `point_spread`.
+        If `point_spread` cannot compute the image, because the wave has too few samples.
 
     See Also
     --------
-    strehl : Ratio at the reference point.
+    strehl : Ratio on the axis.
+
+    Notes
+    -----
+    The image is first sampled in steps of lambda N/3, with the wavelength lambda and the F-number
+    N. Newton's method then finds the peak near the brightest sample, with a relative error of about
+    1e-12.
     """
     residual = split(wavefront)
     unit, wave = residual.airy_unit, residual.wavefront

@@ -78,37 +78,38 @@ def propagate(
     Parameters
     ----------
     field : ScalarField
-        Field on the plane ``field.z``. Zero outside its samples, unless it is periodic.
+        Field on the plane z = ``field.z``. It is zero outside its samples, unless it is periodic.
     distance : float
         Distance to the new plane along +z, m. If negative, the wave is propagated back toward its
         source.
     method : str
-        ``auto`` takes the method with the fewest operations of those whose estimated numerical
-        and model errors add up to at most ``tol``.
+        ``auto`` selects, of the methods whose numerical and model errors together are at most
+        ``tol``, the one with the fewest operations.
 
-        - ``angular_spectrum`` multiplies the spectrum by the exact transfer function of the
-          Helmholtz equation. It is valid at any distance and for any output pitch; the cost grows
-          with the output window.
+        - ``angular_spectrum`` multiplies the spectrum of the field by the exact transfer function
+          of free space. It is valid at any distance and for any output pitch.
         - ``fresnel_transfer`` uses the paraxial transfer function.
         - ``fresnel_chirp_z`` sums the Fresnel integral over the samples, for any output pitch. The
-          distance must be large enough for the diffraction orders of the sampling lattice to fall
-          outside the output window.
-        - ``fresnel_one_step`` computes the Fresnel integral by a single FFT, with the output pitch
-          ``wavelength |distance|/(n field.pitch)`` and a square shape ``(n, n)``.
+          sampled field acts as a grating; the distance must be large enough for its diffraction
+          orders to miss the output samples.
+        - ``fresnel_one_step`` computes the Fresnel integral by a single FFT of n x n samples. The
+          output has the shape (n, n) and the pitch ``wavelength |distance|/(n field.pitch)``.
     pitch : float, optional
-        Output pitch, m. By default that of the field. Omit it for ``fresnel_one_step``, whose
-        output pitch is fixed as stated above.
+        Distance between output samples, m; by default that of the field. Omit it for
+        ``fresnel_one_step``, whose output pitch is fixed.
     shape : int or (int, int), optional
-        Output samples (ny, nx). Default the shape of the field. For ``fresnel_one_step``, n is the
-        larger of ny and nx, and at least the size of the field.
+        Number of output samples (ny, nx); by default that of the field. For ``fresnel_one_step``,
+        n is the largest of ny, nx and the two sides of the field.
     tol : float
-        Largest relative rms error. A method requested by name must keep its numerical error
-        within ``tol``; its model error is reported, but not limited.
+        Largest permitted rms error of the complex field relative to its rms, above 0, at most 1. A
+        method requested by name must keep its numerical error within ``tol``; its model error is
+        reported, but not limited.
 
     Returns
     -------
     PropagatedField
-        The field on the plane ``field.z + distance``, including the phase exp(ikz).
+        Field on the plane z = ``field.z + distance``, with the phase of the distance,
+        ``exp(ik distance)``.
 
     Raises
     ------
@@ -126,16 +127,17 @@ def propagate(
 
     Notes
     -----
-    ``U(x, y, z) = sum F exp(2 pi i (fx x + fy y)) H`` with
-    ``H = exp(ikz sqrt(1 - (lambda f)^2))`` [1]_, and in the Fresnel approximation
-    ``H = exp(ikz) exp(-i pi lambda z f^2)``. Frequencies whose rays never reach the output window
-    are removed, since their transfer function is undersampled [2]_. The limit is soft, so that it
-    causes no ripples. Chirp-z transforms compute the spectrum at as many frequencies as the window
-    needs, and the output at any pitch. Evanescent waves are removed, and counted in the error,
-    unless the distance is far below the width of the window. The common phase kz is known to 1e-16
-    kz.
+    The field at the distance z is ``U(x, y) = sum F exp(2 pi i (fx x + fy y)) H``, with F the
+    spectrum of the input at the spatial frequencies fx and fy. Let f^2 = fx^2 + fy^2 and
+    k = 2 pi/lambda. The exact transfer function is ``H = exp(ikz sqrt(1 - (lambda f)^2))`` [1]_;
+    in the Fresnel approximation it is ``H = exp(ikz) exp(-i pi lambda z f^2)``.
 
-    The sum is exact for a periodic field, and energy is conserved to rounding.
+    Frequencies whose rays do not reach the output samples are removed, because H would be
+    undersampled there [2]_. The removal sets in gradually, to avoid ripples. Evanescent waves are
+    removed and counted in the error, unless the distance is much smaller than the width of the
+    output. The phase kz has a relative error of 1e-16.
+
+    For a periodic field the sum is exact, and energy is conserved to rounding error.
 
     References
     ----------
@@ -144,7 +146,7 @@ def propagate(
 
     Examples
     --------
-    A Gaussian beam doubles its area after one Rayleigh range.
+    A Gaussian beam doubles its area, and halves its intensity, after one Rayleigh range:
 
     >>> import numpy as np
     >>> from nlosoptics import psf

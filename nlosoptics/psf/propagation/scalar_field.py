@@ -20,20 +20,20 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ScalarField(Noun):
-    """Complex scalar field, sampled on a plane z = const.
+    """Complex scalar field of a light wave, sampled on a plane of constant z.
 
     Parameters
     ----------
     samples : array_like, (ny, nx)
-        Complex amplitudes, converted to complex128 and read-only. Row 0 is at the lowest y, and
-        sample [ny//2, nx//2] is on the axis. Time dependence exp(-i omega t): a wave that
-        travels along +z has the phase exp(+ikz).
+        Complex amplitudes; they are stored as read-only complex128. Row 0 is at the lowest y, and
+        sample [ny//2, nx//2] is at x = y = 0. A wave that travels along +z has the phase exp(+ikz)
+        (time dependence exp(-i omega t)).
     pitch : float
         Distance between samples along x and y, m.
     wavelength : float
         Wavelength in the medium, m.
     z : float
-        Position of the plane, m.
+        Position of the plane along the z axis, m.
     periodic : bool
         Whether the samples are one period of a periodic field, such as a grating. Otherwise the
         field outside the samples is zero.
@@ -50,6 +50,8 @@ class ScalarField(Noun):
 
     Examples
     --------
+    Field behind a slit of 0.1 x 0.8 mm, 256 x 256 samples:
+
     >>> import numpy as np
     >>> from nlosoptics import psf
     >>> def slit(x, y):
@@ -95,18 +97,24 @@ class ScalarField(Noun):
         z: float = 0.0,
         periodic: bool = False,
     ) -> Self:
-        """Sample a function of x and y.
+        """Make a field by sampling a function of x and y.
 
         Parameters
         ----------
         function : callable
-            Returns complex amplitudes for x (1, nx) and y (ny, 1), m.
+            Function of coordinate arrays x (1, nx) and y (ny, 1), m, that returns complex
+            amplitudes; their shape broadcasts to (ny, nx).
         pitch : float
-            Distance between samples, m.
+            Distance between samples along x and y, m.
         shape : int or (int, int)
             Number of samples (ny, nx); one number means a square.
-        wavelength, z, periodic
-            As in the constructor.
+        wavelength : float
+            Wavelength in the medium, m.
+        z : float
+            Position of the plane along the z axis, m.
+        periodic : bool
+            Whether the samples are one period of a periodic field. Otherwise the field outside the
+            samples is zero.
 
         Returns
         -------
@@ -126,12 +134,12 @@ class ScalarField(Noun):
 
     @property
     def x(self) -> Array:
-        """Coordinates of the columns, (nx,), m."""
+        """Coordinate x of each column, (nx,), m."""
         return Window.centred(self.pitch, self.shape).x
 
     @property
     def y(self) -> Array:
-        """Coordinates of the rows, (ny,), m."""
+        """Coordinate y of each row, (ny,), m."""
         return Window.centred(self.pitch, self.shape).y
 
     @property
@@ -141,18 +149,19 @@ class ScalarField(Noun):
 
     @property
     def power(self) -> float:
-        """Sum of the intensity times the cell area, m^2 times the unit of the intensity."""
+        """Integral of the intensity over the plane, unit of the intensity times m^2."""
         return float(self.intensity.sum()) * self.pitch**2
 
     @property
     def sampling_error(self) -> float:
-        """Estimated relative rms difference between a continuous wave and these samples.
+        """Estimated error of representing a continuous wave by these samples, relative rms.
 
-        It covers aliasing (spatial frequencies above 1/(2 pitch)) and, unless the field is
-        periodic, the part of the wave outside the window. Each of these energies is estimated as
-        ten times the energy in the outer tenth of the frequency band or of the window. This is an
-        upper estimate for densities that fall as 1/f^2 or faster, such as the spectrum of a hard
-        edge. Aliased energy counts twice, since it is also added at wrong frequencies.
+        The error has two causes: spatial frequencies above 1/(2 pitch) (aliasing), and, unless the
+        field is periodic, light outside the sampled area. The energy of each is estimated as ten
+        times the energy in the outer tenth of the frequency band or of the sampled area. The
+        estimate is too large rather than too small, unless the energy falls more slowly than
+        1/f^2, with f the frequency or the distance; the spectrum of a sharp edge falls as 1/f^2.
+        Aliased energy counts twice, because it also appears at wrong frequencies.
         """
         lost = 20 * _outer(np.abs(np.fft.fftshift(np.fft.fft2(self.samples))) ** 2)
         if not self.periodic:
@@ -170,23 +179,31 @@ def _outer(energy: Array) -> float:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PropagatedField(ScalarField):
-    """Scalar field after propagation, with the method that computed it and its errors.
+    """Scalar field after propagation to another plane, with estimates of its errors.
 
-    Both errors refer to this propagation only. They are relative rms errors over the output
-    window, ``sqrt(sum |dU|^2/sum |U|^2)``.
+    Errors are the rms error of the complex field, divided by the rms of the field, over the output
+    samples. They are upper bounds.
 
     Parameters
     ----------
-    samples, pitch, wavelength, z, periodic
-        As in `ScalarField`.
+    samples : ndarray, (ny, nx)
+        Complex amplitudes after propagation, read-only; sample [ny//2, nx//2] is at x = y = 0.
+    pitch : float
+        Distance between samples along x and y, m.
+    wavelength : float
+        Wavelength in the medium, m.
+    z : float
+        Position of the output plane along the z axis, m.
+    periodic : bool
+        Whether the samples are one period of a periodic field.
     method : str
-        Method that computed the field.
+        Method that computed the field; `propagate` lists them.
     error_estimate : float
-        Bound of the numerical error: aliasing, wrap-around and truncation. The reference is the
-        exact propagation, by the kernel of the method, of the band-limited wave that the input
-        samples define. `ScalarField.sampling_error` states how well they define it.
+        Numerical error of the propagation. The reference is the exact result, by the formula of the
+        method, for the band-limited wave through the input samples. The error of the input samples
+        themselves is their `ScalarField.sampling_error`.
     model_error : float
-        Bound of the error of the Fresnel approximation; 0 for the angular spectrum.
+        Error of the Fresnel approximation; 0 for the angular spectrum.
     reason : str
         One line that says why this method was used, and why others were not.
 

@@ -18,27 +18,32 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ExitPupil(Noun):
-    """Exit pupil of lens and wall: the image of the aperture stop as seen from the detector.
+    """Exit pupil of a scene: the image of its aperture stop as seen from the detector.
+
+    The aperture stop limits the cone of light from an object point, via the wall, to the detector.
+    It is the lens, or the edge of a small wall.
 
     Parameters
     ----------
     centre : ndarray, (3,)
-        Centre of the pupil, world frame, m; it lies behind the lens if the wall is the stop.
+        Centre of the pupil in world coordinates, m. If the lens is the stop, it is the centre of
+        the lens; if the wall is the stop, it lies behind the lens.
     radius : float
-        Radius of the pupil, m; that of the inscribed circle if the rectangular wall is the stop.
+        Radius of the pupil, m. If the rectangular wall is the stop, it is the radius of the largest
+        circle inside the image of the wall.
     image_distance : float
-        Signed distance from pupil to detector, m; negative if the pupil lies beyond the detector.
+        Distance from the pupil to the detector, m; negative if the pupil lies beyond the detector.
     f_number : float
-        Working F-number ``|image_distance|/(2 radius) = 1/(2 sin(alpha))``, with alpha the cone's
-        half angle at the detector, for a lens that satisfies the sine condition.
+        Working F-number, ``|image_distance|/(2 radius)``. It is ``1/(2 sin(alpha))``, with alpha
+        the half angle of the cone of light at the detector.
     stop : {"lens", "wall"}
-        Element that limits the cone of light.
+        Element that is the aperture stop.
     entrance_radius : float
         Radius of the cone of light on the lens, m.
     vignetting : float
-        Fraction, 0 to 1, of the rays from the object's reference point to the disc of
-        ``entrance_radius`` on the lens that miss the wall, computed for a flat wall of the same
-        size.
+        Fraction of the cone of light that misses the wall, 0 to 1. It is computed for a flat wall
+        of the same size and for rays from the hidden object's reference point, that is the centre
+        of a planar object or the centroid of a mesh.
 
     See Also
     --------
@@ -56,28 +61,27 @@ class ExitPupil(Noun):
 
     @property
     def layout(self) -> Literal["polar", "grid"]:
-        """Layout of the pupil nodes, see `Wavefront`, that follows the rim of the lit pupil.
+        """Suitable arrangement of pupil samples: rings ("polar") or a square grid ("grid").
 
-        It is "polar" if that rim is the circle of the lens stop, and "grid" if the wall's edge is
-        the stop or vignettes a part of the cone.
+        It is "polar" if the lens alone limits the light, so that the pupil is round. It is "grid"
+        if the wall's edge is the stop or cuts off a part of the cone of light.
         """
         return "polar" if self.stop == "lens" and self.vignetting == 0.0 else "grid"
 
 
 def exit_pupil(scene: Scene) -> ExitPupil:
-    """Return the exit pupil of lens and wall for the axial detector point.
-
-    It follows from the thin-lens equation; no rays are traced.
+    """Compute position and size of a scene's exit pupil from the thin-lens equation.
 
     Parameters
     ----------
     scene : Scene
-        Scene with the camera and the wall.
+        Scene with the camera, the wall and the hidden object.
 
     Returns
     -------
     ExitPupil
-        Position, radius, distance to the detector, F-number and stop.
+        Position, radius, distance to the detector, F-number and stop, as seen from the centre of
+        the detector.
 
     Raises
     ------
@@ -92,14 +96,17 @@ def exit_pupil(scene: Scene) -> ExitPupil:
 
     Notes
     -----
-    The lens is thin, with focal length f. The wall is at the distance d2 from it and the in-focus
-    plane at d1 + d2. The lens is the stop unless the distance a of the wall's edge from the axis
-    is below ``r_lens d1/(d1 + d2)``. If the wall is the stop, its image lies ``d2 f/(d2 - f)``
-    behind the lens, magnified by ``f/(d2 - f)``. This function reports the circle inscribed in
-    that image, while `wavefront` follows the wall's true outline.
+    The lens is thin, with focal length f and radius r. Along the camera's axis the wall is at the
+    distance d2 from the lens, and the plane in focus at d1 + d2, counted along the reflected path.
+    The lens is the stop unless the wall's edge is closer to the axis than ``r d1/(d1 + d2)``. If
+    the wall is the stop, its image lies ``d2 f/(d2 - f)`` behind the lens, magnified by
+    ``f/(d2 - f)``. This function returns the largest circle inside that image, while `wavefront`
+    follows the wall's true outline.
 
     Examples
     --------
+    Aperture stop, radius and F-number of an example scene:
+
     >>> from nlosoptics import Scene, psf
     >>> pupil = psf.exit_pupil(Scene.load("examples/scenes/letter_flat.toml"))
     >>> print(f"{pupil.stop}, {1e3 * pupil.radius:.1f} mm, F/{pupil.f_number:.2f}")

@@ -61,7 +61,9 @@ def wave_bends(scene: Scene, points: Array) -> Array:
 
 
 def change_over_object(scene: Scene, pupil: ExitPupil) -> float:
-    """Bound the change of the point spread over a planar object, max |dI|/max I.
+    """Return an upper bound of the change of the point spread over a planar object.
+
+    The change is relative to the peak.
 
     Parameters
     ----------

@@ -13,32 +13,36 @@ Array = NDArray[np.float64]
 
 
 def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: ArrayLike) -> Array:
-    """Return the slopes of the wave that tilted wall facets cause at given pupil points.
+    """Compute the slopes of the wave in the exit pupil that tilted facets of the wall cause.
+
+    A facet is a small flat part of the wall. The mean wall is the wall without its facets' tilts.
 
     Parameters
     ----------
     scene : Scene
-        Scene with the camera, the object and the mean wall.
+        Scene with the camera, the hidden object and the mean wall.
     slopes : array_like, (ny, nx, 2)
-        Slopes s1 and s2 of the facets relative to the mean wall: a facet's normal is along
-        ``n - s1 t1 - s2 t2``, with n the normal of the mean wall, t1 its tangent along x and
+        Slopes s1 and s2 of each facet relative to the mean wall. The normal of a facet is parallel
+        to ``n - s1 t1 - s2 t2``, with n the normal of the mean wall, t1 its tangent along x and
         t2 = n x t1.
     positions : array_like, (ny, nx, 3)
-        Centres of the facets' cells, a square lattice with rows along y, world frame, m.
+        Centres of the facets in world coordinates, m, on a square lattice in x and y with rows
+        along y.
     nodes : array_like, (n, 2)
         Points (u, v) of the exit pupil, m.
 
     Returns
     -------
     ndarray, (n, 2)
-        Contributions of the facets to dW/du and dW/dv, rad, to first order in their slopes.
+        Slopes dW/du and dW/dv that the facets add to the aberration W, rad, to first order in the
+        facets' slopes.
 
     Raises
     ------
     SamplingError
-        If a node sees a wall point outside the cells.
+        If a pupil point sees a wall point where there is no facet.
     CausticError
-        If the W of the mean wall is undefined.
+        If the aberration of the mean wall has no single value.
     SceneError
         If an array has the wrong shape or is not finite.
 
@@ -49,13 +53,16 @@ def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: A
 
     Notes
     -----
-    ``grad_p W = -(cos_i + cos_o) M^T grad h`` with
-    ``M = [P_i/d1 + P_o/d2 - (cos_i + cos_o) K]^-1 E/d2``. The pupil point p sees the wall point
-    M p. The legs from the wall to the object (i) and to the lens (o) have the lengths d1 and d2 and
-    the cosines cos_i and cos_o to the wall's normal. For each leg, ``P = 1 - s s^T``, with s the
-    component of the leg's unit vector in the wall's tangent plane. K is the Hessian of the mean
-    wall (positive if concave to the room). E projects the pupil's axes, perpendicular to the ray,
-    onto the tangent plane.
+    A pupil point p sees the wall point M p, with the matrix
+    ``M = [P_i/d1 + P_o/d2 - (cos_i + cos_o) K]^-1 E/d2``. Wall slopes ``grad h`` change the slopes
+    of the wave by ``-(cos_i + cos_o) M^T grad h``. The symbols are:
+
+    - i and o: the rays from the wall point to the object (i) and to the lens (o), of lengths d1 and
+      d2; cos_i and cos_o are the cosines of their angles to the wall's normal,
+    - P = 1 - s s^T for each of these rays, with s the component of its unit vector in the wall's
+      tangent plane,
+    - K: second derivatives of the mean wall, positive if the wall is concave to the room,
+    - E: projection of the pupil's axes, perpendicular to the ray, onto the tangent plane.
     """
     table, x, y = _lattice(slopes, positions)
     points = np.asarray(nodes, dtype=np.float64)

@@ -30,50 +30,51 @@ HOLE: Final = 10.0
 
 
 def wavefront_from_rays(paths: RayPaths, exit_pupil: ExitPupil, wavelength: float) -> Wavefront:
-    """Return the wave that rays from one object point form after one reflection at the wall.
+    """Compute the wave in the exit pupil from traced rays of one object point.
 
     Parameters
     ----------
     paths : RayPaths
-        Rays such as those of `raytrace.pupil_rays`. All start at one point, are reflected once and
-        end in the plane of the lens. Rays that end outside the lens serve to estimate the density
-        at its rim.
+        Traced rays, such as those of `raytrace.pupil_rays`. All start at one point, are reflected
+        once at the wall and end in the plane of the lens. Rays that pass beside the lens are used,
+        too: they show the density of rays at the rim.
     exit_pupil : ExitPupil
         Exit pupil of the scene; the lens must be the stop.
     wavelength : float
-        Wavelength, m.
+        Vacuum wavelength, m.
 
     Returns
     -------
     Wavefront
-        Wave of the layout "scattered", with one node for each detected ray, in their order.
-        ``aberration`` is the path length minus the distance from the mirrored object point. The
-        chief ray's piston and tilt are subtracted and reported in ``removed``. If the camera is
-        focused on another plane than the mirrored object, the resulting defocus is not included.
-        ``amplitude`` is the square root of power per area, 1 at the pupil's centre. ``weights``
-        are the areas of the rays' Voronoi cells inside the pupil; their sum is its area. Sums over
-        rays must be weighted by amplitude times area.
+        Wave of the layout "scattered", with one sample point for each ray that meets the lens, in
+        the order of the rays. The aberration is the path length of the ray minus the distance from
+        the mirror image of the object point (in z = 0). Piston and tilt of the chief ray are
+        subtracted and reported in ``removed``. The amplitude is the square root of power per area,
+        1 at the pupil's centre.
 
     Raises
     ------
     SceneError
-        If the paths do not start at one point, are not reflected once or do not end in the plane
-        of the lens; if two coincide; or if the wall is the stop.
+        If the rays do not start at one point, are not reflected exactly once or do not end in the
+        plane of the lens; if two rays end at one point; or if the wall is the stop.
     SamplingError
-        If there are too few rays, or no rays in a part of the pupil.
+        If fewer than 64 rays meet the lens, or none meets a part of it.
     CausticError
-        If path lengths of neighbours contradict the rays' directions: rays cross, or there are too
-        few for the wall's roughness.
+        If the path lengths of neighbouring rays contradict the rays' directions: rays cross, or
+        there are too few for the wall's roughness.
 
     See Also
     --------
-    wavefront : Wave of a scene by ray aiming.
+    wavefront : Wave of a scene, by rays aimed at given pupil points.
 
     Notes
     -----
-    A ray's direction is the gradient of the path length, so every ray gives W and its slopes. A
-    polynomial of degree 5 is fitted to both near the pupil's centre. It gives W and its slopes
-    there, which define piston and tilt.
+    The direction of a ray is the gradient of the path length. Every ray therefore gives the
+    aberration W and its slopes. A polynomial of degree 5 is fitted to both near the pupil's centre;
+    its value and slopes there are the piston and tilt that are subtracted.
+
+    The area that a ray represents (``weights``) is that of its Voronoi cell inside the pupil. The
+    defocus of a camera that is focused on another plane than the mirrored object is not included.
     """
     positive("wavelength", wavelength, unit="m")
     start, bounce, ends, share, n_inside = _checked(paths, exit_pupil)

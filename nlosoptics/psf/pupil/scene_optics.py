@@ -25,7 +25,9 @@ FINER: Final = {"polar": (48, 96), "grid": (1024, 2048)}
 
 
 class PointOptics:
-    """Exit pupil, rays and wave for one object point seen by the wall.
+    """Store of the wave of one object point, so that several computations share it.
+
+    `SceneOptics.at` returns one.
 
     Parameters
     ----------
@@ -34,12 +36,13 @@ class PointOptics:
     pupil : ExitPupil
         Exit pupil of the scene.
     object_point : ndarray, (3,)
-        Object point, world frame, m.
+        Object point in world coordinates, m.
 
     Attributes
     ----------
     first : AimedWave
-        Wave at the nodes that ``nodes="auto"`` selects, with its rays, including the chief ray.
+        Wave of the object point with the default sampling of `wavefront`, and the rays that it was
+        computed from; ``first.wave`` is the `Wavefront`.
     """
 
     def __init__(self, scene: Scene, pupil: ExitPupil, object_point: Array) -> None:
@@ -50,43 +53,52 @@ class PointOptics:
 
     @property
     def zoom(self) -> float:
-        """Ratio of the exit pupil's size to that of the cone on the lens.
+        """Size of the exit pupil divided by that of the cone of light on the lens.
 
-        It is 1 if the lens is the stop, and negative if the wall is, whose image is inverted.
+        It is 1 if the lens is the stop. If the wall is the stop, it is negative, because the image
+        of the wall is inverted.
         """
         return self.exit_pupil.image_distance / self.scene.image_distance
 
     @cached_property
     def view(self) -> WallView:
-        """First-order view of the wall from the exit pupil about the chief ray of this point."""
+        """Linear map from the exit pupil to the wall for this object point, see `wall_view`."""
         return view_along(self.scene, self.zoom, self.object_point, self.first.rays.points[0])
 
     def once(self, key: Hashable, make: Callable[[], Found]) -> Found:
-        """Return the result of ``make``, which is called once for a key and then kept."""
+        """Return the result of a function, which is computed once and then stored.
+
+        Parameters
+        ----------
+        key : hashable
+            Name under which the result is stored.
+        make : callable
+            Function without arguments, called only if nothing is stored under the key.
+        """
         if key not in self._kept:
             self._kept[key] = make()
         found: Found = self._kept[key]
         return found
 
     def refined(self, use: Callable[[AimedWave], Found]) -> tuple[AimedWave, Found]:
-        """Apply a function to the wave, with more pupil nodes each time they are too few.
+        """Apply a function to the wave, and repeat it with more pupil samples if they are too few.
 
         Parameters
         ----------
         use : callable
-            Function of an `AimedWave` that raises `SamplingError` if its nodes are too few.
+            Function of an `AimedWave` that raises `SamplingError` if the wave has too few samples.
 
         Returns
         -------
         aimed : AimedWave
-            Wave with enough nodes.
+            Wave with enough samples.
         found : object
-            Result of the function for it.
+            Result of the function for this wave.
 
         Raises
         ------
         SamplingError
-            If even the largest number of nodes is too few.
+            If even the largest number of samples is too few.
         """
         aimed, layout = self.first, self.first.wave.layout
         for samples in FINER[layout]:
@@ -98,14 +110,16 @@ class PointOptics:
 
 
 class SceneOptics:
-    """Store of a scene's exit pupil and waves, so that several calls compute them only once.
+    """Store of a scene's exit pupil and wave, so that several calls compute them only once.
+
+    Give it in place of the scene to functions that accept ``Scene or SceneOptics``.
 
     Parameters
     ----------
     scene : Scene
         Scene with the wall, the camera and the hidden object.
     pupil : ExitPupil, optional
-        Exit pupil of the scene; computed if omitted.
+        Exit pupil of the scene; by default `exit_pupil` computes it.
 
     See Also
     --------
@@ -114,16 +128,20 @@ class SceneOptics:
 
     Notes
     -----
-    Functions that document ``scene : Scene or SceneOptics`` accept either. If several calls get the
-    same `SceneOptics`, the exit pupil and the wave of the reference point are computed only once.
-    Results are stored in this object only; there is no global cache.
+    The exit pupil and the wave of the object's reference point are computed when they are first
+    needed. The reference point is the centre of a planar object or the centroid of a mesh. Results
+    are stored in this object only; there is no global cache.
 
     Examples
     --------
+    Two point spreads that share one computed wave:
+
     >>> from nlosoptics import Scene, psf
     >>> optics = psf.SceneOptics(Scene.load("examples/scenes/letter_flat.toml"))
-    >>> optics.at().first.wave.layout, optics.exit_pupil.stop
-    ('polar', 'lens')
+    >>> coarse = psf.scene_point_spread(optics, tol=1e-2)
+    >>> wide = psf.scene_point_spread(optics, tol=1e-2, pitch=2 * coarse.point_spread.pitch)
+    >>> coarse.wavefront is wide.wavefront is optics.at().first.wave
+    True
     """
 
     def __init__(self, scene: Scene, pupil: ExitPupil | None = None) -> None:
@@ -144,23 +162,22 @@ class SceneOptics:
 
     @cached_property
     def reference(self) -> PointOptics:
-        """Pupil and waves for the hidden object's reference point, as returned by `at`."""
+        """Wave of the hidden object's reference point; the same as ``at()``."""
         return PointOptics(self.scene, self.exit_pupil, self.scene.object_point)
 
     def at(self, object_point: ArrayLike | None = None) -> PointOptics:
-        """Return pupil and waves for an object point.
+        """Return the wave of an object point.
 
         Parameters
         ----------
         object_point : array_like, (3,), optional
-            Object point, world frame, m; by default the hidden object's reference point. Only the
-            optics of the reference point are stored.
+            Object point in world coordinates, m. Default: the hidden object's reference point, that
+            is the centre of a planar object or the centroid of a mesh; only its wave is stored.
 
         Returns
         -------
         PointOptics
-            Optics of the point. Its ``first.wave`` is the `Wavefront` that `wavefront` returns for
-            this point with ``nodes="auto"``.
+            Its ``first.wave`` is the `Wavefront` that `wavefront` returns for this point.
         """
         if object_point is None:
             return self.reference

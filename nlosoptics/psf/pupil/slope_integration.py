@@ -30,31 +30,36 @@ def wavefront_from_slopes(
     image_distance: float,
     pupil_radius: float | None = None,
 ) -> tuple[Wavefront, float]:
-    """Return the wavefront that fits given slopes on a pupil grid in the least-squares sense.
+    """Integrate wave slopes on a pupil grid to a wavefront, in the least-squares sense.
+
+    Slopes come from a Shack-Hartmann sensor, for example, or from `pupil_slopes`.
 
     Parameters
     ----------
     slopes : array_like, (n, n, 2)
-        Slopes dW/du and dW/dv at the nodes, rad; rows along v, node [n//2, n//2] on the axis.
-        Values outside the mask are ignored.
+        Slopes dW/du and dW/dv of the aberration W at the grid points, rad. Rows run along v, and
+        point [n//2, n//2] is on the axis. Values outside the mask are ignored.
     pitch : float
-        Distance between nodes, m.
+        Distance between grid points, m.
     mask : array_like of bool, (n, n)
-        Nodes in the pupil; it may have several separate pieces of any shape.
-    wavelength, image_distance : float
-        As in `Wavefront`, m.
+        Grid points inside the pupil. The pupil may have several separate parts of any shape.
+    wavelength : float
+        Vacuum wavelength, m.
+    image_distance : float
+        Distance from the pupil to the image plane, m; negative if the pupil lies beyond the image.
     pupil_radius : float, optional
-        Radius that defines the F-number, m; by default that of the disc that just fits the grid.
+        Radius of the pupil, m, which defines the F-number; by default that of the disc that just
+        fits the grid.
 
     Returns
     -------
     wavefront : Wavefront
-        Wave of the layout "grid", with amplitude 1 on the mask and 0 elsewhere; the weight of each
-        node is the area of its whole cell. The mean aberration of every piece of the mask is 0,
-        since slopes do not determine pistons.
+        Wave of the layout "grid", with amplitude 1 on the mask and 0 elsewhere. The mean aberration
+        of every separate part of the pupil is 0, because slopes do not determine pistons.
     curl_residual_rms : float
-        Rms difference between the given slopes and those of the wavefront, over all pairs of
-        neighbours, rad. It is 0 to rounding error if the slopes are the gradient of a quadratic.
+        Rms difference between the given slopes and those of the wavefront, rad, over all pairs of
+        neighbouring points. It is the part of the slopes that is not a gradient, and 0 to rounding
+        error for the slopes of a quadratic W.
 
     Raises
     ------
@@ -71,9 +76,9 @@ def wavefront_from_slopes(
 
     Notes
     -----
-    The method is described in `integrated_slopes`. Slopes of independently drawn facets are not a
-    gradient, but those of every wavefront are (theorem of Malus and Dupin). The residual measures
-    the part of the slopes that no wavefront can have.
+    Slopes of every wavefront are a gradient (theorem of Malus and Dupin). Slopes of random,
+    independent wall facets are not; ``curl_residual_rms`` measures by how much. The method is
+    described in `integrated_slopes`.
 
     Examples
     --------
@@ -159,26 +164,26 @@ def slope_filter(shape: tuple[int, int]) -> SlopeFilter:
 
 
 def integrated_slopes(slopes: ArrayLike, pitch: float, mask: ArrayLike) -> tuple[Array, float]:
-    """Integrate slopes on a masked grid by least squares.
+    """Integrate slopes on a grid of any outline to a surface, by least squares.
 
     Parameters
     ----------
     slopes : array_like, (ny, nx, 2)
-        Derivatives at the nodes, dimensionless (m/m): ``[..., 0]`` with respect to x, which
-        increases with the column, and ``[..., 1]`` with respect to y, which increases with the row.
+        Derivatives of the surface at the grid points, m/m: ``[..., 0]`` along x, which increases
+        with the column, and ``[..., 1]`` along y, which increases with the row.
     pitch : float
-        Distance between nodes, m.
+        Distance between grid points, m.
     mask : array_like of bool, (ny, nx)
-        Nodes to integrate over; it may have several separate pieces.
+        Grid points to integrate over. They may form several separate parts.
 
     Returns
     -------
     surface : ndarray, (ny, nx)
-        Surface, m; its mean is 0 over every piece of the mask, and it is 0 outside the mask.
+        Heights, m. The mean over every separate part is 0; heights outside the mask are 0.
     residual : float
-        Rms difference between the given slopes and those of the surface, over all pairs of
-        neighbours in the mask. It is 0 for the slopes of a quadratic surface, and if there is no
-        pair; otherwise it is caused by the curl of the slopes and by the discretisation.
+        Rms difference between the given slopes and those of the surface, m/m, over all pairs of
+        neighbouring points. It is 0 for the slopes of a quadratic surface. Otherwise it has two
+        causes: the curl of the slopes, and the finite distance of the points.
 
     Raises
     ------
@@ -194,12 +199,12 @@ def integrated_slopes(slopes: ArrayLike, pitch: float, mask: ArrayLike) -> tuple
 
     Notes
     -----
-    The difference of neighbours a, b is fitted to ``pitch (s_a + s_b)/2`` [1]_. This is exact for
-    quadratics; otherwise the error is of second order in the pitch. The normal equations are a
-    Poisson problem with natural (Neumann) boundary conditions. They are solved by conjugate
-    gradients with the Poisson solver of the full rectangle (cosine transforms) as preconditioner,
-    so that the number of steps depends on the mask's shape but not on the pitch. Sums do not use
-    BLAS: results are bit-identical for any number of threads.
+    The height difference of two neighbouring points a and b is fitted to ``pitch (s_a + s_b)/2``,
+    with s the slope along the line between them [1]_. This is exact for quadratics; otherwise the
+    error is of second order in the pitch. The equations are a Poisson problem with Neumann boundary
+    conditions. They are solved by conjugate gradients, with cosine transforms on the full rectangle
+    as preconditioner: the number of steps depends on the shape of the mask, not on the pitch.
+    Results are bit-identical for any number of threads.
 
     References
     ----------
@@ -207,6 +212,8 @@ def integrated_slopes(slopes: ArrayLike, pitch: float, mask: ArrayLike) -> tuple
 
     Examples
     --------
+    The slope 2 x along x gives the height x^2, here 0 to 16 micrometres:
+
     >>> import numpy as np
     >>> from nlosoptics import psf
     >>> y, x = np.mgrid[:5, :5] * 1e-3

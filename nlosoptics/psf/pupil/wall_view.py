@@ -18,30 +18,33 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WallView(Noun):
-    """Linear map from points of the exit pupil to the wall points that they see.
+    """Linear map from points of the exit pupil to the wall points from which light reaches them.
 
-    It is an expansion about the chief ray.
+    It is an expansion about the chief ray, which goes from the object point via the wall to the
+    centre of the lens. Roughness of the wall acts on the wave through this map.
 
     Parameters
     ----------
     footprint : ndarray, (2, 2)
-        Matrix M. A step (du, dv) in the exit pupil moves the wall point that is seen there by the
-        step M (du, dv) in the wall's tangent plane.
+        Matrix M. A step (du, dv) in the exit pupil changes the wall point that is seen by the step
+        M (du, dv) in the wall's tangent plane.
     cos_sum : float
-        Sum of the cosines of incidence and exitance.
+        Sum of the cosines of the chief ray's angles of incidence and of reflection at the wall. A
+        wall height h changes the path by ``-cos_sum * h``.
     effective_distance : ndarray, (2, 2)
-        Inverse of the matrix of the path's second derivatives with respect to the wall point, m.
-        For a flat wall at normal incidence it is ``d1 d2/(d1 + d2)`` times the unit matrix, with
-        d1 and d2 the distances from the wall to object and lens.
+        Distance over which wall ripples diffract on their way to the pupil, m, as a matrix. For a
+        flat wall at normal incidence it is ``d1 d2/(d1 + d2)`` times the unit matrix, with d1 and
+        d2 the distances from the wall to object and lens. In general it is the inverse of the
+        second derivatives of the path length with respect to the wall point.
     point : ndarray, (3,)
-        Point at which the chief ray meets the wall, world frame, m.
+        Point at which the chief ray meets the wall, in world coordinates, m.
     tangents : ndarray, (2, 3)
-        Unit vectors of the wall's tangent plane at that point, world frame. Steps on the wall are
-        given along them.
+        Two unit vectors in the wall's tangent plane at that point, in world coordinates. Steps on
+        the wall are given along them.
 
     See Also
     --------
-    wall_view : Map from pupil points to the wall points they see.
+    wall_view : Computes it for a scene.
     """
 
     footprint: Array
@@ -77,26 +80,26 @@ class _Chief:
 
 
 def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
-    """Return the linear map from points of a scene's exit pupil to the wall points they see.
-
-    It is an expansion about the chief ray.
+    """Compute the linear map from points of a scene's exit pupil to the wall points they see.
 
     Parameters
     ----------
     scene : Scene
-        Scene with the camera, the object and the wall.
+        Scene with the camera, the hidden object and the wall.
     object_point : array_like, (3,), optional
-        Start of the chief ray, world frame, m; by default the hidden object's reference point.
+        Object point in world coordinates, m, at which the chief ray starts. Default: the hidden
+        object's reference point, that is the centre of a planar object or the centroid of a mesh.
 
     Returns
     -------
     WallView
-        Footprint of the pupil on the wall, wall point of the chief ray, and effective distance.
+        Matrix from pupil steps to wall steps, wall point of the chief ray, and the geometry that
+        `mean_point_spread` and `sample_point_spread` need.
 
     Raises
     ------
     CausticError
-        If the wall's W is undefined.
+        If several rays or none connect the object point with the lens via the wall.
 
     See Also
     --------
@@ -105,8 +108,8 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
 
     Notes
     -----
-    M is the matrix given in `pupil_slopes`, divided by the ratio of the radii of exit pupil and
-    lens.
+    The matrix ``footprint`` is that of the Notes of `pupil_slopes`, divided by the size of the exit
+    pupil relative to that of the cone of light on the lens.
     """
     o = None if object_point is None else np.array(vector("object_point", object_point))
     return _view_of(_optics(scene, np.zeros((1, 2)), o), _zoom(scene))

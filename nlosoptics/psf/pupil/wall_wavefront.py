@@ -48,48 +48,53 @@ def wall_aberration(
     pupil_aim: ArrayLike,
     nodes: ArrayLike,
 ) -> Array:
-    """Return the wave aberration of a wall that acts as a mirror.
+    """Compute the wave aberration of a wall that acts as a mirror, without a scene or a lens.
 
-    The reference is the spherical wave from the mirror image of the object point.
+    A flat wall is a perfect mirror; a curved wall adds the aberration W.
 
     Parameters
     ----------
     wall : Wall
         Relay wall.
-    object_point, pupil_centre, pupil_aim : array_like, (3,)
-        Points in the world frame, m. The object point and the pupil's centre are in front of the
-        wall. The pupil plane passes through ``pupil_centre``; its normal n points to
-        ``pupil_aim``.
+    object_point : array_like, (3,)
+        Object point in front of the wall, in world coordinates, m.
+    pupil_centre : array_like, (3,)
+        Centre of the pupil plane, in front of the wall, in world coordinates, m.
+    pupil_aim : array_like, (3,)
+        Any point on the axis of the pupil other than its centre, such as a wall point, in world
+        coordinates, m. The normal n of the pupil plane points from ``pupil_centre`` to it.
     nodes : array_like, (n, 2)
-        Pupil coordinates (u, v), m, along ``e1 = unit(Y x n)`` and ``e2 = n x e1``, with
-        Y = (0, 1, 0), or X if n is parallel to Y.
+        Points (u, v) of the pupil plane, m, along the unit vectors ``e1`` parallel to Y x n and
+        ``e2 = n x e1``. Y is (0, 1, 0), or (1, 0, 0) if n is parallel to (0, 1, 0).
 
     Returns
     -------
     ndarray, (n,)
-        W, m, positive for a longer path; 0 at (0, 0).
+        Aberration W at these points, m, positive for a longer path; 0 at (u, v) = (0, 0). The
+        reference is the spherical wave from the mirror image of the object point in z = 0.
 
     Raises
     ------
     CausticError
-        If W has several values or none at a node.
+        If several rays or none reach a point, so that W has no single value.
     NotWaveGradeError
         If the wall is a mesh that does not follow one smooth surface.
 
     See Also
     --------
     wavefront : Wave aberration of a scene.
-    path_difference : Difference of two path lengths, rounded once.
+    path_difference : Length of one path via the wall, minus a reference length.
 
     Notes
     -----
-    ``W(p) = D(p) - D(0)`` with ``D(p) = |O-H| + |H-p| - |O'-p|``, where H is the stationary
-    (Fermat) wall point and O' the mirror image of O in z = 0. Differences of lengths are computed
-    as ``(a^2 - b^2)/(a + b)``, so that W is accurate to about 1e-17 m.
+    ``W(p) = D(p) - D(0)`` with ``D(p) = |O - H| + |H - p| - |O' - p|``. Here p is the pupil point,
+    O the object point, O' its mirror image in z = 0, and H the wall point at which the ray from O
+    to p is reflected (Fermat's principle). Lengths are subtracted in a form without cancellation,
+    so that W is accurate to about 1e-17 m.
 
     Examples
     --------
-    The defocus of a convex wall delays the rim of the pupil:
+    A convex wall adds a longer path, 1140 nm at 10 mm from the pupil's centre:
 
     >>> from nlosoptics import psf, scene
     >>> w = psf.wall_aberration(
@@ -122,33 +127,34 @@ def path_difference(
     *,
     wall_point: ArrayLike | None = None,
 ) -> float:
-    """Return the length of the path source - wall - target minus a reference length.
+    """Compute the length of a path via the wall minus a reference length, to full precision.
 
     Parameters
     ----------
     wall : Wall
         Relay wall.
     source, target : array_like, (3,)
-        Ends of the path, world frame, m. A target behind the wall is a virtual image; the length
-        to it is taken as negative.
+        Ends of the path in world coordinates, m. A target behind the wall is a virtual image: the
+        distance from the wall to it counts as negative.
     reference : float
-        Signed reference length, m.
+        Length that is subtracted, m; it may be negative.
     wall_point : array_like, (2,), optional
-        Wall point (x, y), m; by default the stationary (Fermat) point.
+        Coordinates (x, y) of the wall point on the path, m. By default the point at which a ray
+        from source to target is reflected (Fermat's principle).
 
     Returns
     -------
     float
-        Path difference, m, computed with twice the digits of float64 and then rounded.
+        Path difference, m. It is computed with twice the digits of float64 and rounded at the end.
 
     Raises
     ------
     CausticError
-        If no stationary path is found.
+        If no reflected ray is found.
 
     See Also
     --------
-    wall_aberration : Path excess via the wall at given pupil points.
+    wall_aberration : Wave aberration of a wall at given pupil points.
     wavefront : Wave aberration of a scene.
     """
     from . import _aiming_kernels
@@ -188,39 +194,46 @@ def wavefront(
     samples: int | tuple[int, int] | None = None,
     reference: str = "mirror_image",
 ) -> Wavefront:
-    """Return the wave in the exit pupil from one object point, reflected by the relay wall.
+    """Compute the wave that light from one object point, reflected by the wall, forms in the pupil.
+
+    Rays are aimed from the object point via the wall at sample points of the exit pupil.
 
     Parameters
     ----------
     scene : Scene
         Scene with the wall, the camera and the hidden object.
     object_point : array_like, (3,), optional
-        Object point, world frame, m; by default the hidden object's reference point.
+        Object point in world coordinates, m. Default: the hidden object's reference point, that is
+        the centre of a planar object or the centroid of a mesh.
     nodes : {"auto", "polar", "cells", "grid"} or array_like (n, 2)
-        Layout of the pupil nodes, see `Wavefront`, or coordinates (u, v) in the exit pupil, m.
-        "polar" follows the round rim of the lens. "cells" also follows the edge of a flat wall
-        that cuts off part of the cone of light, "grid" that of any wall. "auto" selects polar
-        nodes, or a grid if the wall's edge cuts the cone or is the stop. Nodes given as
-        coordinates are "scattered": each represents an equal part of the pupil's area, or no area
-        if it lies outside the pupil radius.
+        Arrangement of the pupil's sample points:
+
+        - "auto": "polar", or "grid" if the wall's edge cuts off a part of the cone of light.
+        - "polar": rings, for a pupil with the round rim of the lens.
+        - "cells": patches that also follow the edge of a flat wall.
+        - "grid": square grid, for any wall.
+        - Array of coordinates (u, v) in the exit pupil, m, for the layout "scattered". Each point
+          represents an equal part of the pupil's area; points outside the pupil have the area 0.
     samples : int or (int, int), optional
-        Polar: radii, with four times as many angles, or (radii, angles); default (24, 96). Cells:
-        nodes per patch along its two sides; default (24, 24). Grid: cells per side; default 256,
-        or 512 if "auto" selects the grid. Not allowed with nodes given as coordinates.
+        Number of sample points; not allowed with coordinates. "polar": rings, with four times as
+        many points on each, or (rings, points per ring), default (24, 96). "cells": points along
+        the two directions of a patch, default (24, 24). "grid": squares per side, default 256, or
+        512 if "auto" selects the grid.
     reference : {"mirror_image", "best_focus"}
-        "mirror_image" removes the chief ray's piston and tilt; the tilt is an exact image shift.
-        "best_focus" also fits and removes defocus. ``removed`` reports these terms.
+        Terms that are removed from the aberration and reported in ``Wavefront.removed``:
+        "mirror_image" removes piston and tilt of the chief ray, which goes to the centre of the
+        lens; "best_focus" removes piston, tilt and defocus by a least-squares fit.
 
     Returns
     -------
     Wavefront
-        Wave in exit-pupil coordinates parallel to the image's axes. If the wall is the stop, the
-        pupil radius is that of the circle around the wall's outline.
+        Wave with pupil coordinates (u, v) parallel to the image's x and y. If the wall is the stop,
+        the pupil radius is that of the circle around the wall's outline.
 
     Raises
     ------
     CausticError
-        If the wave aberration is undefined: several rays or none reach a node, or rays cross.
+        If the aberration has no single value: several rays or none reach a pupil point.
     NotWaveGradeError
         If a mesh wall is not accurate enough for waves.
     SamplingError
@@ -236,9 +249,12 @@ def wavefront(
 
     Notes
     -----
-    The amplitude is 1/sqrt(J), with J the factor by which a tube of rays spreads, from the van
-    Vleck determinant of the path. A camera that is not focused on the mirrored object adds
-    defocus. Grid cells that the wall's edge crosses are weighted by the fraction inside.
+    The reference is the spherical wave from the mirror image of the object point. A camera that is
+    not focused on this image adds defocus.
+
+    The amplitude is 1/sqrt(J), with J the factor by which the cross-section of a thin bundle of
+    rays grows, relative to that of the chief ray. Squares of a grid that the wall's edge crosses
+    are weighted by the fraction inside.
 
     Examples
     --------

@@ -36,22 +36,29 @@ LAGS, DIRECTIONS = 161, 7
 
 @dataclass(frozen=True, eq=False)
 class FacetView(RoughView):
-    """View of all walls of random facets with one cell size and slope.
+    """Statistics of walls of random triangular facets, with the geometry of the exit pupil.
+
+    Such a wall has random heights at the nodes of a lattice, joined by flat triangles (facets).
 
     Parameters
     ----------
     roughness : FacetWall
-        One of these walls. Its seed is not used.
-    footprint, rayleigh_parameter, effective_distance
-        As in `RoughView`; the rms phase s is that of the height averaged over the facets.
+        One of these walls, which gives cell size and slope. Its seed is not used: results are means
+        over all seeds and positions of the lattice.
+    footprint : ndarray, (2, 2)
+        Matrix M: two pupil points at the distance (vector) d see wall points at the distance M d.
+    rayleigh_parameter : float
+        Rms phase s that the heights add to the wave, rad, averaged over the area of the facets.
+    effective_distance : ndarray (2, 2) or None
+        Distance over which wall ripples diffract on their way to the pupil, m, see `WallView`.
 
     Notes
     -----
-    The heights are Gaussian at every point, but their variance is larger at the lattice nodes than
-    within the facets. The position of the lattice is random. The transfer function is therefore
-    the mean of ``exp(-Var[phase(x) - phase(x + M d)]/2)`` over positions x in a lattice cell. At
-    separations of more than two cells it is periodic: the nodes form a lattice, so that a
-    moderately rough wall also diffracts like a weak grating.
+    Heights are Gaussian at every point, but their variance is larger at the lattice nodes than
+    inside the facets. Roughness multiplies the optical transfer function by the mean of
+    ``exp(-Var[phase(x) - phase(x + M d)]/2)`` over all positions x in a lattice cell. At distances
+    of more than two cells this factor is periodic, because the nodes form a lattice. A moderately
+    rough wall of facets therefore also diffracts like a weak grating.
     """
 
     term_seconds: ClassVar[float] = 1e-5
@@ -65,7 +72,7 @@ class FacetView(RoughView):
 
     @property
     def has_tails(self) -> bool:
-        """True: creases between facets diffract more widely than Gaussian heights."""
+        """True: the edges between facets diffract light farther than Gaussian heights do."""
         return True
 
     @property
@@ -75,7 +82,7 @@ class FacetView(RoughView):
 
     @cached_property
     def coherent_fraction(self) -> float:
-        """Fraction of the energy in the coherent core: the squared mean of ``exp(i phase)``."""
+        """Fraction of the energy in the sharp core: squared mean of ``exp(i phase)``, 0 to 1."""
         node, weight = gauss_legendre(2 * NODES)
         a, b = node[:, None], node * (1 - node[:, None])  # a triangle, as in `pair_terms`
         square = (1 - a - b) ** 2 + a**2 + b**2
@@ -84,11 +91,17 @@ class FacetView(RoughView):
 
     @property
     def scattered_fraction(self) -> float:
-        """Fraction of the energy outside the core."""
+        """Fraction of the energy outside the core, in the halo, 0 to 1."""
         return 1.0 - self.coherent_fraction
 
     def on_wall(self, x: Array, y: Array) -> Array:
-        """Return the scattered part of the transfer function at separations on the wall, m."""
+        """Return the factor on the optical transfer function that yields the halo.
+
+        Parameters
+        ----------
+        x, y : ndarray
+            Components of distances between wall points, m; their shapes broadcast.
+        """
         x, y = np.broadcast_arrays(x, y)
         if x.size <= FEW:
             return self._summed(x, y)

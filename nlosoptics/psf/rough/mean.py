@@ -40,18 +40,21 @@ NO_CORE: Final = 2e-17
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RoughPointSpread(PointSpread):
-    """Point spread function of a rough wall, divided into a coherent core and a diffuse halo.
+    """Point spread function of a rough wall, divided into a sharp core and a diffuse halo.
+
+    It has all fields of `PointSpread`, and the following.
 
     Parameters
     ----------
     coherent : ndarray, (ny, nx)
-        Coherent part of ``intensity``, read-only. In a mean over many walls it has the shape of
-        the smooth wall's point spread. The rest is `diffuse`.
+        Part of ``intensity`` that the wall reflects like a smooth mirror (the core), read-only. The
+        rest is `diffuse`.
     rayleigh_parameter : float
-        ``s = k (cos_i + cos_o) height_rms``, rad: rms phase due to the heights.
+        Rms phase s that the heights add to the wave, rad: ``s = k (cos_i + cos_o) height_rms``,
+        with k = 2 pi/wavelength and the cosines of the angles of incidence and reflection.
     coherent_fraction : float, optional
-        Fraction of the energy in the coherent core; by default that of Gaussian heights,
-        ``exp(-s^2)``.
+        Fraction of the energy in the core, 0 to 1. Default ``exp(-s^2)``, which holds for Gaussian
+        heights.
 
     See Also
     --------
@@ -74,12 +77,12 @@ class RoughPointSpread(PointSpread):
 
     @property
     def diffuse(self) -> Array:
-        """Part of ``intensity`` scattered by the roughness, (ny, nx)."""
+        """Part of ``intensity`` that the roughness scatters (the halo), (ny, nx)."""
         return self.intensity - self.coherent
 
     @property
     def total_integrated_scatter(self) -> float:
-        """Fraction of the energy scattered into all angles."""
+        """Fraction of the energy that the roughness scatters, 0 to 1, in all directions."""
         return 1.0 - self.coherent_fraction
 
 
@@ -95,66 +98,75 @@ def mean_point_spread(
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
 ) -> RoughPointSpread:
-    """Compute the mean point spread function over all rough walls of the same statistics.
+    """Compute the mean point spread function (PSF) of rough walls, without random samples.
+
+    It consists of a sharp core, like the PSF of a smooth wall, and a halo of light that the
+    roughness scatters.
 
     Parameters
     ----------
     source : Wavefront, Scene or SceneOptics
-        Wave that the wall without roughness would give, or a scene whose wall is the mean surface.
-        The pupil of a scene is sampled as finely as ``tol`` requires.
+        Wave that the wall without roughness gives; or a scene, from which wave and geometry are
+        computed. The pupil of a scene is sampled as finely as ``tol`` requires.
     roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
         Statistics of the wall's heights. For a `FacetWall` or `GaussianWall` the mean is over all
         seeds. A height map is replaced by Gaussian heights with the same rms height and rms slope.
     footprint : float or array_like (2, 2), optional
-        Matrix M from a step in the exit pupil to the corresponding step on the wall;
-        ``d1/(d1 + d2)`` at normal incidence. Required with a wavefront; a scene defines it
-        (`wall_view`).
+        Matrix M: a step (du, dv) in the exit pupil changes the wall point that is seen by the step
+        M (du, dv). A number stands for a multiple of the unit matrix, ``d1/(d1 + d2)`` at normal
+        incidence, with d1 and d2 the distances from the wall to object and lens. Required with a
+        wavefront, not allowed with a scene.
     cos_sum : float, optional
-        Sum of the cosines of the angles of incidence and exitance, above 0 and at most 2. Required
-        with a wavefront; a scene defines it.
+        Sum of the cosines of the angles of incidence and reflection at the wall, above 0 and at
+        most 2. Required with a wavefront, not allowed with a scene.
     tol : float
-        Largest error of the result, relative to its peak.
+        Largest permitted error of the intensity, relative to its peak; above 0, at most 1.
     pitch : float, optional
-        Image sampling or pixel side, m. Default lambda N/4.
+        Distance between image samples, or pixel side, m. Default lambda N/4, with the wavelength
+        lambda and the F-number N.
     shape : int or (int, int), optional
-        Samples or pixels (ny, nx). Default at least 256 per side, so that the window contains all
-        rays, their diffraction tails and the halo.
+        Samples or pixels (ny, nx); one number means a square. By default at least 256 per side, and
+        enough for all rays, a margin of 16 lambda N for diffraction, and the scattered light.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
-        Quantity that has the value 1, see `point_spread`. The energy in the whole plane equals
-        that of the smooth wall.
+        Quantity that has the value 1: the energy in the whole image plane, the peak of the smooth
+        wall without aberration, or the energy that a clear disc of the pupil's radius transmits.
+        Roughness does not change the energy in the whole plane.
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
 
     Returns
     -------
     RoughPointSpread
-        Mean intensity (ny, nx), row 0 at the lowest y, with its coherent part and error estimate.
+        Mean intensity (ny, nx), row 0 at the lowest y, with its core and an error estimate.
 
     Raises
     ------
     SceneError
         If ``footprint`` or ``cos_sum`` is missing, or given with a scene.
     SamplingError
-        If `point_spread` raises it for the core, or the halo does not reach ``tol``.
+        If ``tol`` cannot be reached, or the window is too narrow for the rays.
     MemoryLimitError
         If an array would not fit into memory.
 
     See Also
     --------
     sample_point_spread : Speckle pattern of one random wall.
-    two_scale_point_spread : Random long waves and the mean over short ones.
+    two_scale_point_spread : Random coarse heights, and the mean over fine ones.
 
     Notes
     -----
-    ``OTF_mean(d) = OTF_0(d) exp(-s^2 [1 - C(M d)])`` for the separation d of exit-pupil points
-    [1]_, with OTF_0 the transfer function of the smooth wall, s the rms phase
-    (`RoughPointSpread.rayleigh_parameter`), C the autocorrelation of the heights and M the
-    footprint. This is exact, to first order in the heights, for a thin screen of Gaussian heights
-    that is large compared with the footprint. It neglects shadowing and multiple scattering, and
-    therefore does not hold for materials such as white foam. At large separations the factor tends
-    to ``exp(-s^2)``; this part yields the smooth wall's point spread. The rest is summed over
-    separations d on a separate, finer set of nodes, which resolves a C that is narrow compared
-    with the pupil. The sum is accurate in a window of any size.
+    Roughness multiplies the optical transfer function (OTF) of the smooth wall by a factor [1]_::
+
+        OTF_mean(d) = OTF_smooth(d) exp(-s^2 [1 - C(M d)])
+
+    Here d is the distance (vector) between two points of the exit pupil, s the rms phase
+    (``rayleigh_parameter``), C the autocorrelation of the heights and M the ``footprint``. At large
+    d the factor is ``exp(-s^2)``; this part gives the core. The rest gives the halo, by a sum over
+    d that is accurate in a window of any size.
+
+    The formula is exact to first order in the heights, for Gaussian heights on a wall that is large
+    compared with the area that the pupil sees. It neglects shadowing and multiple scattering. It
+    therefore does not hold for materials such as white foam.
 
     References
     ----------
@@ -162,6 +174,8 @@ def mean_point_spread(
 
     Examples
     --------
+    Heights of 50 nm rms leave 37 % of the energy in the sharp core:
+
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
     ...     {}, wavelength=632.8e-9, pupil_radius=12.5e-3, image_distance=1.0

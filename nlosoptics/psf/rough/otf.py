@@ -35,17 +35,18 @@ ORDER: Final = 5
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """Optical transfer function of a wave without piston and tilt, 1 at separation 0.
+    """Optical transfer function of a wave, as a function of the distance between pupil points.
 
     Parameters
     ----------
     at : callable
-        Function of separations (du, dv), m, that returns complex values; 0 beyond the pupil's
-        diameter.
+        Function of the components (du, dv) of a distance between two pupil points, m, that returns
+        complex values: 1 at distance 0, and 0 beyond the pupil's diameter. The distance is the
+        spatial frequency in the image times wavelength times image distance.
     reach : float
-        Separation beyond which the function is 0, m.
+        Distance beyond which the function is 0, m.
     error : float
-        Estimate of the largest error.
+        Estimate of the largest error of the function.
     """
 
     at: Callable[[Array, Array], ComplexArray]
@@ -54,14 +55,15 @@ class Transfer:
 
 
 def transfer(residual: Residual, cells: int = 0) -> Transfer:
-    """Compute the optical transfer function of a polar or grid wave.
+    """Compute the optical transfer function of a wave of the layout "polar" or "grid".
 
     Parameters
     ----------
     residual : Residual
         Wave without piston and tilt.
     cells : int
-        Cells across a polar wave that is resampled to a grid; 0 for the default.
+        Number of grid squares across the pupil, to which a polar wave is resampled; 0 for the
+        default.
 
     Returns
     -------
@@ -70,7 +72,7 @@ def transfer(residual: Residual, cells: int = 0) -> Transfer:
     Raises
     ------
     SamplingError
-        If the wave is neither polar nor on a grid.
+        If the wave has another layout.
     MemoryLimitError
         If the grid would not fit into memory.
 

@@ -24,24 +24,26 @@ LAST: Final = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Roughness(Noun):
-    """Statistics of stationary Gaussian random heights on a wall's mean shape.
+    """Statistics of a rough wall: rms height, correlation length and autocorrelation.
+
+    The heights are Gaussian random numbers that are added to the wall's mean shape.
 
     Parameters
     ----------
     height_rms : float
-        Root mean square height, m.
+        Root mean square height h, m.
     correlation_length : float
-        Lag l, m, at which the autocorrelation C has fallen to 1/e. For a callable or measured C,
-        the approximate lag over which it decays.
+        Distance l between wall points, m, at which the autocorrelation C has fallen to 1/e. For a
+        callable or measured C, the approximate distance over which it falls.
     autocorrelation : {"gaussian", "exponential"}, callable or array_like (2, n)
-        Autocorrelation C of the heights, 1 at lag 0:
+        Autocorrelation C(r) of the heights of two wall points at the distance (lag) r; C(0) = 1:
 
         - ``"gaussian"`` is ``exp(-r^2/l^2)`` and ``"exponential"`` is ``exp(-r/l)``.
-        - A callable takes an array of lags r, m, and returns C. It may have a method
+        - A callable takes an array of lags, m, and returns the values of C. It may have a method
           ``structure`` that returns 1 - C accurately at short lags, and an attribute ``end``, the
           lag, m, beyond which C is 0.
-        - Row 0 of an array holds measured lags, m, increasing from 0; row 1 holds the values of C.
-          C is interpolated by monotone cubics and is 0 beyond the last lag.
+        - A measured C is an array: row 0 holds lags, m, increasing from 0, and row 1 the values of
+          C. It is interpolated by monotone cubics, and 0 beyond the last lag.
 
     Raises
     ------
@@ -56,6 +58,8 @@ class Roughness(Noun):
 
     Examples
     --------
+    Rms slope of a wall of Gaussian bumps, and its autocorrelation at a distance of 1 mm:
+
     >>> from nlosoptics import psf
     >>> rough = psf.Roughness(height_rms=100e-9, correlation_length=1e-3)
     >>> print(f"slope {rough.slope_rms:.2e} rad, C = {rough.correlation(1e-3):.3f}")
@@ -90,12 +94,13 @@ class Roughness(Noun):
 
     @property
     def slope_rms(self) -> float:
-        """Return the rms slope per axis, rad; for a Gaussian C, ``sqrt(2) height_rms/l``.
+        """Rms slope of the wall along one axis, rad: ``sqrt(2) height_rms/correlation_length``.
 
         Raises
         ------
         SceneError
-            For any other C. The slope of an exponential C is infinite.
+            Unless the autocorrelation is "gaussian", for which alone the formula holds. That of
+            "exponential" heights is infinite.
         """
         if self.autocorrelation != "gaussian":
             raise SceneError(
@@ -105,7 +110,18 @@ class Roughness(Noun):
         return math.sqrt(2) * self.height_rms / self.correlation_length
 
     def correlation(self, lags: ArrayLike) -> Array:
-        """Return the autocorrelation C at lags of any shape, m."""
+        """Return the autocorrelation C of the heights.
+
+        Parameters
+        ----------
+        lags : array_like
+            Distances between wall points, m, of any shape.
+
+        Returns
+        -------
+        ndarray
+            C, 1 at lag 0, in the shape of ``lags``.
+        """
         r = np.asarray(lags, dtype=np.float64)
         scaled = r / self.correlation_length
         if isinstance(self.autocorrelation, str):
@@ -122,7 +138,19 @@ class Roughness(Noun):
         return found
 
     def structure(self, lags: ArrayLike) -> Array:
-        """Return ``1 - C`` at lags of any shape, m; exact at short lags for a C given by name."""
+        """Return 1 minus the autocorrelation, without loss of digits at short lags.
+
+        Parameters
+        ----------
+        lags : array_like
+            Distances between wall points, m, of any shape.
+
+        Returns
+        -------
+        ndarray
+            1 - C, 0 at lag 0, in the shape of ``lags``. A measured C, or a callable without a
+            method ``structure``, loses digits at short lags.
+        """
         r = np.asarray(lags, dtype=np.float64)
         if isinstance(self.autocorrelation, str):
             scaled = r / self.correlation_length
@@ -131,33 +159,35 @@ class Roughness(Noun):
         return 1 - self.correlation(r) if own is None else np.asarray(own(r), dtype=np.float64)
 
     def split(self, cutoff: float) -> tuple[Roughness, Roughness]:
-        """Split the heights into independent long-wave and short-wave parts by a Gaussian filter.
+        """Split the heights into two independent parts: coarse and fine structure.
 
         Parameters
         ----------
         cutoff : float
-            Cutoff period, m, 0 to infinity. Of the power of a ripple of period L, the long waves
-            receive the fraction ``exp(-(pi cutoff/L)^2)`` and the short waves the rest.
+            Period between coarse and fine, m, 0 to infinity. The transition is gradual: of the
+            power of a ripple of period L, the coarse part receives the fraction
+            ``exp(-(pi cutoff/L)^2)`` and the fine part the rest.
 
         Returns
         -------
         long, short : Roughness
-            Parts whose variances and autocovariances add up to those of the whole. A cutoff of 0
-            or infinity leaves one part with zero height. For a Gaussian C the long waves are
-            Gaussian, of correlation length ``sqrt(l^2 + cutoff^2)`` and variance
-            ``h^2 l^2/(l^2 + cutoff^2)``. All other parts have a callable autocorrelation. Their
-            correlation length is the lag at which it has fallen to 1/e.
+            Coarse part (long periods) and fine part (short periods). The sum of two walls with
+            these statistics has the statistics of the whole. With a cutoff of 0 or infinity one
+            part has the height 0.
 
         Raises
         ------
         SceneError
-            If C is not Gaussian and a part would hold less than 1e-6 of the variance, or if C is
+            If C is not Gaussian and one part would have less than 1e-6 of the variance, or if C is
             measured and the cutoff is below the spacing of its lags.
 
         Notes
         -----
-        If C is not Gaussian, the long part is tabulated to 1e-8 of the variance, and the short
-        part is the difference from the whole.
+        Let l be the correlation length. If the autocorrelation is "gaussian", that of the coarse
+        part is, too, with the correlation length ``sqrt(l^2 + cutoff^2)`` and the variance
+        ``height_rms^2 l^2/(l^2 + cutoff^2)``. All other parts have a callable autocorrelation. A
+        coarse part that is not Gaussian is tabulated to 1e-8 of the variance; the fine part is the
+        difference from the whole.
         """
         if cutoff != math.inf:
             cutoff = in_range("cutoff", cutoff, 0.0, unit="m")
@@ -190,7 +220,19 @@ class Roughness(Noun):
         )
 
     def reach(self, level: float) -> float:
-        """Return the lag, m, beyond which ``|C|`` is at most ``level`` (above 0), or infinity."""
+        """Return the lag beyond which the autocorrelation is negligible.
+
+        Parameters
+        ----------
+        level : float
+            Largest modulus of C that counts as negligible, above 0.
+
+        Returns
+        -------
+        float
+            Lag, m, beyond which ``|C|`` is at most ``level``; infinite if there is none. For a
+            measured C it is the last lag.
+        """
         if isinstance(self.autocorrelation, str):
             fall = math.log(1 / level)
             return self.correlation_length * (math.sqrt(fall) if self._is_gaussian else fall)
@@ -208,7 +250,18 @@ class Roughness(Noun):
         return float(lags[above[-1] + 1 if above.size else 0])
 
     def lag_of(self, structure: float) -> float:
-        """Return the smallest lag, m, at which ``1 - C`` reaches a value (0 to 1), or infinity."""
+        """Return the smallest lag at which the autocorrelation has fallen by a given amount.
+
+        Parameters
+        ----------
+        structure : float
+            Value of 1 - C, 0 to 1.
+
+        Returns
+        -------
+        float
+            Lag, m; infinite if C never falls that far.
+        """
         lags = self.correlation_length * np.geomspace(1e-8, 1e3, 1101)
         passed = np.nonzero(self.structure(lags) >= structure)[0]
         if not passed.size:

@@ -57,43 +57,56 @@ def sample_point_spread(
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
 ) -> PointSpread:
-    """Compute the point spread function of a random rough wall, a static speckle pattern.
+    """Compute the point spread function of one random rough wall: a speckle pattern.
 
     Parameters
     ----------
     source : Wavefront, Scene or SceneOptics
-        Wave that the wall without roughness would give, or a scene whose wall is the mean surface.
-        The pupil of a scene is sampled as finely as the random heights and their halo require.
+        Wave that the wall without roughness gives; or a scene, from which wave and geometry are
+        computed. The pupil of a scene is sampled as finely as the heights require.
     roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
-        Statistics of the heights, from which a random wall is drawn, or one wall of given heights.
-        The latter is the same wall for every object point, pupil and sampling.
+        Statistics of the heights, from which a random wall is drawn (`Roughness`), or one wall of
+        given heights. The latter is the same wall for every object point, pupil and sampling.
     seed : int, optional
-        Random seed: required with a `Roughness`, and not allowed with given heights. The same seed
-        and sampling yield the same wall.
+        Random seed, 0 or more. Required with a `Roughness`, and not allowed with given heights. The
+        same seed and sampling yield the same wall.
     independent_patterns : int
-        Number of walls whose patterns are averaged. The first pattern is that of
-        ``independent_patterns=1``, the only value allowed with given heights. Several patterns
-        also model an average over time or wavelengths: one pattern for each correlation length by
-        which the wall moves during the exposure, or for each wavelength step lambda/s, with s the
-        rms phase in rad. Developed speckle has the contrast ``1/sqrt(independent_patterns)``.
+        Number of random walls whose patterns are averaged. Fully developed speckle then has the
+        contrast ``1/sqrt(independent_patterns)``. Use it to model a wall that moves during the
+        exposure, or light of several wavelengths, see Notes. Must be 1 with given heights.
     footprint : float or array_like (2, 2), optional
-        Matrix M of `mean_point_spread`. Required with a wavefront; a scene defines it.
+        Matrix M: a step (du, dv) in the exit pupil changes the wall point that is seen by the step
+        M (du, dv). A number stands for a multiple of the unit matrix, ``d1/(d1 + d2)`` at normal
+        incidence, with d1 and d2 the distances from the wall to object and lens. Required with a
+        wavefront, not allowed with a scene.
     cos_sum : float, optional
-        Sum of the cosines of the angles of incidence and exitance. Required with a wavefront.
+        Sum of the cosines of the angles of incidence and reflection at the wall, above 0 and at
+        most 2. Required with a wavefront, not allowed with a scene.
     effective_distance : float or array_like (2, 2), optional
-        ``d1 d2/(d1 + d2)`` at normal incidence, m, see `WallView`. Required with a wavefront.
+        Distance over which wall ripples diffract on their way to the pupil, m: ``d1 d2/(d1 + d2)``
+        at normal incidence, see `WallView`. Required with a wavefront, not allowed with a scene.
     propagation : {"fresnel", "geometric"}
-        Propagation of the phase from the wall to the pupil: by a Fresnel integral, or unchanged
-        along rays, so that the aberration is ``-(cos_i + cos_o) h``. ``geometric`` is refused
-        where the two results would differ.
-    pitch, shape, normalisation, pixel_integrated
-        Options of `mean_point_spread`. The normalisation refers to the energy of the smooth wall;
-        the energy of a single random wall can differ.
+        Propagation from the wall to the pupil: by a Fresnel integral, or along rays, so that a
+        height h only changes the path, by ``-(cos_i + cos_o) h``. ``geometric`` is refused where
+        the two results would differ.
+    pitch : float, optional
+        Distance between image samples, or pixel side, m. Default lambda N/4, with the wavelength
+        lambda and the F-number N.
+    shape : int or (int, int), optional
+        Samples or pixels (ny, nx); one number means a square. By default at least 256 per side, and
+        enough for all rays, a margin of 16 lambda N for diffraction, and the scattered light.
+    normalisation : {"unit-sum", "ideal-peak", "flux"}
+        Quantity that has the value 1, for the smooth wall: the energy in the whole image plane, the
+        peak without aberration, or the energy that a clear disc of the pupil's radius transmits.
+        The energy of a single random wall can differ from that of the smooth one.
+    pixel_integrated : bool
+        Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
 
     Returns
     -------
     PointSpread
-        Intensity (ny, nx), row 0 at the lowest y. Its mean over seeds is `mean_point_spread`.
+        Intensity (ny, nx), row 0 at the lowest y. The mean over many seeds is that of
+        `mean_point_spread`.
 
     Raises
     ------
@@ -101,10 +114,10 @@ def sample_point_spread(
         If ``footprint``, ``cos_sum`` or ``effective_distance`` is missing with a wavefront or
         given with a scene; or if no surface can have the autocorrelation.
     SamplingError
-        If a grid wavefront is too coarse for the heights or the halo, or geometric propagation
-        does not hold.
+        If the samples of a wave on a grid are too coarse for the heights, the window is too narrow
+        for the rays, or ``propagation="geometric"`` would be wrong.
     MemoryLimitError
-        If the phase screen would not fit into memory.
+        If the samples of the wall would not fit into memory.
 
     See Also
     --------
@@ -113,11 +126,15 @@ def sample_point_spread(
 
     Notes
     -----
-    The wall is a thin phase screen of Gaussian heights on the tangent plane at the chief ray. Its
-    curvature and obliquity enter by M and the effective distance. The heights are drawn at the
-    wall points ``w = M p`` of the pupil's lattice, or of a coarser lattice from which the field is
-    interpolated spectrally. A ripple of period L reaches the pupil as
-    phase times cos(q) and amplitude times sin(q), with q = pi lambda d_eff/L^2 [1]_.
+    The heights are a thin phase screen in the plane that touches the wall where the chief ray meets
+    it. The wall's curvature and tilt enter by ``footprint`` and ``effective_distance``.
+
+    With Fresnel propagation, a ripple of period L that has the phase amplitude a on the wall
+    reaches the pupil as a phase of amplitude ``a cos(q)`` and a modulation of the field's amplitude
+    ``a sin(q)``, with ``q = pi lambda d/L^2`` and the effective distance d [1]_.
+
+    Average one pattern for each correlation length by which the wall moves during the exposure, and
+    for each step lambda/s in wavelength, with s the rms phase due to the heights, rad.
 
     References
     ----------
@@ -125,6 +142,8 @@ def sample_point_spread(
 
     Examples
     --------
+    Speckle pattern of a flat wall, seen at normal incidence halfway between object and lens:
+
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
     ...     {}, wavelength=632.8e-9, pupil_radius=12.5e-3, image_distance=1.0

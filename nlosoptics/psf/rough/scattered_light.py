@@ -44,16 +44,19 @@ FIRST_RUN: Final = 8.0
 
 @dataclass(frozen=True, eq=False)
 class Separations:
-    """Quadrature nodes of the sum over separations; each represents itself and its opposite.
+    """Quadrature points for the halo of a rough wall: distances between two points of the pupil.
+
+    The halo is the Fourier transform of an optical transfer function over these distances. Each
+    distance (a vector) stands for itself and its opposite.
 
     Parameters
     ----------
     du, dv : ndarray, (n_lags, n_directions)
-        Separations of pupil points, m.
+        Components of the distances along u and v, m.
     coord : ndarray, (n_lags n_directions, 2)
-        Phase per image sample along y and x, rad.
+        Phase step from one image sample to the next, along y and x, rad.
     factor : ndarray of complex, (n_lags, n_directions)
-        Contribution to an image sample, without the transfer function of the smooth wave.
+        Weight of the distance in the sum, without the transfer function of the smooth wave.
     """
 
     du: Array
@@ -64,22 +67,23 @@ class Separations:
 
 @dataclass(frozen=True, eq=False)
 class Halo:
-    """Sum over separations of pupil points that yields the scattered intensity.
+    """Computation of the halo that roughness scatters, by a sum over distances in the pupil.
 
     Parameters
     ----------
     residual : Residual
-        Wave of the smooth wall.
+        Wave of the smooth wall, without piston and tilt.
     view : RoughView
-        View of the roughness that scatters.
+        Statistics and geometry of the roughness.
     window : Window
-        Samples or pixels.
+        Image samples or pixels.
     pixel_integrated : bool
-        Whether to integrate over pixels.
+        Whether to integrate over pixels instead of sampling at their centres.
     edge : float
-        Separation beyond which the smooth transfer function is 0, m.
+        Distance between pupil points beyond which the transfer function of the smooth wave is 0, m.
     spread : float
-        Radius of the pattern before scattering, m, for which nodes are added; 0 if it is small.
+        Radius in the image of the light before it is scattered, m, if it is large, as for a speckle
+        pattern; 0 otherwise.
     """
 
     residual: Residual
@@ -91,7 +95,7 @@ class Halo:
 
     @property
     def per_metre(self) -> float:
-        """Phase per metre of separation and metre of image, rad/m^2, signed."""
+        """Phase per metre of pupil distance and metre of image coordinate, rad/m^2, signed."""
         wave = self.residual.wavefront
         return 2 * math.pi / (wave.wavelength * wave.image_distance)
 
@@ -248,36 +252,36 @@ def scattered_light(
     coherent: Array,
     tol: float,
 ) -> tuple[Array, float]:
-    """Compute the mean intensity scattered by a rough wall, and its error.
+    """Compute the halo of a rough wall, that is the mean intensity of the scattered light.
 
     Parameters
     ----------
     residual : Residual
-        Wave of the smooth wall.
+        Wave of the smooth wall, without piston and tilt.
     view : RoughView
-        View of the roughness.
+        Statistics and geometry of the roughness.
     window : Window
-        Samples or pixels.
+        Image samples or pixels.
     pixel_integrated : bool
-        Whether to integrate over pixels.
+        Whether to integrate over pixels instead of sampling at their centres.
     coherent : ndarray, (ny, nx)
-        Coherent part on the same samples; the peak is that of both parts together.
+        Light that is not scattered (the core), on the same samples, in the unit of the result.
     tol : float
-        Wanted error relative to the peak.
+        Largest permitted error relative to the peak of core and halo together.
 
     Returns
     -------
     light : ndarray, (ny, nx)
-        Scattered energy per sample, relative to the energy of the smooth image.
+        Scattered energy per sample; the whole image, core and halo, has the energy 1.
     error : float
-        Estimated largest error, energy per sample.
+        Estimated largest error of ``light``, energy per sample.
 
     Notes
     -----
-    If the pixels are much wider than the halo, they do not resolve it. Then the sum runs over a
-    finely sampled inner window only, as small as ``tol`` allows. The energy outside it is
-    distributed over the pixels as the diffraction tail, ``1/r^3``; any energy beyond that of such
-    a tail counts as error.
+    If the halo is much narrower than a pixel, it is computed on fine samples in a small square
+    around the centre only. The energy outside this square is distributed over the pixels as
+    ``1/r^3``, with r the distance from the centre, as diffraction at the rim does. Missing energy
+    that this law does not explain counts as error.
     """
     cells, best = first_cells(residual, view, window.pitch, tol), None
     for n in (cells, 2 * cells, 4 * cells):
@@ -293,7 +297,10 @@ def scattered_light(
 
 
 def first_cells(residual: Residual, view: RoughView, pitch: float, tol: float) -> int:
-    """Return the first number of cells across a polar pupil for `transfer`; 0 for a grid."""
+    """Return the number of grid squares across the pupil to try first in `transfer`.
+
+    The result is 0 for a wave on a grid, whose own squares are used.
+    """
     if residual.wavefront.layout != "polar":
         return 0
     # The error is relative to the halo's peak, which the image's width lowers by 1 + alone/peak.
@@ -332,7 +339,10 @@ def _with_cells(
 def inner_halves(
     residual: Residual, view: RoughView, window: Window, tol: float
 ) -> Iterator[float]:
-    """Yield the half sides, m, of the inner windows to try; none if they would not be faster."""
+    """Yield the half sides, m, of the finely sampled squares to try, see `scattered_light`.
+
+    Nothing is yielded if they would not be faster than sampling all pixels.
+    """
     unit = residual.airy_unit
     reach = ray_reach(residual) + view.halo(residual.wavefront)
     # The tail outside has the energy 2/(pi^2 half), with the relative error reach^2/half^2.
@@ -348,7 +358,10 @@ def inner_halves(
 
 
 def inner_window(window: Window, half: float) -> tuple[Window, int]:
-    """Return a window of fine pixels around the central pixel, and the fine pixels per side."""
+    """Return a window of fine pixels around the centre, and their number per side of a pixel.
+
+    ``half`` is half the side of the new window, m.
+    """
     parts = max(1, math.ceil(PARTS * window.pitch / half)) | 1
     n = 2 * math.ceil(half * parts / window.pitch) + 1
     return Window.centred(window.pitch / parts, (n, n)), parts

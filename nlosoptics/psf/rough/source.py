@@ -28,16 +28,17 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True, eq=False)
 class RoughSource:
-    """Smooth wave of a rough wall, and the view of its roughness.
+    """Wave of a wall without its roughness, with the statistics and geometry of the roughness.
 
     Parameters
     ----------
     residual : Residual
-        Wave of the smooth wall. For a scene, at the first set of nodes.
+        Wave of the smooth wall, without piston and tilt; for a scene with the default sampling.
     view : RoughView
-        View of the roughness from the pupil.
+        Statistics of the roughness, and the geometry by which the pupil sees it.
     seen : PointOptics or None
-        Optics of the scene's reference point; None if a wavefront was given.
+        Store of the scene's wave, from which more samples can be had; None if a wavefront was
+        given.
     """
 
     residual: Residual
@@ -45,7 +46,13 @@ class RoughSource:
     seen: PointOptics | None = None
 
     def refined(self, use: Callable[[Residual], Found]) -> Found:
-        """Return ``use(residual)``; for a scene, refine the pupil nodes until it succeeds."""
+        """Apply a function to the wave; for a scene, repeat it with more samples until it succeeds.
+
+        Parameters
+        ----------
+        use : callable
+            Function of a `Residual` that raises `SamplingError` if the wave has too few samples.
+        """
         if self.seen is None:
             return use(self.residual)
         return self.seen.refined(lambda aimed: use(aimed.residual))[1]

@@ -49,24 +49,28 @@ FINENESS: Final = 0.3
 
 
 def split_scale(wavelength: float, effective_distance: ArrayLike, turn: float = 0.1) -> float:
-    """Return the ripple period above which rays describe the effect of a wall's heights.
+    """Return the period of wall ripples above which diffraction at them is negligible.
 
-    Shorter ripples are changed by diffraction on the way from the wall to the pupil.
+    Heights of longer periods only change the path of rays. Shorter ripples are changed by
+    diffraction between wall and pupil.
 
     Parameters
     ----------
     wavelength : float
         Vacuum wavelength, m.
     effective_distance : float or array_like (2, 2)
-        Effective distance d_eff of `WallView`, m; for a matrix its norm is used.
+        Distance d over which ripples diffract, m: ``d1 d2/(d1 + d2)`` at normal incidence, with d1
+        and d2 the distances from the wall to object and lens. For a matrix, such as that of
+        `WallView`, its largest singular value is used.
     turn : float
-        Largest propagation phase q, rad. A ripple reaches the pupil as phase times cos(q) and
-        amplitude times sin(q).
+        Largest negligible diffraction phase q, rad, above 0. A phase ripple of amplitude a on the
+        wall reaches the pupil as a phase of amplitude ``a cos(q)`` and a modulation of the field's
+        amplitude ``a sin(q)``.
 
     Returns
     -------
     float
-        ``sqrt(pi lambda d_eff/q)``, m.
+        Period ``sqrt(pi wavelength d/q)``, m.
 
     Raises
     ------
@@ -115,47 +119,73 @@ def two_scale_point_spread(
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
 ) -> RoughPointSpread:
-    """Compute the point spread of a rough wall, random in its long waves, averaged over short ones.
+    """Compute the point spread of a random rough wall, averaged over its fine heights only.
+
+    It shows the speckle of the coarse heights, which `mean_point_spread` averages out. Unlike
+    `sample_point_spread` it needs no samples of the fine heights.
 
     Parameters
     ----------
     source : Wavefront, Scene or SceneOptics
-        Wave that the wall without roughness would give, or a scene whose wall is the mean surface.
-        The pupil of a scene is sampled as finely as the long waves, the halo and ``tol`` require.
+        Wave that the wall without roughness gives; or a scene, from which wave and geometry are
+        computed. The pupil of a scene is sampled as finely as required.
     roughness : Roughness
         Statistics of the wall's heights.
     seed : int
-        Random seed. The same seed and sampling yield the same long waves.
+        Random seed, 0 or more. The same seed and sampling yield the same coarse heights.
     cutoff : float, optional
-        Cutoff period of `Roughness.split`, m, 0 to infinity. Default `split_scale` of the effective
-        distance. At 0 all waves are random, as in `sample_point_spread`; at infinity the result is
+        Period between coarse and fine heights, m, 0 to infinity, see `Roughness.split`. Default
+        `split_scale`, above which diffraction between wall and pupil is negligible. At 0 all
+        heights are random, as in `sample_point_spread`; at infinity the result is that of
         `mean_point_spread`.
     independent_patterns : int
-        Number of walls whose patterns are averaged; the first one is that of a single wall.
-    footprint, cos_sum, effective_distance
-        Geometry of `sample_point_spread`. Required with a wavefront; a scene defines it.
+        Number of random walls whose patterns are averaged.
+    footprint : float or array_like (2, 2), optional
+        Matrix M: a step (du, dv) in the exit pupil changes the wall point that is seen by the step
+        M (du, dv). A number stands for a multiple of the unit matrix, ``d1/(d1 + d2)`` at normal
+        incidence, with d1 and d2 the distances from the wall to object and lens. Required with a
+        wavefront, not allowed with a scene.
+    cos_sum : float, optional
+        Sum of the cosines of the angles of incidence and reflection at the wall, above 0 and at
+        most 2. Required with a wavefront, not allowed with a scene.
+    effective_distance : float or array_like (2, 2), optional
+        Distance over which wall ripples diffract on their way to the pupil, m: ``d1 d2/(d1 + d2)``
+        at normal incidence, see `WallView`. Required with a wavefront, not allowed with a scene.
     propagation : {"geometric", "fresnel"}
-        Propagation of the long waves from the wall to the pupil, see `sample_point_spread`.
+        Propagation from the wall to the pupil of the phase due to the coarse heights: along rays,
+        or by a Fresnel integral.
     tol : float
-        Largest error of the part scattered by the short waves, relative to the peak.
-    pitch, shape, normalisation, pixel_integrated
-        Options of `mean_point_spread`.
+        Largest error of the light scattered by the fine heights, relative to the peak; above 0, at
+        most 1.
+    pitch : float, optional
+        Distance between image samples, or pixel side, m. Default lambda N/4, with the wavelength
+        lambda and the F-number N.
+    shape : int or (int, int), optional
+        Samples or pixels (ny, nx); one number means a square. By default at least 256 per side, and
+        enough for all rays, a margin of 16 lambda N for diffraction, and the scattered light.
+    normalisation : {"unit-sum", "ideal-peak", "flux"}
+        Quantity that has the value 1, for the smooth wall: the energy in the whole image plane, the
+        peak without aberration, or the energy that a clear disc of the pupil's radius transmits.
+    pixel_integrated : bool
+        Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
 
     Returns
     -------
     RoughPointSpread
-        ``coherent`` is the pattern of the long waves, times ``exp(-s^2)`` of the short waves.
-        ``rayleigh_parameter`` and the fractions derived from it are those of the short waves.
+        Intensity (ny, nx), row 0 at the lowest y. Its part ``coherent`` is the speckle pattern of
+        the coarse heights, times ``exp(-s^2)``. The rest is scattered by the fine heights. Here s
+        is ``rayleigh_parameter``, the rms phase of the fine heights alone, rad.
 
     Raises
     ------
     SceneError
         If ``footprint``, ``cos_sum`` or ``effective_distance`` is missing with a wavefront or
-        given with a scene, or if the roughness cannot be split.
+        given with a scene, or if the roughness cannot be split at the cutoff.
     SamplingError
-        If the long waves cannot be sampled, or the short waves do not reach ``tol``.
+        If the pupil has too few samples for the coarse heights, or ``tol`` cannot be reached for
+        the fine ones.
     MemoryLimitError
-        If the phase screen would not fit into memory.
+        If the samples of the wall would not fit into memory.
 
     See Also
     --------
@@ -163,13 +193,12 @@ def two_scale_point_spread(
 
     Notes
     -----
-    The transfer function of each random wall is multiplied by ``exp(-s^2 [1 - C(M d)])`` of the
-    short waves. This adds the slopes of both parts at the same wall point. It neglects the lateral
-    displacement of the long waves' field by scattering at short waves. That displacement is 0 for
-    geometric propagation, and small compared with the long waves if the cutoff is at least
-    `split_scale`. The mean over walls is exact for any cutoff, since both parts are independent
-    and stationary. As in `mean_point_spread`, the values remain correct if the halo is much wider
-    than the window.
+    The optical transfer function of each random coarse wall is multiplied by the factor of
+    `mean_point_spread` for the fine heights. This neglects that light scattered by fine heights
+    arrives at the pupil displaced sideways. The displacement is 0 for geometric propagation, and
+    small compared with the coarse structure if the cutoff is at least `split_scale`. The mean over
+    walls is exact for any cutoff. The values are also correct if the light scattered by the fine
+    heights extends far beyond the window.
     """
     one_of("normalisation", normalisation, NORMALISATIONS)
     one_of("propagation", propagation, ("fresnel", "geometric"))

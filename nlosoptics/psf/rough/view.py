@@ -17,18 +17,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RoughView:
-    """Roughness, with the geometry that maps pupil points to wall points.
+    """Statistics of a rough wall, with the geometry by which the exit pupil sees it.
+
+    It computes how roughness divides the light into a sharp core and a scattered halo.
 
     Parameters
     ----------
     roughness : Roughness
-        Statistics of the heights.
+        Statistics of the wall's heights.
     footprint : ndarray, (2, 2)
-        Matrix M from a separation in the exit pupil to the separation on the wall.
+        Matrix M: two pupil points at the distance (vector) d see wall points at the distance M d.
     rayleigh_parameter : float
-        s, rad: rms phase due to the heights.
+        Rms phase s that the heights add to the wave, rad.
     effective_distance : ndarray (2, 2) or None
-        Matrix d_eff of `WallView`, m; not needed for the mean.
+        Distance over which wall ripples diffract on their way to the pupil, m, see `WallView`. None
+        if it is not known; the mean over walls does not need it.
     """
 
     #: Time of the transfer function at one separation, s, beyond that of its sum.
@@ -40,25 +43,42 @@ class RoughView:
     effective_distance: Array | None = None
 
     def of(self, part: Roughness) -> RoughView:
-        """Return the view of a part of the heights, such as from `Roughness.split`."""
+        """Return the view of a part of the heights, such as one of `Roughness.split`.
+
+        Parameters
+        ----------
+        part : Roughness
+            Statistics of the part.
+        """
         whole = self.roughness.height_rms
         share = part.height_rms / whole if whole > 0 else 0.0
         return replace(self, roughness=part, rayleigh_parameter=share * self.rayleigh_parameter)
 
     def lags(self, du: Array, dv: Array) -> Array:
-        """Return the separation on the wall, m, for separations (du, dv) in the pupil, m."""
+        """Return the distances on the wall that belong to distances in the exit pupil.
+
+        Parameters
+        ----------
+        du, dv : ndarray
+            Components along u and v of distances between pupil points, m, of the same shape.
+
+        Returns
+        -------
+        ndarray
+            Distances between the wall points that they see, m, in the same shape.
+        """
         m = self.footprint
         along, across = (m[i, 0] * du + m[i, 1] * dv for i in (0, 1))
         return np.asarray(np.hypot(along, across))
 
     @property
     def length(self) -> float:
-        """Scale on which the heights change along the wall, m."""
+        """Distance along the wall over which the heights change (correlation length), m."""
         return self.roughness.correlation_length
 
     @property
     def has_tails(self) -> bool:
-        """Whether the halo falls more slowly than a Gaussian."""
+        """Whether the halo falls more slowly than a Gaussian, away from its centre."""
         return bool(self.roughness.autocorrelation != "gaussian")
 
     @property
@@ -72,16 +92,32 @@ class RoughView:
         return -math.expm1(-(self.rayleigh_parameter**2))
 
     def scattered_transfer(self, du: Array, dv: Array) -> Array:
-        """Return the scattered part of the transfer function.
+        """Return the factor on the optical transfer function that yields the halo.
 
-        ``du`` and ``dv``, of any shape, are separations in the exit pupil, m.
+        Parameters
+        ----------
+        du, dv : ndarray
+            Components along u and v of distances between pupil points, m, of the same shape.
+
+        Returns
+        -------
+        ndarray
+            Factor, 0 to 1, in the same shape.
         """
         return self.diffuse_transfer(self.lags(du, dv))
 
     def diffuse_transfer(self, lag: Array) -> Array:
-        """Return the scattered part of the transfer function, ``exp(-s^2 [1 - C]) - exp(-s^2)``.
+        """Return the factor on the optical transfer function that yields the halo, from wall lags.
 
-        ``lag`` holds separations on the wall, m, of any shape.
+        Parameters
+        ----------
+        lag : ndarray
+            Distances between wall points, m, of any shape.
+
+        Returns
+        -------
+        ndarray
+            ``exp(-s^2 [1 - C(lag)]) - exp(-s^2)``, with the autocorrelation C of the heights.
         """
         square = self.rayleigh_parameter**2
         if square < 1:
@@ -92,7 +128,18 @@ class RoughView:
         return np.exp(-square * self.roughness.structure(lag)) - math.exp(-square)
 
     def last_lag(self, cut: float) -> float:
-        """Return the lag, m, beyond which `diffuse_transfer` is below ``cut`` times that at 0."""
+        """Return the distance on the wall beyond which `diffuse_transfer` is negligible.
+
+        Parameters
+        ----------
+        cut : float
+            Negligible value relative to that at lag 0, above 0 and below 1.
+
+        Returns
+        -------
+        float
+            Distance between wall points, m.
+        """
         square = self.rayleigh_parameter**2
         if square > 500:  # exp would overflow
             level = 1 + math.log(cut) / square
@@ -101,10 +148,15 @@ class RoughView:
         return self.roughness.reach(level)
 
     def halo(self, wave: Wavefront) -> float:
-        """Return the radius of the halo in the image, m: about 3 standard deviations.
+        """Return the radius of the halo in the image, m: three standard deviations of a Gaussian.
 
-        The standard deviation is that of a Gaussian with the same 1/e lag of `diffuse_transfer`.
-        The halo of an exponential C has wider tails.
+        The Gaussian is the one whose transfer function falls to 1/e at the same distance. The halo
+        of a wall with an exponential autocorrelation extends farther.
+
+        Parameters
+        ----------
+        wave : Wavefront
+            Wave of the smooth wall, which gives wavelength and image distance.
         """
         if self.rayleigh_parameter == 0:
             return 0.0

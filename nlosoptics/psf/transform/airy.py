@@ -97,7 +97,9 @@ def _table(far: int) -> Array:
 
 
 def error_bound(residual: Residual) -> float:
-    """Bound max |dI|/max I for replacing the pupil function by its mean; infinite if not useful.
+    """Return an upper bound of the error of the closed form, relative to the peak.
+
+    The closed form replaces the pupil function by its mean. The bound is infinite if not useful.
 
     Let c be the mean of P = A exp(ikW) and delta the mean of |P/c - 1|. Up to the factor c, the
     fields differ by at most delta times the ideal peak. The energy normalisation changes by

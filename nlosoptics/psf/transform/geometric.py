@@ -96,8 +96,8 @@ def density(residual: Residual, window: Window) -> tuple[Array, float]:
     energy : ndarray, (ny, nx)
         Sum 1 if the window holds every ray.
     error : float
-        Bound of max |dI|/max I: `SAFETY` times the change due to a blur of the width of
-        diffraction, plus `least_error` for diffraction at the pupil's rim.
+        Upper bound of the error relative to the peak: `SAFETY` times the change due to a blur of
+        the width of diffraction, plus `least_error` for diffraction at the pupil's rim.
 
     Notes
     -----

@@ -32,20 +32,21 @@ ROUNDING: Final = 1e-12
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SurfacePointSpread(Noun):
-    """Point spread function at arbitrary points in space.
+    """Point spread function at arbitrary points in space, for example on a curved detector.
 
     Parameters
     ----------
     points : ndarray
-        Points, of shape (..., 3), m, read-only, in the pupil's frame: origin at the pupil's
-        centre, x and y along u and v, the image plane at z = ``image_distance``.
+        Points, of shape (..., 3), m, read-only. The origin is the pupil's centre; x and y are
+        parallel to the pupil coordinates u and v; the image plane is at z = ``image_distance``.
     intensity : ndarray
-        Intensity (...), read-only, with the shape of the points without their last axis.
+        Intensity (...), read-only, in the shape of the points without their last axis.
     normalisation : {"ideal-peak", "irradiance"}
-        Quantity that has the value 1: the peak without aberration, or an irradiance of the energy
-        that the pupil transmits, per m^2.
+        Unit of the intensity: "ideal-peak" is relative to the intensity at the focus without
+        aberration; "irradiance" is energy per m^2, if the pupil transmits the energy 1.
     error_estimate : float
-        Bound of max |dI|/max I due to the number of pupil nodes.
+        Largest error of the intensity due to the finite number of pupil nodes, relative to the
+        largest intensity; an upper bound.
     wavelength : float
         Vacuum wavelength, m.
     f_number : float
@@ -53,7 +54,7 @@ class SurfacePointSpread(Noun):
 
     See Also
     --------
-    huygens_point_spread : PSF by direct summation, to any image surface.
+    huygens_point_spread : Computes it, by a sum of spherical waves.
     """
 
     points: Array
@@ -75,7 +76,7 @@ class SurfaceField:
     density : float
         Fraction of the transmitted energy per m^2 at intensity 1.
     error : float
-        Bound of max |dI|/max I.
+        Upper bound of the error, relative to the largest intensity.
     """
 
     intensity: Array
@@ -111,68 +112,67 @@ def huygens_point_spread(
     normalisation: SurfaceNormalisation = "ideal-peak",
     pupil: Pupil = "sphere",
 ) -> SurfacePointSpread:
-    """Compute the point spread function at arbitrary points by spherical waves from the pupil.
+    """Compute the intensity of a focused wave at any points in space, by Huygens' principle.
+
+    Each point of the pupil emits a spherical wave; the waves are summed. Use this function for
+    image points off the image plane, such as a curved detector, or to check `point_spread`.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with any ``layout`` of its nodes. The layouts "polar" and "cells" are refined as the
-        points require. Terms listed in ``removed`` are not added back.
+        Wave in the exit pupil. Terms listed in ``wavefront.removed`` are not added back. For the
+        layouts "polar" and "cells" the wave is interpolated to as many points as needed.
     points : array_like, (..., 3)
-        Points in the frame of `SurfacePointSpread`, m, on the image's side of the pupil.
+        Image points (x, y, z), m. The origin is the pupil's centre; x and y are parallel to the
+        pupil coordinates u and v; the image plane is at z = ``wavefront.image_distance``.
     normalisation : {"ideal-peak", "irradiance"}
-        Quantity that has the value 1: the peak without aberration, or an irradiance of the energy
-        that the pupil transmits, per m^2.
-    pupil : {"plane", "sphere"}
-        Surface on which the nodes (u, v) lie: the sphere about the reference point through the
-        pupil's centre, as for a lens that satisfies the sine condition and in `point_spread`, or
-        the pupil's plane, as for an ideal thin lens, where (u, v) are tangents.
+        Unit of the intensity: "ideal-peak" is relative to the intensity at the focus without
+        aberration; "irradiance" is energy per m^2, if the pupil transmits the energy 1.
+    pupil : {"sphere", "plane"}
+        Surface on which the pupil coordinates (u, v) lie. ``sphere`` is the reference sphere about
+        the image point on the axis, as in `point_spread` and for a lens that satisfies the sine
+        condition. ``plane`` is the plane through the pupil's centre, as for an ideal thin lens.
 
     Returns
     -------
     SurfacePointSpread
-        Intensity at the points, in their shape without the last axis, with an error estimate.
+        Intensity (...) at the points, with an error estimate.
 
     Raises
     ------
     SceneError
-        If points lie in the pupil or on its other side.
+        If points lie closer than 100 wavelengths to the pupil or on its other side, or the
+        F-number is 0.5 or less with ``pupil="sphere"``.
     SamplingError
-        If a grid or scattered nodes are too few for the phase.
+        If the samples of a wave with the layout "grid" or "scattered" are too far apart for the
+        phase of the spherical waves, or if such a wave has an ``aperture``.
     MemoryLimitError
-        If the refined nodes would not fit into memory.
+        If the interpolated wave would not fit into memory.
 
     See Also
     --------
-    point_spread : PSF of a given wave.
+    point_spread : PSF in the image plane, much faster.
     propagate : Free-space propagation to a parallel plane.
 
     Notes
     -----
-    First Rayleigh-Sommerfeld integral without its near-field term [1]_:
+    The complex field at the image point x is the first Rayleigh-Sommerfeld integral without its
+    near-field term [1]_, as a sum over pupil points p:
 
     ``U(x) = (1/lambda) sum S E exp(ik [W + s (|x - p| - |c - p|)]) cos(n, x - p)/|x - p|``
 
-    with c = (0, 0, d), s the sign of d, n the pupil's normal and S the node's area on the pupil
-    surface. E is chosen such that ``A^2`` is the power per area of u and v, as in the other
-    transforms.
+    Here W is the aberration, k = 2 pi/lambda, d the image distance, s its sign, c = (0, 0, d) the
+    image point on the axis, n the normal of the pupil surface, and S the area of that surface that
+    the pupil point represents. The amplitude E is chosen such that the square of the wave's
+    ``amplitude`` is the power per area of (u, v). The intensity is ``|U|^2``.
 
-    Let t be the angle at c between p and the axis. At c a node contributes
-    ``A w cos(t)^(3/2)/|d|`` from the plane and ``A w cos(t)^(-1/2)/|d|`` from the sphere. In the
-    other transforms it contributes ``A w/|d|``, with the phase ``-x.p/d``. For beams slower than
-    F/10 the difference from them scales as 1/N^2, relative to the peak without aberration:
+    `point_spread` uses a small-angle approximation of this sum. For beams slower than F/10 the two
+    results differ by an amount that scales as 1/N^2, with N the F-number. Relative to the peak
+    without aberration it is
 
-    - sphere: at most ``1/(32 N^2)``, and 0.0047/N^2 for the Airy disc (5e-7 at F/100);
-    - plane: 0.078/N^2 for the Airy disc and more far off the axis, since (u, v) are tangents, not
-      sines.
-
-    To obtain the same image from another transform, up to ``lambda/d``, give it (u, v) as sines
-    and multiply A by ``cos(t)^(-1/2)`` for the sphere, or by ``cos(t)^(-5/2)`` for the plane,
-    where ``u = s/cos(t)``.
-
-    The intensity is |U|^2. It equals the flux through a surface up to the cosine between the
-    surface normal and the rays. Path differences are computed from differences of squares, with a
-    relative error of about 1e-16.
+    - for the sphere, at most ``1/(32 N^2)``; 0.0047/N^2 for the Airy disc (5e-7 at F/100),
+    - for the plane, 0.078/N^2 for the Airy disc, and more far off the axis, because (u, v) are then
+      tangents of the angles to the axis instead of sines.
 
     References
     ----------
@@ -180,7 +180,7 @@ def huygens_point_spread(
 
     Examples
     --------
-    The focus, and the first dark ring of the Airy pattern at 1.22 lambda N:
+    Intensity at the focus and on the first dark ring of the Airy pattern, at 1.22 lambda N:
 
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(

@@ -43,7 +43,7 @@ class Modelled:
     model : {"scalar", "high-aperture"}
         Model of diffraction.
     model_error : float
-        Bound of max |dI|/max I of the scalar model; 0 for the other.
+        Upper bound of the scalar model's error relative to the peak; 0 for the high-aperture model.
     """
 
     result: Result
@@ -160,7 +160,9 @@ def _high_aperture(
 
 
 def scalar_model_error(task: Task, result: Result, normalisation: str) -> float:
-    """Bound the error of a scalar point spread, max |dI|/max I, against an unpolarised vector wave.
+    """Return an upper bound of the error of a scalar point spread, relative to its peak.
+
+    The reference is the vector diffraction of unpolarised light.
 
     Parameters
     ----------

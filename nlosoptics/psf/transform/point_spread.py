@@ -39,50 +39,51 @@ NORMALISATIONS = ("unit-sum", "ideal-peak", "flux")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PointSpread(Noun, Shown):
-    """Sampled point spread function, with the method that computed it and its error.
+    """Sampled point spread function (PSF): the image of a point, with an estimate of its error.
 
     Parameters
     ----------
     intensity : ndarray
-        Intensity (ny, nx), read-only, row 0 at the lowest y; the reference point is at [ny//2,
-        nx//2].
+        Intensity (ny, nx), read-only, row 0 at the lowest y. Sample [ny//2, nx//2] is at x = y = 0,
+        where the optical axis meets the image plane.
     pitch : float
         Distance between samples, or pixel side, m.
     method : str
-        Method that computed the intensity, see `point_spread`.
+        Method that computed the intensity, such as "fft"; `point_spread` lists them.
     error_estimate : float
-        Bound of max |dI|/max I, compared with the exact image of the given wave. A wave from pixel
-        maps (`Wavefront.from_map`) is taken as it is: detail that its pixels do not resolve is not
-        part of the error.
+        Largest error of the intensity relative to its peak, an upper bound. It is the difference
+        from the exact image of the given wave. Detail of a pupil map that its pixels do not resolve
+        (`Wavefront.from_map`) is not included.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Quantity that has the value 1: the energy in the whole image plane, the peak without
         aberration, or the energy that a clear disc of the pupil's radius transmits.
     wavelength : float
         Vacuum wavelength, m.
     f_number : float
-        Working F-number ``N = |d|/(2 a) = 1/(2 sin(alpha))``: image distance over pupil diameter,
-        with alpha the half angle of the cone of light. See `point_spread`.
+        Working F-number N, image distance over pupil diameter. It is ``1/(2 sin(alpha))``, with
+        alpha the half angle of the cone of light at the image.
     pixel_integrated : bool
         Whether values are integrals over pixels rather than point samples times pixel area.
     enclosed_energy : float
-        Fraction of the transmitted energy inside the window, from the sum of all values. The
-        errors of the values add up, to as much as hundreds of times ``error_estimate``. At the
-        default ``tol`` this is about 1e-3; use a smaller ``tol`` for more digits.
+        Fraction of the transmitted energy inside the window, from the sum of all values. Its error
+        is the sum of the errors of all values: about 1e-3 at the default ``tol`` of `point_spread`.
+        Use a smaller ``tol`` for more digits.
     regime : Regime
-        Numbers on which the choice of the method was based, such as the aberration in waves.
+        Numbers on which the choice of the method was based, such as the aberration in wavelengths.
     reason : str
         One line: why this method was used, and why each other one was not.
     model : {"scalar", "high-aperture"}
-        Model of diffraction; see `point_spread`.
+        Model of diffraction: scalar at small angles, or vector diffraction of a fast lens.
     model_error : float
-        Bound of max |dI|/max I of the scalar model against the vector diffraction of an
-        unpolarised wave. It is 0 for the high-aperture model, and infinite if no bound is known.
+        Largest error of the scalar model relative to the peak, an upper bound. It is the difference
+        from vector diffraction of unpolarised light. 0 for the high-aperture model; infinite if no
+        bound is known.
 
     See Also
     --------
     point_spread : PSF of a given wave.
     scene_point_spread : Wave and PSF of a scene.
-    PointSpreadField : PSFs over the object, as few modes.
+    PointSpreadField : PSFs at all points of the object.
     nlosoptics.views.point_spread : Map of a PSF.
     """
 
@@ -115,12 +116,12 @@ class PointSpread(Noun, Shown):
 
     @property
     def x(self) -> Array:
-        """Coordinates of the columns, (nx,), m."""
+        """Coordinate x of each column in the image plane, (nx,), m."""
         return Window.centred(self.pitch, self.shape).x
 
     @property
     def y(self) -> Array:
-        """Coordinates of the rows, (ny,), m."""
+        """Coordinate y of each row in the image plane, (ny,), m."""
         return Window.centred(self.pitch, self.shape).y
 
     def _figures(self) -> Figures:
@@ -161,7 +162,7 @@ def point_spread(
     model: Model = "auto",
     polarisation: Polarisation = "unpolarised",
 ) -> PointSpread:
-    """Compute the point spread function of an exit-pupil wave.
+    """Compute the point spread function (PSF) of a wave in the exit pupil.
 
     Parameters
     ----------
@@ -169,58 +170,59 @@ def point_spread(
         Wave in the exit pupil. Terms listed in ``wavefront.removed`` are not added back: only
         tilt that ``aberration`` still contains shifts the spot.
     method : str
-        ``auto`` selects the cheapest method whose estimated error is at most ``tol``.
+        ``auto`` selects the fastest method whose estimated error is at most ``tol``. "Layout" below
+        is the arrangement of the wave's sample points, see `Wavefront`.
 
-        - ``quadrature`` sums over nodes in the pupil, for wavefronts of the layout "polar" or
-          "cells". The number of nodes depends on the window.
-        - ``fft`` transforms a zero-padded grid; ``mdft`` transforms a grid to any pitch. Both
-          resample a polar wave to a grid. If its aberration and amplitude are polynomials, the
-          grid is as fine as ``tol`` requires. For the layout "cells", as many nodes as ``tol``
-          requires are spread onto an antialiased grid. A wave on a grid is never resampled to
-          polar nodes.
-        - ``nufft`` sums over the given nodes of any layout, such as traced rays.
+        - ``quadrature`` integrates over the pupil by Gauss quadrature, for the layouts "polar" and
+          "cells". It uses as many points as the window requires.
+        - ``fft`` is an FFT of the zero-padded pupil; ``mdft`` is a matrix Fourier transform, for
+          any pitch. Waves of the layouts "polar" and "cells" are first resampled to a grid that is
+          fine enough for ``tol``.
+        - ``nufft`` is a non-uniform FFT of the given sample points of any layout, such as traced
+          rays.
         - ``airy`` is the closed form of a wave without aberration.
         - ``geometric`` is the density of rays in the image, without diffraction; ``auto`` tries it
-          for more than 20 waves of aberration with ``pixel_integrated``.
-        - ``huygens`` sums spherical waves on ``image_surface``. It is slow, and ``auto`` does not
-          use it. See `huygens_point_spread`.
+          for more than 20 wavelengths of aberration with ``pixel_integrated``.
+        - ``huygens`` sums spherical waves on ``image_surface``, see `huygens_point_spread`. It is
+          slow, and ``auto`` does not use it.
     tol : float
-        Largest error that ``auto`` accepts: the largest difference of intensities, relative to the
-        peak. A method given by name may sample more coarsely as long as its error stays below
-        ``tol``.
+        Largest error of the intensity that ``auto`` accepts, relative to the peak; above 0, at most
+        1. A method given by name samples as coarsely as ``tol`` allows. Its result is returned even
+        if its ``error_estimate`` is larger.
     pitch : float, optional
-        Image sampling or pixel side, m. Default lambda N/4 with the F-number N; for ``fft`` of a
-        grid wavefront, the pitch just below lambda N/2 whose transform size is fast.
+        Distance between image samples, or pixel side, m. Default lambda N/4, with the wavelength
+        lambda and the F-number N; for ``fft`` of a wave on a grid, the pitch just below lambda N/2
+        for which the FFT is fast.
     shape : int or (int, int), optional
-        Pixels (ny, nx). By default
+        Samples or pixels (ny, nx); one number means a square. By default
 
-        - at least 256 per side, with all rays and their tails inside,
-        - with ``pixel_integrated``, that of `window_shape`,
-        - for ``fft`` of a grid wavefront without a pitch, the full period.
+        - at least 256 per side, enough for all rays and a margin of 16 lambda N for diffraction,
+        - with ``pixel_integrated``, the size that `window_shape` returns,
+        - for ``fft`` of a wave on a grid without a pitch, the full period of the FFT.
 
-        All rays must land inside the window, with one exception: methods given by name that sum
-        the field at given points accept any window. These are ``quadrature``, ``nufft``,
-        ``huygens``, and ``mdft`` for the layouts "cells" and "grid".
+        All rays must arrive inside the window. Only ``quadrature``, ``nufft``, ``huygens``, and
+        ``mdft`` for the layouts "cells" and "grid", if given by name, accept any window.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
-        Energy per pixel, whose sum over the whole plane is 1 (``unit-sum``) or `Wavefront.flux`,
-        relative to a clear disc (``flux``); or intensity relative to the peak of the same pupil
-        without aberration (``ideal-peak``).
+        Quantity that has the value 1: the energy in the whole image plane (``unit-sum``), the peak
+        of the same pupil without aberration (``ideal-peak``), or the energy that a clear disc of
+        the pupil's radius transmits (``flux``). With the first and the last, values are energies
+        per pixel.
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
     image_surface : callable, optional
-        Function of arrays x and y, m, that returns the height of the image surface above the image
-        plane along the direction of the light, m. Only for ``huygens``, which then also needs a
-        ``shape``. The intensity is per area of the image plane.
+        Function of arrays x and y, m, that returns the height of a curved image surface above the
+        image plane, m, positive along the direction of the light. Only for ``huygens``, which then
+        also needs a ``shape``. The intensity is per area of the image plane. Default: the image
+        plane.
     max_seconds : float, optional
-        Limit of the predicted run time on one core: ``auto`` skips a method beyond it. A method
-        given by name always runs. Default 60 s, or the time left to the run of `simulate` that
-        calls it.
+        Largest predicted run time on one core, s: ``auto`` skips a method beyond it. A method given
+        by name always runs. Default 60 s, or the time left if `simulate` calls this function.
     model : {"auto", "scalar", "high-aperture"}
-        ``scalar`` is the small-angle model of all the methods above. ``high-aperture`` is the
-        vector diffraction of a lens that satisfies the sine condition, by ``quadrature``, ``mdft``
-        or ``nufft``, whichever suits the nodes, or by ``geometric``. ``auto`` takes the scalar
-        model for a method given by name. With ``method="auto"`` it takes the high-aperture model
-        if the scalar model's error exceeds ``tol``, or if the wave is polarised.
+        ``scalar`` is scalar diffraction at small angles. ``high-aperture`` is the vector
+        diffraction of a lens that satisfies the sine condition; it is available for
+        ``quadrature``, ``mdft``, ``nufft`` and ``geometric``. ``auto`` takes the scalar model for a
+        method given by name. With ``method="auto"`` it takes the high-aperture model if the scalar
+        model's error exceeds ``tol``, or if the light is polarised.
     polarisation : {"unpolarised", "x", "y"} or float
         Polarisation of the light before the lens: none, linear along x or y, or linear at an angle
         from x toward y, rad. Only the high-aperture model depends on it.
@@ -233,11 +235,11 @@ def point_spread(
     Raises
     ------
     SceneError
-        If an option is out of range or not available for the method, or if the pupil reaches F/0.5,
-        where the cone of light fills the half space.
+        If an option is out of range or not available for the method, or if the F-number is 0.5 or
+        less: at F/0.5 the cone of light fills the half space.
     SamplingError
         If the wave is sampled too coarsely, the window is too narrow for the rays, the pitch is too
-        wide, no transform reaches ``tol``, or none does so within ``max_seconds``.
+        wide, no method reaches ``tol``, or none does so within ``max_seconds``.
     MemoryLimitError
         If an array would not fit into memory; raised before it is allocated.
 
@@ -248,26 +250,26 @@ def point_spread(
 
     Notes
     -----
-    The field at an image point x is a sum over the pupil's nodes p = (u, v), with amplitude A, node
-    area w, aberration W, k = 2 pi/lambda and the signed image distance d [1]_::
+    The complex field at an image point x is a sum over the sample points p = (u, v) of the pupil,
+    with amplitude A, area w, aberration W, k = 2 pi/lambda and the signed image distance d [1]_::
 
         U(x) = sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))
 
-    A tilt W = a u moves the spot to x = a d. Piston has no effect and is omitted; tilt is applied
-    as an exact shift.
+    A tilt W = a u moves the spot to x = a d. Piston has no effect.
 
-    Pupil coordinates (u, v) are heights on the wave's reference sphere, of radius ``|d|`` about the
-    image point. A lens that satisfies the sine condition maps its entrance pupil onto it. Hence
-    ``u/d`` is the sine of the angle to the axis, and the F-number is ``1/(2 sin(alpha))``.
+    Pupil coordinates (u, v) are distances from the axis on the reference sphere of radius ``|d|``
+    about the image point. A lens that satisfies the sine condition maps its entrance pupil onto
+    this sphere. Hence ``u/d`` is the sine of the angle to the axis, and the F-number is
+    ``1/(2 sin(alpha))``, with alpha the half angle of the cone of light.
 
-    The high-aperture model sums plane waves from these directions, with the amplitude
-    ``A cos(theta)^(1/2)`` of the sine condition and the field turned with the rays [2]_ [3]_. Its
-    intensity is the squared electric field. For unpolarised light it is the mean over two
-    perpendicular polarisations. The model neglects the finite distance of the pupil (Debye's
-    approximation) and the polarisation by surfaces of the lens.
+    The high-aperture model sums plane waves that arrive at angles theta to the axis, with the
+    amplitude ``A cos(theta)^(1/2)`` of the sine condition. The direction of the electric field
+    turns with the rays [2]_ [3]_. The intensity is the squared electric field. For unpolarised
+    light it is the mean over two perpendicular polarisations. The model neglects the finite
+    distance of the pupil (Debye's approximation) and polarisation by the surfaces of the lens.
 
-    The error of scattered nodes is estimated by interpolating the wave to polar nodes of the round
-    or annular pupil of ``pupil_radius`` and ``obscuration``. For a pupil of any other outline the
+    For the layout "scattered" the error is estimated by interpolating the wave to a round or
+    annular pupil of ``pupil_radius`` and ``obscuration``. For a pupil of any other outline the
     estimate is therefore large.
 
     References
@@ -278,6 +280,8 @@ def point_spread(
 
     Examples
     --------
+    An F/10 beam with 50 nm rms of defocus; its peak is the Strehl ratio:
+
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(  # Noll index 4: 50 nm rms of defocus
     ...     {4: 50e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1

@@ -82,7 +82,7 @@ class Task:
     residual : Residual
         Wave without piston and tilt.
     tol : float
-        Wanted error, max |dI|/max I.
+        Largest permitted error, relative to the peak.
     pitch : float
         Image sampling or pixel side, m.
     shape : (int, int)
@@ -165,7 +165,7 @@ class Task:
         energy_error: float,
         spill: Array | float = 0.0,
     ) -> float:
-        """Bound max |dI|/max I by `error_bounds.intensity_error` on these pixels."""
+        """Return an upper bound of the error relative to the peak, on these pixels."""
         return error_bounds.intensity_error(
             intensity,
             field_error,
@@ -208,7 +208,7 @@ class Result:
     mean : ndarray, (ny, nx)
         Intensity at points, or averaged over pixels; 1 at the ideal peak.
     error : float
-        Bound of max |dI|/max I.
+        Upper bound of the error, relative to the largest intensity.
     level : float
         Factor from ``mean`` to the fraction of the transmitted energy per pixel.
     """

@@ -33,9 +33,10 @@ WORTH = 0.5
 def wide_point_spread(
     wave: Wavefront, *, pitch: float, shape: int | tuple[int, int], tol: float
 ) -> PointSpread:
-    """Compute a point spread function on wide pixels, quickly.
+    """Compute a point spread function on pixels much wider than the Airy disc, quickly.
 
-    The image is sampled finely only in the area that the rays of geometrical optics reach.
+    Diffraction is computed only near the rays of geometrical optics. Far from the rays the
+    intensity follows a simple law.
 
     Parameters
     ----------
@@ -44,28 +45,37 @@ def wide_point_spread(
     pitch : float
         Pixel side, m.
     shape : int or (int, int)
-        Number of pixels (ny, nx).
+        Number of pixels (ny, nx); one number means a square.
     tol : float
-        Permitted error of any pixel relative to the brightest pixel, above 0 and at most 1.
+        Largest permitted error of any pixel relative to the brightest pixel, above 0, at most 1.
 
     Returns
     -------
     PointSpread
-        Point spread integrated over pixels, with the normalisation ``"unit-sum"``. If the wave has
-        the layout "polar" and the pixels are at least 8 lambda N wide, with N the F-number,
-        diffraction is computed only in a square around the points at which the rays arrive,
-        provided that this reaches ``tol`` and saves time. The energy outside this square is
-        distributed as ``1/r^3``, with r the distance from the centre. Otherwise the result is that
-        of `point_spread` with ``pixel_integrated=True`` and ``model="scalar"``.
+        Energy in each pixel (ny, nx); the whole image plane has the energy 1 (normalisation
+        "unit-sum").
 
     Raises
     ------
-    NlosError
-        If `point_spread` fails, which computes the fine samples.
+    SceneError
+        If ``pitch``, ``shape`` or ``tol`` is out of range.
+    SamplingError
+        If the wave is sampled too coarsely for ``tol``, or the window is too narrow for the rays.
+    MemoryLimitError
+        If the pixels would not fit into memory.
 
     See Also
     --------
     point_spread : For pixels of any width, with other options.
+
+    Notes
+    -----
+    The fast way is taken for waves of the layout "polar" on pixels at least 8 lambda N wide, with
+    the wavelength lambda and the F-number N, if it reaches ``tol`` and saves time. It samples a
+    square around the points at which the rays arrive. The energy outside this square is
+    distributed as ``1/r^3``, with r the distance from the centre, as diffraction at a sharp rim
+    does. In all other cases the result is that of `point_spread` with ``pixel_integrated=True`` and
+    ``model="scalar"``.
     """
     pitch, shape = positive("pitch", pitch, unit="m"), shape_of(shape)
     in_range("tol", tol, 0.0, 1.0, open_low=True)

@@ -23,34 +23,37 @@ Array = NDArray[np.float64]
 def widened(
     point_spreads: PointSpread | PointSpreadField, *, tol: float, shape: tuple[int, int]
 ) -> PointSpread | PointSpreadField:
-    """Extend point spread functions by a diffraction tail until at most ``tol`` lies outside.
+    """Enlarge point spread functions until almost all energy lies inside, by a model of the rest.
+
+    Far from its centre, a point spread falls as ``1/r^3`` because of diffraction at the rim of the
+    pupil, with r the distance from the centre. This law replaces a computation of the outer pixels.
 
     Parameters
     ----------
     point_spreads : PointSpread or PointSpreadField
-        Point spreads with the normalisation ``"unit-sum"``, that is energy per pixel.
+        Point spreads with the normalisation "unit-sum": energy per pixel, 1 in the whole plane.
     tol : float
-        Fraction of the energy that may lie outside the window, above 0 to 1.
+        Fraction of the energy that may lie outside the enlarged point spread; above 0, at most 1.
     shape : (int, int)
-        Pixels (ny, nx) of the image to be formed. The window has at most ``2*max(shape) - 1``
-        pixels along each side; then more than ``tol`` may lie outside.
+        Pixels (ny, nx) of the image to be formed. The enlarged point spread has at most
+        ``2*max(shape) - 1`` pixels per side, enough for every pixel of the image, even if more than
+        ``tol`` then lies outside.
 
     Returns
     -------
     PointSpread or PointSpreadField
-        Point spreads in a square window. The energy that the old window lacks is distributed
-        outside it as ``1/r^3``, with r the distance from the centre. The input is returned if its
-        window suffices.
+        Point spreads on a square of more pixels. Values inside the old one are unchanged; the
+        missing energy is distributed outside it. The input is returned if it is large enough.
 
     Raises
     ------
     SceneError
-        If ``tol`` is out of range, or a point spread with light scattered by a rough wall needs a
-        wider window.
+        If ``tol`` is out of range, or a point spread must grow that contains light scattered by a
+        rough wall, for which the law does not hold.
     SamplingError
-        If the window must grow and the normalisation is not ``"unit-sum"``.
+        If a point spread must grow whose normalisation is not "unit-sum".
     MemoryLimitError
-        If the window would not fit into memory.
+        If the enlarged point spreads would not fit into memory.
 
     See Also
     --------
@@ -73,7 +76,7 @@ def widened(
 
 
 def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
-    """Extend a point spread function to a wider window by its diffraction tail.
+    """Enlarge a point spread function to more pixels by a model of its outer part.
 
     Parameters
     ----------
@@ -125,7 +128,7 @@ def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
 
 
 def field_with_tail(field: PointSpreadField, side: int) -> PointSpreadField:
-    """Extend all point spread functions of a field to a wider window by their diffraction tail.
+    """Enlarge all point spread functions of a field to more pixels by a model of their outer part.
 
     Parameters
     ----------

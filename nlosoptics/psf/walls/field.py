@@ -27,26 +27,32 @@ FINEST = 1e-3  # resolution of `isoplanatic_radius`, relative to the object's ha
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PointSpreadField(Noun):
-    """Point spread functions over a planar object, ``sum_k weights[k] modes[k]`` at every point.
+    """Point spread functions (PSFs) at all points of a planar object, stored as a few modes.
+
+    The PSF of an object point is a sum of modes, ``sum_k weights[k] * modes[k]``. The modes are the
+    same for all points; the weights vary smoothly over the object.
 
     Parameters
     ----------
     modes : ndarray, (K, py, px)
-        Energy per pixel. The pixel ``[py//2, px//2]`` is centred on the chief ray of the point.
+        K images, energy per pixel. Pixel [py//2, px//2] is where the chief ray of the object point
+        (through the centre of the lens) meets the detector.
     weights : ndarray, (K, ny, nx)
-        Weights of the modes at the nodes ``up`` and ``across``.
+        Weights of the modes at ny x nx object points, a grid given by ``up`` and ``across``.
     across, up : ndarray, (nx,) and (ny,)
-        Chebyshev nodes over the object, -1 to 1, from its left to its right edge and from its
-        lower to its upper edge.
+        Coordinates of these points, -1 to 1 from the left to the right edge of the object and from
+        its lower to its upper edge. They are Chebyshev nodes, which suit interpolation.
     pitch : float
         Side of an image pixel, m.
     truncation_error : float
-        Largest error max |dI|/max I at the nodes that is due to the omitted modes.
+        Largest error of a PSF at the ny x nx points that is due to the small number of modes,
+        relative to its peak.
     error_estimate : float
-        Largest max |dI|/max I at random points between the nodes, where the point spread is
-        computed directly, plus the largest error estimate of the transforms.
+        Largest error of a PSF anywhere on the object, relative to its peak. It is found by
+        comparing with directly computed PSFs at random object points, and includes the error
+        estimates of these.
     normalisation : str
-        Normalisation of each point spread, ``"unit-sum"``.
+        "unit-sum": each PSF has the energy 1 in the whole image plane.
 
     See Also
     --------
@@ -74,8 +80,9 @@ class PointSpreadField(Noun):
         Parameters
         ----------
         across, up : array_like
-            Coordinates, -1 to 1 over the object; their shapes broadcast. Points outside take the
-            weights at the nearest edge.
+            Coordinates of the points, -1 to 1 from the left to the right edge of the object and
+            from its lower to its upper edge; their shapes broadcast. Points outside the object get
+            the weights at the nearest edge.
 
         Returns
         -------
@@ -103,17 +110,18 @@ class PointSpreadField(Noun):
         Parameters
         ----------
         across, up : float
-            Coordinates of the point, -1 to 1 from edge to edge of the object.
+            Coordinates of the point, -1 to 1 from the left to the right edge of the object and from
+            its lower to its upper edge.
 
         Returns
         -------
         ndarray, (py, px)
-            Intensity, with the normalisation of the field.
+            Energy per pixel.
         """
         return np.asarray(np.tensordot(self.at(across, up), self.modes, 1))
 
     def mean(self) -> Array:
-        """Return the point spread function (py, px) averaged over the object."""
+        """Return the point spread function averaged over the object, (py, px), energy per pixel."""
         steps = (2 * np.arange(AVERAGED) + 1) / AVERAGED - 1
         weights = self.at(steps[None, :], steps[:, None]).mean(axis=(1, 2))
         return np.asarray(np.tensordot(weights, self.modes, 1))
@@ -129,41 +137,44 @@ def point_spread_field(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> PointSpreadField:
-    """Compute point spread functions over the planar hidden object, compressed to a few modes.
+    """Compute the point spread functions (PSFs) at all points of the planar hidden object.
+
+    PSFs are computed at a grid of object points, compressed, and interpolated in between.
 
     Parameters
     ----------
     scene : Scene or SceneOptics
         Scene with a `PlanarObject`.
     grid : int or (int, int)
-        Number of object points (ny, nx) at which point spreads are computed, each 1 to 64; one
-        number is used for both.
+        Number of object points (ny, nx) at which PSFs are computed, each 1 to 64; one number is
+        used for both.
     tol : float
-        Wanted error of each point spread, max |dI|/max I, 1e-9 to 0.1: half for the transforms,
-        half for the omitted modes. The error of interpolation between nodes depends on ``grid``.
+        Largest error of the PSFs at these points relative to their peaks, 1e-9 to 0.1. The error
+        between the points depends on ``grid``; ``error_estimate`` of the result includes it.
     pitch : float, optional
-        Pixel side, m; by default the camera's image pixel. Values are integrals over pixels.
+        Pixel side, m; by default that of the camera's image. Values are integrals over pixels.
     checks : int
-        Number of random points between the nodes at which the field is checked. If 0,
-        ``error_estimate`` covers the nodes only.
+        Number of random object points at which the interpolated PSF is compared with a directly
+        computed one. If 0, ``error_estimate`` does not include the interpolation.
     seed : int
-        Seed of these points.
+        Random seed of these points.
     progress : callable(str, float), optional
-        Called with "field" and the completed fraction.
+        Called with "field" and the completed fraction, 0 to 1.
 
     Returns
     -------
     PointSpreadField
-        Modes, their weights at the nodes over the object, and the errors.
+        PSFs as a sum of a few modes with weights, and their errors.
 
     Raises
     ------
     SceneError
         If the object is a mesh or an option is out of range.
     CausticError, NotWaveGradeError, SamplingError
-        If the wave of a node is undefined, or no transform reaches ``tol``.
+        If the wave of an object point has no single aberration, a mesh wall is not accurate enough
+        for waves, or ``tol`` cannot be reached.
     MemoryLimitError
-        If the point spreads of all nodes would not fit into memory.
+        If the PSFs of all object points would not fit into memory.
 
     See Also
     --------
@@ -172,9 +183,10 @@ def point_spread_field(
 
     Notes
     -----
-    The modes are the leading right singular vectors of the matrix of all point spreads, as many as
-    ``tol`` requires. The weights are interpolated by Chebyshev polynomials over the object. Point
-    spreads are computed on one thread per core; the result does not depend on their number.
+    The modes come from a singular value decomposition of all computed PSFs; as many are kept as
+    ``tol`` requires. Half of ``tol`` is for the computed PSFs, half for the omitted modes. The
+    weights are interpolated by Chebyshev polynomials. All cores are used; the result does not
+    depend on their number.
     """
     optics = optics_of(scene)
     scene = optics.scene
@@ -225,28 +237,30 @@ def point_spread_field(
 
 
 def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> float:
-    """Compute the distance from the object's centre within which one point spread suffices.
+    """Compute how far from the object's centre the point spread function (PSF) stays the same.
 
     Parameters
     ----------
     scene : Scene or SceneOptics
         Scene with a `PlanarObject`.
     tol : float
-        Largest difference max |dI|/max I from the point spread at the centre, 1e-6 to 1.
+        Largest difference from the PSF of the object's centre, relative to its peak, 1e-6 to 1.
 
     Returns
     -------
     float
-        Distance, m: the smallest along eight directions in the object's plane, each found by
-        bisection. It is infinite if the difference stays within ``tol`` over the whole object, and
-        0 if the distance is below 1e-3 of the object's half size.
+        Distance from the object's centre, m, at which the difference reaches ``tol``: the smallest
+        along eight directions in the object's plane. It is infinite if the difference stays within
+        ``tol`` over the whole object, and 0 if the distance is below 1e-3 of the object's half
+        size.
 
     Raises
     ------
     SceneError
         If the object is a mesh or ``tol`` is out of range.
     CausticError, NotWaveGradeError, SamplingError
-        If the wave of a point is undefined, or no transform reaches ``tol/10``.
+        If the wave of an object point has no single aberration, a mesh wall is not accurate enough
+        for waves, or PSFs cannot be computed with an error below ``tol/10``.
 
     See Also
     --------
@@ -322,7 +336,7 @@ def picture_point(hidden: PlanarObject, across: float, up: float) -> Array:
 
 
 def _off(found: Array, exact: Array) -> float:
-    """Return the error max |dI|/max I of a point spread relative to an exact one."""
+    """Return the largest error of a point spread, relative to the peak of the exact one."""
     return float(np.abs(found - exact).max() / exact.max())
 
 

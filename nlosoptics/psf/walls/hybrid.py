@@ -259,27 +259,30 @@ OTHER: Final = 1 << 63
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HybridPointSpread(PointSpread):
-    """Point spread function of a wall with several lobes, and its parts.
+    """Point spread function (PSF) of all light from a wall: mirror-like, scattered and diffuse.
+
+    It has all fields of `PointSpread`, and the following. ``intensity`` is the sum of ``coherent``,
+    ``halo`` and ``diffuse``. All arrays are read-only and have the unit of ``normalisation``.
 
     Parameters
     ----------
     coherent : ndarray, (ny, nx)
-        Part reflected as by a smooth mirror, computed by waves; read-only.
+        Part that is reflected as by a smooth mirror, computed by waves.
     halo : ndarray, (ny, nx)
-        Part scattered by the roughness of mirror-like lobes, averaged over all walls of this
-        roughness; read-only.
+        Part that the roughness of the mirror-like reflection scatters, averaged over all walls of
+        this roughness.
     diffuse : ndarray, (ny, nx)
-        All other light, from diffuse lobes or after several reflections, computed by ray tracing;
-        read-only.
+        All other light: diffuse reflection, and several reflections. It is computed by random ray
+        tracing.
     standard_error : ndarray, (ny, nx)
-        Standard error of ``diffuse``, read-only.
+        Standard error of ``diffuse``.
     coherent_flux, halo_flux, diffuse_flux : float
-        Energy of each part in the whole image plane, in the unit of ``normalisation``.
+        Energy of each part in the whole image plane.
     diffuse_flux_error : float
         Standard error of ``diffuse_flux``.
     traced_flux, traced_flux_error : float
-        Total of the three parts by an independent ray trace of all lobes, and its standard error,
-        as a check. 0 and infinity if no check was requested.
+        Energy of all light in the whole image plane by an independent ray trace, and its standard
+        error, as a check of the sum of the three parts. 0 and infinity without the check.
     flux : float
         Power through the lens from a point that emits 1 W, W.
 
@@ -325,67 +328,78 @@ def hybrid_point_spread(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> HybridPointSpread:
-    """Compute the image of an object point by all lobes of the wall's material.
+    """Compute the image of an object point by all light that the wall reflects.
+
+    Mirror-like reflection is computed by waves. Diffuse reflection and several reflections are
+    computed by ray tracing.
 
     Parameters
     ----------
     scene : Scene
-        Scene with the wall's material.
+        Scene with the wall, its material and the camera.
     object_point : array_like, (3,), optional
-        Object point, world frame, m; by default the hidden object's reference point.
+        Object point in world coordinates, m. Default: the hidden object's reference point, that is
+        the centre of a planar object or the centroid of a mesh.
     roughness : Roughness, optional
-        Height statistics that replace the slopes of all mirror-like lobes. By default a lobe
-        without slope is smooth, and a lobe with a slope is treated as in `lobe_point_spread`.
+        Statistics of the wall's heights, which replace the slopes of its mirror-like reflection. By
+        default the material's own slopes blur the image, as in `lobe_point_spread`.
     emission : {"lambertian", "isotropic"}
-        Angular distribution of the point's emission, see `raytrace.trace_point`.
+        Directions into which the point emits: like a matt surface that faces along the normal of
+        the hidden image (-z for a mesh), or equally in all directions.
     tol : float
-        Largest error of the wave part, relative to its peak.
-    n_rays, max_bounces, seed
-        Number of traced rays, largest number of reflections and random seed of the ray part, see
-        `raytrace.trace_point`.
+        Largest error of the part computed by waves, relative to its peak; above 0, at most 1.
+    n_rays : int
+        Number of traced rays. The standard error falls as 1/sqrt(n_rays).
+    max_bounces : int
+        Largest number of reflections of a traced ray.
     pitch : float, optional
-        Pixel side, m; by default the camera's image pixel.
+        Pixel side, m; by default that of the camera's image.
     shape : int or (int, int), optional
-        Pixels (ny, nx); by default the camera's.
+        Pixels (ny, nx), centred on the mirror image of the point; by default as many as the camera
+        has.
     normalisation : {"unit-sum", "flux"}
-        Quantity that has the value 1: all energy that passes the lens, inside and outside the
-        window; or the energy that a smooth wall of reflectance 1 would send through the lens.
+        Quantity that has the value 1: all energy that passes the lens ("unit-sum"), or the energy
+        that a smooth wall of reflectance 1 would send through the lens ("flux").
     check : bool
-        Whether to trace the light of all lobes as a check, which gives ``traced_flux``.
+        Whether to trace all light once more by rays alone, as a check. It gives ``traced_flux``.
+    seed : int
+        Random seed of the traced rays.
     progress : callable(str, float), optional
-        Called with the stage and the completed fraction.
+        Called with the name of the stage and the completed fraction, 0 to 1.
 
     Returns
     -------
     HybridPointSpread
-        Parts and their sum, integrated over pixels; the chief ray meets the centre of pixel
-        [ny//2, nx//2].
+        Three parts and their sum, integrated over pixels. The chief ray, which passes the centre of
+        the lens, meets the centre of pixel [ny//2, nx//2].
 
     Raises
     ------
     SceneError
         If an option is out of range, no light reaches the lens, or an occluder or the field stop
-        cuts a part of the mirror image.
+        cuts off a part of the mirror image.
     CausticError, NotWaveGradeError, SamplingError
-        If the wave of the mirror image is undefined, or no transform reaches ``tol``.
+        If the wave's aberration has no single value, a mesh wall is not accurate enough for waves,
+        or ``tol`` cannot be reached.
     MemoryLimitError
         If the pixels would not fit into memory.
 
     See Also
     --------
-    scene_point_spread : Mirror-like lobes only.
+    scene_point_spread : PSF of the mirror-like reflection only.
     mean_point_spread : Coherent part and halo of a rough mirror.
 
     Notes
     -----
-    One reflection by the mirror-like lobes sends ``R T Int I(p) t(p) dp`` through the lens: R is
-    the reflectance, T the lens transmission, I the radiant intensity toward the pupil point p, and
-    t the spreading of ray tubes, the square of the amplitude of `psf.wavefront`. The fraction
-    ``exp(-s^2)``, s the Rayleigh parameter, is coherent; the rest is the halo. To second order in
-    the slope, a rough wall sends the same power to the pupil as a smooth one, since scattering into
-    the pupil balances scattering out of it if the wall is large enough. All other paths are traced.
-    The energies of the parts add, since a rough surface and the body below it have no fixed phase
-    relation.
+    One mirror-like reflection sends the power ``R T Int I(p) t(p) dp`` through the lens: R is the
+    reflectance, T the transmission of the lens, I the radiant intensity toward the pupil point p,
+    and t the square of the amplitude that `wavefront` computes. The fraction ``exp(-s^2)`` of this
+    power is coherent, with s the rms phase due to the roughness; the rest is the halo. A rough wall
+    sends the same power to the pupil as a smooth one, to second order in the slope, if the wall is
+    large enough: as much light is scattered into the pupil as out of it.
+
+    The energies of the parts add. They do not interfere, because light scattered inside the
+    material has no fixed phase relation to light reflected at its surface.
     """
     one_of("normalisation", normalisation, NORMALISATIONS)
     one_of("emission", emission, EMISSIONS)

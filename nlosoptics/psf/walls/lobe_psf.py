@@ -157,7 +157,7 @@ class MirrorLobes:
         shape : (int, int)
             Pixels (ny, nx).
         tol : float
-            Wanted error, max |dI|/max I.
+            Largest permitted error, relative to the peak.
         model : {"scalar", "auto", "high-aperture"}
             Model of diffraction, see `transform.point_spread`. Slopes blur the scalar one.
 
@@ -238,31 +238,34 @@ def lobe_point_spread(
     pitch: float | None = None,
     shape: int | tuple[int, int] | None = None,
 ) -> PointSpread:
-    """Compute the point spread of a given wave by all mirror-like lobes of the wall.
+    """Compute the point spread of a given wave, blurred by the slopes of the wall's material.
 
-    `scene_point_spread` computes the wave itself, at as many nodes as ``tol`` requires.
+    A lobe is a part of a material's reflection with its own distribution of directions. The wall's
+    mirror-like lobes form the image; the slopes of their microfacets blur it.
 
     Parameters
     ----------
     scene : Scene
-        Scene with the wall's material. A wall without mirror-like lobes is treated as a smooth
+        Scene with the wall's material. A material without mirror-like lobes is treated as a smooth
         mirror.
     wave : Wavefront
-        Wave of the wall without roughness, from `wavefront`.
+        Wave of the wall without roughness, as `wavefront` returns it for the same object point.
     object_point : array_like, (3,), optional
-        Object point of the wave, world frame, m; by default the hidden object's reference point.
+        Object point of this wave, in world coordinates, m. Default: the hidden object's reference
+        point, that is the centre of a planar object or the centroid of a mesh.
     tol : float
-        Wanted error, max |dI|/max I.
+        Largest permitted error relative to the peak; above 0, at most 1.
     pitch : float, optional
-        Pixel side, m; by default the camera's image pixel. Values are integrals over pixels.
+        Pixel side, m; by default that of the camera's image. Values are integrals over pixels.
     shape : int or (int, int), optional
-        Pixels (ny, nx). By default the square outside which the point spread is below ``tol``.
+        Pixels (ny, nx); one number means a square. By default a square that contains all pixels
+        above ``tol`` times the peak.
 
     Returns
     -------
     PointSpread
-        Point spread with the normalisation ``"unit-sum"``; the lobes are weighted by their
-        reflectances.
+        Energy per pixel; the whole image plane has the energy 1 (normalisation "unit-sum"). Lobes
+        are weighted by their reflectances.
 
     Raises
     ------
@@ -271,14 +274,13 @@ def lobe_point_spread(
 
     See Also
     --------
-    scene_point_spread : Computes the wave as well.
+    scene_point_spread : Computes the wave as well, with as many samples as ``tol`` requires.
 
     Notes
     -----
-    Microfacet lobes belong to geometrical optics: they describe heights of many wavelengths. A
-    lobe with a slope is therefore the limit of `mean_point_spread` for large heights, in which the
-    wave's point spread is blurred by the facets' slopes. A lobe without slope yields the wave's
-    point spread itself.
+    Microfacets stand for heights of many wavelengths. A lobe with a slope is therefore computed as
+    the limit of `mean_point_spread` for large heights. A lobe without slope gives the point spread
+    of the wave itself.
     """
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     in_range("tol", tol, 0.0, 1.0, open_low=True)

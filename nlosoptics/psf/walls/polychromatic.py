@@ -19,22 +19,25 @@ Array = NDArray[np.float64]
 
 
 def gaussian_band(centre: float, bandwidth: float, *, count: int = 5) -> tuple[Array, Array]:
-    """Return wavelengths and weights that sample a Gaussian spectral line.
+    """Return wavelengths and weights that represent a Gaussian spectrum.
+
+    `band_point_spread` takes them.
 
     Parameters
     ----------
     centre : float
         Centre wavelength in vacuum, m.
     bandwidth : float
-        Full width at half maximum, m, at most a third of the centre wavelength.
+        Full width of the spectrum at half maximum, m, 0 to a third of the centre wavelength.
     count : int
         Number of wavelengths, 1 to 64.
 
     Returns
     -------
     wavelengths, weights : ndarray, (count,)
-        Gauss-Hermite nodes, m, and weights of sum 1. The weighted sum is exact for polynomials in
-        the wavelength up to degree ``2 count - 1``.
+        Vacuum wavelengths, m, and weights of sum 1. The weighted sum of a function of the
+        wavelength is its mean over the spectrum (Gauss-Hermite quadrature). It is exact for
+        polynomials up to degree ``2 count - 1``.
 
     Raises
     ------
@@ -47,6 +50,8 @@ def gaussian_band(centre: float, bandwidth: float, *, count: int = 5) -> tuple[A
 
     Examples
     --------
+    Three wavelengths for a line of 10 nm width at 632.8 nm:
+
     >>> from nlosoptics import psf
     >>> wavelengths, weights = psf.gaussian_band(632.8e-9, 10e-9, count=3)
     >>> print([f"{1e9 * w:.1f} nm" for w in wavelengths], weights.round(3))
@@ -78,28 +83,41 @@ def band_point_spread(
     pixel_integrated: bool = False,
     model: Model = "auto",
 ) -> PointSpread:
-    """Compute a polychromatic point spread function as the sum of intensities.
+    """Compute the point spread function of light of several wavelengths.
+
+    The intensities of the wavelengths are added.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil. Its aberration in m holds for every wavelength, since mirrors have
-        no dispersion; its own wavelength is not used.
+        Wave in the exit pupil. Its aberration, m, holds for every wavelength, because mirrors have
+        no dispersion. Its own wavelength is not used.
     wavelengths : array_like, (n,)
-        Wavelengths in vacuum, m.
+        Vacuum wavelengths, m.
     weights : array_like, (n,), optional
-        Energy at each wavelength, of any sum; equal by default.
+        Energy at each wavelength, 0 or more, of any sum. Default: equal energies.
     tol : float
-        Largest error max |dI|/max I at each wavelength, see `point_spread`.
-    pitch, shape, normalisation, pixel_integrated, model
-        Options of `point_spread`. By default the pitch is lambda N/4 of the shortest wavelength,
-        and the window is that of the widest spot.
+        Largest permitted error at each wavelength, relative to the peak; above 0, at most 1.
+    pitch : float, optional
+        Distance between image samples, or pixel side, m. Default lambda N/4, with the shortest
+        wavelength lambda and the F-number N.
+    shape : int or (int, int), optional
+        Samples or pixels (ny, nx). Default: 256 per side, or more if a spot is wider.
+    normalisation : {"unit-sum", "ideal-peak", "flux"}
+        Quantity that has the value 1 at each wavelength: the energy in the whole image plane, the
+        peak without aberration, or the energy that a clear disc of the pupil's radius transmits.
+    pixel_integrated : bool
+        Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
+    model : {"auto", "scalar", "high-aperture"}
+        Model of diffraction: scalar at small angles, or vector diffraction of a fast lens. "auto"
+        takes the second if the error of the first exceeds ``tol``.
 
     Returns
     -------
     PointSpread
-        Sum of the intensities. Its ``wavelength`` is the weighted mean, and its errors are the
-        largest of all wavelengths; ``regime`` and ``reason`` are those of the first one.
+        Mean of the intensities, weighted by energy. Its ``wavelength`` is the weighted mean, and
+        its errors are the largest of all wavelengths. ``regime`` and ``reason`` are those of the
+        first wavelength.
 
     Raises
     ------
@@ -110,7 +128,20 @@ def band_point_spread(
 
     See Also
     --------
-    gaussian_band : Wavelengths and weights of a Gaussian line.
+    gaussian_band : Wavelengths and weights of a Gaussian spectrum.
+
+    Examples
+    --------
+    A lens without aberration in light of 100 nm bandwidth:
+
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {}, wavelength=550e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> wavelengths, weights = psf.gaussian_band(550e-9, 100e-9)
+    >>> spread = psf.band_point_spread(wave, wavelengths, weights, pitch=1e-6, shape=65)
+    >>> spread.shape, f"{1e9 * spread.wavelength:.0f} nm"
+    ((65, 65), '550 nm')
     """
     lines = np.atleast_1d(np.asarray(wavelengths, dtype=np.float64))
     shares = np.ones(lines.shape) if weights is None else np.asarray(weights, dtype=np.float64)

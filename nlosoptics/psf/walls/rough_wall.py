@@ -54,17 +54,17 @@ SCREEN_ERROR: Final = 1e-3
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PupilField(Noun, Shown):
-    """Complex pupil function of a scene: amplitude and phase of the light at the exit pupil.
+    """Amplitude and phase of the light in the exit pupil of a scene with a rough wall.
 
     Parameters
     ----------
     values : ndarray, (n, n)
-        Read-only, complex: the pupil function ``A exp(ikW)``. W is relative to the reference
-        sphere, so that a perfect image has a constant phase. The piston and tilt that the same
-        wall without roughness would cause are removed. Rows run along v. A smooth wall has the
-        amplitude 1 inside the rim of the pupil.
+        Complex pupil function ``A exp(ikW)``, read-only, with the amplitude A, k = 2 pi/wavelength
+        and the aberration W relative to the reference sphere. A perfect image has a constant phase.
+        A smooth wall has the amplitude 1 inside the rim of the pupil. Piston and tilt of the same
+        wall without roughness are removed. Rows run along v; sample [n//2, n//2] is on the axis.
     pitch : float
-        Spacing of the samples in the exit pupil, m; sample [n//2, n//2] is on the axis.
+        Spacing of the samples in the exit pupil, m.
 
     See Also
     --------
@@ -92,12 +92,12 @@ class PupilField(Noun, Shown):
 
     @property
     def amplitude(self) -> Array:
-        """Modulus of the pupil function, (n, n)."""
+        """Amplitude of the light, (n, n): modulus of ``values``, 1 for a smooth wall."""
         return np.abs(self.values)
 
     @property
     def phase(self) -> Array:
-        """Phase of the pupil function, (n, n), -pi to pi rad; NaN where it is dark."""
+        """Phase of the light, (n, n), -pi to pi rad; NaN where the amplitude is almost 0."""
         size = np.abs(self.values)
         dark = size <= 1e-3 * float(size.max())
         return np.where(dark, np.nan, np.angle(self.values))
@@ -181,7 +181,7 @@ def rough_choice(
     shape : (int, int)
         Pixels (ny, nx).
     tol : float
-        Wanted error, max |dI|/max I.
+        Largest permitted error, relative to the peak.
 
     Returns
     -------
@@ -306,7 +306,7 @@ def rough_image(
     shape : (int, int)
         Pixels (ny, nx).
     tol : float
-        Wanted error of the image, max |dI|/max I.
+        Largest permitted error of the image, relative to its peak.
 
     Returns
     -------

@@ -72,7 +72,7 @@ def point_cost(
     shape : (int, int)
         Pixels (ny, nx).
     tol : float
-        Wanted error of the image, max |dI|/max I.
+        Largest permitted error of the image, relative to its peak.
     cells : int
         Cells across the pupil grid for which the cost is predicted; 0 for the wave's own grid.
 
@@ -119,7 +119,7 @@ def smooth_cost(
     shape : (int, int)
         Pixels (ny, nx).
     tol : float
-        Wanted error, max |dI|/max I.
+        Largest permitted error, relative to the peak.
     cells : int
         Cells across the pupil grid for which the cost is predicted; 0 for the wave's own nodes.
 
@@ -210,7 +210,7 @@ def grid_samples(residual: Residual, pitch: float, side: int, tol: float) -> tup
     side : int
         Side of the window, pixels.
     tol : float
-        Wanted error, max |dI|/max I.
+        Largest permitted error, relative to the peak.
 
     Returns
     -------

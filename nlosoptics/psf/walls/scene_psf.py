@@ -23,22 +23,22 @@ from .rough_wall import PupilField, rough_image, rough_window
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ScenePointSpread(Noun):
-    """Point spread function of a scene, with its wave and its exit pupil.
+    """Image of one object point by a scene (point spread), with the wave that forms it.
 
     Parameters
     ----------
     exit_pupil : ExitPupil
         Exit pupil of lens and wall.
     wavefront : Wavefront
-        Wave in the exit pupil. It is that of the smooth wall, unless rays on the rough surface gave
-        the aberration; ``point_spread.reason`` states the method.
+        Wave in the exit pupil. For a rough wall it is the wave of the smooth mean wall, unless the
+        heights act as an aberration; then it includes them. ``point_spread.reason`` states which.
     point_spread : PointSpread
-        Point spread of that wave, blurred by the slopes of the wall's mirror-like lobes; energy
-        per pixel. If the scene has a roughness, it is the point spread of this rough wall, or the
-        mean over all walls of this roughness.
+        Point spread, energy per pixel. It includes the blur by the wall's material, that is by the
+        slopes of its mirror-like reflection. If the scene has a roughness, it is the point spread
+        of this rough wall, or the mean over all walls of this roughness.
     pupil_field : PupilField or None
-        Pupil function of a rough wall, if the field was propagated from the wall to the pupil;
-        None otherwise.
+        Amplitude and phase in the exit pupil behind a rough wall, if diffraction between wall and
+        pupil was computed; None otherwise.
 
     See Also
     --------
@@ -63,30 +63,33 @@ def scene_point_spread(
     model: Model = "scalar",
     progress: Progress | None = None,
 ) -> ScenePointSpread:
-    """Compute the point spread function of a scene, with its wave and its exit pupil.
+    """Compute the point spread function (PSF) of a scene, with its wave and its exit pupil.
+
+    The PSF is the image of one object point by way of the wall's mirror-like reflection.
 
     Parameters
     ----------
     scene : Scene or SceneOptics
-        Scene to image, or a `SceneOptics` made from it. A wall without mirror-like lobes is
-        treated as a smooth mirror.
+        Scene to image, or a `SceneOptics` made from it. A wall material without any mirror-like
+        part is treated as a smooth mirror.
     tol : float
-        Wanted error of the point spread, max |dI|/max I, 1e-12 to 1.
+        Largest permitted error of the PSF relative to its peak, 1e-12 to 1.
     object_point : array_like, (3,), optional
-        Object point, world frame, m; by default the hidden object's reference point.
+        Object point in world coordinates, m. Default: the hidden object's reference point, that is
+        the centre of a planar object or the centroid of a mesh.
     pitch : float, optional
-        Pixel side, 1e-15 to 1e3 m; by default the camera's image pixel. Values are integrals over
+        Pixel side, 1e-15 to 1e3 m; by default that of the camera's image. Values are integrals over
         pixels.
     shape : int or (int, int), optional
-        Pixels (ny, nx). By default the odd square outside which the point spread stays below
-        ``tol`` of its peak.
+        Pixels (ny, nx); one number means a square. By default a square that contains all pixels
+        above ``tol`` times the peak.
     model : {"scalar", "auto", "high-aperture"}
-        ``scalar`` is the small-angle model. ``high-aperture`` is the vector diffraction of
-        unpolarised light (`point_spread`), for walls without roughness and with mirror-like lobes
-        of slope zero; it takes longer. ``auto`` uses it for such walls if ``model_error`` exceeds
-        ``tol``.
+        ``scalar`` is scalar diffraction at small angles. ``high-aperture`` is the vector
+        diffraction of unpolarised light by a fast lens; it takes longer, and is available only for
+        smooth walls (no roughness, no slopes of the mirror-like reflection). ``auto`` uses it for
+        such walls if the scalar model's error exceeds ``tol``.
     progress : callable(str, float), optional
-        Called with "wave aberration" and "point spread" at the start of each stage.
+        Called with "wave aberration" and "point spread" when these stages begin; the number is 0.
 
     Returns
     -------
@@ -96,40 +99,42 @@ def scene_point_spread(
     Raises
     ------
     CausticError, NotWaveGradeError
-        If the wave is undefined, or the wall's surface is not known accurately enough.
+        If the wave's aberration has no single value, or a mesh wall is not accurate enough for
+        waves.
     SamplingError
-        If no transform reaches ``tol`` within a minute.
+        If ``tol`` cannot be reached within a predicted run time of a minute.
     MemoryLimitError
-        If the point spread's window would not fit into memory.
+        If the PSF would not fit into memory.
     SceneError
-        If an option is out of range, or occluders cut a part of the cone of light.
+        If an option is out of range, or occluders cut off a part of the cone of light.
 
     See Also
     --------
-    point_spread : For a given wave.
-    hybrid_point_spread : All lobes of the wall, with energies of each part.
-    point_spread_field : For all points of a planar object.
+    point_spread : PSF of a given wave.
+    hybrid_point_spread : PSF that includes diffuse reflection and multiple reflections.
+    point_spread_field : PSFs at all points of a planar object.
 
     Notes
     -----
-    If the lens limits the cone of light, the pupil is sampled by polar nodes. If the wall's edge
-    vignettes it or is the stop, it is sampled by a grid (`wavefront`, ``nodes="auto"``). Both are
-    refined until a transform reaches ``tol``. `simulate` uses the scalar model; `plan` says where
-    its error exceeds ``tol``.
+    The wave is sampled on rings if the lens alone limits the cone of light, and on a square grid if
+    the wall's edge does. Samples are added until ``tol`` is reached. `simulate` uses the scalar
+    model; `plan` says if its error exceeds ``tol``.
 
-    For a wall with `Scene.wall_roughness` one of four methods is used, and ``point_spread.reason``
+    For a wall with `Scene.wall_roughness` one of four methods is used; ``point_spread.reason``
     states which.
 
     1. If the roughness has the realisation "mean", the mean over all walls of this roughness is
        computed in closed form.
     2. Otherwise, if diffraction between wall and pupil changes the result by less than ``tol``,
        rays reflected by the rough surface give the wave aberration.
-    3. Otherwise the field on the wall is propagated to the pupil.
+    3. Otherwise the complex field on the wall is propagated to the pupil.
     4. If the samples of this field do not fit into memory, or would take more than a minute, the
-       point spread is computed by rays alone, without diffraction.
+       PSF is computed by rays alone, without diffraction.
 
     Examples
     --------
+    Image of the centre of the hidden object, on the camera's pixels:
+
     >>> from nlosoptics import Scene, psf
     >>> scene = Scene.load("examples/scenes/letter_flat.toml")
     >>> found = psf.scene_point_spread(scene, tol=1e-2)
@@ -207,7 +212,7 @@ def point_image(
     shape : (int, int)
         Pixels (ny, nx).
     tol : float
-        Wanted error of the image, max |dI|/max I.
+        Largest permitted error of the image, relative to its peak.
     model : {"scalar", "auto", "high-aperture"}
         Model of diffraction for a wall without roughness, see `scene_point_spread`.
 

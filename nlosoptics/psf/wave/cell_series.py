@@ -27,14 +27,17 @@ ROUNDING = 1e-15
 
 
 class CellSpectrum:
-    """Legendre series in s and t of a function sampled on `Aperture.nodes`.
+    """Smooth function on a pupil of any outline, interpolated from samples at `Aperture.nodes`.
+
+    On each patch of the aperture it is a sum of Legendre polynomials of the patch coordinates s and
+    t, and passes through the samples.
 
     Parameters
     ----------
     values : ndarray, (n_patches, n_s, n_t)
-        Real samples.
+        Real samples, such as a wave aberration in m.
     aperture : Aperture
-        Outline whose patches hold the nodes.
+        Outline of the pupil, with the patches.
     """
 
     def __init__(self, values: Array, aperture: Aperture) -> None:
@@ -47,7 +50,7 @@ class CellSpectrum:
         )
 
     def truncation(self) -> float:
-        """Estimate the truncation error: `LACK` times the rms of the highest terms.
+        """Estimate the error between the samples: four times the rms of the highest terms.
 
         The highest terms are about an eighth of the degrees along s and along t.
         """

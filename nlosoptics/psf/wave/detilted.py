@@ -68,16 +68,17 @@ class Heights(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """Wavefront with its tilt, and the aberration without piston and tilt.
+    """Wave separated into its tilt and the residual aberration without piston and tilt.
 
     Parameters
     ----------
     wavefront : Wavefront
-        The wave with all its terms.
+        Wave with all its terms.
     tilt : (float, float)
-        Slopes dW/du and dW/dv of the weighted least-squares plane, rad.
+        Slopes dW/du and dW/dv of the plane that fits the aberration W, by least squares weighted by
+        the amplitude, rad.
     aberration : ndarray
-        Residual aberration without that plane, m, of the shape of the wavefront's nodes.
+        Aberration minus this plane (residual aberration), m, in the shape of ``wavefront.u``.
     """
 
     wavefront: Wavefront
@@ -102,12 +103,12 @@ class Residual:
 
     @cached_property
     def amplitude_sum(self) -> float:
-        """Integral of the amplitude over the pupil, m^2; the unaberrated on-axis field."""
+        """Integral of the amplitude over the pupil, m^2."""
         return float(np.sum(self.wavefront.amplitude * self.wavefront.weights))
 
     @cached_property
     def half_width(self) -> float:
-        """Largest ``|u|`` or ``|v|`` of the lit pupil, m; it limits the image's bandwidth."""
+        """Largest ``|u|`` or ``|v|`` at which light passes the pupil, m."""
         wave = self.wavefront
         if wave.aperture is not None:
             return wave.aperture.half_width
@@ -123,7 +124,10 @@ class Residual:
 
     @property
     def nyquist_pitch(self) -> float:
-        """Nyquist pitch of the image intensity, m; lambda N/2 for a round pupil."""
+        """Nyquist pitch of the image, m: largest distance of samples that resolves the intensity.
+
+        It is lambda N/2 for a round pupil, with the wavelength lambda and the F-number N.
+        """
         wave = self.wavefront
         return wave.wavelength * abs(wave.image_distance) / (4 * self.half_width)
 
@@ -133,9 +137,18 @@ class Residual:
         return float(np.sum(self.wavefront.amplitude**2 * self.wavefront.weights))
 
     def pixel_share(self, pitch: float) -> float:
-        """Return the fraction of the energy in a pixel with the diffraction-limited peak intensity.
+        """Return the energy in a small pixel at the peak of the image without aberration.
 
-        ``pitch`` is the pixel side, m.
+        Parameters
+        ----------
+        pitch : float
+            Pixel side, m.
+
+        Returns
+        -------
+        float
+            Peak intensity times pixel area, as a fraction of the transmitted energy. It exceeds 1
+            for a pixel much wider than the Airy disc.
         """
         wave = self.wavefront
         area = (pitch * self.amplitude_sum) ** 2
@@ -165,7 +178,7 @@ class Residual:
 
     @cached_property
     def series(self) -> PolarSpectrum | CellSpectrum:
-        """Series of the residual aberration; for polar and cells layouts."""
+        """Polynomial series of the residual aberration; for the layouts "polar" and "cells"."""
         return self.wavefront.series(self.aberration)
 
     @cached_property
@@ -177,16 +190,24 @@ class Residual:
         return low_polynomial(self.aberration, wave.pupil_radius, wave.obscuration)
 
     def degrees(self, threshold: float) -> tuple[int, int]:
-        """Return the highest degrees of the residual's terms above a threshold, m.
+        """Return the highest degrees of the residual aberration's polynomial series.
 
-        For a polar wavefront: Legendre degree in r^2 and angular order. For cells: Legendre degrees
-        in s and t.
+        Parameters
+        ----------
+        threshold : float
+            Magnitude of a coefficient, m, below which a term is ignored.
+
+        Returns
+        -------
+        (int, int)
+            For the layout "polar", Legendre degree in r^2 and angular order; for "cells", degrees
+            along the two directions of a patch.
         """
         return self.series.degrees(threshold) if self.low is None else self.low.degrees
 
     @cached_property
     def amplitude_series(self) -> PolarSpectrum | CellSpectrum:
-        """Series of the amplitude; for polar and cells layouts."""
+        """Polynomial series of the amplitude; for the layouts "polar" and "cells"."""
         return self.wavefront.series(self.wavefront.amplitude)
 
     @property

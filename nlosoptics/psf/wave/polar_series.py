@@ -23,16 +23,23 @@ ComplexArray = NDArray[np.complex128]
 
 
 class PolarSpectrum:
-    """Legendre-Fourier series of a function sampled on `polar_nodes`.
+    """Smooth function on a disc or ring, interpolated from samples at the points of `polar_nodes`.
+
+    The function is a sum of Legendre polynomials of r^2 (degree k) times cosines and sines of the
+    angle (angular order m), with a factor r for odd m. It passes through the samples.
 
     Parameters
     ----------
     values : ndarray, (n_r, n_theta)
-        Real samples.
+        Real samples, such as a wave aberration in m.
     radius : float
-        Outer radius, m.
+        Outer radius of the pupil, m.
     obscuration : float
-        Inner radius as a fraction of the outer.
+        Inner radius of the pupil divided by the outer.
+
+    See Also
+    --------
+    Wavefront.series : Series of a function at the sample points of a wave.
     """
 
     def __init__(self, values: Array, radius: float, obscuration: float) -> None:
@@ -47,7 +54,7 @@ class PolarSpectrum:
         self.coefficients = _product(analysis(self.n_r), waves)
 
     def truncation(self) -> float:
-        """Estimate the truncation error: the sum of the highest coefficients."""
+        """Estimate the error between the samples: sum of the coefficients of the highest terms."""
         size = self._sizes.copy()
         size[:, 1:] *= 2
         # At least four angular orders: a function of period pi/2 has only every fourth.
@@ -56,13 +63,30 @@ class PolarSpectrum:
         return float(size[-n_k:].sum() + size[:-n_k, -n_m:].sum())
 
     def degrees(self, threshold: float) -> tuple[int, int]:
-        """Return the highest Legendre degree and angular order with terms above a threshold."""
+        """Return the highest degree k and order m with a coefficient above a threshold.
+
+        Parameters
+        ----------
+        threshold : float
+            Magnitude of a coefficient, in the unit of the samples.
+        """
         above = self._sizes > threshold
         radii, orders = np.nonzero(above.any(axis=1))[0], np.nonzero(above.any(axis=0))[0]
         return int(radii.max(initial=0)), int(orders.max(initial=0))
 
     def at_nodes(self, n_r: int, n_theta: int) -> Array:
-        """Return values on polar nodes (n_r, n_theta), at least as many as the samples each way."""
+        """Return the function at the points of another set of `polar_nodes` on the same pupil.
+
+        Parameters
+        ----------
+        n_r, n_theta : int
+            Number of rings and of points per ring, neither below that of the samples.
+
+        Returns
+        -------
+        ndarray, (n_r, n_theta)
+            Values, in the unit of the samples.
+        """
         fraction, _ = gauss_legendre(n_r)
         rho = rho_of(fraction, self.obscuration)
         value = self._sum(legendre(self._counts[0], fraction_of(rho, self.obscuration)))
@@ -70,14 +94,21 @@ class PolarSpectrum:
         return self._synthesis(value, n_theta)
 
     def slopes(self, n_r: int, n_theta: int) -> tuple[Array, Array, Array]:
-        """Return the gradient on the polar nodes and, as the last row, on the rim.
+        """Return the gradient at the points of `polar_nodes` and on the outer rim.
+
+        Parameters
+        ----------
+        n_r, n_theta : int
+            Number of rings and of points per ring.
 
         Returns
         -------
         du, dv : ndarray
-            Derivatives, (n_r + 1, n_theta), unit of the values per m.
+            Derivatives along u and v, (n_r + 1, n_theta), unit of the samples per m. The last row
+            is the rim.
         weights : ndarray
-            Fraction of the pupil's area of each node, (n_r + 1, n_theta), sum 1; 0 on the rim.
+            Fraction of the pupil's area that each point represents, (n_r + 1, n_theta), of sum 1;
+            0 on the rim.
         """
         from . import _wave_kernels
 
@@ -97,13 +128,34 @@ class PolarSpectrum:
         return du, dv, ring.share
 
     def at(self, u: Array, v: Array, epsilon: float) -> Array:
-        """Return values at points (u, v), m, with relative error ``epsilon``."""
+        """Return the function at any points.
+
+        Parameters
+        ----------
+        u, v : ndarray
+            Coordinates of the points, m, of the same shape. Outside the pupil the function is
+            extrapolated linearly along the radius.
+        epsilon : float
+            Largest error relative to the largest value, 1e-13 or more.
+
+        Returns
+        -------
+        ndarray
+            Values in the shape of u, in the unit of the samples.
+        """
         return values_at(self, None, u, v, epsilon)[0]
 
     def disc_series(self) -> ComplexArray:
-        """Return the Fourier series in psi and angle, with r = middle + half cos(psi), see `span`.
+        """Return the function as a Fourier series in two angles, for a non-uniform FFT.
 
-        Coefficients (4 n_r, 2 n_m), from the most negative orders upward.
+        One angle is that of the point in the pupil. The other, psi, replaces the radius:
+        ``r = middle + half cos(psi)``, with the two lengths of `span`.
+
+        Returns
+        -------
+        ndarray, (4 n_r, 2 n_m)
+            Complex coefficients of psi (rows) and the angle (columns), with n_m the number of
+            angular orders; most negative orders first.
         """
         n = 2 * self.n_r
         middle, half = self.span()
@@ -122,12 +174,24 @@ class PolarSpectrum:
         return grid
 
     def span(self) -> tuple[float, float]:
-        """Return centre and half width of the range of r, m: over a diameter or a ring's width."""
+        """Return middle and half width of the range of radii, m: a diameter, or a ring's width."""
         low = self.obscuration * self.radius if self.obscuration > 0 else -self.radius
         return (self.radius + low) / 2, (self.radius - low) / 2
 
     def rim_series(self, rho: float) -> ComplexArray:
-        """Return the Fourier series in angle, (2 n_m,), of the r derivative at rho * radius."""
+        """Return the radial derivative on a circle, as a Fourier series in the angle.
+
+        Parameters
+        ----------
+        rho : float
+            Radius of the circle divided by that of the pupil.
+
+        Returns
+        -------
+        ndarray, (2 n_m,)
+            Complex coefficients, most negative order first, unit of the samples per m; n_m is the
+            number of angular orders.
+        """
         waves = self._polynomial(np.array([rho]))[1][0]
         n_m = waves.size
         series = np.zeros(2 * n_m, dtype=np.complex128)

@@ -24,33 +24,36 @@ FLAT = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Regime:
-    """Numbers that decide which PSF transform of a wave is accurate, and what it costs.
+    """Numbers that decide by which method the PSF of a wave can be computed accurately.
 
-    The residual aberration is the aberration without piston and tilt.
+    The residual aberration is the aberration without piston and tilt. An Airy unit is lambda N,
+    with the wavelength lambda and the F-number N.
 
     Parameters
     ----------
     peak_to_valley, rms : float
-        Residual aberration over the lit pupil, waves. The rms is weighted by amplitude, as in
-        `rms_aberration`.
+        Residual aberration over the lit part of the pupil, wavelengths: largest minus smallest
+        value, and root mean square weighted by the amplitude.
     slope : float
         Largest gradient of the residual aberration, rad.
     reach : float
-        Largest distance from the centre, along x or y, at which rays meet the image plane once
-        piston and tilt are removed; Airy units (lambda N).
+        Largest distance along x or y from the centre at which rays of the residual wave meet the
+        image plane, Airy units.
     slope_per_sample : float or None
-        Largest change of the residual between neighbouring samples of the pupil, waves; for
-        samples at irregular points, over their mean spacing. None for the layouts "polar" and
-        "cells" of a `Wavefront`, in which the residual is interpolated spectrally.
+        Largest change of the residual aberration between neighbouring sample points of the pupil,
+        wavelengths; for irregular points, over their mean spacing. None for the layouts "polar" and
+        "cells" of a `Wavefront`, whose samples are interpolated by smooth functions.
     pixel : float
-        Image pitch, Airy units.
+        Distance between image samples, or pixel side, Airy units.
     fresnel_number : float
-        Fresnel number of the pupil, ``a^2/(lambda |d_i|)``.
+        Fresnel number of the pupil, ``a^2/(lambda |d|)``, with the pupil radius a and the image
+        distance d.
     folded : bool
-        Whether the Jacobian of the rays' landing points changes sign over the pupil. The image
-        plane then cuts a caustic, where the density of rays diverges.
+        Whether the map from pupil points to the points at which their rays meet the image plane
+        folds over (its Jacobian changes sign). The image plane then cuts a caustic, where the ray
+        density of geometrical optics is infinite.
     rayleigh_parameter : float
-        Rms phase s of the wave after reflection at a rough wall, rad; 0 for a smooth wall.
+        Rms phase s that a rough wall adds to the wave, rad; 0 for a smooth wall.
 
     See Also
     --------
@@ -70,7 +73,7 @@ class Regime:
 
     @property
     def coherent_fraction(self) -> float:
-        """Fraction of the energy in the unscattered core, ``exp(-s^2)``."""
+        """Fraction of the energy that a rough wall reflects as a smooth one: ``exp(-s^2)``."""
         return math.exp(-(self.rayleigh_parameter**2))
 
 

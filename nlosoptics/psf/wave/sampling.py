@@ -94,6 +94,25 @@ def nodes_of(
     return nodes  # type: ignore[return-value]  # one of its literals
 
 
+def polar_counts(degree: int, samples: int | tuple[int, int] | None) -> tuple[int, int]:
+    """Return the numbers of rings and of points per ring for Zernike polynomials up to a degree.
+
+    Raises `SamplingError` if the requested ``samples`` are too few for them.
+    """
+    # By default enough nodes to see that the tail of the spectrum vanishes.
+    n_r, n_theta = max(24, degree), max(96, 4 * degree)
+    if isinstance(samples, tuple):
+        n_r, n_theta = samples
+    elif samples is not None:
+        n_r, n_theta = samples, 4 * samples
+    if n_r < degree // 2 + 1 or n_theta < 2 * degree + 1:
+        raise SamplingError(
+            f"{n_r} x {n_theta} polar nodes cannot hold Zernike degree {degree}; use "
+            f"{degree // 2 + 1} x {2 * degree + 1} or more"
+        )
+    return n_r, n_theta
+
+
 def pupil_nodes(
     layout: Nodes,
     samples: int | tuple[int, int],

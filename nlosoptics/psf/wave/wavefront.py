@@ -15,18 +15,18 @@ from ..._html import Figures, Shown
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
-from ..aperture.cell_nodes import kept_even_cells, shared_cell_nodes
+from ..aperture.cell_nodes import shared_cell_nodes
 from ..aperture.quadrature_nodes import (
     KEPT,
     fitting_pitch,
     grid_nodes,
     kept_even,
-    kept_polar_nodes,
     polar_nodes,
     shared_polar_nodes,
 )
 from .cell_series import CellSpectrum
 from .fits import fitted_terms
+from .node_checks import check_aperture, check_nodes, grid_pitch, kept_arrays
 from .polar_series import PolarSpectrum
 from .removed import Removed
 from .sampling import (
@@ -37,6 +37,7 @@ from .sampling import (
     even,
     nodes_of,
     owned,
+    polar_counts,
     sampled,
     segment_terms,
     values_on,
@@ -51,40 +52,43 @@ LAYOUTS = ("polar", "cells", "grid", "scattered")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Wavefront(Noun, Shown):
-    """Wave in the exit pupil: sampled aberration and amplitude, wavelength and pupil geometry.
+    """Wave in the exit pupil: aberration and amplitude at sample points, with the pupil's geometry.
 
-    Arrays are copied, float64 and read-only. All have the same shape, which depends on ``layout``.
+    Make one from a scene with `wavefront`, or with `from_zernike`, `from_function` or `from_map`.
+    Arrays are copied, as read-only float64.
 
     Parameters
     ----------
     u, v : ndarray
-        Pupil coordinates, m, parallel to the image's x and y: heights on the sphere of radius
-        ``|image_distance|`` about the image point. Polar: (n_r, n_theta), see `polar_nodes`. Cells:
-        (n_patches, n_s, n_t), see `Aperture.nodes`. Grid: (n, n), rows are v,
-        ``(arange(n) - n//2) * pitch``. Scattered: (n,).
+        Pupil coordinates of the sample points, m, parallel to the image's x and y. They are
+        distances from the axis on the reference sphere, whose centre is the image point on the axis
+        and whose radius is ``|image_distance|``. The shape depends on ``layout``.
     aberration : ndarray
-        Aberration W, m, in the shape of u; positive for a path longer than the reference.
+        Wave aberration W, m, in the shape of u: optical path minus that of the reference sphere.
     amplitude : ndarray
-        Relative amplitude in the shape of u; 1 for a clear pupil.
+        Amplitude in the shape of u, at least 0; 1 for a clear pupil.
     weights : ndarray
-        Pupil area that each node represents, m^2, in the shape of u. Grid cells at the pupil's
-        edge count only with the part inside.
+        Pupil area that each sample point represents, m^2, in the shape of u. A square of a grid
+        that the rim crosses counts with the part inside.
     wavelength : float
         Vacuum wavelength, m.
     image_distance : float
-        Signed distance from pupil to image, m; negative if the pupil lies beyond the image.
+        Distance from the pupil to the image plane, m; negative if the pupil lies beyond the image.
     pupil_radius : float
-        Radius that defines the F-number and the flux, m.
+        Radius of the pupil, m. It defines the F-number and the reference of `flux`.
     obscuration : float
-        Inner radius of an annular pupil as a fraction of the outer.
+        Inner radius of an annular pupil divided by the outer; 0 for a full disc.
     layout : {"polar", "cells", "grid", "scattered"}
-        Arrangement of the nodes, that is of the pupil points at which the wave is sampled: rings
-        ("polar"), patches of an `Aperture` ("cells"), a square grid ("grid") or arbitrary points
-        ("scattered").
+        Arrangement of the sample points, also called nodes, and thereby the shape of the arrays:
+
+        - "polar": rings, (n_r, n_theta), see `polar_nodes`.
+        - "cells": patches of an `Aperture`, (n_patches, n_s, n_t), see `Aperture.nodes`.
+        - "grid": square grid, (n, n), ``(arange(n) - n//2) * pitch``, rows along v.
+        - "scattered": arbitrary points, (n,).
     removed : Removed
-        Terms that were subtracted from ``aberration``.
+        Piston, tilt and defocus that were subtracted from ``aberration``; none by default.
     aperture : Aperture, optional
-        Outline of a pupil that is neither disc nor ring; layouts "cells" and "grid" follow it.
+        Outline of a pupil that is neither disc nor ring, for the layouts "cells" and "grid".
 
     See Also
     --------
@@ -118,8 +122,8 @@ class Wavefront(Noun, Shown):
             raise SceneError("wavefront.image_distance = 0 m; the pupil cannot lie in the image")
         for name in ("wavelength", "image_distance", "pupil_radius", "obscuration"):
             put(self, name, float(getattr(self, name)))
-        self._check_aperture()
-        kept = self._kept()
+        check_aperture(self.layout, self.aperture, self.obscuration)
+        kept = kept_arrays(self.layout, self.u, self.pupil_radius, self.obscuration, self.aperture)
         for name in ("u", "v", "aberration", "amplitude", "weights"):
             if name not in kept or getattr(self, name) is not kept[name]:
                 put(self, name, owned(name, getattr(self, name), self.layout))
@@ -140,7 +144,7 @@ class Wavefront(Noun, Shown):
                 )
         if not np.any(self.amplitude * self.weights > 0):
             raise SceneError("wavefront.amplitude is 0 everywhere; no light passes the pupil")
-        self._check_nodes()
+        check_nodes(self.layout, self.u, self.v, self.pupil_radius, self.obscuration, self.aperture)
 
     def _figures(self) -> Figures:
         plane = np.stack([np.ones_like(self.u), self.u, self.v])
@@ -173,33 +177,50 @@ class Wavefront(Noun, Shown):
         obscuration: float = 0.0,
         aperture: Aperture | None = None,
     ) -> Wavefront:
-        """Sample a sum of Zernike polynomials on a pupil of uniform amplitude.
+        """Make a wave of uniform amplitude from Zernike coefficients.
 
         Parameters
         ----------
         coefficients : mapping of int to float
-            Index to coefficient, m: the rms over the full disc for Noll and OSA, the value at the
-            rim for Fringe. An obscured pupil keeps the polynomials of the full disc.
-        wavelength, pupil_radius, image_distance : float
-            As in `Wavefront`, m. The unit disc of the polynomials has the pupil radius.
+            Zernike index to coefficient, m. With Noll and OSA indices a coefficient is the rms of
+            its term over the full disc; with Fringe indices it is the value at the rim. A pupil
+            with a hole keeps the polynomials of the full disc.
+        wavelength : float
+            Vacuum wavelength, m.
+        pupil_radius : float
+            Radius of the pupil, m. It defines the F-number and the unit disc of the polynomials.
+        image_distance : float
+            Distance from the pupil to the image plane, m; negative if the pupil lies beyond the
+            image.
         ordering : {"noll", "osa", "fringe"}
-            Index scheme, see `zernike_order`.
+            Index scheme of the coefficients, see `zernike_order`.
         nodes : {"polar", "cells", "grid"}, optional
-            Layout; by default "polar", or "cells" with an aperture: both are exact with few nodes.
-            Fourier transforms use "grid".
+            Arrangement of the sample points, see the ``layout`` of `Wavefront`. Default "polar", or
+            "cells" with an aperture: few points suffice for these. Choose "grid" for FFTs.
         samples : int or (int, int), optional
-            Polar: radii, with four times as many angles, or (radii, angles); at least 24 x 96 by
-            default. Cells: nodes per patch along s and t; by default 8 x 8, 12 x 12 on curved
-            outlines, or more if the wave needs them. Grid: cells per side, 512 by default.
+            Number of sample points:
+
+            - "polar": rings, with four times as many points on each; or (rings, points per ring).
+              Default (24, 96), or more for polynomials of higher degree.
+            - "cells": points along each direction of a patch, or (n_s, n_t). Default 8, or 12 if
+              the outline is curved; more if the wave needs them.
+            - "grid": squares per side, default 512.
         obscuration : float
-            Inner radius as a fraction of the outer.
+            Inner radius of the pupil divided by the outer, 0 to 0.99; 0 for a full disc.
         aperture : Aperture, optional
-            Outline of the pupil; a disc or ring by default.
+            Outline of the pupil; by default a disc or ring of the pupil radius.
 
         Returns
         -------
         Wavefront
-            Wave of amplitude 1 on the nodes.
+            Wave of amplitude 1.
+
+        Raises
+        ------
+        SceneError
+            If an option is out of range, or options contradict one another.
+        SamplingError
+            If ``samples`` are too few for the degree of the polynomials.
 
         Examples
         --------
@@ -225,18 +246,8 @@ class Wavefront(Noun, Shown):
             cells = 512 if samples is None else whole("samples", samples, 2)
             u, v, weights = grid_nodes(pupil_radius, cells, obscuration)
         else:
-            # Enough nodes to see that the tail of the spectrum vanishes.
-            n_r, n_theta = max(24, degree), max(96, 4 * degree)
-            if isinstance(samples, tuple):
-                n_r, n_theta = samples
-            elif samples is not None:
-                n_r, n_theta = samples, 4 * samples
-            if n_r < degree // 2 + 1 or n_theta < 2 * degree + 1:
-                raise SamplingError(
-                    f"{n_r} x {n_theta} polar nodes cannot hold Zernike degree {degree}; use "
-                    f"{degree // 2 + 1} x {2 * degree + 1} or more"
-                )
-            u, v, weights = shared_polar_nodes(pupil_radius, n_r, n_theta, obscuration)
+            counts = polar_counts(degree, samples)
+            u, v, weights = shared_polar_nodes(pupil_radius, *counts, obscuration)
         if nodes == "polar" and u.size <= KEPT:
             amplitude, aberration = kept_even(*u.shape), np.zeros(u.shape)
             heights = [real(f"coefficients[{j}]", value) for j, value in coefficients.items()]
@@ -276,36 +287,43 @@ class Wavefront(Noun, Shown):
         samples: int | tuple[int, int] | None = None,
         obscuration: float = 0.0,
     ) -> Wavefront:
-        """Sample an aberration and an amplitude, functions of u and v, on a pupil of any outline.
+        """Make a wave from functions W(u, v) and A(u, v), on a pupil of any outline.
 
         Parameters
         ----------
         aberration : callable, optional
-            W(u, v), m, of coordinate arrays (n,), m; smooth over each cell. Default 0.
-        wavelength, image_distance : float
-            As in `Wavefront`, m.
+            Function of coordinate arrays u and v (n,), m, that returns the aberration W (n,), m,
+            smooth over each connected part of the pupil. Default 0.
+        wavelength : float
+            Vacuum wavelength, m.
+        image_distance : float
+            Distance from the pupil to the image plane, m; negative if the pupil lies beyond the
+            image.
         pupil_radius : float, optional
-            As in `Wavefront`, m; the aperture's bounding radius by default. Required for a disc.
+            Radius of the pupil, m, which defines the F-number. Required without an aperture; by
+            default the radius of the circle around the aperture.
         aperture : Aperture, optional
-            Outline of the pupil; a disc or ring by default.
+            Outline of the pupil; by default a disc or ring of the pupil radius.
         amplitude : callable, optional
-            Relative amplitude A(u, v). Default 1.
+            Function of u and v, like ``aberration``, that returns the relative amplitude A (n,), at
+            least 0. Default 1.
         pistons : array_like, (n_cells,), optional
             Path added to each cell of the aperture, m. A mirror segment recessed by h adds 2 h.
+            Default 0.
         tilts : array_like, (n_cells, 2), optional
-            Slopes dW/du and dW/dv added to each cell about its centroid, rad.
-        nodes : {"polar", "cells", "grid"}, optional
-            Layout, as in `from_zernike`.
-        samples : int or (int, int), optional
-            As in `from_zernike`. By default, "polar" and "cells" nodes are added until they resolve
-            the functions or reach a limit. Error estimates of PSFs include what is unresolved.
+            Slopes dW/du and dW/dv added to each cell of the aperture, rad, for a rotation about its
+            centroid. Default 0.
+        nodes, samples
+            Arrangement and number of the sample points, as in `from_zernike`. By default, "polar"
+            and "cells" points are added until they resolve the functions, up to a limit; a grid has
+            512 squares per side. Error estimates of PSFs include detail that is not resolved.
         obscuration : float
-            Inner radius of a ring as a fraction of the outer.
+            Inner radius of the pupil divided by the outer, 0 to 0.99; 0 for a full disc.
 
         Returns
         -------
         Wavefront
-            Wave on the nodes of the pupil.
+            Wave at the sample points.
 
         Raises
         ------
@@ -378,24 +396,36 @@ class Wavefront(Noun, Shown):
         image_distance: float,
         pupil_radius: float | None = None,
     ) -> Wavefront:
-        """Make a grid wavefront from pixel maps of the pupil, each pixel with its full area.
+        """Make a wave from maps of aberration and amplitude on a square grid of pupil pixels.
 
         Parameters
         ----------
         aberration : array_like, (n, n)
-            Aberration W, m; row 0 at the lowest v, sample [n//2, n//2] on the axis.
+            Wave aberration W, m, positive for a longer path. Row 0 is at the lowest v, and pixel
+            [n//2, n//2] is centred on the axis.
         amplitude : array_like, (n, n), optional
-            Relative amplitude, 0 outside the pupil; an edge pixel may carry the fraction inside.
-            Default 1 everywhere, which is a square pupil.
-        wavelength, pupil_pitch, image_distance : float
-            Wavelength, pixel side in the pupil, and distance as in `Wavefront`, m.
+            Relative amplitude, 0 outside the pupil. A pixel on the rim may have the fraction of its
+            area inside the pupil. Default 1 everywhere, which is a square pupil.
+        wavelength : float
+            Vacuum wavelength, m.
+        pupil_pitch : float
+            Side of a pixel in the pupil, m.
+        image_distance : float
+            Distance from the pupil to the image plane, m; negative if the pupil lies beyond the
+            image.
         pupil_radius : float, optional
-            As in `Wavefront`, m; by default that of the disc that just fits the map.
+            Radius of the pupil, m, which defines the F-number; by default that of the disc that
+            just fits the map.
 
         Returns
         -------
         Wavefront
-            Wave of layout "grid" on the map's pixels.
+            Wave with the layout "grid": one node for each pixel, with the pixel's area as weight.
+
+        Raises
+        ------
+        SceneError
+            If a map is not square and finite, or a number is out of range.
         """
         positive("pupil_pitch", pupil_pitch, unit="m")
         surface = owned("aberration", aberration, "grid")
@@ -420,48 +450,52 @@ class Wavefront(Noun, Shown):
 
     @property
     def f_number(self) -> float:
-        """Working F-number, ``|image_distance|/(2 pupil_radius)``."""
+        """Working F-number: image distance over pupil diameter."""
         return abs(self.image_distance) / (2 * self.pupil_radius)
 
     @property
     def pupil_pitch(self) -> float:
-        """Spacing of the samples, m, for the layout "grid" only."""
+        """Spacing of the sample points, m; raises `SamplingError` unless the layout is "grid"."""
         if self.layout != "grid":
             raise SamplingError(
                 f"a {self.layout} wavefront has no pupil pitch; sample it on a grid"
             )
-        # Next to the axis, where u is 0, the difference is exact.
-        axis = self.u.shape[1] // 2
-        return float(self.u[0, axis] - self.u[0, axis - 1])
+        return grid_pitch(self.u)
 
     @property
     def flux(self) -> float:
-        """Energy through the pupil, relative to that through a clear disc of ``pupil_radius``."""
+        """Energy through the pupil divided by that through a clear disc of the pupil's radius."""
         disc = np.pi * self.pupil_radius**2
         return float(np.sum(self.amplitude**2 * self.weights) / disc)
 
     @cached_property
     def is_uniform(self) -> bool:
-        """Whether the amplitude is the same at every node."""
+        """Whether the amplitude is the same at every sample point."""
         return bool((self.amplitude == self.amplitude.flat[0]).all())
 
     @property
     def is_spectral(self) -> bool:
-        """Whether the nodes define a polynomial series, and so can be refined (polar, cells)."""
+        """Whether the wave can be interpolated to more points: the layout is "polar" or "cells"."""
         return self.layout in ("polar", "cells")
 
     def nodes(self, *counts: int) -> tuple[Array, Array, Array]:
-        """Return a given number of nodes on the same pupil, for the layouts "polar" and "cells".
+        """Return points and weights for integrals over the pupil, as many as requested.
 
         Parameters
         ----------
         *counts : int
-            Radii and angles n_r, n_theta of a polar wavefront; n_patches, n_s, n_t of cells.
+            Shape of the result: n_r rings of n_theta points for the layout "polar"; n_patches, n_s,
+            n_t for "cells", with the number of patches that the aperture has.
 
         Returns
         -------
         u, v, weights : ndarray
             Coordinates, m, and areas, m^2, each of the shape ``counts``.
+
+        Raises
+        ------
+        SamplingError
+            If the layout is "grid" or "scattered".
         """
         self._require_spectral("have more nodes")
         if self.aperture is not None:
@@ -471,25 +505,46 @@ class Wavefront(Noun, Shown):
         return polar_nodes(self.pupil_radius, counts[0], counts[1], self.obscuration)
 
     def series(self, values: Array) -> PolarSpectrum | CellSpectrum:
-        """Return the polynomial series through values at the nodes, for "polar" and "cells"."""
+        """Return the polynomial series that interpolates a function known at the sample points.
+
+        Parameters
+        ----------
+        values : ndarray
+            Values at the sample points, such as ``aberration``, in the shape of u.
+
+        Returns
+        -------
+        PolarSpectrum or CellSpectrum
+            Series for the layout "polar" or "cells"; its methods evaluate it anywhere in the pupil.
+
+        Raises
+        ------
+        SamplingError
+            If the layout is "grid" or "scattered".
+        """
         self._require_spectral("have a series")
         if self.aperture is not None:
             return CellSpectrum(values, self.aperture)
         return PolarSpectrum(values, self.pupil_radius, self.obscuration)
 
     def resampled(self, *counts: int) -> Wavefront:
-        """Return the wave interpolated to more nodes, for the layouts "polar" and "cells".
+        """Return the wave interpolated to more sample points.
 
         Parameters
         ----------
         *counts : int
-            n_r, n_theta of a polar wavefront, or n_s, n_t of each patch of cells; at least the
-            current numbers.
+            Numbers of points, not below the current ones: rings and points per ring for the layout
+            "polar"; n_s, n_t of each patch for "cells".
 
         Returns
         -------
         Wavefront
-            Wave of the same layout and pupil on more nodes.
+            Wave of the same layout and pupil.
+
+        Raises
+        ------
+        SamplingError
+            If the layout is "grid" or "scattered", or a number is below the current one.
         """
         self._require_spectral("be resampled")
         old = self.u.shape[-2:]
@@ -512,10 +567,24 @@ class Wavefront(Noun, Shown):
         )
 
     def truncation(self) -> tuple[float, float]:
-        """Estimate how much of the aberration, m, and of the amplitude the nodes do not resolve.
+        """Estimate the detail of the wave that its sample points do not resolve.
 
-        Only the layouts "polar" and "cells" have this estimate. It is the sum (polar) or four times
-        the rms (cells) of the highest terms of the polynomial series that the nodes define.
+        Returns
+        -------
+        aberration : float
+            Estimated error of interpolating the aberration between the sample points, m.
+        amplitude : float
+            Estimated error of interpolating the amplitude.
+
+        Raises
+        ------
+        SamplingError
+            If the layout is "grid" or "scattered".
+
+        Notes
+        -----
+        The estimate is the sum (layout "polar") or four times the rms (layout "cells") of the
+        highest terms of the polynomial series through the samples.
         """
         return (
             self.series(self.aberration).truncation(),
@@ -528,73 +597,4 @@ class Wavefront(Noun, Shown):
                 f"only a wavefront of layout 'polar' or 'cells' can {what}, not "
                 f"'{self.layout}'; "
                 "sample the wave with nodes='polar' or 'cells'"
-            )
-
-    def _kept(self) -> dict[str, Array]:
-        """Return cached nodes and uniform amplitude of this shape; they need no checks."""
-        if not isinstance(self.u, np.ndarray) or not 0 < self.u.size <= KEPT:
-            return {}
-        shape = self.u.shape
-        if self.layout == "cells" and self.aperture is not None and len(shape) == 3:
-            u, v, weights = shared_cell_nodes(self.aperture, *shape[1:])
-            if len(u) != shape[0]:
-                return {}
-            return {"u": u, "v": v, "amplitude": kept_even_cells(shape), "weights": weights}
-        if self.layout != "polar" or len(shape) != 2:
-            return {}
-        u, v, weights = kept_polar_nodes(self.pupil_radius, *shape, self.obscuration)
-        return {"u": u, "v": v, "amplitude": kept_even(*shape), "weights": weights}
-
-    def _check_aperture(self) -> None:
-        if self.aperture is None and self.layout == "cells":
-            raise SceneError("wavefront.aperture is missing, layout 'cells' needs it; give it")
-        if self.aperture is not None and self.layout not in ("cells", "grid"):
-            raise SceneError(
-                f"wavefront.layout = '{self.layout}' cannot follow an aperture; use 'cells' or "
-                "'grid'"
-            )
-        if self.aperture is not None and self.obscuration != 0:
-            raise SceneError(
-                f"wavefront.obscuration = {self.obscuration:g} with an aperture, limit 0; make it "
-                "part of the aperture"
-            )
-
-    def _check_nodes(self) -> None:
-        """Raise `SceneError` if the coordinates are not those of the layout."""
-        if self.layout == "scattered":
-            return
-        if self.layout == "cells" and self.aperture is not None:
-            self._check_cells(self.aperture)
-            return
-        rows, columns = self.u.shape
-        if self.layout == "polar":
-            make = kept_polar_nodes if self.u.size <= KEPT else polar_nodes
-            u, v, _ = make(self.pupil_radius, rows, columns, self.obscuration)
-            remedy = "take them from psf.polar_nodes"
-        else:
-            if rows != columns or rows < 2:
-                raise SceneError(f"a grid wavefront has shape {self.u.shape}; give a square grid")
-            axis = (np.arange(rows) - rows // 2) * self.pupil_pitch
-            v, u = np.meshgrid(axis, axis, indexing="ij")
-            remedy = "use (arange(n) - n//2) * pitch, rows along v"
-        error = max(float(np.abs(self.u - u).max()), float(np.abs(self.v - v).max()))
-        if not error <= 1e-9 * self.pupil_radius:
-            raise SceneError(
-                f"wavefront.u, v are {error:.3g} m off the nodes of layout '{self.layout}', limit "
-                f"{1e-9 * self.pupil_radius:.1g} m; {remedy}"
-            )
-
-    def _check_cells(self, aperture: Aperture) -> None:
-        u, v, _ = shared_cell_nodes(aperture, *self.u.shape[1:])
-        if u.shape != self.u.shape:
-            raise SceneError(
-                f"wavefront.u has shape {self.u.shape}; the aperture's {len(u)} patches need "
-                f"{u.shape}"
-            )
-        error = max(float(np.abs(self.u - u).max()), float(np.abs(self.v - v).max()))
-        limit = 1e-9 * aperture.bounding_radius
-        if not error <= limit:
-            raise SceneError(
-                f"wavefront.u, v are {error:.3g} m off the nodes of layout 'cells', limit "
-                f"{limit:.1g} m; take them from aperture.nodes"
             )

@@ -22,12 +22,12 @@ ORDERINGS = ("noll", "osa", "fringe")
 
 
 def zernike_order(index: int, ordering: Ordering = "noll") -> tuple[int, int]:
-    """Return the radial degree n and the angular frequency m of a Zernike index.
+    """Return the radial degree n and the angular frequency m of the Zernike term with an index.
 
     Parameters
     ----------
     index : int
-        Index of the term: from 1 for Noll, from 0 for OSA, 1 to 37 for Fringe.
+        Number of the term in the index scheme: from 1 for Noll, from 0 for OSA, 1 to 37 for Fringe.
     ordering : {"noll", "osa", "fringe"}
         Index scheme: Noll (JOSA 66, 207, 1976), OSA (also ANSI Z80.28), or Fringe (also University
         of Arizona), where term 37 is spherical aberration of degree 12.
@@ -35,7 +35,8 @@ def zernike_order(index: int, ordering: Ordering = "noll") -> tuple[int, int]:
     Returns
     -------
     n, m : int
-        Radial degree, and angular frequency: cosine terms have m >= 0, sine terms m < 0.
+        Radial degree, and angular frequency: the term varies as cos(m theta) for m >= 0 and as
+        sin(-m theta) for m < 0.
 
     Raises
     ------
@@ -48,6 +49,8 @@ def zernike_order(index: int, ordering: Ordering = "noll") -> tuple[int, int]:
 
     Examples
     --------
+    Coma is Noll term 8, primary spherical aberration Fringe term 9:
+
     >>> from nlosoptics import psf
     >>> psf.zernike_order(8), psf.zernike_order(9, "fringe")
     ((3, 1), (4, 0))
@@ -100,12 +103,13 @@ def zernike(index: int, rho: ArrayLike, theta: ArrayLike, *, ordering: Ordering 
     Parameters
     ----------
     index : int
-        Index in the chosen ordering.
+        Number of the polynomial in the index scheme ``ordering``.
     rho, theta : array_like, (...)
-        Radius divided by pupil radius, and angle from u toward v, rad; their shapes broadcast.
+        Radius divided by the pupil radius, and angle from the u axis toward the v axis, rad. Their
+        shapes broadcast.
     ordering : {"noll", "osa", "fringe"}
-        Index scheme, see `zernike_order`. Noll and OSA polynomials have rms 1 over the disc. The
-        radial part of Fringe polynomials is 1 at the rim.
+        Index scheme, see `zernike_order`. It also sets the normalisation: Noll and OSA polynomials
+        have rms 1 over the disc; Fringe polynomials have the amplitude 1 at the rim.
 
     Returns
     -------

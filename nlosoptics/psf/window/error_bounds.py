@@ -1,4 +1,4 @@
-"""Error bounds for the PSF transforms, max |dI|/max I."""
+"""Upper bounds of the errors of computed point spreads, relative to their peak."""
 
 from __future__ import annotations
 
@@ -31,22 +31,29 @@ def intensity_error(
     pixel: float,
     level: float,
 ) -> float:
-    """Bound the error of an intensity, max |dI|/max I, from that of its field.
+    """Return an upper bound of the error of an intensity, from the error of the complex field.
 
     Parameters
     ----------
     intensity : ndarray
-        Intensity, 1 at the ideal peak, of any shape; means over pixels if ``pixel`` is above 0.
+        Intensity of any shape, relative to the peak without aberration; means over pixels if
+        ``pixel`` is above 0.
     field_error : ndarray or float
-        Bound on the field's error, relative to the ideal peak; broadcasts to the intensity.
+        Largest modulus of the field's error, relative to the peak of the field without aberration.
+        Its shape broadcasts to that of the intensity.
     energy_error : float
-        Bound on the energy of this error, as a fraction of the total energy.
+        Largest energy of this error, as a fraction of the total energy; infinite if not known.
     spill : ndarray or float
-        Bound on a further error of the field, for which there is no bound on the energy.
+        Largest modulus of a second error of the field, whose energy is not known.
     pixel : float
-        Pixel side in Airy units, lambda N; 0 for point samples.
+        Pixel side in Airy units (lambda N); 0 for point samples.
     level : float
         Fraction of the total energy in a pixel of mean intensity 1.
+
+    Returns
+    -------
+    float
+        Largest error of the intensity divided by the largest intensity.
     """
     if np.ndim(field_error) == np.ndim(spill) == 0:
         intensity = np.asarray(np.max(intensity))  # the bound below increases with intensity
@@ -60,21 +67,46 @@ def intensity_error(
 
 
 def beat(pixel: float) -> float:
-    """Return the factor by which averaging over a pixel reduces interference of field and error.
+    """Return the factor, 0 to 1, by which averaging over a pixel reduces an intensity error.
 
-    The cross term of both oscillates over about lambda N, so that a wide pixel averages it.
-    ``pixel`` is the side in Airy units; the factor is 1 for 0. It was measured on defocus, which
-    oscillates most regularly; other aberrations stay well below.
+    The intensity error is mainly the interference of the field with its error. This interference
+    oscillates over about lambda N, so that its mean over a wide pixel is small.
+
+    Parameters
+    ----------
+    pixel : float
+        Pixel side in Airy units (lambda N); 0 for point samples, with the factor 1.
+
+    Notes
+    -----
+    The factor was measured for defocus, whose image oscillates most regularly. For other
+    aberrations the error is well below the bound.
     """
     return min(1.0, 0.8 / pixel) if pixel > 0 else 1.0
 
 
 def transform_error(intensity: Array, epsilon: float, *, pixel: float) -> float:
-    """Bound the error of an intensity from a non-uniform transform of accuracy ``epsilon``.
+    """Return an upper bound of the error that a non-uniform FFT adds to an intensity.
 
-    The transform's error is noise of at most ``epsilon`` times the field's rms; a pixel (side in
-    Airy units) averages it. Measured errors, for 0.3 to 30 waves and epsilon from 1e-5 to 1e-10,
-    are a fifth of this bound or less.
+    Parameters
+    ----------
+    intensity : ndarray
+        Intensity of any shape.
+    epsilon : float
+        Requested accuracy of the non-uniform FFT. Its error is noise of at most ``epsilon`` times
+        the rms of the field.
+    pixel : float
+        Pixel side in Airy units (lambda N), over which the noise is averaged; 0 for point samples.
+
+    Returns
+    -------
+    float
+        Largest error of the intensity divided by the largest intensity.
+
+    Notes
+    -----
+    Measured errors are at most a fifth of this bound, for aberrations of 0.3 to 30 wavelengths and
+    ``epsilon`` from 1e-5 to 1e-10.
     """
     spread = math.sqrt(float(np.mean(intensity)) / float(np.max(intensity)))
     return 2 * epsilon * spread * min(1.0, 1 / pixel if pixel > 0 else 1.0)
@@ -82,12 +114,16 @@ def transform_error(intensity: Array, epsilon: float, *, pixel: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class EdgeErrors:
-    """Errors caused by a pupil's sampled edge, as arguments of `intensity_error`.
+    """Errors of an image because a square grid does not follow the pupil's rim exactly.
 
     Attributes
     ----------
-    field, energy, spill
-        The arguments ``field_error``, ``energy_error`` and ``spill``.
+    field : ndarray or float
+        Largest modulus of the field's error, relative to the field's peak without aberration.
+    energy : float
+        Largest energy of this error, as a fraction of the total energy; infinite if not known.
+    spill : ndarray or float
+        Largest modulus of a second error of the field, whose energy is not known.
     """
 
     field: Array | float
@@ -98,34 +134,41 @@ class EdgeErrors:
 def edge_errors(
     residual: Residual, grid: PupilGrid, x: Array, y: Array, half: float = 0.0
 ) -> EdgeErrors:
-    """Bound the errors of a sampled pupil edge at image points (x, y) or pixels about them.
+    """Return upper bounds of the errors that sampling the pupil's rim on a grid causes.
 
     Parameters
     ----------
     residual : Residual
         Wave without piston and tilt.
     grid : PupilGrid
-        Its samples.
+        Pupil function of this wave on a square grid.
     x, y : ndarray, (nx,) and (ny,)
-        Image coordinates, m.
+        Image coordinates of samples or pixel centres, m.
     half : float
         Half the pixel side, m; 0 for point samples.
 
+    Returns
+    -------
+    EdgeErrors
+        Errors (ny, nx) of the field, or one number for all image points.
+
     Notes
     -----
-    A rim diffracts to a distance s from its rays' landing points, with the amplitude of an Airy
-    tail; in the middle of a symmetric spot it acts as a focused ring. The error depends on ``rim``:
+    The rim diffracts light to a distance s from the points at which its rays arrive; the amplitude
+    falls as the tail of the Airy pattern. The image of a sampled pupil repeats with a period P. The
+    error depends on ``grid.rim``:
 
-    - "cut": each rim cell acts from its centre with its area as weight, so that the rim is
-      convolved with a cell. The field at s is damped by sinc(s/P), P the image period, with
-      1 - sinc <= 1.65 (s/P)^2. Its repeats are damped alike. In a wide pixel their energy lies
-      near the edge next to the repeat; the mean is less by its distance over the width.
-    - "soft": the error is twice `antialiased_disc.leak`, for damping and repeat, plus that of the
-      aberration's curvature, which is not continued outside the rim.
-    - "map": no error, since the samples are the pupil by definition and their sum is exact.
+    - "cut": squares that the rim crosses are weighted by their area inside. This multiplies the
+      light from the rim by sinc(s/P), with 1 - sinc(s/P) <= 1.65 (s/P)^2. The tails of the
+      neighbouring repeats are multiplied in the same way and add to the error. In a pixel that is
+      wider than its distance from a repeat, their mean energy is smaller by that ratio.
+    - "soft": the rim is blurred over a few squares. The error is twice `antialiased_disc.leak`,
+      plus a term for the aberration outside the rim, which is continued without its curvature.
+    - "map": no error, since the samples define the pupil.
 
-    The rims of an aperture diffract as `rim_tails.tail`; all repeats add up to 3.3 times the first.
-    A grid square that two of its cells share holds the wave of one of them.
+    The edges of an `Aperture` diffract as `rim_tails.tail`; all repeats together are at most 3.3
+    times the nearest. A grid square shared by two cells of the aperture has the wave of one cell
+    only, which adds to the error.
     """
     wave, unit = residual.wavefront, residual.airy_unit
     if grid.rim == "map":
@@ -171,10 +214,24 @@ def edge_errors(
 def soft_rim_error(
     residual: Residual, pitch: float | Array, distance: Array | float, continuation: float
 ) -> Array:
-    """Bound the field error of a softened rim at distances, m, from the tilt's image point.
+    """Return an upper bound of the field error of a pupil with a blurred rim on a grid.
 
-    ``pitch`` is that of the pupil grid, m. ``continuation`` is `CONTINUATION`, or 0 for a wave that
-    continues smoothly outside the rim. The terms are explained in `edge_errors`.
+    Parameters
+    ----------
+    residual : Residual
+        Wave without piston and tilt.
+    pitch : ndarray or float
+        Spacing of the pupil grid, m.
+    distance : ndarray or float
+        Distance of the image point from the spot's centre, m; it broadcasts with ``pitch``.
+    continuation : float
+        `CONTINUATION`, or 0 for a wave that continues smoothly outside the rim.
+
+    Returns
+    -------
+    ndarray
+        Largest modulus of the error, relative to the field's peak without aberration. The terms are
+        explained in `edge_errors`.
     """
     wave = residual.wavefront
     unit, reach = residual.airy_unit, residual.rays.reach
@@ -193,10 +250,11 @@ def soft_rim_error(
 
 
 def damping_error(residual: Residual, grid: PupilGrid, pixel: float) -> float:
-    """Relative energy lost by a pixel of side ``pixel``, m, that holds the spot, for rim "cut".
+    """Return the fraction of a pixel's energy that is lost by weighting the squares on the rim.
 
-    The sinc damping of `edge_errors` causes it. It is the mean of ``3.3 (s/P)^2`` times the Airy
-    tail over the pixel, divided by the pixel's energy.
+    The pixel, of side ``pixel``, m, contains the whole spot. The result is 0 unless the grid's
+    ``rim`` is "cut". The factor sinc(s/P) of `edge_errors` reduces the energy: the loss is the
+    integral of ``3.3 (s/P)^2`` times the Airy tail over the pixel, divided by the pixel's energy.
     """
     if grid.rim != "cut":
         return 0.0
@@ -205,13 +263,13 @@ def damping_error(residual: Residual, grid: PupilGrid, pixel: float) -> float:
 
 
 def _period(residual: Residual, grid: PupilGrid) -> float:
-    """Distance after which the image of a sampled pupil repeats, m."""
+    """Return the distance after which the image of a sampled pupil repeats, m."""
     wave = residual.wavefront
     return wave.wavelength * abs(wave.image_distance) / grid.pitch
 
 
 def tail(r: Array) -> Array:
-    """Upper envelope of the Airy field at a distance of ``r`` Airy units, 1 at the peak."""
+    """Return an upper bound of the Airy field, 1 at its centre, at a distance of ``r`` lambda N."""
     v = np.maximum(math.pi * r, 1.0)
     return np.asarray(np.minimum(1.0, np.sqrt(8 / (math.pi * v**3))))
 

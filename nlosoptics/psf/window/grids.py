@@ -81,20 +81,20 @@ BLOCK = 2**16
 
 @dataclass(frozen=True, eq=False)
 class PupilGrid:
-    """Pupil function of a residual on a square grid; without aberration its sum is 1.
+    """Pupil function ``A exp(ikW)`` of a wave without piston and tilt, on a square grid.
 
     Parameters
     ----------
     values : ndarray, (n, n)
-        Amplitude times cell area times exp(ikW), normalised, complex128; rows are v, and sample
-        [centre, centre] is on the axis.
+        Amplitude times area times exp(ikW), complex128; rows run along v, and sample
+        [n//2, n//2] is on the axis. Values are scaled such that without aberration their sum is 1.
     pitch : float
         Spacing of the samples in the pupil, m.
     jump : float
-        Largest step of the residual between neighbours, waves.
+        Largest difference of the aberration between neighbouring samples, wavelengths.
     rim : {"soft", "cut", "map"}
-        Treatment of the rim: softened for the grid, cells weighted by their area inside, or a pixel
-        map used as it is.
+        Treatment of the pupil's rim: blurred over a few squares ("soft"), squares weighted by their
+        area inside ("cut"), or a pixel map used as it is ("map").
     """
 
     values: ComplexArray

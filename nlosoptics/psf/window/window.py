@@ -27,16 +27,16 @@ WIDEST_DEFAULT = 4096
 
 @dataclass(frozen=True)
 class Window:
-    """Equidistant image points on a rectangle.
+    """Grid of evenly spaced points on a rectangle of the image plane.
 
     Parameters
     ----------
     pitch : float
-        Distance between neighbours, m.
+        Distance between neighbouring points along x and y, m.
     shape : (int, int)
         Number of points (ny, nx).
     first : (float, float)
-        Coordinates (x, y) of sample [0, 0], m.
+        Coordinates (x, y) of point [0, 0], m.
     """
 
     pitch: float
@@ -45,7 +45,15 @@ class Window:
 
     @classmethod
     def centred(cls, pitch: float, shape: tuple[int, int]) -> Window:
-        """Return a window with sample [ny//2, nx//2] on the axis."""
+        """Return a window with point [ny//2, nx//2] at x = y = 0, on the optical axis.
+
+        Parameters
+        ----------
+        pitch : float
+            Distance between neighbouring points, m.
+        shape : (int, int)
+            Number of points (ny, nx).
+        """
         ny, nx = shape
         return cls(pitch, shape, (-(nx // 2) * pitch, -(ny // 2) * pitch))
 
@@ -60,7 +68,7 @@ class Window:
         return self.first[1] + np.arange(self.shape[0], dtype=np.float64) * self.pitch
 
     def reach_from(self, point: tuple[float, float]) -> tuple[float, float]:
-        """Return the largest distances along x and along y from a point to the window, m."""
+        """Return the largest distances along x and y from a point (x, y) to window points, m."""
         far = []
         for first, n, centre in zip(self.first, self.shape[::-1], point, strict=True):
             far.append(max(abs(first - centre), abs(first + (n - 1) * self.pitch - centre)))
@@ -86,9 +94,9 @@ def middle(shape: tuple[int, ...], inner: tuple[int, ...]) -> tuple[slice, slice
 
 
 def default_shape(residual: Residual, pitch: float) -> tuple[int, int]:
-    """Return the shape of a square window that holds the rays and 16 Airy units of tail.
+    """Return the shape of a square window that holds the rays and a margin for diffraction.
 
-    It has at least 256 samples per side; ``pitch`` is in m.
+    The margin is 16 lambda N. The window has at least 256 samples per side; ``pitch`` is in m.
 
     Raises
     ------
@@ -161,27 +169,25 @@ def _lost_rays(residual: Residual, pitch: float, shape: tuple[int, int]) -> floa
 
 
 def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> int:
-    """Return the size of a window outside which the point spread stays below ``tol`` of its peak.
+    """Return the number of pixels per side of an image that contains the whole point spread.
 
-    The window contains all points at which rays arrive. Beyond the outermost ray it extends until
-    the diffraction tail in a pixel falls below ``tol``. The tail of a round pupil is at most 2
-    lambda N/(pi^3 r^3) per area; straight edges of an aperture cause spikes, which the window
-    contains too.
+    Outside it, the energy in each pixel is below ``tol`` times that of the brightest pixel.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with any ``layout`` of its nodes.
+        Wave in the exit pupil, of any layout.
     pitch : float
         Pixel side, m.
     tol : float
-        Limit relative to the brightest pixel, above 0 to 1.
+        Largest energy of a pixel outside, divided by that of the brightest pixel; above 0, at most
+        1.
 
     Returns
     -------
     int
-        Odd number of pixels per side, for a window centred on the reference point x = y = 0. It is
-        large enough for the image shift by a tilt.
+        Odd number of pixels per side of a square centred on x = y = 0, where the optical axis meets
+        the image plane. If a tilt shifts the spot, the square is large enough to contain it.
 
     Raises
     ------
@@ -192,8 +198,17 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
     --------
     point_spread : Takes this number as ``shape``.
 
+    Notes
+    -----
+    The square contains all points at which rays arrive. Around them, diffraction at the rim of the
+    pupil causes a faint tail. At the distance r from the outermost ray, the tail of a round pupil
+    has at most the energy ``2 lambda N/(pi^3 r^3)`` per area, with the wavelength lambda and the
+    F-number N. Straight edges of an aperture cause spikes, which the square contains as well.
+
     Examples
     --------
+    Pixels per side that hold the image of an F/2 beam on pixels of 9 micrometres:
+
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
     ...     {4: 50e-9}, wavelength=632.8e-9, pupil_radius=0.0125, image_distance=0.05

@@ -1,0 +1,95 @@
+"""Sample points of a wave: cached ones, and checks that they are those of its layout."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import SceneError
+from ..aperture.aperture import Aperture
+from ..aperture.cell_nodes import kept_even_cells, shared_cell_nodes
+from ..aperture.quadrature_nodes import KEPT, kept_even, kept_polar_nodes, polar_nodes
+
+Array = NDArray[np.float64]
+
+
+def grid_pitch(u: Array) -> float:
+    """Return the spacing, m, of a grid of coordinates u (n, n)."""
+    # Next to the axis, where u is 0, the difference is exact.
+    axis = u.shape[1] // 2
+    return float(u[0, axis] - u[0, axis - 1])
+
+
+def kept_arrays(
+    layout: str, u: Any, radius: float, obscuration: float, aperture: Aperture | None
+) -> dict[str, Array]:
+    """Return cached nodes and uniform amplitude in the shape of u; they need no checks.
+
+    The result is empty if there are none. ``radius`` is the pupil radius, m.
+    """
+    if not isinstance(u, np.ndarray) or not 0 < u.size <= KEPT:
+        return {}
+    shape = u.shape
+    if layout == "cells" and aperture is not None and len(shape) == 3:
+        u, v, weights = shared_cell_nodes(aperture, *shape[1:])
+        if len(u) != shape[0]:
+            return {}
+        return {"u": u, "v": v, "amplitude": kept_even_cells(shape), "weights": weights}
+    if layout != "polar" or len(shape) != 2:
+        return {}
+    u, v, weights = kept_polar_nodes(radius, *shape, obscuration)
+    return {"u": u, "v": v, "amplitude": kept_even(*shape), "weights": weights}
+
+
+def check_aperture(layout: str, aperture: Aperture | None, obscuration: float) -> None:
+    """Raise `SceneError` if an aperture is missing, or contradicts the layout or obscuration."""
+    if aperture is None and layout == "cells":
+        raise SceneError("wavefront.aperture is missing, layout 'cells' needs it; give it")
+    if aperture is not None and layout not in ("cells", "grid"):
+        raise SceneError(
+            f"wavefront.layout = '{layout}' cannot follow an aperture; use 'cells' or 'grid'"
+        )
+    if aperture is not None and obscuration != 0:
+        raise SceneError(
+            f"wavefront.obscuration = {obscuration:g} with an aperture, limit 0; make it part of "
+            "the aperture"
+        )
+
+
+def check_nodes(
+    layout: str, u: Array, v: Array, radius: float, obscuration: float, aperture: Aperture | None
+) -> None:
+    """Raise `SceneError` if the coordinates u and v, m, are not those of the layout.
+
+    ``radius`` is the pupil radius, m.
+    """
+    if layout == "scattered":
+        return
+    if layout == "cells" and aperture is not None:
+        right_u, right_v, _ = shared_cell_nodes(aperture, *u.shape[1:])
+        if right_u.shape != u.shape:
+            raise SceneError(
+                f"wavefront.u has shape {u.shape}; the aperture's {len(right_u)} patches need "
+                f"{right_u.shape}"
+            )
+        radius, remedy = aperture.bounding_radius, "take them from aperture.nodes"
+    elif layout == "polar":
+        make = kept_polar_nodes if u.size <= KEPT else polar_nodes
+        n_r, n_theta = u.shape
+        right_u, right_v, _ = make(radius, n_r, n_theta, obscuration)
+        remedy = "take them from psf.polar_nodes"
+    else:
+        rows, columns = u.shape
+        if rows != columns or rows < 2:
+            raise SceneError(f"a grid wavefront has shape {u.shape}; give a square grid")
+        axis = (np.arange(rows) - rows // 2) * grid_pitch(u)
+        right_v, right_u = np.meshgrid(axis, axis, indexing="ij")
+        remedy = "use (arange(n) - n//2) * pitch, rows along v"
+    error = max(float(np.abs(u - right_u).max()), float(np.abs(v - right_v).max()))
+    if not error <= 1e-9 * radius:
+        raise SceneError(
+            f"wavefront.u, v are {error:.3g} m off the nodes of layout '{layout}', limit "
+            f"{1e-9 * radius:.1g} m; {remedy}"
+        )
