@@ -90,8 +90,8 @@ def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
     counts : ndarray, (ny, nx) float64
         Counts as stored, row 0 at the top.
     full : float or None
-        Largest count of unsigned 8 or 16-bit data, taken as the saturation level; None for
-        other types.
+        Largest value that the data type can hold, for unsigned integers of 8 bits (255) or 16 bits
+        (65535). It is taken as the saturation level. None for other types.
 
     Raises
     ------

@@ -63,9 +63,10 @@ def spot_coherence(
     By the van Cittert-Zernike theorem [1]_, the degree of coherence between points x and x0 is
     ``mu = sum E exp(ik(|p - x| - |p - x0|)) / sum E``. The sums run over the points p of the spot,
     E is the irradiance there, and k = 2 pi/lambda with the wavelength lambda. The beam is uniform
-    across its diameter. The microscopic heights of the wall make the light of different points p
-    mutually incoherent, and mu is the mean over these heights. The wall's reflection, the distance
-    and the obliquity are taken as equal for all p.
+    across its diameter. The formula is the mean over all realisations of the wall's microscopic
+    heights. In this mean, the light of different points p is mutually incoherent. The reflectance
+    of the wall and the decrease of the amplitude with distance and obliquity are taken as equal for
+    all p; only the phase depends on the distance.
 
     For polarised light, the correlation of the speckle intensities at both points is ``|mu|^2``. A
     round spot of diameter D, seen at normal incidence from the distance z, has

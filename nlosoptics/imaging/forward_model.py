@@ -78,11 +78,11 @@ class ForwardModel(Noun):
 
     Notes
     -----
-    The convolution is computed by fast Fourier transforms. With "padded", the grid is larger than
-    the frame by the extent of the kernel to one side of its centre, the larger of the two. Light
-    that wraps around then falls outside the frame and is cropped. Kernel samples farther from the
-    centre than the frame is wide have no effect and are dropped. The transforms run on one thread,
-    so that results do not depend on the number of threads.
+    The convolution is computed by fast Fourier transforms. With "padded", the grid exceeds the
+    frame along each axis by at least the larger of the two distances from the centre of the kernel
+    to its ends. Light that wraps around then falls outside the frame and is cropped. Kernel samples
+    farther from the centre than the frame is wide have no effect and are dropped. The transforms
+    run on one thread, so that results do not depend on the number of threads.
 
     Examples
     --------

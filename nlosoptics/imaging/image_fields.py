@@ -63,16 +63,17 @@ def image_field(
         PSFs on the finest grid of nodes that was computed. The refinement ends when the
         images of three successive grids agree within ``tol``, or those of two within a tenth of it.
     error : float
-        Difference between these images, rms over rms. It estimates the error of the coarser grids,
-        which usually exceeds that of ``field``.
+        Difference between the images of the last two grids, rms over rms; if three grids were
+        compared, the larger of their two successive differences. It estimates the error of the
+        coarser grids. The error of ``field``, the finest grid, is usually smaller.
 
     Raises
     ------
     SceneError
         If an option is out of range, or the object is a mesh.
     SamplingError
-        If the images still differ at ``most_nodes``, or if the next grid would take longer than the
-        ``max_seconds`` of the run that called this function.
+        If the images still differ at ``most_nodes``. Within `nlosoptics.simulate` with
+        ``max_seconds``, also if the next grid would take longer than this limit.
     NlosError
         If a PSF cannot be computed; see `nlosoptics.psf.point_spread_field`.
 

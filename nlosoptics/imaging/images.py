@@ -60,9 +60,10 @@ MESH_SAMPLES = 2  # chief rays along each side of a pixel
 class SpeckleImage(Noun, Shown):
     """Simulated camera image in electrons, with its components and noise.
 
-    `form_image` computes it. The arrays are read-only and ordered [y, x], with row 0 at the lowest
-    y of the detector. The lens inverts the image, so that the scene appears upright if row 0 is
-    drawn on top. The x and y axes of the detector are the first two rows of ``camera.frame``.
+    `form_image` computes it. The name refers to speckle, the granular noise of laser light, which
+    is included. The arrays are read-only and ordered [y, x], with row 0 at the lowest y of the
+    detector. The lens inverts the image, so that the scene appears upright if row 0 is drawn on
+    top. The x and y axes of the detector are the first two rows of ``camera.frame``.
 
     Parameters
     ----------
@@ -71,7 +72,9 @@ class SpeckleImage(Noun, Shown):
         analogue-to-digital converter is subtracted, so that dark pixels can be negative;
         background and dark current are included.
     expected : ndarray, (ny, nx)
-        ``signal + background``, electrons: the mean of many exposures if no pixel saturates.
+        ``signal + background``, electrons: the mean over all noise, including speckle, if no pixel
+        saturates. In repeated exposures of a static scene the speckle pattern stays the same, so
+        that only the other noise averages out.
     signal : ndarray, (ny, nx)
         Expected electrons of the object's image that the mirror-like part of the wall's reflection
         forms, blurred by the point spread function; zero if the wall has no such part.
@@ -246,9 +249,10 @@ def form_image(
     scene : Scene
         Scene to image.
     point_spread : PointSpread or PointSpreadField
-        Point spread function from the same scene, with ``normalisation="unit-sum"`` (energy per
-        pixel) and the pitch of the camera's image pixels. A field gives it for every point of a
-        planar object.
+        Point spread function from the same scene, with ``normalisation="unit-sum"`` and the pitch
+        of the camera's image pixels. Its values are fractions of the energy, so that their sum is 1
+        minus the fraction outside the window on which it was computed. A field gives the function
+        for every point of a planar object.
     object_image : array_like, (rows, columns), optional
         Reflectances, 0 to 1, that replace the image on a planar object, row 0 on top. The object's
         size is unchanged. None: the scene's own.
@@ -282,11 +286,14 @@ def form_image(
     Notes
     -----
     Rays through the centre of the lens (chief rays) are traced from the corners of each pixel via
-    the wall to the object, to find the area that the pixel sees. The unblurred pixel value is the
-    mean reflectance of that area, times the radiance of a white object at the pixel's centre, times
-    the reflectance of the mirror-like part of the wall's material. This image is convolved with the
-    point spread function, which sums to the energy inside its window. The energy outside is lost
-    and listed in ``SpeckleImage.ledger``.
+    the wall to the object, to find the area that the pixel sees. The unblurred image is
+    proportional to a product of three factors: the mean reflectance of that area, the radiance that
+    a white object would have where the chief ray of the pixel's centre meets it, and the
+    reflectance of the mirror-like part of the wall's material. The camera's lens, exposure time and
+    quantum efficiency convert this radiance to electrons.
+
+    The unblurred image is convolved with the point spread function. Energy that this function sends
+    outside its window is lost; ``SpeckleImage.ledger`` lists it as "beyond_window".
 
     Two effects are neglected: blurred light from parts of the object outside the field of view, and
     the laser beam that a perfectly smooth wall reflects into the room. Occluders dim the light by

@@ -50,20 +50,22 @@ SHADOW_BYTES = 450  # measured memory per pixel
 class Shadows(Noun):
     """Fractions of the light that pass the black occluders of a scene; 1 without any shadow.
 
-    `cast_shadows` computes them for each image pixel. The arrays are read-only.
+    `cast_shadows` computes them for each image pixel. The arrays are read-only. Light that the wall
+    scatters diffusely covers the image like a veil; its intensity in a pixel is multiplied by both
+    ``view`` and ``veil``.
 
     Parameters
     ----------
     image : ndarray, (ny, nx)
-        For the object's image: fraction of the paths from the laser spot via object and wall to the
-        lens that are not blocked, averaged over the area of the pixel and over the lens.
+        For the object's image, the whole way from the laser spot via object and wall to the lens:
+        fraction of the paths that are not blocked, averaged over the area of the pixel and over the
+        lens.
     view : ndarray, (ny, nx)
-        For diffuse light, last leg: fraction of the paths from the wall to the lens that are not
+        For diffuse light, the way from the wall to the lens: fraction of the paths that are not
         blocked, averaged over the area of the pixel and over the lens.
     veil : ndarray, (ny, nx)
-        For diffuse light, other legs: fraction of the light from the laser spot via the object that
-        reaches the wall point seen by the pixel. The wall scatters it there, and it veils the
-        image.
+        For diffuse light, the way from the laser spot via the object to the wall point that the
+        pixel sees: fraction of this light that is not blocked.
     spot : float
         Fraction of the lens that receives direct light from the laser spot.
 
@@ -93,8 +95,8 @@ def cast_shadows(scene: Scene) -> Shadows:
     Returns
     -------
     Shadows
-        Fractions for the object's image and for diffuse light, in each image pixel, and for direct
-        light of the laser spot.
+        In each image pixel, the fractions ``image`` for the object's image, and ``view`` and
+        ``veil`` for diffuse light; and the fraction ``spot`` for direct light of the laser spot.
 
     Raises
     ------
@@ -111,15 +113,20 @@ def cast_shadows(scene: Scene) -> Shadows:
 
     Notes
     -----
-    ``image`` and ``view`` are the unblocked fractions of 16 paths per pixel, each with its own
-    point of the pixel and its own point of the lens. Their error at the edge of a shadow is a few
-    hundredths. For each point of the pixel, the chief ray, through the centre of the lens, is
-    traced exactly. The path through the other point of the lens is approximated: it meets the wall
-    in the tangent plane at the chief ray's wall point, and the object where the chief ray does.
+    ``Shadows.image`` concerns paths from the laser spot via object and wall to the lens, and
+    ``Shadows.view`` their last part, from wall to lens. Both are fractions of 16 paths per pixel,
+    each with its own point of the pixel and its own point of the lens. Their error at the edge of a
+    shadow is a few hundredths.
 
-    ``veil`` is summed over 1024 object points at 65 x 65 pixels and interpolated bilinearly. Its
-    error is a few thousandths, or a few hundredths at the edge of a shadow that an occluder close
-    to the wall casts on it.
+    The paths are found from the chief ray of each point of the pixel, which passes through the
+    centre of the lens and is traced exactly. The path through another point of the lens is
+    approximated. It meets the object where the chief ray does, and the tangent plane of the wall at
+    the wall point of the chief ray.
+
+    ``Shadows.veil`` concerns diffuse light on its way from the laser spot via the object to the
+    wall. It is computed at 65 x 65 pixels as a sum over 1024 points of the object, and interpolated
+    bilinearly between these pixels. Its error is a few thousandths, or a few hundredths at the edge
+    of a shadow that an occluder close to the wall casts on it.
 
     The laser spot is treated as a point, and its image is dimmed uniformly.
     """

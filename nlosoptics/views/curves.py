@@ -220,10 +220,11 @@ def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
     Returns
     -------
     Axes
-        Axes with the shift in mm, positive in the direction of the light. The criteria "rms" and
-        "spot" are in um, "strehl" and "mtf" are relative. The shaded range is the depth of focus
-        about the best plane: ``2 lambda N^2`` to each side, with the wavelength lambda and the
-        F-number N, which is a quarter of a wave of defocus at the pupil's rim.
+        Axes with the shift in mm, positive in the direction of the light. The vertical axis shows
+        the metric of ``criterion``: the rms wave aberration ("rms") or the spot radius ("spot") in
+        um, or the relative values "strehl" and "mtf". The shaded range is the depth of focus about
+        the best plane. It extends by ``2 lambda N^2`` to each side, with the wavelength lambda and
+        the F-number N. At its ends, the defocus at the pupil's rim is a quarter of a wave.
 
     See Also
     --------

@@ -61,11 +61,14 @@ def transient(
     capture : TransientCapture
         Capture to draw.
     at : sequence of float, optional
-        Times of the frames, m of optical path. None: three, at which one, three and five sixths of
-        the total signal have arrived. An empty sequence draws no frames.
+        Times of the frames, m of optical path. A frame shows the bin that contains its time, and
+        its title gives the centre of this bin. None: three times, by which 1/6, 3/6 and 5/6 of the
+        total signal have arrived; no frames if the sensor points form no grid. An empty sequence
+        also draws no frames.
     laser : int
         Index of the laser point whose signal is drawn, in the flattened (C order) grid of laser
-        points; only for captures with ``pairing="all"``.
+        points; only for captures with ``pairing="all"`` (every laser point with every sensor
+        point).
     axes : sequence of matplotlib Axes, optional
         Axes to draw on, one for the streak image and one for each frame. A new figure by default.
 
@@ -74,10 +77,10 @@ def transient(
     tuple of Axes
         Axes of the streak image, then of the frames. The streak image shows the optical path, m,
         from the first to the last bin with signal, against x, m, along the middle row of sensor
-        points. If the sensor points do not form a grid, their index replaces x. For a single
-        sensor point a curve is drawn instead. Frames show x and y, m, as seen from the room: x
-        points right and y up. All have the same colour scale, proportional to the square root of
-        the signal. Negative values are drawn as 0.
+        points. If the sensor points do not form a grid, their index replaces x. For a single sensor
+        point a curve is drawn instead. Frames show x and y, m, as seen from the room: x points
+        right and y up. Streak image and frames have the same colour scale, proportional to the
+        square root of the signal. Negative values are drawn as 0.
 
     Raises
     ------
@@ -85,7 +88,8 @@ def transient(
         If ``at`` or ``laser`` is out of the range of the capture, if frames are requested and the
         sensor points do not form a grid, or if the number of axes is wrong.
     SamplingError
-        If the sensor points are neither a list nor a grid.
+        If the shape of ``sensor_points`` is neither that of a list, (n, 3), nor that of a grid,
+        (ny, nx, 3).
 
     See Also
     --------
@@ -93,6 +97,8 @@ def transient(
 
     Examples
     --------
+    The frame at 2 m shows the bin from 2.00 to 2.02 m:
+
     >>> import numpy as np
     >>> from nlosoptics import transient, views
     >>> capture = transient.TransientCapture(
@@ -161,7 +167,8 @@ def transient_film(
         travelled). None: the first and last bin with signal.
     laser : int
         Index of the laser point whose signal is drawn, in the flattened (C order) grid of laser
-        points; only for captures with ``pairing="all"``.
+        points; only for captures with ``pairing="all"`` (every laser point with every sensor
+        point).
     most : int
         Largest number of frames. If there are more bins, each frame is the sum of several bins.
     axes : matplotlib Axes, optional

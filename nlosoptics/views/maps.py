@@ -292,7 +292,8 @@ def image(
     Parameters
     ----------
     speckle_image : SpeckleImage
-        Image to draw, such as ``image`` of a result of `nlosoptics.simulate`.
+        Simulated camera image to draw, such as ``image`` of a result of `nlosoptics.simulate`. The
+        type is named after the speckle, the granular noise of laser light, that it includes.
     object_scale : float, optional
         Metres on the hidden object per metre on the detector, from
         `nlosoptics.limits.object_scale`. It adds a scale bar with a length on the object. None: no
@@ -438,8 +439,8 @@ def reconstruction(
     reconstruction : Reconstruction
         Result of a solver, such as `nlosoptics.inverse.tv_deconvolve`.
     truth : array_like, (ny, nx), optional
-        True object on the pixels of the reconstruction, in the units of the reconstruction. None:
-        only the reconstruction is drawn.
+        True object on the pixels of the reconstruction, in the unit of ``Reconstruction.object``.
+        None: only the reconstruction is drawn.
     pitch : float, optional
         Side of a pixel on the hidden object, m. The axes are then in metres about the middle of the
         image. None: the axes count pixels.
@@ -451,8 +452,9 @@ def reconstruction(
     tuple of Axes
         Axes of the truth (if given) and of the reconstruction. They are drawn as seen by a viewer
         in front of the object, upright and without the mirror reversal by the wall. The title of
-        the reconstruction gives its status. The colour bar is labelled relative brightness if the
-        largest value is 1, and object units otherwise.
+        the reconstruction gives its status. Each has its own colour bar, labelled "relative
+        brightness" if the largest value drawn there is 1. Otherwise it is labelled "object units",
+        which are the unit of ``Reconstruction.object``.
 
     See Also
     --------

@@ -145,9 +145,10 @@ def ray_paths(
         Whether to draw only paths with status 0: those that reach the detector or, for
         `nlosoptics.raytrace.pupil_rays`, the lens.
     most : int
-        Largest number of paths drawn. Paths that the hidden object reflected come first, and stray
-        light is drawn only if they are fewer. From more paths, a sample is drawn in proportion to
-        their power, so that the density of lines shows the power.
+        Largest number of paths drawn. Paths that the hidden object reflected are chosen first. Only
+        if there are fewer than ``most``, paths of stray light, which never met the object, are
+        added. If one of these two kinds has more paths than can be drawn, a sample is chosen in
+        proportion to their power. The density of lines then shows the power.
     plotter : pyvista Plotter, optional
         Plotter to draw on; by default a new one that renders off screen, for `save`. A scene and
         paths that the plotter already shows are replaced.

@@ -36,7 +36,8 @@ def study_map(
     """Draw a figure of merit of a design study: a map over two dimensions, or a curve over one.
 
     A dimension is a value of the scene that the study varies, such as ``wall.radius``, and its
-    steps are the values that it takes. The last two dimensions with several steps are drawn.
+    steps are the values that it takes. The map shows the last two dimensions of several steps that
+    have no entry in ``at``.
 
     Parameters
     ----------
@@ -45,11 +46,11 @@ def study_map(
     figure : str
         Name of the figure of merit, as in the study file, for example ``"strehl"``.
     at : mapping of str to int, optional
-        Index of the step to show along other dimensions, from 0, by the name of the dimension. A
-        dimension without entry is shown at its middle step.
+        Steps to show along the other dimensions: a mapping from the name of a dimension to the
+        index of its step, from 0. A dimension without entry is shown at its middle step.
     boundary : float, optional
-        Value of the figure of merit at which to draw a line between cells, for example that from
-        which a reconstruction is readable. In a map, cells below this value are hatched.
+        Value of the figure of merit at which to draw a line between cells, for example the least
+        value at which a reconstruction is readable. In a map, cells below this value are hatched.
     contours : sequence of float, optional
         Values of contour lines in a map, interpolated between the centres of its cells. None: no
         lines; instead, a map of at most 80 cells shows its values as numbers.
@@ -103,7 +104,7 @@ def study_panels(
     """Draw a figure of merit over three dimensions of a design study, as maps side by side.
 
     A dimension is a value of the scene that the study varies, and its steps are the values that it
-    takes. The last three dimensions with several steps are drawn.
+    takes. The maps show the last three dimensions of several steps that have no entry in ``at``.
 
     Parameters
     ----------
@@ -112,8 +113,8 @@ def study_panels(
     figure : str
         Name of the figure of merit, as in the study file, for example ``"strehl"``.
     at : mapping of str to int, optional
-        Index of the step to show along other dimensions, from 0, by the name of the dimension. A
-        dimension without entry is shown at its middle step.
+        Steps to show along the other dimensions: a mapping from the name of a dimension to the
+        index of its step, from 0. A dimension without entry is shown at its middle step.
     boundary : float, optional
         Value of the figure of merit at which to draw a line between cells; cells below it are
         hatched.
@@ -437,10 +438,11 @@ def study_slices(
     boundary: float | None = None,
     axes: Sequence[Axes] | None = None,
 ) -> tuple[Axes, ...]:
-    """Draw how a figure of merit depends on each value that a design study varies, one at a time.
+    """Draw a figure of merit over each dimension of a design study, one panel for each dimension.
 
-    A study varies values of the scene, such as ``wall.radius``, in steps along a dimension each, or
-    draws all of them at random.
+    A dimension is a value of the scene that the study varies, such as ``wall.radius``, and its
+    steps are the values that it takes. In each panel, the other dimensions are held at one step. If
+    the study draws its values at random, each panel shows all draws against one of the values.
 
     Parameters
     ----------
@@ -449,8 +451,8 @@ def study_slices(
     figure : str
         Name of the figure of merit, as in the study file, for example ``"strehl"``.
     at : mapping of str to int, optional
-        Index of the step, from 0, at which a dimension is held in the curves along the others, by
-        the name of the dimension. A dimension without entry is held at its middle step.
+        Steps at which dimensions are held: a mapping from the name of a dimension to the index of
+        its step, from 0. A dimension without entry is held at its middle step.
     boundary : float, optional
         Value of the figure of merit at which to draw a horizontal line. None: no line.
     axes : sequence of matplotlib Axes, optional
@@ -466,9 +468,9 @@ def study_slices(
     Raises
     ------
     SceneError
-        If the study has no such figure of merit, dimension or step; if it changes values one at a
-        time (table ``one_at_a_time``), for which `tornado` is made; or if it mixes random draws
-        with other dimensions.
+        If the study has no such figure of merit, dimension or step; if it varies a base scene by
+        one value at a time (table ``one_at_a_time``), which `tornado` draws; or if it mixes random
+        draws with other dimensions.
 
     See Also
     --------

@@ -43,8 +43,8 @@ class RayPaths(Noun):
     """Light paths through a scene, and the power of the light, sorted by how its paths end.
 
     `trace` returns the paths from the laser to the detector, and `pupil_rays` those from one object
-    point to the lens. The powers from ``ledger`` on include all traced light, even if no single
-    paths were kept.
+    point to the lens. ``ledger`` and all values listed after it include all traced light, even if
+    no single paths were kept.
 
     Parameters
     ----------
@@ -105,8 +105,8 @@ class RayPaths(Noun):
         element 4 of ``by_bounce``, ``"bounce 4"``. Their standard errors were increased, but may
         still be too small; trace more rays.
     unreached : tuple of str
-        Kinds of paths that rays find only by chance. The results may miss light on these paths, and
-        the errors may not show it.
+        Kinds of paths that no sampling method aims at, so that rays find them only rarely. The
+        results may miss light on these paths, and the errors may not show it.
     seconds : float
         Wall-clock time, s.
     queries : mapping of str to int

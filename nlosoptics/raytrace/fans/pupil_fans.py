@@ -28,8 +28,8 @@ def pupil_rays(
 ) -> RayPaths:
     """Trace a fan of rays from one object point via the mirroring wall to the lens.
 
-    The wall reflects as a perfect mirror of its own shape. The rays sample the pupil evenly, for
-    example for a spot diagram or to compute the wave.
+    The wall is treated as a perfect mirror that has the wall's shape. The rays sample the pupil
+    evenly, for example for a spot diagram or to compute the wave.
 
     Parameters
     ----------

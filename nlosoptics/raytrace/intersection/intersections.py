@@ -107,8 +107,8 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     ``f + f' s - M s^2/2 = 0``. Such a step never passes a crossing, and near a crossing it
     converges like Newton's method.
 
-    A `nlosoptics.scene.SumWall` without a size that contains a sphere or cylinder is searched only
-    up to 0.999 of the radius from the axis, since the slope is infinite at the rim.
+    The slope of a sphere or cylinder is infinite at its rim. If a `nlosoptics.scene.SumWall` has
+    such a part, hits are searched only up to 0.999 of the radius from the axis of this part.
 
     Examples
     --------

@@ -105,11 +105,13 @@ def intersect_mesh(
     -----
     Large meshes, of more than 256 triangles, are first searched in single precision. A ray may then
     be assigned a wrong triangle, or none, in two cases: where two sheets of the mesh are closer to
-    each other than 1e-6 of its extent, and where the ray passes within this distance of an outline
-    or of a sharp corner. Smaller meshes are searched in float64 and have no such cases.
+    each other than 1e-6 of its extent, and where the ray passes within this distance of a sharp
+    corner or of an edge beyond which the ray sees nothing of the mesh. Smaller meshes are searched
+    in float64 and have no such cases.
 
-    A ray that starts on a triangle may miss it, or hit it at a distance of the order of rounding
-    errors. Give ``min_distance`` to ignore such hits. Other triangles are not affected.
+    A ray that starts on a triangle may miss this triangle, or hit it at a distance of the order of
+    rounding errors. Give ``min_distance`` to ignore such hits. Hits on all other triangles are
+    found.
 
     Examples
     --------
@@ -217,9 +219,10 @@ def all_hits(
     Notes
     -----
     Hits from the same side at the same distance, to rounding, count once. This applies to a ray
-    through a shared edge or vertex and to coincident sheets. Where a ray only touches an outline,
-    it enters and leaves the mesh there, which counts as two hits. A ray from outside a closed mesh
-    therefore has an even number of hits. A triangle whose plane contains the ray is not hit.
+    through a shared edge or vertex and to coincident sheets. A ray may graze an edge at which one
+    adjacent triangle faces the ray and the other faces away. It enters and leaves the mesh there,
+    which counts as two hits. A ray from outside a closed mesh therefore has an even number of hits.
+    A triangle whose plane contains the ray is not hit.
 
     Examples
     --------
@@ -252,8 +255,8 @@ def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> N
         Triangle mesh, world frame, m.
     origins, targets : array_like, (..., 3)
         First and second ends of the lines, world frame, m; their shapes broadcast. Ends may lie on
-        the mesh, because intersections very close to an end are ignored: closer than 1e-9 of half
-        the mesh's extent, or than the rounding of the coordinates.
+        the mesh, because intersections very close to an end are ignored. The limit is 1e-9 of half
+        the mesh's extent, plus the rounding error of the coordinates.
 
     Returns
     -------

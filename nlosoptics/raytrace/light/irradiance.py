@@ -31,8 +31,9 @@ class WallIrradiance(Noun):
     x, y : ndarray, (nx,) and (ny,)
         Centres of the cells, world frame, m.
     irradiance : ndarray, (ny, nx)
-        Power that arrives on each cell, divided by the area of the wall's surface in it, W/m^2;
-        row 0 at the lowest y.
+        Power that arrives on each cell, divided by the area of the wall's surface in it, W/m^2; row
+        0 at the lowest y. With ``source="laser"``, the laser beam that lights the wall directly is
+        left out.
     standard_error : ndarray, (ny, nx)
         Standard error of ``irradiance``, W/m^2.
     power, power_error : float
@@ -91,8 +92,8 @@ def wall_irradiance(
     n_rays : int
         Number of rays.
     max_bounces : int
-        Largest number of reflections before light arrives at the wall, 1 to 62. With
-        ``source="object"``, 0 gives the direct light of the object alone.
+        Largest number of reflections before light arrives at the wall: 1 to 62, or 0 to 62 with
+        ``source="object"``, where 0 gives the direct light of the object alone.
     sampler : {"sobol", "philox"}
         ``"sobol"``: scrambled Sobol points, which usually give less noise. ``"philox"``:
         independent random numbers.
@@ -120,10 +121,10 @@ def wall_irradiance(
     Notes
     -----
     The arriving light is sampled in two ways. Each point that reflects a ray is connected to a
-    random point of the wall, and rays that happen to hit the wall are counted. The balance
-    heuristic weights the two, as in `trace`, so that no light is counted twice. The standard errors
-    come from 32 independent groups of rays. On a rough wall, the irradiance is the power per area
-    of the mean surface.
+    random point of the wall, and rays that happen to hit the wall are counted. Each of the two is
+    weighted by its probability density relative to the sum of both (balance heuristic), so that no
+    light is counted twice. The standard errors come from 32 independent groups of rays. On a rough
+    wall, the irradiance is the power per area of the mean surface.
 
     Examples
     --------

@@ -42,7 +42,8 @@ class RayPlan:
         How hits on the wall are found: in closed form, by steps along the ray in compiled code, or
         by such steps in Python, for a `nlosoptics.scene.CallableWall`.
     embree : bool
-        Whether rays are tested against triangles: those of a hidden mesh or of occluders.
+        Whether rays are tested against triangles: those of a hidden mesh or of occluders. Embree, a
+        library for such tests, does so for large meshes.
     wall_to_wall : bool
         Whether light from one point of the wall can meet the wall again.
     wall_shadows : bool
@@ -52,12 +53,13 @@ class RayPlan:
         Whether the material of wall or object has a glossy part (a microfacet or Ward lobe). Its
         light is then sampled in three ways instead of one; see the notes of `trace`.
     chains : bool
-        Whether the points at which mirror-like parts of wall and object reflect light, one after
-        the other, are computed by solving the law of reflection. Random rays hardly find them.
+        Whether paths on which mirror-like parts of wall and object reflect light one after the
+        other are found by solving the law of reflection for the reflection points. Random rays
+        hardly find such paths.
     unreached : tuple of str
-        Kinds of paths that rays find only if they happen to meet the lens, each with the reason.
-        If there are any, `trace` refuses the option ``tol``, because its error estimate may not
-        include their light.
+        Kinds of paths that no sampling method aims at, so that rays find them only rarely; each
+        with the reason. If there are any, `trace` refuses the option ``tol``, because its error
+        estimate may not include their light.
 
     See Also
     --------
@@ -140,6 +142,9 @@ def ray_plan(scene: Scene) -> RayPlan:
     A flat or convex wall cannot illuminate itself. A concave sphere or cylinder can. It blocks no
     line between two points in the space that it encloses, but its rim may block lines to points
     outside. Walls of other shapes can both illuminate themselves and block lines.
+
+    ``embree`` in the plan says whether rays are tested against triangles. It is named after the
+    library Embree, which does so for large meshes.
 
     Examples
     --------

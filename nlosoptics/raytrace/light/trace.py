@@ -99,8 +99,8 @@ def trace(
     ------
     SceneError
         If an option is out of range, or a part of the scene is behind the wall. With ``tol``, also
-        if no light reaches the detector via the hidden object, or if some of it is found only by
-        chance (`RayPlan.unreached`).
+        if no light reaches the detector via the hidden object, or if light can take paths that no
+        sampling method aims at, so that rays find them only rarely (`RayPlan.unreached`).
     MemoryLimitError
         If the paths to keep would not fit in memory.
 
@@ -112,25 +112,31 @@ def trace(
     Notes
     -----
     The method is bidirectional path tracing [1]_. A material is a sum of lobes, each with its own
-    angular distribution. Rays leave the wall in directions drawn from its lobes, or toward the
-    object; the one-sample balance heuristic weights the two. Each point that reflects a ray is then
-    connected to a point of the scene that is seen from the detector through the lens, and these
-    connections give the detected power. If a lobe is glossy, the paths seen from the lens are
-    extended by a second reflection, and the points that reflect rays are also connected to the lens
-    itself. The balance heuristic weights these three strategies. From the fourth reflection on,
-    weak paths are ended by Russian roulette.
+    angular distribution. Rays leave the wall either in directions drawn from its lobes or toward
+    the object; their power accounts for the probability of both. Each point that reflects a ray is
+    connected to another point of the scene, which is found by tracing a ray backwards from the
+    detector through the lens. The connections give the detected power.
 
-    Mirror-like lobes of wall and object can reflect light one after the other. Random connections
-    cannot find such paths if the lobes are narrow, so their reflection points are computed: Newton
-    steps lead from a point of the ray to a point of the lens, and the Jacobian gives the power
-    [2]_. On walls that may have several solutions, the starting points are random, and the weights
-    keep the estimate unbiased [3]_. `ray_plan` lists the kinds of paths that rays still find only
-    by chance; ``tol`` is refused for scenes that have any.
+    If a lobe is glossy, the same light is sampled in two further ways. The backward rays are
+    reflected once before they are connected, and the points that reflect rays are connected
+    directly to the lens. Where several ways lead to the same path, each is weighted by its
+    probability density relative to the sum of all (balance heuristic), so that no light is counted
+    twice. From the fourth reflection on, weak rays are ended at random, and the power of those that
+    remain is raised to compensate for this (Russian roulette).
+
+    Mirror-like lobes of wall and object can reflect light one after the other. If the lobes are
+    narrow, random connections hardly find such paths. The reflection points of such paths are
+    therefore computed. Between a given point of the ray and a given point of the lens, Newton's
+    method solves the law of reflection, and the Jacobian of the solution gives the power [2]_. On
+    walls that may have several solutions, Newton's method starts at random points, and weights keep
+    the estimate unbiased [3]_. `RayPlan.unreached` lists the kinds of paths that no method aims at,
+    so that rays find them only rarely. ``tol`` is refused if ``max_bounces`` allows any of them.
 
     The standard error is that of the mean over 32 independent groups of rays, times
     ``sqrt(31/29)``, the standard deviation of Student's distribution for 32 groups. It is infinite
-    for fewer than 4 rays. If the groups have a skewed distribution, rare paths dominate the error.
-    It is then increased, and ``uncertain`` names the results concerned.
+    for fewer than 4 rays. If the means of the groups have a skewness s above 1 or below -1, rare
+    paths dominate the error, and this estimate is too small. It is then multiplied by
+    ``sqrt(1 + 0.75 (s^2 - 1))``, and `RayPaths.uncertain` names the results concerned.
 
     References
     ----------

@@ -228,8 +228,8 @@ def trace_image(
     SceneError
         If an option is out of range, a part of the scene is behind the wall, or some but not all of
         ``t_start``, ``delta_t`` and ``n_bins`` are given. With ``tol``, also if no light reaches
-        the detector via the hidden object, or if some of it is found only by chance
-        (`RayPlan.unreached`).
+        the detector via the hidden object, or if light can take paths that no sampling method aims
+        at, so that rays find them only rarely (`RayPlan.unreached`).
     MemoryLimitError
         If the sums would not fit in memory. They take ``304 (max_bounces + 2)`` bytes per pixel
         and ``304 (max_bounces + 1)`` per bin.

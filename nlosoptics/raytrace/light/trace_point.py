@@ -40,7 +40,8 @@ SPECK = 1e-9  # m, side of the black square that replaces the hidden object
 class PointTrace(Noun):
     """Camera image of a single object point that emits 1 W, by Monte Carlo ray tracing.
 
-    `trace_point` computes it.
+    `trace_point` computes it. The point is a Lambertian or an isotropic source, by its option
+    ``emission``.
 
     Parameters
     ----------
@@ -144,8 +145,8 @@ def trace_point(
         Centre (x, y) of pixel [0, 0] in the detector plane, m; by default the pixels are centred
         on the optical axis.
     n_rays : int
-        Number of rays for the flux. About as many again are divided among the pixels, with at least
-        16 and at most 65536 for each.
+        Number of rays for the power through the lens, `PointTrace.flux`. About as many again are
+        divided among the pixels, with at least 16 and at most 65536 for each.
     max_bounces : int
         Largest number of reflections at the wall, 1 to 64. More than one occurs only on walls that
         can illuminate themselves.
@@ -174,25 +175,27 @@ def trace_point(
 
     Notes
     -----
-    The flux: rays from the object point are spread uniformly over the wall (on a wide wall, in
-    proportion to the point's emission), and the wall points are connected to points of the lens. If
-    the wall has a glossy lobe, half of the rays are aimed at the part of the wall in which the lens
-    sees the mirror image of the point. The balance heuristic then weights the connections and the
-    rays that reach the lens by scattering, as in `trace`. A smooth mirror gets additional rays,
-    aimed at the mirror image.
+    The power through the lens, ``flux``: rays from the object point are spread uniformly over the
+    wall (on a wide wall, in proportion to the point's emission). Each wall point that they meet is
+    connected to a point of the lens. If the wall has a glossy lobe, half of the rays are aimed at
+    the part of the wall in which the lens sees the mirror image of the point. Reflected rays that
+    hit the lens are then counted in addition to the connections. Each of the two is weighted by its
+    probability density relative to the sum of both (balance heuristic), so that no light is counted
+    twice. A smooth mirror gets additional rays, aimed at the mirror image.
 
-    The pixels: light of one mirror-like reflection is taken from the rays of the flux. For all
-    other light, separate rays are traced from the lens into the field of view of each pixel, and
-    the wall points that they meet are connected to the object point and to wall points that it
-    lights. A wall out of focus is blurred: the point where a ray meets the plane in focus is
-    projected through the centre of the lens.
+    The power on each pixel, ``energy``: light of one mirror-like reflection is taken from the same
+    rays as ``flux``. For all other light, separate rays are traced from the lens into the field of
+    view of each pixel. The wall points that they meet are connected to the object point and to wall
+    points that it lights. The lens is an ideal thin lens: all rays through one point of the plane
+    in focus meet at one point of the detector. A wall in another plane is therefore blurred.
 
-    The limits: the hidden object does not block light. On walls that can illuminate themselves,
-    paths with two or more mirror-like reflections are found only by chance; if one of the lobes is
-    glossy rather than smooth, single pixels are far noisier than the others. If the point is much
-    closer to the wall than the width of a pixel there, the rays of a pixel may miss its light, and
-    the standard error does not show it. The sum of ``energy`` and ``missed`` is then far below
-    ``flux``.
+    The limits: the hidden object does not block light. On walls that can illuminate themselves, no
+    rays are aimed at paths with two or more mirror-like reflections, so that few rays find them. If
+    one of the lobes is glossy rather than smooth, single pixels are then far noisier than the
+    others. If the point is much closer to the wall than the width of a pixel there, the rays of a
+    pixel may miss its light, and the standard error does not show it. The sum of ``energy`` over
+    all pixels plus ``missed``, the part of ``flux`` that falls outside the pixels, is then far
+    below ``flux``.
 
     Examples
     --------

@@ -340,8 +340,9 @@ class TransientCapture(Noun, Shown):
         Raises
         ------
         SceneError, SamplingError
-            If the file is missing, truncated or of an unknown layout; if a value is missing, not
-            finite or in another unit; or if array shapes are inconsistent.
+            If the file is missing, truncated or of an unknown layout; if a value is missing or not
+            finite; if a bin width is so small or large that it is probably not in m; or if array
+            shapes are inconsistent.
 
         See Also
         --------

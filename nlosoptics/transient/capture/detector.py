@@ -36,8 +36,8 @@ class Detector:
     ----------
     photons : float, optional
         Expected number of photons that reach the detector, summed over all bins and points of the
-        capture, with the gate open; the capture's signal ``H`` is scaled to this sum. None: the
-        values of ``H`` are already photon numbers.
+        capture, inside and outside the gate. The capture's signal ``H`` is scaled to this sum.
+        None: the values of ``H`` are already photon numbers.
     efficiency : float
         Fraction of the photons that is counted, 0 to 1.
     jitter : float

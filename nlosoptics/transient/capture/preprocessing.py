@@ -214,7 +214,8 @@ def distance_weighted(capture: TransientCapture, power: float) -> TransientCaptu
     Parameters
     ----------
     capture : TransientCapture
-        Capture whose times do not include the outer legs, see `TransientCapture`.
+        Capture whose times do not include the outer legs: the paths from laser to wall and from
+        wall to sensor. `without_outer_legs` subtracts them.
     power : float
         Exponent of half the path in m: 4 for diffuse objects, 2 for retro-reflective ones.
 
@@ -226,7 +227,7 @@ def distance_weighted(capture: TransientCapture, power: float) -> TransientCaptu
     Raises
     ------
     SceneError
-        If the times include outer legs, or the centre of bin 0 is not above 0.
+        If the times include the outer legs, or the centre of bin 0 is not above 0.
 
     See Also
     --------
@@ -259,8 +260,8 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
     TransientCapture
         Capture whose times begin at the laser point and end at the sensor point. The signal of each
         pair of points is shifted by the sum of its two paths, with linear interpolation between
-        bins. Only bins that all pairs cover are kept, so that there are fewer of them. The first
-        one begins at the old ``t_start`` minus the smallest of the sums.
+        bins. Only bins that all pairs cover are kept, which leaves fewer bins. The first one begins
+        at the old ``t_start`` minus the smallest of the sums.
 
     Raises
     ------

@@ -44,12 +44,13 @@ def backprojection(
     ----------
     capture : TransientCapture
         Capture of any pairing and grid, without light that goes directly from the laser spot to the
-        sensor. Its times may include the outer legs (see `TransientCapture`) or not.
+        sensor. Its times may or may not include the outer legs: the paths from laser to wall and
+        from wall to sensor.
     volume : Volume, optional
-        Voxels in front of the wall. None: the x and y of the sensor points, at the depths of the
-        bins (half their optical path), up to the farthest plane that the time window covers
-        completely. This requires an evenly spaced grid of sensor points [y, x] and times without
-        outer legs.
+        Voxels in front of the wall. None: x and y are those of the sensor points, and z the depths
+        of the bins (half their optical path). Planes so deep that some of their voxels might have
+        no path within the bins are left out. This default requires an evenly spaced grid of sensor
+        points [y, x] and times without outer legs.
     filter : {"none", "second_derivative", "laplacian"}
         Filter that sharpens the sums, applied after a Gaussian blur. "second_derivative":
         ``-d^2/dz^2``. "laplacian": minus the Laplacian over all axes with at least 3 voxels.

@@ -69,7 +69,7 @@ class DepthError(Noun):
     Parameters
     ----------
     mae : float
-        Mean absolute error, m, over the cells in which both maps have a depth.
+        Mean absolute error at ``threshold``, m, over the cells in which both maps have a depth.
     threshold : float
         Threshold of confidence with the least error, 0 to 1.
     coverage : float
@@ -78,7 +78,7 @@ class DepthError(Noun):
         Fraction of the cells with a true depth that have no reconstructed depth, and fraction of
         the cells with a reconstructed depth that have no true depth.
     median : float
-        Median of reconstructed minus true depth, m.
+        Median of reconstructed minus true depth, m, over the same cells as ``mae``.
     curve : ndarray
         (n, 3): for each threshold that was tried, the threshold, the mean absolute error, m, and
         the coverage. The error is NaN if no cell is left.
@@ -107,9 +107,9 @@ def depth_map(
     image : VolumeImage
         Image of the hidden scene on the voxels of a volume.
     threshold : float, optional
-        Least confidence of a depth, 0 to 1: the largest intensity along z at x and y, relative to
-        the brightest voxel of the image. Below it there is no depth (NaN). None: only where all
-        voxels along z are 0.
+        Least confidence at which a depth is returned, 0 to 1. The confidence at x and y is the
+        largest intensity along z, relative to the brightest voxel of the image. Where it is below
+        the threshold, the depth is NaN. None: the depth is NaN only where all voxels along z are 0.
     interpolate : bool
         Whether to interpolate the position of the maximum between voxels, as
         `VolumeImage.peak_depth` does. The depth then differs by up to half a voxel from that of the
@@ -168,8 +168,9 @@ def depth_error(
 ) -> DepthError:
     """Compare a reconstructed depth map with the truth: mean absolute error at the best threshold.
 
-    Cells with a confidence below the threshold are taken as empty; see `DepthMap`. Thresholds from
-    0 to 1 are tried, and the one with the least error is used.
+    Each x and y is a cell of the depth map. The confidence of a cell is its largest intensity along
+    z, relative to the brightest voxel of the image. Cells with a confidence below a threshold are
+    taken as empty. Several thresholds are tried, and the one with the least error is used.
 
     Parameters
     ----------
@@ -180,8 +181,9 @@ def depth_error(
     n_thresholds : int
         Number n of thresholds to try: 0, 1/n, ..., 1 - 1/n.
     min_coverage : float
-        Fraction of the cells with a true depth that must also keep a reconstructed one, 0 to 1.
-        Without this limit, the best threshold could keep a single cell.
+        Least coverage of a threshold that may be used, 0 to 1. The coverage is the fraction of the
+        cells with a true depth that have a reconstructed depth at this threshold. Without this
+        limit, the best threshold could keep a single cell.
 
     Returns
     -------

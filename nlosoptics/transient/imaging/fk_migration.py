@@ -58,7 +58,8 @@ def fk_migration(
     capture : TransientCapture
         Capture in which each wall point is observed only while it is lit (confocal), on an evenly
         spaced grid [y, x] in z = 0. It has no light that goes directly from the laser spot to the
-        sensor, and its times do not include the outer legs; see `gated` and `without_outer_legs`.
+        sensor; see `gated`. Its times do not include the outer legs (the paths from laser to wall
+        and from wall to sensor); see `without_outer_legs`.
     volume : Volume, optional
         Voxels within the depths that the time window covers. None: the x and y of the grid's
         points, at the depths of the bins (half their optical path).
@@ -85,7 +86,7 @@ def fk_migration(
         If the capture is not confocal on an evenly spaced grid, or the volume exceeds the covered
         range.
     SceneError
-        If the capture has direct light, outer legs or negative values.
+        If the capture has direct light or negative values, or its times include the outer legs.
     MemoryLimitError
         If spectrum and image exceed the free memory.
 

@@ -50,7 +50,8 @@ def lct(
     capture : TransientCapture
         Capture in which each wall point is observed only while it is lit (confocal), on an evenly
         spaced grid [y, x] in z = 0. It has no light that goes directly from the laser spot to the
-        sensor, and its times do not include the outer legs; see `gated` and `without_outer_legs`.
+        sensor; see `gated`. Its times do not include the outer legs (the paths from laser to wall
+        and from wall to sensor); see `without_outer_legs`.
     volume : Volume, optional
         Voxels within the depths that the time window covers. None: the x and y of the grid's
         points, at the depths of the bins (half their optical path).
@@ -59,11 +60,14 @@ def lct(
         the second power of the distance.
     snr : float
         Assumed ratio of signal to noise power, above 0. A larger value gives a sharper image with
-        more noise. It is relative to the mean power of the convolution kernel's spectrum.
+        more noise. The ratio is that at frequencies at which the convolution kernel has its mean
+        power.
     penalty : {"size", "curvature"}
-        Quantity that the Wiener filter keeps small. "size": the albedo itself, with the weight
-        ``1/snr`` at all frequencies. "curvature": its second derivatives, with the weight
-        ``q^4/snr``, where q^2 is the squared frequency relative to its mean.
+        Quantity that the Wiener filter keeps small, by a weight relative to the mean power of the
+        kernel. "size": the albedo itself, with the weight ``1/snr`` at all frequencies.
+        "curvature": the second derivatives of the albedo over x, y and squared depth, with the
+        weight ``q^4/snr``. Here q^2 is the sum of the three squared frequencies, each relative to
+        its Nyquist frequency, so that its mean is 1.
     dtype : {"float32", "float64"}
         Precision of the spectra; the error of float32 is about 1e-6 of the brightest voxel.
     progress : callable(str, float), optional
@@ -82,7 +86,7 @@ def lct(
         If the capture is not confocal on an evenly spaced grid, or the volume exceeds the covered
         range.
     SceneError
-        If the capture has direct light, outer legs or negative values.
+        If the capture has direct light or negative values, or its times include the outer legs.
     MemoryLimitError
         If the spectrum exceeds the free memory.
 
@@ -95,9 +99,9 @@ def lct(
     -----
     Let v be the square of half the optical path and u the squared depth. The falloff-corrected
     capture, over x, y and v, is then the albedo, over x, y and u, convolved with the kernel
-    ``delta(x^2 + y^2 - v)``, the light cone [1]_. The spectrum of the cone over v is the product of
-    a factor in x and a factor in y. Their means over a cell are Fresnel integrals, so that the cone
-    itself is never sampled.
+    ``delta(x^2 + y^2 - v)``, the light cone [1]_. The Fourier transform of the cone over v is the
+    product of a factor in x and a factor in y. The mean of each factor over a grid cell follows
+    from Fresnel integrals. The infinitely thin cone itself is therefore never sampled.
 
     References
     ----------

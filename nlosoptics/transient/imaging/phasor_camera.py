@@ -68,8 +68,8 @@ def phasor_image(
 
     - "confocal_time_gated": ``sum_ls (H_ls * K)(|x-l| + |x-s| + t)``. Pulse and camera are focused
       on x, where the pulse arrives at t = 0.
-    - "direct_light": as "confocal_time_gated", but only at t = 0, when light that the hidden scene
-      has reflected once, at x, is in focus.
+    - "direct_light": the field of "confocal_time_gated" at t = 0 only. At this time, light that the
+      hidden scene has reflected once, at x, is in focus.
     - "transient": ``sum_s (H_ls * K)(|x-s| + t)`` for one laser point l. A camera focused on x
       films a pulse that leaves l at t = 0.
     - "projector_camera": ``sum_ls (H_ls * K)(|p-l| + |x-s| + t)``. The pulse is focused on a
@@ -106,14 +106,14 @@ def phasor_image(
         Weight of each path. "unit": 1. "inverse": 1/r for each straight part of the path between
         the wall and a hidden point, of length r, as in the Rayleigh-Sommerfeld integral.
     tol : float
-        Error allowed for the pulse, which is computed as a sum of plane waves: largest deviation
-        relative to the peak of K, 1e-14 to 0.1. The number of waves, and with it the time, grows at
-        most as log(1/tol).
+        Largest error of the computed pulse, relative to the peak of K, 1e-14 to 0.1. The pulse is
+        computed as a sum of harmonic waves of different wavelengths. Their number, and with it the
+        computing time, grows at most as log(1/tol).
     method : {"auto", "fft", "direct"}
         "direct" sums over all paths. "fft" convolves plane by plane, usually much faster. It
-        requires a volume with the x and y pitch of the sensor grid (with a single sensor point, of
-        the laser grid), or with a whole multiple or fraction of it; see `Volume.facing`. "auto"
-        selects "fft" if possible and faster.
+        compares the x and y pitch of the volume with that of the sensor grid, or of the laser grid
+        if there is a single sensor point. The two must be equal, or one a whole multiple of the
+        other; `Volume.facing` makes such a volume. "auto" selects "fft" if possible and faster.
     dtype : {"float64", "float32"}
         Precision of the transforms; sums of "direct" are always float64.
     device : str, optional
@@ -144,8 +144,8 @@ def phasor_image(
         If the wall points are too far apart or the bins too wide for the wavelength, or if the bins
         leave out paths to some voxels. The texts are also in ``PhasorImage.notes``.
     PerformanceWarning
-        If a large volume is summed directly, often a hundred times slower than by transforms,
-        because its voxels do not lie on the grid of the wall points.
+        If the voxels of a large volume do not lie on the grid of the wall points. Their values are
+        then summed directly, which often takes a hundred times longer than by transforms.
 
     See Also
     --------

@@ -3,7 +3,7 @@
 The virtual pulse is ``K(t) = exp(2 pi i t/wl_mean - t^2/(2 wl_sigma^2))``, with t in m of optical
 path (Liu et al., Nature 572, 620 (2019)). The resulting field on the wall is ``(H * K)(t)``, the
 sum over bins of ``H_j K(t - t_j)`` with t_j the centres of the bins. K is approximated by a few
-plane waves,
+harmonic waves,
 
     K(t) ~ sum_k w_k exp(i k t),  w_k = (dk/2 pi) sqrt(2 pi) wl_sigma exp(-wl_sigma^2 (k - k0)^2/2),
 
@@ -36,7 +36,7 @@ SHORTEST = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Plane waves that make up the virtual pulse, and the bins that they act on.
+    """Harmonic waves that make up the virtual pulse, and the bins that they act on.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Band:
     step : float
         Spacing of wavenumbers, rad/m of optical path.
     weights : ndarray
-        (n,): weights w_k of the plane waves.
+        (n,): weights w_k of the harmonic waves.
     bins : slice
         Bins that contribute to any requested time.
     n_times : int

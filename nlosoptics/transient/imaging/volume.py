@@ -252,8 +252,8 @@ class VolumeImage(Noun, Shown):
             Distance from the wall, (ny, nx), m. A parabola is fitted to the logarithm of the
             intensity of the brightest voxel and its two neighbours along z, and the depth is that
             of its vertex. If the brightest voxel is the first or the last one, or if a neighbour is
-            0, it is the depth of that voxel. Dark lines of voxels get a depth, too; use `depth_map`
-            with a threshold to exclude them.
+            0, the depth is that of the brightest voxel. Dark lines of voxels get a depth, too; use
+            `depth_map` with a threshold to exclude them.
 
         Notes
         -----
@@ -328,8 +328,9 @@ class PhasorImage(VolumeImage):
     Parameters
     ----------
     field : ndarray
-        Complex field in the unit of the capture's ``H``: (n_times, nz, ny, nx) if times were
-        given, else (nz, ny, nx).
+        Complex field: (n_times, nz, ny, nx) if times were given, else (nz, ny, nx). With
+        ``weight="unit"``, its unit is that of ``TransientCapture.H``, the signal of the capture in
+        each bin.
     camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
         Virtual camera, see `phasor_image`.
     wl_mean, wl_sigma : float
@@ -337,7 +338,8 @@ class PhasorImage(VolumeImage):
     times : ndarray, optional
         Times of ``field``, (n_times,), m of optical path. None: t = 0 alone.
     aperture : float or ndarray of bool, optional
-        Used part of the wall: side of a square, m, or a mask shaped like the points. None: all.
+        Part of the laser and sensor points that was used: those in a square of this side about
+        their centre, m, or those for which a mask of their shape is True. None: all.
     notes : tuple of str
         Warnings: one text for each limit of sampling that the image exceeds.
 

@@ -127,10 +127,10 @@ def render(
         radiance ``wall_albedo E/pi`` in W/(m^2 sr), or radiosity ``wall_albedo E`` in W/m^2.
         Equally, it is the time integral of the quantity per J of energy of a laser pulse.
     keep_laser_cosine : bool
-        Model of the light on the wall. False: 1 W on each laser point. True: a point source at
-        ``laser_origin`` emits 1 W/sr and illuminates 1 m^2 of the wall. All values are then
-        multiplied by cos/d^2, 1/m^2, with the distance d from the source to the laser point and the
-        cosine of the angle of incidence there.
+        Power on each laser point. False: 1 W. True: ``cos(a)/d^2`` W, with the angle of incidence a
+        at the laser point and its distance d from ``laser_origin``, m. This is the power on 1 m^2
+        of the wall at the laser point from a point source of 1 W/sr at ``laser_origin``. It serves
+        to compare with captures that contain this factor.
     outer_legs : bool
         Whether times include the outer legs: the paths from ``laser_origin`` to the wall and from
         the wall to ``sensor_origin``. If False, times begin at the laser point and end at the
@@ -139,9 +139,10 @@ def render(
         Positions of laser and sensor, world frame, m. Both are required with ``outer_legs``, the
         first with ``keep_laser_cosine``.
     tol, tol_multiple : float
-        Error allowed for each pair of points: sum of the absolute errors of all bins, relative to
-        the sum of the values. ``tol`` applies to three bounces, ``tol_multiple`` to the expected
-        error of each higher number of bounces.
+        Errors allowed for each pair of points: sum of the absolute errors of all bins, relative to
+        the sum of their values. ``tol`` limits the error of the light of three bounces.
+        ``tol_multiple`` limits the statistically expected error for each higher number of bounces,
+        relative to the light of that number.
     n_rays : int, optional
         Largest number of random paths with more than three bounces, at least 8. None: as many as
         take about ten minutes on one core.

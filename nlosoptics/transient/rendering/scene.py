@@ -41,7 +41,8 @@ def render_scene(
     or more bounces, the whole wall also reflects light between hidden surfaces. A hidden image is
     converted to a mesh of its white area, of at most 64 cells along each side, that scatters on
     both sides. Occluders are black surfaces. If the scene has a ``wall_roughness``, its
-    ``realisation`` must be ``"mean"``; the Lambertian wall then remains unchanged.
+    ``realisation`` must be ``"mean"``. Such a roughness has no effect here, because it does not
+    change the reflection of a Lambertian wall.
 
     Parameters
     ----------
