@@ -39,8 +39,8 @@ class Chains:
     steepest : float
         Largest slope of the wall.
     unreached : tuple of (int, str)
-        Paths that are found by chance only, with the reasons, after the least number of their
-        reflections.
+        Paths that no sampling method aims at: the least number of their reflections, and the
+        reason.
     """
 
     surfaces: int

@@ -255,8 +255,8 @@ class TransientCapture(Noun, Shown):
 
         y-tal needs positions of laser and sensor even where it does not use them. An unknown one is
         therefore written as zeros and marked in ``scene_info``, so that `load` returns None again.
-        If the times include the outer legs, an unknown position is left empty instead, and y-tal
-        refuses the file.
+        If the times include the outer legs (the paths from laser to wall and from wall to sensor),
+        an unknown position is left empty instead, and y-tal refuses the file.
 
         Examples
         --------
