@@ -67,9 +67,9 @@ def lambert_relay_transfer(frequency: ArrayLike, distance: float) -> Array:
     Notes
     -----
     The MTF at the spatial frequency f is ``q z K1(q z)``, with q = 2 pi f, the distance z and the
-    modified Bessel function K1. It is the Fourier transform of the irradiance that a Lambertian
-    object point causes at the distance r from the wall's nearest point, ``z^2/(r^2 + z^2)^2``,
-    normalised to 1 at zero frequency.
+    modified Bessel function K1. It is the Fourier transform of the irradiance ``z^2/(r^2 + z^2)^2``
+    that a Lambertian object point causes on the wall, normalised to 1 at zero frequency. Here r is
+    the distance on the wall from the point nearest to the object point.
 
     Examples
     --------

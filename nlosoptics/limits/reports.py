@@ -92,17 +92,20 @@ class Feasibility(Noun, Shown):
     relay_modulation : ndarray, (n,)
         Modulation transfer function of a diffuse wall.
     signal_to_noise : ndarray, (n,)
-        Signal-to-noise ratio in the image of a sinusoidal pattern with full contrast and the
-        object's total light, summed over all pixels that show the object.
+        Signal-to-noise ratio with which the image shows a sinusoidal pattern in place of the
+        object. The pattern has full contrast and emits as much light as the object. The ratio
+        combines all pixels that show the object.
     relay_signal_to_noise : ndarray, (n,)
-        Signal-to-noise ratio of the same pattern in the diffuse light, summed over all pixels.
+        Signal-to-noise ratio with which the diffuse light shows the same pattern. It combines all
+        pixels of the detector.
     limit : float
         Resolution limit, cycles/m: the frequency at which the larger of the two signal-to-noise
         ratios first falls below 1. 0 if it is below 1 even for the coarsest patterns, and the
         highest frequency if it is nowhere below 1.
     modes : int
-        Number of independent patterns of the object that the image shows above the noise, each with
-        an rms contrast of 0.3. The patterns are made of cells, 24 along the object's longer side.
+        Number of independent patterns of the object, each with an rms contrast of 0.3, that the
+        image shows above the noise, or the diffuse light if that shows more. The patterns are made
+        of cells, 24 along the object's longer side.
     diffuse_modes : int
         Number of such patterns that the diffuse light alone shows, including the shadows of
         occluders.
@@ -113,9 +116,10 @@ class Feasibility(Noun, Shown):
     two_frame_bounds : mapping of int to float
         The same bounds for two images, the second with a known defocus of half a wave rms.
     one_frame_fits, two_frame_fits : float
-        Fraction of test fits with unknown wall and object that found the object, for walls with as
-        much aberration as this one: from one image, and from two images of known defocus. NaN if no
-        such case was tested or no fit is needed.
+        Fraction, 0 to 1, of blind fits (fits of an unknown object and wall) that succeed for a wall
+        with this rms aberration: with one image, and with two images of known defocus. The fraction
+        is interpolated in stored results of earlier tests; no fit is run. NaN if such a case was
+        not tested, or if the aberration is so small that the wall need not be fitted.
     blind : str
         Forecast, with its reason, for fits in which neither object nor wall is known.
 
@@ -269,17 +273,20 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     -----
     Signal and noise are computed as in `imaging.form_image`. To save time, pixels are first binned
     to at most 64 along the longer side, but to no fewer than 3 across a bright stroke of the
-    object. The modulation transfer function is that of the object's reference point.
+    object. The modulation transfer function is that at the centre of a planar object or the
+    centroid of a mesh.
 
-    The patterns counted in ``modes`` are sine patterns on a grid of object cells for the image, and
-    the singular vectors of the wall's response on this grid for the diffuse light. The larger of
-    the two numbers is reported.
+    The field ``modes`` of the report is the number of independent patterns of the object that the
+    light shows above the noise. Patterns are counted in two ways. In the image formed by the
+    mirror-like reflection, sine patterns are counted. In the diffuse light, the singular vectors of
+    the wall's response to a grid of object cells are counted; this number is ``diffuse_modes``.
+    ``modes`` is the larger of the two numbers.
 
     The predicted correlation is that of `inverse.tv_deconvolve` with its default settings. It is
     computed from signal and noise at every spatial frequency. The constants of this formula were
     fitted to results of the solver, and ``score_spread`` is the scatter of other results about it
-    (`benchmarks/inverse/feasibility.py`). The prediction does not include the solver's test whether
-    there is any object at all.
+    (`benchmarks/inverse/feasibility.py`). The solver returns zero if it detects no object in the
+    image. The formula does not know this test, so a small predicted correlation can be too large.
 
     Examples
     --------

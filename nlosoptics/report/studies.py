@@ -35,8 +35,9 @@ def study_page(path: str | Path, *, gallery: bool = True) -> str:
     path : str or Path
         Folder with the results of the study (the store), complete or not.
     gallery : bool
-        Whether to show the point spread functions of the worst, the median and the best point by
-        the first figure of merit that is computed from them. They are computed again for the page.
+        Whether to show the point spread functions (PSFs) of three points of the study: the worst,
+        the median and the best. The points are ranked by the study's first figure of merit that is
+        computed from a PSF. The three PSFs are computed again for the page.
 
     Returns
     -------

@@ -73,9 +73,10 @@ class Plan:
     budget : Budget
         Limits of memory and time of the run.
     pattern_nodes : int
-        Number of object points along each side of the hidden image for which the PSF of one given
-        rough wall, a speckle pattern, is computed. 0 if the wall is smooth, or if the image uses
-        the mean over many such walls.
+        Only for a wall with roughness of the realisation "pattern", whose PSF is a speckle pattern
+        that changes over the object. The PSF is computed at n x n points of the planar hidden
+        object; this is n. 0 for other walls, or if n would be too large: the camera image is then
+        computed with the mean PSF of many walls of the same statistics.
 
     See Also
     --------

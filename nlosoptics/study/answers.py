@@ -27,7 +27,7 @@ SMALLEST_IS_BEST = ("aberration_rms", "spot_rms", "encircled_energy_radius")
 class Sensitivity:
     """Change of a figure of merit when one value of the scene changes.
 
-    The change is that from the nominal scene, which has the study's values without any change.
+    Changes are relative to the nominal scene, in which no value is changed.
 
     Parameters
     ----------
@@ -118,8 +118,9 @@ class Fraction:
 
     The points are random variants (draws) of a scene. They meet the specification if a figure of
     merit lies within given limits. A study whose draws have ``tier = "fast"`` computes all of them
-    approximately, and some, the checked draws, in full as well. The values ``checked``, ``gained``,
-    ``lost`` and ``note`` concern this check. In other studies they are 0 and empty.
+    approximately. Some of them, the checked draws, are computed in full as well. The values
+    ``checked``, ``gained``, ``lost`` and ``note`` compare the two computations. In other studies
+    the numbers are 0 and the note is empty.
 
     Parameters
     ----------
@@ -138,11 +139,13 @@ class Fraction:
     checked : int
         Number of checked draws.
     gained : int
-        Number of checked draws that meet the specification in full, but not approximately.
+        Number of checked draws that meet the specification when computed in full, but not when
+        computed approximately.
     lost : int
-        Number of checked draws that meet the specification approximately, but not in full.
+        Number of checked draws that meet the specification when computed approximately, but not
+        when computed in full.
     note : str
-        Result of the check, in words.
+        Sentence that states the result of the check.
 
     See Also
     --------
@@ -206,12 +209,16 @@ def fraction_within(
 
     Notes
     -----
-    A study whose draws have ``tier = "fast"`` computes all of them approximately, and some, the
-    checked draws, in full as well. The approximate yield of all draws is corrected by the fraction
-    of checked draws that meet the specification in full only, minus the fraction that meet it
-    approximately only. The confidence limits of these three fractions are combined in quadrature
-    [1]_. If the approximation tells nothing about the checked draws, the yield is that of the
-    checked draws alone. ``Fraction.note`` states which of the two was used.
+    A study whose draws have ``tier = "fast"`` computes all of them approximately. Some of them, the
+    checked draws, are computed in full as well. The yield is then f + a - b. Here f is the fraction
+    of all draws that meet the specification when computed approximately. The fractions a and b
+    refer to the checked draws: a of them meet it only when computed in full, and b only when
+    computed approximately. The confidence limits of the three fractions are combined in quadrature
+    [1]_.
+
+    If the two computations disagree so often that the difference a - b is no more precise than the
+    yield of the checked draws alone, the approximation is not used. The result is then the yield of
+    the checked draws. ``Fraction.note`` states which of the two was used.
 
     References
     ----------

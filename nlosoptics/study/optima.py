@@ -38,9 +38,10 @@ class Optimum(Noun):
     goals : tuple of str
         "minimise" or "maximise", for each objective.
     objectives : ndarray, (trials, objectives)
-        Values of the objectives in all trials, each in the unit of its figure of merit; NaN where
-        the computation failed. For an objective with limits, the value is the yield: the fraction
-        of the trial's points (its random draws and steps along axes) that lie within the limits.
+        Values of the objectives in all trials; NaN where the computation failed. The unit is that
+        of the figure of merit. For an objective with limits, the value is instead the yield,
+        without unit: the fraction of the trial's points (its random draws and steps along axes)
+        that lie within the limits.
     feasible : ndarray of bool, (trials,)
         Whether all figures of merit could be computed and all constraints are met.
     failed : ndarray of bool, (trials,)
@@ -136,15 +137,17 @@ class Optimum(Noun):
 def optimum(results: Results, *, incomplete: bool = False) -> Optimum:
     """Return the best trials of an optimisation: one, or the Pareto front of several objectives.
 
-    A trial is one set of values of the optimisation's variables.
+    A trial is one set of values of the optimisation's variables. It is feasible if all its figures
+    of merit could be computed and all constraints of the study are met. Only feasible trials can be
+    the best.
 
     Parameters
     ----------
     results : Results
         Results of a study with the table ``optimise``.
     incomplete : bool
-        Whether to accept an optimisation that has not ended. Trials with points still to be
-        computed do not count as feasible.
+        Whether to accept an optimisation that has not ended. A trial whose computation is not
+        complete then counts as not feasible.
 
     Returns
     -------

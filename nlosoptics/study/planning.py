@@ -51,8 +51,8 @@ class StudyPlan:
     block : int
         Number of points that are computed and stored together.
     fast_draws : int
-        Number of random draws whose figures of merit are computed approximately
-        (``tier = "fast"``), by an expansion of the wave to second order; otherwise 0.
+        Number of random draws whose figures of merit are computed approximately (``tier =
+        "fast"``), by an expansion of the wave to second order in the drawn values; otherwise 0.
     waves : int
         Approximate number of waves that are traced for this expansion.
 

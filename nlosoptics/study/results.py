@@ -65,8 +65,9 @@ class Results(Noun):
     - one for each figure of merit, under its name; NaN where the computation failed or is pending;
     - ``<figure>_error``: numerical error of a figure of merit, if it has one;
     - ``status``: "done", "failed" (an error was raised), "lost" (the process of the computation
-      ended twice) or "pending" (not computed yet). If the figures of merit of a point differ, it is
-      the last of these that applies;
+      ended twice) or "pending" (not computed yet). Each point has one status for all its figures of
+      merit: "pending" if one of them is pending, else "lost" if one is lost, else "failed" if one
+      failed;
     - ``message``: errors and warnings; ``seconds``: computing time, s.
 
     Coordinates have the name of the value that varies, by table and key of the scene file, such as

@@ -98,10 +98,10 @@ def evidence_fit(
     support : array_like, optional
         Mask, (H, W), 0 at pixels where the object is known to be dark.
     object_model : {"pixels", "unet"}
-        How the object is refined after the fit, for one image without ``support``. It becomes the
-        mean of the fitted object and another estimate with the fitted wall: that of `tv_deconvolve`
-        ("pixels"), or that of `deep_image_prior` ("unet"), which takes longer and tolerates more
-        noise.
+        Solver that refines the object after the fit. It is used for one image without ``support``
+        and ``known_object``. It computes a second object with the fitted wall, and the result is
+        the mean of the fitted and the second object. "pixels": the solver is `tv_deconvolve`.
+        "unet": the solver is `deep_image_prior`, which takes longer and tolerates more noise.
     fit_gains : bool
         Whether to fit the relative brightness of the images.
     noise_sigma : float or array_like, optional
@@ -146,8 +146,10 @@ def evidence_fit(
           coefficients, waves rms, of modes that were added because the residual exceeded the noise.
         - ``image_gains``, (K,): relative brightness of the images.
         - ``free_energy``: free energy of the result.
-        - ``margin``: free energy of the result minus that of the best fit that starts without blur.
-          A negative value favours the result. NaN if the images exclude a wave without blur.
+        - ``margin``: free energy of the result minus that of the best fit that starts with an
+          unaberrated wave, which causes no blur. A negative value favours the result. NaN if the
+          data alone exclude that there is no blur: with images of different defocus or of several
+          walls, or with ``known_object``.
         - ``sharp_margin``: free energy of the result minus that of a fit in which the image itself
           is the object. NaN if ``margin`` is NaN, or with ``start_error``.
         - ``model_error``: rms residual in excess of the noise, as a fraction of the images' range.
@@ -181,24 +183,33 @@ def evidence_fit(
     is 24 to 96 Nyquist pitches wide and high, and the pupil has no known wave or transmission. If
     the network is confident, a search from its proposals alone comes first.
 
-    **Residual.** For the status "converged" the result must explain the images. With w the wall's
-    rms aberration in waves, at most 1, the limit of ``model_error`` is ``0.004 + 0.003 w`` for
-    several images and ``0.004 + 0.01 w`` for one. Three standard errors of the mean squared
-    residual are added to the square of the limit. Images of one wall whose defoci differ by less
-    than 0.1 waves count as one image. If the residual of several images exceeds the noise
+    **Residual.** For the status "converged" the result must explain the images: ``model_error``
+    must be at most ``sqrt(a^2 + 3 s^2 sqrt(2/n))``. For several images a is ``0.004 + 0.003 w``,
+    and for one image ``0.004 + 0.01 w``, with w the wall's rms aberration in waves, but at most 1.
+    The second term is three standard errors of the mean squared residual, with s the rms noise as a
+    fraction of the images' range and n the number of pixels. Images of one wall whose defoci differ
+    by less than 0.1 waves count as one image. If the residual of several images exceeds the noise
     significantly, further Zernike modes are fitted: up to radial order 5, then 7, then 8. They are
     kept if the free energy falls by more than additional parameters alone would cause.
 
-    **No blur.** One image must also exclude a wave without blur. Without ``start_error``, one of
-    two conditions must be met: ``margin`` is below -70, or ``sharp_margin`` divided by the number
-    of pixels is below -0.092 (-0.146 at 0.3 % noise). The second is needed because a fit that
-    starts without blur may find the wall, too. With ``start_error``, either ``margin`` is below
-    -50, or three conditions hold:
+    **No blur.** For the status "converged", one image must also exclude that there is no blur and
+    the image itself is the object. The limits depend on s, the rms noise as a fraction of the
+    image's range. Without ``start_error``, one of two conditions must be met:
 
-    - ``margin`` is below 100 at 1 % noise, and below 20 at 5 %.
-    - With the prior of the coefficients, the free energy of the fit without blur is more than 100
-      above that of the result.
-    - The residual is at least 0.93 of the noise, since a smaller one shows that noise was fitted.
+    - ``margin`` is below -70.
+    - ``sharp_margin`` divided by the number of pixels is below -0.092 if s is at least 0.01, and
+      below ``-0.092 - 0.045 ln(0.01/s)`` for less noise. This condition is needed because a fit
+      that starts without blur may also find the wall, and ``margin`` is then close to 0.
+
+    With ``start_error``, ``margin`` must be below -50, or three conditions must be met:
+
+    - ``margin`` is below 1/s, for example 100 if s is 0.01.
+    - ``margin - P`` is below -100, with P the term ``M |c - c_0|^2/(2 start_error^2)`` that the
+      prior of the M coefficients adds to the free energy of the fit that starts without blur. Here
+      c are the coefficients of this fit and c_0 the given ones. ``margin`` itself does not include
+      P.
+    - The rms residual is at least 0.93 of the noise. A smaller residual shows that noise was
+      fitted.
 
     The status is "trivial" if the result has almost no blur (less than 0.12 waves rms), or is the
     same as that of a fit that starts without blur.

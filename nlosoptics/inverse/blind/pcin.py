@@ -32,10 +32,10 @@ def pcin(
     progress: Progress | None = None,
     **options: Any,
 ) -> Reconstruction:
-    """Reconstruct the hidden object via an unknown wall, by one of two solvers that fit both.
+    """Reconstruct the hidden object via an unknown wall, by a fit of both object and wall.
 
-    The name stands for physics-constrained inverse network, the published method (recipe
-    "wu2024").
+    The default solver, `evidence_fit`, is the recommended one. The other, `wu2024_fit`, is the
+    published physics-constrained inverse network (PCIN), which gave this function its name.
 
     Parameters
     ----------
@@ -49,9 +49,10 @@ def pcin(
     defocus : array_like, optional
         Known additional defocus of each image, (K,), m rms over the pupil (Noll 4).
     recipe : {"evidence", "wu2024"}
-        Solver. "evidence": compares many fits with random starts by the evidence of the images; see
-        `evidence_fit`. "wu2024": the published method, for one image and for comparison, which fits
-        a U-net and the coefficients in turn; see `wu2024_fit`.
+        Solver. "evidence": `evidence_fit`, which makes many fits from random starts and returns the
+        one with the largest Bayesian evidence (marginal likelihood: the probability of the images
+        for a wall, averaged over all objects). "wu2024": `wu2024_fit`, which fits a neural network
+        (U-net) and the coefficients in turn to one image. It is included for comparison.
     noise_sigma : float or array_like, optional
         Standard deviation of the noise: one number, (K,), (H, W) or (K, H, W), image units. By
         default it is estimated by `estimate_noise`.

@@ -368,7 +368,8 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
     Returns
     -------
     float
-        Rms noise in image units; 0 for a uniform image or one with identical rows or columns.
+        Rms noise in the unit of the image; 0 for a uniform image or one with identical rows or
+        columns.
 
     Raises
     ------
@@ -394,12 +395,18 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
     2/sqrt(number of pixels). Fine detail of a sharp image increases the result: by up to 35 % for
     images of 64 x 64 pixels with 0.5 % noise.
 
-    With a model, the image of a typical object is predicted, whose power spectrum falls as 1/f^2
-    and which has the image's variance. The noise is the mean power at those frequencies at which
-    this image has less than 5 % of the noise's power. If there are fewer than 500 such frequencies,
-    the second differences are used. The relative standard error is 1/sqrt(2 n) for n frequencies.
-    Differences between opposite edges of the image are removed first, because they would spread
-    over all frequencies [3]_.
+    With a model, the noise is measured at spatial frequencies f at which the given image contains
+    almost nothing else. To find them, the power spectrum of the image without noise is predicted.
+    It is proportional to 1/f^2, as for a typical object, times the squared modulus of the transfer
+    function. Its total is the given image's variance minus that of the noise. A frequency is used
+    if the predicted power is below 5 % of the noise's power. The mean power of the given image at
+    these frequencies, minus the predicted power, is the variance of the noise. Because the
+    selection of frequencies depends on the noise, it is made three times, at first with the noise
+    by second differences.
+
+    If fewer than 500 frequencies are found, the result by second differences is returned. For n
+    frequencies the relative standard error is 1/sqrt(2 n). Differences between opposite edges of
+    the image are removed first, because they would spread over all frequencies [3]_.
 
     References
     ----------

@@ -33,9 +33,9 @@ class Reconstruction(Noun, Shown):
     physical_parameters : mapping of str to float or ndarray
         Fitted and given values. ``gain``: image units per unit of the object. ``background``: mean
         of the fitted background, image units, without the known background. ``noise_sigma``: rms
-        noise, image units; for a noise map, the value whose inverse square is the mean of the map's
-        inverse squares. The docstring of a solver names further values and the shapes of arrays,
-        such as the wave's ``coefficients`` if the wall was fitted as well.
+        noise, image units; for a noise map sigma_i it is ``mean(1/sigma_i^2)^(-1/2)``. The
+        docstring of a solver names further values and the shapes of arrays, such as the wave's
+        ``coefficients`` if the wall was fitted as well.
     status : {"converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"}
         "converged": the solver met its stopping criterion, and no test found a contradiction
         between image and model. "unconverged": the stopping criterion was not met, and the object

@@ -87,7 +87,7 @@ def registered_correlation(
 
 @dataclass(frozen=True)
 class RegisteredScores:
-    """Similarity of a reconstruction and the true object, after registration by shift and scale.
+    """Similarity of a reconstruction and the true object, after a fit of shift, scale and offset.
 
     Parameters
     ----------

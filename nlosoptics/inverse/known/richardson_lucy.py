@@ -76,9 +76,10 @@ def richardson_lucy(
     Returns
     -------
     Reconstruction
-        Object, status and score. With the status "converged", the object is the first iterate whose
-        residual is at the noise level, or one that no longer changes; the score of the latter may
-        differ from 1. With "unconverged", it is the iterate with the least ``objective``.
+        Object, status and score. The score is the rms residual divided by the noise. With the
+        status "converged", the object is the first iterate whose residual is at the noise level (a
+        score of about 1), or an iterate that no longer changes, whose score may differ from 1. With
+        "unconverged", it is the iterate with the least ``objective``.
 
     Raises
     ------

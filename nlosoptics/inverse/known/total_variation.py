@@ -87,10 +87,11 @@ def tv_deconvolve(
     max_iterations : int
         Maximum number of iterations.
     tolerance : float
-        The solver stops when the object changes by less than this fraction per iteration, and
-        differs by less than this fraction from the same object without negative values. With an
-        automatic weight, the residual must also be within 20 times this fraction of its target,
-        relative to the noise.
+        Accuracy at which the solver stops, as a fraction of the object's norm. Each iteration
+        computes an object that may have small negative values, and one without them, which is the
+        result. The solver stops when the change of the result per iteration and its difference from
+        the other object are both below this fraction. If ``tv_weight`` is None, the rms residual
+        must also differ from its target by less than ``20 tolerance`` times the noise.
     start : array_like, mapping or None
         Initial object, (H, W), in image units, or a saved state of this solver (see `Stop`), from
         which the fit resumes with the same result bit for bit. None: the solver chooses it.

@@ -99,10 +99,13 @@ def wiener(
     image equals the measured variance minus that of the noise. If the image is uniform up to noise
     and no background is fitted, the mean square of the image takes the place of its variance.
 
-    With the boundary "circular", a single PSF and uniform noise, this is the classical Wiener
-    filter, which takes one step. Otherwise the equations are solved by conjugate gradients for
-    objects inside the image, with the classical filter as preconditioner. The edges of the image
-    need no tapering and cause no ringing.
+    The equations of the minimum are solved by conjugate gradients, with the classical Wiener filter
+    as preconditioner. If ``model.boundary`` is "circular", the point spread function is the same
+    for all pixels and the noise is uniform, the result is that of the classical Wiener filter,
+    after one step.
+
+    If ``model.boundary`` is "padded", as by default, the object is assumed to be 0 outside the
+    image. The edges of the image then need no tapering and cause no ringing.
 
     References
     ----------

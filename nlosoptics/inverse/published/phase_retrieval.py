@@ -78,14 +78,16 @@ def phase_retrieval(
         divided by the squared modulus; the phase is not used. None: the wall is assumed to transmit
         all spatial frequencies equally on average, like a diffuser.
     method : {"alternating", "hio", "raar"}
-        Algorithm. "alternating": alternating minimisation from a truncated spectral start, for real
-        objects of either sign. "hio": hybrid input-output. "raar": relaxed averaged alternating
-        reflections. The last two require a non-negative object.
+        Algorithm. Prefer "raar" (relaxed averaged alternating reflections) or "hio" (hybrid
+        input-output) for hidden objects: both use that the object is not negative. The default,
+        "alternating" (alternating minimisation from a truncated spectral start), does not; it is
+        included for comparison and accepts objects of either sign.
     object_size : (int, int) or None
         Rows and columns of a box that contains the object. None: half the extent of the
         autocorrelation's central peak above its background, plus a margin.
     restarts : int
-        Number of runs with different random starts, at least 2.
+        Number of runs, at least 2. They start from different random numbers; with "alternating",
+        each run starts from a random half of the measured values.
     noise_sigma : float, array_like or None
         Standard deviation of the noise, one number or (H, W), image units. None: it is estimated
         by `estimate_noise`.
@@ -137,8 +139,8 @@ def phase_retrieval(
     Agreement of the two halves of the runs is no proof. Without the constraint to non-negative
     values they can agree on a wrong object. In a box much larger than the object, a copy turned by
     half a turn can be superimposed. A tight ``object_size`` helps most. The method "alternating"
-    [2]_ is proven for random measurements, not for the modulus of a Fourier spectrum; it is
-    included for comparison. Each of its runs starts from a random half of the measured values.
+    [2]_ is proven to converge for random measurements, but not for the modulus of a Fourier
+    spectrum.
 
     References
     ----------
@@ -209,7 +211,8 @@ def object_from_autocorrelation(
         Rows and columns of a box that contains the object. None: half the extent of the central
         peak above the background, plus a margin.
     restarts : int
-        Number of runs with different random starts, at least 2.
+        Number of runs, at least 2. They start from different random numbers; with "alternating",
+        each run starts from a random half of the measured values.
     max_iterations : int
         Maximum number of iterations of each run.
     seed : int

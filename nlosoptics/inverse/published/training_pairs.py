@@ -62,17 +62,20 @@ def training_pairs(
     Parameters
     ----------
     scene : Scene
-        Scene that provides laser, camera and positions. It must have a flat wall with a smooth
-        mirror-like lobe, and a planar object. Each pair replaces the object's image by random bars,
-        discs and rings, and adds the wave aberration of a random wall.
+        Scene that provides laser, camera and positions. It must have a flat wall without
+        ``wall_roughness``, a mirror-like lobe in the wall's material, and a planar object. The
+        ``slope_rms`` of every mirror-like lobe must be 0. In each pair the object shows random
+        bars, discs and rings, and the wave aberration of a random wall is added.
     count : int
         Number of pairs.
     waves : float
         Largest rms wave aberration of a wall, waves. The rms of each wall is drawn uniformly from
         0 to this value.
     size : int or None
-        Side, pixels, at least 8, of a square region of the image about the optical axis, to which
-        camera image and object are reduced. None: the whole image.
+        Side of the training images, pixels, at least 8. The camera image is cropped to the central
+        size x size pixels; the pixel pitch does not change. The hidden object shrinks by the factor
+        ``size`` divided by the longer side of the image. None: the whole image, and the object as
+        it is.
     modes : sequence of int
         Noll indices of the Zernike modes of the random aberrations, which have equal variances.
     seed : int

@@ -77,8 +77,9 @@ def wu2024_fit(
         Camera image, (H, W) or (1, H, W), in any unit, which is called the image unit below.
     pupil_psf : PupilPSF or FacetPSF
         Point spread function (PSF) of shape (H, W) as a function of coefficients, which take the
-        role of the angles. It is that of a wave, or for coarse pixels that of independent facets.
-        ``pupil_psf`` is not modified.
+        role of the angles. Use `PupilPSF`, the PSF of a continuous wave, if the pixels resolve the
+        PSF. Use `FacetPSF`, in which parts of the pupil send light in independent directions, if
+        the PSF is much wider than wavelength times F-number. ``pupil_psf`` is not modified.
     defocus : sequence of one float, or None
         Known additional defocus of the image, m rms over the pupil (Noll 4). It is a sequence as in
         solvers that take several images.

@@ -34,9 +34,10 @@ class FacetPSF(nn.Module):
     Parameters
     ----------
     angles : array_like, (g, g, 2)
-        Start values of the angles by which the g x g facets deflect light from the image's centre,
-        rad: toward +u (x in the image) and +v (y). The first index counts along v, the second along
-        u. Facet [g//2, g//2] is on the axis. Facets outside the pupil have no effect.
+        Start values of the angles by which the g x g facets deflect light away from the centre of
+        the image, rad. The last axis holds the angles toward +u (x in the image) and toward +v (y).
+        The first index counts facets along v, the second along u. Facet [g//2, g//2] is on the
+        axis. Facets outside the pupil have no effect.
     angle_pitch : float
         Side of a facet, m. The facets must cover the pupil.
     pupil_radius : float

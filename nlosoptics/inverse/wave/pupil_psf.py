@@ -37,11 +37,11 @@ MOST_DEFOCUS = 1e-3
 class PupilPSF(nn.Module):
     """Point spread function (PSF) of a round pupil, differentiable with respect to its wave.
 
-    A torch module whose parameters are coefficients of the wave aberration W in the exit pupil.
-    Build it by `from_zernike`, `from_slopes`, `from_angles` or `from_scene`. All methods accept
-    batches: M Zernike coefficients, (..., M), or slopes at g x g points, (..., g, g, 2), give PSFs
-    (..., H, W). A warning is issued if W changes by more than half a wavelength between
-    neighbouring pupil samples; `steepest` returns this change.
+    A torch module whose parameters are coefficients of the wave aberration in the exit pupil. Build
+    it by `from_zernike`, `from_slopes`, `from_angles` or `from_scene`. All methods accept batches:
+    M Zernike coefficients, (..., M), or slopes at g x g points, (..., g, g, 2), give PSFs of H rows
+    and W columns, (..., H, W). A warning is issued if the wave aberration changes by more than half
+    a wavelength between neighbouring pupil samples; `steepest` returns this change.
 
     Parameters
     ----------
@@ -396,8 +396,8 @@ class PupilPSF(nn.Module):
         SamplingError
             If a shape or the coefficients' dtype does not match.
         SceneError
-            If the coefficients are not a tensor, or a defocus is not finite or too large for
-            metres.
+            If the coefficients are not a tensor, or a defocus is not finite or exceeds 1e-3 m rms.
+            Such a large value was probably given in waves instead of metres.
         """
         return self.optics.point_spread(self._turns(coefficients, defocus))
 

@@ -35,9 +35,10 @@ class Material:
         Returns
         -------
         ndarray, (n, 4)
-            One row per lobe. Its columns are a code for the kind of lobe (a constant of
-            `kernels.codes`), the albedo or reflectance, the rms slope or alpha in rad, and a factor
-            on the whole lobe, which is 1 unless the lobe is normalised.
+            One row per lobe. Columns: code of the kind of lobe (a constant of `kernels.codes`);
+            albedo or reflectance; rms slope or alpha, rad; factor by which the lobe's reflectance
+            is multiplied. The factor is 1, except for an `OrenNayar` lobe with ``normalised=True``
+            that would reflect more light than it receives.
         """
         raise NotImplementedError
 
@@ -182,10 +183,10 @@ class Material:
         Returns
         -------
         ndarray, (...)
-            Reflected fraction, in the shape of ``theta``. It has a closed form for Lambert,
-            Oren-Nayar ("fit") and smooth mirrors. Otherwise it is integrated numerically with an
-            error of about 1e-9; for narrow lobes of rms slope s, of ``1e-16/(s cos(theta))^2`` if
-            that is larger.
+            Reflected fraction, in the shape of ``theta``. A closed form is used for `Lambert`, for
+            `OrenNayar` with the model "fit", and for mirrors of zero slope. All other lobes are
+            integrated numerically. The error is about 1e-9, or ``1e-16/(s cos(theta))^2`` if that
+            is larger, with s the rms slope of the lobe.
 
         Raises
         ------

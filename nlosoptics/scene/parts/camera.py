@@ -75,9 +75,11 @@ class Camera:
 
     Notes
     -----
-    Image axes: x along ``e1 = unit(Y x n)``, y along ``e2 = n x e1``, with n the direction from
-    the lens along the optical axis and Y = (0, 1, 0) (X = (1, 0, 0) if n is parallel to Y). The
-    lens inverts the image, so that an image array drawn with row 0 on top appears upright.
+    Image axes: x along ``e1 = unit(Y x n)``, y along ``e2 = n x e1``, with n the direction from the
+    lens along the optical axis and Y = (0, 1, 0) (X = (1, 0, 0) if n is parallel to Y). Image
+    arrays are indexed [y, x]. The row number grows along +y of the detector, so row 0 has the
+    lowest y; the column number grows along +x. The lens inverts the image, so row 0 shows the top
+    of the scene. An array drawn with row 0 on top therefore appears upright.
 
     The computation uses the working F-number ``N = d/stop_diameter``, with d the distance from lens
     to detector. For a lens that satisfies the sine condition, as photographic lenses do, this is

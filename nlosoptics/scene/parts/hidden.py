@@ -72,7 +72,7 @@ class PlanarObject(Posed):
     ------
     SceneError
         If the file is missing or not an image, a value is out of range, or a part of the image lies
-        behind the wall.
+        behind the plane z = 0.
 
     See Also
     --------
@@ -265,8 +265,9 @@ class MeshObject(PosedMesh):
     Raises
     ------
     SceneError
-        If a value is out of range. A missing file, or a mesh that reaches behind the wall, is
-        found when `surface` is first used.
+        If a value is out of range. The file is read when the property `surface` (the mesh in the
+        world frame) is first used. Only then is an error raised if the file is missing or the mesh
+        reaches behind the plane z = 0.
 
     See Also
     --------

@@ -42,10 +42,12 @@ class MaterialValue:
     low, high : float
         Smallest and largest value to expect for a real surface of this name.
     basis : str
-        "published": value of the source. "fitted": width of a fit to measured data. "computed":
-        from constants of the material. "estimate": informed guess with wide limits.
+        How the value was obtained. "published": it is stated in the source. "fitted": it is the rms
+        slope of a lobe fitted to measured reflectance. "computed": it follows from constants of the
+        material, such as the refractive index. "estimate": it is an informed guess with wide
+        limits.
     source : str
-        Publication with the table used, or how the value was obtained.
+        Publication with the table used, or how the value was estimated.
 
     See Also
     --------

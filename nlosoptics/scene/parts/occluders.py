@@ -48,8 +48,9 @@ class Occluder(PosedMesh):
     Raises
     ------
     SceneError
-        If a value is out of range. A missing file, or a mesh that reaches behind the plane z = 0,
-        is found when `surface` is first used.
+        If a value is out of range. The file is read when the property `surface` (the mesh in the
+        world frame) is first used. Only then is an error raised if the file is missing or the mesh
+        reaches behind the plane z = 0.
 
     See Also
     --------

@@ -40,7 +40,9 @@ class TransientScan:
     max_bounces : int
         Largest number of reflections of a path, 3 to 5, including the two at the wall.
     wl_mean : float, optional
-        Central wavelength of the virtual pulse for the phasor-field reconstruction, m.
+        Central wavelength of the virtual pulse, m. This is the pulse with which the phasor-field
+        reconstruction filters the capture in time. A smaller value resolves finer detail; it should
+        be at least 4 ``delta_t``.
     near : float, optional
         Distance of the first reconstructed plane from the wall, m. Give near, far and step, or none
         of them.

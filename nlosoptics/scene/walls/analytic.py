@@ -210,8 +210,9 @@ class Wall(Noun):
         -----
         The mesh splits square cells of side c into two triangles each. Every point of a triangle is
         within c / sqrt(2) of the midpoint of its longest side. With a bound b on the second
-        derivatives of the height, the distance to the surface is therefore at most b c^2 / 4. On a
-        wall of plane facets with slopes up to g, it is larger by at most g c / sqrt(2).
+        derivatives of the height, the distance to the surface is therefore at most b c^2 / 4. A
+        wall of plane facets with slopes up to g has creases, which can increase this distance by at
+        most g c / sqrt(2).
         """
         import trimesh
 
@@ -346,8 +347,9 @@ class ConcaveWall(_CurvedWall):
     radius : float
         Radius of curvature, m.
     size : float or (float, float), optional
-        Full extent of the wall in x and y, m; one number for a square. By default the surface
-        extends to a distance of one radius from its vertex (sphere) or axis (cylinder).
+        Full extent of the wall in x and y, m; one number for a square. By default a sphere is a
+        full hemisphere: its points lie up to one radius from the z axis. A cylinder is then
+        unbounded along its axis, and a half cylinder across it.
     shape : {"sphere", "cylinder"}
         Kind of surface: part of a sphere, or part of a cylinder.
     axis : {"x", "y"}, default "y"
@@ -383,8 +385,9 @@ class ConvexWall(_CurvedWall):
     radius : float
         Radius of curvature, m.
     size : float or (float, float), optional
-        Full extent of the wall in x and y, m; one number for a square. By default the surface
-        extends to a distance of one radius from its vertex (sphere) or axis (cylinder).
+        Full extent of the wall in x and y, m; one number for a square. By default a sphere is a
+        full hemisphere: its points lie up to one radius from the z axis. A cylinder is then
+        unbounded along its axis, and a half cylinder across it.
     shape : {"sphere", "cylinder"}
         Kind of surface: part of a sphere, or part of a cylinder.
     axis : {"x", "y"}, default "y"

@@ -247,7 +247,7 @@ class HeightMapWall(Wall):
         return math.sqrt(float(np.mean(self.node_slopes() ** 2)))
 
     def node_slopes(self) -> Array:
-        """Return the slopes dh/dx and dh/dy of the surface at the grid points, (2, ny nx)."""
+        """Return the slopes dh/dx and dh/dy at the grid points, (2, ny * nx), in C order."""
         count = self._samples.size
         return self._fit[1][count : 3 * count].reshape(2, count)
 
@@ -330,8 +330,8 @@ class CallableWall(Wall):
     max_height : float
         Upper bound on abs(height) over the wall, m.
     max_curvature : float
-        Upper bound on the magnitude of the height's second derivative in any direction, 1/m.
-        Required.
+        Upper bound on the magnitude of the height's second derivative in any direction, 1/m. It
+        must be given: the default, infinity, raises `SceneError`.
     finest_period : float
         Shortest lateral period of the height, m; infinite if it does not oscillate.
 

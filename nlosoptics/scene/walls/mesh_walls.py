@@ -27,8 +27,8 @@ class MeshWall(Wall):
     """Relay wall given by a triangle mesh with a single height above each point of the plane z = 0.
 
     Waves need a smooth surface, so a bicubic surface with continuous slopes is fitted to the
-    vertices. `fit_residual` estimates the error of this fit. `mesh_error` is the mean distance of
-    the flat triangles from the fitted surface.
+    vertices. The property `fit_residual` estimates the error of this fit, m. The property
+    `mesh_error` is the mean distance in z between the flat triangles and the fitted surface, m.
 
     Parameters
     ----------

@@ -36,8 +36,8 @@ class WallRoughness(Noun):
         must cover the wall.
     realisation : {"pattern", "mean"}
         "pattern": one rough surface, given by the seed or the height map. "mean": the average over
-        all surfaces with the same statistics. For rays, the average is a microfacet lobe of the
-        same rms slope on the mean wall.
+        all surfaces with the same statistics. Waves use the mean point spread function of these
+        surfaces. Rays use the mean wall with a microfacet lobe of the same rms slope.
 
     Raises
     ------

@@ -153,8 +153,10 @@ class StudyPoint:
     def adjusted(self, key: str, make: Callable[[], StudyPoint]) -> StudyPoint:
         """Return the point after compensation: with some values adjusted to improve it.
 
-        ``make`` computes the adjusted point at the first call with ``key``; later calls with this
-        key return the same point.
+        Compensation stands for the adjustments of a real setup, such as refocusing the camera after
+        its parts were mounted with errors. ``make`` is a function without arguments that returns
+        the adjusted `StudyPoint`. It is called once for each ``key`` (str); later calls of this
+        method with the same key return the stored point.
         """
         if key not in self._adjusted:
             self._adjusted[key] = make()
@@ -193,7 +195,8 @@ class StudyPoint:
     def of_point_spread(self, name: str, make: Callable[[], Any]) -> Any:
         """Return a figure of merit that depends on the point spread only.
 
-        ``make`` computes it; points with the same point spread share the result under ``name``.
+        ``make`` is a function without arguments that returns the figure of merit. The result is
+        stored under ``name`` (str), and points with the same point spread share it.
         """
         _ = self.point_spread  # its warnings belong to every point
         return self._stage("figure", f"{name} {point_spread_key(self._delta)}", make)
