@@ -10,7 +10,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from .codes import (
     BECKMANN,
@@ -21,6 +20,7 @@ from .codes import (
     WARD_BOUNDED,
     WARD_DUER,
 )
+from .compiling import njit
 
 
 @njit(cache=True)

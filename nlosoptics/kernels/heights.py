@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from .codes import (
     BUMPS,
     CYLINDER,
@@ -18,6 +16,7 @@ from .codes import (
     SPHERE,
     WAVE,
 )
+from .compiling import njit
 from .relief import bumps, facets
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from .compiling import njit
 
 LOW = np.uint64(0xFFFFFFFF)
 HALF = np.uint64(32)

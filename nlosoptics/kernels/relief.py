@@ -12,9 +12,10 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from .codes import BUMPS, FACETS
+from .compiling import njit
 from .parallel import threaded
 from .random import HALF, SHIFT, _rounds
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from ..kernels.compiling import njit
 
 NEAR = 1e-9  # nearest and farthest part of a path, as a fraction, that an occluder can block
 

@@ -8,7 +8,8 @@ even. Arrays are contiguous, float32 or float64, or complex of the same precisio
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from ...kernels.compiling import njit
 
 
 @njit(cache=True, nogil=True)

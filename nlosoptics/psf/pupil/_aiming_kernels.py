@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-from numba import njit, prange
+from numba import prange
 
+from ...kernels.compiling import njit
 from ...kernels.heights import surface
 from ...kernels.parallel import threaded
 

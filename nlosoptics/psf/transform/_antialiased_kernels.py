@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ...kernels.compiling import njit
 from ..wave._wave_kernels import phasors
 
 

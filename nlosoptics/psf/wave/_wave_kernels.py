@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from ...kernels.compiling import njit
 
 #: Adding and subtracting it rounds a double below 2^51 to an integer. Without a call to a rounding
 #: function the loop is vectorised.

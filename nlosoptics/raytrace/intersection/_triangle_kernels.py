@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ...kernels.compiling import njit
 from ._wall_kernels import HIT, MISS, _unit
 
 BLOCK = 64  # rays processed at once

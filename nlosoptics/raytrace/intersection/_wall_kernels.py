@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from ...kernels.codes import BUMPS, CYLINDER, EXTREME, FACETS, GRID, SPHERE, WAVE
+from ...kernels.compiling import njit
 from ...kernels.heights import partial_surface, surface
 from ...kernels.parallel import threaded
 from ...kernels.relief import facet_edge

@@ -15,10 +15,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from ...kernels.brdf import lobe
 from ...kernels.codes import GGX, WARD_1992
+from ...kernels.compiling import njit
 from ...kernels.heights import surface
 from ...kernels.random import uniform
 from ._light_kernels import (

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from ...kernels.codes import GROUPS
+from ...kernels.compiling import njit
 from ._point_kernels import landing
 from ._surround_kernels import three
 

@@ -19,10 +19,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from ...kernels.brdf import material
 from ...kernels.codes import GROUPS, UNIT
+from ...kernels.compiling import njit
 from ...kernels.random import draw
 from ..fans import paths
 from ._lobe_kernels import lobe_density, lobe_direction, narrow_part

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from ...kernels.brdf import is_mirror, lobe, lobe_pdf, sample_lobe, total_strength
 from ...kernels.codes import BECKMANN, WARD_1992
+from ...kernels.compiling import njit
 from ._surround_kernels import dot
 
 # Lobes up to this slope rms, rad, are called narrow. Light that they reflect several times in a row

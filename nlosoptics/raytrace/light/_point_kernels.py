@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from ...kernels.brdf import is_mirror, material, material_pdf
 from ...kernels.codes import GROUPS, UNIT
+from ...kernels.compiling import njit
 from ...kernels.random import disc, draw
 from ..fans import paths
 from ._light_kernels import (

@@ -6,10 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ...kernels.codes import GROUPS, WAVE
+from ...kernels.compiling import njit
 from ...kernels.heights import surface
 from ...kernels.random import disc, draw
 from ..intersection._wall_kernels import (

@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from ...kernels.compiling import njit
 from ...kernels.parallel import threaded
 from ...kernels.random import uniform
 

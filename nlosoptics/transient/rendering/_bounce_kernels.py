@@ -10,11 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ...kernels.brdf import material, material_pdf, sample_material
 from ...kernels.codes import LAMBERT
+from ...kernels.compiling import njit
 from ...kernels.random import draw
 from ...raytrace.light._lobe_kernels import tangents
 from ...raytrace.light._surround_kernels import dot, three

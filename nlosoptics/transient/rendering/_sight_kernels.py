@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from ...kernels.compiling import njit
 from ...raytrace.intersection._triangle_kernels import after
 
 FEW = 24  # number of triangles up to which all are tested without the tree

@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from ...kernels.brdf import lobe
 from ...kernels.codes import LAMBERT
+from ...kernels.compiling import njit
 from ...kernels.parallel import threaded
 from ._visibility_kernels import (
     CORNERS,

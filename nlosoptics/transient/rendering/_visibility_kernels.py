@@ -15,8 +15,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ...kernels.compiling import njit
 from ...raytrace.intersection._triangle_kernels import after
 from ._sight_kernels import blocked
 
