@@ -1,7 +1,8 @@
 """Figures of a run, drawn by two other processes where the system can fork.
 
-They load matplotlib and draw the scene while the run computes. One then draws the overview, the
-other all single figures. This process draws whatever they do not report.
+They load matplotlib and draw the scene while the run computes. They get the result before its
+reconstruction, draw the rest meanwhile, and complete it when the reconstruction is known. One draws
+the overview, the other all single figures. This process draws whatever they do not report.
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from ..inverse import Reconstruction
     from ..runs.results import Result
     from ..scene import Scene
 
@@ -32,8 +35,38 @@ LONGEST: Final = 30.0
 ENDING: Final = 5.0
 
 
+class Painters:
+    """Processes that draw, as seen by the run.
+
+    Parameters
+    ----------
+    ends : sequence of Connection
+        Connections to the processes; none if this process draws all figures.
+    held : file
+        Nameless file that the processes share. The result goes through it, since a process that
+        hangs would never empty a pipe.
+    """
+
+    def __init__(self, ends: Sequence[Connection] = (), held: IO[bytes] | None = None) -> None:
+        self.ends, self._held = ends, held
+
+    def send(self, *values: Any) -> None:
+        """Send values to all processes; leave them out from now on if that is impossible."""
+        if self._held is None:
+            return
+        try:
+            start = self._held.tell()
+            pickle.dump(values, self._held, protocol=pickle.HIGHEST_PROTOCOL)
+            self._held.flush()
+        except OSError:
+            self.ends = ()
+        for end in self.ends:
+            with suppress(OSError):
+                end.send((start, self._held.tell() - start))
+
+
 @contextmanager
-def painters(scene: Scene) -> Iterator[Sequence[Connection]]:
+def painters(scene: Scene) -> Iterator[Painters]:
     """Start two processes that draw figures; end them if the block fails.
 
     Parameters
@@ -43,38 +76,39 @@ def painters(scene: Scene) -> Iterator[Sequence[Connection]]:
 
     Yields
     ------
-    sequence of Connection
-        Connections to the processes for `write_figures`; none where the system cannot fork, has one
-        core, or lacks matplotlib.
+    Painters
+        The processes. There are none where the system cannot fork, has one core, or lacks
+        matplotlib.
     """
     if (
         not sys.platform.startswith("linux")
         or (os.cpu_count() or 1) < 2
         or importlib.util.find_spec("matplotlib") is None
     ):
-        yield ()
+        yield Painters()
         return
     context = multiprocessing.get_context("fork")
     pipes = [context.Pipe() for _ in range(2)]
-    first = context.Process(target=_first, args=(scene, pipes))
-    with warnings.catch_warnings():
-        # The processes only draw: they take no lock that another thread may hold.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        first.start()
-    group = first.pid or 0
-    _group(group)
-    for _, theirs in pipes:
-        theirs.close()
-    ours = [end for end, _ in pipes]
-    try:
-        yield ours
-        first.join(ENDING)
-    finally:
-        for end in ours:
-            end.close()
-        with suppress(OSError):
-            os.killpg(group, signal.SIGKILL)
-        first.join()
+    with tempfile.TemporaryFile() as held:
+        first = context.Process(target=_first, args=(scene, pipes, held.fileno()))
+        with warnings.catch_warnings():
+            # The processes only draw: they take no lock that another thread may hold.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            first.start()
+        group = first.pid or 0
+        _group(group)
+        for _, theirs in pipes:
+            theirs.close()
+        ours = [end for end, _ in pipes]
+        try:
+            yield Painters(ours, held)
+            first.join(ENDING)
+        finally:
+            for end in ours:
+                end.close()
+            with suppress(OSError):
+                os.killpg(group, signal.SIGKILL)
+            first.join()
 
 
 def _ends_with_parent() -> None:
@@ -91,7 +125,7 @@ def _group(leader: int) -> None:
         os.setpgid(leader, leader)
 
 
-def write_figures(result: Result, folder: Path, connections: Sequence[Connection] = ()) -> None:
+def write_figures(result: Result, folder: Path, drawing: Painters | None = None) -> None:
     """Write an overview picture and one PNG for each part of the result.
 
     Parameters
@@ -100,23 +134,16 @@ def write_figures(result: Result, folder: Path, connections: Sequence[Connection
         Result of the run.
     folder : Path
         Folder that receives the files.
-    connections : sequence of Connection
-        From `painters`; without any, this process draws all figures.
+    drawing : Painters, optional
+        Processes of `painters`, which were sent the result, then the reconstruction and the folder.
+        Without them, this process draws all figures.
     """
     missing = {**_of_scene(result.scene), **_of_run(result), **_of_parts(result)}
-    if connections:
-        # A file, since a process that hangs would never empty a pipe. It is next to the folder, in
-        # the temporary folder of `whole_folder`, which is removed even if this process is killed.
-        with suppress(OSError), tempfile.NamedTemporaryFile(dir=folder.parent) as held:
-            pickle.dump((result, folder), held, protocol=pickle.HIGHEST_PROTOCOL)
-            held.flush()
-            for end in connections:
-                with suppress(OSError):
-                    end.send(held.name)
-            for end in connections:
-                with suppress(EOFError, OSError):
-                    while end.poll(LONGEST) and (name := end.recv()) is not None:
-                        del missing[name]
+    missing |= _of_fit(result)
+    for end in drawing.ends if drawing else ():
+        with suppress(EOFError, OSError):
+            while end.poll(LONGEST) and (name := end.recv()) is not None:
+                del missing[name]
     for name, draw in missing.items():
         _write(folder, name, _drawn(draw))
 
@@ -139,9 +166,8 @@ def _of_run(result: Result) -> Figures:
 
 
 def _of_parts(result: Result) -> Figures:
-    """Return the figures of single results."""
+    """Return the figures of single results, without the reconstruction."""
     from .. import limits, views
-    from ..views.run_overview import ground_truth
 
     scale = limits.object_scale(result.scene)
     found: Figures = {
@@ -151,10 +177,20 @@ def _of_parts(result: Result) -> Figures:
     }
     if (field := result.pupil_field) is not None:
         found["pupil_phase"] = lambda: views.pupil_field(field)
-    if (fit := result.reconstruction) is not None:
-        truth, pitch = ground_truth(result), scale * result.image.pitch
-        found["reconstruction"] = lambda: views.reconstruction(fit, truth, pitch=pitch)
     return found
+
+
+def _of_fit(result: Result) -> Figures:
+    """Return the figure of the reconstruction, if there is one."""
+    from .. import limits, views
+    from ..views.run_overview import ground_truth
+
+    fit = result.reconstruction
+    if fit is None:
+        return {}
+    truth = ground_truth(result)
+    pitch = limits.object_scale(result.scene) * result.image.pitch
+    return {"reconstruction": lambda: views.reconstruction(fit, truth, pitch=pitch)}
 
 
 def _drawn(draw: Callable[[], Any]) -> bytes:
@@ -168,7 +204,7 @@ def _write(folder: Path, name: str, content: bytes) -> None:
     (folder / f"{name}.png").write_bytes(content)
 
 
-def _first(scene: Scene, pipes: list[tuple[Connection, Connection]]) -> None:
+def _first(scene: Scene, pipes: list[tuple[Connection, Connection]], held: int) -> None:
     """Load matplotlib, start the second process, draw the scene and then the single results."""
     _ends_with_parent()
     _group(0)  # also done by the parent, whichever comes first
@@ -180,21 +216,34 @@ def _first(scene: Scene, pipes: list[tuple[Connection, Connection]]) -> None:
         ours.close()
     (_, here), (_, there) = pipes
     with _silent():
-        from ..views.canvas import drawing_classes
-
-        drawing_classes()
-        second = multiprocessing.get_context("fork").Process(target=_second, args=(here, there))
+        _load()
+        second = multiprocessing.get_context("fork").Process(
+            target=_second, args=(here, there, held)
+        )
         second.start()
         there.close()
-        _serve(here, _of_parts, {name: _drawn(draw) for name, draw in _of_scene(scene).items()})
+        ready = {name: _drawn(draw) for name, draw in _of_scene(scene).items()}
+        _serve(here, held, ready, _of_parts, _of_fit, place=-1)
 
 
-def _second(other: Connection, own: Connection) -> None:
+def _second(other: Connection, own: Connection, held: int) -> None:
     """Draw the overview."""
     _ends_with_parent()
     other.close()
     with _silent():
-        _serve(own, _of_run, {})
+        from ..views.run_overview import FIT
+
+        _serve(own, held, {}, lambda _: {}, _of_run, place=FIT)
+
+
+def _load() -> None:
+    """Import all that both processes need."""
+    from .. import inverse, limits
+    from ..views.canvas import load_for_drawing
+
+    load_for_drawing()
+    # the results that are received are of classes in these packages
+    _ = inverse.Reconstruction, limits.object_scale
 
 
 @contextmanager
@@ -206,14 +255,66 @@ def _silent() -> Iterator[None]:
         os._exit(1)
 
 
-def _serve(end: Connection, figures: Callable[[Result], Figures], ready: dict[str, bytes]) -> None:
-    """Wait for the result, write and report figures one by one, and then None."""
-    with Path(end.recv()).open("rb") as held:
-        result, folder = pickle.load(held)  # written by this run, readable by its user alone
+def _serve(
+    end: Connection,
+    held: int,
+    ready: dict[str, bytes],
+    known: Callable[[Result], Figures],
+    late: Callable[[Result], Figures],
+    *,
+    place: int,
+) -> None:
+    """Draw figures; write and report all of them when the run is finished, and then report None.
+
+    Parameters
+    ----------
+    end : Connection
+        Connection to the run.
+    held : int
+        File descriptor of the shared file.
+    ready : dict of str to bytes
+        Figures that need no result.
+    known, late : callable
+        Return the figures that do not show the reconstruction and those that do.
+    place : int
+        Index of the reconstruction among the axes of a late figure.
+    """
+    (result,) = _received(end, held)
+    ready |= {name: _drawn(draw) for name, draw in known(result).items()}
+    complete = _awaiting(result, late, place)
+    fit, folder = _received(end, held)
     for name, content in ready.items():
         _write(folder, name, content)
         end.send(name)
-    for name, draw in figures(result).items():
-        _write(folder, name, _drawn(draw))
+    for name, content in complete(fit).items():
+        _write(folder, name, content)
         end.send(name)
     end.send(None)
+
+
+def _received(end: Connection, held: int) -> Any:
+    """Wait for the next values of `Painters.send`; they come from this run alone."""
+    start, count = end.recv()
+    return pickle.loads(os.pread(held, count, start))
+
+
+def _awaiting(
+    result: Result, late: Callable[[Result], Figures], place: int
+) -> Callable[[Reconstruction | None], dict[str, bytes]]:
+    """Draw what is known of late figures; return a function that completes their files."""
+    from ..views.saving import awaited_file
+
+    if not result.plan.runs("reconstruction"):
+        files = {name: _drawn(draw) for name, draw in late(result).items()}
+        return lambda _: files
+
+    def drawn(name: str) -> Callable[[Reconstruction], Any]:
+        return lambda fit: late(replace(result, reconstruction=fit))[name]()
+
+    any_fit: Any = object()  # decides which figures there are
+    shape = result.image.electrons.shape
+    complete: dict[str, Callable[[Any], bytes]] = {
+        name: awaited_file(drawn(name), place, shape)
+        for name in late(replace(result, reconstruction=any_fit))
+    }
+    return lambda fit: {name: file(fit) for name, file in complete.items()}

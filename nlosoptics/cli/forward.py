@@ -97,10 +97,11 @@ def run_command(
             ready = time.perf_counter()
             drawn = can_draw()
             with progress_bar() as progress:
-                result = carried_out(planned, optics, seed, progress)
+                result = carried_out(planned, optics, seed, progress, beside.send)
                 progress("writing", 1.0)
                 with whole_folder(folder) as new:
                     began = time.perf_counter()
+                    beside.send(result.reconstruction, new)
                     report = write_result(result, new) | {"command_line": typed(context)}
                     written = time.perf_counter()
                     if drawn:

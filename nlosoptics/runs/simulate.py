@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, cast
 
 import numpy as np
@@ -95,7 +96,11 @@ def simulate(
 
 
 def carried_out(
-    todo: Plan, optics: SceneOptics, seed: int, progress: Progress | None = None
+    todo: Plan,
+    optics: SceneOptics,
+    seed: int,
+    progress: Progress | None = None,
+    formed: Callable[[Result], None] = lambda _: None,
 ) -> Result:
     """Run a plan within its budget and reuse the waves computed for it.
 
@@ -109,12 +114,20 @@ def carried_out(
         Seed of the random numbers, already checked.
     progress : callable(str, float), optional
         Called with the name of the stage that begins and the completed fraction, 0 to 1.
+    formed : callable(Result)
+        Called once the image is formed, with the result without reconstruction and timings.
     """
     with within(todo.budget):
-        return _stages(todo, optics, seed, progress)
+        return _stages(todo, optics, seed, progress, formed)
 
 
-def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | None) -> Result:
+def _stages(
+    todo: Plan,
+    optics: SceneOptics,
+    seed: int,
+    progress: Progress | None,
+    formed: Callable[[Result], None],
+) -> Result:
     """Run the stages of a plan in order."""
     scene, tol = optics.scene, todo.tol
     if not todo.runs("wave aberration"):
@@ -154,14 +167,7 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
     begin("image")
     wide = psf.widened(spreads, tol=tol * OUTSIDE, shape=scene.camera.shape)
     image = imaging.form_image(scene, wide, seed=seed, shadows=shadows)
-    reconstruction = None
-    if todo.runs("reconstruction"):
-        begin("reconstruction")
-        reconstruction = _reconstruct(scene, image, mean)
-    ends = [*list(begun.values())[1:], time.perf_counter()]
-    if progress is not None:
-        progress("done", 1.0)
-    return Result(
+    result = Result(
         scene=scene,
         plan=todo,
         exit_pupil=found.exit_pupil,
@@ -170,11 +176,21 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
         field=field,
         pupil_field=found.pupil_field,
         image=image,
-        reconstruction=reconstruction,
+        reconstruction=None,
         errors=errors,
-        timings={name: end - begun[name] for name, end in zip(begun, ends, strict=True)},
+        timings={},
         seed=seed,
     )
+    formed(result)
+    reconstruction = None
+    if todo.runs("reconstruction"):
+        begin("reconstruction")
+        reconstruction = _reconstruct(scene, image, mean)
+    ends = [*list(begun.values())[1:], time.perf_counter()]
+    if progress is not None:
+        progress("done", 1.0)
+    timings = {name: end - begun[name] for name, end in zip(begun, ends, strict=True)}
+    return replace(result, reconstruction=reconstruction, timings=timings)
 
 
 def image_spreads(

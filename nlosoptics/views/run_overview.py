@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from ..runs.results import Result
     from ..study import Results
 
+FIT = 4  # index of the reconstruction among the axes of `overview`
+
 
 def overview(result: Result) -> tuple[Axes, ...]:
     """Draw all results of a simulation in one figure, in the order of the computation.
@@ -69,8 +71,8 @@ def overview(result: Result) -> tuple[Axes, ...]:
     used = 4
     if result.reconstruction is not None:
         truth = ground_truth(result)
-        used = 5 if truth is None else 6
-        free = axes[used - 1 : 3 : -1]  # the truth comes first, and is drawn on the right
+        used = FIT + (1 if truth is None else 2)
+        free = axes[used - 1 : FIT - 1 : -1]  # the truth comes first, and is drawn on the right
         reconstruction(result.reconstruction, truth, pitch=scale * result.image.pitch, axes=free)
     for spare in axes[used:]:
         spare.remove()

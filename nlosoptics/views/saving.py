@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from io import BytesIO
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from .._checks import counted
 from .._whole_files import write_whole
@@ -16,6 +19,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from pyvista import Plotter
+
+    from ..inverse import Reconstruction
+
+#: Metadata of files: without program name, date and random identifiers, equal figures give equal
+#: bytes.
+METADATA: dict[str, dict[str, Any]] = {
+    ".png": {"Software": None},
+    ".pdf": {"CreationDate": None},
+    ".svg": {"Date": None},
+}
+MARGIN = 4.0  # pixels around axes that are drawn again; other axes are farther away
 
 
 def save(
@@ -99,13 +113,11 @@ def figure_file(picture: Any, suffix: str) -> bytes:
 
     (figure,) = figures
     content = BytesIO()
-    # without program name, date and random identifiers, equal figures give equal bytes
-    metadata = {".png": {"Software": None}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     with rc_context({"svg.hashsalt": "nlosoptics"}):
         if suffix == ".png" and _drawn_once(figure):
-            figure.canvas.print_png(content, metadata=metadata[suffix])
-        else:
-            figure.savefig(content, format=suffix[1:], metadata=metadata[suffix])
+            figure.canvas.draw()
+            return _png(figure)
+        figure.savefig(content, format=suffix[1:], metadata=METADATA[suffix])
     return content.getvalue()
 
 
@@ -124,6 +136,72 @@ def _drawn_once(figure: Any) -> bool:
     return type(figure.canvas) is drawing_classes()[1] and all(
         rcParams[name] == rcParamsDefault[name] for name in saving
     )
+
+
+def _png(figure: Any) -> bytes:
+    """Return the pixels that the canvas of a figure has drawn as a PNG file."""
+    from matplotlib.image import imsave
+
+    content = BytesIO()
+    imsave(
+        content,
+        figure.canvas.buffer_rgba(),
+        format="png",
+        origin="upper",
+        dpi=figure.dpi,
+        metadata=METADATA[".png"],
+    )
+    return content.getvalue()
+
+
+def awaited_file(
+    draw: Callable[[Reconstruction], Sequence[Axes]], place: int, shape: tuple[int, int]
+) -> Callable[[Reconstruction], bytes]:
+    """Draw a figure with a reconstruction before the reconstruction is known.
+
+    Parameters
+    ----------
+    draw : callable
+        Draws the figure for a reconstruction and returns its axes.
+    place : int
+        Index of the axes with the reconstruction.
+    shape : (int, int)
+        Shape of the reconstruction, pixels.
+
+    Returns
+    -------
+    callable
+        Takes the reconstruction and returns the figure as a PNG file. If the fit has converged and
+        its values span 0 to 1, all but its image is drawn already; otherwise it is drawn anew.
+    """
+    expected: Any = SimpleNamespace(object=np.zeros(shape), status="converged")
+    expected.object[0, 0] = 1.0
+    axes = draw(expected)
+    shown = axes[place]
+    figure: Any = shown.get_figure(root=True)
+    figure.canvas.draw()
+    renderer = figure.canvas.get_renderer()
+    box: Any = shown.get_tightbbox(renderer)
+    box = box.padded(MARGIN)
+
+    def file(found: Reconstruction) -> bytes:
+        values = np.asarray(found.object)
+        known = found.status, values.shape, values.min(), values.max()
+        if known != (expected.status, shape, 0.0, 1.0) or not _drawn_once(figure):
+            return figure_file(draw(found), ".png")
+        from matplotlib.patches import Rectangle
+        from matplotlib.transforms import IdentityTransform
+
+        empty = Rectangle(
+            box.p0, box.width, box.height, facecolor=figure.get_facecolor(), linewidth=0.0
+        )
+        empty.set_transform(IdentityTransform())
+        empty.draw(renderer)
+        shown.images[0].set_data(values[:, ::-1])
+        shown.draw(renderer)
+        return _png(figure)
+
+    return file
 
 
 def _plotter_file(plotter: Any, suffix: str) -> bytes:

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
+from nlosoptics import simulate
 from nlosoptics.cli import figures
+from nlosoptics.runs.plan import Plan
+from nlosoptics.views import saving
+from nlosoptics.views.run_overview import FIT
+from nlosoptics.views.saving import figure_file
 
 HERE = os.getpid()
 forks = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
@@ -28,10 +34,15 @@ def drawn_by(tmp_path, monkeypatch, flat_scene):
         monkeypatch.setattr(figures, "_of_scene", named("scene"))
         monkeypatch.setattr(figures, "_of_run", named("overview"))
         monkeypatch.setattr(figures, "_of_parts", named("image"))
+        monkeypatch.setattr(figures, "_of_fit", named("reconstruction"))
         monkeypatch.setattr(figures, "_drawn", lambda draw: draw() or str(os.getpid()).encode())
         monkeypatch.setattr(figures.os, "cpu_count", lambda: cores)
+        plan = Plan(stages=(), skipped=(), tol=1e-3, waves=0.0, exit_pupil=None, budget=None)
+        result = SimpleNamespace(scene=flat_scene, plan=plan)
         with figures.painters(flat_scene) as beside:
-            figures.write_figures(SimpleNamespace(scene=flat_scene), tmp_path, beside)
+            beside.send(result)
+            beside.send(None, tmp_path)
+            figures.write_figures(result, tmp_path, beside)
         return {path.stem: int(path.read_text()) for path in tmp_path.iterdir()}
 
     return run
@@ -49,15 +60,16 @@ def fail():
 @forks
 def test_two_other_processes_draw(drawn_by):
     found = drawn_by()
-    assert found["scene"] == found["image"]
+    assert found["scene"] == found["image"] == found["reconstruction"]
     assert len({HERE, found["image"], found["overview"]}) == 3
 
 
 def test_one_core_draws_all_here(drawn_by):
-    assert drawn_by(cores=1) == {"scene": HERE, "image": HERE, "overview": HERE}
+    names = "scene", "image", "reconstruction", "overview"
+    assert drawn_by(cores=1) == dict.fromkeys(names, HERE)
 
 
-@pytest.mark.parametrize("name", ["scene", "overview", "image"])
+@pytest.mark.parametrize("name", ["scene", "overview", "image", "reconstruction"])
 def test_figures_of_a_process_that_fails_are_drawn_here(drawn_by, capfd, name):
     assert drawn_by(**{name: elsewhere(fail)})[name] == HERE
     assert capfd.readouterr().err == ""
@@ -81,6 +93,44 @@ def test_a_process_that_hangs_is_ended(drawn_by, monkeypatch, name):
     monkeypatch.setattr(figures.os, "killpg", lambda *call: (ends.append(call), kill(*call)))
     assert drawn_by(**{name: elsewhere(lambda: time.sleep(60))})[name] == HERE
     assert_gone(ends[0][0])
+
+
+@forks
+def test_what_cannot_be_sent_is_drawn_here(drawn_by, monkeypatch):
+    """A full disk, for example: nobody waits for processes that wait for the result."""
+
+    def full(*_, **__):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(figures.pickle, "dump", full)
+    assert set(drawn_by().values()) == {HERE}
+
+
+@pytest.mark.parametrize(
+    ("late", "name", "place"),
+    [("_of_run", "overview", FIT), ("_of_fit", "reconstruction", -1)],
+)
+def test_a_figure_completed_late_is_the_figure_drawn_at_once(
+    flat_scene, monkeypatch, late, name, place
+):
+    """To the last byte, whether the fit is as expected, so that only its image is drawn, or not."""
+    result = simulate(flat_scene.resized(32), tol=1e-2, reconstruct=True)
+    early = replace(result, reconstruction=None)
+    complete = figures._awaiting(early, getattr(figures, late), place)
+    fit = result.reconstruction
+    assert (fit.status, fit.object.min(), fit.object.max()) == ("converged", 0.0, 1.0)
+    others = (
+        replace(fit, status="not_converged"),
+        replace(fit, object=fit.object + 1.0),
+        replace(fit, object=2.0 * fit.object),
+    )
+    wanted = [
+        figure_file(getattr(figures, late)(replace(result, reconstruction=each))[name](), ".png")
+        for each in (fit, *others)
+    ]
+    assert [complete(each)[name] for each in (*others, fit)] == [*wanted[1:], wanted[0]]
+    monkeypatch.setattr(saving, "figure_file", None)  # not needed for what is expected
+    assert complete(fit)[name] == wanted[0]
 
 
 @forks
