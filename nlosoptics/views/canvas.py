@@ -78,7 +78,7 @@ def load_for_drawing() -> None:
     """
     from matplotlib import artist
 
-    artist.kwdoc = lambda _: ""
+    artist.kwdoc = lambda artist: ""
     drawing_classes()
 
 
