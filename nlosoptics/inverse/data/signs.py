@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, linalg
+from scipy import fft
 
 Array = NDArray[np.float64]
 
@@ -152,6 +152,8 @@ def _halo(object_: Array) -> tuple[float, float]:
     The halo h minimises ``|dim - h * bright|^2 + ridge |h|^2`` over all h within `_HALO_REACH`
     pixels, with the convolution ``*``. A blur that the model lacks leaves such a halo.
     """
+    from scipy import linalg  # slow to load
+
     brightest = float(np.quantile(object_, _BRIGHTEST)) or float(object_.max())
     bright = np.where(object_ > _DIM * brightest, object_, 0.0)
     dim = object_ - bright

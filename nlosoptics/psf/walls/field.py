@@ -22,6 +22,7 @@ from .scene_psf import point_image, point_window
 Array = NDArray[np.float64]
 HELD_OUT = 501  # random stream of the points at which a field is checked
 AVERAGED = 32  # points along each side of the object over which a field is averaged
+BLOCK = 1 << 14  # points that are interpolated together, few enough for the processor's cache
 FINEST = 1e-3  # resolution of `isoplanatic_radius`, relative to the object's half size
 
 
@@ -94,15 +95,30 @@ class PointSpreadField(Noun):
         SamplingError
             If a coordinate is NaN or infinite.
         """
-        x, y = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (across, up)))
+        x, y = (np.asarray(v, dtype=np.float64) for v in (across, up))
         if not (np.isfinite(x).all() and np.isfinite(y).all()):
             raise SamplingError("across or up holds NaN or infinity; give coordinates from -1 to 1")
-        on_x = chebyshev_weights(len(self.across), x.ravel())
-        on_y = chebyshev_weights(len(self.up), y.ravel())
+        if x.ndim == y.ndim == 2 and x.shape[0] == y.shape[1] == 1:  # the points form a grid
+            return self._interpolated("kyn,my->kmn", x[0], y[:, 0])
+        x, y = np.broadcast_arrays(x, y)
+        shape, x, y = x.shape, x.ravel(), y.ravel()
+        weights = np.empty((len(self.weights), x.size))
+
+        def fill(first: int) -> None:
+            block = slice(first, first + BLOCK)
+            weights[:, block] = self._interpolated("kyn,ny->kn", x[block], y[block])
+
+        mapped = map if x.size <= BLOCK else worker_pool().map
+        list(mapped(fill, range(0, x.size, BLOCK)))
+        return weights.reshape(len(weights), *shape)
+
+    def _interpolated(self, sums: str, x: Array, y: Array) -> Array:
+        """Return the weights at coordinates x (n,) and y, summed over the rows of nodes last."""
+        on_x = chebyshev_weights(len(self.across), x)
+        on_y = chebyshev_weights(len(self.up), y)
         # einsum without BLAS, whose rounding can depend on the number of threads
         half = np.einsum("kyx,nx->kyn", self.weights, on_x)
-        weights = np.einsum("kyn,ny->kn", half, on_y)
-        return np.asarray(weights.reshape(len(self.weights), *x.shape))
+        return np.asarray(np.einsum(sums, half, on_y))
 
     def point_spread(self, across: float, up: float) -> Array:
         """Return the point spread function at one point of the object.

@@ -11,6 +11,7 @@ from pytest import approx
 from nlosoptics import imaging, psf
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
+from nlosoptics.psf.walls.field import BLOCK, picture_nodes
 from nlosoptics.scene import ConcaveWall, MeshObject, PlanarObject
 
 PITCH = 4e-6
@@ -75,6 +76,27 @@ def test_weights_at_nodes_are_those_of_the_nodes(field):
     assert field.at(2.0, 0.3) == approx(field.at(1.0, 0.3), abs=0.0)
     with pytest.raises(SamplingError, match="NaN"):
         field.at(np.nan, 0.0)
+
+
+def test_a_field_weighs_points_one_by_one_in_blocks_and_on_grids_alike():
+    """To the last bit, since the same products are added in the same order."""
+    draws = np.random.default_rng(0)
+    field = psf.PointSpreadField(
+        modes=draws.random((3, 2, 2)),
+        weights=draws.normal(size=(3, 4, 5)),
+        across=picture_nodes(5),
+        up=picture_nodes(4),
+        pitch=1e-5,
+        truncation_error=0.0,
+        error_estimate=0.0,
+    )
+    x, y = draws.uniform(-1.1, 1.1, (1, 300)), draws.uniform(-1.1, 1.1, (200, 1))
+    grid, points = field.at(x, y), field.at(*np.broadcast_arrays(x, y))
+    assert points.shape == (3, 200, 300)
+    assert x.size * y.size > 3 * BLOCK
+    assert np.array_equal(grid, points)
+    for i, j in ((0, 0), (130, 7), (199, 299)):
+        assert np.array_equal(field.at(x[0, j], y[i, 0]), points[:, i, j])
 
 
 def test_model_of_a_field_is_a_sum_over_object_points(field):
