@@ -1019,8 +1019,10 @@ SECTIONS = (
     Section(
         "evidence_one_frame.jsonl",
         "Wall unknown, one frame",
-        "`evidence_fit` for a single image (frame), otherwise as for two.",
-        f"{RUN}/inverse/evidence.py --frames 1 --rms 0.25 0.5 --jobs 2 "
+        "`evidence_fit` for a single image (frame), otherwise as for two; five walls and three "
+        "objects for each strength. If a start without blur leads to the truth, a fit takes a "
+        "second.",
+        f"{RUN}/inverse/evidence.py --frames 1 --rms 0.25 0.5 --walls 113 117 "
         "--json benchmarks/results/evidence_one_frame.jsonl",
         evidence,
     ),
