@@ -979,9 +979,9 @@ SECTIONS = (
         "sort the results by their correlation with the true object, and state how many of them "
         'have the status "converged": few should on the left, most on the right. Images have 64 '
         "x 64 pixels and 0.5 to 10 % noise. None of them was used to set the limits of the tests.",
-        f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 500000 "
+        f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 700000 "
         f"--cases 220; {RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl "
-        "--first 600000 --cases 200 --kinds white_noise exponential_noise photon_noise "
+        "--first 800000 --cases 200 --kinds white_noise exponential_noise photon_noise "
         "unblurred_picture blobs other_speckle other_wall",
         mismatches,
     ),
@@ -1019,8 +1019,10 @@ SECTIONS = (
     Section(
         "evidence_one_frame.jsonl",
         "Wall unknown, one frame",
-        "`evidence_fit` for a single image (frame), otherwise as for two.",
-        f"{RUN}/inverse/evidence.py --frames 1 --rms 0.25 0.5 --jobs 2 "
+        "`evidence_fit` for a single image (frame), otherwise as for two; five walls and three "
+        "objects for each strength. If a start without blur leads to the truth, a fit takes a "
+        "second.",
+        f"{RUN}/inverse/evidence.py --frames 1 --rms 0.25 0.5 --walls 113 117 "
         "--json benchmarks/results/evidence_one_frame.jsonl",
         evidence,
     ),

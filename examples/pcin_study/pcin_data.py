@@ -173,9 +173,9 @@ def exposure_of(place: Place, milliseconds: int, seed: int, *, second: bool = Fa
 
 
 @lru_cache(maxsize=64)
-def known_model(place: Place) -> imaging.ForwardModel:
-    """Image model of the scene's own point spread, at the image's pixels."""
-    return reconstructing.known_model(study_scene(place, 40e-3), tol=TOL[place[0]])
+def known_model(place: Place, *, mean: bool = False) -> imaging.ForwardModel:
+    """Image model of the scene's own point spreads, or of their mean, at the image's pixels."""
+    return reconstructing.known_model(study_scene(place, 40e-3), tol=TOL[place[0]], mean=mean)
 
 
 @lru_cache(maxsize=64)

@@ -101,7 +101,9 @@ def _known(key: dict[str, Any], taken: data.Exposure) -> Any:
     place = place_of(key)
     solver = inverse.tv_deconvolve if key["method"] == "tv" else inverse.inverse_filter
     known = {"noise_sigma": taken.noise, "background_shape": data.veil(place)}
-    return solver(taken.image, data.known_model(place), **known), {}
+    # one division of spectra takes one point spread
+    model = data.known_model(place, mean=key["method"] == "inverse_filter")
+    return solver(taken.image, model, **known), {}
 
 
 def _phase_retrieval(key: dict[str, Any], taken: data.Exposure) -> Any:

@@ -181,6 +181,28 @@ def plane_coordinates(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, Arr
     return dot(offset, right), dot(offset, up)
 
 
+def picture_positions(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, Array]:
+    """Intersections of mirrored chief rays with the picture's plane, relative to its half size.
+
+    Parameters
+    ----------
+    hidden : PlanarObject
+        Object with the picture.
+    rays : ChiefRays
+        Chief rays.
+
+    Returns
+    -------
+    across, up : ndarray, (...)
+        Coordinates, -1 to 1 from the left to the right and from the lower to the upper edge, for
+        `ForwardModel`. They are 0 where a ray does not meet the front of the plane: such a pixel
+        shows nothing of the picture.
+    """
+    rows, columns = hidden.reflectance.shape
+    column, row = picture_coordinates(hidden, rays)
+    return np.nan_to_num(2.0 * column / columns - 1.0), np.nan_to_num(1.0 - 2.0 * row / rows)
+
+
 def picture_points(hidden: PlanarObject, column: Array, row: Array) -> Array:
     """Return world points (n, 3), m, for texel coordinates (n,) of a picture."""
     right, up, _ = hidden.axes

@@ -27,6 +27,7 @@ from .geometry import (
     chief_rays,
     picture_coordinates,
     picture_points,
+    picture_positions,
     pixel_centres,
     pixel_edges,
     wall_visibility,
@@ -472,10 +473,7 @@ def _blur(
             "point_spread is a field over a picture, but scene.hidden is a mesh; give one "
             "PointSpread"
         )
-    rows, columns = scene.hidden.reflectance.shape
-    column, row = picture_coordinates(scene.hidden, rays)
-    # pixels that miss the picture's plane carry no light to blur
-    across, up = np.nan_to_num(2.0 * column / columns - 1.0), np.nan_to_num(1.0 - 2.0 * row / rows)
+    across, up = picture_positions(scene.hidden, rays)
     model = ForwardModel(point_spread, shape=shape, at=(across, up))
     sums = np.tensordot(point_spread.modes.sum(axis=(1, 2)), point_spread.at(across, up), 1)
     total = float(ideal.sum())

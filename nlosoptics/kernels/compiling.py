@@ -37,6 +37,8 @@ class _Cache(NullCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled kernel for a signature, or None."""
         own = self._own
+        if not hasattr(own, "_load_overload"):  # another version of numba
+            return own.load_overload(sig, target_context)
         rtsys.initialize(target_context)  # kernels call its functions to allocate arrays
         with own._guard_against_spurious_io_errors():
             return own._load_overload(sig, target_context)

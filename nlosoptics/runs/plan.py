@@ -270,7 +270,7 @@ def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[
             *left_out(scene),
             shadow_stage(scene),
             image,
-            reconstruction_stage(scene, reconstruct),
+            reconstruction_stage(scene, reconstruct, pattern.nodes if pattern is not None else 0),
         ]
     found = Plan(
         stages=tuple(s for s in stages if s.runs),

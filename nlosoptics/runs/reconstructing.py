@@ -30,7 +30,7 @@ from ..scene import Scene
 from .noise import camera_noise
 from .plan import plan
 from .record import arrays, now, scene_hash, versions
-from .simulate import image_spreads, veil_shape
+from .simulate import image_model, image_spreads, veil_shape
 
 if TYPE_CHECKING:
     from ..inverse import CnnBaseline, Reconstruction
@@ -47,6 +47,8 @@ KNOWN = {
     "deep_image_prior": "deep_image_prior",
     "phase_retrieval": "phase_retrieval",
 }
+#: Those that need a single point spread.
+SINGLE = ("inverse_filter", "phase_retrieval")
 #: Recipes of `inverse.pcin`, which fit the wall's wave as well as the object.
 BLIND = ("evidence", "wu2024")
 CNN = "cnn"
@@ -244,9 +246,10 @@ def reconstructed(
 
     if task.method in BLIND:
         return _blind(task, start, progress)
-    solver = getattr(inverse, KNOWN[task.method]) if task.network is None else _trained(task)
+    network = task.network
+    solver = getattr(inverse, KNOWN[task.method]) if network is None else network.reconstruct
     (image,) = task.images
-    model = model or known_model(task.scene, tol=task.tol)
+    model = model or known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
     veil = veil_shape(task.scene)
     offered = {
         "noise_sigma": camera_noise(task.scene, image, model),
@@ -255,11 +258,6 @@ def reconstructed(
     }
     found: Reconstruction = solver(image.values, model, **_taken(solver, task.method, offered))
     return found
-
-
-def _trained(task: Task) -> Callable[..., Reconstruction]:
-    assert task.network is not None  # `prepared` guarantees it
-    return task.network.reconstruct
 
 
 def _blind(
@@ -310,8 +308,8 @@ def _taken(solver: Any, method: str, offered: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in offered.items() if name in known}
 
 
-def known_model(scene: Scene, *, tol: float = 1e-3) -> ForwardModel:
-    """Return the image model of a scene: convolution with its mean PSF over the object.
+def known_model(scene: Scene, *, tol: float = 1e-3, mean: bool = False) -> ForwardModel:
+    """Return the image model of a scene: convolution with its PSF, or with a field of PSFs.
 
     Parameters
     ----------
@@ -319,6 +317,9 @@ def known_model(scene: Scene, *, tol: float = 1e-3) -> ForwardModel:
         Scene to model.
     tol : float
         Error tolerance of the PSF, max |dI|/max I, with I the intensity.
+    mean : bool
+        Whether to use the mean PSF over the object in any case, for solvers that need a single one.
+        It is also used if the PSFs deviate from it by at most 5 % rms.
 
     Returns
     -------
@@ -341,8 +342,7 @@ def known_model(scene: Scene, *, tol: float = 1e-3) -> ForwardModel:
     (32, 32)
     """
     todo = plan(scene, tol, reconstruct=True)
-    optics = SceneOptics(scene, todo.exit_pupil)
-    spreads, _ = image_spreads(todo, optics)
+    spreads, _ = image_spreads(todo, SceneOptics(scene, todo.exit_pupil))
     spread = spreads.mean() if isinstance(spreads, PointSpreadField) else spreads.intensity
     shape = scene.camera.shape
     middle = tuple(
@@ -356,7 +356,7 @@ def known_model(scene: Scene, *, tol: float = 1e-3) -> ForwardModel:
             f"spread's energy, must be at least {100 * LEAST_WITHIN:g} %: the blur is larger than "
             "the image; read more pixels, or focus better"
         )
-    return ForwardModel(spread, shape=shape)
+    return image_model(scene, spreads, mean=mean)
 
 
 def carry_out(
@@ -410,7 +410,7 @@ def carry_out(
     if task.method not in BLIND:
         if progress is not None:
             progress("point spread", 0.0)
-        model = known_model(task.scene, tol=task.tol)
+        model = known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
     if interrupted is not None and interrupted():
         raise KeyboardInterrupt
     with whole_folder(folder) as new:

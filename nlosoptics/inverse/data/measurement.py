@@ -17,9 +17,9 @@ from .models import AnyModel, model_shape
 from .spectra import (
     beyond_optics,
     expected_signal,
-    frame_transfer,
     half_weights,
     object_power,
+    passed_power,
     periodic_power,
     power,
 )
@@ -183,7 +183,7 @@ class Measurement:
         if own.weights is not None:
             rest = rest * np.sqrt(own.weights)
         shape = rest.shape
-        passed = 1.0 if model is None else np.abs(frame_transfer(model)) ** 2
+        passed = 1.0 if model is None else passed_power(model)
         relative = power(rest) * (rest.size / (self.counted * self.sigma**2))
         if not self.fit_background:  # even light is an object then
             strength = float(rest.mean()) * math.sqrt(rest.size) / self.sigma
@@ -460,7 +460,7 @@ def _noise_beyond(image: NDArray[np.float64], model: AnyModel, sigma: float) -> 
     ``sigma`` is a first estimate; it is returned if there are too few such frequencies.
     """
     power = periodic_power(image)
-    passed = np.abs(frame_transfer(model)) ** 2
+    passed = passed_power(model)
     twice = half_weights(image.shape)
     found = sigma
     for _ in range(3):  # the frequencies depend on the noise; three rounds change it below 1 %

@@ -2,8 +2,11 @@
 
 Each sign alone is also seen in right fits, so that no limit of its own would separate them. Their
 weights are those of a logistic regression that tells answers of `tv_deconvolve` with a correlation
-below 0.85 from those above 0.93; the offset lets the sum exceed 0 in 5 % of the latter. They were
-fitted by ``benchmarks/inverse/mismatches.py --fit``.
+below 0.85 from those above 0.93; the offset lets the sum exceed 0 in 10 % of the latter. These are
+mostly answers with a correlation of up to 0.96 whose model is wrong; of the fits with a right model
+3 % are among them. A smaller share would call more wrong answers right: 6 % of them at a share of
+5 %, 2 % at 10 %, 1 % at 15 %. The constants were fitted by ``benchmarks/inverse/mismatches.py
+--fit``.
 """
 
 from __future__ import annotations
@@ -27,12 +30,15 @@ _EXCESS, _LEAST_REST = 1.1, 1e-3
 _HALO_PIXELS, _HALO_REACH = 64, 8
 # Brightness below which pixels are dim, relative to the brightest; quantile of the brightest.
 _DIM, _BRIGHTEST = 0.25, 0.997
+# Largest logarithm of the residual's ratio, and largest evidence about the pattern, that count.
+_MOST_UNEVEN, _MOST_UNLIKE = 3.0, 0.15
+_HALO_OFFSET = 1.02  # the rest besides a halo counts by its logarithm, above this minus 1
 _HALO_RIDGE = 0.01  # of the bright parts' power, for a stable fit
 
 
 @dataclass(frozen=True)
 class _Sign:
-    """Weight of a sign, its mean over right fits, and the value that 95 % of them do not exceed."""
+    """Weight of a sign, its mean over right fits, and the value that 90 % of them do not exceed."""
 
     weight: float
     mean: float
@@ -40,48 +46,64 @@ class _Sign:
     words: str
 
 
-_OFFSET = 6.6
+_OFFSET = 12.877
+# Sum for which half of the answers in the regression were wrong.
+_EVEN = 0.96
 SIGNS = {
     "grain": _Sign(
-        2.313,
-        -2.214,
-        -1.443,
+        3.458,
+        -2.32,
+        -1.675,
         "the object is grainy: {0:.2f} on a scale from 0 (few edges) to 0.79 (noise), usually "
         "below {1:.2f}",
     ),
     "border": _Sign(
-        4.8,
-        0.228,
-        0.711,
+        4.442,
+        0.189,
+        0.466,
         "the object is {0:.2f} times as bright at the frame's edge as on average, usually below "
         "{1:.2f}: there is a veil (give background_shape) or light from outside the frame",
     ),
     "hidden": _Sign(
-        1.607,
-        -2.214,
-        -1.457,
+        2.558,
+        -2.266,
+        -1.581,
         "the noise hides much of the object: a linear estimate would miss {0:.2f} of its "
         "correlation, usually below {1:.2f}",
     ),
     "unexplained": _Sign(
-        0.932,
+        1.203,
         -2.976,
         -3.0,
         "the fit does not explain {0:.2g} of the power of the image's detail, usually below "
         "{1:.2g}: the point spread, the camera's response or the background differs",
     ),
     "halo": _Sign(
-        12.132,
-        0.355,
-        0.54,
+        4.385,
+        0.455,
+        0.743,
         "{0:.2f} of the power of the dim parts is one halo around all bright parts, usually below "
         "{1:.2f}: the true point spread has light that the model lacks",
     ),
     "dim": _Sign(
-        1.169,
-        -3.579,
-        -2.207,
+        0.823,
+        -3.824,
+        -2.641,
         "dim parts hold {0:.2g} of the object's power, usually below {1:.2g}",
+    ),
+    "uneven": _Sign(
+        1.374,
+        0.966,
+        1.908,
+        "in one part of the frame the residual has {0:.2g} times the power that it has in most "
+        "others, usually below {1:.2g}: pixels, the camera's response or the light differ there",
+    ),
+    "unlike": _Sign(
+        19.019,
+        -0.013,
+        0.057,
+        "the image's spectrum lacks the pattern of the transfer function: by {0:.2g} in "
+        "log-likelihood per frequency, usually below {1:.2g}; the point spread is another one",
     ),
 }
 
@@ -89,6 +111,14 @@ SIGNS = {
 def doubt(values: Mapping[str, float]) -> float:
     """Return the sum of the `signs`; an object for which it is positive is taken to be wrong."""
     return _OFFSET + sum(sign.weight * values[name] for name, sign in SIGNS.items())
+
+
+def risk(values: Mapping[str, float]) -> float:
+    """Return the probability of a correlation below 0.85, by the regression.
+
+    It holds for as many answers below 0.85 as above 0.93, as in the cases of the regression.
+    """
+    return 1.0 / (1.0 + math.exp(min(_EVEN - doubt(values), 500.0)))
 
 
 def with_all_detail(values: Mapping[str, float]) -> dict[str, float]:
@@ -106,7 +136,15 @@ def told(values: Mapping[str, float]) -> Iterator[str]:
         yield sign.words.format(*(_plain(name, v) for v in (values[name], sign.usual)))
 
 
-def signs(level: Array, *, residual: float, excess: float, share: float) -> dict[str, float]:
+def signs(
+    level: Array,
+    *,
+    residual: float,
+    excess: float,
+    share: float,
+    uneven: float,
+    pattern: float,
+) -> dict[str, float]:
     """Return the signs of a fit, whose weighted sum is `doubt`.
 
     Parameters
@@ -119,30 +157,39 @@ def signs(level: Array, *, residual: float, excess: float, share: float) -> dict
         Power of the image's detail over that of the noise.
     share : float
         Expected correlation of the object and its linear estimate, 0 to 1.
+    uneven : float
+        Largest mean square of the residual over the median, of blocks of the frame.
+    pattern : float
+        Evidence for the pattern of the transfer function, from `spectra.pattern_evidence`.
 
     Returns
     -------
     dict of str to float
         ``grain``: logarithm of (mean |grad|)^2 / mean |grad|^2. ``border``: brightness at the
         frame's edge over the mean. ``hidden``: logarithm of 1 - share. ``unexplained``: decimal
-        logarithm of the residual's power above the noise over ``excess``. ``halo``: share of the
-        dim parts' power that one halo around all bright parts explains. ``dim``: logarithm of the
-        dim parts' share of the object's power.
+        logarithm of the residual's power above the noise over ``excess``. ``halo``: minus the
+        logarithm of the share of the dim parts' power that one halo around all bright parts does
+        not explain, plus 0.02. ``dim``: logarithm of the dim parts' share of the object's power.
+        ``uneven``: logarithm of the ratio. ``unlike``: minus the evidence, positive if the image
+        lacks the pattern.
     """
     steps = np.hypot(level - np.roll(level, 1, 0), level - np.roll(level, 1, 1))
     width = max(1, round(_BORDER * min(level.shape)))
     inside = level[width:-width, width:-width]
     edge = (level.sum() - inside.sum()) / (level.size - inside.size) / level.mean()
     rest = max(residual**2 - _EXCESS, 0.0) / max(excess, _LEAST_REST)
-    halo, dim = _halo(_joined(level))
+    side = -(-max(level.shape) // _HALO_PIXELS)
+    halo, dim = _halo(block_means(level, side))
     return {
         "grain": 2.0 * math.log(max(float(steps.mean()), 1e-300))
         - math.log(max(float((steps**2).mean()), 1e-300)),
         "border": min(float(edge), _MOST_BORDER),
         "hidden": math.log(max(1.0 - share, 1e-3)),
         "unexplained": math.log10(max(rest, _LEAST_REST)),
-        "halo": halo,
+        "halo": -math.log(_HALO_OFFSET - halo),
         "dim": math.log(dim + 1e-3),
+        "uneven": min(math.log(max(uneven, 1.0)), _MOST_UNEVEN),
+        "unlike": min(max(-pattern, -_MOST_UNLIKE), _MOST_UNLIKE),
     }
 
 
@@ -175,16 +222,21 @@ def _halo(object_: Array) -> tuple[float, float]:
     return explained / power, power / float((object_**2).sum())
 
 
-def _joined(object_: Array) -> Array:
-    """Return the means over square blocks, at most `_HALO_PIXELS` a side."""
-    side = -(-max(object_.shape) // _HALO_PIXELS)
-    rows, columns = (max(1, n // side) for n in object_.shape)
-    whole = object_[: rows * side, : columns * side]
-    return np.asarray(whole.reshape(rows, side, columns, side).mean(axis=(1, 3)))
+def block_means(values: Array, side: int) -> Array:
+    """Return the means of an image over square blocks of at most ``side`` pixels along each side.
+
+    Rows and columns that do not fill a block are left out.
+    """
+    high, wide = (min(side, n) for n in values.shape)
+    rows, columns = values.shape[0] // high, values.shape[1] // wide
+    whole = values[: rows * high, : columns * wide]
+    return np.asarray(whole.reshape(rows, high, columns, wide).mean(axis=(1, 3)))
 
 
 def _plain(name: str, value: float) -> float:
     """Return the quantity of a sign without its logarithm."""
     if name == "unexplained":
         return float(10.0**value)
-    return math.exp(value) if name in ("grain", "hidden", "dim") else value
+    if name == "halo":
+        return _HALO_OFFSET - math.exp(-value)
+    return math.exp(value) if name in ("grain", "hidden", "dim", "uneven") else value

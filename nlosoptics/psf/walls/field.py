@@ -142,6 +142,23 @@ class PointSpreadField(Noun):
         weights = self.at(steps[None, :], steps[:, None]).mean(axis=(1, 2))
         return np.asarray(np.tensordot(weights, self.modes, 1))
 
+    def deviation(self) -> float:
+        """Return the difference between the point spreads and their mean, rms over rms of the mean.
+
+        Returns
+        -------
+        float
+            Root mean square over object and pixels; 0 if the point spread is the same everywhere.
+        """
+        steps = (2 * np.arange(AVERAGED) + 1) / AVERAGED - 1
+        weights = self.at(steps[None, :], steps[:, None]).reshape(len(self.modes), -1)
+        flat = self.modes.reshape(len(self.modes), -1)
+        products = np.einsum("ip,jp->ij", flat, flat)
+        mean = weights.mean(axis=1)
+        apart = weights - mean[:, None]
+        squares = np.einsum("in,ij,jn->n", apart, products, apart)
+        return math.sqrt(max(float(squares.mean()), 0.0) / float(mean @ products @ mean))
+
 
 def point_spread_field(
     scene: Scene | SceneOptics,

@@ -11,7 +11,7 @@ import torch
 from nlosoptics import inverse
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse.data.measurement import measurement
-from nlosoptics.inverse.data.signs import signs
+from nlosoptics.inverse.data.signs import SIGNS, block_means, doubt, risk, signs
 from nlosoptics.inverse.data.status import Ending
 
 SOLVERS = [
@@ -130,6 +130,8 @@ def test_a_right_model_converges_without_reasons(drawn, wall, subject):
         ("modes", "speckle", 0, 0.05, "the object is grainy"),
         ("rough", "speckle", 3, 0.03, "the object is grainy"),
         ("gradient", "smooth", 3, 0.03, "frame's edge"),
+        ("unblurred_picture", "lobe", 3, 0.006, "in one part of the frame"),
+        ("other_speckle", "speckle", 3, 0.01, "lacks the pattern of the transfer function"),
     ],
 )
 def test_a_wrong_model_is_named(drawn, kind, wall, seed, noise, words):
@@ -137,6 +139,37 @@ def test_a_wrong_model_is_named(drawn, kind, wall, seed, noise, words):
     found = inverse.tv_deconvolve(case.image, model)
     assert found.status == "does_not_fit"
     assert any(words in reason for reason in found.reasons), found.reasons
+    assert "were wrong in tests" in found.reasons[-1]
+
+
+def test_a_step_of_the_cameras_gain_is_named(drawn):
+    """The step is sharper than the optics, so that the residual is uneven."""
+    case, model = drawn("gain_step", seed=30279)
+    found = inverse.tv_deconvolve(case.image, model)
+    assert inverse.registered_correlation(found, case.truth) < 0.85
+    assert found.status == "does_not_fit"
+    assert any("in one part of the frame" in reason for reason in found.reasons), found.reasons
+
+
+def test_risk_is_the_probability_of_the_regression():
+    """Logistic in the sum of the signs; 28 % at the limit, half at 0.96."""
+    rng = np.random.default_rng(0)
+    made = {"residual": 1.0, "excess": 10.0, "share": 0.9, "uneven": 1.0, "pattern": 0.0}
+    values = signs(rng.random((SIDE, SIDE)), **made)
+    for wanted, expected in ((0.0, 0.277), (0.96, 0.5), (-700.0, 0.0)):
+        border = (wanted - doubt(values)) / SIGNS["border"].weight + values["border"]
+        assert risk({**values, "border": border}) == pytest.approx(expected, abs=1e-3)
+
+
+def test_blocks_tell_where_a_residual_is_strong():
+    """One bright pixel raises its block alone, and the median not at all."""
+    values = np.ones((20, 33))
+    values[9, 17] = 65.0
+    means = block_means(values, 8)
+    assert means.shape == (2, 4)
+    assert means[1, 2] == 2.0
+    assert means.sum() == 9.0
+    assert block_means(values, 64).shape == (1, 1)
 
 
 def test_a_missing_halo_is_named():
@@ -146,7 +179,7 @@ def test_a_missing_halo_is_named():
     truth[14:26, 14:18] = truth[38:50, 30:34] = truth[20:24, 40:52] = 1.0
     noise = 0.01 * np.random.default_rng(0).normal(size=truth.shape)
     right = inverse.tv_deconvolve(narrow.forward(truth) + noise, narrow)
-    image = 0.3 * narrow.forward(truth) + 0.7 * wide.forward(truth) + noise
+    image = 0.1 * narrow.forward(truth) + 0.9 * wide.forward(truth) + noise
     found = inverse.tv_deconvolve(image, narrow)
     assert right.status == "converged"
     assert found.status == "does_not_fit"
@@ -160,12 +193,12 @@ def test_one_halo_is_told_from_other_dim_parts():
     dots[rng.integers(8, 56, 12), rng.integers(8, 56, 12)] = 1.0
     spots = lobe(2.0).forward(dots)
     near, elsewhere = (
-        signs(dots + 2.0 * dim, residual=1.0, excess=10.0, share=0.9)
+        signs(dots + 2.0 * dim, residual=1.0, excess=10.0, share=0.9, uneven=1.0, pattern=0.0)
         for dim in (spots, lobe(2.0).forward(rng.permutation(dots.ravel()).reshape(dots.shape)))
     )
     # not all, since the spots' brightest parts count as bright
-    assert near["halo"] > 0.7
-    assert elsewhere["halo"] < 0.4
+    assert near["halo"] > -np.log(1.02 - 0.7)
+    assert elsewhere["halo"] < -np.log(1.02 - 0.4)
     assert near["dim"] == pytest.approx(elsewhere["dim"], abs=0.5)
 
 
