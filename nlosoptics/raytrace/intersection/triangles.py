@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = NDArray[np.float64]
+Found = tuple[Array, Array, Array, NDArray[np.int32]]
 ASIDE: Final = 1e-6  # lateral displacement of rays, in half extents; 16 roundings of float32
 MARGIN: Final = 3e-6  # largest lateral error of Embree, in half extents, including ASIDE
+SORTED: Final = 10_000  # above this many triangles, sorting the rays saves more than it costs
 FEW: Final = 256  # up to this many triangles a float64 search is faster than displaced rays
 TURNS: Final = (0.0, 2 * math.pi / 3, 4 * math.pi / 3)  # azimuths of the displaced rays, rad
 
@@ -36,15 +38,10 @@ class _Room(threading.local):
     kept: tuple[NDArray[Any], ...] = ()
 
     def arrays(self, count: int) -> tuple[NDArray[Any], ...]:
-        """Return four buffers for ``count`` rays.
-
-        These are the working rows ``desk`` of `_triangle_kernels`, the unsorted rays, their sorting
-        cells, and the sorted rays.
-        """
+        """Return buffers for ``count`` rays: unsorted rays, their cells, and sorted rays."""
         if count > self.count:
             self.count = count
             self.kept = (
-                _aligned((count, 8), np.float64),
                 _aligned((count, 8), np.float32),
                 np.empty(count, dtype=np.int16),
                 _aligned((count, 8), np.float32),
@@ -61,7 +58,7 @@ def _aligned(shape: tuple[int, int], kind: type) -> NDArray[Any]:
 
 
 _room = _Room()
-_NO_LIMIT: Final = np.empty(0)
+NO_LIMIT: Final = np.empty(0)
 
 
 class NoRayError(Exception):
@@ -98,6 +95,7 @@ class Facets:
         order = _along_a_curve(corners.mean(axis=1), low, high)
         corners = corners[order]
         self.names = proper[order].astype(np.int32)
+        self.sorts = len(order) > SORTED
         sides = corners - corners[:, [1, 2, 0]]
         self.edges = np.sqrt((sides * sides).sum(axis=-1).max(axis=1))
         self.rows = np.ascontiguousarray(
@@ -125,8 +123,15 @@ class Facets:
         return scene
 
     def first(
-        self, origins: Array, directions: Array, nearest: float, farthest: Array = _NO_LIMIT
-    ) -> Array:
+        self,
+        origins: Array,
+        directions: Array,
+        nearest: float,
+        farthest: Array = NO_LIMIT,
+        *,
+        hits: Found,
+        fresh: bool = True,
+    ) -> None:
         """Find the first triangle of every ray between its distance limits.
 
         Parameters
@@ -137,13 +142,12 @@ class Facets:
             Smallest distance, m.
         farthest : ndarray, (n,)
             Largest distances, m; empty without a limit.
-
-        Returns
-        -------
-        ndarray, (n, 8)
-            Hit point, unit normal, distance (m) and index of the triangle in the mesh. The index is
-            an integer stored in the 8 bytes of the last column, -1 without a hit, when the other
-            columns are invalid. The next call in the same thread overwrites the array.
+        hits : tuple of ndarray
+            Filled with distances (n,), m, hit points (n, 3), m, unit normals (n, 3) and triangles
+            (n,), their indices in the mesh; -1 without a hit, when the others are NaN. Points and
+            normals are skipped if they have no rows.
+        fresh : bool
+            Whether ``hits`` is to be overwritten for rays without a hit too.
 
         Raises
         ------
@@ -152,7 +156,7 @@ class Facets:
         """
         from . import _triangle_kernels
 
-        desk, loose, bins, rays = _room.arrays(len(origins))
+        loose, bins, rays = _room.arrays(len(origins))
         kept = _triangle_kernels.enter(
             origins,
             directions,
@@ -160,20 +164,25 @@ class Facets:
             self.centre,
             self.reach,
             ASIDE * self.reach,
-            desk,
             loose,
-            bins,
+            bins if self.sorts else bins[:0],
             rays,
+            hits,
+            fresh,
         )
         if kept < 0:
             raise NoRayError
         if not kept:
-            return desk
+            return
         rays = rays[:kept]
         ids = self.scene.run(rays[:, :3], rays[:, 3:6])
-        facets = (self.rows, self.edges, self.names)
+        facets, ends = (self.rows, self.edges, self.names), (origins, directions)
         margin = MARGIN * self.reach
-        doubtful = _triangle_kernels.place(*facets, desk, rays, ids, margin, nearest, farthest)
+        doubtful = _triangle_kernels.place(
+            *facets, *ends, rays, ids, margin, nearest, farthest, hits, fresh
+        )
+        if not doubtful:
+            return
         rays, ids = rays[:doubtful], ids[:doubtful]
         unsure = ids >= 0
         missed = np.flatnonzero(~unsure)
@@ -182,8 +191,7 @@ class Facets:
         elif len(missed):
             unsure[missed] = self._near(rays[missed])
         index = rays.view(np.int32)[unsure, _triangle_kernels.INDEX]
-        _triangle_kernels.search(*facets, self.boxes, desk, index, nearest, farthest)
-        return desk
+        _triangle_kernels.search(*facets, self.boxes, *ends, index, nearest, farthest, hits)
 
     def _near(self, rays: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Return a mask (n,) of rays close to a triangle's edge, for rays without a hit by Embree.
