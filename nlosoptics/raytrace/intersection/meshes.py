@@ -108,7 +108,8 @@ def intersect_mesh(
     be assigned a wrong triangle, or none, in two cases: where two sheets of the mesh are closer to
     each other than 1e-6 of its extent, and where the ray passes within this distance of a sharp
     corner or of an edge beyond which the ray sees nothing of the mesh. Smaller meshes are searched
-    in float64 and have no such cases.
+    in float64 and have no such cases. Separate parts smaller than 1e-3 of the mesh's extent, such
+    as a bead above a floor, are searched at their own scale.
 
     A ray that starts on a triangle may miss this triangle, or hit it at a distance of the order of
     rounding errors. Give ``min_distance`` to ignore such hits. Hits on all other triangles are

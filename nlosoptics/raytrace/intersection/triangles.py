@@ -24,6 +24,8 @@ Found = tuple[Array, Array, Array, NDArray[np.int32]]
 ASIDE: Final = 1e-6  # lateral displacement of rays, in half extents; 16 roundings of float32
 MARGIN: Final = 3e-6  # largest lateral error of Embree, in half extents, including ASIDE
 SORTED: Final = 10_000  # above this many triangles, sorting the rays saves more than it costs
+SMALL: Final = 1e-3  # parts below this share of the mesh's extent need a finer scale than Embree's
+MOST_PARTS: Final = 16  # with Embree scenes of their own; each costs every ray the test of a box
 FEW: Final = 256  # up to this many triangles a float64 search is faster than displaced rays
 TURNS: Final = (0.0, 2 * math.pi / 3, 4 * math.pi / 3)  # azimuths of the displaced rays, rad
 
@@ -72,15 +74,32 @@ class Facets:
     ----------
     mesh : trimesh.Trimesh
         Triangle mesh, m.
+    some : ndarray of int, (n,), optional
+        Indices of the triangles to use; by default all.
+    exact : bool
+        Whether all rays are searched in float64, without Embree.
 
     Raises
     ------
     SceneError
         If vertices are not finite or no triangle has an area.
+
+    Notes
+    -----
+    Embree's errors are relative to the extent of its scene. Parts that are far smaller than the
+    mesh, such as a bead on a floor, are kept as ``parts``, each with its own structures.
     """
 
-    def __init__(self, mesh: trimesh.Trimesh) -> None:
-        corners = np.asarray(mesh.vertices, dtype=np.float64)[np.asarray(mesh.faces)]
+    def __init__(
+        self,
+        mesh: trimesh.Trimesh,
+        some: NDArray[np.int64] | None = None,
+        *,
+        exact: bool = False,
+    ) -> None:
+        faces = np.asarray(mesh.faces)
+        some = np.arange(len(faces)) if some is None else some
+        corners = np.asarray(mesh.vertices, dtype=np.float64)[faces[some]]
         if not np.isfinite(corners).all():
             raise SceneError("the mesh has NaN or infinite vertices; repair it")
         a, first, second = corners[:, 0], corners[:, 1], corners[:, 2]
@@ -94,7 +113,7 @@ class Facets:
         self.reach = 0.5 * float((high - low).max())
         order = _along_a_curve(corners.mean(axis=1), low, high)
         corners = corners[order]
-        self.names = proper[order].astype(np.int32)
+        self.names = some[proper[order]].astype(np.int32)
         self.sorts = len(order) > SORTED
         sides = corners - corners[:, [1, 2, 0]]
         self.edges = np.sqrt((sides * sides).sum(axis=-1).max(axis=1))
@@ -108,7 +127,11 @@ class Facets:
         self.boxes = _tree(corners, rounding)
         pad = 4 * MARGIN * self.reach + rounding
         self.limits = np.concatenate([low - pad, high + pad])[None]
-        self.scene = self._scene(corners)
+        self.exact = exact
+        parts, many = ([], []) if exact else _small_parts(corners, self.edges)
+        self.parts = [Facets(mesh, self.names[part].astype(np.int64)) for part in parts]
+        self.parts += [Facets(mesh, self.names[part].astype(np.int64), exact=True) for part in many]
+        self.scene: Any = None if exact or self.parts else self._scene(corners)
 
     def _scene(self, corners: Array) -> Any:
         """Return the Embree scene of the triangles ``corners`` (n, 3, 3)."""
@@ -156,6 +179,12 @@ class Facets:
         """
         from . import _triangle_kernels
 
+        for k, part in enumerate(self.parts):
+            part.first(origins, directions, nearest, farthest, hits=hits, fresh=fresh and k == 0)
+            beyond = farthest if len(farthest) else math.inf
+            farthest = np.where(hits[3] >= 0, hits[0], beyond)
+        if self.parts:
+            return
         loose, bins, rays = _room.arrays(len(origins))
         kept = _triangle_kernels.enter(
             origins,
@@ -175,7 +204,10 @@ class Facets:
         if not kept:
             return
         rays = rays[:kept]
-        ids = self.scene.run(rays[:, :3], rays[:, 3:6])
+        if self.exact:
+            ids = np.full(kept, -1, dtype=np.int32)
+        else:
+            ids = self.scene.run(rays[:, :3], rays[:, 3:6])
         facets, ends = (self.rows, self.edges, self.names), (origins, directions)
         margin = MARGIN * self.reach
         doubtful = _triangle_kernels.place(
@@ -186,7 +218,7 @@ class Facets:
         rays, ids = rays[:doubtful], ids[:doubtful]
         unsure = ids >= 0
         missed = np.flatnonzero(~unsure)
-        if len(self.rows) <= FEW:
+        if self.exact or len(self.rows) <= FEW:
             unsure[:] = True
         elif len(missed):
             unsure[missed] = self._near(rays[missed])
@@ -236,6 +268,45 @@ class Facets:
         points = np.repeat(origins, counts, axis=0)
         points += distance[:, None] * np.repeat(units, counts, axis=0)
         return counts, distance, points, self.names[hits[:, 2].astype(np.int64)]
+
+
+def _small_parts(corners: Array, edges: Array) -> tuple[list[NDArray[np.int64]], ...]:
+    """Return groups of triangles that need search structures of their own; none for most meshes.
+
+    ``corners`` (n, 3, 3) are the triangles' corners and ``edges`` (n,) their longest sides, m. The
+    second list holds small parts that are too many and too far apart for Embree scenes. Unless both
+    lists are empty, each triangle is in one of the groups.
+    """
+    span = float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
+    if edges.min() >= SMALL * span:
+        return [], []
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    # Equal corners have equal keys; those of others differ but for rare chances, which only join
+    # two parts.
+    x, y, z = np.moveaxis(corners, -1, 0)
+    _, number = np.unique(x + math.sqrt(2) * y + math.sqrt(3) * z, return_inverse=True)
+    number = number.reshape(-1, 3)
+    links = number[:, :2].ravel(), number[:, 1:].ravel()
+    nodes = int(number.max()) + 1
+    graph = coo_matrix((np.ones(len(links[0]), dtype=bool), links), shape=(nodes, nodes))
+    count, label = connected_components(graph, directed=False)
+    label = label[number[:, 0]]
+    low, high = np.full((count, 3), math.inf), np.full((count, 3), -math.inf)
+    np.minimum.at(low, label, corners.min(axis=1))
+    np.maximum.at(high, label, corners.max(axis=1))
+    small = (high - low).max(axis=1) < SMALL * span
+    if not small.any():
+        return [], []
+    within = small[label]
+    rest = np.flatnonzero(~within)
+    groups = [rest] if len(rest) else []
+    if (high[small].max(axis=0) - low[small].min(axis=0)).max() < 0.5 * span:
+        return [*groups, np.flatnonzero(within)], []
+    if small.sum() > MOST_PARTS:
+        return groups, [np.flatnonzero(within)]
+    return [*groups, *(np.flatnonzero(label == k) for k in np.flatnonzero(small))], []
 
 
 def _along_a_curve(points: Array, low: Array, high: Array) -> NDArray[np.int64]:
