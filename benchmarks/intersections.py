@@ -1,17 +1,20 @@
 """Rays on walls and meshes: seconds and error, against raw embreex and trimesh's own ray API.
 
-python benchmarks/intersections.py [--rays 1000000] [--triangles 81920 2000000] [--json FILE]
+python benchmarks/intersections.py [--rays 1000000] [--triangles 1280 ... 2000000] [--json FILE]
 python benchmarks/intersections.py --growth     seconds against triangles and rays, with exponents
 python benchmarks/intersections.py --leaks      of a closed mesh: random rays and aimed ones
 
-Walls are timed on NUMBA_NUM_THREADS threads, a plain Newton loop on one; embreex on two threads.
-Errors are of the distance, relative: of walls against the surface at the hit over the cosine, of
-meshes against the plane of the triangle found, in extended precision.
+All run on NUMBA_NUM_THREADS threads, but a plain Newton loop on one. With NUMBA_NUM_THREADS=1,
+seconds are those of the processor, so that other load counts little, and the throughput is compared
+with the least that is asked of it. Errors are of the distance, relative: of walls against the
+surface at the hit over the cosine, of meshes against the plane of the triangle found, in extended
+precision.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import time
@@ -26,63 +29,143 @@ from embreex.rtcore_scene import EmbreeScene
 from numba import njit
 
 from nlosoptics import raytrace
-from nlosoptics.scene import ConcaveWall, FlatWall, HeightMapWall, SumWall, WavyWall
+from nlosoptics.raytrace.intersection.meshes import threads
+from nlosoptics.scene import (
+    ConcaveWall,
+    ConvexWall,
+    FlatWall,
+    HeightMapWall,
+    MeshWall,
+    SumWall,
+    WavyWall,
+)
+
+THREADS = threads()
+SIZES = [1_280, 5_120, 81_920, 2_000_000]  # triangles of meshes
+CLOCK = time.process_time if THREADS == 1 else time.perf_counter
+# Least throughput on one thread, relative to the other method for the same surface.
+ASKED = {
+    "sum of 2 waves": 1.5,
+    "sum of 8 waves": 1.5,
+    "mesh wall": 1.5,
+    "mesh 1280": 0.8,
+    "mesh 5120": 0.8,
+}
 
 
 def best(work, repeats=4):
     """Least seconds of several calls, and the last result."""
     seconds = math.inf
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = CLOCK()
         result = work()
-        seconds = min(seconds, time.perf_counter() - start)
+        seconds = min(seconds, CLOCK() - start)
     return seconds, result
 
 
+def alternately(*works, repeats=7):
+    """Least seconds of each work, taken in turns, so that each meets the same other load."""
+    seconds = [math.inf] * len(works)
+    for _ in range(repeats):
+        for i, work in enumerate(works):
+            seconds[i] = min(seconds[i], best(work, 1)[0])
+    return seconds
+
+
+def compare(name, ours, theirs, method):
+    """Print our throughput relative to that of another method, and what is asked of it."""
+    asked = ASKED.get(name)
+    goal = f", asked {asked}" if asked and THREADS == 1 else ""
+    print(f"{name}: {theirs / ours:.2f} times the throughput of {method}{goal}")
+
+
 @njit(cache=True)
-def plain_newton(a, kx, ky, phase, origins, directions, distance):
-    """Newton's method from the mean plane for a wave, without any bracket."""
+def plain_newton(waves, origins, directions, distance):
+    """Newton's method from the mean plane for a sum of waves, without any bracket."""
     for i in range(distance.size):
         ox, oy, oz = origins[i]
         dx, dy, dz = directions[i]
         t = -oz / dz
         for _ in range(20):
-            angle = kx * (ox + t * dx) + ky * (oy + t * dy) + phase
-            slope = dz + a * (kx * dx + ky * dy) * math.sin(angle)
-            step = (oz + t * dz - a * math.cos(angle)) / slope
+            f, slope = oz + t * dz, dz
+            for j in range(waves.shape[0]):
+                a, kx, ky, phase = waves[j]
+                angle = kx * (ox + t * dx) + ky * (oy + t * dy) + phase
+                f -= a * math.cos(angle)
+                slope += a * (kx * dx + ky * dy) * math.sin(angle)
+            step = f / slope
             t -= step
             if abs(step) < 1e-15 * t:
                 break
         distance[i] = t
 
 
-def wall_rows(count, draw):
-    """One row a kind of wall, and the plain Newton loop for the wavy one."""
+def rays_from_above(count, draw):
+    """Unit rays from the room to the middle of a wall."""
     origins = draw.uniform((-1, -1, 0.6), (1, 1, 1.4), (count, 3))
     directions = draw.uniform((-0.4, -0.4, 0), (0.4, 0.4, 0), (count, 3)) - origins
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def wall_rows(count, draw):
+    """One row a kind of wall, and one of the plain Newton loop for waves."""
+    origins, directions = rays_from_above(count, draw)
     wavy = WavyWall(0.01, 0.2, 0.3, direction=0.4)
+    eight = [WavyWall(4e-3 / (1 + i), 0.2 / (1 + i / 2), i, direction=2.4 * i) for i in range(8)]
     walls = {
         "flat": FlatWall(),
         "sphere": ConcaveWall(4.0),
         "cylinder": ConcaveWall(4.0, shape="cylinder"),
         "wavy": wavy,
-        "sum of two waves": SumWall(wavy, WavyWall(0.004, 0.13, direction=1.0)),
+        "sum of 2 waves": SumWall(wavy, WavyWall(0.004, 0.13, direction=1.0)),
+        "sum of 8 waves": SumWall(*eight),
+        "wave on a sphere": SumWall(wavy, ConcaveWall(4.0), size=2.0),
         "height map": HeightMapWall.random(
             height_rms=1e-3, correlation_length=0.05, size=1.2, pitch=5e-3
         ),
     }
     for name, wall in walls.items():
+        raytrace.intersect(wall, origins[:1], directions[:1])
         seconds, hits = best(lambda wall=wall: raytrace.intersect(wall, origins, directions))
-        x, y, z = hits.points[hits.hit].T
-        gap = np.abs(z - wall.height(x, y)) * hits.normals[hits.hit][:, 2]
-        cosine = np.abs((hits.normals * directions).sum(axis=1)[hits.hit])
-        yield name, "nlosoptics", seconds, float((gap / cosine / hits.distance[hits.hit]).max())
-    distance = np.empty(count)
-    row = wavy.compiled()[0][0, 1:5]
-    seconds, _ = best(lambda: plain_newton(*row, origins, directions, distance))
-    exact = raytrace.intersect(wavy, origins, directions).distance
-    yield "wavy", "plain Newton", seconds, float(np.abs(distance / exact - 1).max())
+        yield name, "nlosoptics", seconds, height_error(wall, hits, directions)
+        if "wav" not in name or "sphere" in name:
+            continue
+        distance, waves = np.empty(count), np.ascontiguousarray(wall.compiled()[0][:, 1:5])
+        plain_newton(waves, origins[:1], directions[:1], distance[:1])
+        ours, theirs = alternately(
+            partial(raytrace.intersect, wall, origins, directions),
+            partial(plain_newton, waves, origins, directions, distance),
+            repeats=4,
+        )
+        error = np.abs(distance / hits.distance - 1).max()
+        yield name, "plain Newton", theirs, float(error)
+        compare(name, ours, theirs, "plain Newton")
+
+
+def height_error(wall, hits, directions):
+    """Largest relative error of distances, from the height of the hits above the wall."""
+    x, y, z = hits.points[hits.hit].T
+    gap = np.abs(z - wall.height(x, y)) * hits.normals[hits.hit][:, 2]
+    cosine = np.abs((hits.normals * directions).sum(axis=1)[hits.hit])
+    return float((gap / cosine / hits.distance[hits.hit]).max())
+
+
+def mesh_wall_rows(count, draw, nodes=203):
+    """A wall of some 80,000 triangles as a smooth surface, and the triangles themselves."""
+    x, y = (v.ravel() for v in np.meshgrid(*2 * [np.linspace(-0.6, 0.6, nodes)]))
+    vertices = np.stack([x, y, ConvexWall(4.0, size=1.2).height(x, y)], axis=1)
+    number = np.arange(nodes * nodes).reshape(nodes, nodes)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    faces = [np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((a, b, d), (a, d, c))]
+    wall = MeshWall(trimesh.Trimesh(vertices, np.concatenate(faces), process=False))
+    name, rays = "mesh wall", rays_from_above(count, draw)
+    hits = raytrace.intersect(wall, *rays)
+    with ThreadPoolExecutor(THREADS) as pool:
+        _, raw = raw_embreex(wall.triangles, *rays, pool)
+        ours, theirs = alternately(partial(raytrace.intersect, wall, *rays), raw)
+    yield name, "nlosoptics", ours, height_error(wall, hits, rays[1])
+    yield name, "embreex, its triangles", theirs, math.nan
+    compare(name, ours, theirs, f"embreex on its {len(wall.triangles.faces)} triangles")
 
 
 def facet_error(mesh, triangle, origins, directions, distance):
@@ -125,24 +208,17 @@ def rays_within(count, draw):
     return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def alternately(*works, repeats=7):
-    """Least seconds of each work, taken in turns, so that each meets the same other load."""
-    seconds = [math.inf] * len(works)
-    for _ in range(repeats):
-        for i, work in enumerate(works):
-            seconds[i] = min(seconds[i], best(work, 1)[0])
-    return seconds
-
-
 def raw_embreex(mesh, origins, directions, pool):
-    """A scene, and a call that asks it for triangles only, in float32 and two halves."""
+    """A scene, and a call that asks it for triangles only, in float32, on all threads."""
     scene = EmbreeScene()
     TriangleMesh(scene, mesh.triangles.astype(np.float32))
     o, d = origins.astype(np.float32), directions.astype(np.float32)
     scene.run(o[:1], d[:1])
-    half = len(o) // 2
-    halves = [slice(0, half), slice(half, None)]
-    return scene, lambda: list(pool.map(lambda part: scene.run(o[part], d[part]), halves))
+    if THREADS == 1:
+        return scene, lambda: scene.run(o, d)
+    ends = [len(o) * k // THREADS for k in range(THREADS + 1)]
+    parts = [slice(*pair) for pair in itertools.pairwise(ends)]
+    return scene, lambda: list(pool.map(lambda part: scene.run(o[part], d[part]), parts))
 
 
 def mesh_rows(triangles, count, draw):
@@ -156,7 +232,7 @@ def mesh_rows(triangles, count, draw):
     some = slice(0, 20_000)
     rays = origins[some], directions[some]
     error = facet_error(mesh, hits.triangle[some], *rays, hits.distance[some])
-    with ThreadPoolExecutor(2) as pool:
+    with ThreadPoolExecutor(THREADS) as pool:
         scene, raw = raw_embreex(mesh, origins, directions, pool)
         ours, theirs = alternately(lambda: raytrace.intersect_mesh(mesh, origins, directions), raw)
     yield name, "nlosoptics", ours, error
@@ -164,8 +240,8 @@ def mesh_rows(triangles, count, draw):
     answer = scene.run(o, d, output=True)
     # what it says of distance is float32; a leak has none
     error = facet_error(mesh, np.maximum(answer["primID"], 0), *rays, answer["tfar"])
-    yield name, "embreex, 2 threads", theirs, error
-    print(f"{name}: {theirs / ours:.2f} of the throughput of embreex on 2 threads")
+    yield name, "embreex", theirs, error
+    compare(name, ours, theirs, "embreex")
 
     few = slice(0, count // 5)
     seconds, _ = best(lambda: mesh.ray.intersects_first(origins[few], directions[few]), 2)
@@ -188,7 +264,7 @@ def growth(draw, rays=1_000_000):
             mesh = closed_mesh(triangles)
             origins, directions = rays_within(count, draw)
             raytrace.intersect_mesh(mesh, origins[:1], directions[:1])
-            with ThreadPoolExecutor(2) as pool:
+            with ThreadPoolExecutor(THREADS) as pool:
                 _, raw = raw_embreex(mesh, origins, directions, pool)
                 ours = partial(raytrace.intersect_mesh, mesh, origins, directions)
                 found.append(alternately(ours, raw))
@@ -232,7 +308,7 @@ def main():
     """Print the table, or what an option asks for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rays", type=int, default=1_000_000)
-    parser.add_argument("--triangles", type=int, nargs="+", default=[81_920, 2_000_000])
+    parser.add_argument("--triangles", type=int, nargs="+", default=SIZES)
     parser.add_argument("--growth", action="store_true", help="only the growth of the cost")
     parser.add_argument("--leaks", action="store_true", help="only the leaks of a closed mesh")
     parser.add_argument("--json", type=Path, metavar="FILE")
@@ -244,8 +320,9 @@ def main():
         if options.json:
             options.json.write_text(json.dumps(report, indent=1) + "\n")
         return
+    print(f"Threads: {THREADS}")
     print(f"{'surface':18s} {'by':24s} {'seconds':>9s} {'Mray/s':>8s} {'error':>9s}")
-    parts = [wall_rows(options.rays, draw)]
+    parts = [wall_rows(options.rays, draw), mesh_wall_rows(options.rays, draw)]
     parts += [mesh_rows(triangles, options.rays, draw) for triangles in options.triangles]
     for part in parts:
         for surface, by, seconds, error in part:

@@ -21,7 +21,7 @@ from .relief import bumps, facets
 
 
 @njit(cache=True, inline="always")
-def _hermite(t, step):
+def hermite(t, step):
     """Return the cubic Hermite basis at t in [0, 1] and its first and second x derivatives.
 
     The order is: values at nodes 0 and 1, slopes at nodes 0 and 1; ``step`` is the node distance.
@@ -39,7 +39,7 @@ def _hermite(t, step):
     return values, first, second
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _grid(row, tables, x, y):
     """Return height and derivatives of a bicubic Hermite surface at (x, y); NaN off its grid.
 
@@ -51,25 +51,69 @@ def _grid(row, tables, x, y):
     fx, fy = (x - row[1]) / step_x, (y - row[2]) / step_y
     if not (-1e-9 <= fx <= n_x - 1 + 1e-9 and -1e-9 <= fy <= n_y - 1 + 1e-9):
         return math.nan, math.nan, math.nan, math.nan, math.nan, math.nan
-    ix = min(max(int(math.floor(fx)), 0), n_x - 2)
-    iy = min(max(int(math.floor(fy)), 0), n_y - 2)
-    bx, bx1, bx2 = _hermite(fx - ix, step_x)
-    by, by1, by2 = _hermite(fy - iy, step_y)
+    ix, iy = min(int(max(fx, 0.0)), n_x - 2), min(int(max(fy, 0.0)), n_y - 2)
+    bx, bx1, bx2 = hermite(fx - ix, step_x)
+    by, by1, by2 = hermite(fy - iy, step_y)
     h = hx = hy = hxx = hxy = hyy = 0.0
     channel = n_x * n_y
-    for j in range(2):
-        for i in range(2):
-            node = offset + (iy + j) * n_x + ix + i
-            for dy in range(2):
-                for dx in range(2):
-                    c = tables[node + channel * (dx + 2 * dy)]
-                    a, b = i + 2 * dx, j + 2 * dy
-                    h += c * bx[a] * by[b]
-                    hx += c * bx1[a] * by[b]
-                    hy += c * bx[a] * by1[b]
-                    hxx += c * bx2[a] * by[b]
-                    hxy += c * bx1[a] * by1[b]
-                    hyy += c * bx[a] * by2[b]
+    for dy in range(2):
+        for j in range(2):
+            # along x first: height, slope and curvature on a line of nodes, or their y derivatives
+            node = offset + (iy + j) * n_x + ix + 2 * channel * dy
+            v0, v1 = tables[node], tables[node + 1]
+            s0, s1 = tables[node + channel], tables[node + channel + 1]
+            c = v0 * bx[0] + v1 * bx[1] + s0 * bx[2] + s1 * bx[3]
+            c1 = v0 * bx1[0] + v1 * bx1[1] + s0 * bx1[2] + s1 * bx1[3]
+            c2 = v0 * bx2[0] + v1 * bx2[1] + s0 * bx2[2] + s1 * bx2[3]
+            b = j + 2 * dy
+            h += c * by[b]
+            hx += c1 * by[b]
+            hy += c * by1[b]
+            hxx += c2 * by[b]
+            hxy += c1 * by1[b]
+            hyy += c * by2[b]
+    return h, hx, hy, hxx, hxy, hyy
+
+
+@njit(cache=True, inline="always")
+def _summand(row, tables, x, y):
+    """Return height and derivatives (h, hx, hy, hxx, hxy, hyy) of one term at (x, y), in m.
+
+    Inlined, so that the compiler drops what a caller does not use.
+    """
+    kind = int(row[0])
+    h = hx = hy = hxx = hxy = hyy = 0.0
+    if kind == SPHERE:
+        c = row[1]  # signed curvature, positive if the rim rises toward the room
+        root_sq = 1.0 - c * c * (x * x + y * y)
+        root = math.sqrt(root_sq) if root_sq > 0.0 else math.nan
+        # this form of the sag keeps its relative accuracy near the vertex
+        h = c * (x * x + y * y) / (1.0 + root)
+        hx, hy = c * x / root, c * y / root
+        cube = root * root_sq
+        hxx = c * (1.0 - c * c * y * y) / cube
+        hyy = c * (1.0 - c * c * x * x) / cube
+        hxy = c * c * c * x * y / cube
+    elif kind == CYLINDER:
+        c, ax, ay = row[1], row[2], row[3]  # (ax, ay): unit vector across the axis
+        t = ax * x + ay * y
+        root_sq = 1.0 - c * c * t * t
+        root = math.sqrt(root_sq) if root_sq > 0.0 else math.nan
+        first, second = c * t / root, c / (root * root_sq)
+        h = c * t * t / (1.0 + root)
+        hx, hy = first * ax, first * ay
+        hxx, hxy, hyy = second * ax * ax, second * ax * ay, second * ay * ay
+    elif kind == WAVE:
+        a, kx, ky, phase = row[1], row[2], row[3], row[4]
+        cosine, sine = math.cos(kx * x + ky * y + phase), math.sin(kx * x + ky * y + phase)
+        h, hx, hy = a * cosine, -a * kx * sine, -a * ky * sine
+        hxx, hxy, hyy = -a * kx * kx * cosine, -a * kx * ky * cosine, -a * ky * ky * cosine
+    elif kind == GRID:
+        h, hx, hy, hxx, hxy, hyy = _grid(row, tables, x, y)
+    elif kind == FACETS:
+        h, hx, hy = facets(row, x, y)
+    elif kind == BUMPS:
+        h, hx, hy, hxx, hxy, hyy = bumps(row, tables, x, y)
     return h, hx, hy, hxx, hxy, hyy
 
 
@@ -87,62 +131,8 @@ def partial_surface(terms, tables, x, y, smooth, creased):
     """Return `surface` of the smooth terms, of those with creases, or of both."""
     h = hx = hy = hxx = hxy = hyy = 0.0
     for i in range(terms.shape[0]):
-        row = terms[i]
-        kind = int(row[0])
-        if not (creased if kind == FACETS else smooth):
-            continue
-        if kind == SPHERE:
-            c = row[1]  # signed curvature, positive if the rim rises toward the room
-            root_sq = 1.0 - c * c * (x * x + y * y)
-            if not root_sq > 0.0:
-                return math.nan, math.nan, math.nan, math.nan, math.nan, math.nan
-            root = math.sqrt(root_sq)
-            # this form of the sag keeps its relative accuracy near the vertex
-            h += c * (x * x + y * y) / (1.0 + root)
-            hx += c * x / root
-            hy += c * y / root
-            cube = root * root_sq
-            hxx += c * (1.0 - c * c * y * y) / cube
-            hyy += c * (1.0 - c * c * x * x) / cube
-            hxy += c * c * c * x * y / cube
-        elif kind == CYLINDER:
-            c, ax, ay = row[1], row[2], row[3]  # (ax, ay): unit vector across the axis
-            t = ax * x + ay * y
-            root_sq = 1.0 - c * c * t * t
-            if not root_sq > 0.0:
-                return math.nan, math.nan, math.nan, math.nan, math.nan, math.nan
-            root = math.sqrt(root_sq)
-            first, second = c * t / root, c / (root * root_sq)
-            h += c * t * t / (1.0 + root)
-            hx += first * ax
-            hy += first * ay
-            hxx += second * ax * ax
-            hxy += second * ax * ay
-            hyy += second * ay * ay
-        elif kind == WAVE:
-            a, kx, ky, phase = row[1], row[2], row[3], row[4]
-            cosine, sine = math.cos(kx * x + ky * y + phase), math.sin(kx * x + ky * y + phase)
-            h += a * cosine
-            hx -= a * kx * sine
-            hy -= a * ky * sine
-            hxx -= a * kx * kx * cosine
-            hxy -= a * kx * ky * cosine
-            hyy -= a * ky * ky * cosine
-        elif kind == GRID:
-            g = _grid(row, tables, x, y)
-            h += g[0]
-            hx += g[1]
-            hy += g[2]
-            hxx += g[3]
-            hxy += g[4]
-            hyy += g[5]
-        elif kind == FACETS:
-            f = facets(row, x, y)
-            h += f[0]
-            hx += f[1]
-            hy += f[2]
-        elif kind == BUMPS:
-            g = bumps(row, tables, x, y)
+        if creased if int(terms[i, 0]) == FACETS else smooth:
+            g = _summand(terms[i], tables, x, y)
             h += g[0]
             hx += g[1]
             hy += g[2]
@@ -150,6 +140,18 @@ def partial_surface(terms, tables, x, y, smooth, creased):
             hxy += g[4]
             hyy += g[5]
     return h, hx, hy, hxx, hxy, hyy
+
+
+@njit(cache=True)
+def tangent(terms, tables, x, y):
+    """Return the wall's height (m) and slopes (h, hx, hy) at (x, y), NaN where it has no height."""
+    h = hx = hy = 0.0
+    for i in range(terms.shape[0]):
+        g = _summand(terms[i], tables, x, y)
+        h += g[0]
+        hx += g[1]
+        hy += g[2]
+    return h, hx, hy
 
 
 @njit(cache=True)

@@ -4,8 +4,9 @@ Every ray is o + t d with unit d and t in m. Rows of ``facets`` (n, 9) are a cor
 sides that start at it, in the order of the leaves of the tree ``boxes``. ``edges`` (n,) are the
 lengths of the longest sides, m, and ``names`` (n,) the indices in the mesh.
 
-Rows of ``desk`` (n, 8) hold the working data of one ray in one cache line, first origin and
-direction, later the hit: point, normal, distance and, as an integer, the triangle's index or -1.
+``hits`` receives the first hits: distance (n,), m, point and unit normal, both (n, 3), and the
+index of the triangle (n,), -1 without a hit, when the others are NaN. Points and normals that have
+no rows are left out.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ import math
 import numpy as np
 
 from ...kernels.compiling import njit
-from ._wall_kernels import HIT, MISS, _unit
+from ._wall_kernels import _unit
 
 BLOCK = 64  # rays processed at once
 OX, OY, OZ, DX, DY, DZ, T, DEPTH, NX, NY, NZ, PX, PY, PZ, FACET = range(0, 15 * BLOCK, BLOCK)
 ROWS = 24
 SIDE = 144  # cells along a side of the octahedral map by which rays are sorted
 INDEX = 6  # column of ``rays`` with the number of the ray, as an integer
-NAME = 7  # column of ``desk`` with the index of the triangle, as an integer, or -1
+MISSED = (math.nan, math.nan, math.nan)
 
 
 @njit(cache=True, inline="always")
@@ -76,46 +77,31 @@ def _bin(x, y, z, dx, dy, dz):
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _landing(row, o, d, t):
-    """Return hit point (m) and unit normal of a ray at the distance t, m, on the triangle ``row``.
-
-    ``row`` (9,) holds a corner and two sides. The normal points to the side the ray comes from.
-    """
-    nx = row[4] * row[8] - row[5] * row[7]
-    ny = row[5] * row[6] - row[3] * row[8]
-    nz = row[3] * row[7] - row[4] * row[6]
-    along = nx * d[0] + ny * d[1] + nz * d[2]
-    size = math.copysign(1.0 / math.sqrt(nx * nx + ny * ny + nz * nz), -along)
-    p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
-    return p, (nx * size, ny * size, nz * size)
-
-
-@njit(cache=True, inline="always", error_model="numpy")
 def _head(w, centre, half):
     """Normalise the directions of a block of rays, and count the rays that start outside a box.
 
-    The box has the centre ``centre`` and the half sides ``half``, both (3,), m. The count is NaN if
+    The box has the centre ``centre`` and the half sides ``half``, both (3,), m. The count is -1 if
     a ray is invalid. ``w`` holds rows of BLOCK numbers at the offsets OX, OY, and so on. Fixed
     distances between the rows and loops without branches let the compiler vectorise over rays.
     """
-    outside = bad = 0.0
+    outside = bad = 0  # whole numbers, since the order of their sum may change
     for i in range(BLOCK):
         x, y, z = _unit((w[DX + i], w[DY + i], w[DZ + i]))
         w[DX + i], w[DY + i], w[DZ + i], w[T + i], w[DEPTH + i] = x, y, z, 0.0, 0.0
         px, py, pz = w[OX + i] - centre[0], w[OY + i] - centre[1], w[OZ + i] - centre[2]
         within = (abs(px) < half[0]) & (abs(py) < half[1]) & (abs(pz) < half[2])
-        outside += 0.0 if within else 1.0
-        bad += 0.0 * (px + py + pz + x + y + z)
-    return outside + bad
+        outside += 0 if within else 1
+        total = px + py + pz + x + y + z
+        bad += 0 if total - total == 0.0 else 1  # NaN if a component is NaN or infinite
+    return -1 if bad else outside
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _prepare(w, centre, shrink, aside, cells):
-    """Compute the displaced starts of a block of rays for Embree, and their sorting cells.
+def _prepare(w, centre, shrink, aside):
+    """Compute the displaced starts of a block of rays for Embree.
 
     The starts go to the rows PX, PY and PZ of ``w``, in units of 1 / ``shrink`` about ``centre``
-    (3,). They are displaced by ``aside``, m, sideways and by 8 times as much backward. ``cells``
-    (BLOCK,) receives the numbers of `_bin`.
+    (3,). They are displaced by ``aside``, m, sideways and by 8 times as much backward.
     """
     for i in range(BLOCK):
         d, back = (w[DX + i], w[DY + i], w[DZ + i]), w[T + i] - 8.0 * aside
@@ -124,17 +110,40 @@ def _prepare(w, centre, shrink, aside, cells):
         y = (w[OY + i] + back * d[1] - centre[1] + aside * e[1]) * shrink
         z = (w[OZ + i] + back * d[2] - centre[2] + aside * e[2]) * shrink
         w[PX + i], w[PY + i], w[PZ + i] = x, y, z
-        cells[i] = _bin(x, y, z, d[0], d[1], d[2])
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _cells(w, cells):
+    """Fill ``cells`` (BLOCK,) with the numbers of `_bin` of a block of rays."""
+    for i in range(BLOCK):
+        start, d = (w[PX + i], w[PY + i], w[PZ + i]), (w[DX + i], w[DY + i], w[DZ + i])
+        cells[i] = _bin(start[0], start[1], start[2], d[0], d[1], d[2])
+
+
+@njit(cache=True, inline="always")
+def _flat(hits):
+    """Return the result arrays with one axis, whose columns have constant distances."""
+    return hits[0], hits[1].reshape(-1), hits[2].reshape(-1), hits[3]
+
+
+@njit(cache=True, inline="always")
+def _record(found, i, t, point, normal, name):
+    """Write the hit of ray ``i`` to the result arrays of `_flat`."""
+    distance, points, normals, triangle = found
+    distance[i], triangle[i] = t, name
+    if points.size > 0:
+        for k in range(3):
+            points[3 * i + k], normals[3 * i + k] = point[k], normal[k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def enter(origins, directions, limits, centre, scale, aside, desk, loose, bins, rays):
-    """Prepare rays in float64, and in float32 for Embree those that meet the box ``limits`` (1, 6).
+def enter(origins, directions, limits, centre, scale, aside, loose, bins, rays, hits, fresh):
+    """Prepare rays in float32 for Embree, those that meet the box ``limits`` (1, 6), m.
 
-    Rows of ``desk`` are filled with origin, unit direction, an unused column and -1. Rows of
-    ``rays`` (n, 8), float32, are filled with start, direction and, as an integer, the number of the
+    Rows of ``rays`` (n, 8) are filled with start, direction and, as an integer, the number of the
     ray. They are sorted so that similar rays follow each other, for the processor's caches;
-    ``loose`` and ``bins`` are buffers for sorting.
+    ``loose`` and ``bins`` are buffers for sorting. Without ``bins`` (0,) the order stays. If
+    ``fresh``, the other rays get no hit.
 
     Starts are in units of ``scale`` about ``centre``, at the entry into the box. They are displaced
     sideways by ``aside``, so that a ray aimed at a vertex passes next to it. They are also moved
@@ -142,41 +151,46 @@ def enter(origins, directions, limits, centre, scale, aside, desk, loose, bins, 
 
     Returns the number of rays for Embree, or -1 if a ray has NaN, infinity or a zero direction.
     """
-    kept = 0
-    numbers, names = loose.view(np.int32), desk.view(np.int64)
-    counts = np.zeros(SIDE * SIDE + 1, dtype=np.int32)
+    kept, sorting, found = 0, bins.size > 0, _flat(hits)
+    # flat arrays have constant distances between columns, unlike arrays with two axes
+    target = loose.reshape(-1) if sorting else rays.reshape(-1)
+    numbers, starts, ways = target.view(np.int32), origins.reshape(-1), directions.reshape(-1)
+    counts = np.zeros(SIDE * SIDE + 1 if sorting else 1, dtype=np.int32)
     half = 0.5 * (limits[0, 3:] - limits[0, :3])
     w, cells = np.ones(ROWS * BLOCK), np.empty(BLOCK, dtype=np.int32)
     for start in range(0, origins.shape[0], BLOCK):
         n = min(BLOCK, origins.shape[0] - start)
         for i in range(n):
             for k in range(3):
-                w[k * BLOCK + i] = origins[start + i, k]
-                w[DX + k * BLOCK + i] = directions[start + i, k]
+                w[k * BLOCK + i] = starts[3 * (start + i) + k]
+                w[DX + k * BLOCK + i] = ways[3 * (start + i) + k]
         outside = _head(w, centre, half)
-        if not math.isfinite(outside):
+        if outside < 0:
             return -1
-        for i in range(n):
-            for k in range(6):
-                desk[start + i, k] = w[k * BLOCK + i]
-            names[start + i, NAME] = -1
-        if outside > 0.0:
+        if outside > 0:
             for i in range(n):
                 o = (w[OX + i], w[OY + i], w[OZ + i])
                 inverse = (1.0 / w[DX + i], 1.0 / w[DY + i], 1.0 / w[DZ + i])
                 w[DEPTH + i] = _entry(limits, 0, o, inverse, 0.0, math.inf)
                 w[T + i] = w[DEPTH + i] if w[DEPTH + i] < math.inf else 0.0
-        _prepare(w, centre, 1.0 / scale, aside, cells)
+        _prepare(w, centre, 1.0 / scale, aside)
+        if sorting:
+            _cells(w, cells)
         for i in range(n):
             if w[DEPTH + i] == math.inf:
+                if fresh:
+                    _record(found, start + i, math.nan, MISSED, MISSED, -1)
                 continue
             for k in range(3):
-                loose[kept, k] = w[PX + k * BLOCK + i]
-                loose[kept, k + 3] = w[DX + k * BLOCK + i]
-            numbers[kept, INDEX] = start + i
-            bins[kept] = cells[i]
-            counts[cells[i] + 1] += 1
+                target[8 * kept + k] = w[PX + k * BLOCK + i]
+                target[8 * kept + k + 3] = w[DX + k * BLOCK + i]
+            numbers[8 * kept + INDEX] = start + i
+            if sorting:
+                bins[kept] = cells[i]
+                counts[cells[i] + 1] += 1
             kept += 1
+    if not sorting:
+        return kept
     for k in range(1, counts.size):
         counts[k] += counts[k - 1]
     sorted_rays, rows = rays.view(np.int64), loose.view(np.int64)
@@ -188,24 +202,38 @@ def enter(origins, directions, limits, centre, scale, aside, desk, loose, bins, 
     return kept
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _facet(row, o, d):
-    """Return three signed volumes that locate a ray on a triangle, their sum, and the distance.
+    """Return where a ray meets the plane of the triangle ``row`` = (a, b - a, c - a).
 
-    The volumes divided by their sum are barycentric coordinates: the ray hits the triangle ``row``
-    = (a, b - a, c - a) if none is negative. The distance is in m.
+    These are three signed volumes, their sum, the distance, m, and the triangle's normal times
+    twice its area, m^2. The volumes divided by their sum are barycentric coordinates: the ray hits
+    the triangle if none is negative.
     """
     sx, sy, sz = o[0] - row[0], o[1] - row[1], o[2] - row[2]
     ax, ay, az, bx, by, bz = row[3], row[4], row[5], row[6], row[7], row[8]
-    px, py, pz = d[1] * bz - d[2] * by, d[2] * bx - d[0] * bz, d[0] * by - d[1] * bx
-    qx, qy, qz = sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax
-    det = ax * px + ay * py + az * pz
-    u = sx * px + sy * py + sz * pz
-    v = d[0] * qx + d[1] * qy + d[2] * qz
-    t = (bx * qx + by * qy + bz * qz) / det
-    side, det = math.copysign(1.0, det), abs(det)
-    u, v = side * u, side * v
-    return u, v, det - u - v, det, t
+    mx, my, mz = sy * d[2] - sz * d[1], sz * d[0] - sx * d[2], sx * d[1] - sy * d[0]
+    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    along = nx * d[0] + ny * d[1] + nz * d[2]
+    t = -(nx * sx + ny * sy + nz * sz) / along
+    side, det = math.copysign(1.0, -along), abs(along)
+    u = side * (bx * mx + by * my + bz * mz)
+    v = -side * (ax * mx + ay * my + az * mz)
+    return u, v, det - u - v, det, t, (nx, ny, nz)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _landing(normal, o, d, t):
+    """Return point (m) and unit normal of a hit at the distance t, m.
+
+    ``normal`` is that of the triangle, of any length. The unit normal points to the side the ray
+    comes from.
+    """
+    nx, ny, nz = normal
+    along = nx * d[0] + ny * d[1] + nz * d[2]
+    size = math.copysign(1.0 / math.sqrt(nx * nx + ny * ny + nz * nz), -along)
+    p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
+    return p, (nx * size, ny * size, nz * size)
 
 
 @njit(cache=True)
@@ -237,69 +265,60 @@ def _land(w):
     branches let the compiler vectorise over rays.
     """
     for i in range(BLOCK):
-        o, d = (w[OX + i], w[OY + i], w[OZ + i]), (w[DX + i], w[DY + i], w[DZ + i])
+        o, d = (w[OX + i], w[OY + i], w[OZ + i]), _unit((w[DX + i], w[DY + i], w[DZ + i]))
         row = _row(w, FACET + i, BLOCK)
-        a, b, c, _, t = _facet(row, o, d)
+        a, b, c, _, t, normal = _facet(row, o, d)
         a = b if b < a else a
         w[T + i], w[DEPTH + i] = t, c if c < a else a
-        p, n = _landing(row, o, d, t)
+        p, n = _landing(normal, o, d, t)
         w[PX + i], w[PY + i], w[PZ + i] = p
         w[NX + i], w[NY + i], w[NZ + i] = n
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def place(facets, edges, names, desk, rays, ids, margin, nearest, farthest):
+def place(facets, edges, names, origins, directions, rays, ids, margin, near, far, hits, fresh):
     """Accept the triangles that Embree found if float64 arithmetic confirms them beyond doubt.
 
-    Rows of ``desk`` receive the hits. ``ids`` (n,) are the positions in ``facets`` of the triangles
-    found, or -1. ``margin`` is the largest lateral error of Embree, m. ``nearest``, m, and
-    ``farthest`` (n,), m, limit the distance; an empty ``farthest`` is no limit. Doubtful rays and
-    rays without a triangle are moved to the front of ``rays`` and ``ids``; their number is
-    returned.
+    ``ids`` (n,) are the positions in ``facets`` of the triangles found for ``rays``, or -1.
+    ``margin`` is the largest lateral error of Embree, m. ``near``, m, and ``far`` (n,), m, limit
+    the distance; an empty ``far`` is no limit. Doubtful rays and rays without a triangle are moved
+    to the front of ``rays`` and ``ids``; their number is returned. If ``fresh``, they get no hit.
     """
-    doubtful = 0
-    numbers, rows, named = rays.view(np.int32), rays.view(np.int64), desk.view(np.int64)
-    w = np.zeros(ROWS * BLOCK)
+    doubtful, found = 0, _flat(hits)
+    numbers, rows = rays.reshape(-1).view(np.int32), rays.view(np.int64)
+    starts, ways, corners = origins.reshape(-1), directions.reshape(-1), facets.reshape(-1)
+    w = np.ones(ROWS * BLOCK)
     for start in range(0, ids.size, BLOCK):
         count = min(BLOCK, ids.size - start)
         for n in range(count):
-            i, k = numbers[start + n, INDEX], max(ids[start + n], 0)
-            for m in range(6):
-                w[m * BLOCK + n] = desk[i, m]
+            i, k = numbers[8 * (start + n) + INDEX], max(ids[start + n], 0)
+            for m in range(3):
+                w[m * BLOCK + n] = starts[3 * i + m]
+                w[DX + m * BLOCK + n] = ways[3 * i + m]
             for m in range(9):
-                w[FACET + m * BLOCK + n] = facets[k, m]
+                w[FACET + m * BLOCK + n] = corners[9 * k + m]
         _land(w)
         for n in range(count):
             j = start + n
-            i, k = numbers[j, INDEX], ids[j]
+            i, k = numbers[8 * j + INDEX], ids[j]
+            t, depth = w[T + n], w[DEPTH + n]
             # a hit must be inside the triangle by more than ``margin``; a strip of this width along
             # a side has at most the volume margin * edge
-            if k >= 0 and w[DEPTH + n] > margin * edges[k] and w[T + n] >= nearest:
-                if farthest.size == 0 or w[T + n] <= farthest[i]:
-                    for m in range(3):
-                        desk[i, m] = w[PX + m * BLOCK + n]
-                        desk[i, m + 3] = w[NX + m * BLOCK + n]
-                    desk[i, 6] = w[T + n]
-                    named[i, NAME] = names[k]
+            if k >= 0 and depth > margin * edges[k] and t >= near:
+                if far.size == 0 or t <= far[i]:
+                    point = (w[PX + n], w[PY + n], w[PZ + n])
+                    normal = (w[NX + n], w[NY + n], w[NZ + n])
+                    _record(found, i, t, point, normal, names[k])
+                elif fresh:
+                    _record(found, i, math.nan, MISSED, MISSED, -1)
                 continue
+            if fresh:
+                _record(found, i, math.nan, MISSED, MISSED, -1)
             ids[doubtful] = k
             for m in range(4):
                 rows[doubtful, m] = rows[j, m]
             doubtful += 1
     return doubtful
-
-
-@njit(cache=True, nogil=True)
-def finish(desk, distance, points, normals, triangle, status):
-    """Copy the rows of ``desk`` to the result arrays, with NaN for rays without a hit."""
-    names = desk.view(np.int64)
-    for i in range(distance.size):
-        hit = names[i, NAME] >= 0
-        triangle[i], status[i] = names[i, NAME], HIT if hit else MISS
-        distance[i] = desk[i, 6] if hit else math.nan
-        for k in range(3):
-            points[i, k] = desk[i, k] if hit else math.nan
-            normals[i, k] = desk[i, k + 3] if hit else math.nan
 
 
 @njit(cache=True, nogil=True)
@@ -336,7 +355,7 @@ def _strike(row, edge, o, d):
 
     ``edge`` is the length of the triangle's longest side, m, which scales the rounding error.
     """
-    u, v, w, det, t = _facet(row, o, d)
+    u, v, w, det, t, _ = _facet(row, o, d)
     away = abs(o[0] - row[0]) + abs(o[1] - row[1]) + abs(o[2] - row[2])
     # the rounding error of the volumes, so that no ray passes between adjacent triangles
     slack = 4e-16 * (away + edge) * edge
@@ -344,20 +363,20 @@ def _strike(row, edge, o, d):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def search(facets, edges, names, boxes, desk, index, nearest, farthest):
+def search(facets, edges, names, boxes, origins, directions, index, nearest, farthest, hits):
     """Find the first triangle of each ray of ``index`` within its distance limits, in float64 only.
 
-    Rows of ``desk`` receive the hits. ``boxes`` (m, 6) is a complete binary tree of low and high
-    corners, with four triangles per leaf. ``nearest``, m, and ``farthest`` (n,), m, limit the
-    distance; an empty ``farthest`` is no limit. Among triangles at the same distance, the first one
-    in ``facets`` is taken.
+    ``boxes`` (m, 6) is a complete binary tree of low and high corners, with four triangles per
+    leaf. ``nearest``, m, and ``farthest`` (n,), m, limit the distance; an empty ``farthest`` is no
+    limit. Among triangles at the same distance, the first one in ``facets`` is taken. Rays without
+    a triangle keep their ``hits``.
     """
     first_leaf, corners = boxes.shape[0] // 2, facets.reshape(-1)
-    stack, entries, named = np.empty(128, dtype=np.int64), np.empty(128), desk.view(np.int64)
+    stack, entries, found = np.empty(128, dtype=np.int64), np.empty(128), _flat(hits)
     for j in range(index.size):
         i = index[j]
-        o = (desk[i, 0], desk[i, 1], desk[i, 2])
-        d = (desk[i, 3], desk[i, 4], desk[i, 5])
+        o = (origins[i, 0], origins[i, 1], origins[i, 2])
+        d = _unit((directions[i, 0], directions[i, 1], directions[i, 2]))
         inverse = (1.0 / d[0], 1.0 / d[1], 1.0 / d[2])
         best, chosen = math.inf if farthest.size == 0 else farthest[i], -1
         stack[0], entries[0], top = 0, nearest, 1
@@ -385,10 +404,9 @@ def search(facets, edges, names, boxes, desk, index, nearest, farthest):
                 if nearest <= t <= best and (t < best or chosen < 0 or m < chosen):
                     best, chosen = t, m
         if chosen >= 0:
-            point, normal = _landing(_row(corners, 9 * chosen, 1), o, d, best)
-            desk[i, 0], desk[i, 1], desk[i, 2] = point
-            desk[i, 3], desk[i, 4], desk[i, 5] = normal
-            desk[i, 6], named[i, NAME] = best, names[chosen]
+            normal = _facet(_row(corners, 9 * chosen, 1), o, d)[5]
+            point, normal = _landing(normal, o, d, best)
+            _record(found, i, best, point, normal, names[chosen])
 
 
 @njit(cache=True, error_model="numpy")

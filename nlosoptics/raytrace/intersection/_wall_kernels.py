@@ -8,22 +8,17 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numba import prange
-
 from ...kernels.codes import BUMPS, CYLINDER, EXTREME, FACETS, GRID, SPHERE, WAVE
 from ...kernels.compiling import njit
-from ...kernels.heights import partial_surface, surface
-from ...kernels.parallel import threaded
+from ...kernels.heights import partial_surface, tangent
 from ...kernels.relief import facet_edge
 
 HIT, MISS, OUTSIDE, UNRESOLVED, BEHIND = 0, 1, 2, 3, 4
 MAX_STEPS = 500
 MAX_FACETS = 100_000  # facets that a grazing ray passes
-BLOCK = 64  # rays processed at once
-OX, OY, OZ, DX, DY, DZ, T, HX, HY, MIDDLE, REACH, ERROR, SINE, P, Q = range(0, 15 * BLOCK, BLOCK)
-ROWS = 15
+BIG, HUGE = 2.0**400, 2.0**600
 TOLERANCE = 1e-13  # height above the wall that counts as 0, relative to the ray's scale
+ROUNDING = 1e-16  # error of a distance that counts as none, relative to the ray's coordinates
 
 
 @njit(cache=True)
@@ -148,7 +143,7 @@ def _curvature_bound(terms, grid_bounds, o, d, low, high):
 
 
 @njit(cache=True)
-def _begin(terms, grid_bounds, box, slab, rim, o, d):
+def search(terms, grid_bounds, box, slab, rim, o, d):
     """Return the interval of t of a march, the bound on |d2h/dt2|, the tolerance and a status.
 
     The status is that of a ray without a hit. The interval is empty, low > high, for a ray that
@@ -173,20 +168,52 @@ def _safe_step(f, slope, bound):
     return (slope + root) / bound if bound > 0.0 else math.inf
 
 
+@njit(cache=True, error_model="numpy")
+def newton_hit(terms, tables, slab, o, d, low, high, bound, scale):
+    """Return distance and slopes of a root by Newton's method; NaN unless it is the first crossing.
+
+    The last four arguments are those that `search` returns.
+
+    Let f be the height of the ray above a smooth wall, M a bound on |f''|, and s < 0 the slope f'
+    at the root. At a distance u before the root, f >= |s| u - M u^2/2. The root is therefore the
+    first one if it is nearer than 2 |s| / M to the point where the ray enters the wall's height
+    limits.
+    """
+    if not d[2] < 0.0:
+        return math.nan, 0.0, 0.0
+    start = abs(o[0]) + abs(o[1]) + abs(o[2])
+    t = min(max((0.5 * (slab[0] + slab[1]) - o[2]) / d[2], low), high)
+    for _ in range(8):
+        h, hx, hy = tangent(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
+        f, slope = o[2] + t * d[2] - h, d[2] - hx * d[0] - hy * d[1]
+        if not slope < 0.0:
+            break
+        aim = min(max(t - f / slope, low), high)
+        if bound * (aim - low) > -8.0 * slope:
+            break  # most likely the root will not prove to be the first
+        step, t = aim - t, aim
+        if bound * step * step <= ROUNDING * (start + t) * -slope:
+            h, hx, hy = tangent(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
+            slope = d[2] - hx * d[0] - hy * d[1]
+            # 1.9 instead of 2 allows for rounding; at the edges of the wall the march decides
+            first = low < t and t + scale < high and bound * (t - low) < -1.9 * slope
+            return t if first else math.nan, hx, hy
+    return math.nan, 0.0, 0.0
+
+
 @njit(cache=True)
-def marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
+def marched_hit(terms, tables, slab, o, d, low, high, bound, scale, missed):
     """Return distance and status of the first crossing with a smooth wall, by a safe march.
+
+    The last five arguments are those that `search` returns.
 
     f is the height of the ray above the wall and M a bound on |f''|. The step to the root s of
     f + f' s - M s^2/2 cannot pass a root of f, and for f -> 0 it converges quadratically like
     Newton's method.
     """
-    low, high, bound, scale, missed = _begin(terms, grid_bounds, box, slab, rim, o, d)
-    if low > high:
-        return math.nan, missed
     t = low
     for step in range(MAX_STEPS):
-        h, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
+        h, hx, hy = tangent(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
         f, slope = o[2] + t * d[2] - h, d[2] - hx * d[0] - hy * d[1]
         if not math.isfinite(f):
             return math.nan, UNRESOLVED
@@ -218,15 +245,14 @@ def _facet_end(terms, x, y, dx, dy, slack):
 
 
 @njit(cache=True)
-def faceted_hit(terms, tables, grid_bounds, top, box, slab, rim, o, d):
+def faceted_hit(terms, tables, top, slab, o, d, low, high, bound, scale, missed):
     """Return distance and status of the first crossing with a wall that has facets.
+
+    The last five arguments are those that `search` returns.
 
     M of `marched_hit` does not hold across the edges of facets, so that steps end there. Above all
     facets, by more than their largest height ``top``, only the smooth terms count.
     """
-    low, high, bound, scale, missed = _begin(terms, grid_bounds, box, slab, rim, o, d)
-    if low > high:
-        return math.nan, missed
     t, turns = low, 0
     for step in range(MAX_FACETS):
         x, y = o[0] + t * d[0], o[1] + t * d[1]
@@ -261,93 +287,15 @@ def faceted_hit(terms, tables, grid_bounds, top, box, slab, rim, o, d):
 
 
 @njit(cache=True, inline="always")
-def _sin_cos(x):
-    """Return sine and cosine without branches, accurate to about 1 ulp for |x| <= 1e5."""
-    turns = math.floor(x * 0.6366197723675814 + 0.5)
-    # pi/2 in three parts whose products with ``turns`` are exact (Cody and Waite, as in fdlibm)
-    r = x - turns * 1.57079632673412561417e00
-    r -= turns * 6.07710050630396597660e-11
-    r -= turns * 2.02226624879595063154e-21
-    z = r * r
-    s = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
-    s = -1.98412698298579493134e-04 + z * (2.75573137070700676789e-06 + z * s)
-    s = r + r * z * (-1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * s))
-    c = 2.08757232129817482790e-09 - z * 1.13596475577881948265e-11
-    c = 2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * c)
-    c = 4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * c)
-    c = 1.0 - 0.5 * z + z * z * c
-    quarter = turns - 4.0 * math.floor(0.25 * turns)
-    odd = quarter == 1.0 or quarter == 3.0
-    sine = c if odd else s
-    cosine = s if odd else c
-    sine = -sine if quarter >= 2.0 else sine
-    cosine = -cosine if (quarter == 1.0 or quarter == 2.0) else cosine
-    return sine, cosine
-
-
-@njit(cache=True, inline="always")
 def _unit(d):
     """Return the unit vector along d, of any finite length; NaN for a zero vector."""
     largest = max(abs(d[0]), abs(d[1]), abs(d[2]))
-    # scaled first, so that the squares neither overflow nor underflow
-    x, y, z = d[0] / largest, d[1] / largest, d[2] / largest
+    # powers of two scale without rounding, so that the squares neither overflow nor underflow
+    scale = HUGE if largest < 1.0 / BIG else 1.0
+    scale = 1.0 / HUGE if largest > BIG else scale
+    x, y, z = scale * d[0], scale * d[1], scale * d[2]
     norm = math.sqrt(x * x + y * y + z * z)
     return x / norm, y / norm, z / norm
-
-
-@njit(cache=True, error_model="numpy")
-def wave_hits(row, box, w, state):
-    """Fill distance, slopes and status of a block of rays at a single wave.
-
-    Status -1 marks rays that must be marched instead. ``w`` holds the data of the rays in rows of
-    BLOCK numbers, OX to Q. Fixed distances between the rows and loops without branches let the
-    compiler vectorise over rays.
-
-    Along a ray the height above the wall is f = z + t dz - a cos(p + t q). For |a q| < |dz| it
-    decreases monotonically, and its only root is within |a / dz| of the hit on the mean plane.
-    """
-    a, kx, ky, phase = row[1], row[2], row[3], row[4]
-    for i in range(BLOCK):
-        q = kx * w[DX + i] + ky * w[DY + i]
-        p = kx * w[OX + i] + ky * w[OY + i] + phase
-        t, reach = -w[OZ + i] / w[DZ + i], abs(a / w[DZ + i])
-        # the factor 0.5 ensures f f'' < f'^2, so that Halley's and Newton's steps agree in sign
-        good = (w[DZ + i] < 0.0) & (abs(a * q) < -0.5 * w[DZ + i]) & (w[OZ + i] > abs(a))
-        good &= abs(p) + abs(q * (t + reach)) < 1e5
-        w[P + i], w[Q + i], w[T + i], w[MIDDLE + i], w[REACH + i] = p, q, t, t, reach
-        w[ERROR + i] = math.inf if good else -1.0
-    for _ in range(12):
-        for i in range(BLOCK):
-            t, q, middle, error = w[T + i], w[Q + i], w[MIDDLE + i], w[ERROR + i]
-            sine, cosine = _sin_cos(w[P + i] + t * q)
-            f = w[OZ + i] + t * w[DZ + i] - a * cosine
-            slope, bend = w[DZ + i] + a * q * sine, a * q * q * cosine
-            aim = t - 2.0 * f * slope / (2.0 * slope * slope - f * bend)
-            low, high = middle - w[REACH + i], middle + w[REACH + i]
-            aim = low if aim < low else aim
-            aim = high if aim > high else aim
-            turn, curved = (aim - t) * q, (aim - t) * bend / slope
-            t2 = turn * turn
-            moved = sine * (1.0 - t2 * (0.5 - t2 / 24.0)) + cosine * turn * (1.0 - t2 / 6.0)
-            # a converged ray stays unchanged while others of its block are iterated
-            busy = error > 1e-16 * (middle if middle > 1e-3 else 1e-3)
-            w[T + i] = aim if busy else t
-            w[SINE + i] = moved if busy else w[SINE + i]
-            # bound on the error after Halley's step, which converges with the cube of the step
-            w[ERROR + i] = abs(aim - t) * (t2 + curved * curved) if busy else error
-        left = 0
-        for i in range(BLOCK):
-            middle = w[MIDDLE + i]
-            left += int(w[ERROR + i] > 1e-16 * (middle if middle > 1e-3 else 1e-3))
-        if left == 0:
-            break
-    for i in range(BLOCK):
-        t, sine = w[T + i], w[SINE + i]
-        w[HX + i], w[HY + i] = -a * kx * sine, -a * ky * sine
-        x, y = w[OX + i] + t * w[DX + i], w[OY + i] + t * w[DY + i]
-        state[i] = HIT if abs(x) <= box[0] and abs(y) <= box[1] else OUTSIDE
-        if not 0.0 <= w[ERROR + i] <= 1e-16 * max(w[MIDDLE + i], 1e-3):
-            state[i] = -1
 
 
 @njit(cache=True)
@@ -361,69 +309,25 @@ def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
     if grid_bounds is None or conic:
         t, condition = conic_hit(terms[0], box, o, d)
     else:
+        low, high, bound, scale, missed = search(terms, grid_bounds, box, slab, rim, o, d)
+        if low > high:
+            return math.nan, missed, 0.0, 0.0
         top = 0.0
         for i in range(terms.shape[0]):
             if terms[i, 0] == FACETS:
                 top += EXTREME * terms[i, 2]
         if top > 0.0:
-            t, condition = faceted_hit(terms, tables, grid_bounds, top, box, slab, rim, o, d)
+            t, condition = faceted_hit(
+                terms, tables, top, slab, o, d, low, high, bound, scale, missed
+            )
         else:
-            t, condition = marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
+            t, hx, hy = newton_hit(terms, tables, slab, o, d, low, high, bound, scale)
+            if t >= 0.0:
+                return t, HIT, hx, hy
+            t, condition = marched_hit(terms, tables, slab, o, d, low, high, bound, scale, missed)
     hx = hy = 0.0
     if condition == HIT:
-        _, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
+        _, hx, hy = tangent(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
         if not math.isfinite(hx):
             condition = UNRESOLVED
     return t, condition, hx, hy
-
-
-@threaded(error_model="numpy")
-def intersect(
-    terms,
-    tables,
-    grid_bounds,
-    box,
-    slab,
-    rim,
-    origins,
-    directions,
-    distance,
-    points,
-    normals,
-    status,
-):
-    """Fill distance (n,), points and normals (n, 3) and status (n,) with the first hits.
-
-    Directions may have any length. Returns the number of invalid rays: those with NaN, infinity or
-    a zero direction. ``grid_bounds`` may be None as in `wall_hit`.
-    """
-    waved = terms.shape[0] == 1 and terms[0, 0] == WAVE
-    count = distance.size
-    bad = 0
-    for block in prange((count + BLOCK - 1) // BLOCK):
-        start = block * BLOCK
-        n = min(BLOCK, count - start)
-        w, state = np.zeros(ROWS * BLOCK), np.full(BLOCK, -1)
-        for i in range(n):
-            j = start + i
-            x, y, z = origins[j, 0], origins[j, 1], origins[j, 2]
-            dx, dy, dz = _unit((directions[j, 0], directions[j, 1], directions[j, 2]))
-            bad += 0 if math.isfinite(x + y + z + dx + dy + dz) else 1
-            w[OX + i], w[OY + i], w[OZ + i] = x, y, z
-            w[DX + i], w[DY + i], w[DZ + i] = dx, dy, dz
-        if grid_bounds is not None and waved:
-            wave_hits(terms[0], box, w, state)
-        for i in range(n):
-            o, d = (w[OX + i], w[OY + i], w[OZ + i]), (w[DX + i], w[DY + i], w[DZ + i])
-            t, condition, hx, hy = w[T + i], state[i], w[HX + i], w[HY + i]
-            if condition < 0:
-                t, condition, hx, hy = wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
-            norm = 1.0 / math.sqrt(1.0 + hx * hx + hy * hy)
-            if condition != HIT:
-                t = norm = math.nan
-            j = start + i
-            distance[j], status[j] = t, condition
-            for k in range(3):
-                points[j, k] = o[k] + t * d[k]
-            normals[j, 0], normals[j, 1], normals[j, 2] = -hx * norm, -hy * norm, norm
-    return bad

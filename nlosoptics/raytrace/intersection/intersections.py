@@ -101,11 +101,14 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
 
     Notes
     -----
-    Planes, spheres and cylinders are intersected in closed form. For other walls, points are tried
-    in steps along the ray. Let f be the height of the ray above the wall, f' its derivative along
-    the ray, and M a bound on its second derivative. Each step is the positive root s of
+    Planes, spheres and cylinders are intersected in closed form. For other walls, let f be the
+    height of the ray above the wall, f' its derivative along the ray, and M a bound on its second
+    derivative. A root found by Newton's method is certainly the first one if its distance from the
+    point where the ray enters the wall's height limits is below ``2 |f'| / M``.
+
+    For all other rays, points are tried in steps along the ray. Each step is the positive root s of
     ``f + f' s - M s^2/2 = 0``. Such a step never passes a crossing, and near a crossing it
-    converges like Newton's method.
+    converges like Newton's method. On a wall of facets each step ends within its facet.
 
     The slope of a sphere or cylinder is infinite at its rim. If a `nlosoptics.scene.SumWall` has
     such a part, hits are searched only up to 0.999 of the radius from the axis of this part.
@@ -124,7 +127,7 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     if isinstance(wall, CallableWall):
         return _callable(wall, *_rays(origins, directions))
     from ...kernels.relief import with_draws
-    from . import _wall_kernels
+    from . import _block_kernels
 
     o, d, shape = flat_rays(origins, directions)
     terms, tables = wall.compiled()
@@ -134,7 +137,7 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     curvature, box, slab, rim = search_bounds(wall, terms, tables)
     terms, tables = with_draws(terms, tables, box, MARCH * count)
     conic = len(terms) == 1 and terms[0, 0] in (SPHERE, CYLINDER)
-    bad = _wall_kernels.intersect(
+    bad = _block_kernels.intersect(
         terms,
         tables,
         None if conic else curvature,  # compiles a shorter function

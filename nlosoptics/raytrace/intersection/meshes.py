@@ -18,14 +18,15 @@ from ..._checks import in_range
 from ..._nouns import Noun
 from ...errors import SceneError
 from .intersections import Hits, _rays, flat_rays
-from .triangles import Facets, NoRayError
+from .triangles import NO_LIMIT, Facets, Found, NoRayError
 
 if TYPE_CHECKING:
     import trimesh
 
 T = TypeVar("T")
 Array = NDArray[np.float64]
-CHUNK: Final = 1 << 17  # rays processed at once, so that their data stay in the cache
+CHUNK: Final = 1 << 17  # sorted rays processed at once: the more, the more alike are neighbours
+UNSORTED: Final = 1 << 13  # unsorted rays processed at once, so that their data stay in the cache
 OFFSET: Final = 1e-9  # hits nearer than this to an end of a path count as on it; in half extents
 
 
@@ -107,7 +108,8 @@ def intersect_mesh(
     be assigned a wrong triangle, or none, in two cases: where two sheets of the mesh are closer to
     each other than 1e-6 of its extent, and where the ray passes within this distance of a sharp
     corner or of an edge beyond which the ray sees nothing of the mesh. Smaller meshes are searched
-    in float64 and have no such cases.
+    in float64 and have no such cases. Separate parts smaller than 1e-3 of the mesh's extent, such
+    as a bead above a floor, are searched at their own scale.
 
     A ray that starts on a triangle may miss this triangle, or hit it at a distance of the order of
     rounding errors. Give ``min_distance`` to ignore such hits. Hits on all other triangles are
@@ -123,28 +125,62 @@ def intersect_mesh(
     ([True, False], 1.5)
     """
     nearest = in_range("min_distance", min_distance, 0.0, unit="m")
+    distance, points, normals, triangle = _first(mesh, origins, directions, nearest)
+    return MeshHits(
+        distance,
+        points,
+        normals,
+        np.asarray(triangle < 0, dtype=np.int8),  # HIT or MISS
+        triangle,
+    )
+
+
+def first_triangles(
+    mesh: trimesh.Trimesh, origins: Array, directions: Array, *, min_distance: float
+) -> tuple[Array, NDArray[np.int32]]:
+    """Return distance (n,), m, and triangle (n,) of the first hits, as `intersect_mesh` finds them.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        Triangle mesh, world frame, m.
+    origins, directions : ndarray, (n, 3)
+        Starts, m, and directions of any length but zero.
+    min_distance : float
+        Hits at a smaller distance are ignored, m.
+    """
+    distance, _, _, triangle = _first(mesh, origins, directions, min_distance, placed=False)
+    return distance, triangle
+
+
+def _first(
+    mesh: trimesh.Trimesh,
+    origins: ArrayLike,
+    directions: ArrayLike,
+    nearest: float,
+    farthest: Array = NO_LIMIT,
+    *,
+    placed: bool = True,
+) -> Found:
+    """Return the first hits of rays (..., 3) as `Facets.first` does, in the shape of the rays.
+
+    ``nearest``, m, and ``farthest`` (n,), m, limit the distances. Points and normals have no rows
+    unless ``placed``.
+    """
     o, d, shape = flat_rays(origins, directions)
-    facets = _facets(mesh)
-    count = len(o)
-    distance, points, normals = np.empty(count), np.empty((count, 3)), np.empty((count, 3))
-    triangle, status = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int8)
+    facets, count = _facets(mesh), len(o)
+    rows = count if placed else 0
+    distance, triangle = np.empty(count), np.empty(count, dtype=np.int32)
+    points, normals = np.empty((rows, 3)), np.empty((rows, 3))
 
     def work(part: slice) -> None:
-        from . import _triangle_kernels
+        hits = (distance[part], points[part], normals[part], triangle[part])
+        facets.first(o[part], d[part], nearest, farthest[part], hits=hits)
 
-        rows = facets.first(o[part], d[part], nearest)
-        _triangle_kernels.finish(
-            rows, distance[part], points[part], normals[part], triangle[part], status[part]
-        )
-
-    _in_parts(work, count, origins, directions)
-    return MeshHits(
-        distance.reshape(shape),
-        points.reshape(*shape, 3),
-        normals.reshape(*shape, 3),
-        status.reshape(shape),
-        triangle.reshape(shape),
-    )
+    _in_parts(work, count, facets, origins, directions)
+    if placed:
+        points, normals = points.reshape(*shape, 3), normals.reshape(*shape, 3)
+    return distance.reshape(shape), points, normals, triangle.reshape(shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,7 +277,7 @@ def all_hits(
         return facets.all(o[part], d[part], nearest)
 
     # handles zero rays: np.concatenate needs at least one part
-    parts = _in_parts(work, len(o), origins, directions) or [work(slice(0, 0))]
+    parts = _in_parts(work, len(o), facets, origins, directions) or [work(slice(0, 0))]
     counts, distance, points, triangle = (np.concatenate(a) for a in zip(*parts, strict=True))
     return AllHits(np.repeat(np.arange(len(o)), counts), distance, points, triangle)
 
@@ -288,33 +324,31 @@ def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> N
         raise SceneError(
             f"origins {o.shape} and targets {p.shape} do not broadcast; give equal shapes"
         ) from None
-    start, path, shape = flat_rays(np.broadcast_to(o, paths.shape), paths)
-    facets = _facets(mesh)
-    gap = OFFSET * facets.reach + 1e-14 * float(np.abs(start).max(initial=0.0))
-    lengths = np.sqrt((path * path).sum(axis=-1)) - gap
-    hidden = np.empty(len(start), dtype=bool)
-
-    def work(part: slice) -> None:
-        rows = facets.first(start[part], path[part], gap, lengths[part])
-        hidden[part] = rows.view(np.int64)[:, -1] >= 0
-
-    _in_parts(work, len(start), o, paths)
-    return hidden.reshape(shape)
+    starts = np.broadcast_to(o, paths.shape)
+    gap = OFFSET * _facets(mesh).reach + 1e-14 * float(np.abs(o).max(initial=0.0))
+    lengths = np.sqrt((paths * paths).sum(axis=-1)) - gap
+    triangle = _first(mesh, starts, paths, gap, lengths.reshape(-1), placed=False)[3]
+    return np.asarray(triangle.reshape(lengths.shape) >= 0)
 
 
 def _in_parts(
-    work: Callable[[slice], T], count: int, origins: ArrayLike, directions: ArrayLike
+    work: Callable[[slice], T],
+    count: int,
+    facets: Facets,
+    origins: ArrayLike,
+    directions: ArrayLike,
 ) -> list[T]:
     """Return the results of ``work`` for consecutive slices of the rays, computed on all cores.
 
-    ``count`` is the number of rays. ``origins`` and ``directions``, (n, 3), are only used for an
-    error that names an invalid ray.
+    ``count`` is the number of rays at the mesh ``facets``. ``origins`` and ``directions``, (n, 3),
+    are only used for an error that names an invalid ray.
     """
-    pieces = -(-count // CHUNK)
+    pieces = -(-count // (CHUNK if facets.sorts else min(CHUNK, UNSORTED)))
     ends = [count * k // max(pieces, 1) for k in range(pieces + 1)]
     parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
     try:
-        return list(worker_pool().map(work, parts) if len(parts) > 1 else map(work, parts))
+        alone = len(parts) == 1 or threads() == 1
+        return list(map(work, parts) if alone else worker_pool().map(work, parts))
     except NoRayError:
         _rays(origins, directions)  # raises an error that names the first bad ray
         raise

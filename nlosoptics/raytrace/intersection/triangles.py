@@ -20,8 +20,12 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = NDArray[np.float64]
+Found = tuple[Array, Array, Array, NDArray[np.int32]]
 ASIDE: Final = 1e-6  # lateral displacement of rays, in half extents; 16 roundings of float32
 MARGIN: Final = 3e-6  # largest lateral error of Embree, in half extents, including ASIDE
+SORTED: Final = 10_000  # above this many triangles, sorting the rays saves more than it costs
+SMALL: Final = 1e-3  # parts below this share of the mesh's extent need a finer scale than Embree's
+MOST_PARTS: Final = 16  # with Embree scenes of their own; each costs every ray the test of a box
 FEW: Final = 256  # up to this many triangles a float64 search is faster than displaced rays
 TURNS: Final = (0.0, 2 * math.pi / 3, 4 * math.pi / 3)  # azimuths of the displaced rays, rad
 
@@ -36,15 +40,10 @@ class _Room(threading.local):
     kept: tuple[NDArray[Any], ...] = ()
 
     def arrays(self, count: int) -> tuple[NDArray[Any], ...]:
-        """Return four buffers for ``count`` rays.
-
-        These are the working rows ``desk`` of `_triangle_kernels`, the unsorted rays, their sorting
-        cells, and the sorted rays.
-        """
+        """Return buffers for ``count`` rays: unsorted rays, their cells, and sorted rays."""
         if count > self.count:
             self.count = count
             self.kept = (
-                _aligned((count, 8), np.float64),
                 _aligned((count, 8), np.float32),
                 np.empty(count, dtype=np.int16),
                 _aligned((count, 8), np.float32),
@@ -61,7 +60,7 @@ def _aligned(shape: tuple[int, int], kind: type) -> NDArray[Any]:
 
 
 _room = _Room()
-_NO_LIMIT: Final = np.empty(0)
+NO_LIMIT: Final = np.empty(0)
 
 
 class NoRayError(Exception):
@@ -75,15 +74,32 @@ class Facets:
     ----------
     mesh : trimesh.Trimesh
         Triangle mesh, m.
+    some : ndarray of int, (n,), optional
+        Indices of the triangles to use; by default all.
+    exact : bool
+        Whether all rays are searched in float64, without Embree.
 
     Raises
     ------
     SceneError
         If vertices are not finite or no triangle has an area.
+
+    Notes
+    -----
+    Embree's errors are relative to the extent of its scene. Parts that are far smaller than the
+    mesh, such as a bead on a floor, are kept as ``parts``, each with its own structures.
     """
 
-    def __init__(self, mesh: trimesh.Trimesh) -> None:
-        corners = np.asarray(mesh.vertices, dtype=np.float64)[np.asarray(mesh.faces)]
+    def __init__(
+        self,
+        mesh: trimesh.Trimesh,
+        some: NDArray[np.int64] | None = None,
+        *,
+        exact: bool = False,
+    ) -> None:
+        faces = np.asarray(mesh.faces)
+        some = np.arange(len(faces)) if some is None else some
+        corners = np.asarray(mesh.vertices, dtype=np.float64)[faces[some]]
         if not np.isfinite(corners).all():
             raise SceneError("the mesh has NaN or infinite vertices; repair it")
         a, first, second = corners[:, 0], corners[:, 1], corners[:, 2]
@@ -97,7 +113,8 @@ class Facets:
         self.reach = 0.5 * float((high - low).max())
         order = _along_a_curve(corners.mean(axis=1), low, high)
         corners = corners[order]
-        self.names = proper[order].astype(np.int32)
+        self.names = some[proper[order]].astype(np.int32)
+        self.sorts = len(order) > SORTED
         sides = corners - corners[:, [1, 2, 0]]
         self.edges = np.sqrt((sides * sides).sum(axis=-1).max(axis=1))
         self.rows = np.ascontiguousarray(
@@ -110,7 +127,11 @@ class Facets:
         self.boxes = _tree(corners, rounding)
         pad = 4 * MARGIN * self.reach + rounding
         self.limits = np.concatenate([low - pad, high + pad])[None]
-        self.scene = self._scene(corners)
+        self.exact = exact
+        parts, many = ([], []) if exact else _small_parts(corners, self.edges)
+        self.parts = [Facets(mesh, self.names[part].astype(np.int64)) for part in parts]
+        self.parts += [Facets(mesh, self.names[part].astype(np.int64), exact=True) for part in many]
+        self.scene: Any = None if exact or self.parts else self._scene(corners)
 
     def _scene(self, corners: Array) -> Any:
         """Return the Embree scene of the triangles ``corners`` (n, 3, 3)."""
@@ -125,8 +146,15 @@ class Facets:
         return scene
 
     def first(
-        self, origins: Array, directions: Array, nearest: float, farthest: Array = _NO_LIMIT
-    ) -> Array:
+        self,
+        origins: Array,
+        directions: Array,
+        nearest: float,
+        farthest: Array = NO_LIMIT,
+        *,
+        hits: Found,
+        fresh: bool = True,
+    ) -> None:
         """Find the first triangle of every ray between its distance limits.
 
         Parameters
@@ -137,13 +165,12 @@ class Facets:
             Smallest distance, m.
         farthest : ndarray, (n,)
             Largest distances, m; empty without a limit.
-
-        Returns
-        -------
-        ndarray, (n, 8)
-            Hit point, unit normal, distance (m) and index of the triangle in the mesh. The index is
-            an integer stored in the 8 bytes of the last column, -1 without a hit, when the other
-            columns are invalid. The next call in the same thread overwrites the array.
+        hits : tuple of ndarray
+            Filled with distances (n,), m, hit points (n, 3), m, unit normals (n, 3) and triangles
+            (n,), their indices in the mesh; -1 without a hit, when the others are NaN. Points and
+            normals are skipped if they have no rows.
+        fresh : bool
+            Whether ``hits`` is to be overwritten for rays without a hit too.
 
         Raises
         ------
@@ -152,7 +179,13 @@ class Facets:
         """
         from . import _triangle_kernels
 
-        desk, loose, bins, rays = _room.arrays(len(origins))
+        for k, part in enumerate(self.parts):
+            part.first(origins, directions, nearest, farthest, hits=hits, fresh=fresh and k == 0)
+            beyond = farthest if len(farthest) else math.inf
+            farthest = np.where(hits[3] >= 0, hits[0], beyond)
+        if self.parts:
+            return
+        loose, bins, rays = _room.arrays(len(origins))
         kept = _triangle_kernels.enter(
             origins,
             directions,
@@ -160,30 +193,37 @@ class Facets:
             self.centre,
             self.reach,
             ASIDE * self.reach,
-            desk,
             loose,
-            bins,
+            bins if self.sorts else bins[:0],
             rays,
+            hits,
+            fresh,
         )
         if kept < 0:
             raise NoRayError
         if not kept:
-            return desk
+            return
         rays = rays[:kept]
-        ids = self.scene.run(rays[:, :3], rays[:, 3:6])
-        facets = (self.rows, self.edges, self.names)
+        if self.exact:
+            ids = np.full(kept, -1, dtype=np.int32)
+        else:
+            ids = self.scene.run(rays[:, :3], rays[:, 3:6])
+        facets, ends = (self.rows, self.edges, self.names), (origins, directions)
         margin = MARGIN * self.reach
-        doubtful = _triangle_kernels.place(*facets, desk, rays, ids, margin, nearest, farthest)
+        doubtful = _triangle_kernels.place(
+            *facets, *ends, rays, ids, margin, nearest, farthest, hits, fresh
+        )
+        if not doubtful:
+            return
         rays, ids = rays[:doubtful], ids[:doubtful]
         unsure = ids >= 0
         missed = np.flatnonzero(~unsure)
-        if len(self.rows) <= FEW:
+        if self.exact or len(self.rows) <= FEW:
             unsure[:] = True
         elif len(missed):
             unsure[missed] = self._near(rays[missed])
         index = rays.view(np.int32)[unsure, _triangle_kernels.INDEX]
-        _triangle_kernels.search(*facets, self.boxes, desk, index, nearest, farthest)
-        return desk
+        _triangle_kernels.search(*facets, self.boxes, *ends, index, nearest, farthest, hits)
 
     def _near(self, rays: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Return a mask (n,) of rays close to a triangle's edge, for rays without a hit by Embree.
@@ -228,6 +268,45 @@ class Facets:
         points = np.repeat(origins, counts, axis=0)
         points += distance[:, None] * np.repeat(units, counts, axis=0)
         return counts, distance, points, self.names[hits[:, 2].astype(np.int64)]
+
+
+def _small_parts(corners: Array, edges: Array) -> tuple[list[NDArray[np.int64]], ...]:
+    """Return groups of triangles that need search structures of their own; none for most meshes.
+
+    ``corners`` (n, 3, 3) are the triangles' corners and ``edges`` (n,) their longest sides, m. The
+    second list holds small parts that are too many and too far apart for Embree scenes. Unless both
+    lists are empty, each triangle is in one of the groups.
+    """
+    span = float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
+    if edges.min() >= SMALL * span:
+        return [], []
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    # Equal corners have equal keys; those of others differ but for rare chances, which only join
+    # two parts.
+    x, y, z = np.moveaxis(corners, -1, 0)
+    _, number = np.unique(x + math.sqrt(2) * y + math.sqrt(3) * z, return_inverse=True)
+    number = number.reshape(-1, 3)
+    links = number[:, :2].ravel(), number[:, 1:].ravel()
+    nodes = int(number.max()) + 1
+    graph = coo_matrix((np.ones(len(links[0]), dtype=bool), links), shape=(nodes, nodes))
+    count, label = connected_components(graph, directed=False)
+    label = label[number[:, 0]]
+    low, high = np.full((count, 3), math.inf), np.full((count, 3), -math.inf)
+    np.minimum.at(low, label, corners.min(axis=1))
+    np.maximum.at(high, label, corners.max(axis=1))
+    small = (high - low).max(axis=1) < SMALL * span
+    if not small.any():
+        return [], []
+    within = small[label]
+    rest = np.flatnonzero(~within)
+    groups = [rest] if len(rest) else []
+    if (high[small].max(axis=0) - low[small].min(axis=0)).max() < 0.5 * span:
+        return [*groups, np.flatnonzero(within)], []
+    if small.sum() > MOST_PARTS:
+        return groups, [np.flatnonzero(within)]
+    return [*groups, *(np.flatnonzero(label == k) for k in np.flatnonzero(small))], []
 
 
 def _along_a_curve(points: Array, low: Array, high: Array) -> NDArray[np.int64]:

@@ -8,27 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...kernels.codes import GROUPS, WAVE
+from ...kernels.codes import GROUPS
 from ...kernels.compiling import njit
 from ...kernels.heights import surface
 from ...kernels.random import disc, draw
-from ..intersection._wall_kernels import (
-    BLOCK,
-    DX,
-    DY,
-    DZ,
-    HIT,
-    HX,
-    HY,
-    OX,
-    OY,
-    OZ,
-    ROWS,
-    UNRESOLVED,
-    wall_hit,
-    wave_hits,
-)
-from ..intersection._wall_kernels import T as DISTANCE
+from ..intersection._block_kernels import BLOCK, DX, DY, DZ, HX, HY, OX, OY, OZ, ROWS, block_hits
+from ..intersection._block_kernels import T as DISTANCE
+from ..intersection._wall_kernels import HIT, UNRESOLVED, wall_hit
 
 # kinds of hit: BACK is the back of the hidden object, LOST a hit that could not be resolved
 NOTHING, WALL, OBJECT, OCCLUDER, LENS, BACK, LOST = range(-1, 6)
@@ -234,19 +220,16 @@ def wall_hits(walls, origins, directions, live, distance, kind, normal):
     """
     terms, tables, grid_bounds, box, slab, rim = walls
     flat = terms.shape[0] == 0
-    waved = terms.shape[0] == 1 and terms[0, 0] == WAVE
     w, state = np.zeros(ROWS * BLOCK), np.full(BLOCK, -1)
     count = distance.size
     for start in range(0, count, BLOCK):
         n = min(BLOCK, count - start)
-        if waved:
-            w[:] = 0.0
-            state[:] = -1
+        if not flat:
             for i in range(n):
                 j = start + i
                 w[OX + i], w[OY + i], w[OZ + i] = three(origins[j], 0)
                 w[DX + i], w[DY + i], w[DZ + i] = three(directions[j], 0)
-            wave_hits(terms[0], box, w, state)
+            block_hits(terms, tables, grid_bounds, box, slab, w, state)
         for i in range(n):
             j = start + i
             if not live[j]:

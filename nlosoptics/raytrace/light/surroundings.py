@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...kernels.codes import BECKMANN
 from ...scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene
 from ..intersection.intersections import HIT, UNRESOLVED, intersect, search_bounds
-from ..intersection.meshes import intersect_mesh, occluded
+from ..intersection.meshes import first_triangles, occluded
 from .chains import Chains, mirror_chains
 
 if TYPE_CHECKING:
@@ -280,13 +280,13 @@ class Surroundings:
         if self._mesh is not None:
             rows = np.flatnonzero(live)
             counts["mesh"] += len(rows)
-            found = intersect_mesh(
+            away, triangle = first_triangles(
                 self._mesh, origins[rows], directions[rows], min_distance=self._gap
             )
             kernels.mesh_hits(
                 rows,
-                found.triangle,
-                found.distance,
+                triangle,
+                away,
                 self._thing_faces,
                 self._normals,
                 directions,

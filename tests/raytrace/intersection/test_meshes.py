@@ -121,6 +121,43 @@ def test_no_ray_leaks_at_vertices_and_edges(where, outside):
     assert shares.min() > -1e-11
 
 
+@pytest.mark.parametrize("count", [1, 4, 40])
+def test_small_parts_of_a_large_mesh_are_hit_as_if_alone(count):
+    """Balls of 1 mm, 10 m above a floor of 20 km: alone, with structures of their own, or many."""
+    draw = np.random.default_rng(11)
+    ball = bumpy(2)
+    centres = np.column_stack([draw.uniform(-9e3, 9e3, (count, 2)), np.full(count, 10.0)])
+    parts = [trimesh.Trimesh(1e-3 * ball.vertices + c, ball.faces, process=False) for c in centres]
+    floor = trimesh.Trimesh(
+        1e4 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]),
+        [[0, 1, 2], [0, 2, 3]],
+        process=False,
+    )
+    room = trimesh.util.concatenate([floor, *parts])
+    for k in range(0, count, 13):
+        targets = centres[k] + draw.uniform(-1e-3, 1e-3, (400, 3))
+        origins = centres[k] + draw.uniform(-1, 1, (400, 3)) + (0, 0, 3)
+        together = raytrace.intersect_mesh(room, origins, targets - origins)
+        alone = raytrace.intersect_mesh(parts[k], origins, targets - origins)
+        assert together.hit.all()
+        # the same arithmetic, whether the floor is there or not
+        np.testing.assert_array_equal(together.triangle >= 2, alone.hit)
+        assert 200 < alone.hit.sum() < 400
+        np.testing.assert_array_equal(together.distance[alone.hit], alone.distance[alone.hit])
+        faces = alone.triangle[alone.hit] + 2 + k * len(ball.faces)
+        np.testing.assert_array_equal(together.triangle[alone.hit], faces)
+        past = together.points[~alone.hit]
+        # the rounding of a coordinate of 10 km
+        np.testing.assert_allclose(past[:, 2], 0, rtol=0, atol=1e-11)
+        blocked = raytrace.occluded(room, origins, 2 * targets - origins)
+        np.testing.assert_array_equal(
+            blocked, raytrace.occluded(parts[k], origins, 2 * targets - origins)
+        )
+        first = raytrace.all_hits(room, origins, targets - origins)
+        _, begins = np.unique(first.ray, return_index=True)
+        np.testing.assert_array_equal(first.distance[begins], together.distance)
+
+
 def one_triangle():
     return trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
 
