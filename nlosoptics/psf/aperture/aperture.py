@@ -54,7 +54,8 @@ class Aperture(Noun):
     and t from 0 to 1. One of the curves may be a single point, such as the centre of a circular
     sector. `nodes` returns Gauss-Legendre nodes in s and t, whose weights contain the Jacobian of
     this map. The integral of a function that is smooth over each cell converges exponentially with
-    the number of nodes. With straight curves it is exact for polynomials.
+    the number of nodes. With straight curves and n nodes along each of s and t it is exact for
+    polynomials in u and v up to the degree 2 n - 2.
 
     Examples
     --------

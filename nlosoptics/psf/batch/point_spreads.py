@@ -55,8 +55,9 @@ class PointSpreads(Noun):
         Intensities (waves, ny, nx), read-only, row 0 at the lowest y. Sample [ny//2, nx//2] is on
         the optical axis.
     error_estimate : ndarray
-        Largest error of each point spread relative to its peak, an upper bound, (waves,). It is the
-        difference from the exact image of the wave that interpolates the given samples.
+        Largest error of each point spread relative to its peak, an upper bound, (waves,). The
+        reference is the exact image of the wave whose aberration over the pupil is the smooth
+        interpolation of the given samples.
     aberration : ndarray
         Aberration of each wave at the sample points of the pupil, (waves, n_r, n_theta), m,
         read-only.
@@ -108,8 +109,8 @@ class PointSpreads(Noun):
         intensity_gradient : array_like
             Derivative of the loss with respect to each value of ``intensity``, (waves, ny, nx).
         degree : int
-            The gradient is valid for changes of the aberration that are polynomials in u and v up
-            to this degree.
+            Degree of polynomials in the pupil coordinates u and v; by default 12. The gradient is
+            valid for changes of the aberration that are polynomials up to this degree.
 
         Returns
         -------
@@ -257,9 +258,9 @@ def point_spreads(
     Notes
     -----
     The result is that of ``point_spread(model="scalar")``. The pupil is integrated along parallel
-    chords, so that the integral becomes two matrix products, which use its mirror symmetry. Single
-    precision is used where ``tol`` allows it. The waves are computed on all cores; the values do
-    not depend on the number of threads.
+    chords, so that the integral becomes two matrix products. They use the mirror symmetry of the
+    pupil. Single precision is used where ``tol`` allows it. The waves are computed on all cores;
+    the values do not depend on the number of threads.
 
     All waves are computed with the number of nodes that the steepest one needs. Put waves of very
     different aberration into separate calls.

@@ -59,7 +59,7 @@ def write_poppy(wavefront: Wavefront, *, opd: str | Path, amplitude: str | Path)
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with the layout "grid".
+        Wave with ``layout`` = "grid" (samples on a square grid, see `Wavefront`).
     opd : str or Path
         File for the optical path difference, m. Its sign is that of POPPY, opposite to the
         aberration W of this library: ``OPD = -W``.

@@ -65,16 +65,15 @@ def to_prysm(wavefront: Wavefront) -> PrysmPupil:
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with the layout "grid". Terms listed in ``wavefront.removed``, such as tilt, are not
-        added back.
+        Wave with ``layout`` = "grid" (samples on a square grid, see `Wavefront`). Terms listed in
+        ``wavefront.removed``, such as tilt, are not added back.
 
     Returns
     -------
     PrysmPupil
-        Amplitude, aberration in nm, wavelength in micrometres and sample distance in mm. In a
-        square that the rim of the pupil crosses, the amplitude is multiplied by the fraction of the
-        square inside the pupil.
-        Amplitude and phase, (n, n) in the order of the wave's grid, wavelength and pitch.
+        Amplitude (n, n), aberration (n, n) in nm, wavelength in micrometres and sample distance in
+        mm. The arrays are in the order of the wave's grid. In a square that the rim of the pupil
+        crosses, the amplitude is multiplied by the fraction of the square inside the pupil.
 
     Raises
     ------
@@ -121,13 +120,13 @@ def from_prysm(
     image_distance : float
         Distance from the pupil to the image plane, m; negative if the pupil lies beyond the image.
     pupil_radius : float, optional
-        Radius of the pupil, m, which defines the F-number; by default that of the disc that just
-        fits the arrays.
+        Radius of the pupil, m, which defines the F-number; by default that of the largest disc
+        inside the arrays, their dark margin included.
 
     Returns
     -------
     Wavefront
-        Wave with the layout "grid".
+        Wave with ``layout`` = "grid" (samples on a square grid, see `Wavefront`).
 
     Raises
     ------

@@ -82,7 +82,7 @@ def write_zernikes(
         Unit of the numbers in the file.
     sign : {"excess", "advance"}
         Meaning of a positive number in the file: a longer path ("excess", as in this library) or a
-        shorter one ("advance", as in POPPY and, not tested, Zemax).
+        shorter one ("advance", as in POPPY, and presumably in Zemax, which was not tested).
     wavelength : float, optional
         Wavelength, m, which the file then states; required for the unit "waves".
 
@@ -150,13 +150,14 @@ def read_zernikes(
     path : str or Path
         Text file. Each line holds an index and a coefficient, separated by a comma, semicolon,
         colon or blanks. A heading that begins with ``index`` is allowed. Comments begin with #, !
-        or % and may give ``ordering: noll``, ``unit: nm``, ``sign: advance`` and
-        ``wavelength: 6.328e-07``. In an export of Zemax, whose first line is
-        ``Listing of Zernike ...``, only lines such as ``Z 4 0.12 : formula`` are read. Its Standard
-        terms have Noll indices and are in wavelengths.
+        or % and may give ``ordering: noll``, ``unit: nm``, ``sign: advance`` and ``wavelength:
+        6.328e-07``. In an export of Zemax, whose first line is ``Listing of Zernike ...``, only
+        lines such as ``Z 4 0.12 : formula`` are read. Zemax's Standard terms have Noll indices and
+        are in wavelengths. They are not read from the export: give ``ordering="noll"``,
+        ``unit="waves"``, ``sign`` and ``wavelength``.
     ordering : {"noll", "osa", "fringe"}, optional
-        Index scheme of the coefficients. This and the next two must be given here or in the file;
-        if given in both, they must agree.
+        Index scheme of the coefficients. Each of ``ordering``, ``unit`` and ``sign`` must be given
+        here or in a comment of the file. If it is given in both, the two must agree.
     unit : {"m", "um", "nm", "waves"}, optional
         Unit of the numbers in the file.
     sign : {"excess", "advance"}, optional

@@ -38,8 +38,8 @@ class ComparisonRow:
 
     See Also
     --------
-    Comparison : Times and differences of the transforms.
-    compare : Run all transforms on one wave.
+    Comparison : Times and differences of all methods.
+    compare : Run all methods on one wave.
     """
 
     method: str
@@ -68,8 +68,8 @@ class Comparison:
 
     See Also
     --------
-    compare : Run all transforms on one wave.
-    nlosoptics.views.compare_methods : Time and error of transforms.
+    compare : Run all methods on one wave.
+    nlosoptics.views.compare_methods : Time and error of all methods.
     """
 
     rows: tuple[ComparisonRow, ...]
@@ -142,7 +142,7 @@ def compare(
     See Also
     --------
     point_spread : PSF of a given wave.
-    nlosoptics.views.compare_methods : Time and error of transforms.
+    nlosoptics.views.compare_methods : Time and error of all methods.
 
     Examples
     --------

@@ -54,7 +54,7 @@ def metric_estimate(
     patterns : iterable of PointSpread
         Two or more independent random point spreads with the same pitch, shape and normalisation,
         such as ``psf.sample_point_spread(scene, roughness, seed=s)`` for many s. Each may itself be
-        the mean of several draws, if their number is the same for all.
+        a mean of random draws, if all are means of the same number of draws.
 
     Returns
     -------

@@ -84,12 +84,13 @@ class ThroughFocus(Noun, Shown):
 
 
 def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
-    """Return the wave that a detector sees which is displaced along the axis (defocus).
+    """Return the wave relative to an image plane that is displaced along the axis (defocus).
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, of any layout.
+        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
+        `Wavefront`).
     shift : float
         Displacement of the image plane along the direction of the light, m; positive away from the
         lens.
@@ -121,7 +122,7 @@ def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
     ``3/(16 N^2)``, with N the F-number: 1e-4 at F/40. A detector beyond focus has W < 0.
 
     The tilt is kept, so that a spot off the axis moves in proportion to the image distance. The
-    amplitude is kept, too; its exact change is about the fraction ``r^2 shift/(2 d^3)``.
+    amplitude is not changed; this causes a relative error of about ``r^2 shift/(2 d^3)``.
 
     Examples
     --------
@@ -161,14 +162,15 @@ def through_focus(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, of any layout.
+        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
+        `Wavefront`).
     shifts : array_like, (n,)
         Displacements of the image plane along the direction of the light, m; positive away from the
         lens.
     criterion : {"strehl", "rms", "spot", "mtf"} or callable
         Measure of image quality:
 
-        - ``strehl``: Strehl ratio without tilt, which follows a spot that moves sideways.
+        - ``strehl``: Strehl ratio; tilt is removed, so that a spot that moves sideways is followed.
         - ``rms``: rms aberration without piston and tilt, m.
         - ``spot``: rms radius of the spot of rays, without diffraction, m.
         - ``mtf``: modulation transfer function at ``frequency``.
@@ -239,7 +241,8 @@ def best_focus(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, of any layout.
+        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
+        `Wavefront`).
     criterion : {"strehl", "rms", "spot", "mtf"} or callable
         Measure of image quality: Strehl ratio, rms aberration, rms radius of the spot of rays, MTF
         at ``frequency``, or a function of a `Wavefront` that returns a number. ``rms`` and ``spot``
@@ -284,11 +287,13 @@ def best_focus(
 
     The criterion is computed at planes close enough not to miss a maximum of the Strehl ratio or
     the MTF: at least four per wavelength of defocus for the Strehl ratio and for given functions.
-    All local maxima within 20 % of the range of values from the best one are refined by Brent's
-    method [1]_.
+    Let D be the difference between the best and the worst value. Every local optimum whose value
+    differs from the best one by at most 0.2 D is refined by Brent's method [1]_.
 
-    The Strehl ratio is relative to a wave without aberration in the same plane. At Fresnel numbers
-    of a few, the plane of highest intensity is therefore another one, closer to the pupil.
+    The Strehl ratio divides the intensity by that of a wave without aberration, focused on the same
+    plane. This reference intensity is higher in planes closer to the pupil. At Fresnel numbers of a
+    few, the plane of highest intensity is therefore closer to the pupil than the plane of the best
+    Strehl ratio.
 
     References
     ----------

@@ -34,7 +34,8 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, of any layout.
+        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
+        `Wavefront`).
     remove : iterable of {"piston", "tilt", "defocus"}
         Terms that are removed from the aberration first, by a least-squares fit weighted by the
         amplitude. Add "tilt" for the Strehl ratio at the centre of a shifted spot, and "defocus"
@@ -62,7 +63,7 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
 
     Examples
     --------
-    A tenth of a wave of defocus:
+    A tenth of a wave rms of defocus:
 
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(
@@ -91,10 +92,11 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, of any layout. The mean is weighted by the amplitude.
+        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
+        `Wavefront`). The mean is weighted by the amplitude.
     remove : iterable of {"piston", "tilt", "defocus"}
-        Terms that are removed from the aberration first, by a least-squares fit. The piston is
-        always removed with them. If empty, nothing is removed.
+        Terms that are removed from the aberration first, by a least-squares fit. If any term is
+        removed, so is the piston. If empty, nothing is removed.
 
     Returns
     -------
@@ -137,8 +139,8 @@ def fit_zernike(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, of any layout. A pupil with a hole is fitted with the polynomials of
-        the full disc.
+        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
+        `Wavefront`). A pupil with a hole is fitted with the polynomials of the full disc.
     n_terms : int
         Number of polynomials: the first ``n_terms`` of the index scheme.
     ordering : {"noll", "osa", "fringe"}
@@ -148,7 +150,7 @@ def fit_zernike(
     -------
     dict of int to float
         Zernike index to coefficient, m, positive for a longer path. `Wavefront.from_zernike` takes
-        them.
+        them, with the same ``ordering``.
 
     Raises
     ------
@@ -196,8 +198,9 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     Parameters
     ----------
     source : Wavefront or PointSpread
-        Wave in the exit pupil, of the layout "polar" (result accurate to rounding) or "cells"
-        (error below 1e-9); or a computed point spread, whose pixels are weighted by their area
+        Wave in the exit pupil whose ``layout`` is "polar" or "cells" (samples on rings or on
+        patches, see `Wavefront`). The result is accurate to rounding for "polar", and its error is
+        below 1e-9 for "cells". Or a computed point spread, whose pixels are weighted by their area
         within the circle.
     radius : array_like
         Radii of the circles, m, of any shape. All circles are centred on x = y = 0, where the axis
@@ -271,10 +274,10 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     Parameters
     ----------
     source : Wavefront or PointSpread
-        Wave in the exit pupil, of the layout "polar" or "cells", whose autocorrelation is the MTF;
-        the error is below 1e-9 if the samples resolve the wave. Or a computed point spread, whose
-        Fourier transform is taken: the MTF then includes the blur by its pixels, and neglects
-        energy outside its window.
+        Wave in the exit pupil whose ``layout`` is "polar" or "cells" (samples on rings or on
+        patches, see `Wavefront`). The MTF is the autocorrelation of this wave; its error is below
+        1e-9 if the samples resolve the wave. Or a computed point spread, whose Fourier transform is
+        taken: the MTF then includes the blur by its pixels, and neglects energy outside its window.
     frequency : array_like
         Spatial frequencies, cycles per m in the image, of any shape. For a wave on a round pupil
         the MTF is 0 beyond 1/(lambda N), with the wavelength lambda and the F-number N. For a point
@@ -292,8 +295,8 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     SceneError
         If a frequency or the azimuth is not finite.
     SamplingError
-        If the wavefront's layout is neither "polar" nor "cells", or the autocorrelation has not
-        converged.
+        If the wave's layout is neither "polar" nor "cells", or its autocorrelation does not
+        converge. In both cases give ``point_spread(wavefront)`` instead.
 
     See Also
     --------

@@ -64,8 +64,8 @@ def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, of any layout. One ray starts at each sample point of non-zero
-        amplitude.
+        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
+        `Wavefront`). One ray starts at each sample point of non-zero amplitude.
     rings : int
         Smallest number of rings of rays in the pupil, for the layout "polar" only. Each ring has at
         least ``2 * rings`` rays.
@@ -127,8 +127,8 @@ def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:
     Parameters
     ----------
     source : Wavefront or PointSpread
-        Wave in the exit pupil, of any layout; or a computed point spread, whose energy outside the
-        window is then neglected.
+        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
+        `Wavefront`); or a computed point spread, whose energy outside the window is then neglected.
 
     Returns
     -------
@@ -168,7 +168,8 @@ def spot_radius(wavefront: Wavefront) -> float:
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, of any layout.
+        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
+        `Wavefront`).
 
     Returns
     -------
@@ -243,9 +244,10 @@ def ptf(
     Parameters
     ----------
     point_spread : PointSpread or Wavefront
-        Computed point spread, whose energy outside the window is neglected; or a wave in the exit
-        pupil, of the layout "polar" or "cells". For a wave the error is below 1e-9 rad divided by
-        the MTF.
+        Computed point spread, whose energy outside the window is neglected. Or a wave in the exit
+        pupil whose ``layout`` is "polar" or "cells" (samples on rings or on patches, see
+        `Wavefront`); its autocorrelation is the optical transfer function, and the error of the
+        phase is below 1e-9 rad divided by the MTF.
     frequency : array_like
         Spatial frequencies, cycles per m in the image, of any shape.
     azimuth : float
@@ -262,8 +264,8 @@ def ptf(
     SceneError
         If a frequency or the azimuth is not finite.
     SamplingError
-        If a wavefront's layout is neither "polar" nor "cells", or the autocorrelation has not
-        converged.
+        If the wave's layout is neither "polar" nor "cells", or its autocorrelation does not
+        converge. In both cases give ``point_spread(wavefront)`` instead.
 
     See Also
     --------
@@ -286,7 +288,8 @@ def peak_strehl(wavefront: Wavefront) -> float:
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, of any layout.
+        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
+        `Wavefront`).
 
     Returns
     -------

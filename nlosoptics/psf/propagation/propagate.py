@@ -114,8 +114,9 @@ def propagate(
     Raises
     ------
     SceneError
-        If an argument is out of range, or the field is zero everywhere, or if a periodic field
-        is to be propagated to another lattice or by a sum over its samples.
+        If an argument is out of range or the field is zero everywhere. For a periodic field, also
+        if ``pitch`` or ``shape`` differs from that of the field, or ``method`` is "fresnel_chirp_z"
+        or "fresnel_one_step".
     SamplingError
         If no method reaches ``tol``, or the requested method does not.
     MemoryLimitError
@@ -134,8 +135,8 @@ def propagate(
 
     Frequencies whose rays do not reach the output samples are removed, because H would be
     undersampled there [2]_. The removal sets in gradually, to avoid ripples. Evanescent waves are
-    removed and counted in the error, unless the distance is much smaller than the width of the
-    output. The phase kz has a relative error of 1e-16.
+    removed and counted in the error. If the distance is much smaller than the width of the output,
+    they are kept. The phase kz has a relative error of 1e-16.
 
     For a periodic field the sum is exact, and energy is conserved to rounding error.
 

@@ -159,9 +159,10 @@ class ScalarField(Noun):
         The error has two causes: spatial frequencies above 1/(2 pitch) (aliasing), and, unless the
         field is periodic, light outside the sampled area. The energy of each is estimated as ten
         times the energy in the outer tenth of the frequency band or of the sampled area. The
-        estimate is too large rather than too small, unless the energy falls more slowly than
-        1/f^2, with f the frequency or the distance; the spectrum of a sharp edge falls as 1/f^2.
-        Aliased energy counts twice, because it also appears at wrong frequencies.
+        estimate is too large rather than too small, if the energy density falls at least as fast as
+        1/f^2 toward high frequencies f, and as 1/r^2 toward large distances r. The power spectrum
+        of a sharp edge falls as 1/f^2, which is just fast enough. Aliased energy counts twice,
+        because it also appears at wrong frequencies.
         """
         lost = 20 * _outer(np.abs(np.fft.fftshift(np.fft.fft2(self.samples))) ** 2)
         if not self.periodic:
@@ -199,8 +200,9 @@ class PropagatedField(ScalarField):
     method : str
         Method that computed the field; `propagate` lists them.
     error_estimate : float
-        Numerical error of the propagation. The reference is the exact result, by the formula of the
-        method, for the band-limited wave through the input samples. The error of the input samples
+        Numerical error of the propagation. The reference is the formula of the method, evaluated
+        exactly for the band-limited wave through the input samples. The approximation in the
+        formula itself is not included (see ``model_error``). The error of the input samples
         themselves is their `ScalarField.sampling_error`.
     model_error : float
         Error of the Fresnel approximation; 0 for the angular spectrum.

@@ -27,15 +27,18 @@ class ExitPupil(Noun):
     ----------
     centre : ndarray, (3,)
         Centre of the pupil in world coordinates, m. If the lens is the stop, it is the centre of
-        the lens; if the wall is the stop, it lies behind the lens.
+        the lens. If the wall is the stop, it is the centre of the image of the wall, which lies on
+        the detector's side of the lens.
     radius : float
         Radius of the pupil, m. If the rectangular wall is the stop, it is the radius of the largest
         circle inside the image of the wall.
     image_distance : float
         Distance from the pupil to the detector, m; negative if the pupil lies beyond the detector.
     f_number : float
-        Working F-number, ``|image_distance|/(2 radius)``. It is ``1/(2 sin(alpha))``, with alpha
-        the half angle of the cone of light at the detector.
+        Working F-number N, ``|image_distance|/(2 radius)``. The pupil's radius is measured on the
+        reference sphere, which is the sphere about the image point on the axis through the pupil's
+        centre. N is therefore ``1/(2 sin(alpha))``, with alpha the half angle of the cone of light
+        at the detector.
     stop : {"lens", "wall"}
         Element that is the aperture stop.
     entrance_radius : float
@@ -80,8 +83,8 @@ def exit_pupil(scene: Scene) -> ExitPupil:
     Returns
     -------
     ExitPupil
-        Position, radius, distance to the detector, F-number and stop, as seen from the centre of
-        the detector.
+        Exit pupil as seen from the centre of the detector: position, radius, distance to the
+        detector, F-number and kind of stop.
 
     Raises
     ------

@@ -54,15 +54,16 @@ def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: A
     Notes
     -----
     A pupil point p sees the wall point M p, with the matrix
-    ``M = [P_i/d1 + P_o/d2 - (cos_i + cos_o) K]^-1 E/d2``. Wall slopes ``grad h`` change the slopes
-    of the wave by ``-(cos_i + cos_o) M^T grad h``. The symbols are:
+    ``M = [P_i/d1 + P_o/d2 - (cos_i + cos_o) K]^-1 E/d2``. Facet slopes ``g = (s1, s2)`` change the
+    slopes of the wave by ``-(cos_i + cos_o) M^T g``. The symbols are:
 
     - i and o: the rays from the wall point to the object (i) and to the lens (o), of lengths d1 and
       d2; cos_i and cos_o are the cosines of their angles to the wall's normal,
-    - P = 1 - s s^T for each of these rays, with s the component of its unit vector in the wall's
-      tangent plane,
+    - P_i and P_o: the matrix ``1 - e e^T`` for the ray i or o, with e the component of the ray's
+      unit vector in the wall's tangent plane,
     - K: second derivatives of the mean wall, positive if the wall is concave to the room,
-    - E: projection of the pupil's axes, perpendicular to the ray, onto the tangent plane.
+    - E: scalar products of t1 and t2 (rows) with the parts of the u and v axes that are
+      perpendicular to the ray o (columns).
     """
     table, x, y = _lattice(slopes, positions)
     points = np.asarray(nodes, dtype=np.float64)

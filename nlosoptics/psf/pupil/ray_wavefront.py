@@ -46,11 +46,13 @@ def wavefront_from_rays(paths: RayPaths, exit_pupil: ExitPupil, wavelength: floa
     Returns
     -------
     Wavefront
-        Wave of the layout "scattered", with one sample point for each ray that meets the lens, in
-        the order of the rays. The aberration is the path length of the ray minus the distance from
-        the mirror image of the object point (in z = 0). Piston and tilt of the chief ray are
-        subtracted and reported in ``removed``. The amplitude is the square root of power per area,
-        1 at the pupil's centre.
+        Wave with ``layout`` = "scattered" (arbitrary sample points, see `Wavefront`), with one
+        sample point for each ray that meets the lens, in the order of the rays. The aberration is a
+        path length minus a reference length. The path length is that of the ray, from the object
+        point to the lens. The reference length is the straight distance from the mirror image of
+        the object point to the same point of the lens. The mirror is the plane z = 0, which is the
+        mean plane of the wall. Piston and tilt of the chief ray are subtracted and reported in
+        ``removed``. The amplitude is the square root of power per area, 1 at the pupil's centre.
 
     Raises
     ------

@@ -177,7 +177,8 @@ class SceneOptics:
         Returns
         -------
         PointOptics
-            Its ``first.wave`` is the `Wavefront` that `wavefront` returns for this point.
+            Optics of the object point. The attribute ``first.wave`` is the `Wavefront` with the
+            default sampling, as `wavefront` returns it for this point.
         """
         if object_point is None:
             return self.reference

@@ -71,7 +71,8 @@ def wall_aberration(
     -------
     ndarray, (n,)
         Aberration W at these points, m, positive for a longer path; 0 at (u, v) = (0, 0). The
-        reference is the spherical wave from the mirror image of the object point in z = 0.
+        reference is the spherical wave from the mirror image of the object point. The mirror is the
+        plane z = 0, which is the mean plane of the wall.
 
     Raises
     ------
@@ -88,9 +89,9 @@ def wall_aberration(
     Notes
     -----
     ``W(p) = D(p) - D(0)`` with ``D(p) = |O - H| + |H - p| - |O' - p|``. Here p is the pupil point,
-    O the object point, O' its mirror image in z = 0, and H the wall point at which the ray from O
-    to p is reflected (Fermat's principle). Lengths are subtracted in a form without cancellation,
-    so that W is accurate to about 1e-17 m.
+    O the object point, O' its mirror image in the plane z = 0, and H the wall point at which the
+    ray from O to p is reflected (Fermat's principle). Lengths are subtracted in a form without
+    cancellation, so that W is accurate to about 1e-17 m.
 
     Examples
     --------
@@ -221,8 +222,9 @@ def wavefront(
         512 if "auto" selects the grid.
     reference : {"mirror_image", "best_focus"}
         Terms that are removed from the aberration and reported in ``Wavefront.removed``:
-        "mirror_image" removes piston and tilt of the chief ray, which goes to the centre of the
-        lens; "best_focus" removes piston, tilt and defocus by a least-squares fit.
+        "mirror_image" removes the path length and the direction of the chief ray (piston and tilt).
+        The chief ray goes to the centre of the lens. "best_focus" removes piston, tilt and defocus
+        by a least-squares fit.
 
     Returns
     -------
@@ -239,8 +241,8 @@ def wavefront(
     SamplingError
         If the wall's edge cuts the cone and ``nodes`` is "polar", or "cells" for a curved wall.
     SceneError
-        If occluders cut only a part of the cone. If they cut all of it, the wave is returned
-        nevertheless.
+        If occluders block a part of the cone of light. If they block the whole cone, no error is
+        raised, and the wave is the one without occluders.
 
     See Also
     --------
@@ -249,8 +251,9 @@ def wavefront(
 
     Notes
     -----
-    The reference is the spherical wave from the mirror image of the object point. A camera that is
-    not focused on this image adds defocus.
+    The reference is the spherical wave from the mirror image of the object point. The mirror is the
+    plane z = 0, which is the mean plane of the wall. A camera that is not focused on this image
+    adds defocus.
 
     The amplitude is 1/sqrt(J), with J the factor by which the cross-section of a thin bundle of
     rays grows, relative to that of the chief ray. Squares of a grid that the wall's edge crosses

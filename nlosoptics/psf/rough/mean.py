@@ -82,7 +82,7 @@ class RoughPointSpread(PointSpread):
 
     @property
     def total_integrated_scatter(self) -> float:
-        """Fraction of the energy that the roughness scatters, 0 to 1, in all directions."""
+        """Fraction of the energy scattered in all directions: ``1 - coherent_fraction``."""
         return 1.0 - self.coherent_fraction
 
 
@@ -161,12 +161,13 @@ def mean_point_spread(
 
     Here d is the distance (vector) between two points of the exit pupil, s the rms phase
     (``rayleigh_parameter``), C the autocorrelation of the heights and M the ``footprint``. At large
-    d the factor is ``exp(-s^2)``; this part gives the core. The rest gives the halo, by a sum over
-    d that is accurate in a window of any size.
+    d the factor is ``exp(-s^2)``; this part gives the core. The remainder gives the halo. It is
+    summed over as many differences d as the window requires.
 
-    The formula is exact to first order in the heights, for Gaussian heights on a wall that is large
-    compared with the area that the pupil sees. It neglects shadowing and multiple scattering. It
-    therefore does not hold for materials such as white foam.
+    The formula holds for any s. It assumes that the path changes in proportion to the heights, that
+    the heights are Gaussian, and that the wall is large compared with the area that the pupil sees.
+    It neglects shadowing and multiple scattering. It therefore does not hold for materials such as
+    white foam.
 
     References
     ----------

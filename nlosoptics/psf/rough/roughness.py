@@ -99,8 +99,8 @@ class Roughness(Noun):
         Raises
         ------
         SceneError
-            Unless the autocorrelation is "gaussian", for which alone the formula holds. That of
-            "exponential" heights is infinite.
+            Unless the autocorrelation is "gaussian", for which alone the formula holds. The rms
+            slope of "exponential" heights is infinite.
         """
         if self.autocorrelation != "gaussian":
             raise SceneError(

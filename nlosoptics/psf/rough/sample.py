@@ -133,8 +133,9 @@ def sample_point_spread(
     reaches the pupil as a phase of amplitude ``a cos(q)`` and a modulation of the field's amplitude
     ``a sin(q)``, with ``q = pi lambda d/L^2`` and the effective distance d [1]_.
 
-    Average one pattern for each correlation length by which the wall moves during the exposure, and
-    for each step lambda/s in wavelength, with s the rms phase due to the heights, rad.
+    For a wall that moves during the exposure, set ``independent_patterns`` to the distance moved
+    divided by the correlation length. For light of several wavelengths, set it to the bandwidth
+    divided by ``lambda/s``, with s the rms phase due to the heights, rad.
 
     References
     ----------

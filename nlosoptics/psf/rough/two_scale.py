@@ -51,7 +51,7 @@ FINENESS: Final = 0.3
 def split_scale(wavelength: float, effective_distance: ArrayLike, turn: float = 0.1) -> float:
     """Return the period of wall ripples above which diffraction at them is negligible.
 
-    Heights of longer periods only change the path of rays. Shorter ripples are changed by
+    Ripples of longer periods only change the path length of rays. Shorter ripples are changed by
     diffraction between wall and pupil.
 
     Parameters
@@ -84,7 +84,7 @@ def split_scale(wavelength: float, effective_distance: ArrayLike, turn: float = 
 
     Examples
     --------
-    Wall 1 m from both object and camera, so that d_eff = 0.5 m:
+    Wall 1 m from both object and camera, so that d = 0.5 m:
 
     >>> from nlosoptics import psf
     >>> print(f"{1e3 * psf.split_scale(632.8e-9, 0.5):.2f} mm")

@@ -38,7 +38,8 @@ class SurfacePointSpread(Noun):
     ----------
     points : ndarray
         Points, of shape (..., 3), m, read-only. The origin is the pupil's centre; x and y are
-        parallel to the pupil coordinates u and v; the image plane is at z = ``image_distance``.
+        parallel to the pupil coordinates u and v; the image plane is at z =
+        ``wavefront.image_distance``, with the wave given to `huygens_point_spread`.
     intensity : ndarray
         Intensity (...), read-only, in the shape of the points without their last axis.
     normalisation : {"ideal-peak", "irradiance"}
@@ -145,7 +146,8 @@ def huygens_point_spread(
         F-number is 0.5 or less with ``pupil="sphere"``.
     SamplingError
         If the samples of a wave with the layout "grid" or "scattered" are too far apart for the
-        phase of the spherical waves, or if such a wave has an ``aperture``.
+        phase of the spherical waves, or if such a wave has a ``Wavefront.aperture`` (an outline
+        that is neither disc nor ring).
     MemoryLimitError
         If the interpolated wave would not fit into memory.
 
@@ -163,8 +165,10 @@ def huygens_point_spread(
 
     Here W is the aberration, k = 2 pi/lambda, d the image distance, s its sign, c = (0, 0, d) the
     image point on the axis, n the normal of the pupil surface, and S the area of that surface that
-    the pupil point represents. The amplitude E is chosen such that the square of the wave's
-    ``amplitude`` is the power per area of (u, v). The intensity is ``|U|^2``.
+    the pupil point represents. The factor E converts the wave's ``amplitude`` A, whose square is
+    the power per area of (u, v), to the field on the pupil surface. The power is the same, hence
+    ``E^2 S cos(n, c - p)`` is A^2 times the area of (u, v) that the pupil point represents. The
+    intensity is ``|U|^2``.
 
     `point_spread` uses a small-angle approximation of this sum. For beams slower than F/10 the two
     results differ by an amount that scales as 1/N^2, with N the F-number. Relative to the peak

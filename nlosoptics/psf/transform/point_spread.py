@@ -60,14 +60,16 @@ class PointSpread(Noun, Shown):
     wavelength : float
         Vacuum wavelength, m.
     f_number : float
-        Working F-number N, image distance over pupil diameter. It is ``1/(2 sin(alpha))``, with
-        alpha the half angle of the cone of light at the image.
+        Working F-number N, image distance over pupil diameter. The pupil's radius is measured on
+        the reference sphere, which is the sphere about the image point on the axis through the
+        pupil's centre. N is therefore ``1/(2 sin(alpha))``, with alpha the half angle of the cone
+        of light at the image.
     pixel_integrated : bool
         Whether values are integrals over pixels rather than point samples times pixel area.
     enclosed_energy : float
         Fraction of the transmitted energy inside the window, from the sum of all values. Its error
-        is the sum of the errors of all values: about 1e-3 at the default ``tol`` of `point_spread`.
-        Use a smaller ``tol`` for more digits.
+        is that of this sum: about 1e-3 at the default ``tol`` of `point_spread`. Use a smaller
+        ``tol`` for more digits.
     regime : Regime
         Numbers on which the choice of the method was based, such as the aberration in wavelengths.
     reason : str
@@ -200,8 +202,9 @@ def point_spread(
         - with ``pixel_integrated``, the size that `window_shape` returns,
         - for ``fft`` of a wave on a grid without a pitch, the full period of the FFT.
 
-        All rays must arrive inside the window. Only ``quadrature``, ``nufft``, ``huygens``, and
-        ``mdft`` for the layouts "cells" and "grid", if given by name, accept any window.
+        All rays must arrive inside the window. There are exceptions, which accept any window if
+        given as ``method``: ``quadrature``, ``nufft`` and ``huygens``, and, for a wave with the
+        layout "cells" or "grid", ``mdft``.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Quantity that has the value 1: the energy in the whole image plane (``unit-sum``), the peak
         of the same pupil without aberration (``ideal-peak``), or the energy that a clear disc of
@@ -219,10 +222,11 @@ def point_spread(
         by name always runs. Default 60 s, or the time left if `simulate` calls this function.
     model : {"auto", "scalar", "high-aperture"}
         ``scalar`` is scalar diffraction at small angles. ``high-aperture`` is the vector
-        diffraction of a lens that satisfies the sine condition; it is available for
-        ``quadrature``, ``mdft``, ``nufft`` and ``geometric``. ``auto`` takes the scalar model for a
-        method given by name. With ``method="auto"`` it takes the high-aperture model if the scalar
-        model's error exceeds ``tol``, or if the light is polarised.
+        diffraction of a lens that satisfies the sine condition; it is available for ``quadrature``,
+        ``mdft``, ``nufft`` and ``geometric``. ``model="auto"`` depends on ``method``. With a method
+        given by name it is the scalar model. With ``method="auto"`` it is the high-aperture model
+        if the scalar model's error exceeds ``tol`` or the light is polarised, and otherwise the
+        scalar model.
     polarisation : {"unpolarised", "x", "y"} or float
         Polarisation of the light before the lens: none, linear along x or y, or linear at an angle
         from x toward y, rad. Only the high-aperture model depends on it.

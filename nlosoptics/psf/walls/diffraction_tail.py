@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 def widened(
     point_spreads: PointSpread | PointSpreadField, *, tol: float, shape: tuple[int, int]
 ) -> PointSpread | PointSpreadField:
-    """Enlarge point spread functions until almost all energy lies inside, by a model of the rest.
+    """Enlarge point spreads by a model of their tails, until almost all energy lies inside.
 
     Far from its centre, a point spread falls as ``1/r^3`` because of diffraction at the rim of the
     pupil, with r the distance from the centre. This law replaces a computation of the outer pixels.
@@ -48,10 +48,10 @@ def widened(
     Raises
     ------
     SceneError
-        If ``tol`` is out of range, or a point spread must grow that contains light scattered by a
-        rough wall, for which the law does not hold.
+        If ``tol`` is out of range. If a point spread that contains light scattered by a rough wall
+        is too small: the law does not hold for this light.
     SamplingError
-        If a point spread must grow whose normalisation is not "unit-sum".
+        If a point spread is too small and its normalisation is not "unit-sum".
     MemoryLimitError
         If the enlarged point spreads would not fit into memory.
 

@@ -204,8 +204,8 @@ def point_spread_field(
     SceneError
         If the object is a mesh or an option is out of range.
     CausticError, NotWaveGradeError, SamplingError
-        If the wave of an object point has no single aberration, a mesh wall is not accurate enough
-        for waves, or ``tol`` cannot be reached.
+        If the aberration of an object point has no single value (several rays or none reach a pupil
+        point), a mesh wall is not accurate enough for waves, or ``tol`` cannot be reached.
     MemoryLimitError
         If the PSFs of all object points would not fit into memory.
 
@@ -292,8 +292,9 @@ def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> floa
     SceneError
         If the object is a mesh or ``tol`` is out of range.
     CausticError, NotWaveGradeError, SamplingError
-        If the wave of an object point has no single aberration, a mesh wall is not accurate enough
-        for waves, or PSFs cannot be computed with an error below ``tol/10``.
+        If the aberration of an object point has no single value (several rays or none reach a pupil
+        point), a mesh wall is not accurate enough for waves, or PSFs cannot be computed with an
+        error below ``tol/10``.
 
     See Also
     --------

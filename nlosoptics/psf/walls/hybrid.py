@@ -277,12 +277,13 @@ class HybridPointSpread(PointSpread):
     standard_error : ndarray, (ny, nx)
         Standard error of ``diffuse``.
     coherent_flux, halo_flux, diffuse_flux : float
-        Energy of each part in the whole image plane.
+        Energy of each part in the whole image plane, in the unit of ``normalisation``.
     diffuse_flux_error : float
         Standard error of ``diffuse_flux``.
     traced_flux, traced_flux_error : float
         Energy of all light in the whole image plane by an independent ray trace, and its standard
-        error, as a check of the sum of the three parts. 0 and infinity without the check.
+        error, in the unit of ``normalisation``. They check the sum of the three parts. Without the
+        check they are 0 and infinity.
     flux : float
         Power through the lens from a point that emits 1 W, W.
 
@@ -341,11 +342,12 @@ def hybrid_point_spread(
         Object point in world coordinates, m. Default: the hidden object's reference point, that is
         the centre of a planar object or the centroid of a mesh.
     roughness : Roughness, optional
-        Statistics of the wall's heights, which replace the slopes of its mirror-like reflection. By
-        default the material's own slopes blur the image, as in `lobe_point_spread`.
+        Statistics of the wall's heights. They replace ``slope_rms``, the rms slope of the
+        microfacets in the mirror-like lobes of the wall's material. By default this slope blurs the
+        image, as in `lobe_point_spread`.
     emission : {"lambertian", "isotropic"}
         Directions into which the point emits: like a matt surface that faces along the normal of
-        the hidden image (-z for a mesh), or equally in all directions.
+        the planar hidden object (-z for a mesh), or equally in all directions.
     tol : float
         Largest error of the part computed by waves, relative to its peak; above 0, at most 1.
     n_rays : int
@@ -370,8 +372,8 @@ def hybrid_point_spread(
     Returns
     -------
     HybridPointSpread
-        Three parts and their sum, integrated over pixels. The chief ray, which passes the centre of
-        the lens, meets the centre of pixel [ny//2, nx//2].
+        Coherent image, halo and diffuse light, and their sum, integrated over pixels. The chief
+        ray, which passes the centre of the lens, meets the centre of pixel [ny//2, nx//2].
 
     Raises
     ------
@@ -391,12 +393,13 @@ def hybrid_point_spread(
 
     Notes
     -----
-    One mirror-like reflection sends the power ``R T Int I(p) t(p) dp`` through the lens: R is the
-    reflectance, T the transmission of the lens, I the radiant intensity toward the pupil point p,
-    and t the square of the amplitude that `wavefront` computes. The fraction ``exp(-s^2)`` of this
-    power is coherent, with s the rms phase due to the roughness; the rest is the halo. A rough wall
-    sends the same power to the pupil as a smooth one, to second order in the slope, if the wall is
-    large enough: as much light is scattered into the pupil as out of it.
+    One mirror-like reflection sends a power through the lens that is the product of three factors:
+    the reflectance of the wall, the transmission of the lens, and the integral of the point's
+    radiant intensity (W/sr) over the solid angle of the rays that reach the lens. The amplitude of
+    `wavefront` gives this solid angle for each part of the pupil. The fraction ``exp(-s^2)`` of
+    this power is coherent, with s the rms phase due to the roughness; the rest is the halo. A rough
+    wall sends the same power to the pupil as a smooth one, to second order in the slope, if the
+    wall is large enough: as much light is scattered into the pupil as out of it.
 
     The energies of the parts add. They do not interfere, because light scattered inside the
     material has no fixed phase relation to light reflected at its surface.

@@ -247,7 +247,7 @@ def lobe_point_spread(
     ----------
     scene : Scene
         Scene with the wall's material. A material without mirror-like lobes is treated as a smooth
-        mirror.
+        mirror; use `hybrid_point_spread` for its diffuse light.
     wave : Wavefront
         Wave of the wall without roughness, as `wavefront` returns it for the same object point.
     object_point : array_like, (3,), optional
@@ -278,9 +278,10 @@ def lobe_point_spread(
 
     Notes
     -----
-    Microfacets stand for heights of many wavelengths. A lobe with a slope is therefore computed as
-    the limit of `mean_point_spread` for large heights. A lobe without slope gives the point spread
-    of the wave itself.
+    The ``slope_rms`` of a lobe is the rms slope of its microfacets, which represent heights of many
+    wavelengths. A lobe with a slope above 0 is therefore computed as the limit of
+    `mean_point_spread` for large heights. A lobe with the slope 0 gives the point spread of the
+    wave itself.
     """
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     in_range("tol", tol, 0.0, 1.0, open_low=True)

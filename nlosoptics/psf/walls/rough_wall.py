@@ -60,9 +60,10 @@ class PupilField(Noun, Shown):
     ----------
     values : ndarray, (n, n)
         Complex pupil function ``A exp(ikW)``, read-only, with the amplitude A, k = 2 pi/wavelength
-        and the aberration W relative to the reference sphere. A perfect image has a constant phase.
-        A smooth wall has the amplitude 1 inside the rim of the pupil. Piston and tilt of the same
-        wall without roughness are removed. Rows run along v; sample [n//2, n//2] is on the axis.
+        and the aberration W relative to the reference sphere. The wave of a perfect image has a
+        constant phase in the pupil. A smooth wall has the amplitude 1 inside the rim of the pupil.
+        Piston and tilt of the same wall without roughness are removed. The first index increases
+        with v, the second with u; sample [n//2, n//2] is on the axis.
     pitch : float
         Spacing of the samples in the exit pupil, m.
 

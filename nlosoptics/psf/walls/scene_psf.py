@@ -30,12 +30,15 @@ class ScenePointSpread(Noun):
     exit_pupil : ExitPupil
         Exit pupil of lens and wall.
     wavefront : Wavefront
-        Wave in the exit pupil. For a rough wall it is the wave of the smooth mean wall, unless the
-        heights act as an aberration; then it includes them. ``point_spread.reason`` states which.
+        Wave in the exit pupil. For a rough wall there are two cases, and ``point_spread.reason``
+        states which applies. If diffraction between wall and pupil is negligible, the aberration
+        includes the heights of the wall. Otherwise the wave is that of the mean wall without
+        roughness.
     point_spread : PointSpread
-        Point spread, energy per pixel. It includes the blur by the wall's material, that is by the
-        slopes of its mirror-like reflection. If the scene has a roughness, it is the point spread
-        of this rough wall, or the mean over all walls of this roughness.
+        Point spread, energy per pixel. It includes the blur by the wall's material: the microfacets
+        of its mirror-like lobes are tilted, with the rms slope ``slope_rms``. If the scene has a
+        roughness, it is the point spread of this rough wall, or the mean over all walls of this
+        roughness.
     pupil_field : PupilField or None
         Amplitude and phase in the exit pupil behind a rough wall, if diffraction between wall and
         pupil was computed; None otherwise.
@@ -86,8 +89,9 @@ def scene_point_spread(
     model : {"scalar", "auto", "high-aperture"}
         ``scalar`` is scalar diffraction at small angles. ``high-aperture`` is the vector
         diffraction of unpolarised light by a fast lens; it takes longer, and is available only for
-        smooth walls (no roughness, no slopes of the mirror-like reflection). ``auto`` uses it for
-        such walls if the scalar model's error exceeds ``tol``.
+        smooth walls: without ``Scene.wall_roughness``, and with ``slope_rms`` = 0 in every
+        mirror-like lobe of the wall's material. ``auto`` uses it for such walls if the scalar
+        model's error exceeds ``tol``.
     progress : callable(str, float), optional
         Called with "wave aberration" and "point spread" when these stages begin; the number is 0.
 

@@ -58,7 +58,7 @@ class Regime:
     See Also
     --------
     point_spread : PSF of a given wave.
-    compare : Run all transforms on one wave.
+    compare : Run all methods on one wave.
     """
 
     peak_to_valley: float
@@ -73,7 +73,7 @@ class Regime:
 
     @property
     def coherent_fraction(self) -> float:
-        """Fraction of the energy that a rough wall reflects as a smooth one: ``exp(-s^2)``."""
+        """Fraction of the energy reflected in the same way as by a smooth wall: ``exp(-s^2)``."""
         return math.exp(-(self.rayleigh_parameter**2))
 
 

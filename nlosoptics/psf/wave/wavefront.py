@@ -311,8 +311,8 @@ class Wavefront(Noun, Shown):
             Path added to each cell of the aperture, m. A mirror segment recessed by h adds 2 h.
             Default 0.
         tilts : array_like, (n_cells, 2), optional
-            Slopes dW/du and dW/dv added to each cell of the aperture, rad, for a rotation about its
-            centroid. Default 0.
+            Slopes dW/du and dW/dv added to each cell of the aperture, rad. The added path is 0 at
+            the centroid of the cell. Default 0.
         nodes, samples
             Arrangement and number of the sample points, as in `from_zernike`. By default, "polar"
             and "cells" points are added until they resolve the functions, up to a limit; a grid has

@@ -176,7 +176,8 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, of any layout.
+        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
+        `Wavefront`).
     pitch : float
         Pixel side, m.
     tol : float
@@ -202,8 +203,9 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
     -----
     The square contains all points at which rays arrive. Around them, diffraction at the rim of the
     pupil causes a faint tail. At the distance r from the outermost ray, the tail of a round pupil
-    has at most the energy ``2 lambda N/(pi^3 r^3)`` per area, with the wavelength lambda and the
-    F-number N. Straight edges of an aperture cause spikes, which the square contains as well.
+    has at most the fraction ``2 lambda N/(pi^3 r^3)`` of the total energy per area, with the
+    wavelength lambda and the F-number N. Straight edges of an aperture cause spikes, which the
+    square contains as well.
 
     Examples
     --------
