@@ -120,8 +120,8 @@ def cast_shadows(scene: Scene) -> Shadows:
 
     The paths are found from the chief ray of each point of the pixel, which passes through the
     centre of the lens and is traced exactly. The path through another point of the lens is
-    approximated. It meets the object where the chief ray does, and the tangent plane of the wall at
-    the wall point of the chief ray.
+    approximated. It starts at the object point of the chief ray, and is reflected by the plane that
+    touches the wall at the wall point of the chief ray.
 
     ``Shadows.veil`` concerns diffuse light on its way from the laser spot via the object to the
     wall. It is computed at 65 x 65 pixels as a sum over 1024 points of the object, and interpolated

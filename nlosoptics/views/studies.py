@@ -36,8 +36,8 @@ def study_map(
     """Draw a figure of merit of a design study: a map over two dimensions, or a curve over one.
 
     A dimension is a value of the scene that the study varies, such as ``wall.radius``, and its
-    steps are the values that it takes. The map shows the last two dimensions of several steps that
-    have no entry in ``at``.
+    steps are the values that it takes. The map shows the last two dimensions that have more than
+    one step and no entry in ``at``.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def study_panels(
     """Draw a figure of merit over three dimensions of a design study, as maps side by side.
 
     A dimension is a value of the scene that the study varies, and its steps are the values that it
-    takes. The maps show the last three dimensions of several steps that have no entry in ``at``.
+    takes. Shown are the last three dimensions with more than one step and no entry in ``at``.
 
     Parameters
     ----------
@@ -130,8 +130,8 @@ def study_panels(
     Raises
     ------
     SceneError
-        If the study has no such figure of merit or step, fewer than three dimensions of several
-        steps, or more than 6 panels.
+        If the study has no such figure of merit or step, if fewer than three dimensions have more
+        than one step, or if there would be more than 6 panels.
 
     See Also
     --------

@@ -111,7 +111,8 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     converges like Newton's method. On a wall of facets each step ends within its facet.
 
     The slope of a sphere or cylinder is infinite at its rim. If a `nlosoptics.scene.SumWall` has
-    such a part, hits are searched only up to 0.999 of the radius from the axis of this part.
+    such a part, hits are searched only up to 0.999 times the radius from its axis; the axis of a
+    sphere is the line through its centre along z.
 
     Examples
     --------

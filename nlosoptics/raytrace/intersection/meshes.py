@@ -107,7 +107,7 @@ def intersect_mesh(
     Large meshes, of more than 256 triangles, are first searched in single precision. A ray may then
     be assigned a wrong triangle, or none, in two cases: where two sheets of the mesh are closer to
     each other than 1e-6 of its extent, and where the ray passes within this distance of a sharp
-    corner or of an edge beyond which the ray sees nothing of the mesh. Smaller meshes are searched
+    corner or of the mesh's silhouette as seen along the ray. Smaller meshes are searched
     in float64 and have no such cases. Separate parts smaller than 1e-3 of the mesh's extent, such
     as a bead above a floor, are searched at their own scale.
 
@@ -254,7 +254,8 @@ def all_hits(
 
     Notes
     -----
-    Hits from the same side at the same distance, to rounding, count once. This applies to a ray
+    Hits at the same distance, to rounding, from the same side (front or back of the triangles)
+    count once. This applies to a ray
     through a shared edge or vertex and to coincident sheets. A ray may graze an edge at which one
     adjacent triangle faces the ray and the other faces away. It enters and leaves the mesh there,
     which counts as two hits. A ray from outside a closed mesh therefore has an even number of hits.

@@ -53,9 +53,8 @@ class RayPlan:
         Whether the material of wall or object has a glossy part (a microfacet or Ward lobe). Its
         light is then sampled in three ways instead of one; see the notes of `trace`.
     chains : bool
-        Whether paths on which mirror-like parts of wall and object reflect light one after the
-        other are found by solving the law of reflection for the reflection points. Random rays
-        hardly find such paths.
+        Whether the tracer solves the law of reflection for paths with several mirror-like
+        reflections in a row (at wall and object). Random rays hardly find such paths.
     unreached : tuple of str
         Kinds of paths that no sampling method aims at, so that rays find them only rarely; each
         with the reason. If there are any, `trace` refuses the option ``tol``, because its error

@@ -107,8 +107,8 @@ class TracedImage(Noun, Shown):
     histogram : PathHistogram or None
         Detected power in bins of path length; None if no bins were given.
     paths : RayPaths
-        Flux, power balance and number of the same rays. The pixels of ``power`` add up to
-        ``paths.flux``. Single paths are not kept.
+        Flux, power balance and number of the rays that formed the image. The pixels of ``power``
+        add up to ``paths.flux``. Single paths are not kept.
 
     See Also
     --------

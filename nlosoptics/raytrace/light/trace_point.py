@@ -40,8 +40,8 @@ SPECK = 1e-9  # m, side of the black square that replaces the hidden object
 class PointTrace(Noun):
     """Camera image of a single object point that emits 1 W, by Monte Carlo ray tracing.
 
-    `trace_point` computes it. The point is a Lambertian or an isotropic source, by its option
-    ``emission``.
+    `trace_point` computes it. Its option ``emission`` makes the point a Lambertian or an
+    isotropic source.
 
     Parameters
     ----------
@@ -189,13 +189,16 @@ def trace_point(
     points that it lights. The lens is an ideal thin lens: all rays through one point of the plane
     in focus meet at one point of the detector. A wall in another plane is therefore blurred.
 
-    The limits: the hidden object does not block light. On walls that can illuminate themselves, no
-    rays are aimed at paths with two or more mirror-like reflections, so that few rays find them. If
-    one of the lobes is glossy rather than smooth, single pixels are then far noisier than the
-    others. If the point is much closer to the wall than the width of a pixel there, the rays of a
-    pixel may miss its light, and the standard error does not show it. The sum of ``energy`` over
-    all pixels plus ``missed``, the part of ``flux`` that falls outside the pixels, is then far
-    below ``flux``.
+    The method has three limits:
+
+    - The hidden object does not block light.
+    - On walls that can illuminate themselves, no rays are aimed at paths with two or more
+      mirror-like reflections, so that few rays find them. If a mirror-like part of the wall's
+      material has an rms slope above 0, such paths make single pixels far noisier than the others.
+    - A pixel sees a patch of the wall. If the object point is much closer to the wall than this
+      patch is wide, the rays of the pixel may miss the bright part of the patch, and the standard
+      error does not show it. A sign: the sum of ``energy`` over all pixels plus ``missed``, the
+      part of ``flux`` that falls outside the pixels, is far below ``flux``.
 
     Examples
     --------

@@ -305,10 +305,10 @@ class TransientCapture(Noun, Shown):
             the light-cone transform (LCT, 2018).
         format : str, optional
             Layout that the file must have: "tal", "znlos", "dirac", "phasor_field_2019",
-            "phasor_field_2020" or "lct". None: any. Naming it also confirms conventions that the
-            file itself does not state. For "lct": laser and sensor points are equal (confocal), and
-            the variable ``width`` is half the side of the wall. For "phasor_field_2020": the
-            variable ``SPAD_index`` counts from 0.
+            "phasor_field_2020" or "lct". None: any. Files of the last two layouts do not state some
+            of their conventions; by giving the name you confirm them. For "lct": laser and sensor
+            points are equal (confocal), and the variable ``width`` is half the side of the wall.
+            For "phasor_field_2020": the variable ``SPAD_index`` counts from 0.
         bin_width : float, optional
             Width of a bin, m of optical path; 4 ps are 1.2e-3 m.
         t_start : float, optional

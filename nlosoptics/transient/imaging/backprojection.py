@@ -60,7 +60,8 @@ def backprojection(
     falloff : {"none", "matched", "diffuse", "retroreflective"}
         Weight of each path, where r1 and r2 are its lengths from the laser point to the voxel and
         from there to the sensor point. "none": 1. "matched": ``1/(r1 r2)^2``, the falloff of the
-        light itself, which makes the sum the adjoint of the forward model of light from points.
+        light itself: the sum is then the adjoint of the model that computes a capture from points,
+        as iterative solvers need it.
         "diffuse": ``(r1 r2)^2``, which undoes the falloff of diffuse objects. "retroreflective":
         ``r1 r2``, which undoes that of retro-reflective ones.
     progress : callable(str, float), optional

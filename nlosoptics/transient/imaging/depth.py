@@ -205,7 +205,7 @@ def depth_error(
     Notes
     -----
     The error is averaged over the cells in which both maps have a depth. ``missed`` and ``false``
-    report the cells in which only one of them has.
+    report the cells in which only one map has a depth.
 
     Examples
     --------

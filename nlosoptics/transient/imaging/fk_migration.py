@@ -57,9 +57,9 @@ def fk_migration(
     ----------
     capture : TransientCapture
         Capture in which each wall point is observed only while it is lit (confocal), on an evenly
-        spaced grid [y, x] in z = 0. It has no light that goes directly from the laser spot to the
-        sensor; see `gated`. Its times do not include the outer legs (the paths from laser to wall
-        and from wall to sensor); see `without_outer_legs`.
+        spaced grid [y, x] in z = 0. It must not contain light that goes directly from the laser
+        spot to the sensor (remove it with `gated`), nor must its times include the outer legs, the
+        paths from laser to wall and from wall to sensor (remove them with `without_outer_legs`).
     volume : Volume, optional
         Voxels within the depths that the time window covers. None: the x and y of the grid's
         points, at the depths of the bins (half their optical path).

@@ -49,9 +49,9 @@ def lct(
     ----------
     capture : TransientCapture
         Capture in which each wall point is observed only while it is lit (confocal), on an evenly
-        spaced grid [y, x] in z = 0. It has no light that goes directly from the laser spot to the
-        sensor; see `gated`. Its times do not include the outer legs (the paths from laser to wall
-        and from wall to sensor); see `without_outer_legs`.
+        spaced grid [y, x] in z = 0. It must not contain light that goes directly from the laser
+        spot to the sensor (remove it with `gated`), nor must its times include the outer legs, the
+        paths from laser to wall and from wall to sensor (remove them with `without_outer_legs`).
     volume : Volume, optional
         Voxels within the depths that the time window covers. None: the x and y of the grid's
         points, at the depths of the bins (half their optical path).
@@ -60,14 +60,14 @@ def lct(
         the second power of the distance.
     snr : float
         Assumed ratio of signal to noise power, above 0. A larger value gives a sharper image with
-        more noise. The ratio is that at frequencies at which the convolution kernel has its mean
-        power.
+        more noise. The transform convolves the albedo with a kernel, which passes some frequencies
+        better than others; ``snr`` is meant at frequencies that it passes with its mean power.
     penalty : {"size", "curvature"}
-        Quantity that the Wiener filter keeps small, by a weight relative to the mean power of the
-        kernel. "size": the albedo itself, with the weight ``1/snr`` at all frequencies.
-        "curvature": the second derivatives of the albedo over x, y and squared depth, with the
-        weight ``q^4/snr``. Here q^2 is the sum of the three squared frequencies, each relative to
-        its Nyquist frequency, so that its mean is 1.
+        What the Wiener filter keeps small: "size" the albedo itself, "curvature" its second
+        derivatives over x, y and squared depth. The filter divides by the kernel's power, relative
+        to its mean, plus a term: ``1/snr`` for "size", and ``q^4/snr`` for "curvature". Here q^2 is
+        the sum of the three squared frequencies, each relative to its Nyquist frequency; the mean
+        of q^2 over all frequencies is 1.
     dtype : {"float32", "float64"}
         Precision of the spectra; the error of float32 is about 1e-6 of the brightest voxel.
     progress : callable(str, float), optional

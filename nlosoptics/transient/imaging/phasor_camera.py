@@ -68,8 +68,8 @@ def phasor_image(
 
     - "confocal_time_gated": ``sum_ls (H_ls * K)(|x-l| + |x-s| + t)``. Pulse and camera are focused
       on x, where the pulse arrives at t = 0.
-    - "direct_light": the field of "confocal_time_gated" at t = 0 only. At this time, light that the
-      hidden scene has reflected once, at x, is in focus.
+    - "direct_light": the same at t = 0, so that light that the hidden scene has reflected once, at
+      x, is in focus. It equals "confocal_time_gated" with ``times=None``.
     - "transient": ``sum_s (H_ls * K)(|x-s| + t)`` for one laser point l. A camera focused on x
       films a pulse that leaves l at t = 0.
     - "projector_camera": ``sum_ls (H_ls * K)(|p-l| + |x-s| + t)``. The pulse is focused on a
@@ -110,10 +110,10 @@ def phasor_image(
         computed as a sum of harmonic waves of different wavelengths. Their number, and with it the
         computing time, grows at most as log(1/tol).
     method : {"auto", "fft", "direct"}
-        "direct" sums over all paths. "fft" convolves plane by plane, usually much faster. It
-        compares the x and y pitch of the volume with that of the sensor grid, or of the laser grid
-        if there is a single sensor point. The two must be equal, or one a whole multiple of the
-        other; `Volume.facing` makes such a volume. "auto" selects "fft" if possible and faster.
+        "direct" sums over all paths. "fft" convolves plane by plane, usually much faster. For
+        "fft", the x and y pitch of the volume must equal that of the sensor grid (of the laser grid
+        if there is a single sensor point), or one must be a whole multiple of the other;
+        `Volume.facing` makes such a volume. "auto" selects "fft" if possible and faster.
     dtype : {"float64", "float32"}
         Precision of the transforms; sums of "direct" are always float64.
     device : str, optional

@@ -125,12 +125,13 @@ def render(
     quantity : {"irradiance", "radiance", "radiosity"}
         Quantity at the sensor points, per W of laser power on the wall: irradiance E in W/m^2,
         radiance ``wall_albedo E/pi`` in W/(m^2 sr), or radiosity ``wall_albedo E`` in W/m^2.
-        Equally, it is the time integral of the quantity per J of energy of a laser pulse.
+        A bin holds the part with path lengths inside the bin. The same number is the energy per
+        area (and solid angle) that arrives within the bin, per J of a short laser pulse.
     keep_laser_cosine : bool
-        Power on each laser point. False: 1 W. True: ``cos(a)/d^2`` W, with the angle of incidence a
-        at the laser point and its distance d from ``laser_origin``, m. This is the power on 1 m^2
-        of the wall at the laser point from a point source of 1 W/sr at ``laser_origin``. It serves
-        to compare with captures that contain this factor.
+        False: values are per W on each laser point. True: they are also multiplied by
+        ``cos(a)/d^2``, with the angle of incidence a at the laser point and its distance d from
+        ``laser_origin``, m. This factor is the power on 1 m^2 of the wall at the laser point from a
+        point source of 1 W/sr at ``laser_origin``. Use it to compare with captures that contain it.
     outer_legs : bool
         Whether times include the outer legs: the paths from ``laser_origin`` to the wall and from
         the wall to ``sensor_origin``. If False, times begin at the laser point and end at the
@@ -141,8 +142,8 @@ def render(
     tol, tol_multiple : float
         Errors allowed for each pair of points: sum of the absolute errors of all bins, relative to
         the sum of their values. ``tol`` limits the error of the light of three bounces.
-        ``tol_multiple`` limits the statistically expected error for each higher number of bounces,
-        relative to the light of that number.
+        ``tol_multiple`` does so for four bounces, for five, and so on, each relative to its own
+        sum; as these are computed with random numbers, it limits the expected error.
     n_rays : int, optional
         Largest number of random paths with more than three bounces, at least 8. None: as many as
         take about ten minutes on one core.
