@@ -55,6 +55,13 @@ def oldest(session: nox.Session) -> None:
     session.run("pytest", *(session.posargs or QUICK))
 
 
+@nox.session(python=["3.11", "3.12", "3.13", "3.14"], default=False)
+def quick(session: nox.Session) -> None:
+    """Run the quick tests with the newest version of every dependency of the core."""
+    session.install("-e", ".", "pytest", "pytest-timeout", "pytest-xdist", "mpmath")
+    session.run("pytest", *(session.posargs or QUICK))
+
+
 @nox.session(default=False)
 def newest(session: nox.Session) -> None:
     """Run the tests with the newest version of every dependency."""
@@ -77,6 +84,13 @@ def kills(session: nox.Session) -> None:
     session.run("python", "-m", "tests.fuzz.kills", *moments)
     session.run("python", "-m", "tests.fuzz.clusters", *moments)
     session.run("python", "benchmarks/repeats.py")
+
+
+@nox.session(default=False)
+def mutants(session: nox.Session) -> None:
+    """Change the source at 100 random places, and count what the tests notice."""
+    session.install("-c", "constraints.txt", "-e", ".[all,test]")
+    session.run("python", "-m", "tests.fuzz.mutants", *session.posargs)
 
 
 if __name__ == "__main__":

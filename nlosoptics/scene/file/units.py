@@ -122,9 +122,10 @@ def parse(text: object, kind: Kind) -> float:
         if usual[0] != kind:
             raise ValueError(f"is {usual[0].name}, must be {kind.name}")
         return float(Decimal(number) * usual[1])
+    registry = _registry()  # outside of `try`: a pint that does not load is no unknown unit
     try:
         # a leading slash marks a rate, such as "0.1 / s"
-        quantity = _registry().Quantity(Decimal(number), f"1{unit}" if unit[0] == "/" else unit)
+        quantity = registry.Quantity(Decimal(number), f"1{unit}" if unit[0] == "/" else unit)
     except Exception:  # the parser of pint raises arbitrary exception types
         raise ValueError(f"has the unknown unit {unit!r}, must be {kind.name}") from None
     if not quantity.is_compatible_with(kind.unit):

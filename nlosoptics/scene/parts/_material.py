@@ -167,7 +167,8 @@ class Material:
             raise SceneError(f"draws hold {worst:g}, limit 0 to below 1; give uniform numbers")
         arrays = _broadcast(_unit("incident", incident), _unit("normal", normal), u)
         shape = arrays[0].shape
-        i, n, u = (np.ascontiguousarray(a).reshape(-1, 3) for a in arrays)
+        # A copy, since numpy 2.0 warns when numba asks whether a broadcast array is writeable.
+        i, n, u = (np.array(a, order="C").reshape(-1, 3) for a in arrays)
         exitant, weight = np.empty_like(i), np.empty(len(i))
         brdf.samples(self.lobe_table(), i, n, u, exitant, weight)
         return exitant.reshape(shape), weight.reshape(shape[:-1])

@@ -110,3 +110,14 @@ def test_what_is_written_reads_back(value: float, kind) -> None:
 def test_wrong_quantities(text, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         parse(text, LENGTH)
+
+
+def test_a_parser_that_does_not_load_is_no_unknown_unit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As pint 0.24.0 with flexparser 0.4: the remedy is another version, not another unit."""
+
+    def broken() -> None:
+        raise TypeError("cannot inherit frozen dataclass from a non-frozen one")
+
+    monkeypatch.setattr(units, "_registry", broken)
+    with pytest.raises(TypeError, match="frozen"):
+        parse("3 furlong", LENGTH)

@@ -1,0 +1,238 @@
+"""Runs of chosen tests in forked processes, in a copy of the checkout.
+
+A process that has loaded the large libraries forks for each run. A changed file's compiled
+functions, and those of all files that import it, are compiled again: numba looks only at the time
+of the file in which a function is written, although callees of other files are inlined.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib
+import json
+import os
+import resource
+import shutil
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+#: Libraries that take long to load. The package itself is loaded by each run from its copy.
+LIBRARIES = ("numba", "scipy.optimize", "scipy.signal", "h5py", "trimesh", "pydantic", "pint")
+LIBRARIES += ("torch", "matplotlib.pyplot", "mpmath", "pytest")  # no plugin of pytest
+#: Before numba is loaded, as in `tests/conftest.py`.
+SETTINGS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+SETTINGS |= {"NUMBA_NUM_THREADS": "2", "PYTHONHASHSEED": "0", "PYTHONDONTWRITEBYTECODE": "1"}
+MEMORY = 12 << 30  # bytes of address space of a run
+PATIENCE = 4.0  # longest time of a run per second of processor time
+FAILED = (1, 2, 3, 4)  # exit codes of pytest: a test, an import, or a plugin failed
+NONE_FOUND = 5  # a folder without tests
+
+
+class Run(NamedTuple):
+    """End of a run: "passed", "failed" or "timed out", the first failure, processor time, calls."""
+
+    kind: str
+    failure: str
+    seconds: float
+    calls: frozenset[tuple[str, int]] = frozenset()
+
+
+def load_libraries() -> None:
+    """Load what all runs need into this process, once."""
+    os.environ |= SETTINGS
+    for name in LIBRARIES:
+        with suppress(ImportError):
+            importlib.import_module(name)
+    import numba
+
+    numba.njit(lambda x: x + 1)(1.0)  # the first compilation of a process loads much more
+
+
+def copied(root: Path, folder: Path) -> None:
+    """Copy a checkout without results and hidden files.
+
+    A copy whose package has the same files keeps it, with what was compiled there.
+    """
+    ignored, package = shutil.ignore_patterns("out", ".*"), folder / "nlosoptics"
+    if package.is_dir() and fingerprint(package) != fingerprint(root / "nlosoptics"):
+        shutil.rmtree(package)
+    for path in folder.iterdir() if folder.is_dir() else ():
+        if path != package:
+            (shutil.rmtree if path.is_dir() else Path.unlink)(path)
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in root.iterdir():
+        there = folder / path.name
+        if there.exists() or ignored("", [path.name]):
+            continue
+        if path.is_dir():
+            shutil.copytree(path, there, ignore=ignored)
+        else:
+            shutil.copy2(path, there)
+
+
+def importers(package: Path) -> dict[str, set[str]]:
+    """Return for each file of the package the files that import from it, relative paths."""
+    found: dict[str, set[str]] = {}
+    for file in package.rglob("*.py"):
+        here = file.relative_to(package)
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.level:
+                folder = (package / here).parents[node.level - 1]
+                base = folder / (node.module or "").replace(".", "/")
+                names = [base.with_suffix(".py"), *(base / f"{one.name}.py" for one in node.names)]
+                for name in names:
+                    if name.is_file():
+                        found.setdefault(str(name.relative_to(package)), set()).add(str(here))
+    return found
+
+
+def is_kernel(file: str) -> bool:
+    """Whether a file of the package may hold compiled functions."""
+    return file.startswith("kernels/") or file.endswith("_kernels.py")
+
+
+def reach(file: str, users: dict[str, set[str]]) -> set[str]:
+    """Return a file, and all that import it directly or through files of kernels."""
+    found, todo = {file}, [file]
+    while todo:
+        for user in users.get(todo.pop(), set()) - found:
+            found.add(user)
+            if is_kernel(user):
+                todo.append(user)
+    return found
+
+
+def forget_compiled(package: Path, files: set[str]) -> int:
+    """Remove the compiled functions of files, and return how many there were."""
+    paths = [package / file for file in files]
+    kept = [k for p in paths for k in p.parent.glob(f"__pycache__/{p.stem}.*.nb[ic]")]
+    for file in kept:
+        file.unlink()
+    return len(kept)
+
+
+def run_tests(folder: Path, tests: Sequence[str], *, seconds: float, record: bool = False) -> Run:
+    """Run tests of a checkout until the first failure.
+
+    Parameters
+    ----------
+    folder : Path
+        Copy of the checkout; its package is the one that is imported.
+    tests : sequence of str
+        Files and folders relative to it, in this order.
+    seconds : float
+        Limit of processor time, s.
+    record : bool
+        Whether the functions of the package that are called are recorded, as file and line.
+
+    Returns
+    -------
+    Run
+        What happened; "timed out" covers a process that waits for something.
+    """
+    told, log = folder.parent / "run.json", folder.parent / "run.log"
+    told.unlink(missing_ok=True)
+    start = time.monotonic()
+    process = os.fork()
+    if not process:
+        code = 70
+        try:
+            os.setsid()
+            with log.open("w") as file:
+                os.dup2(file.fileno(), 1)
+                os.dup2(file.fileno(), 2)
+            code = _tested(folder, tests, seconds, told, record=record)
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stderr.flush()
+            os._exit(code)
+    ended, usage = 0, None
+    while not ended:
+        ended, status, usage = os.wait4(process, os.WNOHANG)
+        if not ended and time.monotonic() - start > PATIENCE * seconds:
+            os.killpg(process, signal.SIGKILL)
+        time.sleep(0.0 if ended else 0.02)
+    assert usage is not None
+    with suppress(ProcessLookupError):  # what a killed run has started
+        os.killpg(process, signal.SIGKILL)
+    used, code = usage.ru_utime + usage.ru_stime, os.waitstatus_to_exitcode(status)
+    if code in (-signal.SIGXCPU, -signal.SIGKILL):
+        return Run("timed out", "", used)
+    if code < 0:
+        return Run("failed", signal.Signals(-code).name, used)
+    if code not in (0, NONE_FOUND, *FAILED) or not told.is_file():
+        sys.exit(f"pytest ended with {code}; see {log}")
+    found = json.loads(told.read_text())
+    calls = frozenset((name, line) for name, line in found["calls"])
+    return Run("failed" if code in FAILED else "passed", found["failure"], used, calls)
+
+
+def _tested(folder: Path, tests: Sequence[str], seconds: float, told: Path, *, record: bool) -> int:
+    """Run pytest in this process, which ends with it."""
+    import pytest
+
+    resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1, int(seconds) + 60))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    os.chdir(folder)
+    os.environ["PYTHONPATH"] = str(folder)
+    here = Path(__file__).parents[2]
+    sys.path[:] = [str(folder), *(name for name in sys.path if Path(name).resolve() != here)]
+    for name in [*sys.modules]:  # of this program, which is not the copy's
+        if name.split(".")[0] in ("tests", "nlosoptics"):
+            del sys.modules[name]
+    watch = _Watch(folder / "nlosoptics")
+    options = ["-q", "-x", "-n0", "-p", "no:cacheprovider", "--tb=line", "--hypothesis-seed=0"]
+    if record:
+        threading.settrace(watch.called)
+        sys.settrace(watch.called)
+    code = int(pytest.main([*options, *tests], plugins=[watch]))
+    sys.settrace(None)
+    package = sys.modules.get("nlosoptics")
+    if package is not None and not str(package.__file__).startswith(str(folder)):
+        return 71
+    told.write_text(json.dumps({"failure": watch.failure, "calls": sorted(watch.calls)}))
+    return code
+
+
+class _Watch:
+    """A plugin of pytest that keeps the first failure and the functions that were called."""
+
+    def __init__(self, package: Path) -> None:
+        self.failure = ""
+        self.calls: set[tuple[str, int]] = set()
+        self._start = f"{package}/"
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        """Keep the address of the first test that failed."""
+        if report.failed and not self.failure:
+            self.failure = report.nodeid
+
+    def pytest_collectreport(self, report: Any) -> None:
+        """Keep the address of a module that could not be imported."""
+        if report.failed and not self.failure:
+            self.failure = report.nodeid
+
+    def called(self, frame: Any, *_: Any) -> None:
+        """Record a function of the package as it is called."""
+        code = frame.f_code
+        if code.co_filename.startswith(self._start):
+            self.calls.add((code.co_filename[len(self._start) :], code.co_firstlineno))
+
+
+def fingerprint(path: Path) -> str:
+    """Return a hash of a file, or of the files of a folder apart from caches."""
+    told = hashlib.sha256()
+    for file in sorted(path.rglob("*.*")) if path.is_dir() else [path]:
+        if file.is_file() and "__pycache__" not in file.parts:
+            told.update(str(file.relative_to(path.parent)).encode() + b"\0" + file.read_bytes())
+    return told.hexdigest()[:16]

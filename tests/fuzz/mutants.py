@@ -1,0 +1,265 @@
+"""Random small changes of the package, each tested by the tests that call the changed code.
+
+python -m tests.fuzz.mutants [--number 100] [--seed 0] [--rooms NAME ...] [--seconds 60]
+                             [--results FILE] [--again]
+
+The changes are drawn in turn from the rooms, each change of a room with equal probability. A test
+file is run once without any change, to record which functions it calls and how long it takes. A
+change is tested by its file's doctests and by the test files of its room that call its function,
+those of its folder first, until `--seconds` of their processor time are reached; a change of a
+kernel by those that call its users. A run that takes over three times as long as undisturbed tests
+has timed out, and counts as killed.
+
+The table counts killed and surviving changes. Changes of `equivalent_mutants.toml` alter no result,
+for the reason given there, and are not run. `--results` names a file that keeps the outcomes: what
+is in it is not run again, except for the survivors if `--again` is given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import re
+import shutil
+import sys
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .mutant_runs import (
+    copied,
+    fingerprint,
+    forget_compiled,
+    importers,
+    is_kernel,
+    load_libraries,
+    reach,
+    run_tests,
+)
+from .readers import ROOT
+from .source_changes import Change, changes
+
+ROOMS = ("psf", "raytrace", "transient", "inverse", "imaging")
+EQUIVALENT = Path(__file__).with_name("equivalent_mutants.toml")
+OUTCOMES = {"passed": "survived", "failed": "killed", "timed out": "timed out"}
+LONGEST = 1200.0  # limit of a test file that is undisturbed, s
+SLOWER = 3.0  # longest time of a run, times that of the undisturbed tests
+UNKNOWN = 10.0  # assumed time of a test file of which there is no record, s
+ALLOWANCE, COMPILING = 30.0, 180.0  # added to that, and again if kernels are compiled, s
+Row = dict[str, Any]
+
+
+def sample(root: Path, rooms: list[str], seed: int, number: int) -> list[Change]:
+    """Return random changes, drawn in turn from each room; more of them begin with the same."""
+    drawn = []
+    for room in rooms:
+        found = [
+            change
+            for file in sorted((root / "nlosoptics" / room).rglob("*.py"))
+            if file.name != "__init__.py"
+            for change in changes(str(file.relative_to(root / "nlosoptics")), file.read_text())
+        ]
+        order = np.random.default_rng([seed, *room.encode()]).permutation(len(found))
+        drawn.append([found[i] for i in order])
+    turns = -(-number // len(rooms))
+    return [one[turn] for turn in range(turns) for one in drawn if turn < len(one)][:number]
+
+
+def described(change: Change, source: str) -> Row:
+    """Return what names a change in results and in the list of equivalent ones."""
+    before, after = change.lines(source)
+    place = {"file": change.file, "line": change.line(source), "kind": change.kind}
+    return place | {"before": before, "after": after}
+
+
+def identity(row: Row) -> tuple[str, ...]:
+    """Return what stays the same while other lines of the file change."""
+    return tuple(row[key] for key in ("file", "before", "after"))
+
+
+class Bench:
+    """Copies of the checkout: one with the undisturbed tests' records, one for the changes."""
+
+    def __init__(self, root: Path, folder: Path) -> None:
+        self._base, self._changed = folder / "base", folder / "changed"
+        self._record = folder / "tests.json"
+        copied(root, self._base)
+        self._users = importers(self._base / "nlosoptics")
+        self._package = fingerprint(self._base / "nlosoptics")
+        copied(self._base, self._changed)
+
+    def run(self, change: Change, most: float) -> Row:
+        """Run the tests that call a changed piece of code, and tell what happened."""
+        source = (self._base / "nlosoptics" / change.file).read_text()
+        stale, compiled = reach(change.file, self._users), -1
+        told: Row = {"outcome": "survived", "by": "", "seconds": 0.0, "test_files": 0}
+        for near, recorded in ((True, False), (True, True), (False, True)):
+            if (near, recorded) == (True, True) and told["outcome"] == "survived":
+                continue  # the tests without a record have passed
+            planned = told["seconds"]
+            chosen = [f"nlosoptics/{change.file}"] if near and ">>> " in source else []
+            for name, seconds in self._callers(change, stale, most, near=near, recorded=recorded):
+                if not chosen or planned + seconds <= most:
+                    chosen.append(name)
+                    planned += seconds
+                if planned > most:
+                    break
+            if not chosen:
+                continue
+            if compiled < 0:  # after the records, by which kernels were compiled
+                compiled = self._apply(change, stale)
+            limit = SLOWER * planned + ALLOWANCE + COMPILING * bool(compiled)
+            run = run_tests(self._changed, chosen, seconds=limit)
+            told["outcome"] = OUTCOMES[run.kind]
+            told["by"], told["seconds"] = run.failure, round(told["seconds"] + run.seconds, 1)
+            told["test_files"] += len(chosen)
+            if run.kind == "failed" or (run.kind == "timed out" and recorded):
+                break
+        return told
+
+    def _apply(self, change: Change, stale: set[str]) -> int:
+        """Apply a change to a fresh copy, and return how many compiled functions it makes stale."""
+        package = self._changed / "nlosoptics"
+        shutil.rmtree(package)
+        shutil.copytree(self._base / "nlosoptics", package)
+        source = (package / change.file).read_text()
+        (package / change.file).unlink()
+        (package / change.file).write_text(change.applied(source))
+        return forget_compiled(package, stale)
+
+    def _callers(
+        self, change: Change, users: set[str], most: float, *, near: bool, recorded: bool
+    ) -> Iterator[tuple[str, float]]:
+        """Yield test files that call the changed code and their time, the likeliest first.
+
+        Files of the change's own folder may do without a record, for a first run. Records of other
+        files are made until they have taken ``most`` seconds.
+        """
+        room, *_ = folder = change.file.split("/")[:-1]
+        source = (self._base / "nlosoptics" / change.file).read_text()
+        lines = _functions(source, change.line(source))
+        if is_kernel(change.file):
+            lines = set()  # no call of compiled code is recorded, only those of its users
+        here = self._base / "tests" / "/".join(folder)
+        words = re.compile(r"\b(" + "|".join(self._names(users)) + r")\b")
+
+        def mentions(file: Path) -> int:
+            return -len({*words.findall(file.read_text())})
+
+        files = sorted((self._base / "tests" / room).rglob("test_*.py"))
+        spent = 0.0
+        for file in sorted(files, key=mentions):
+            if file.is_relative_to(here) != near or (spent > most and not near):
+                continue
+            name, told = str(file.relative_to(self._base)), self._recorded(file)
+            if told is None and not recorded:
+                yield name, UNKNOWN
+                continue
+            if told is None:
+                told = self._recorded(file, now=True)
+                spent += told["seconds"]
+            calls = {tuple(one) for one in told["calls"]}
+            wanted = {(change.file, line) for line in lines} & calls
+            if wanted if lines else users & {called for called, _ in calls}:
+                yield name, told["seconds"]
+
+    def _names(self, files: set[str]) -> set[str]:
+        """Return the names of public functions and classes of files."""
+        trees = [ast.parse((self._base / "nlosoptics" / file).read_text()) for file in files]
+        named = (ast.FunctionDef, ast.ClassDef)
+        found = {node.name for tree in trees for node in tree.body if isinstance(node, named)}
+        return {name for name in found if not name.startswith("_")} or {"nothing"}
+
+    def _recorded(self, file: Path, *, now: bool = False) -> Any:
+        """Return time and calls of a test file, or None if they were not recorded before now."""
+        name = str(file.relative_to(self._base))
+        key = f"{name} {fingerprint(file)} {self._package}"
+        known: Row = json.loads(self._record.read_text()) if self._record.is_file() else {}
+        if now:
+            run = run_tests(self._base, [name], seconds=LONGEST, record=True)
+            if run.kind != "passed":
+                print(f"left out, since it fails without any change: {run.failure or name}")
+            calls = sorted(run.calls) if run.kind == "passed" else []
+            known[key] = {"seconds": run.seconds, "calls": calls}
+            self._record.write_text(json.dumps(known))
+        return known.get(key)
+
+
+def _functions(source: str, line: int) -> set[int]:
+    """Return the first line of the innermost function around a line, or nothing."""
+    found: list[int] = []
+    for node in ast.walk(ast.parse(source)):  # outer functions come before inner ones
+        if isinstance(node, ast.FunctionDef) and node.body[0].lineno <= line <= node.end_lineno:
+            found.append(min([node.lineno, *(one.lineno for one in node.decorator_list)]))
+    return {*found[-1:]}
+
+
+def table(rows: list[Row]) -> str:
+    """Return the counts of each room and of all, then survivors and equivalent changes."""
+    rooms = [*dict.fromkeys(row["file"].split("/")[0] for row in rows), ""]
+    kinds = ("killed", "timed out", "survived", "equivalent")
+    told = [f"{'room':10}" + "".join(f"{kind:>12}" for kind in kinds) + f"{'kill rate':>12}"]
+    for room in rooms:
+        found = [row for row in rows if not room or row["file"].startswith(f"{room}/")]
+        count = Counter(row["outcome"] for row in found)
+        counted = len(found) - count["equivalent"]
+        rate = f"{(counted - count['survived']) / counted:.0%}" if counted else "-"
+        numbers = "".join(f"{count[kind]:12d}" for kind in kinds)
+        told.append(f"{room or 'all':10}{numbers}{rate:>12}")
+    for row in rows:
+        if row["outcome"] in ("survived", "equivalent"):
+            place = f"{row['outcome']}: {row['file']}:{row['line']} ({row['kind']})"
+            told += [place, f"  - {row['before']}", f"  + {row['after']}"]
+            told += [f"  {row['reason']}"] if "reason" in row else []
+    return "\n".join(told)
+
+
+def main() -> int:
+    """Test random changes and print what happened; return 1 if one survived."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--number", type=int, default=100, help="number of changes")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the draw")
+    parser.add_argument("--rooms", nargs="*", choices=ROOMS, default=list(ROOMS))
+    parser.add_argument("--seconds", type=float, default=60.0, help="time of a change's tests, s")
+    parser.add_argument("--results", type=Path, help="JSON lines that keep the outcomes")
+    parser.add_argument("--again", action="store_true", help="test survivors of the file again")
+    parser.add_argument("--folder", type=Path, default=ROOT / "out" / "mutants")
+    options = parser.parse_args()
+    lines = options.results.read_text().splitlines() if _is_file(options.results) else []
+    known = {identity(row): row for row in map(json.loads, lines)}
+    entries = tomllib.loads(EQUIVALENT.read_text()).get("mutant", [])
+    reasons = {identity(entry): entry["reason"] for entry in entries}
+    load_libraries()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    done = {"killed", "timed out"} if options.again else {"killed", "timed out", "survived"}
+    bench, rows = None, []
+    for change in sample(ROOT, options.rooms, options.seed, options.number):
+        row = described(change, (ROOT / "nlosoptics" / change.file).read_text())
+        kept = known.get(identity(row), {"outcome": ""})
+        if identity(row) in reasons:
+            row |= {"outcome": "equivalent", "reason": reasons[identity(row)]}
+        elif kept["outcome"] in done:
+            row = kept | row
+        else:
+            bench = bench or Bench(ROOT, options.folder.resolve())
+            row |= bench.run(change, options.seconds)
+            print(f"{row['outcome']}: {row['file']}:{row['line']} {row['after']}", flush=True)
+        rows.append(row)
+        if options.results:
+            known[identity(row)] = row
+            options.results.write_text("".join(json.dumps(one) + "\n" for one in known.values()))
+    print(table(rows))
+    return 1 if any(row["outcome"] == "survived" for row in rows) else 0
+
+
+def _is_file(path: Path | None) -> bool:
+    return path is not None and path.is_file()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,186 @@
+"""Changes of source are small, complete and repeatable, and compiled callees are not stale."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from . import mutants
+from .source_changes import changes
+
+ROOT = Path(__file__).parents[2]
+SOURCE = '''
+"""A docstring with 1 < 2."""
+
+LIMIT: float = 2.0
+
+
+def mean(values: list[float] | None, *, power: int = 2) -> float:
+    """Return a mean."""
+    total = 0.0
+    for value in values:
+        if not value < LIMIT or "é" in (value):
+            raise ValueError(f"{value + 1} is above {LIMIT - 1}")
+        total += np.abs(-value) ** power
+    values.clear()
+    return (total) / (
+        len(values)  # a comment with - in it
+    )
+'''
+#: Each change of the source above: kind, and the line after it.
+EXPECTED = {
+    ("constant", "LIMIT: float = 4.0"),
+    ("constant", "def mean(values: list[float] | None, *, power: int = 3) -> float:"),
+    ("constant", "total = 1.0"),
+    ("condition", 'if not (not value < LIMIT or "é" in (value)):'),
+    ("boolean", 'if not value < LIMIT and "é" in (value):'),
+    ("boolean", 'if value < LIMIT or "é" in (value):'),
+    ("boundary", 'if not value <= LIMIT or "é" in (value):'),
+    ("comparison", 'if not value >= LIMIT or "é" in (value):'),
+    ("comparison", 'if not value < LIMIT or "é" not in (value):'),
+    ("removed statement", "pass"),
+    ("arithmetic", "total -= np.abs(-value) ** power"),
+    ("arithmetic", "total += np.abs(-value) * power"),
+    ("arithmetic", "total += np.abs(value) ** power"),
+    ("removed call", "total += (-value) ** power"),
+    ("arithmetic", "return (total) * ("),
+}
+
+
+def test_every_change_of_a_source_is_found() -> None:
+    found = changes("mean.py", SOURCE)
+    assert {(one.kind, one.lines(SOURCE)[1]) for one in found} == EXPECTED
+    # the raise, the sum and the call of `clear`
+    assert [one.kind for one in found].count("removed statement") == 3
+
+
+@pytest.mark.parametrize("room", mutants.ROOMS)
+def test_every_change_of_a_room_is_another_valid_source(room: str) -> None:
+    """The tree differs from the first one, so that no change is void from the start."""
+    for change in mutants.sample(ROOT, [room], seed=1, number=40):
+        source = (ROOT / "nlosoptics" / change.file).read_text()
+        assert ast.dump(ast.parse(change.applied(source))) != ast.dump(ast.parse(source))
+
+
+def test_a_longer_sample_continues_a_shorter_one() -> None:
+    few, many = (mutants.sample(ROOT, ["limits", "imaging"], 3, n) for n in (10, 25))
+    assert many[:10] == few
+    assert len(set(many)) == 25
+    assert mutants.sample(ROOT, ["limits", "imaging"], 4, 10) != few
+
+
+KERNELS = {
+    "nlosoptics/__init__.py": "",
+    "nlosoptics/psf/__init__.py": "",
+    "nlosoptics/psf/_low_kernels.py": """
+from numba import njit
+
+@njit(cache=True)
+def low(x):
+    return x + 1.0
+""",
+    "nlosoptics/psf/_high_kernels.py": """
+from numba import njit
+from ._low_kernels import low
+
+@njit(cache=True)
+def high(x):
+    return 2.0 * low(x)
+""",
+    "nlosoptics/psf/shell.py": """
+from ._high_kernels import high
+
+def shell(x):
+    if x < 0.0:
+        raise ValueError(x)
+    return high(x)
+
+def unused(x):
+    return x + 1.0
+
+def up(x):
+    while x < 0.0:
+        x += 1.0
+    return x
+""",
+    "tests/psf/test_shell.py": """
+from nlosoptics.psf.shell import shell, up
+
+def test_shell():
+    assert shell(1.0) == 4.0
+    assert up(-1.0) == 0.0
+""",
+    "pyproject.toml": "[tool.pytest.ini_options]\naddopts = ['--import-mode=importlib']\n",
+}
+
+
+#: Runs changes of the package above, named by the line that they give, and prints the outcomes.
+PROGRAM = """
+import json, sys
+from pathlib import Path
+from tests.fuzz import mutant_runs, mutants
+
+mutant_runs.LIBRARIES = ("numba", "pytest")
+mutant_runs.load_libraries()
+root, wanted = Path(sys.argv[1]), sys.argv[2:]
+mutants.SLOWER, mutants.ALLOWANCE = 1.0, 2.0
+if "stale" in wanted:
+    mutants.forget_compiled = lambda package, files: 1
+bench = mutants.Bench(root, root.parent / "work")
+tests = root.parent / "work/base/tests/psf/test_shell.py"
+bench._recorded(tests, now=True)  # compiles the kernels without any change
+for change in mutants.sample(root, ["psf"], 0, 1000):
+    after = change.lines((root / "nlosoptics" / change.file).read_text())[1]
+    place = f"{Path(change.file).stem}: {after}"
+    if place in wanted:
+        print(json.dumps([place, bench.run(change, 60.0)]))
+"""
+
+
+def outcomes(folder: Path, *wanted: str) -> dict[str, Any]:
+    """Outcomes of changes of the small package, run as the program does."""
+    for name, text in KERNELS.items():
+        (folder / "root" / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / "root" / name).write_text(text)
+    told = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(folder / "root"), *wanted],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert told.returncode == 0, told.stdout + told.stderr
+    return dict(json.loads(line) for line in told.stdout.splitlines())
+
+
+def test_changes_are_killed_survive_or_time_out(tmp_path: Path) -> None:
+    inlined, guard = "_low_kernels: return x - 1.0", "shell: if x <= 0.0:"
+    unused, endless = "shell: return x - 1.0", "shell: x -= 1.0"
+    found = outcomes(tmp_path, inlined, guard, unused, endless)
+    assert {name: one["outcome"] for name, one in found.items()} == {
+        inlined: "killed",  # by a kernel of another file, which was compiled again
+        guard: "survived",
+        unused: "survived",
+        endless: "timed out",
+    }
+    assert found[inlined]["by"] == "tests/psf/test_shell.py::test_shell"
+    assert [found[name]["test_files"] for name in (guard, unused)] == [1, 0]
+
+
+def test_a_stale_kernel_would_hide_a_change(tmp_path: Path) -> None:
+    """What numba does by itself, and why compiled functions are removed."""
+    inlined = "_low_kernels: return x - 1.0"
+    assert outcomes(tmp_path, inlined, "stale")[inlined]["outcome"] == "survived"
+
+
+def test_the_kill_rate_leaves_equivalent_changes_out() -> None:
+    row = {"file": "psf/a.py", "line": 1, "kind": "constant", "before": "1", "after": "2"}
+    kinds = ["killed"] * 7 + ["timed out"] * 2 + ["survived"] + ["equivalent"] * 10
+    told = mutants.table([row | {"outcome": kind, "reason": "why"} for kind in kinds])
+    assert told.splitlines()[2].split() == ["all", "7", "2", "1", "10", "90%"]
