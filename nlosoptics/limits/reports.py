@@ -103,9 +103,9 @@ class Feasibility(Noun, Shown):
         ratios first falls below 1. 0 if it is below 1 even for the coarsest patterns, and the
         highest frequency if it is nowhere below 1.
     modes : int
-        Number of independent patterns of the object, each with an rms contrast of 0.3, that the
-        image shows above the noise, or the diffuse light if that shows more. The patterns are made
-        of cells, 24 along the object's longer side.
+        Number of independent patterns of the object, each with an rms contrast of 0.3, that are
+        shown above the noise: by the image or by the diffuse light, whichever shows more. The
+        patterns are made of cells, 24 along the object's longer side.
     diffuse_modes : int
         Number of such patterns that the diffuse light alone shows, including the shadows of
         occluders.
@@ -116,8 +116,9 @@ class Feasibility(Noun, Shown):
     two_frame_bounds : mapping of int to float
         The same bounds for two images, the second with a known defocus of half a wave rms.
     one_frame_fits, two_frame_fits : float
-        Fraction, 0 to 1, of blind fits (fits of an unknown object and wall) that succeed for a wall
-        with this rms aberration: with one image, and with two images of known defocus. The fraction
+        Fraction, 0 to 1, of blind fits (fits of an unknown object and wall) that succeed if the rms
+        aberration is that of this scene's wall: with one image, and with two images of known
+        defocus. The fraction
         is interpolated in stored results of earlier tests; no fit is run. NaN if such a case was
         not tested, or if the aberration is so small that the wall need not be fitted.
     blind : str

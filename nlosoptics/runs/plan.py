@@ -74,9 +74,10 @@ class Plan:
         Limits of memory and time of the run.
     pattern_nodes : int
         Only for a wall with roughness of the realisation "pattern", whose PSF is a speckle pattern
-        that changes over the object. The PSF is computed at n x n points of the planar hidden
-        object; this is n. 0 for other walls, or if n would be too large: the camera image is then
-        computed with the mean PSF of many walls of the same statistics.
+        that changes over the object. It is computed at n x n points of the planar hidden object,
+        with n = ``pattern_nodes``. If n would be too large, ``pattern_nodes`` is 0, and the camera
+        image is computed with the mean PSF of many walls of the same statistics. 0 for all other
+        walls.
 
     See Also
     --------

@@ -64,10 +64,11 @@ class Results(Noun):
 
     - one for each figure of merit, under its name; NaN where the computation failed or is pending;
     - ``<figure>_error``: numerical error of a figure of merit, if it has one;
-    - ``status``: "done", "failed" (an error was raised), "lost" (the process of the computation
-      ended twice) or "pending" (not computed yet). Each point has one status for all its figures of
-      merit: "pending" if one of them is pending, else "lost" if one is lost, else "failed" if one
-      failed;
+    - ``status``: "done", "failed" (an error was raised), "lost" (the process that computed
+      it crashed, and crashed again at a second try), "pending" (not computed yet) or, in studies
+      with ``tier = "fast"``, "fast" (only approximated). Each point has one status for all its
+      figures of merit: "pending" if one of them is pending, else "lost" if one is lost, else
+      "failed" if one failed;
     - ``message``: errors and warnings; ``seconds``: computing time, s.
 
     Coordinates have the name of the value that varies, by table and key of the scene file, such as
@@ -76,8 +77,7 @@ class Results(Noun):
     ``trial`` as its first dimension, and the attribute ``search`` states why it ended.
 
     If draws have ``tier = "fast"``, the figures of merit are approximate. Draws that are also
-    computed in full have these values in ``<figure>_full``, which is NaN elsewhere. All other draws
-    have the status "fast".
+    computed in full have these values in ``<figure>_full``, which is NaN elsewhere.
     """
 
     path: Path

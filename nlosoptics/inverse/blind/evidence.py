@@ -147,9 +147,9 @@ def evidence_fit(
         - ``image_gains``, (K,): relative brightness of the images.
         - ``free_energy``: free energy of the result.
         - ``margin``: free energy of the result minus that of the best fit that starts with an
-          unaberrated wave, which causes no blur. A negative value favours the result. NaN if the
-          data alone exclude that there is no blur: with images of different defocus or of several
-          walls, or with ``known_object``.
+          unaberrated wave, which causes no blur. A negative value favours the result. NaN where
+          an unaberrated wave cannot explain the data anyway: with images of different defocus or of
+          several walls, or with ``known_object``.
         - ``sharp_margin``: free energy of the result minus that of a fit in which the image itself
           is the object. NaN if ``margin`` is NaN, or with ``start_error``.
         - ``model_error``: rms residual in excess of the noise, as a fraction of the images' range.
@@ -185,7 +185,8 @@ def evidence_fit(
 
     **Residual.** For the status "converged" the result must explain the images: ``model_error``
     must be at most ``sqrt(a^2 + 3 s^2 sqrt(2/n))``. For several images a is ``0.004 + 0.003 w``,
-    and for one image ``0.004 + 0.01 w``, with w the wall's rms aberration in waves, but at most 1.
+    and for one image ``0.004 + 0.01 w``; w is the wall's rms aberration in waves, or 1 if that is
+    more.
     The second term is three standard errors of the mean squared residual, with s the rms noise as a
     fraction of the images' range and n the number of pixels. Images of one wall whose defoci differ
     by less than 0.1 waves count as one image. If the residual of several images exceeds the noise
@@ -203,11 +204,11 @@ def evidence_fit(
 
     With ``start_error``, ``margin`` must be below -50, or three conditions must be met:
 
-    - ``margin`` is below 1/s, for example 100 if s is 0.01.
-    - ``margin - P`` is below -100, with P the term ``M |c - c_0|^2/(2 start_error^2)`` that the
-      prior of the M coefficients adds to the free energy of the fit that starts without blur. Here
-      c are the coefficients of this fit and c_0 the given ones. ``margin`` itself does not include
-      P.
+    - ``margin`` is below 1/s, for example 100 if s is 0.01: the data alone may favour no blur by
+      that much.
+    - ``margin - P`` is below -100. The fit that starts without blur ends at coefficients c, away
+      from the given ones, c_0, and P = ``M |c - c_0|^2/(2 start_error^2)`` is what the prior of the
+      M coefficients adds to its free energy. ``margin`` itself leaves P out.
     - The rms residual is at least 0.93 of the noise. A smaller residual shows that noise was
       fitted.
 

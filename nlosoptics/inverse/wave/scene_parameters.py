@@ -91,10 +91,10 @@ class SceneLeaves(nn.Module):
     A mirror-like lobe of rms slope s multiplies the transfer function at the image frequency f by
     ``exp(-2 pi^2 |s (cos a + cos b) d M f|^2)``. Here a and b are the angles of incidence and
     reflection at the wall, and d is the image distance. The 2 x 2 matrix M is ``footprint`` of
-    `psf.wall_view`: a step (du, dv) in the exit pupil moves the wall point that is seen by M (du,
-    dv). These values are not updated during a fit. This is the limit of `psf.mean_point_spread` for
-    heights much larger than the wavelength. Rays are traced on the CPU; the transform runs on
-    ``device``.
+    `psf.wall_view`: seen from a pupil point displaced by (du, dv), the object's light comes from a
+    wall point displaced by M (du, dv). The factor is the limit of `psf.mean_point_spread` for
+    heights much larger than the wavelength; a, b, d and M are not updated during a fit. Rays are
+    traced on the CPU; the transform runs on ``device``.
     """
 
     _frequencies: Tensor

@@ -495,7 +495,7 @@ class Aperture(Noun):
         -------
         u, v : ndarray
             Centres of the squares, (n, n), m: ``(arange(n) - n//2) * pitch`` with the side
-            ``pitch`` of a square; rows run along v.
+            ``pitch`` of a square; v increases from row to row, u along a row.
         weights : ndarray
             Area of the part of each square inside the pupil, (n, n), m^2, accurate to 1e-12 of the
             pupil's area.

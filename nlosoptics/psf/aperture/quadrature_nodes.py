@@ -147,9 +147,9 @@ def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[A
     Returns
     -------
     u, v : ndarray
-        Centres of the squares, (n, n), m: ``(arange(n) - n//2) * pitch``, where rows run along v.
-        The grid just encloses the pupil, so that the side ``pitch`` of a square is ``2 radius/n``
-        for odd n and ``2 radius/(n - 1)`` for even n.
+        Centres of the squares, (n, n), m: ``(arange(n) - n//2) * pitch``; v increases from row to
+        row, u along a row. The grid just encloses the pupil, so that the side ``pitch`` of a square
+        is ``2 radius/n`` for odd n and ``2 radius/(n - 1)`` for even n.
     weights : ndarray
         Area of the part of each square inside the pupil, (n, n), m^2. It is exact also for squares
         that the rim crosses.

@@ -26,8 +26,8 @@ def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: A
         to ``n - s1 t1 - s2 t2``, with n the normal of the mean wall, t1 its tangent along x and
         t2 = n x t1.
     positions : array_like, (ny, nx, 3)
-        Centres of the facets in world coordinates, m, on a square lattice in x and y with rows
-        along y.
+        Centres of the facets in world coordinates, m, on a square lattice; y increases from
+        row to row, x along a row.
     nodes : array_like, (n, 2)
         Points (u, v) of the exit pupil, m.
 
@@ -62,8 +62,8 @@ def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: A
     - P_i and P_o: the matrix ``1 - e e^T`` for the ray i or o, with e the component of the ray's
       unit vector in the wall's tangent plane,
     - K: second derivatives of the mean wall, positive if the wall is concave to the room,
-    - E: scalar products of t1 and t2 (rows) with the parts of the u and v axes that are
-      perpendicular to the ray o (columns).
+    - E: 2 x 2 matrix of scalar products. The u and v axes are projected onto the plane that is
+      perpendicular to the ray o; row 1 has their products with t1, row 2 those with t2.
     """
     table, x, y = _lattice(slopes, positions)
     points = np.asarray(nodes, dtype=np.float64)

@@ -37,8 +37,8 @@ def wavefront_from_slopes(
     Parameters
     ----------
     slopes : array_like, (n, n, 2)
-        Slopes dW/du and dW/dv of the aberration W at the grid points, rad. Rows run along v, and
-        point [n//2, n//2] is on the axis. Values outside the mask are ignored.
+        Slopes dW/du and dW/dv of the aberration W at the grid points, rad. v increases from row to
+        row, u along a row; point [n//2, n//2] is on the axis. Values outside the mask are ignored.
     pitch : float
         Distance between grid points, m.
     mask : array_like of bool, (n, n)

@@ -26,8 +26,8 @@ class WallView(Noun):
     Parameters
     ----------
     footprint : ndarray, (2, 2)
-        Matrix M. A step (du, dv) in the exit pupil changes the wall point that is seen by the step
-        M (du, dv) in the wall's tangent plane.
+        Matrix M. Seen from a pupil point displaced by (du, dv), the object's light comes from a
+        wall point displaced by M (du, dv) in the wall's tangent plane.
     cos_sum : float
         Sum of the cosines of the chief ray's angles of incidence and of reflection at the wall. A
         wall height h changes the path by ``-cos_sum * h``.

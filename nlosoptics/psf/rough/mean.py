@@ -112,10 +112,10 @@ def mean_point_spread(
         Statistics of the wall's heights. For a `FacetWall` or `GaussianWall` the mean is over all
         seeds. A height map is replaced by Gaussian heights with the same rms height and rms slope.
     footprint : float or array_like (2, 2), optional
-        Matrix M: a step (du, dv) in the exit pupil changes the wall point that is seen by the step
-        M (du, dv). A number stands for a multiple of the unit matrix, ``d1/(d1 + d2)`` at normal
-        incidence, with d1 and d2 the distances from the wall to object and lens. Required with a
-        wavefront, not allowed with a scene.
+        Matrix M: seen from a pupil point displaced by (du, dv), the object's light comes from a
+        wall point displaced by M (du, dv). A number stands for a multiple of the unit matrix,
+        ``d1/(d1 + d2)`` at normal incidence, with d1 and d2 the distances from the wall to object
+        and lens. Required with a wavefront, not allowed with a scene.
     cos_sum : float, optional
         Sum of the cosines of the angles of incidence and reflection at the wall, above 0 and at
         most 2. Required with a wavefront, not allowed with a scene.

@@ -143,7 +143,7 @@ class PointSpreadField(Noun):
         return np.asarray(np.tensordot(weights, self.modes, 1))
 
     def deviation(self) -> float:
-        """Return the difference between the point spreads and their mean, rms over rms of the mean.
+        """Return how far the point spreads differ from their mean: rms difference over rms mean.
 
         Returns
         -------

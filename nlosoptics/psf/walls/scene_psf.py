@@ -35,8 +35,8 @@ class ScenePointSpread(Noun):
         includes the heights of the wall. Otherwise the wave is that of the mean wall without
         roughness.
     point_spread : PointSpread
-        Point spread, energy per pixel. It includes the blur by the wall's material: the microfacets
-        of its mirror-like lobes are tilted, with the rms slope ``slope_rms``. If the scene has a
+        Point spread, energy per pixel. It includes the blur by the wall's material, whose
+        mirror-like lobe is spread by microfacets of the rms slope ``slope_rms``. If the scene has a
         roughness, it is the point spread of this rough wall, or the mean over all walls of this
         roughness.
     pupil_field : PupilField or None

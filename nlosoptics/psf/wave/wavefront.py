@@ -83,7 +83,7 @@ class Wavefront(Noun, Shown):
 
         - "polar": rings, (n_r, n_theta), see `polar_nodes`.
         - "cells": patches of an `Aperture`, (n_patches, n_s, n_t), see `Aperture.nodes`.
-        - "grid": square grid, (n, n), ``(arange(n) - n//2) * pitch``, rows along v.
+        - "grid": square grid, (n, n), ``(arange(n) - n//2) * pitch``; v increases from row to row.
         - "scattered": arbitrary points, (n,).
     removed : Removed
         Piston, tilt and defocus that were subtracted from ``aberration``; none by default.

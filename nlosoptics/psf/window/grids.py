@@ -86,8 +86,9 @@ class PupilGrid:
     Parameters
     ----------
     values : ndarray, (n, n)
-        Amplitude times area times exp(ikW), complex128; rows run along v, and sample
-        [n//2, n//2] is on the axis. Values are scaled such that without aberration their sum is 1.
+        Amplitude times area times exp(ikW), complex128. v increases from row to row, u along a row;
+        sample [n//2, n//2] is on the axis. Values are scaled such that without aberration their sum
+        is 1.
     pitch : float
         Spacing of the samples in the pupil, m.
     jump : float

@@ -34,7 +34,7 @@ class Camera:
         the whole sensor, or a region of interest centred on the optical axis.
     binning : int, default 8
         Number of native pixels that are summed along each side of an image pixel. With the default,
-        512 x 512 native pixels give an image of 64 x 64 pixels; 1 keeps every native pixel.
+        4096 x 4096 native pixels give an image of 512 x 512 pixels; 1 keeps every native pixel.
     exposure : float
         Exposure time, s.
     quantum_efficiency : float

@@ -348,8 +348,8 @@ class ConcaveWall(_CurvedWall):
         Radius of curvature, m.
     size : float or (float, float), optional
         Full extent of the wall in x and y, m; one number for a square. By default a sphere is a
-        full hemisphere: its points lie up to one radius from the z axis. A cylinder is then
-        unbounded along its axis, and a half cylinder across it.
+        full hemisphere: its points lie up to one radius from the z axis. A cylinder is by
+        default unbounded along its axis, and has the cross-section of a full half circle.
     shape : {"sphere", "cylinder"}
         Kind of surface: part of a sphere, or part of a cylinder.
     axis : {"x", "y"}, default "y"
@@ -386,8 +386,8 @@ class ConvexWall(_CurvedWall):
         Radius of curvature, m.
     size : float or (float, float), optional
         Full extent of the wall in x and y, m; one number for a square. By default a sphere is a
-        full hemisphere: its points lie up to one radius from the z axis. A cylinder is then
-        unbounded along its axis, and a half cylinder across it.
+        full hemisphere: its points lie up to one radius from the z axis. A cylinder is by
+        default unbounded along its axis, and has the cross-section of a full half circle.
     shape : {"sphere", "cylinder"}
         Kind of surface: part of a sphere, or part of a cylinder.
     axis : {"x", "y"}, default "y"

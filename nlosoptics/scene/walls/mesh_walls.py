@@ -33,7 +33,8 @@ class MeshWall(Wall):
     Parameters
     ----------
     mesh : str, Path or trimesh.Trimesh
-        Mesh file (STL, OBJ, PLY) or mesh, in the world frame, m. It must surround the origin.
+        Mesh file (STL, OBJ, PLY) or mesh, in the world frame, m. Its outline in x and y
+        must surround the origin.
     scale : float
         Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
 

@@ -32,8 +32,8 @@ class WallRoughness(Noun):
     Parameters
     ----------
     heights : FacetWall, GaussianWall or HeightMapWall
-        Heights relative to the mean wall. They must have no size of their own, and a height map
-        must cover the wall.
+        Heights relative to the mean wall. Do not give them the argument ``size``; a height map
+        must be at least as large as the wall.
     realisation : {"pattern", "mean"}
         "pattern": one rough surface, given by the seed or the height map. "mean": the average over
         all surfaces with the same statistics. Waves use the mean point spread function of these

@@ -118,8 +118,8 @@ class Study(Noun):
         Seed of random draws, of random numbers in figures of merit, and of an optimisation.
     variables : tuple of Variable
         Values that a search (table ``optimise`` or ``inverse_sensitivity``) may change; empty
-        without a search. The points that the search has chosen so far are the first dimension,
-        "trial".
+        without a search. The sets of values that the search has tried so far, its trials, are
+        the first dimension, "trial".
 
     See Also
     --------
