@@ -283,11 +283,12 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     the wall's response to a grid of object cells are counted; this number is ``diffuse_modes``.
     ``modes`` is the larger of the two numbers.
 
-    The predicted correlation is that of `inverse.tv_deconvolve` with its default settings. It is
-    computed from signal and noise at every spatial frequency. The constants of this formula were
-    fitted to results of the solver, and ``score_spread`` is the scatter of other results about it
-    (`benchmarks/inverse/feasibility.py`). The solver returns zero if it detects no object in the
-    image. The formula does not know this test, so a small predicted correlation can be too large.
+    The field ``score`` predicts the correlation between the true object and the result of
+    `inverse.tv_deconvolve` with its default settings. It is a function of the signal and the noise
+    at every spatial frequency. Its constants were fitted to reconstructions of one set of scenes.
+    ``score_spread`` is the rms difference between prediction and result in another set
+    (`benchmarks/inverse/feasibility.py`). In very noisy images the solver may detect no object and
+    return zeros, which the prediction does not include: a small ``score`` can be too large.
 
     Examples
     --------

@@ -32,10 +32,10 @@ class Reconstruction(Noun, Shown):
         tensor, its dtype and device. Its maximum is 1 unless the gain was given.
     physical_parameters : mapping of str to float or ndarray
         Fitted and given values. ``gain``: image units per unit of the object. ``background``: mean
-        of the fitted background, image units, without the known background. ``noise_sigma``: rms
-        noise, image units; for a noise map sigma_i it is ``mean(1/sigma_i^2)^(-1/2)``. The
-        docstring of a solver names further values and the shapes of arrays, such as the wave's
-        ``coefficients`` if the wall was fitted as well.
+        of the fitted background, image units; a background that was given to the solver comes on
+        top. ``noise_sigma``: rms noise, image units; for a noise map sigma_i it is
+        ``mean(1/sigma_i^2)^(-1/2)``. The docstring of a solver names further values and the shapes
+        of arrays, such as the wave's ``coefficients`` if the wall was fitted as well.
     status : {"converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"}
         "converged": the solver met its stopping criterion, and no test found a contradiction
         between image and model. "unconverged": the stopping criterion was not met, and the object
@@ -44,8 +44,9 @@ class Reconstruction(Noun, Shown):
         ``object`` is a rough estimate; it is zero if no object was detected. "does_not_fit": the
         image contradicts the model, so the object is not reliable.
     score : float
-        Rms of the residual divided by the noise; 1 if only noise remains. For phase retrieval: the
-        correlation between the results of two halves of the restarts; 1 is full agreement.
+        Rms of the residual divided by the noise; 1 if only noise remains. For phase retrieval:
+        the restarts are divided into two halves, the objects of each are averaged, and the score is
+        the correlation between the two averages; 1 is full agreement.
     history : mapping of str to ndarray, (n_iterations,)
         Values after each iteration, float64, read-only. ``objective``: the minimised function.
         ``residual``: as ``score``. ``change``: relative change of the object in the iteration. For

@@ -125,13 +125,13 @@ def render(
     quantity : {"irradiance", "radiance", "radiosity"}
         Quantity at the sensor points, per W of laser power on the wall: irradiance E in W/m^2,
         radiance ``wall_albedo E/pi`` in W/(m^2 sr), or radiosity ``wall_albedo E`` in W/m^2.
-        A bin holds the part with path lengths inside the bin. The same number is the energy per
-        area (and solid angle) that arrives within the bin, per J of a short laser pulse.
+        A bin has the sum over all paths whose length lies in the bin; it is not divided by the
+        width of the bin. For a laser of constant power this is a part of the irradiance, for
+        example. For a short pulse it is the energy per area that arrives within the bin, per J.
     keep_laser_cosine : bool
-        False: values are per W on each laser point. True: they are also multiplied by
-        ``cos(a)/d^2``, with the angle of incidence a at the laser point and its distance d from
-        ``laser_origin``, m. This factor is the power on 1 m^2 of the wall at the laser point from a
-        point source of 1 W/sr at ``laser_origin``. Use it to compare with captures that contain it.
+        Whether to multiply all values by ``cos(a)/d^2``, with the angle of incidence a at the laser
+        point and its distance d from ``laser_origin``, m. Some captures contain this factor, the
+        irradiance of the wall by a point source; give True to compare with them.
     outer_legs : bool
         Whether times include the outer legs: the paths from ``laser_origin`` to the wall and from
         the wall to ``sensor_origin``. If False, times begin at the laser point and end at the
@@ -141,9 +141,9 @@ def render(
         first with ``keep_laser_cosine``.
     tol, tol_multiple : float
         Errors allowed for each pair of points: sum of the absolute errors of all bins, relative to
-        the sum of their values. ``tol`` limits the error of the light of three bounces.
-        ``tol_multiple`` does so for four bounces, for five, and so on, each relative to its own
-        sum; as these are computed with random numbers, it limits the expected error.
+        the sum of their values. ``tol`` is for the light of three bounces. ``tol_multiple`` is for
+        the light of four bounces, of five, and so on; each of these parts must meet it. They are
+        computed with random numbers, so that it limits the expected error.
     n_rays : int, optional
         Largest number of random paths with more than three bounces, at least 8. None: as many as
         take about ten minutes on one core.
@@ -159,7 +159,8 @@ def render(
     Returns
     -------
     TransientCapture
-        Capture with ``by_bounce`` and ``standard_error`` (0 for three bounces). Its ``details``
+        Capture with the histograms ``H``, their parts by number of bounces ``by_bounce``, and the
+        ``standard_error`` of H (0 for three bounces); see `TransientCapture`. Its ``details``
         tell how it was computed. For three bounces they have arrays with one value for each pair of
         points: "error_estimate" (change in the last refinement, summed over bins), "before" and
         "after" (signal outside the bins), and "parts" (number of parts into which the surfaces were
