@@ -48,6 +48,7 @@ class Run(NamedTuple):
 def load_libraries() -> None:
     """Load what all runs need into this process, once."""
     os.environ |= SETTINGS
+    os.environ.pop("NUMBA_CACHE_DIR", None)  # compiled functions lie beside the copied sources
     for name in LIBRARIES:
         with suppress(ImportError):
             importlib.import_module(name)
