@@ -885,7 +885,7 @@ SECTIONS = (
         "functions must be compiled; in the others, their compiled code is on the disk. The last "
         "case is one call in a Python process that is already running. Processor time is summed "
         "over all cores.",
-        f"{RUN}/whole_run.py --repeats 5 --json benchmarks/results/whole_run.json",
+        f"{RUN}/whole_run.py --repeats 3 --json benchmarks/results/whole_run.json",
         whole_runs,
     ),
     Section(
