@@ -81,8 +81,8 @@ def evidence_fit(
     pupil_psf : PupilPSF
         Point spread function (PSF) of the wall and lens as a function of the M Zernike coefficients
         to fit, (M,) or (n_walls, M). Coefficients other than 0 are an additional start of the fit.
-        A known wave or transmission in ``pupil_psf`` is kept fixed. Its shape must be that of the
-        images or larger.
+        A known wave or transmission in ``pupil_psf`` is kept fixed. The PSF must have
+        at least the shape of the images.
     defocus : array_like, optional
         Known additional defocus of each image, (K,), m rms over the pupil (Noll 4).
     walls : array_like of int, optional
@@ -120,8 +120,8 @@ def evidence_fit(
         Rms aberration of the wall, waves, if known. None: several values are tried.
     max_iterations : int, optional
         Maximum number of search rounds. The default is 2 if a known object or a defocused image
-        excludes the answer without blur, otherwise 4. A round starts from 32 random walls. For a
-        single image it fits about 400 walls, including random variations of the best.
+        excludes the answer without blur, otherwise 4. A round starts from 32 random walls, and
+        continues with random variations of the best: about 400 fits per round for a single image.
     max_seconds : float, optional
         Time, s, after which the search begins no further step, once it has found a first result.
         With such a limit, the result depends on the speed of the machine. By default there is no
@@ -185,13 +185,13 @@ def evidence_fit(
 
     **Residual.** For the status "converged" the result must explain the images: ``model_error``
     must be at most ``sqrt(a^2 + 3 s^2 sqrt(2/n))``. For several images a is ``0.004 + 0.003 w``,
-    and for one image ``0.004 + 0.01 w``; w is the wall's rms aberration in waves, or 1 if that is
-    more.
-    The second term is three standard errors of the mean squared residual, with s the rms noise as a
-    fraction of the images' range and n the number of pixels. Images of one wall whose defoci differ
-    by less than 0.1 waves count as one image. If the residual of several images exceeds the noise
-    significantly, further Zernike modes are fitted: up to radial order 5, then 7, then 8. They are
-    kept if the free energy falls by more than additional parameters alone would cause.
+    and for one image ``0.004 + 0.01 w``; w is the smaller of 1 and the wall's rms aberration in
+    waves. The second term is three standard errors of the mean squared residual, with s the rms
+    noise as a fraction of the images' range and n the number of pixels. Images of one wall whose
+    defoci differ by less than 0.1 waves count as one image. If the residual of several images
+    exceeds the noise significantly, further Zernike modes are fitted: up to radial order 5, then 7,
+    then 8. They are kept if the free energy falls by more than additional parameters alone would
+    cause.
 
     **No blur.** For the status "converged", one image must also exclude that there is no blur and
     the image itself is the object. The limits depend on s, the rms noise as a fraction of the
@@ -199,16 +199,16 @@ def evidence_fit(
 
     - ``margin`` is below -70.
     - ``sharp_margin`` divided by the number of pixels is below -0.092 if s is at least 0.01, and
-      below ``-0.092 - 0.045 ln(0.01/s)`` for less noise. This condition is needed because a fit
-      that starts without blur may also find the wall, and ``margin`` is then close to 0.
+      below ``-0.092 - 0.045 ln(0.01/s)`` for less noise. It is for the case that the fit that
+      starts without blur finds the wall as well, so that ``margin`` is close to 0.
 
     With ``start_error``, ``margin`` must be below -50, or three conditions must be met:
 
-    - ``margin`` is below 1/s, for example 100 if s is 0.01: the data alone may favour no blur by
-      that much.
-    - ``margin - P`` is below -100. The fit that starts without blur ends at coefficients c, away
-      from the given ones, c_0, and P = ``M |c - c_0|^2/(2 start_error^2)`` is what the prior of the
-      M coefficients adds to its free energy. ``margin`` itself leaves P out.
+    - ``margin`` is below 1/s, for example 100 if s is 0.01. It may be positive here, because the
+      given coefficients count as well, in the next condition.
+    - ``margin - P`` is below -100, where P says how far the fit without blur contradicts the given
+      coefficients c_0. This fit ends at M coefficients c, and P is
+      ``M |c - c_0|^2/(2 start_error^2)``.
     - The rms residual is at least 0.93 of the noise. A smaller residual shows that noise was
       fitted.
 

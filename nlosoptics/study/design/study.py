@@ -106,10 +106,11 @@ class Study(Noun):
     folder : Path
         Folder of the study file. It is searched for Python files with figures of merit of your own.
     base : Base
-        Base scene with the changes of the table ``set``.
+        Base scene, with the values that the table ``set`` of the study file changes.
     dimensions : tuple of Dimension
-        What varies: axes, draws or cases, each a list of steps that set values of the scene. The
-        points are all combinations of the steps, in C order: the last dimension changes fastest.
+        What varies. A dimension is an axis, the random draws, or a list of cases, and it consists
+        of steps: values of the axis, single draws, or single cases. The points are all combinations
+        of the steps, in C order: the last dimension changes fastest.
     figures : tuple of Figure
         Figures of merit.
     tol : float
@@ -117,9 +118,10 @@ class Study(Noun):
     seed : int
         Seed of random draws, of random numbers in figures of merit, and of an optimisation.
     variables : tuple of Variable
-        Values that a search (table ``optimise`` or ``inverse_sensitivity``) may change; empty
-        without a search. The sets of values that the search has tried so far, its trials, are
-        the first dimension, "trial".
+        Values that a search may change: an optimisation (table ``optimise``), or a search for the
+        deviations that are allowed (table ``inverse_sensitivity``). Empty without a search. With
+        a search, the first of ``dimensions`` is "trial", with one step for each set of values that
+        has been tried so far.
 
     See Also
     --------
