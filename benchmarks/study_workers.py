@@ -22,6 +22,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from studies import cpu_seconds
+
 import nlosoptics as nlos
 from nlosoptics.study import Study, run_study
 
@@ -66,10 +68,10 @@ def light(points):
             memory["end"] = _resident()
 
     with tempfile.TemporaryDirectory() as folder:
-        begun = _cpu()
+        begun = cpu_seconds()
         run_study(study, f"{folder}/light.zarr", workers=1, progress=progress)
         client, worker = (
-            (after - before) / side**2 for before, after in zip(begun, _cpu(), strict=True)
+            (after - before) / side**2 for before, after in zip(begun, cpu_seconds(), strict=True)
         )
     return {
         "kind": "light",
@@ -79,12 +81,6 @@ def light(points):
         "share": client / (client + worker),
         "grown": (memory["end"] - memory["half"]) / 2**20,
     }
-
-
-def _cpu():
-    """CPU seconds of this process and of its ended children."""
-    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return [one.ru_utime + one.ru_stime for one in used]
 
 
 def _resident():

@@ -198,9 +198,8 @@ def picture_positions(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, Arr
         `ForwardModel`. They are 0 where a ray does not meet the front of the plane: such a pixel
         shows nothing of the picture.
     """
-    rows, columns = hidden.reflectance.shape
-    column, row = picture_coordinates(hidden, rays)
-    return np.nan_to_num(2.0 * column / columns - 1.0), np.nan_to_num(1.0 - 2.0 * row / rows)
+    right, up = plane_coordinates(hidden, rays)
+    return np.nan_to_num(2.0 * right / hidden.size[0]), np.nan_to_num(2.0 * up / hidden.size[1])
 
 
 def picture_points(hidden: PlanarObject, column: Array, row: Array) -> Array:

@@ -11,13 +11,14 @@ from unittest.mock import patch
 
 import numpy as np
 import zarr.storage._local as local
-from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from nlosoptics.study.design.figures import Figure
 from nlosoptics.study.store import Store
 from nlosoptics.study.worker import DONE, Answers, Block
+
+from ..stateful import bounded
 
 BLOCK = 3
 FIGURES = tuple(
@@ -169,12 +170,4 @@ class Steps(RuleBasedStateMachine):
 
 
 TestSteps = Steps.TestCase
-TestSteps.settings = settings(
-    max_examples=8,
-    stateful_step_count=10,
-    deadline=None,
-    derandomize=True,
-    database=None,
-    phases=[Phase.generate],
-    suppress_health_check=[HealthCheck.too_slow],
-)
+TestSteps.settings = bounded(examples=8, steps=10)

@@ -14,13 +14,14 @@ from unittest.mock import patch
 import h5py
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from nlosoptics import transient
 from nlosoptics.errors import SceneError
 from nlosoptics.transient import TransientCapture, wall_grid
+
+from ...stateful import bounded
 
 ORIGIN = (-0.5, 0.0, 0.25)
 
@@ -138,12 +139,4 @@ class Steps(RuleBasedStateMachine):
 
 
 TestSteps = Steps.TestCase
-TestSteps.settings = settings(
-    max_examples=15,
-    stateful_step_count=12,
-    deadline=None,
-    derandomize=True,
-    database=None,
-    phases=[Phase.generate],
-    suppress_health_check=[HealthCheck.too_slow],
-)
+TestSteps.settings = bounded(examples=15, steps=12)
