@@ -66,18 +66,19 @@ class Plan:
         If the PSF varies over the object, ``tol`` also limits the error of the image (rms error
         over rms value). Other stages state their own errors.
     waves : float
-        Peak-to-valley wave aberration at the object's centre with tilt removed, waves; NaN if the
-        wave is undefined.
+        Peak-to-valley wave aberration at the object's centre with tilt removed, waves; NaN for a
+        mesh wall that is too coarse for waves (`MeshWall.wave_grade`).
     exit_pupil : ExitPupil
         Exit pupil of the scene, reused by `simulate`.
     budget : Budget
         Limits of memory and time of the run.
     pattern_nodes : int
-        Only for a wall with roughness of the realisation "pattern", whose PSF is a speckle pattern
-        that changes over the object. It is computed at n x n points of the planar hidden object,
-        with n = ``pattern_nodes``. If n would be too large, ``pattern_nodes`` is 0, and the camera
-        image is computed with the mean PSF of many walls of the same statistics. 0 for all other
-        walls.
+        For a rough wall with ``realisation="pattern"``, whose PSF is a speckle pattern that changes
+        over the object: the PSF is computed at n x n object points, with n = ``pattern_nodes``. The
+        value is 0 if more than 27 x 27 points or half of ``max_seconds`` would be needed, if the
+        object is a mesh, or if the wall's edge cuts the cone of light. The camera image is then
+        computed with the mean PSF of many walls of the same statistics. For all other walls the
+        value is 0 as well.
 
     See Also
     --------

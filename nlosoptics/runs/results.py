@@ -36,16 +36,16 @@ class Result(Noun):
     exit_pupil : ExitPupil
         Exit pupil of the system of lens and wall.
     wavefront : Wavefront
-        Wave aberration for the object's reference point.
+        Wave aberration for the object's reference point, ``scene.object_point``.
     point_spread : PointSpread
-        Point spread function (PSF) of the object's reference point.
+        Point spread function (PSF) of the same point.
     field : PointSpreadField or None
         PSFs of points over the whole object; None if a single PSF is accurate enough.
     image : SpeckleImage
         Camera image, with the signal, the other contributions of light and the noise.
     pupil_field : PupilField or None
-        Complex field in the exit pupil for the object's reference point, if the wall is rough and
-        its field was propagated to the pupil; otherwise None.
+        Complex field in the exit pupil for the same point, if the wall is rough and diffraction
+        between wall and pupil was computed; otherwise None.
     reconstruction : Reconstruction or None
         Reconstructed object; None if not requested or not possible.
     errors : dict of str to float

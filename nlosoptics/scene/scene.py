@@ -63,10 +63,10 @@ class Scene(Noun, Shown):
         Settings of a time-resolved capture, for example by a single-photon camera, and the volume
         that is reconstructed from it. Not needed for the image of an ordinary camera.
     wall_roughness : WallRoughness, optional
-        Random or measured heights that are added to ``wall``, which is then the mean surface. They
-        determine how far the wall's mirror-like reflection is spread. The mirror-like lobes of
-        ``wall_material`` must therefore have the rms slope of these heights, or zero. By default
-        no heights are added.
+        Random or measured heights that are added to ``wall``, which is then the mean surface. Their
+        slopes spread the mirror-like reflection of the wall. So that no slope is counted twice, the
+        mirror-like lobes of ``wall_material`` must have slope zero or the rms slope of these
+        heights. By default no heights are added.
 
     Raises
     ------
@@ -279,7 +279,7 @@ class Scene(Noun, Shown):
 
     @property
     def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
-        """Lobes of the wall's reflectance that are mirror-like: of rms slope up to 0.1 rad.
+        """Mirror-like lobes of ``wall_material``: tuple of `MirrorLobe`, rms slope up to 0.1 rad.
 
         If the scene has ``wall_roughness``, each lobe has the rms slope of the roughness.
         """
@@ -290,7 +290,7 @@ class Scene(Noun, Shown):
 
     @property
     def mirror_slopes(self) -> tuple[float, ...]:
-        """Rms slope along each axis of each mirror-like lobe, rad, including `wall_roughness`."""
+        """Rms slope of each of `mirror_lobes`, (n,), rad; it is equal along both axes."""
         return tuple(lobe.slope_rms for lobe in self.mirror_lobes)
 
     def check_in_front(self, *, meshes: bool = True) -> None:

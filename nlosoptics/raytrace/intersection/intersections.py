@@ -103,8 +103,9 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     -----
     Planes, spheres and cylinders are intersected in closed form. For other walls, let f be the
     height of the ray above the wall, f' its derivative along the ray, and M a bound on its second
-    derivative. A root found by Newton's method is certainly the first one if its distance from the
-    point where the ray enters the wall's height limits is below ``2 |f'| / M``.
+    derivative. The search begins where the ray enters the box given by the wall's edges, lowest
+    and highest point. A root found by Newton's method is certainly the first one if its distance
+    from there is below ``2 |f'| / M``, with f' at the root.
 
     For all other rays, points are tried in steps along the ray. Each step is the positive root s of
     ``f + f' s - M s^2/2 = 0``. Such a step never passes a crossing, and near a crossing it

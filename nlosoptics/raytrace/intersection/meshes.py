@@ -255,11 +255,10 @@ def all_hits(
     Notes
     -----
     Hits at the same distance, to rounding, from the same side (front or back of the triangles)
-    count once. This applies to a ray
-    through a shared edge or vertex and to coincident sheets. A ray may graze an edge at which one
-    adjacent triangle faces the ray and the other faces away. It enters and leaves the mesh there,
-    which counts as two hits. A ray from outside a closed mesh therefore has an even number of hits.
-    A triangle whose plane contains the ray is not hit.
+    count once. This applies to a ray through a shared edge or vertex and to coincident sheets. A
+    ray may graze an edge at which one adjacent triangle faces the ray and the other faces away. It
+    enters and leaves the mesh there, which counts as two hits. A ray from outside a closed mesh
+    therefore has an even number of hits. A triangle whose plane contains the ray is not hit.
 
     Examples
     --------

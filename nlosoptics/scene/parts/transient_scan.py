@@ -20,6 +20,9 @@ class TransientScan:
     wall. Times are given as optical path lengths in m (time multiplied by the speed of light). They
     exclude the paths from the laser to the wall and from the wall to the detector.
 
+    ``wl_mean``, ``near``, ``far`` and ``step`` do not affect the capture. They are stored in its
+    file as defaults of the command ``nlosoptics phasor``, which otherwise requires them as options.
+
     Parameters
     ----------
     side : float
@@ -44,14 +47,12 @@ class TransientScan:
         reconstruction filters the capture in time. A smaller value resolves finer detail; it should
         be at least 4 ``delta_t``.
     near : float, optional
-        Distance of the first reconstructed plane from the wall, m. Give near, far and step, or none
-        of them.
+        Distance of the first reconstructed plane from the wall, m. Give ``near``, ``far`` and
+        ``step``, or none of them.
     far : float, optional
-        Distance of the last reconstructed plane from the wall, m. Give near, far and step, or none
-        of them.
+        Distance of the last reconstructed plane from the wall, m; at least ``near``.
     step : float, optional
-        Distance between neighbouring reconstructed planes, m. Give near, far and step, or none of
-        them.
+        Distance between neighbouring reconstructed planes, m.
 
     Raises
     ------

@@ -27,8 +27,9 @@ class MeshWall(Wall):
     """Relay wall given by a triangle mesh with a single height above each point of the plane z = 0.
 
     Waves need a smooth surface, so a bicubic surface with continuous slopes is fitted to the
-    vertices. The property `fit_residual` estimates the error of this fit, m. The property
-    `mesh_error` is the mean distance in z between the flat triangles and the fitted surface, m.
+    vertices. It is stored on a regular grid in x and y. The property `fit_residual` estimates the
+    error of this fit, m. The property `mesh_error` is the mean distance in z between the flat
+    triangles and the fitted surface, m.
 
     Parameters
     ----------
@@ -199,12 +200,15 @@ class MeshWall(Wall):
 
     @property
     def max_curvature(self) -> float:
-        """Upper bound on the curvature of the fitted surface at its grid points, 1/m."""
+        """Upper bound on the fitted surface's curvature at the points of its regular grid, 1/m."""
         return self._fit[3]
 
     @property
     def finest_period(self) -> float:
-        """Shortest period that the fitted surface is assumed to resolve: eight grid cells, m."""
+        """Shortest period that the fitted surface is assumed to resolve, m.
+
+        It is eight cells of the regular grid on which the surface is stored.
+        """
         return 8 * float(max(self._fit[0][0, 3], self._fit[0][0, 4]))
 
 

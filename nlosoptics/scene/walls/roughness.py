@@ -25,9 +25,9 @@ SAME = 1e-9  # relative difference of slopes that count as equal
 class WallRoughness(Noun):
     """Roughness of the relay wall: heights that are added to the mean wall `Scene.wall`.
 
-    The slopes of these heights spread the mirror-like reflection of the wall. They replace the
-    slopes that the mirror-like lobes of `Scene.wall_material` may have, so that no slope is counted
-    twice.
+    The slopes of these heights spread the mirror-like reflection of the wall. So that no slope is
+    counted twice, the mirror-like lobes of `Scene.wall_material` must have slope zero or the rms
+    slope of these heights; `Scene` checks this.
 
     Parameters
     ----------
