@@ -372,7 +372,10 @@ class Aperture(Noun):
 
     @cached_property
     def rims(self) -> Curve:
-        """The n lines and arcs of all edges of the pupil, stacked in one `Curve` object."""
+        """Edges of the pupil: n straight lines and elliptic arcs, in one `Curve` object.
+
+        ``rims.at(t)`` returns points on each of them, (n, len(t), 2), m, for values t from 0 to 1.
+        """
         return Curve.stack([curve for cell in self.cells for curve in cell.outline])
 
     @cached_property
@@ -405,8 +408,8 @@ class Aperture(Noun):
     def patches(self) -> tuple[Curve, Curve]:
         """Patches into which the pupil is divided for integration, given by two opposite curves.
 
-        The two `Curve` objects contain the curves A(t) and B(t) of all n patches; see the Notes of
-        `Aperture`.
+        The two `Curve` objects contain the curves A(t) and B(t) of all n patches, see the Notes of
+        `Aperture`. Their method ``at(t)`` returns points (n, len(t), 2), m.
         """
         pairs = [pair for cell in self.cells for pair in cell.sides]
         return Curve.stack([a for a, _ in pairs]), Curve.stack([b for _, b in pairs])

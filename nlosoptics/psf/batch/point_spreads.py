@@ -70,7 +70,8 @@ class PointSpreads(Noun):
         Quantity that has the value 1: the energy in the whole image plane, the peak without
         aberration, or the energy that a clear disc of the pupil's radius transmits.
     pixel_integrated : bool
-        Whether values are integrals over pixels rather than point samples times pixel area.
+        Whether values are means over square pixels, instead of samples at their centres. With
+        "unit-sum" and "flux" both are multiplied by the area of a pixel.
     tol : float
         Error that was requested, relative to the peak; all error estimates are below it.
     accuracy : float

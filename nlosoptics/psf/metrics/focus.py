@@ -117,9 +117,11 @@ def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
     ``W' = W + r^2/(d' + s sqrt(r^2 + d'^2)) - r^2/(d + s sqrt(r^2 + d^2))``
 
     Here d is the image distance, d' = d + shift, s the sign of d, and r^2 = u^2 + v^2. This is the
-    exact path difference between the two reference spheres for points (u, v) in the plane of the
-    pupil. The paraxial term ``(1/d' - 1/d) r^2/2`` differs from it at the rim by about the fraction
-    ``3/(16 N^2)``, with N the F-number: 1e-4 at F/40. A detector beyond focus has W < 0.
+    exact path difference between the two reference spheres if (u, v) are points in the plane of the
+    pupil, as for an ideal thin lens. For points on the reference sphere, which `point_spread`
+    assumes, the exact difference at the rim is larger by about the fraction ``1/(4 N^2)``, with N
+    the F-number: 0.25 % at F/10, 6 % at F/2. The paraxial term ``(1/d' - 1/d) r^2/2`` is larger at
+    the rim by about the fraction ``3/(16 N^2)``. A detector beyond focus has W < 0.
 
     The tilt is kept, so that a spot off the axis moves in proportion to the image distance. The
     amplitude is not changed; this causes a relative error of about ``r^2 shift/(2 d^3)``.

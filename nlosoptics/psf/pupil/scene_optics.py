@@ -177,8 +177,8 @@ class SceneOptics:
         Returns
         -------
         PointOptics
-            Optics of the object point. The attribute ``first.wave`` is the `Wavefront` with the
-            default sampling, as `wavefront` returns it for this point.
+            Store of this object point. ``first.wave`` is the `Wavefront` that `wavefront` returns
+            for it by default. Computations that need more pupil samples trace further waves.
         """
         if object_point is None:
             return self.reference

@@ -65,7 +65,8 @@ class PointSpread(Noun, Shown):
         pupil's centre. N is therefore ``1/(2 sin(alpha))``, with alpha the half angle of the cone
         of light at the image.
     pixel_integrated : bool
-        Whether values are integrals over pixels rather than point samples times pixel area.
+        Whether values are means over square pixels, instead of samples at their centres. With
+        "unit-sum" and "flux" both are multiplied by the area of a pixel.
     enclosed_energy : float
         Fraction of the transmitted energy inside the window, from the sum of all values. Its error
         is that of this sum: about 1e-3 at the default ``tol`` of `point_spread`. Use a smaller

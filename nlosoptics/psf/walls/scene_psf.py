@@ -35,10 +35,9 @@ class ScenePointSpread(Noun):
         includes the heights of the wall. Otherwise the wave is that of the mean wall without
         roughness.
     point_spread : PointSpread
-        Point spread, energy per pixel. It includes the blur by the wall's material, whose
-        mirror-like lobe is spread by microfacets of the rms slope ``slope_rms``. If the scene has a
-        roughness, it is the point spread of this rough wall, or the mean over all walls of this
-        roughness.
+        Point spread, energy per pixel. It includes the blur by microfacets, if a mirror-like lobe
+        of the wall's material has a ``slope_rms`` (their rms slope). If the scene has a roughness,
+        it is the point spread of this rough wall, or the mean over all walls of this roughness.
     pupil_field : PupilField or None
         Amplitude and phase in the exit pupil behind a rough wall, if diffraction between wall and
         pupil was computed; None otherwise.

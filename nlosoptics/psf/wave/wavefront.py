@@ -484,8 +484,8 @@ class Wavefront(Noun, Shown):
         Parameters
         ----------
         *counts : int
-            Shape of the result: n_r rings of n_theta points for the layout "polar"; n_patches, n_s,
-            n_t for "cells", with the number of patches that the aperture has.
+            Shape of the result. For the layout "polar" it is (rings, points per ring). For "cells"
+            it is (n_patches, n_s, n_t); n_patches must be ``len(wavefront.u)``.
 
         Returns
         -------
@@ -515,7 +515,7 @@ class Wavefront(Noun, Shown):
         Returns
         -------
         PolarSpectrum or CellSpectrum
-            Series for the layout "polar" or "cells"; its methods evaluate it anywhere in the pupil.
+            Series whose method ``at_nodes(*counts)`` evaluates it at the points of `nodes`.
 
         Raises
         ------
