@@ -233,8 +233,9 @@ def point_spreads(
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
     out : ndarray, optional
-        Array (waves, ny, nx), float64, into which the intensities are written. It becomes read-only
-        in the result. By default a new array is allocated; reusing one saves time.
+        Array (waves, ny, nx), float64, into which the intensities are written. The result contains
+        a read-only view of it, and another call with the same array overwrites that result. By
+        default a new array is allocated; reusing one saves time.
 
     Returns
     -------

@@ -152,9 +152,9 @@ def read_zernikes(
         colon or blanks. A heading that begins with ``index`` is allowed. Comments begin with #, !
         or % and may give ``ordering: noll``, ``unit: nm``, ``sign: advance`` and ``wavelength:
         6.328e-07``. In an export of Zemax, whose first line is ``Listing of Zernike ...``, only
-        lines such as ``Z 4 0.12 : formula`` are read. The export does not state ordering, unit,
-        sign and wavelength in a way that is read here, so give all four: for Zemax's Standard terms
-        ``ordering="noll"``, ``unit="waves"``, the ``sign`` and the ``wavelength``.
+        lines such as ``Z 4 0.12 : formula`` are read. Give all four parameters below with it: for
+        Zemax's Standard terms ``ordering="noll"``, ``unit="waves"``, the wavelength, and
+        presumably ``sign="advance"``, which was not tested.
     ordering : {"noll", "osa", "fringe"}, optional
         Index scheme of the coefficients. Each of ``ordering``, ``unit`` and ``sign`` must be given
         here or in a comment of the file. If it is given in both, the two must agree.

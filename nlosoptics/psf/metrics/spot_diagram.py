@@ -65,10 +65,10 @@ def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
     ----------
     wavefront : Wavefront
         Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`). One ray starts at each sample point of non-zero amplitude.
+        `Wavefront`). Rays start at the sample points of non-zero amplitude.
     rings : int
-        Smallest number of rings of rays in the pupil, for the layout "polar" only. Each ring has at
-        least ``2 * rings`` rays.
+        For the layout "polar" the wave is interpolated if it has fewer samples than this number of
+        rings with ``2 * rings`` rays each. No effect for other layouts.
 
     Returns
     -------

@@ -102,8 +102,8 @@ def propagate(
         n is the largest of ny, nx and the two sides of the field.
     tol : float
         Largest permitted rms error of the complex field relative to its rms, above 0, at most 1. A
-        method requested by name must keep its numerical error within ``tol``; its model error is
-        reported, but not limited.
+        method requested by name must keep its numerical error within ``tol``; its model error,
+        which is that of the Fresnel approximation, is reported, but not limited.
 
     Returns
     -------
@@ -135,8 +135,8 @@ def propagate(
 
     Frequencies whose rays do not reach the output samples are removed, because H would be
     undersampled there [2]_. The removal sets in gradually, to avoid ripples. Evanescent waves are
-    removed and counted in the error. If the distance is much smaller than the width of the output,
-    they are kept. The phase kz has a relative error of 1e-16.
+    kept if the distance is much smaller than the width of the output. Otherwise they are removed,
+    and the numerical error includes them. The phase kz has a relative error of 1e-16.
 
     For a periodic field the sum is exact, and energy is conserved to rounding error.
 

@@ -110,8 +110,8 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
     -----
     `pupil_slopes` gives the formula of a matrix M, which maps steps on the lens to steps on the
     wall. If the lens is the stop, the exit pupil is the lens, and ``footprint`` is M. If the wall
-    is the stop, the exit pupil is the image of the wall. Its size is then m times that of the cone
-    of light on the lens, and ``footprint`` is M/m.
+    is the stop, the exit pupil is the image of the wall. It is m times as large as the
+    cross-section of the cone of light at the lens, and ``footprint`` is M/m.
     """
     o = None if object_point is None else np.array(vector("object_point", object_point))
     return _view_of(_optics(scene, np.zeros((1, 2)), o), _zoom(scene))

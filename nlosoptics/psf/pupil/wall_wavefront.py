@@ -230,7 +230,7 @@ def wavefront(
     -------
     Wavefront
         Wave with pupil coordinates (u, v) parallel to the image's x and y. If the wall is the stop,
-        the pupil radius is that of the circle around the wall's outline.
+        the pupil radius is that of a circle around the whole pupil, the image of the wall.
 
     Raises
     ------

@@ -107,15 +107,17 @@ def mean_point_spread(
     ----------
     source : Wavefront, Scene or SceneOptics
         Wave that the wall without roughness gives; or a scene, from which wave and geometry are
-        computed. The pupil of a scene is sampled as finely as ``tol`` requires.
+        computed (once for all calls that share a `SceneOptics`). The pupil of a scene is sampled as
+        finely as ``tol`` requires.
     roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
         Statistics of the wall's heights. For a `FacetWall` or `GaussianWall` the mean is over all
         seeds. A height map is replaced by Gaussian heights with the same rms height and rms slope.
     footprint : float or array_like (2, 2), optional
         Matrix M: seen from a pupil point displaced by (du, dv), the object's light comes from a
-        wall point displaced by M (du, dv). A number stands for a multiple of the unit matrix,
-        ``d1/(d1 + d2)`` at normal incidence, with d1 and d2 the distances from the wall to object
-        and lens. Required with a wavefront, not allowed with a scene.
+        wall point displaced by M (du, dv), in steps along two tangents of the wall, see `WallView`.
+        A number stands for a multiple of the unit matrix. For a flat wall at normal incidence it is
+        ``d1/(d1 + d2)``, with d1 and d2 the distances from the wall to object and lens. Required
+        with a wavefront, not allowed with a scene.
     cos_sum : float, optional
         Sum of the cosines of the angles of incidence and reflection at the wall, above 0 and at
         most 2. Required with a wavefront, not allowed with a scene.
@@ -161,8 +163,8 @@ def mean_point_spread(
 
     Here d is the distance (vector) between two points of the exit pupil, s the rms phase
     (``rayleigh_parameter``), C the autocorrelation of the heights and M the ``footprint``. At large
-    d the factor is ``exp(-s^2)``; this part gives the core. The remainder gives the halo. It is
-    summed over as many differences d as the window requires.
+    d the factor is ``exp(-s^2)``; this constant part gives the core. The remainder gives the halo,
+    by a Fourier integral over d, with as many points d as the window requires.
 
     The formula holds for any s. It assumes that the path changes in proportion to the heights, that
     the heights are Gaussian, and that the wall is large compared with the area that the pupil sees.

@@ -63,7 +63,8 @@ def sample_point_spread(
     ----------
     source : Wavefront, Scene or SceneOptics
         Wave that the wall without roughness gives; or a scene, from which wave and geometry are
-        computed. The pupil of a scene is sampled as finely as the heights require.
+        computed (once for all calls that share a `SceneOptics`). The pupil of a scene is sampled as
+        finely as the heights require.
     roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
         Statistics of the heights, from which a random wall is drawn (`Roughness`), or one wall of
         given heights. The latter is the same wall for every object point, pupil and sampling.
@@ -76,19 +77,21 @@ def sample_point_spread(
         exposure, or light of several wavelengths, see Notes. Must be 1 with given heights.
     footprint : float or array_like (2, 2), optional
         Matrix M: seen from a pupil point displaced by (du, dv), the object's light comes from a
-        wall point displaced by M (du, dv). A number stands for a multiple of the unit matrix,
-        ``d1/(d1 + d2)`` at normal incidence, with d1 and d2 the distances from the wall to object
-        and lens. Required with a wavefront, not allowed with a scene.
+        wall point displaced by M (du, dv), in steps along two tangents of the wall, see `WallView`.
+        A number stands for a multiple of the unit matrix. For a flat wall at normal incidence it is
+        ``d1/(d1 + d2)``, with d1 and d2 the distances from the wall to object and lens. Required
+        with a wavefront, not allowed with a scene.
     cos_sum : float, optional
         Sum of the cosines of the angles of incidence and reflection at the wall, above 0 and at
         most 2. Required with a wavefront, not allowed with a scene.
     effective_distance : float or array_like (2, 2), optional
-        Distance over which wall ripples diffract on their way to the pupil, m: ``d1 d2/(d1 + d2)``
-        at normal incidence, see `WallView`. Required with a wavefront, not allowed with a scene.
+        Distance over which wall ripples diffract on their way to the pupil, m. For a flat wall at
+        normal incidence it is ``d1 d2/(d1 + d2)``, see `WallView`. Required with a wavefront, not
+        allowed with a scene.
     propagation : {"fresnel", "geometric"}
         Propagation from the wall to the pupil: by a Fresnel integral, or along rays, so that a
-        height h only changes the path, by ``-(cos_i + cos_o) h``. ``geometric`` is refused where
-        the two results would differ.
+        height h only changes the path, by ``-(cos_i + cos_o) h``. ``geometric`` is refused if the
+        diffraction phase q of the finest ripples exceeds 0.1 rad, see Notes.
     pitch : float, optional
         Distance between image samples, or pixel side, m. Default lambda N/4, with the wavelength
         lambda and the F-number N.

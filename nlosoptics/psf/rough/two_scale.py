@@ -59,9 +59,9 @@ def split_scale(wavelength: float, effective_distance: ArrayLike, turn: float = 
     wavelength : float
         Vacuum wavelength, m.
     effective_distance : float or array_like (2, 2)
-        Distance d over which ripples diffract, m: ``d1 d2/(d1 + d2)`` at normal incidence, with d1
-        and d2 the distances from the wall to object and lens. For a matrix, such as that of
-        `WallView`, its largest singular value is used.
+        Distance d over which ripples diffract, m. For a flat wall at normal incidence it is
+        ``d1 d2/(d1 + d2)``, with d1 and d2 the distances from the wall to object and lens. For a
+        matrix, such as that of `WallView`, its largest singular value is used.
     turn : float
         Largest negligible diffraction phase q, rad, above 0. A phase ripple of amplitude a on the
         wall reaches the pupil as a phase of amplitude ``a cos(q)`` and a modulation of the field's
@@ -128,7 +128,8 @@ def two_scale_point_spread(
     ----------
     source : Wavefront, Scene or SceneOptics
         Wave that the wall without roughness gives; or a scene, from which wave and geometry are
-        computed. The pupil of a scene is sampled as finely as required.
+        computed (once for all calls that share a `SceneOptics`). The pupil of a scene is sampled as
+        finely as required.
     roughness : Roughness
         Statistics of the wall's heights.
     seed : int
@@ -136,21 +137,23 @@ def two_scale_point_spread(
     cutoff : float, optional
         Period between coarse and fine heights, m, 0 to infinity, see `Roughness.split`. Default
         `split_scale`, above which diffraction between wall and pupil is negligible. At 0 all
-        heights are random, as in `sample_point_spread`; at infinity the result is that of
+        heights are coarse, as in `sample_point_spread`; at infinity all are fine, as in
         `mean_point_spread`.
     independent_patterns : int
         Number of random walls whose patterns are averaged.
     footprint : float or array_like (2, 2), optional
         Matrix M: seen from a pupil point displaced by (du, dv), the object's light comes from a
-        wall point displaced by M (du, dv). A number stands for a multiple of the unit matrix,
-        ``d1/(d1 + d2)`` at normal incidence, with d1 and d2 the distances from the wall to object
-        and lens. Required with a wavefront, not allowed with a scene.
+        wall point displaced by M (du, dv), in steps along two tangents of the wall, see `WallView`.
+        A number stands for a multiple of the unit matrix. For a flat wall at normal incidence it is
+        ``d1/(d1 + d2)``, with d1 and d2 the distances from the wall to object and lens. Required
+        with a wavefront, not allowed with a scene.
     cos_sum : float, optional
         Sum of the cosines of the angles of incidence and reflection at the wall, above 0 and at
         most 2. Required with a wavefront, not allowed with a scene.
     effective_distance : float or array_like (2, 2), optional
-        Distance over which wall ripples diffract on their way to the pupil, m: ``d1 d2/(d1 + d2)``
-        at normal incidence, see `WallView`. Required with a wavefront, not allowed with a scene.
+        Distance over which wall ripples diffract on their way to the pupil, m. For a flat wall at
+        normal incidence it is ``d1 d2/(d1 + d2)``, see `WallView`. Required with a wavefront, not
+        allowed with a scene.
     propagation : {"geometric", "fresnel"}
         Propagation from the wall to the pupil of the phase due to the coarse heights: along rays,
         or by a Fresnel integral.

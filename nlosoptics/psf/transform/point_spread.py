@@ -210,7 +210,7 @@ def point_spread(
         Quantity that has the value 1: the energy in the whole image plane (``unit-sum``), the peak
         of the same pupil without aberration (``ideal-peak``), or the energy that a clear disc of
         the pupil's radius transmits (``flux``). With the first and the last, values are energies
-        per pixel.
+        per pixel; without ``pixel_integrated`` that is the intensity at a sample times ``pitch^2``.
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
     image_surface : callable, optional

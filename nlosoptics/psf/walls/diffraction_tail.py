@@ -36,14 +36,15 @@ def widened(
         Fraction of the energy that may lie outside the enlarged point spread; above 0, at most 1.
     shape : (int, int)
         Pixels (ny, nx) of the image to be formed. The enlarged point spread has at most
-        ``2*max(shape) - 1`` pixels per side, enough for every pixel of the image, even if more than
-        ``tol`` then lies outside.
+        ``2*max(shape) - 1`` pixels per side, because the image needs no more. Even more energy than
+        ``tol`` may then lie outside.
 
     Returns
     -------
     PointSpread or PointSpreadField
-        Point spreads on a square of more pixels. Values inside the old one are unchanged; the
-        missing energy is distributed outside it. The input is returned if it is large enough.
+        Point spreads on a square of more pixels. Values inside the old one are unchanged. The
+        missing energy is distributed over the plane outside it as ``1/r^3``, and the part of this
+        tail inside the new square is added. The input is returned if it is large enough.
 
     Raises
     ------

@@ -177,7 +177,8 @@ def point_spread_field(
     Parameters
     ----------
     scene : Scene or SceneOptics
-        Scene with a `PlanarObject`.
+        Scene with a `PlanarObject`. A `SceneOptics` made from it stores its exit pupil and
+        central wave for further calls.
     grid : int or (int, int)
         Number of object points (ny, nx) at which PSFs are computed, each 1 to 64; one number is
         used for both.
@@ -275,7 +276,8 @@ def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> floa
     Parameters
     ----------
     scene : Scene or SceneOptics
-        Scene with a `PlanarObject`.
+        Scene with a `PlanarObject`. A `SceneOptics` made from it stores its exit pupil and
+        central wave for further calls.
     tol : float
         Largest difference from the PSF of the object's centre, relative to its peak, 1e-6 to 1.
 

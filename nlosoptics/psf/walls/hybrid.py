@@ -344,8 +344,8 @@ def hybrid_point_spread(
         the centre of a planar object or the centroid of a mesh.
     roughness : Roughness, optional
         Statistics of the wall's heights. They replace ``slope_rms``, the rms slope of the
-        microfacets in the mirror-like lobes of the wall's material. By default this slope blurs the
-        image, as in `lobe_point_spread`.
+        microfacets in the mirror-like lobes (parts) of the wall's material. By default this slope
+        blurs the image, as in `lobe_point_spread`.
     emission : {"lambertian", "isotropic"}
         Directions into which the point emits: like a matt surface that faces along the normal of
         the planar hidden object (-z for a mesh), or equally in all directions.
@@ -358,11 +358,12 @@ def hybrid_point_spread(
     pitch : float, optional
         Pixel side, m; by default that of the camera's image.
     shape : int or (int, int), optional
-        Pixels (ny, nx), centred on the mirror image of the point; by default as many as the camera
-        has.
+        Pixels (ny, nx), by default as many as the camera has. The chief ray, which passes the
+        centre of the lens, meets the centre of pixel [ny//2, nx//2].
     normalisation : {"unit-sum", "flux"}
         Quantity that has the value 1: all energy that passes the lens ("unit-sum"), or the energy
-        that a smooth wall of reflectance 1 would send through the lens ("flux").
+        that would pass the lens if the wall were smooth and had the reflectance 1 ("flux"). Both
+        energies are those behind the lens, after its transmission loss.
     check : bool
         Whether to trace all light once more by rays alone, as a check. It gives ``traced_flux``.
     seed : int
@@ -373,14 +374,15 @@ def hybrid_point_spread(
     Returns
     -------
     HybridPointSpread
-        Coherent image, halo and diffuse light, and their sum, integrated over pixels. The chief
-        ray, which passes the centre of the lens, meets the centre of pixel [ny//2, nx//2].
+        Sum of three parts, and each part, integrated over pixels: the coherent image, as by a
+        smooth mirror; the halo, which is mirror-like reflection scattered by roughness; and all
+        other light, computed by ray tracing.
 
     Raises
     ------
     SceneError
         If an option is out of range, no light reaches the lens, or an occluder or the field stop
-        cuts off a part of the mirror image.
+        blocks only a part of the mirror-like reflection that meets the lens.
     CausticError, NotWaveGradeError, SamplingError
         If the wave's aberration has no single value, a mesh wall is not accurate enough for waves,
         or ``tol`` cannot be reached.
@@ -396,11 +398,11 @@ def hybrid_point_spread(
     -----
     One mirror-like reflection sends a power through the lens that is the product of three factors:
     the reflectance of the wall, the transmission of the lens, and the integral of the point's
-    radiant intensity (W/sr) over the solid angle of the rays that reach the lens. The amplitude of
-    `wavefront` gives this solid angle for each part of the pupil. The fraction ``exp(-s^2)`` of
-    this power is coherent, with s the rms phase due to the roughness; the rest is the halo. A rough
-    wall sends the same power to the pupil as a smooth one, to second order in the slope, if the
-    wall is large enough: as much light is scattered into the pupil as out of it.
+    radiant intensity (W/sr) over the solid angle of the rays that reach the lens. For each part of
+    the pupil, this solid angle follows from the amplitude of `wavefront`. The fraction
+    ``exp(-s^2)`` of this power is coherent, with s the rms phase due to the roughness; the rest is
+    the halo. A rough wall sends the same power to the pupil as a smooth one, to second order in the
+    slope, if the wall is large enough: as much light is scattered into the pupil as out of it.
 
     The energies of the parts add. They do not interfere, because light scattered inside the
     material has no fixed phase relation to light reflected at its surface.

@@ -72,8 +72,8 @@ def scene_point_spread(
     Parameters
     ----------
     scene : Scene or SceneOptics
-        Scene to image, or a `SceneOptics` made from it. A wall material without any mirror-like
-        part is treated as a smooth mirror.
+        Scene to image, or a `SceneOptics` made from it, which stores exit pupil and wave for
+        further calls. A wall material without any mirror-like part is treated as a smooth mirror.
     tol : float
         Largest permitted error of the PSF relative to its peak, 1e-12 to 1.
     object_point : array_like, (3,), optional
@@ -89,15 +89,17 @@ def scene_point_spread(
         ``scalar`` is scalar diffraction at small angles. ``high-aperture`` is the vector
         diffraction of unpolarised light by a fast lens; it takes longer, and is available only for
         smooth walls: without ``Scene.wall_roughness``, and with ``slope_rms`` = 0 in every
-        mirror-like lobe of the wall's material. ``auto`` uses it for such walls if the scalar
-        model's error exceeds ``tol``.
+        mirror-like lobe (part) of the wall's material. ``auto`` uses it for such walls if the
+        scalar model's error exceeds ``tol``.
     progress : callable(str, float), optional
         Called with "wave aberration" and "point spread" when these stages begin; the number is 0.
 
     Returns
     -------
     ScenePointSpread
-        Exit pupil, wave in it, and point spread (ny, nx) in energy per pixel.
+        Exit pupil, wave in it, and point spread (ny, nx) in energy per pixel, with the
+        normalisation "unit-sum": the energy of a smooth wall in the whole image plane is 1. The
+        point spread includes the blur by ``slope_rms``.
 
     Raises
     ------
