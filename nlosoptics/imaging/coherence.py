@@ -37,8 +37,8 @@ def spot_coherence(
         First point of each pair, in the room, world frame (origin at the centre of the relay wall,
         z toward the room, y up), m.
     reference : array_like, (3,), optional
-        Second point, common to all pairs, world frame, m. None: the centre of the hidden image, or
-        the centroid of the hidden mesh.
+        Second point, common to all pairs, world frame, m. None: the centre of the hidden planar
+        object, or the centroid of the hidden mesh.
 
     Returns
     -------

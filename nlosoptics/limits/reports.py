@@ -104,11 +104,12 @@ class Feasibility(Noun, Shown):
         highest frequency if it is nowhere below 1.
     modes : int
         Number of independent patterns of the object, each with an rms contrast of 0.3, that are
-        shown above the noise: by the image or by the diffuse light, whichever shows more. The
-        patterns are made of cells, 24 along the object's longer side.
+        shown above the noise: by the image or by the diffuse light, whichever shows more. All
+        patterns consist of square cells of uniform brightness, 24 along the object's longer side:
+        sine patterns for the image, the patterns of ``diffuse_modes`` for the diffuse light.
     diffuse_modes : int
         Number of such patterns that the diffuse light alone shows, including the shadows of
-        occluders.
+        occluders. They are the singular vectors of the mapping from cells to detector.
     wave_bounds : mapping of int to float
         Least possible standard deviation (Cramer-Rao bound) of each Zernike coefficient of the
         wall's aberration, estimated from one image of a known object: waves rms by Noll index.
@@ -118,9 +119,9 @@ class Feasibility(Noun, Shown):
     one_frame_fits, two_frame_fits : float
         Fraction, 0 to 1, of blind fits (fits of an unknown object and wall) that succeed if the rms
         aberration is that of this scene's wall: with one image, and with two images of known
-        defocus. The fraction
-        is interpolated in stored results of earlier tests; no fit is run. NaN if such a case was
-        not tested, or if the aberration is so small that the wall need not be fitted.
+        defocus. The fraction is interpolated in stored results of earlier tests; no fit is run. NaN
+        if such a case was not tested, or if the aberration is so small that the wall need not be
+        fitted.
     blind : str
         Forecast, with its reason, for fits in which neither object nor wall is known.
 

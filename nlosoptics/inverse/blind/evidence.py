@@ -120,8 +120,9 @@ def evidence_fit(
         Rms aberration of the wall, waves, if known. None: several values are tried.
     max_iterations : int, optional
         Maximum number of search rounds. The default is 2 if a known object or a defocused image
-        excludes the answer without blur, otherwise 4. A round starts from 32 random walls, and
-        continues with random variations of the best: about 400 fits per round for a single image.
+        excludes the answer without blur, otherwise 4. A round starts from 32 random walls (96 for a
+        single image), and continues with random variations of the best. With a single image this
+        makes about 400 fits per round.
     max_seconds : float, optional
         Time, s, after which the search begins no further step, once it has found a first result.
         With such a limit, the result depends on the speed of the machine. By default there is no
@@ -179,9 +180,10 @@ def evidence_fit(
 
     **Network.** For one image without ``start_error``, a trained network proposes additional starts
     with the Noll modes 4 to 21. The free energy accepts or rejects them like all other starts. The
-    network is used if the pixels are at most as wide as the Nyquist pitch of the optics, the image
-    is 24 to 96 Nyquist pitches wide and high, and the pupil has no known wave or transmission. If
-    the network is confident, a search from its proposals alone comes first.
+    network is used if the pixels are at most as wide as the Nyquist pitch, which is lambda N/2 with
+    the wavelength lambda and the F-number N; if the image is 24 to 96 Nyquist pitches wide and
+    high; and if the pupil has no known wave or transmission. Half of the starts of each round are
+    then its proposals. If the network is confident, a search from its proposals alone comes first.
 
     **Residual.** For the status "converged" the result must explain the images: ``model_error``
     must be at most ``sqrt(a^2 + 3 s^2 sqrt(2/n))``. For several images a is ``0.004 + 0.003 w``,
@@ -199,16 +201,15 @@ def evidence_fit(
 
     - ``margin`` is below -70.
     - ``sharp_margin`` divided by the number of pixels is below -0.092 if s is at least 0.01, and
-      below ``-0.092 - 0.045 ln(0.01/s)`` for less noise. It is for the case that the fit that
-      starts without blur finds the wall as well, so that ``margin`` is close to 0.
+      below ``-0.092 - 0.045 ln(0.01/s)`` for less noise. This condition is needed because the fit
+      that starts without blur sometimes finds the wall as well; ``margin`` is then close to 0.
 
     With ``start_error``, ``margin`` must be below -50, or three conditions must be met:
 
-    - ``margin`` is below 1/s, for example 100 if s is 0.01. It may be positive here, because the
-      given coefficients count as well, in the next condition.
-    - ``margin - P`` is below -100, where P says how far the fit without blur contradicts the given
-      coefficients c_0. This fit ends at M coefficients c, and P is
-      ``M |c - c_0|^2/(2 start_error^2)``.
+    - ``margin - P`` is below -100. The fit that starts without blur ends at M coefficients c, and
+      ``P = M |c - c_0|^2/(2 start_error^2)`` measures how far they are from the given ones, c_0.
+    - ``margin`` is below 1/s, for example 100 if s is 0.01. A positive ``margin`` is thus accepted
+      if the fit without blur is far from the given coefficients.
     - The rms residual is at least 0.93 of the noise. A smaller residual shows that noise was
       fitted.
 

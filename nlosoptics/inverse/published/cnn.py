@@ -119,7 +119,7 @@ class CnnBaseline(nn.Module):
         Returns
         -------
         Reconstruction
-            Object, status and score.
+            Object and status, and as score the rms residual divided by the noise.
 
         Raises
         ------

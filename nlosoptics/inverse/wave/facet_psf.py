@@ -43,7 +43,7 @@ class FacetPSF(nn.Module):
     pupil_radius : float
         Radius of the exit pupil, m.
     image_distance : float
-        Signed distance from exit pupil to image, m.
+        Distance from the exit pupil to the image, m; negative if the pupil lies beyond the image.
     pitch : float
         Pixel pitch of the image, m.
     shape : int or (int, int)

@@ -106,7 +106,7 @@ class PupilPSF(nn.Module):
         wavelength, pupil_radius : float
             Vacuum wavelength and radius of the exit pupil, m.
         image_distance : float
-            Signed distance from exit pupil to image, m.
+            Distance from exit pupil to image, m; negative if the pupil lies beyond the image.
         pitch : float
             Distance between the samples of the PSF, m.
         shape : int or (int, int)
@@ -188,7 +188,7 @@ class PupilPSF(nn.Module):
         wavelength, pupil_radius : float
             Vacuum wavelength and radius of the exit pupil, m.
         image_distance : float
-            Signed distance from exit pupil to image, m.
+            Distance from exit pupil to image, m; negative if the pupil lies beyond the image.
         pitch : float
             Distance between the samples of the PSF, m.
         shape : int or (int, int)
@@ -256,7 +256,7 @@ class PupilPSF(nn.Module):
         wavelength, pupil_radius : float
             Vacuum wavelength and radius of the exit pupil, m.
         image_distance : float
-            Signed distance from exit pupil to image, m.
+            Distance from exit pupil to image, m; negative if the pupil lies beyond the image.
         pitch : float
             Distance between the samples of the PSF, m.
         shape : int or (int, int)
@@ -317,7 +317,8 @@ class PupilPSF(nn.Module):
         shape : int or (int, int)
             Rows H and columns W of the PSF; one number for a square.
         object_point : array_like, (3,), optional
-            Object point, world frame, m; by default the hidden object's reference point.
+            Object point, world frame, m; by default the centre of a planar hidden object or the
+            centroid of a mesh.
         **options
             ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype``, see
             `from_zernike`.
