@@ -109,7 +109,7 @@ def pupil_field(
         Complex field in the exit pupil, for example ``pupil_field`` of a result of
         `nlosoptics.simulate`.
     quantity : {"phase", "amplitude"}
-        What to draw: the phase, from -pi to pi, or the modulus, relative.
+        What to draw: the phase, from -pi to pi, or the modulus, which is 1 for a smooth wall.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
@@ -508,7 +508,7 @@ def colour_bar(axes: Axes, drawn: Any, label: str) -> None:
 
 
 def irradiance(irradiance: WallIrradiance, *, axes: Axes | None = None) -> Axes:
-    """Draw a map of the irradiance on the relay wall.
+    """Draw a map of the irradiance on the relay wall by light that returns to it.
 
     Parameters
     ----------

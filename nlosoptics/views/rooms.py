@@ -60,9 +60,10 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
     positions. Beam and optical axis have a minimum width, so that they are always visible.
 
     The shading of the wall shows its slopes relative to the steepest one, which the legend states.
-    It has 768 samples along the wall's longer side. If the wall's shortest period covers at most
-    three samples, the shading shows no slopes, and the legend says so. Grain and highlights only
-    distinguish rough from mirror-like materials; they do not show how the wall would look.
+    It has 768 samples along the wall's longer side. If waves of the wall have a period of at most
+    three samples, or if a height map can contain such waves, the shading shows no slopes, and the
+    legend says so. Grain and highlights only distinguish rough from mirror-like materials; they do
+    not show how the wall would look.
 
     Examples
     --------

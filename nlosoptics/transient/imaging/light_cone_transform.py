@@ -60,8 +60,9 @@ def lct(
         the second power of the distance.
     snr : float
         Assumed ratio of signal to noise power, above 0. A larger value gives a sharper image with
-        more noise. The transform convolves the albedo with a kernel, which passes some frequencies
-        better than others; ``snr`` is meant at frequencies that it passes with its mean power.
+        more noise. The kernel passes some frequencies better than others, so that the ratio depends
+        on the frequency. ``snr`` is the ratio at frequencies at which the power of the kernel
+        equals its mean over all frequencies.
     penalty : {"size", "curvature"}
         What the Wiener filter keeps small: "size" the albedo itself, "curvature" its second
         derivatives over x, y and squared depth. The filter divides by the kernel's power, relative

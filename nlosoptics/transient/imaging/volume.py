@@ -320,17 +320,18 @@ Camera = Literal["confocal_time_gated", "transient", "direct_light", "projector_
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PhasorImage(VolumeImage):
-    """Image of a hidden scene by virtual waves, with the complex field, from `phasor_image`.
+    """Image of a hidden scene and its complex field, as `phasor_image` computes them.
 
-    It has all attributes of `VolumeImage`; its ``intensity`` is the largest squared modulus of the
-    field over the times.
+    A virtual wave, with a wavelength of centimetres to decimetres, takes the place of the laser
+    light. The image has all attributes of `VolumeImage`; its ``intensity`` is the largest squared
+    modulus of the field over the times.
 
     Parameters
     ----------
     field : ndarray
-        Complex field: (n_times, nz, ny, nx) if times were given, else (nz, ny, nx). With
-        ``weight="unit"``, its unit is that of ``TransientCapture.H``, the signal of the capture in
-        each bin.
+        Complex field of the virtual wave: (n_times, nz, ny, nx) if times were given, else
+        (nz, ny, nx). Its unit is that of ``TransientCapture.H``, the signal of the capture in each
+        bin, unless `phasor_image` was called with ``weight="inverse"``.
     camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
         Virtual camera, see `phasor_image`.
     wl_mean, wl_sigma : float

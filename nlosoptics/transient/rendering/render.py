@@ -104,8 +104,9 @@ def render(
     Parameters
     ----------
     surfaces : iterable of (trimesh.Trimesh, Material)
-        Hidden meshes, world frame, m, and their materials. Both sides of a triangle scatter alike.
-        Meshes lie in front of the wall z = 0 and may touch it.
+        Hidden meshes, world frame, m, and their materials: any of `nlosoptics.scene` except a
+        mirror of zero slope. Both sides of a triangle scatter alike. Meshes lie in front of the
+        wall z = 0 and may touch it.
     laser_points, sensor_points : array_like
         Points on the wall z = 0 that are lit, (*laser_shape, 3), and observed, (*sensor_shape, 3),
         m; `wall_grid` makes a square grid of them. A single point may have shape (3,).
@@ -113,7 +114,7 @@ def render(
         "all": every laser point with every sensor point. "confocal": laser point i with sensor
         point i only.
     wall_albedo : float
-        Albedo of the relay wall, above 0 to 1.
+        Albedo of the relay wall, above 0 and at most 1.
     t_start, delta_t : float
         Start of bin 0 and width of a bin, m of optical path.
     n_bins : int
@@ -126,8 +127,9 @@ def render(
         Quantity at the sensor points, per W of laser power on the wall: irradiance E in W/m^2,
         radiance ``wall_albedo E/pi`` in W/(m^2 sr), or radiosity ``wall_albedo E`` in W/m^2.
         A bin has the sum over all paths whose length lies in the bin; it is not divided by the
-        width of the bin. For a laser of constant power this is a part of the irradiance, for
-        example. For a short pulse it is the energy per area that arrives within the bin, per J.
+        width of the bin. For a laser of constant power, the quantity is the sum of all bins. For a
+        short pulse, a bin of the irradiance is the energy per area that arrives within the bin, per
+        J of the pulse.
     keep_laser_cosine : bool
         Whether to multiply all values by ``cos(a)/d^2``, with the angle of incidence a at the laser
         point and its distance d from ``laser_origin``, m. Some captures contain this factor, the
