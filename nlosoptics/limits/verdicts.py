@@ -134,8 +134,8 @@ def _too_rough(case: Case) -> str:
         blurred = case.picture.with_lobe(middle * case.reach, instead=case.sharp)
         low, high = (middle, high) if blurred.score() >= GOOD else (low, middle)
     text = (
-        f"{_stroke_words(case)}; a lobe of about {low:.1g} rad or less would do, or the object "
-        "nearer the wall"
+        f"{_stroke_words(case)}; a lobe of {_rounded_down(low):.2g} rad or less would do, or the "
+        "object nearer the wall"
     )
     longer = _exposure_factor(case.picture)
     return text if longer is None else f"{text}, or {_longer(longer)}"
@@ -160,7 +160,15 @@ def _too_noisy(picture: Picture) -> str:
 
 
 def _longer(factor: float) -> str:
-    return f"{factor:.2g} times the exposure or laser power"
+    return f"{-_rounded_down(-factor):.2g} times the exposure or laser power"
+
+
+def _rounded_down(value: float) -> float:
+    """Round to two digits toward -inf, so that a remedy at its limit suffices."""
+    if value == 0.0:
+        return 0.0
+    unit = 10.0 ** (math.floor(math.log10(abs(value))) - 1)
+    return math.floor(value / unit) * unit
 
 
 def _exposure_factor(picture: Picture) -> float | None:

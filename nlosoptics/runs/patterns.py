@@ -133,6 +133,8 @@ def image_spread_stages(
         )
         return
     why = "the object is a mesh"
+    if isinstance(scene.hidden, PlanarObject):  # no waves of other object points are compared
+        why = "the wall's edge cuts off a part of the cone of light"
     if pattern.needed:
         why = f"{within}, so that {pattern.needed} x {pattern.needed} patterns would be needed"
     cost = spread_cost(imaged.seen.scene, imaged, imaged.side, tol)

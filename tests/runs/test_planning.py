@@ -18,6 +18,7 @@ from nlosoptics.scene import (
     Camera,
     ConcaveWall,
     ConvexWall,
+    FacetWall,
     FlatWall,
     Lambert,
     MeshObject,
@@ -25,6 +26,7 @@ from nlosoptics.scene import (
     SpecularMicrofacet,
     SumMaterial,
     SumWall,
+    WallRoughness,
     WavyWall,
 )
 
@@ -379,3 +381,24 @@ def test_a_picture_seen_by_too_many_periods_of_the_wall_is_refused_by_the_plan()
     case = random_case(301393, wild=True)
     with pytest.raises(SamplingError, match=r"27 x 27 point spreads .* use tol = 0\.00"):
         nlos.plan(case.scene, tol=case.tol)
+
+
+@pytest.mark.parametrize("why", ["object is a mesh", "edge cuts off a part of the cone"])
+def test_a_pattern_that_is_not_sampled_has_its_reason(flat_scene, why):
+    """Waves of other object points are compared for a picture whose whole cone meets the wall."""
+    rough = replace(
+        flat_scene,
+        wall_material=SumMaterial(SpecularMicrofacet(0.1, 0.0), Lambert(0.6)),
+        wall_roughness=WallRoughness(FacetWall(1e-3, 2e-3, seed=1)),
+        camera=replace(flat_scene.camera, pixels=(1024, 1024)),
+    )
+    if "mesh" in why:
+        ball = trimesh.creation.icosphere(1, 0.02)
+        rough = replace(rough, hidden=MeshObject(ball, position=rough.hidden.position))
+    else:
+        small = replace(rough.hidden, size=0.002)
+        rough = replace(rough, wall=FlatWall(size=(0.34, 0.3)), hidden=small)
+    stages = [stage.reason for stage in nlos.plan(rough).stages]
+    reasons = [reason for reason in stages if "mean over all walls of this roughness" in reason]
+    assert len(reasons) == 1
+    assert why in reasons[0]
