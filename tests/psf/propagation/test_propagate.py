@@ -288,6 +288,18 @@ def test_sampling_error_bounds_what_samples_lose(seed):
     assert error <= beam_of.sampling_error + found.error_estimate
 
 
+@pytest.mark.parametrize(("across", "error"), [(100, 0.15), (1000, 0.05)])
+def test_sampling_error_of_a_sharp_disc(across, error):
+    """The estimates that the documentation states."""
+    disc = psf.ScalarField.from_function(
+        lambda x, y: np.hypot(x, y) < 0.5e-3,
+        pitch=1e-3 / across,
+        shape=2 * across,
+        wavelength=WAVELENGTH,
+    )
+    assert disc.sampling_error == approx(error, rel=0.05)
+
+
 @pytest.mark.parametrize(("waist", "limit"), [(1.5, 1e-10), (0.8, 1e-3)])
 def test_narrow_beam_beyond_the_paraxial_regime(waist, limit):
     """A Gaussian of one to two wavelengths, by a Hankel transform over angles."""
