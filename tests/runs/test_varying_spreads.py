@@ -90,3 +90,30 @@ def test_the_object_behind_varying_spots_is_found(scene: Scene) -> None:
     assert inverse.registered_correlation(found, image.ideal) > 0.95
     assert wrong.status != "converged"
     assert inverse.registered_correlation(wrong, image.ideal) < 0.85
+
+
+def test_modes_below_the_noise_of_a_fit_are_left_out(scene: Scene) -> None:
+    """A third mode, weaker by a known factor: it is kept, or omitted with its error stated."""
+    spreads = field(scene, 1.0)
+    bump = np.roll(spreads.modes[0], 9, axis=0)
+    places = (2 * np.arange(32) + 1) / 32 - 1
+    power = np.mean([np.mean(spreads.point_spread(x, 0.0) ** 2) for x in places])
+    for size, count in ((0.0045, 2), (0.0055, 3)):
+        scale = size * np.sqrt(power / np.mean(bump**2))
+        three = replace(
+            spreads,
+            modes=np.concatenate([spreads.modes, scale * bump[None]]),
+            weights=np.concatenate([spreads.weights, np.ones((1, 2, 2))]),
+        )
+        fewer = three.compressed(0.005)
+        assert len(fewer.modes) == len(fewer.weights) == count
+        model = image_model(scene, three)
+        assert model.weights is not None
+        assert len(model.weights) == count
+        lost = [
+            np.abs(fewer.point_spread(x, y) - three.point_spread(x, y)).max()
+            / three.point_spread(x, y).max()
+            for x in three.across
+            for y in three.up
+        ]
+        assert fewer.truncation_error == pytest.approx(max(lost), rel=1e-9, abs=1e-15)

@@ -150,14 +150,60 @@ class PointSpreadField(Noun):
         float
             Root mean square over object and pixels; 0 if the point spread is the same everywhere.
         """
-        steps = (2 * np.arange(AVERAGED) + 1) / AVERAGED - 1
-        weights = self.at(steps[None, :], steps[:, None]).reshape(len(self.modes), -1)
-        flat = self.modes.reshape(len(self.modes), -1)
-        products = np.einsum("ip,jp->ij", flat, flat)
+        weights, products = self._weights_and_products()
         mean = weights.mean(axis=1)
         apart = weights - mean[:, None]
         squares = np.einsum("in,ij,jn->n", apart, products, apart)
         return math.sqrt(max(float(squares.mean()), 0.0) / float(mean @ products @ mean))
+
+    def compressed(self, tol: float) -> PointSpreadField:
+        """Return the field without its last modes, as far as a tolerance allows.
+
+        Parameters
+        ----------
+        tol : float
+            Largest rms of the omitted part relative to that of the point spreads, over object and
+            pixels, 0 to 1.
+
+        Returns
+        -------
+        PointSpreadField
+            Field with the first modes of this one, at least one. Its ``truncation_error`` and
+            ``error_estimate`` include the omitted ones, at the points of the grid.
+
+        Raises
+        ------
+        SceneError
+            If the tolerance is out of range.
+        """
+        in_range("tol", tol, 0.0, 1.0)
+        weights, products = self._weights_and_products()
+        powers = products * (weights @ weights.T)
+        # Entry k is the power of modes k to the last; modes of given fields may overlap.
+        rest = np.diagonal(powers[::-1, ::-1].cumsum(axis=0).cumsum(axis=1))[::-1]
+        count = max(1, int(np.count_nonzero(rest > tol**2 * rest[0])))
+        if count == len(self.modes):
+            return self
+        omitted = np.einsum("kyx,kp->yxp", self.weights[count:], self._flat[count:])
+        peaks = np.einsum("kyx,kp->yxp", self.weights, self._flat).max(axis=-1)
+        lost = float((np.abs(omitted).max(axis=-1) / peaks).max())
+        return replace(
+            self,
+            modes=self.modes[:count],
+            weights=self.weights[:count],
+            truncation_error=self.truncation_error + lost,
+            error_estimate=self.error_estimate + lost,
+        )
+
+    @property
+    def _flat(self) -> Array:
+        return self.modes.reshape(len(self.modes), -1)
+
+    def _weights_and_products(self) -> tuple[Array, Array]:
+        """Return weights at evenly spread object points, (K, n), and the modes' products (K, K)."""
+        steps = (2 * np.arange(AVERAGED) + 1) / AVERAGED - 1
+        weights = self.at(steps[None, :], steps[:, None]).reshape(len(self.modes), -1)
+        return weights, np.einsum("ip,jp->ij", self._flat, self._flat)
 
 
 def point_spread_field(
