@@ -171,8 +171,8 @@ def psf_study(found: Row) -> str:
         ["refused", f"{found['refused']:.1%}"],
         ["refusals that name no remedy", found["refusals_without_remedy"]],
         [
-            "remedies tried, and of these failed",
-            f"{found['remedies_tried']}, {found['remedies_failed']}",
+            "remedies that failed when they were tried",
+            f"{found['remedies_failed']} of {found['remedies_tried']}",
         ],
         [
             "run time divided by the predicted one, median",
@@ -311,15 +311,13 @@ def studies(found: Sequence[Row]) -> str:
     cores, blocks = (median(row[key] for row in full) for key in ("busy", "blocks"))
     real = next(row for row in found if row["kind"] == "measured")
     return (
-        f"{body}\nThe client is the bottleneck. It writes a block of results with {seconds(cpu)} "
-        f"of CPU time, which allows {number(1 / cpu, 2)} blocks a second on a core of its own. In "
-        f"these runs other work left it {number(cores, 2)} of a core, and it wrote "
-        f"{number(blocks, 2)} blocks a second, with a store in memory as with one on disk. A "
-        "worker makes a block in about one second, so that more workers than blocks a second wait "
-        f"for the client. On 1,000 cores a block must therefore take at least {seconds(1000 * cpu)}"
-        ", by heavier points; the last row of each store has such blocks for 300 workers. A real "
-        f"worker process costs the client {seconds(real['client'] * real['block'])} a block, so "
-        "that its messages are the smaller part.\n"
+        f"{body}\nThe client is the bottleneck. It needs {seconds(cpu)} of CPU time to write the "
+        f"results of a block, so that on a core of its own it can write {number(1 / cpu, 2)} "
+        f"blocks per second. In these runs it had only {number(cores, 2)} of a core, because of "
+        f"other work, and wrote {number(blocks, 2)} blocks per second. To keep 1,000 workers busy, "
+        f"the points must be so expensive that a block takes at least {seconds(1000 * cpu)}. The "
+        "last row of each store has expensive points, with 300 workers. With a real worker, the "
+        f"client needs {seconds(real['client'] * real['block'])} per block.\n"
     )
 
 
@@ -465,11 +463,43 @@ def fits(found: Sequence[Row], *keys: str) -> list[list[object]]:
     return body
 
 
+#: Description of each kind of `benchmarks/inverse/mismatches.py`.
+MISMATCHES = {
+    "none": "none",
+    "vignetting": "pupil darker at the edge",
+    "defocus": "additional defocus",
+    "modes": "additional aberration of high order",
+    "rough": "additional random aberration",
+    "magnified": "blur 1.1 to 1.5 times as wide",
+    "reduced": "blur 0.6 to 0.9 times as wide",
+    "other_wall": "blur of another wall",
+    "gain_step": "right half of the image brighter",
+    "gamma_low": "image to the power of 0.5 to 0.9",
+    "gamma_high": "image to the power of 1.1 to 2",
+    "saturation": "saturated camera",
+    "dead_pixels": "dead or bright pixels",
+    "veil": "stray light, wide spot",
+    "gradient": "stray light, rising toward a side",
+    "surround": "light from objects outside the frame",
+    "coloured": "noise correlated between pixels",
+    "rows": "additional noise of whole rows",
+    "white_noise": "nothing but white noise",
+    "exponential_noise": "nothing but exponential noise",
+    "photon_noise": "nothing but photon noise",
+    "unblurred_picture": "another object, without blur",
+    "blobs": "random smooth spots, no object",
+    "other_speckle": "another object and another wall",
+}
+
+
 def mismatches(found: Sequence[Row]) -> str:
     """Return how often each kind of mismatch is called converged, by the answer's correlation."""
     body = []
-    for (kind,), part in grouped(found, "kind").items():
-        cells: list[object] = [str(kind).replace("_", " "), len(part)]
+    order = list(MISMATCHES)
+    for (kind,), part in sorted(
+        grouped(found, "kind").items(), key=lambda group: order.index(group[0][0])
+    ):
+        cells: list[object] = [MISMATCHES[kind], len(part)]
         for low, high in ((-1.0, 0.85), (0.85, 0.93), (0.93, 1.0)):
             held = [row for row in part if low < row["correlation"] <= high]
             sure = sum(row["status"] == "converged" for row in held)
@@ -495,7 +525,7 @@ def pictures(found: Row) -> str:
     return table(
         ["what", "value"],
         [
-            ["PNG, with the import of pyvista and the trial of rendering", seconds(drawn)],
+            ["PNG, including the import of pyvista and a test of the renderer", seconds(drawn)],
             ["HTML page", f"{number(files['html_megabytes'])} MB"],
             ["glTF", f"{number(files['glb_megabytes'])} MB"],
             [
@@ -647,7 +677,11 @@ def image_prior(found: Sequence[Row]) -> str:
 
 def peer_prior(found: Sequence[Row]) -> str:
     """Return one row a run."""
-    body = ([r["method"], number(r["correlation"], 4), seconds(r["seconds"])] for r in found)
+    body = []
+    for row in found:
+        name, *settings = row["method"].split()
+        method = f"{name}, {settings[-1]} steps" if settings else "nlosoptics"
+        body.append([method, number(row["correlation"], 4), seconds(row["seconds"])])
     return table(["method", "correlation", "run time"], body)
 
 
@@ -796,7 +830,8 @@ def draw_peer_prior(found: Sequence[Row]) -> Any:
     """Draw a point for ours and a line for deepinv's numbers of steps."""
     series: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for row in found:
-        series[row["method"].split()[0]].append((row["seconds"], 1 - row["correlation"]))
+        name = row["method"].split()[0].replace("ours", "nlosoptics")
+        series[name].append((row["seconds"], 1 - row["correlation"]))
     return draw_series(dict(series), "1 - correlation")
 
 
@@ -859,7 +894,7 @@ SECTIONS = (
         'How often does `method="auto"` keep the requested error `tol`, and how good are its '
         "error estimate and its predicted run time? Random waves, pupils, samplings and tolerances "
         "were compared with a reference that shares no code with the transforms. A refusal is an "
-        "error message in place of a result.",
+        "error message in place of a result; it names a remedy, such as another argument.",
         f"{RUN}/psf_study.py --max-seconds 20 --json benchmarks/results/psf_study.json",
         psf_study,
         draw_psf_study,
@@ -871,10 +906,10 @@ SECTIONS = (
         "Are the standard errors of traced light right? Each scene was traced 300 times with "
         "1,024 rays. The table states how often the true flux lies within one and two standard "
         "errors, which should be 68 % and 95 % of the traces; the true flux is that of a trace "
-        "with 262,144 rays. It also states how often a trace calls its own error uncertain. The "
-        "last two columns name the number of reflections whose light has the least reliable "
-        "error, and how often this light lies within two standard errors. A share of 95 % is "
-        "itself known to 1.3 %.",
+        "with 262,144 rays. With 300 traces, a share near 95 % has a standard error of 1.3 %. The "
+        "table also states how often a trace calls its own error uncertain. The last two columns "
+        "are for the light with the least reliable error: its number of reflections, and how often "
+        "it lies within two standard errors.",
         f"{RUN}/trace_coverage.py --json benchmarks/results/trace_coverage.jsonl",
         coverage,
     ),
@@ -971,14 +1006,11 @@ SECTIONS = (
         "mismatches.jsonl",
         "Status, point spread known",
         "Does the status of a reconstruction show that the model is wrong? In each row, the "
-        "image differs from the model of `tv_deconvolve` in another way (mismatch): the optics "
-        "have another aberration or size of blur, the camera is not linear or saturates, there "
-        "is stray light, or the noise is not that of independent pixels. Some images show "
-        "nothing of the scene, but noise, speckle or another object. "
-        "`benchmarks/inverse/mismatches.py` describes each row. The three columns on the right "
-        "sort the results by their correlation with the true object, and state how many of them "
-        'have the status "converged": few should on the left, most on the right. Images have 64 '
-        "x 64 pixels and 0.5 to 10 % noise. None of them was used to set the limits of the tests.",
+        "image differs from the model of `tv_deconvolve` in another way (mismatch). The three "
+        "columns on the right sort the results by their correlation with the true object. Each "
+        'states how many of these results have the status "converged": below 0.85 few should have '
+        "it, above 0.93 most. Images have 64 x 64 pixels and 0.5 to 10 % noise. None of them was "
+        "used to set the limits of the tests.",
         f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 700000 "
         f"--cases 220; {RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl "
         "--first 800000 --cases 200 --kinds white_noise exponential_noise photon_noise "
@@ -996,8 +1028,9 @@ SECTIONS = (
     Section(
         "peer_prior.jsonl",
         "Untrained networks compared with deepinv",
-        "A letter by way of a smooth wall, with 1 % noise. Both programs use the image model of "
-        "this library.",
+        "A letter by way of a smooth wall, with 1 % noise. nlosoptics runs `deep_image_prior`; "
+        "deepinv fits its network of 64 channels in 250 to 2,500 steps. Both programs use the "
+        "image model of this library.",
         f"PEER/bin/{RUN}/inverse/peer_prior.py --json benchmarks/results/peer_prior.jsonl",
         peer_prior,
         draw_peer_prior,
@@ -1020,8 +1053,7 @@ SECTIONS = (
         "evidence_one_frame.jsonl",
         "Wall unknown, one frame",
         "`evidence_fit` for a single image (frame), otherwise as for two; five walls and three "
-        "objects for each strength. If a start without blur leads to the truth, a fit takes a "
-        "second.",
+        "objects for each rms aberration.",
         f"{RUN}/inverse/evidence.py --frames 1 --rms 0.25 0.5 --walls 113 117 "
         "--json benchmarks/results/evidence_one_frame.jsonl",
         evidence,
@@ -1134,7 +1166,12 @@ SECTIONS = (
         "measured_charts.json",
         "Measured charts at known depths",
         "Depths from measured confocal captures of O'Toole 2018. The objects are flat charts 40 "
-        "and 65 cm from the wall.",
+        "and 65 cm from the wall. A column is a line of voxels along the depth. The outlines of "
+        "the charts are not published; the error is therefore the mean over the columns with the "
+        "most confident depths, at least 10 % of all. The first run time is for the voxels within "
+        "15 cm of the chart, the second for all depths of the capture. In the rows named light, "
+        '`fk_migration` runs with `amplitude="light"`; blurred means that y-tal received the same '
+        "blurred bins as the other methods.",
         f"{RUN}/transient/measured.py --data DIR --peer-python PEER/bin/python "
         "--json benchmarks/results/measured_charts.json",
         measured_charts,
@@ -1155,9 +1192,10 @@ SECTIONS = (
     Section(
         "fast_tier.json",
         "Tolerance draws by expanded waves",
-        'The yield is the share of random draws that meet a limit. With `tier = "fast"`, each '
-        "draw is computed from a Taylor series of second order, and the yield is corrected by 400 "
-        'draws that are computed in full. The columns "in full" and "fast" are yields of the '
+        'The yield is the share of random draws that meet a limit. With `tier = "fast"`, the wave '
+        "of each draw is computed from a Taylor series of second order in the drawn values, and "
+        "the yield is corrected by 400 draws that are computed in full. The columns "
+        '"in full" and "fast" are yields of the '
         "same 2,000 draws. The last columns are the corrected yield of all 10,000 draws and its 95 "
         "% interval.",
         f"{RUN}/studies.py --fast --json benchmarks/results/fast_tier.json",
