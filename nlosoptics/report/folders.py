@@ -207,7 +207,7 @@ class Folder:
         name : str
             File name.
         *wanted : str
-            Names of the arrays.
+            Names of the arrays to read; none are read without a name.
 
         Raises
         ------

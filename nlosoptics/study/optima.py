@@ -152,7 +152,8 @@ def optimum(results: Results, *, incomplete: bool = False) -> Optimum:
     Returns
     -------
     Optimum
-        All trials with the values of their objectives, and the numbers of the best ones.
+        All trials with the values of their objectives, and the numbers of the best ones: one trial,
+        or those of the Pareto front if there are several objectives.
 
     Raises
     ------

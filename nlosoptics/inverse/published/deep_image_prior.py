@@ -162,7 +162,7 @@ def deep_image_prior(
     References
     ----------
     .. [1] Ulyanov, Vedaldi and Lempitsky, Int. J. Comput. Vis. 128 (2020) 1867.
-    .. [2] Cheng, Gadelha, Maji and Sheldon, CVPR 2019, 5443.
+    .. [2] Cheng, Gadelha, Maji and Sheldon, CVPR 2019, p. 5443.
     """
     checked_seed(seed)
     rule = stop_rule(max_iterations, tolerance)

@@ -181,8 +181,8 @@ class PupilPSF(nn.Module):
         ----------
         slopes : array_like, (g, g, 2)
             Start values of the slopes dW/du and dW/dv of the wave aberration W at g x g grid points
-            of the pupil, rad. Rows are along v, and point [g//2, g//2] is on the axis. Between the
-            points the wave is interpolated by splines.
+            of the pupil, rad. ``slopes[i, j]`` is at ``v = (i - g//2) slope_pitch`` and
+            ``u = (j - g//2) slope_pitch``. Between the points the wave is interpolated by splines.
         slope_pitch : float
             Distance between grid points, m; the grid must cover the pupil.
         wavelength, pupil_radius : float
@@ -248,9 +248,9 @@ class PupilPSF(nn.Module):
         ----------
         angles : array_like, (g, g, 2)
             Start values of the angles toward u and v at g x g grid points of the pupil, rad; 0 is
-            the direction to the image's centre. Rows are along v, and point [g//2, g//2] is on the
-            axis. The ray from a point meets the image at ``tan(angle) * image_distance``, so that
-            the slope of the wave is ``tan(angle)``.
+            the direction to the image's centre. ``angles[i, j]`` is at ``v = (i - g//2)
+            angle_pitch`` and ``u = (j - g//2) angle_pitch``. The ray from a point meets the image
+            at ``tan(angle) * image_distance``, so that the slope of the wave is ``tan(angle)``.
         angle_pitch : float
             Distance between grid points, m; the grid must cover the pupil.
         wavelength, pupil_radius : float

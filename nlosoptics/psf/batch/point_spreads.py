@@ -69,6 +69,7 @@ class PointSpreads(Noun):
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Quantity that has the value 1: the energy in the whole image plane, the peak without
         aberration, or the energy that a clear disc of the pupil's radius transmits.
+        With "unit-sum" and "flux", values are energies per pixel: the intensity times ``pitch^2``.
     pixel_integrated : bool
         Whether values are means over square pixels, instead of samples at their centres. With
         "unit-sum" and "flux" both are multiplied by the area of a pixel.
@@ -230,6 +231,7 @@ def point_spreads(
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Quantity that has the value 1: the energy in the whole image plane, the peak without
         aberration, or the energy that a clear disc of the pupil's radius transmits.
+        With "unit-sum" and "flux", values are energies per pixel: the intensity times ``pitch^2``.
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
     out : ndarray, optional

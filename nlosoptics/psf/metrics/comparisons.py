@@ -26,7 +26,7 @@ class ComparisonRow:
     method : str
         Name of the method, such as "fft".
     seconds : float or None
-        Shortest run time, s; None if the method did not run.
+        Shortest run time of the ``repeats`` of `compare`, s; None if the method did not run.
     error_estimate : float or None
         Largest error of the intensity relative to its peak, an upper bound that the method itself
         reports; None if it did not run.

@@ -162,8 +162,9 @@ def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:
 def spot_radius(wavefront: Wavefront) -> float:
     """Compute the rms radius of the spot that the rays of a wave form in the image plane.
 
-    It is the root mean square distance of the rays from their centroid. Diffraction is neglected,
-    because the rms radius of a diffracted spot is infinite if the pupil has a sharp rim.
+    It is the root mean square distance of the rays from their centroid. Rays are weighted by their
+    energy, the squared amplitude times the pupil area. Diffraction is neglected, because the rms
+    radius of a diffracted spot is infinite if the pupil has a sharp rim.
 
     Parameters
     ----------

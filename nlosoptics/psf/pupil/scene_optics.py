@@ -166,7 +166,7 @@ class SceneOptics:
         return PointOptics(self.scene, self.exit_pupil, self.scene.object_point)
 
     def at(self, object_point: ArrayLike | None = None) -> PointOptics:
-        """Return the wave of an object point.
+        """Return the waves of an object point.
 
         Parameters
         ----------
@@ -177,8 +177,8 @@ class SceneOptics:
         Returns
         -------
         PointOptics
-            Store of this object point. ``first.wave`` is the `Wavefront` that `wavefront` returns
-            for it by default. Computations that need more pupil samples trace further waves.
+            Store of this object point. Its first wave, ``first.wave``, is the `Wavefront` that
+            `wavefront` returns by default. Computations that need more pupil samples trace others.
         """
         if object_point is None:
             return self.reference

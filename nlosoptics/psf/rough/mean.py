@@ -133,6 +133,7 @@ def mean_point_spread(
         Quantity that has the value 1: the energy in the whole image plane, the peak of the smooth
         wall without aberration, or the energy that a clear disc of the pupil's radius transmits.
         Roughness does not change the energy in the whole plane.
+        With "unit-sum" and "flux", values are energies per pixel: the intensity times ``pitch^2``.
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
 

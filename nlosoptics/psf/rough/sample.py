@@ -102,6 +102,7 @@ def sample_point_spread(
         Quantity that has the value 1, for the smooth wall: the energy in the whole image plane, the
         peak without aberration, or the energy that a clear disc of the pupil's radius transmits.
         The energy of a single random wall can differ from that of the smooth one.
+        With "unit-sum" and "flux", values are energies per pixel: the intensity times ``pitch^2``.
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
 

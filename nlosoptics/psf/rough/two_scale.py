@@ -61,7 +61,7 @@ def split_scale(wavelength: float, effective_distance: ArrayLike, turn: float = 
     effective_distance : float or array_like (2, 2)
         Distance d over which ripples diffract, m. For a flat wall at normal incidence it is
         ``d1 d2/(d1 + d2)``, with d1 and d2 the distances from the wall to object and lens. For a
-        matrix, such as that of `WallView`, its largest singular value is used.
+        matrix, such as `WallView.effective_distance`, its largest singular value is used.
     turn : float
         Largest negligible diffraction phase q, rad, above 0. A phase ripple of amplitude a on the
         wall reaches the pupil as a phase of amplitude ``a cos(q)`` and a modulation of the field's
@@ -169,6 +169,7 @@ def two_scale_point_spread(
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Quantity that has the value 1, for the smooth wall: the energy in the whole image plane, the
         peak without aberration, or the energy that a clear disc of the pupil's radius transmits.
+        With "unit-sum" and "flux", values are energies per pixel: the intensity times ``pitch^2``.
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
 

@@ -106,6 +106,7 @@ def band_point_spread(
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Quantity that has the value 1 at each wavelength: the energy in the whole image plane, the
         peak without aberration, or the energy that a clear disc of the pupil's radius transmits.
+        With "unit-sum" and "flux", values are energies per pixel: the intensity times ``pitch^2``.
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
     model : {"auto", "scalar", "high-aperture"}

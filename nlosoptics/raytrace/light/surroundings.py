@@ -42,8 +42,8 @@ class RayPlan:
         How hits on the wall are found: in closed form, by steps along the ray in compiled code, or
         by such steps in Python, for a `nlosoptics.scene.CallableWall`.
     embree : bool
-        Whether rays are tested against triangles: those of a hidden mesh or of occluders. Embree, a
-        library for such tests, does so for large meshes.
+        Whether the scene has triangles that rays can meet: those of a hidden mesh or of occluders.
+        The library Embree finds hits on large meshes, own code those on small ones.
     wall_to_wall : bool
         Whether light from one point of the wall can meet the wall again.
     wall_shadows : bool

@@ -23,9 +23,9 @@ ROUNDING = 1e-12  # relative to the largest coordinate: error of rotating a mesh
 class Occluder(PosedMesh):
     """Black body: a triangle mesh that absorbs all light that meets it from either side.
 
-    The mesh may touch the plane z = 0 but must not reach behind it. Its parts behind the surface of
-    a curved wall block nothing, and a triangle that lies in the wall's surface does not cover the
-    wall.
+    The wall is at the plane z = 0, the room at z > 0, and y points up. The mesh may touch this
+    plane but must not reach behind it. Its parts behind the surface of a curved wall block nothing,
+    and a triangle that lies in the wall's surface does not cover the wall.
 
     Parameters
     ----------
@@ -56,6 +56,18 @@ class Occluder(PosedMesh):
     --------
     MeshObject : Hidden triangle mesh.
     nlosoptics.imaging.cast_shadows : Effect of occluders.
+
+    Examples
+    --------
+    A board 0.4 m wide and 1 m high, upright at a distance of 0.8 m from the wall:
+
+    >>> from dataclasses import replace
+    >>> import trimesh
+    >>> from nlosoptics import Scene
+    >>> from nlosoptics.scene import Occluder
+    >>> board = Occluder(trimesh.creation.box((0.4, 1.0, 0.01)), position=(0.0, 0.0, 0.8))
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml")
+    >>> shadowed = replace(scene, occluders=(board,))
     """
 
     table: ClassVar[str] = "occluder"
