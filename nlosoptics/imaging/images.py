@@ -267,7 +267,9 @@ def form_image(
     Returns
     -------
     SpeckleImage
-        Reading of the camera with its components and noise.
+        Electrons of each pixel with noise, [y, x] with row 0 at the lowest y, and their parts:
+        object, diffuse light of the wall, glare. Speckle is included if the scene has
+        ``laser.independent_patterns``.
 
     Raises
     ------

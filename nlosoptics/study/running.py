@@ -76,7 +76,8 @@ def run_study(
     Raises
     ------
     SceneError
-        If the folder has results of another base scene or design, cannot be written, or is in use.
+        If the folder has results of another base scene, or of values and draws that are no
+        extension of the stored ones, cannot be written, or is in use.
 
     See Also
     --------
@@ -85,6 +86,8 @@ def run_study(
 
     Examples
     --------
+    Wave aberration, in wavelengths rms, for two focus distances:
+
     >>> from tempfile import TemporaryDirectory
     >>> from nlosoptics.study import Study, run_study
     >>> study = Study.from_tables(

@@ -508,7 +508,7 @@ def colour_bar(axes: Axes, drawn: Any, label: str) -> None:
 
 
 def irradiance(irradiance: WallIrradiance, *, axes: Axes | None = None) -> Axes:
-    """Draw a map of the irradiance on the relay wall by light that returns to it.
+    """Draw a map of the irradiance on the wall by light that returns from object and wall.
 
     Parameters
     ----------

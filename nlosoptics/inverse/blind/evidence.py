@@ -84,7 +84,8 @@ def evidence_fit(
         A known wave or transmission in ``pupil_psf`` is kept fixed. The PSF must have
         at least the shape of the images.
     defocus : array_like, optional
-        Known additional defocus of each image, (K,), m rms over the pupil (Noll 4).
+        Known additional defocus of each image, (K,), m rms over the pupil (Noll 4). Positive values
+        mean a detector too close to the lens.
     walls : array_like of int, optional
         Number of the wall of each image, (K,), counted from 0. By default all images show the same
         wall.

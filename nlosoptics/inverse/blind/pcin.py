@@ -47,7 +47,8 @@ def pcin(
         Point spread function of wall and lens as a function of the unknown coefficients of the
         wave. Their values in ``pupil_psf`` are one of the starts of the fit.
     defocus : array_like, optional
-        Known additional defocus of each image, (K,), m rms over the pupil (Noll 4).
+        Known additional defocus of each image, (K,), m rms over the pupil (Noll 4). Positive values
+        mean a detector too close to the lens.
     recipe : {"evidence", "wu2024"}
         Solver. "evidence": `evidence_fit`, which makes many fits from random starts and returns the
         one with the largest Bayesian evidence (marginal likelihood: the probability of the images

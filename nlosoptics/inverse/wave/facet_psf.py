@@ -157,8 +157,8 @@ class FacetPSF(nn.Module):
         coefficients : Tensor, optional
             Displacements (..., g, g, 2), pixels; by default the attribute ``coefficients``.
         defocus : Tensor or sequence of float, optional
-            K known additional defoci, (K,), m rms over the pupil (Noll 4). One PSF is computed for
-            each.
+            K known additional defoci, (K,), m rms over the pupil (Noll 4), above 0 for a detector
+            too close to the lens. One PSF is computed for each.
 
         Returns
         -------
@@ -189,8 +189,8 @@ class FacetPSF(nn.Module):
         coefficients : Tensor, optional
             Displacements (..., g, g, 2), pixels; by default the attribute ``coefficients``.
         defocus : Tensor or sequence of float, optional
-            K known additional defoci, (K,), m rms over the pupil (Noll 4). With them the shape is
-            (..., K, H, W//2 + 1).
+            K known additional defoci, (K,), m rms over the pupil (Noll 4), above 0 for a detector
+            too close to the lens. With them the shape is (..., K, H, W//2 + 1).
         """
         spectrum: Tensor = torch.fft.rfft2(self._density(coefficients, defocus))
         return spectrum if self._facet is None else spectrum * self._facet

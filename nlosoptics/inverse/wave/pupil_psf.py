@@ -382,8 +382,8 @@ class PupilPSF(nn.Module):
             Coefficients, (..., M) or (..., g, g, 2), in the unit of the attribute ``coefficients``,
             which is the default.
         defocus : Tensor or sequence of float, optional
-            K known additional defoci, (K,), m rms over the pupil (Noll 4). One PSF is computed for
-            each.
+            K known additional defoci, (K,), m rms over the pupil (Noll 4), above 0 for a detector
+            too close to the lens. One PSF is computed for each.
 
         Returns
         -------
@@ -417,8 +417,8 @@ class PupilPSF(nn.Module):
             Coefficients, (..., M) or (..., g, g, 2), in the unit of the attribute ``coefficients``,
             which is the default.
         defocus : Tensor or sequence of float, optional
-            K known additional defoci, (K,), m rms over the pupil (Noll 4). With them the shape is
-            (..., K, H, W//2 + 1).
+            K known additional defoci, (K,), m rms over the pupil (Noll 4), above 0 for a detector
+            too close to the lens. With them the shape is (..., K, H, W//2 + 1).
         """
         return self.optics.transfer(self._turns(coefficients, defocus))
 
@@ -443,8 +443,8 @@ class PupilPSF(nn.Module):
             Coefficients, (..., M) or (..., g, g, 2), in the unit of the attribute ``coefficients``,
             which is the default.
         defocus : Tensor or sequence of float, optional
-            K known additional defoci, (K,), m rms over the pupil (Noll 4). One image is computed
-            for each.
+            K known additional defoci, (K,), m rms over the pupil (Noll 4), above 0 for a detector
+            too close to the lens. One image is computed for each.
         gain, background : float or Tensor
             Factor and offset of the image, in any unit; tensors broadcast with the result.
         boundary : {"padded", "circular"}

@@ -53,9 +53,9 @@ class SceneLeaves(nn.Module):
           at its aim.
         - ``focus_distance``: distance from the lens to the plane in focus, m. The distance from
           lens to detector is kept.
-        - ``lobe_slope``: rms slope along each axis of the wall's mirror-like lobe, rad.
+        - ``lobe_slope``: rms slope of the wall's mirror-like lobe, one number for both axes, rad.
     pitch : float
-        Distance between the samples of the PSF, m.
+        Distance between the samples of the PSF on the detector, m.
     shape : int or (int, int)
         Rows H and columns W of the PSF; one number for a square.
     **options
@@ -152,14 +152,15 @@ class SceneLeaves(nn.Module):
         Parameters
         ----------
         field : array_like, (K, 2), optional
-            Positions of K points on a planar object relative to its centre, to the right and up, m.
-            By default one point, the centre.
+            Positions of K points on a planar object relative to its centre, m: to the right and up,
+            as in its image array with row 0 on top. By default one point, the centre.
 
         Returns
         -------
         Tensor
-            PSF, (H, W), or (K, H, W) with ``field``. Each is centred at [H//2, W//2] on the mean
-            ray from its object point.
+            Energy per sample, (H, W), or (K, H, W) with ``field``. For the method "fft" each PSF
+            sums to 1; for "mdft" the sum over the whole image plane would be 1. Each is centred at
+            [H//2, W//2] on the mean ray from its object point.
         """
         turns = self._turns(field)
         if not self._blurs:

@@ -169,7 +169,7 @@ class PointSpreadField(Noun):
         -------
         PointSpreadField
             Field with the first modes of this one, at least one. Its ``truncation_error`` and
-            ``error_estimate`` include the omitted ones, at the points of the grid.
+            ``error_estimate`` include the error by the omitted modes at the points of the grid.
 
         Raises
         ------

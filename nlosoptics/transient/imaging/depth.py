@@ -355,7 +355,7 @@ def voxelised(
     --------
     >>> import trimesh
     >>> from nlosoptics.transient import Volume, voxelised
-    >>> box = trimesh.creation.box((1.0, 1.0, 1.0)).apply_translation((0.0, 0.0, 1.5))
+    >>> box = trimesh.creation.box((1.0, 1.0, 0.8)).apply_translation((0.0, 0.0, 1.5))
     >>> volume = Volume.box(centre=(0.0, 0.0, 1.5), size=(0.2, 0.2, 1.4), pitch=0.2)
     >>> print(voxelised(box, volume)[:, 0, 0].astype(int))
     [0 1 0 0 0 1 0]
