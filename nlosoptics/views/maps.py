@@ -250,7 +250,8 @@ def hybrid_parts(
     -------
     tuple of three Axes
         Coherent part, halo and diffuse part, in image coordinates, um; -y points up, because the
-        lens inverts the image. The titles give the energy of each part.
+        lens inverts the image. The titles give the energy of each part, as normalised by
+        ``point_spread.normalisation``.
 
     See Also
     --------

@@ -39,7 +39,7 @@ def wavefront_from_rays(paths: RayPaths, exit_pupil: ExitPupil, wavelength: floa
         once at the wall and end in the plane of the lens. Rays that pass beside the lens are used,
         too: they show the density of rays at the rim.
     exit_pupil : ExitPupil
-        Exit pupil of the scene; the lens must be the stop.
+        Exit pupil of the scene, from `exit_pupil`; the lens must be the stop.
     wavelength : float
         Vacuum wavelength, m.
 

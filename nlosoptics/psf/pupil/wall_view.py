@@ -80,7 +80,9 @@ class _Chief:
 
 
 def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
-    """Compute the linear map from points of a scene's exit pupil to the wall points they see.
+    """Compute how points of a scene's exit pupil map to the wall points they see, to first order.
+
+    The point spread functions of rough walls use this map, for example `mean_point_spread`.
 
     Parameters
     ----------
@@ -93,8 +95,8 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
     Returns
     -------
     WallView
-        Matrix from pupil steps to wall steps, wall point of the chief ray, and the geometry that
-        `mean_point_spread` and `sample_point_spread` need.
+        The map (``footprint``, (2, 2), without unit), the wall point of the chief ray (``point``,
+        (3,), world frame, m) and further geometry of the reflection at this point.
 
     Raises
     ------
@@ -108,10 +110,11 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
 
     Notes
     -----
-    `pupil_slopes` gives the formula of a matrix M, which maps steps on the lens to steps on the
-    wall. If the lens is the stop, the exit pupil is the lens, and ``footprint`` is M. If the wall
-    is the stop, the exit pupil is the image of the wall. It is m times as large as the
-    cross-section of the cone of light at the lens, and ``footprint`` is M/m.
+    Let M be the matrix that maps displacements on the lens to displacements on the wall, m to m;
+    `pupil_slopes` gives its formula. If the lens is the stop, it is also the exit pupil, and
+    ``footprint`` is M. If the wall is the stop, the exit pupil is the image of the wall by the
+    lens. The light to the image's centre crosses the pupil and the lens in discs, whose radii have
+    a ratio m; then ``footprint`` is M/m.
     """
     o = None if object_point is None else np.array(vector("object_point", object_point))
     return _view_of(_optics(scene, np.zeros((1, 2)), o), _zoom(scene))

@@ -98,8 +98,8 @@ def scene_point_spread(
     -------
     ScenePointSpread
         Exit pupil, wave in it, and point spread (ny, nx) in energy per pixel, with the
-        normalisation "unit-sum": the energy of a smooth wall in the whole image plane is 1. The
-        point spread includes the blur by ``slope_rms``.
+        normalisation "unit-sum": a smooth wall's whole image plane has the energy 1, whatever its
+        reflectance. The point spread includes the blur by ``slope_rms``.
 
     Raises
     ------

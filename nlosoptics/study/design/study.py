@@ -131,11 +131,14 @@ class Study(Noun):
 
     Examples
     --------
+    Strehl ratio, and modulation at 60 cycles per m on the object, of three stops and two laser
+    powers. The powers share the point spread of a stop, so that three are computed:
+
     >>> from nlosoptics.study import Study, plan_study
     >>> study = Study.from_tables(
     ...     {
     ...         "scene": "examples/scenes/letter_flat.toml",
-    ...         "figures": ["strehl", {"figure": "mtf", "frequency": 10.0}],
+    ...         "figures": ["strehl", {"figure": "mtf", "frequency": 60.0}],
     ...         "axes": {"camera.f_number": [2, 4, 8], "laser.power": ["5 mW", "20 mW"]},
     ...     }
     ... )

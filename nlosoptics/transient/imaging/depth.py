@@ -71,7 +71,8 @@ class DepthError(Noun):
     mae : float
         Mean absolute error at ``threshold``, m, over the cells in which both maps have a depth.
     threshold : float
-        Threshold of confidence with the least error, 0 to 1.
+        Threshold of confidence with the least ``mae``, 0 to 1, among those that keep the coverage
+        required by `depth_error`.
     coverage : float
         Fraction of the cells with a true depth that have a reconstructed depth at this threshold.
     missed, false : float

@@ -35,14 +35,15 @@ def render_scene(
 ) -> TransientCapture:
     """Compute the time-resolved capture of a scene: light over time at points of its relay wall.
 
-    The scene's ``transient`` entry, a `nlosoptics.scene.TransientScan`, defines the wall points and
-    the bins. The laser spot is a point with 1 W (or a pulse of 1 J) on the wall. If times include
-    the outer legs, these begin at the laser's position and end at the camera's position. With five
-    or more bounces, the whole wall also reflects light between hidden surfaces. A hidden image is
-    converted to a mesh of its white area, of at most 64 cells along each side, that scatters on
-    both sides. Occluders are black surfaces. If the scene has a ``wall_roughness``, its
-    ``realisation`` must be ``"mean"``. Such a roughness has no effect here, because it does not
-    change the reflection of a Lambertian wall.
+    The scene's ``transient`` entry, a `nlosoptics.scene.TransientScan`, defines the wall points,
+    the bins and the number of bounces. Times are optical paths in m, from wall to wall; with
+    ``outer_legs=True`` they begin at the laser's position and end at the camera's. Values are for a
+    laser of 1 W, whatever the scene's power; ``quantity`` is "irradiance", W/m^2, by default. The
+    laser spot is a point. With five or more bounces, the whole wall also reflects light between
+    hidden surfaces. A hidden image is converted to a mesh of its white area, of at most 64 cells
+    along each side, that scatters on both sides. Occluders are black surfaces. If the scene has a
+    ``wall_roughness``, its ``realisation`` must be ``"mean"``. Such a roughness has no effect here,
+    because it does not change the reflection of a Lambertian wall.
 
     Parameters
     ----------
