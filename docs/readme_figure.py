@@ -77,7 +77,7 @@ def lead() -> None:
 def peers() -> None:
     """Draw run time against error of point spread functions by nlosoptics and its peers."""
     sys.path.insert(0, str(ROOT / "docs" / "_ext"))
-    from performance_page import draw_psf_peers
+    from performance.point_spreads import draw_psf_peers
     from tables import rows
 
     views.save(draw_psf_peers(rows("psf_peers.json")), FIGURES / "psf_peers.png")

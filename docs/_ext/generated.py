@@ -6,7 +6,7 @@ from typing import Any
 
 import frames_figure
 import materials_page
-import performance_page
+import performance
 import validation_page
 from sphinx.application import Sphinx
 from tables import ROOT
@@ -16,7 +16,7 @@ def make(app: Sphinx) -> None:
     """Write everything into ``_generated``, which pages include."""
     target = Path(app.srcdir) / "_generated"
     target.mkdir(exist_ok=True)
-    for part in (frames_figure, materials_page, validation_page, performance_page):
+    for part in (frames_figure, materials_page, validation_page, performance):
         part.pages(target)
     gather_scripts(target / "scripts")
 

@@ -94,7 +94,7 @@ def test_every_block_has_a_language_that_is_run_or_known() -> None:
 def test_commands_name_files_that_are_there() -> None:
     listed = [
         (page, word)
-        for page in [*PAGES, DOCS / "_ext" / "performance_page.py"]
+        for page in [*PAGES, *(DOCS / "_ext" / "performance").glob("*.py")]
         for word in re.findall(r"\b(?:benchmarks|examples|tests)/[\w/.-]+\w", page.read_text())
     ]
     assert len(listed) > 50
@@ -134,23 +134,23 @@ def test_every_reference_is_held_by_a_test(extension: Callable[[str], ModuleType
 def test_every_benchmark_is_on_the_page(
     extension: Callable[[str], ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = extension("performance_page")
+    page = extension("performance")
     page.pages(tmp_path)
     text = (tmp_path / "performance.md").read_text()
     sections = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
-    assert len(sections) == len(page.SECTIONS) == text.count("$ ")
+    assert len(sections) == sum(map(len, page.ROOMS.values())) == text.count("$ ")
     assert all("\n| --- |" in section for section in sections)
     for picture in re.findall(r"\(_generated/([\w.]+)\)", text):
         assert (tmp_path / picture).stat().st_size > 10_000
-    monkeypatch.setattr(page, "SECTIONS", page.SECTIONS[1:])
-    with pytest.raises(LookupError, match=r"psf_peers\.json"):
+    monkeypatch.setitem(page.ROOMS, "Ray tracing", page.ROOMS["Ray tracing"][1:])
+    with pytest.raises(LookupError, match=r"differ in \['traces\.json'\]"):
         page.pages(tmp_path)
 
 
 def test_figures_of_the_tables_are_those_of_the_files(
     extension: Callable[[str], ModuleType],
 ) -> None:
-    page, tables = extension("performance_page"), extension("tables")
+    cells, tables = extension("performance.cells"), extension("tables")
     assert [tables.seconds(value).split() for value in (2e-6, 0.0034, 12.34, 1234.5, None)] == [
         ["2", "µs"],
         ["3.4", "ms"],
@@ -169,14 +169,37 @@ def test_figures_of_the_tables_are_those_of_the_files(
         {"name": "x, b", "seconds": 1.0, "error": 1e-2},
         {"name": "y", "seconds": 3.0, "error": 1e-9},
     ]
-    best = page.fastest(found, 1e-3)
+    best = extension("performance.point_spreads").fastest(found, 1e-3)
     assert [best[name]["seconds"] for name in ("x", "y")] == [2.0, 3.0]
     fits = [
         {"rms": 1, "correlation": 0.95, "status": "converged", "seconds": 1.0},
         {"rms": 1, "correlation": 0.85, "status": "converged", "seconds": 3.0},
         {"rms": 1, "correlation": 0.10, "status": "trivial", "seconds": 2.0},
     ]
-    assert page.fits(fits, "rms") == [["1", 3, 1, 1, "0.85", "2\N{NARROW NO-BREAK SPACE}s"]]
+    (group,) = cells.groups(fits, "rms")
+    columns = extension("performance.inverse").FITS.values()
+    assert [cells.fill(cell, group) for cell in columns] == [
+        "3",
+        "1",
+        "1",
+        "0.85",
+        "2\N{NARROW NO-BREAK SPACE}s",
+    ]
+
+
+def test_templates_of_the_tables(extension: Callable[[str], ModuleType]) -> None:
+    """Words apply from left to right; only a name with a question mark may be missing."""
+    cells = extension("performance.cells")
+    row = {"share": 0.12345, "bytes": [2**20, 2**21], "label": "11 modes, 1 modes, 1 processes"}
+    for template, text in (
+        ("{share:percent .3g} %", "12.3 %"),
+        ("{bytes:last MiB n}", "2"),
+        ("{label}", "11 modes, 1 mode, 1 process"),
+        ("{gone?:time}", ""),
+    ):
+        assert cells.fill(template, row) == text
+    with pytest.raises(KeyError, match="gone"):
+        cells.fill("{gone:time}", row)
 
 
 def test_site_is_whole(extension: Callable[[str], ModuleType], tmp_path: Path) -> None:

@@ -1,0 +1,83 @@
+"""Forecasts of `limits.feasibility`: verdicts, correlations and modes of diffuse light."""
+
+from collections.abc import Iterator, Sequence
+
+from .cells import Row, by, filled
+from .page import Section
+
+#: Ranges of the predicted spread.
+SPREADS = (("below 0.05", 0.0, 0.05), ("0.05 to 0.1", 0.05, 0.1), ("above 0.1", 0.1, 1.0))
+
+
+def by_spread(found: Sequence[Row]) -> Iterator[Row]:
+    """Yield how near the predicted correlations are, by their predicted spread."""
+    missed = sum(row["correlation"] == 0.0 for row in found)
+    for name, low, high in SPREADS:
+        part = [row for row in found if row["correlation"] and low <= row["spread"] < high]
+        if not part:
+            continue
+        off = [abs(row["score"] - row["correlation"]) for row in part]
+        between = [d for d, row in zip(off, part, strict=True) if 0.3 < row["correlation"] < 0.95]
+        yield {
+            "name": name,
+            "fits": len(part),
+            "off": off,
+            "near": f"{sum(d < 0.05 for d in between)} of {len(between)}",
+            "within": sum(d < r["spread"] for d, r in zip(off, part, strict=True)) / len(part),
+        }
+    yield {"name": "no object found", "fits": missed}
+
+
+def largest_difference(part: Row) -> str:
+    """Return a cell: the largest relative difference from the count by brute force."""
+    pairs = zip(part["modes"], part["brute_force"], strict=True)
+    return f"{max(abs(modes - count) / max(count, 1) for modes, count in pairs):.0%}"
+
+
+SECTIONS = (
+    Section(
+        "feasibility.jsonl",
+        "Verdicts before the fit",
+        "Does `limits.feasibility` predict correctly whether an object can be reconstructed? "
+        "Random scenes of 64 x 64 pixels, none of them used to set the constants of the forecast, "
+        "were reconstructed by `tv_deconvolve` with the point spread known. The second table has "
+        "the differences between the predicted correlation and that of the fit.",
+        "python benchmarks/inverse/feasibility.py --json {file}",
+        table={
+            "predicted": lambda g: "recoverable" if g["predicted"] else "not recoverable",
+            "correlation of the fit above 0.9": lambda g: sum(c > 0.9 for c in g["correlation"]),
+            "below 0.9": lambda g: sum(c <= 0.9 for c in g["correlation"]),
+            "median time of the verdict": "{feasibility_seconds:median time}",
+            "of the fit": "{seconds:median time}",
+        },
+        rows=by("predicted", order=lambda g: not g["predicted"]),
+        note=lambda found: filled(
+            {
+                "predicted spread": "{name}",
+                "fits": "{fits}",
+                "median difference": "{off?:median n}",
+                "within 0.05, of fits with correlations of 0.3 to 0.95": "{near?}",
+                "within the spread": "{within?:.0%}",
+            },
+            by_spread(found),
+        ),
+    ),
+    Section(
+        "relay_modes.jsonl",
+        "Modes of diffuse light past occluders",
+        "Shadows of an occluder add detail to diffuse light. Modes are the independent patterns "
+        "of the object that exceed the noise. Their number by `limits.feasibility` is compared "
+        "with a count of singular values of the full matrix from object to image (brute force). "
+        "The random scenes have a matt wall, every third one with a wide mirror-like lobe too.",
+        "python benchmarks/relay_modes.py --scenes 6 --json {file}",
+        table={
+            "occluder": "{kind}",
+            "scenes": "{count}",
+            "modes": "{brute_force:min} to {brute_force:max}",
+            "largest difference": largest_difference,
+            "CPU time": "{cpu_seconds:median time}",
+            "of brute force": "{brute_force_cpu_seconds:median time}",
+        },
+        rows=by("kind"),
+    ),
+)

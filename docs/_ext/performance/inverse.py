@@ -1,0 +1,258 @@
+"""Reconstructions: wall known, roughly known or unknown, phase retrieval, published networks."""
+
+from collections.abc import Callable, Iterator, Sequence
+from operator import itemgetter
+
+from .cells import Cell, Row, by, groups, methods
+from .figures import curves
+from .page import Section
+
+#: Description of each kind of `benchmarks/inverse/mismatches.py`, in the order of the table.
+MISMATCHES = {
+    "none": "none",
+    "vignetting": "pupil darker at the edge",
+    "defocus": "additional defocus",
+    "modes": "additional aberration of high order",
+    "rough": "additional random aberration",
+    "magnified": "blur 1.1 to 1.5 times as wide",
+    "reduced": "blur 0.6 to 0.9 times as wide",
+    "other_wall": "blur of another wall",
+    "gain_step": "right half of the image brighter",
+    "gamma_low": "image to the power of 0.5 to 0.9",
+    "gamma_high": "image to the power of 1.1 to 2",
+    "saturation": "saturated camera",
+    "dead_pixels": "dead or bright pixels",
+    "veil": "stray light, wide spot",
+    "gradient": "stray light, rising toward a side",
+    "surround": "light from objects outside the frame",
+    "coloured": "noise correlated between pixels",
+    "rows": "additional noise of whole rows",
+    "white_noise": "nothing but white noise",
+    "exponential_noise": "nothing but exponential noise",
+    "photon_noise": "nothing but photon noise",
+    "unblurred_picture": "another object, without blur",
+    "blobs": "random smooth spots, no object",
+    "other_speckle": "another object and another wall",
+}
+#: Columns of blind fits.
+FITS: dict[str, Cell] = {
+    "fits": "{count}",
+    "above 0.9": lambda fits: sum(score > 0.9 for score in fits["correlation"]),
+    "converged, not above 0.9": lambda fits: sum(
+        row["status"] == "converged" and row["correlation"] <= 0.9 for row in fits["rows"]
+    ),
+    "median correlation": "{correlation:median n}",
+    "median run time": "{seconds:median time}",
+}
+by_strength = by("rms", order=lambda fits: fits["rms"])
+
+
+def by_noise(found: Sequence[Row]) -> Iterator[Row]:
+    """Yield, for each noise, the image itself and then each solver."""
+    for noise in ("0.01", "0.05"):
+        part = [row for row in found if row["case"].split()[-2] == noise]
+        label = f", {float(noise):.0%}"
+        images = [row["image"] for row in part]
+        yield {"name": f"the image itself{label}", "correlation": images}
+        for solver in groups(methods(part), "method"):
+            name = solver["method"].replace("skimage_", "scikit-image, ")
+            yield solver | {"name": f"{name}{label}"}
+
+
+def converged(low: float, high: float) -> Callable[[Row], str]:
+    """Return a cell: how many results with a correlation in a range are called converged."""
+
+    def cell(kind: Row) -> str:
+        held = [row for row in kind["rows"] if low < row["correlation"] <= high]
+        sure = sum(row["status"] == "converged" for row in held)
+        return f"{sure} of {len(held)}" if held else ""
+
+    return cell
+
+
+def peer_method(row: Row) -> str:
+    """Return a cell: a program and its number of steps."""
+    name, *settings = row["method"].split()
+    return f"{name}, {settings[-1]} steps" if settings else "nlosoptics"
+
+
+SECTIONS = (
+    Section(
+        "known_psf.jsonl",
+        "Reconstruction, point spread known",
+        "How well do the solvers find the object if the wall is known? The images have 128 x 128 "
+        "pixels, are blurred by smooth and by speckled point spreads, and have 1 % or 5 % noise. "
+        "They are computed by another model than the one that the solvers invert. The correlation "
+        "is that of the result with the true object. scikit-image's solvers run with the best of "
+        "the settings tried.",
+        "python benchmarks/inverse/known_psf.py --json {file}",
+        table={
+            "method, noise": "{name}",
+            "median correlation": "{correlation:median n}",
+            "lowest": "{correlation:min n}",
+            "median run time": "{seconds?:median time}",
+        },
+        rows=by_noise,
+    ),
+    Section(
+        "mismatches.jsonl",
+        "Status, point spread known",
+        "Does the status of a reconstruction show that the model is wrong? In each row, the image "
+        "differs from the model of `tv_deconvolve` in another way (mismatch). The three columns "
+        "on the right sort the results by their correlation with the true object. Each states how "
+        'many of these results have the status "converged": below 0.85 few should have it, above '
+        "0.93 most. Images have 64 x 64 pixels and 0.5 to 10 % noise. None of them was used to "
+        "set the limits of the tests.",
+        "python benchmarks/inverse/mismatches.py --json {file} --first 700000 --cases 220; python "
+        "benchmarks/inverse/mismatches.py --json {file} --first 800000 --cases 200 --kinds "
+        "white_noise exponential_noise photon_noise unblurred_picture blobs other_speckle "
+        "other_wall",
+        table={
+            "mismatch": lambda group: MISMATCHES[group["kind"]],
+            "cases": "{count}",
+            "below 0.85": converged(-1.0, 0.85),
+            "0.85 to 0.93": converged(0.85, 0.93),
+            "above 0.93": converged(0.93, 1.0),
+        },
+        rows=by("kind", order=lambda group: list(MISMATCHES).index(group["kind"])),
+    ),
+    Section(
+        "image_prior.jsonl",
+        "Untrained networks, point spread known",
+        "`deep_image_prior` on images like those of the table for known point spreads. The guide "
+        "is the result of `tv_deconvolve`, which is the input of the network.",
+        "python benchmarks/inverse/image_prior.py --json {file}",
+        table={
+            "wall, noise": "{wall}, {noise:.0%}",
+            "fits": "{count}",
+            "median correlation": "{deep_image_prior:median n4}",
+            "lowest": "{deep_image_prior:min n4}",
+            "lowest of the guide": "{tv_deconvolve:min n4}",
+            "median run time": "{seconds:median time}",
+        },
+        rows=by("wall", "noise"),
+    ),
+    Section(
+        "peer_prior.jsonl",
+        "Untrained networks compared with deepinv",
+        "A letter by way of a smooth wall, with 1 % noise. nlosoptics runs `deep_image_prior`; "
+        "deepinv fits its network of 64 channels in 250 to 2,500 steps. Both programs use the "
+        "image model of this library.",
+        "PEER/bin/python benchmarks/inverse/peer_prior.py --json {file}",
+        table={
+            "method": peer_method,
+            "correlation": "{correlation:n4}",
+            "run time": "{seconds:time}",
+        },
+        figure=curves(
+            lambda row: row["method"].split()[0].replace("ours", "nlosoptics"),
+            lambda row: 1 - row["correlation"],
+            "1 - correlation",
+        ),
+        alternative="Seconds against one minus correlation: nlosoptics, and deepinv after 250, "
+        "1000 and 2500 steps",
+    ),
+    Section(
+        "evidence_two_frames.jsonl",
+        "Wall unknown, two frames",
+        "How often does `evidence_fit` find object and wall from two images (frames), of which "
+        "the second has a known defocus? The fits start from random walls; images have 64 x 64 "
+        "pixels. The columns count the fits, those whose object has a correlation above 0.9 with "
+        "the true object, and those with a lower correlation that wrongly have the status "
+        '"converged". None of the walls was used to tune the fit.',
+        "python benchmarks/inverse/evidence.py --frames 2 --rms 0.25 0.5 1.0 --json {file}",
+        table={"rms aberration, waves": "{rms}"} | FITS,
+        rows=by_strength,
+    ),
+    Section(
+        "evidence_one_frame.jsonl",
+        "Wall unknown, one frame",
+        "`evidence_fit` for a single image (frame), otherwise as for two; five walls and three "
+        "objects for each rms aberration.",
+        "python benchmarks/inverse/evidence.py --frames 1 --rms 0.25 0.5 --walls 113 117 --json "
+        "{file}",
+        table={"rms aberration, waves": "{rms}"} | FITS,
+        rows=by_strength,
+    ),
+    Section(
+        "known_start.jsonl",
+        "Wall roughly known, or several walls",
+        "`evidence_fit` with additional knowledge. The groups are: near10 and near25, one image, "
+        "and a wave that is known to within 0.10 or 0.25 wavelengths rms; support, as near10, and "
+        "the object is known to be dark outside a mask; noise5, as near10, with 5 % noise; "
+        "diversity3, three images with different known defoci; walls4, images by way of four "
+        "unknown walls; calibrate, the wall is first found from a known object.",
+        "python benchmarks/inverse/known_start.py --json {file} --sizes 64 --walls 1 --groups "
+        "near10 near25 support diversity3 walls4 calibrate noise5",
+        table={"group, pixels a side": "{group}, {size}"} | FITS,
+        rows=by("group", "size", keep=lambda row: "size" in row),
+    ),
+    Section(
+        "diffusers.jsonl",
+        "Phase retrieval behind diffusers",
+        "Objects from the autocorrelation of one simulated speckle image of 512 x 512 pixels. "
+        '"Halves agree" is the correlation between the results of two halves of the random '
+        "starts; it needs no knowledge of the object.",
+        "python benchmarks/inverse/diffusers.py --walls 2 --json {file}",
+        table={
+            "method": "{method}",
+            "fits": "{count}",
+            "median correlation": "{correlation:median n}",
+            "lowest": "{correlation:min n}",
+            "halves agree": "{halves:median n}",
+            "median run time": "{seconds:median time}",
+        },
+        rows=lambda found: groups(methods(found), "method"),
+    ),
+    Section(
+        "real_speckle.json",
+        "Phase retrieval from measured speckle",
+        "Measured images of Metzler 2020. The true objects are not known. The only test is the "
+        "correlation between the results of two independent halves of the random starts.",
+        "python benchmarks/inverse/real_speckle.py --json {file}",
+        table={
+            "measured data, method": "{object}, {method}",
+            "halves agree": "{halves:n}",
+            "status": "{status}",
+            "run time": "{seconds:time}",
+        },
+        rows=itemgetter("retrieved"),
+    ),
+    Section(
+        "wu2024.jsonl",
+        "PCIN as published",
+        "The physics-constrained inverse network (PCIN) of Wu 2024 fits object and wall to one "
+        "image, from random angles of the wall. Here the fitted object is the blurred image "
+        'itself, which the status "trivial" states.',
+        "python benchmarks/inverse/wu2024.py --walls 1 --rms 0.25 --objects F --size 512 --json "
+        "{file}",
+        table={
+            "case": "{object}, wall of {rms:g} waves rms, {size} x {size}",
+            "correlation": "{correlation:n}",
+            "of the image itself": "{image:n}",
+            "status": "{status}",
+            "iterations": "{iterations}",
+            "run time": "{seconds:time}",
+        },
+    ),
+    Section(
+        "wu2024_facets.jsonl",
+        "PCIN as published, with facets",
+        "As above, with a wall of facets and the geometry of the paper (F/2, pixels of 72 um, 40 "
+        "ms, 512 x 512). The image is a simulated one. The fit has a pair of exit angles for each "
+        "facet that the lens sees. It starts from random angles that blur as much as the wall "
+        'does. "With the true wall" is the correlation of `tv_deconvolve` with the true point '
+        "spread. The fitted object is the image itself.",
+        "python benchmarks/inverse/wu2024.py --scene examples/scenes/letter_rough.toml --size 512 "
+        "--json {file}",
+        table={
+            "case": "{scene}, {size} x {size}, blur of {blur:.1f} pixels rms",
+            "correlation": "{correlation:n}",
+            "with the true wall": "{known_wall:n}",
+            "of the image itself": "{image:n}",
+            "status": "{status}",
+            "iterations": "{iterations}",
+            "run time": "{seconds:time}",
+        },
+    ),
+)
