@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+from ._checks import path_of
 from .errors import SceneError
 
 #: Record of an output folder; it lists the files that nlosoptics wrote.
@@ -21,7 +22,7 @@ RECORD = "result.json"
 _LOCK = "lock"  # file of a temporary folder that its process holds
 _PLACES = "places.json"  # places of the complete files in a temporary folder
 _NAME = 16  # random letters in the name of a temporary folder
-_OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+_OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ENAMETOOLONG)
 _IS_LINUX = sys.platform == "linux"
 
 
@@ -100,7 +101,7 @@ def check_folder(folder: Path) -> None:
     SceneError
         If it cannot be written, or contains a file that nlosoptics did not write.
     """
-    if folder.exists():
+    if path_of("folder", folder).exists():
         if not folder.is_dir():
             raise SceneError(f"{folder} is a file; name a folder")
         _sweep(folder, f".*-{'?' * _NAME}")  # left by a killed ``report``
@@ -114,7 +115,7 @@ def check_folder(folder: Path) -> None:
                 f"{folder} holds {min(found - ours)}, which nlosoptics did not write; name another "
                 "folder"
             )
-    parent = folder.absolute().parent
+    parent = Path(os.path.realpath(folder)).parent
     if not parent.is_dir():
         raise SceneError(f"{folder} is in {parent}, which is no folder; create it first")
     if not os.access(parent, os.W_OK):
