@@ -173,7 +173,7 @@ def beside(target: Path) -> Iterator[Path]:
     # A name is chosen first, so that the folder is removed whenever a signal interrupts this.
     folder = target.with_name(f".{target.name}-{secrets.token_hex(_NAME // 2)}")
     with ExitStack() as held:
-        weakref.finalize(held, _finish_own, folder, os.getpid())
+        finish = weakref.finalize(held, _finish_own, folder, os.getpid())
         try:
             while not (folder / _LOCK).exists():  # until no other process sweeps it while empty
                 held.close()
@@ -184,6 +184,8 @@ def beside(target: Path) -> Iterator[Path]:
         finally:
             held.close()  # Windows removes no open file
             _finish(folder)
+            if not folder.exists():  # an interrupt in `shutil.rmtree` may become an OSError
+                finish.detach()
 
 
 def _exchanged(one: Path, other: Path) -> bool:

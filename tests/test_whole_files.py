@@ -323,3 +323,13 @@ def test_an_interrupt_at_any_line_leaves_the_old_or_the_new_result(what, tmp_pat
             break
     assert kinds == sorted(kinds)  # old results, then new ones
     assert 30 < sum(kinds) < len(kinds) - 30
+
+
+def test_an_undisturbed_end_needs_no_finalizer(tmp_path, monkeypatch):
+    """Python prints an interrupt that comes while a finalizer runs, and goes on."""
+    calls = []
+    monkeypatch.setattr(_whole_files, "_finish_own", lambda *given: calls.append(given))
+    with whole_folder(tmp_path / "result") as new:
+        (new / "a").write_text("1")
+    gc.collect()
+    assert calls == []
