@@ -14,6 +14,15 @@ nox.options.default_venv_backend = "uv|virtualenv"
 PROJECT = tomllib.loads(Path("pyproject.toml").read_text())["project"]
 #: Quick tests that need neither torch nor matplotlib.
 QUICK = [f"tests/{room}" for room in ("scene", "psf/wave", "psf/aperture", "psf/window", "kernels")]
+#: What the tests of a checkout need besides the core.
+TESTING = ["hypothesis", "mpmath", "pytest", "pytest-timeout", "pytest-xdist"]
+#: Tests of each extra alone; what they need of another extra is skipped.
+EXTRAS = {
+    "views": ["tests/views"],
+    "inverse": ["tests/inverse/known", "tests/inverse/published/test_cnn_baseline.py"],
+    "exchange": ["tests/psf/exchange"],
+    "study": ["tests/study"],
+}
 
 
 @nox.session
@@ -50,7 +59,7 @@ def docs(session: nox.Session) -> None:
 def oldest(session: nox.Session) -> None:
     """Run the quick tests with the minimum version of every dependency of the core."""
     pins = [requirement.replace(">=", "==") for requirement in PROJECT["dependencies"]]
-    session.install(*pins, "pytest", "pytest-timeout", "pytest-xdist", "mpmath")
+    session.install(*pins, *TESTING)
     session.install("--no-deps", "-e", ".")
     session.run("pytest", *(session.posargs or QUICK))
 
@@ -58,8 +67,16 @@ def oldest(session: nox.Session) -> None:
 @nox.session(python=["3.11", "3.12", "3.13", "3.14"], default=False)
 def quick(session: nox.Session) -> None:
     """Run the quick tests with the newest version of every dependency of the core."""
-    session.install("-e", ".", "pytest", "pytest-timeout", "pytest-xdist", "mpmath")
+    session.install("-e", ".", *TESTING)
     session.run("pytest", *(session.posargs or QUICK))
+
+
+@nox.session(default=False)
+@nox.parametrize("extra", list(EXTRAS))
+def extras(session: nox.Session, extra: str) -> None:
+    """Run the tests of one extra in an environment without the others."""
+    session.install("-e", f".[{extra}]", *TESTING)
+    session.run("pytest", *(session.posargs or EXTRAS[extra]))
 
 
 @nox.session(default=False)

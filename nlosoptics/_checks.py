@@ -26,6 +26,7 @@ SHARE = 0.75
 MOST = 1e150
 #: Seconds for which the free memory is cached; reading it takes as long as a small transform.
 FRESH = 0.25
+MOST_SHOWN = 60  # characters of a wrong path that a message shows
 
 
 def reason(error: Exception) -> str:
@@ -102,12 +103,22 @@ def one_of(name: str, value: Any, choices: Iterable[str]) -> str:
 
 
 def path_of(name: str, value: Any) -> Path:
-    """Return ``value`` as a path, or raise `SceneError` naming ``name``."""
-    if isinstance(value, (str, os.PathLike)):
-        path = Path(value)
-        if "\0" not in str(path):
-            return path
-    raise SceneError(f"{name} = {value!r} is not the path of a file or folder; give a str or Path")
+    """Return ``value`` as a path that the system takes, or raise `SceneError` naming ``name``."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise SceneError(
+            f"{name} = {value!r} is not the path of a file or folder; give a str or Path"
+        )
+    path = Path(value)
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
+        pass  # told, with the right remedy, by the function that opens it
+    except (OSError, ValueError) as error:  # too long, or with a null character
+        raise SceneError(
+            f"{name} = {str(path)[:MOST_SHOWN]!r} cannot be the path of a file or folder "
+            f"({getattr(error, 'strerror', error)}); give another path"
+        ) from None
+    return path
 
 
 def vector(name: str, value: Any) -> Vector:

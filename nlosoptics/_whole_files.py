@@ -9,10 +9,12 @@ import os
 import secrets
 import shutil
 import sys
+import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+from ._checks import path_of
 from .errors import SceneError
 
 #: Record of an output folder; it lists the files that nlosoptics wrote.
@@ -20,7 +22,7 @@ RECORD = "result.json"
 _LOCK = "lock"  # file of a temporary folder that its process holds
 _PLACES = "places.json"  # places of the complete files in a temporary folder
 _NAME = 16  # random letters in the name of a temporary folder
-_OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+_OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ENAMETOOLONG)
 _IS_LINUX = sys.platform == "linux"
 
 
@@ -74,13 +76,15 @@ def whole_files(*paths: Path) -> Iterator[list[Path]]:
                 pairs = zip(drafts, places, strict=True)
                 own = {draft.name: to.name for draft, to in pairs if to.parent == parent}
                 (folder / "listed").write_text(json.dumps(own))
-                (folder / "listed").replace(folder / _PLACES)
             try:
+                for folder in folders.values():
+                    (folder / "listed").replace(folder / _PLACES)
                 for draft, place in zip(drafts, places, strict=True):
                     draft.replace(place)
-            except KeyboardInterrupt:
-                for folder in folders.values():
-                    _put(folder)
+            except BaseException:
+                if all(draft.exists() for draft in drafts):  # otherwise `beside` places the others
+                    for folder in folders.values():
+                        (folder / _PLACES).unlink(missing_ok=True)
                 raise
             for parent in folders:
                 _written_through(parent)
@@ -97,7 +101,7 @@ def check_folder(folder: Path) -> None:
     SceneError
         If it cannot be written, or contains a file that nlosoptics did not write.
     """
-    if folder.exists():
+    if path_of("folder", folder).exists():
         if not folder.is_dir():
             raise SceneError(f"{folder} is a file; name a folder")
         _sweep(folder, f".*-{'?' * _NAME}")  # left by a killed ``report``
@@ -111,7 +115,7 @@ def check_folder(folder: Path) -> None:
                 f"{folder} holds {min(found - ours)}, which nlosoptics did not write; name another "
                 "folder"
             )
-    parent = folder.absolute().parent
+    parent = Path(os.path.realpath(folder)).parent
     if not parent.is_dir():
         raise SceneError(f"{folder} is in {parent}, which is no folder; create it first")
     if not os.access(parent, os.W_OK):
@@ -138,15 +142,10 @@ def whole_folder(target: Path) -> Iterator[Path]:
         yield new
         for path in (*new.rglob("*"), new):
             _written_through(path)
-        try:
-            if not target.exists() or not _exchanged(new, target):
-                if target.exists():
-                    target.rename(old)
-                new.rename(target)
-        except BaseException:
-            if old.exists() and not target.exists():
-                old.rename(target)
-            raise
+        if not target.exists() or not _exchanged(new, target):
+            if target.exists():
+                target.rename(old)  # `beside` puts it back if the next step fails
+            new.rename(target)
         _written_through(target.parent)
 
 
@@ -165,11 +164,16 @@ def _disk_told(target: Path) -> Iterator[None]:
 
 @contextmanager
 def beside(target: Path) -> Iterator[Path]:
-    """Yield a new temporary folder next to ``target``; remove what killed processes left there."""
+    """Yield a new temporary folder next to ``target``; remove what killed processes left there.
+
+    The folder is removed at the end of the block. If signals interrupt even that, it is removed
+    when the exception has been handled, or when the process ends.
+    """
     sweep(target)
     # A name is chosen first, so that the folder is removed whenever a signal interrupts this.
     folder = target.with_name(f".{target.name}-{secrets.token_hex(_NAME // 2)}")
     with ExitStack() as held:
+        finish = weakref.finalize(held, _finish_own, folder, os.getpid())
         try:
             while not (folder / _LOCK).exists():  # until no other process sweeps it while empty
                 held.close()
@@ -179,11 +183,9 @@ def beside(target: Path) -> Iterator[Path]:
             yield folder
         finally:
             held.close()  # Windows removes no open file
-            try:
-                _remove(folder)
-            except KeyboardInterrupt:
-                _remove(folder)
-                raise
+            _finish(folder)
+            if not folder.exists():  # an interrupt in `shutil.rmtree` may become an OSError
+                finish.detach()
 
 
 def _exchanged(one: Path, other: Path) -> bool:
@@ -242,18 +244,30 @@ def sweep(target: Path) -> None:
 def _sweep(parent: Path, pattern: str) -> None:
     """Remove the temporary folders of killed processes, and put back an old folder in one."""
     for left in parent.glob(pattern):
-        lock, old = left / _LOCK, left / "old"
+        lock = left / _LOCK
         if not lock.is_file():  # killed at once, or just being made: its process makes another
             with suppress(OSError):
                 left.rmdir()  # if empty
             continue
         with suppress(OSError), _locked(lock) as unused:
             if unused:
-                target = parent / left.name[1:].rpartition("-")[0]
-                if old.is_dir() and not target.exists():
-                    old.rename(target)
-                _put(left)
-                _remove(left)
+                _finish(left)
+
+
+def _finish_own(folder: Path, process: int) -> None:
+    """Finish what this process has begun in a temporary folder; a forked one changes nothing."""
+    if os.getpid() == process:
+        _finish(folder)
+
+
+def _finish(folder: Path) -> None:
+    """Put an old folder back, or complete files in their places; remove the temporary folder."""
+    old, target = folder / "old", folder.with_name(folder.name[1:].rpartition("-")[0])
+    with suppress(OSError):
+        if old.is_dir() and not target.exists():
+            old.rename(target)
+    _put(folder)
+    _remove(folder)
 
 
 def _remove(folder: Path) -> None:

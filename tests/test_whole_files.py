@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import gc
+import itertools
 import os
 import random
+import shutil
 import subprocess
 import sys
 import time
@@ -206,3 +210,126 @@ def test_a_failure_leaves_the_old_folder(tmp_path):
         (new / "missing" / "a.txt").write_text("2")  # no such folder
     assert (target / "a.txt").read_text() == "1"
     assert not hidden(tmp_path)
+
+
+STEPPED = """
+import os, signal, sys
+from pathlib import Path
+from nlosoptics import _whole_files
+
+what, wanted, folder = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3])
+if what == "steps":
+    _whole_files._exchanged = lambda *_: False
+step = [0]
+
+def write(value):
+    if what == "files":
+        _whole_files.write_whole({folder / name: value for name in "ab"})
+    else:
+        with _whole_files.whole_folder(folder / "result") as new:
+            for name in "ab":
+                (new / name).write_bytes(value)
+
+def audit(event, given):
+    if event == "os.rename":
+        step[0] += 1
+        if step[0] == wanted:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+write(b"old")
+sys.addaudithook(audit)
+write(b"new")
+"""
+
+
+@pytest.mark.parametrize(("what", "renames"), [("files", 3), ("steps", 2)])
+def test_a_kill_before_each_rename_leaves_the_old_or_the_new_result(what, renames, tmp_path):
+    """Files: first the list of their places is renamed. Folders: the old one, then the new one."""
+    found = []
+    for number in range(1, renames + 2):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        code = subprocess.run(
+            [sys.executable, "-c", STEPPED, what, str(number), str(folder)], check=False
+        ).returncode
+        assert code == (-9 if number <= renames else 0)
+        target = folder / ("a" if what == "files" else "result")
+        _whole_files.sweep(target)
+        parent = folder if what == "files" else target
+        found.append({path.name: path.read_bytes() for path in parent.iterdir()})
+        assert not hidden(folder)
+    old, new = ({name: value for name in "ab"} for value in (b"old", b"new"))
+    assert found == {"files": [old, new, new, new], "steps": [old, old, new]}[what]
+
+
+class Interrupting:
+    """A trace function that raises `KeyboardInterrupt` at the line with a given number."""
+
+    FILES = tuple(map(str, (_whole_files.__file__, contextlib.__file__, shutil.__file__)))
+
+    def __init__(self, number: int) -> None:
+        self.number, self.line = number, 0
+
+    def __call__(self, frame, event, _):
+        if frame.f_code.co_name == "_finish_own":  # what it is for has happened
+            sys.settrace(None)
+        if not frame.f_code.co_filename.startswith(self.FILES):
+            return None
+        if event == "line":
+            self.line += 1
+            if self.line == self.number:
+                raise KeyboardInterrupt
+        return self
+
+
+@pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning")  # of interrupted closings
+@pytest.mark.parametrize("what", ["files", "exchange", "steps"])
+def test_an_interrupt_at_any_line_leaves_the_old_or_the_new_result(what, tmp_path, monkeypatch):
+    """SIGTERM acts alike; one that comes while a folder is removed once left it there."""
+    monkeypatch.setattr(_whole_files, "_written_through", lambda _: None)  # slow
+    if what == "steps":
+        monkeypatch.setattr(_whole_files, "_exchanged", lambda *_: False)
+    target = tmp_path / ("a" if what == "files" else "result")
+
+    def write(value: bytes) -> None:
+        if what == "files":
+            _whole_files.write_whole({tmp_path / name: value for name in "ab"})
+        else:
+            with whole_folder(target) as new:
+                for name in "ab":
+                    (new / name).write_bytes(value)
+
+    write(b"old")
+    kinds, before = [], sys.gettrace()
+    for number in itertools.count(1):
+        value = str(number).encode()
+        tracer = Interrupting(number)
+        sys.settrace(tracer)
+        try:
+            write(value)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            sys.settrace(before)
+        if hidden(tmp_path):
+            gc.collect()  # the exception's frames
+        place = tmp_path if what == "files" else target
+        found = {path.name: path.read_bytes() for path in place.iterdir()}
+        assert sorted(found) == ["a", "b"], f"line {number}"
+        assert len({*found.values()}) == 1, f"line {number}: old and new files are mixed"
+        assert not hidden(tmp_path), f"line {number}"
+        kinds.append(found["a"] == value)
+        if tracer.line < number:
+            break
+    assert kinds == sorted(kinds)  # old results, then new ones
+    assert 30 < sum(kinds) < len(kinds) - 30
+
+
+def test_an_undisturbed_end_needs_no_finalizer(tmp_path, monkeypatch):
+    """Python prints an interrupt that comes while a finalizer runs, and goes on."""
+    calls = []
+    monkeypatch.setattr(_whole_files, "_finish_own", lambda *given: calls.append(given))
+    with whole_folder(tmp_path / "result") as new:
+        (new / "a").write_text("1")
+    gc.collect()
+    assert calls == []

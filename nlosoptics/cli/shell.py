@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import os
 import shlex
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .._checks import path_of
 from .._whole_files import check_folder
 from ..errors import MissingExtraError, NlosError, SceneError
 
@@ -24,6 +26,7 @@ DONE, FAILED, BAD_INPUT = 0, 1, 2
 # copies of the values in _random and runs.plan, which would import numpy
 MOST_SEED = 2**64 - 1
 MOST_SECONDS = 900.0
+MOST_TOLD = 800  # characters of an error's line
 
 # typer exports no name for UsageError: old versions use click's class, new ones a copy
 _UsageError: Any = typer.BadParameter.__base__
@@ -138,9 +141,15 @@ def tell(error: BaseException) -> int:
     elif isinstance(error, NlosError):
         message = str(error)
         code = FAILED if isinstance(error, MissingExtraError) else BAD_INPUT
+    elif isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+        message = f"{error.filename} is too long for a path ({error.strerror}); give another path"
+        code = BAD_INPUT
     else:
         message = f"{type(error).__name__}: {error}; --debug shows where"
-    typer.echo(f"nlosoptics: {' '.join(message.split())}", err=True)
+    line = " ".join(message.split())
+    if len(line) > MOST_TOLD:  # keep the remedy at its end
+        line = f"{line[: MOST_TOLD // 2]} ... {line[-MOST_TOLD // 2 :]}"
+    typer.echo(f"nlosoptics: {line}", err=True)
     return code
 
 
@@ -199,7 +208,7 @@ def progress_bar(width: int = 17) -> Iterator[Callable[[str, float], None]]:
 
 def check_file(path: Path) -> None:
     """Raise `typer.BadParameter` if the output file could not be written."""
-    parent = path.absolute().parent
+    parent = Path(os.path.realpath(path_of("path", path))).parent
     for wrong, what in (
         (path.is_dir(), "is a folder; name a file"),
         (not parent.is_dir(), f"is in {parent}, which is no folder; create it first"),

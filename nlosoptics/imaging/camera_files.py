@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import counted, positive, whole
+from .._checks import counted, path_of, positive, whole
 from .._nouns import Noun
 from .._pictures import opened_picture
 from ..errors import SamplingError, SceneError
@@ -103,7 +103,7 @@ def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
     --------
     camera_image : Read, average and correct images.
     """
-    path = Path(path)
+    path = path_of("path", path)
     if not path.is_file():
         raise SceneError(f"there is no file {path}; give the path of an image")
     try:

@@ -7,6 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
+from .._checks import path_of
 from .._html import Html, joined, tag
 from ..errors import NlosError
 from . import sections
@@ -51,7 +52,7 @@ def page(folder: str | Path, *, interactive: bool = True) -> str:
     >>> text.startswith("<!DOCTYPE html>")
     True
     """
-    held = Folder.read(Path(folder))
+    held = Folder.read(path_of("folder", folder))
     parts = sections.parts(held, *_room(held, interactive))
     title = f"{held.name}, nlosoptics {held.record.command}"
     return assembled(title, sections.head(held), parts, sections.colophon())

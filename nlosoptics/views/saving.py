@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._checks import counted
+from .._checks import counted, path_of
 from .._whole_files import write_whole
 from ..errors import SceneError
 
@@ -75,7 +75,7 @@ def save(
     ...     print([file.name for file in Path(folder).iterdir()])
     ['scene.svg']
     """
-    path = Path(path)
+    path = path_of("path", path)
     suffix = path.suffix.lower()
     if hasattr(picture, "render_window"):
         _checked_suffix(path, "a 3-D view", (".png", ".html", ".glb"))

@@ -22,6 +22,7 @@ from .commands import COMMANDS, contents, lasting, of_target
 SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}
 ENDS = (*SIGNALS, "full", "locked")
 WAYS = ("time", "operation", "change")
+GLANCE = 5e-4  # time between two looks at the folder, s; the command may need the same core
 SOON = 0.05  # longest time between the first change of the folder and the signal, s
 LONGEST = 120.0  # time after which a command hangs, s
 #: Audited operations that change files. Python announces each before it happens.
@@ -179,7 +180,7 @@ class Stage:
                 while _looked(self._work) == before and not os.waitid(
                     os.P_PID, process, os.WEXITED | os.WNOHANG | os.WNOWAIT
                 ):
-                    pass
+                    time.sleep(GLANCE)
                 time.sleep(share * SOON)
             os.kill(process, kind)
 

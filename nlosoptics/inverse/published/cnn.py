@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..._checks import counted, in_range, positive, reason, whole
+from ..._checks import counted, in_range, path_of, positive, reason, whole
 from ..._nouns import Noun
 from ..._progress import Progress
 from ..._random import checked_seed, generator
@@ -176,7 +176,7 @@ class CnnBaseline(nn.Module):
             name: values.detach().cpu().contiguous()
             for name, values in self.network.state_dict().items()
         }
-        write_whole({Path(path): safetensors.save(tensors, {_ENTRY: json.dumps(told)})})
+        write_whole({path_of("path", path): safetensors.save(tensors, {_ENTRY: json.dumps(told)})})
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
@@ -199,9 +199,9 @@ class CnnBaseline(nn.Module):
         MissingExtraError
             If safetensors is not installed.
         """
-        safetensors = _safetensors()
+        safetensors, path = _safetensors(), path_of("path", path)
         try:
-            content = Path(path).read_bytes()
+            content = path.read_bytes()
         except OSError as error:
             raise SceneError(f"{path} cannot be read ({error.strerror}); name another") from None
         written = "give one written by nlosoptics train"

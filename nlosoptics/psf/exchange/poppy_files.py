@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import one_of, positive, real, reason
+from ..._checks import one_of, path_of, positive, real, reason
 from ..._whole_files import write_whole
 from ...errors import MissingExtraError, SamplingError, SceneError
 from ..aperture.quadrature_nodes import fitting_pitch
@@ -94,7 +94,7 @@ def write_poppy(wavefront: Wavefront, *, opd: str | Path, amplitude: str | Path)
     existing file.
     """
     fits = _fits()
-    paths = {"opd": Path(opd), "amplitude": Path(amplitude)}
+    paths = {"opd": path_of("opd", opd), "amplitude": path_of("amplitude", amplitude)}
     if paths["opd"].absolute() == paths["amplitude"].absolute():
         raise SceneError(f"opd and amplitude are both {opd}; name two different files")
     even = 1 - wavefront.u.shape[0] % 2 if wavefront.layout == "grid" else 0
@@ -174,7 +174,7 @@ def read_poppy(
     heads, arrays = {}, {}
     for name, place in (("amplitude", amplitude), ("opd", opd)):
         if place is not None:
-            arrays[name], heads[name] = _read_fits(Path(place))
+            arrays[name], heads[name] = _read_fits(path_of(name, place))
     path = opd if opd is not None else amplitude
     first = next(iter(arrays.values()))
     light, lead = maps(

@@ -9,7 +9,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Final, Literal
 
-from ..._checks import in_range, one_of, real
+from ..._checks import in_range, one_of, path_of, real
 from ..._whole_files import write_whole
 from ...errors import SceneError
 from ..wave.zernikes import ORDERINGS, Ordering, zernike_order
@@ -132,7 +132,7 @@ def write_zernikes(
         height = real(f"coefficients[{index}]", value)
         number = _shown(-height if sign == "advance" else height, unit, wavelength)
         lines.append(f"{int(index)},{number}")
-    write_whole({Path(path): ("\n".join(lines) + "\n").encode()})
+    write_whole({path_of("path", path): ("\n".join(lines) + "\n").encode()})
 
 
 def read_zernikes(
@@ -182,7 +182,7 @@ def read_zernikes(
     write_zernikes : Write a table of coefficients.
     zernike : Zernike polynomial.
     """
-    path = Path(path)
+    path = path_of("path", path)
     if not path.is_file():
         raise SceneError(f"{path}: there is no such file; give the path of a table")
     try:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._checks import path_of
 from ..._pictures import MOST_PIXELS
 from ...errors import SceneError
 
@@ -34,7 +35,7 @@ class SourceFile(_Path):
     @classmethod
     def at(cls, path: str | Path) -> SourceFile:
         """Return a `SourceFile` with the absolute path; a given `SourceFile` stays unchanged."""
-        return path if isinstance(path, cls) else cls(Path(path).resolve())
+        return path if isinstance(path, cls) else cls(path_of("path", path).resolve())
 
     @cached_property
     def content(self) -> bytes:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import in_range, one_of, positive, real, vector
+from ..._checks import in_range, one_of, path_of, positive, real, vector
 from ...errors import NlosError, SamplingError, SceneError
 from .layouts import LIGHT, Found
 
@@ -89,7 +89,7 @@ def load_capture(
 
     ``capture`` is the class `TransientCapture`, the arguments are those of its ``load``.
     """
-    path = Path(path)
+    path = path_of("path", path)
     if format is not None:
         one_of("format", format, LAYOUTS)
     if not path.is_file():

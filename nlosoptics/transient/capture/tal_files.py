@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import reason, whole
+from ..._checks import path_of, reason, whole
 from ..._whole_files import whole_files
 from ...errors import SamplingError, SceneError
 from .layouts import Found, array, bins, number, triple, upright
@@ -40,7 +40,7 @@ def save(capture: Any, path: str | Path, *, compression: int = 0) -> None:
     """Write a `TransientCapture` to an HDF5 file in y-tal's layout, atomically."""
     import h5py
 
-    path = Path(path)
+    path = path_of("path", path)
     level = whole("compression", compression, 0, 9)
     if path.is_dir() or not path.parent.is_dir():
         what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
