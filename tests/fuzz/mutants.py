@@ -11,8 +11,9 @@ kernel by those that call its users. A run that takes over three times as long a
 has timed out, and counts as killed.
 
 The table counts killed and surviving changes. Changes of `equivalent_mutants.toml` alter no result,
-for the reason given there, and are not run. `--results` names a file that keeps the outcomes: what
-is in it is not run again, except for the survivors if `--again` is given.
+for the reason given there, and are not run. `--results` names a file that keeps the outcomes: its
+changes are drawn first, as far as their lines still exist, and are not run again, except for the
+survivors if `--again` is given.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import shutil
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -54,18 +55,25 @@ ALLOWANCE, COMPILING = 30.0, 180.0  # added to that, and again if kernels are co
 Row = dict[str, Any]
 
 
-def sample(root: Path, rooms: list[str], seed: int, number: int) -> list[Change]:
-    """Return random changes, drawn in turn from each room; more of them begin with the same."""
+def sample(
+    root: Path, rooms: list[str], seed: int, number: int, known: Container[tuple[str, ...]] = ()
+) -> list[Change]:
+    """Return random changes, drawn in turn from each room; more of them begin with the same.
+
+    Changes whose identity is in ``known`` come before the others of their room. An edit of a source
+    draws others, so without this the outcomes of earlier draws would be lost.
+    """
     drawn = []
     for room in rooms:
-        found = [
-            change
-            for file in sorted((root / "nlosoptics" / room).rglob("*.py"))
-            if file.name != "__init__.py"
-            for change in changes(str(file.relative_to(root / "nlosoptics")), file.read_text())
-        ]
+        found, late = [], []
+        for file in sorted((root / "nlosoptics" / room).rglob("*.py")):
+            if file.name != "__init__.py":
+                source = file.read_text()
+                some = changes(str(file.relative_to(root / "nlosoptics")), source)
+                found += some
+                late += [identity(described(one, source)) not in known for one in some]
         order = np.random.default_rng([seed, *room.encode()]).permutation(len(found))
-        drawn.append([found[i] for i in order])
+        drawn.append([found[i] for i in sorted(order, key=late.__getitem__)])
     turns = -(-number // len(rooms))
     return [one[turn] for turn in range(turns) for one in drawn if turn < len(one)][:number]
 
@@ -238,7 +246,7 @@ def main() -> int:
     options.folder.mkdir(parents=True, exist_ok=True)
     done = {"killed", "timed out"} if options.again else {"killed", "timed out", "survived"}
     bench, rows = None, []
-    for change in sample(ROOT, options.rooms, options.seed, options.number):
+    for change in sample(ROOT, options.rooms, options.seed, options.number, {*known}):
         row = described(change, (ROOT / "nlosoptics" / change.file).read_text())
         kept = known.get(identity(row), {"outcome": ""})
         if identity(row) in reasons:

@@ -75,6 +75,18 @@ def test_a_longer_sample_continues_a_shorter_one() -> None:
     assert mutants.sample(ROOT, ["limits", "imaging"], 4, 10) != few
 
 
+def test_known_changes_are_drawn_first() -> None:
+    """An edit of one line changes the order of all draws, but not what is known of other lines."""
+    first = mutants.sample(ROOT, ["imaging"], 3, 8)
+    known = {
+        mutants.identity(mutants.described(one, (ROOT / "nlosoptics" / one.file).read_text()))
+        for one in first
+    }
+    later = mutants.sample(ROOT, ["imaging"], 4, 40, known)
+    assert {*first} <= {*later[: len(first) + 4]}  # the same change may exist twice in a file
+    assert later[30:] != mutants.sample(ROOT, ["imaging"], 3, 40)[30:]
+
+
 KERNELS = {
     "nlosoptics/__init__.py": "",
     "nlosoptics/psf/__init__.py": "",
