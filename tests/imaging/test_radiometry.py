@@ -306,11 +306,13 @@ def test_no_cone_gathers_more_than_a_half_space(flat_scene, stop):
 # --- the laser's spot seen directly
 
 
-def test_spot_power_is_that_into_the_lens_cone(flat_scene):
-    scene = replace(flat_scene, wall_material=Lambert(0.7))
+@pytest.mark.parametrize("aim", [(0.0, 0.0, 0.0), (0.12, -0.07, 0.0)])
+def test_spot_power_is_that_into_the_lens_cone(flat_scene, aim):
+    laser = replace(flat_scene.laser, aim=aim)
+    scene = replace(flat_scene, wall_material=Lambert(0.7), laser=laser)
     spot = laser_spot(scene)
     camera = scene.camera
-    toward = np.array(camera.position)
+    toward = np.array(camera.position) - aim
     r = np.linalg.norm(toward)
     solid = np.pi / 4 * camera.stop_diameter**2 * (-(toward / r) @ camera.axis) / r**2
     expected = 5e-3 * 0.7 / np.pi * toward[2] / r * solid * camera.transmission
