@@ -119,7 +119,7 @@ def object_samples(hidden: PlanarObject | MeshObject, count: int) -> Patches:
         u, v, w = _even(count, 3)
         mesh = hidden.surface
         share = np.cumsum(np.asarray(mesh.area_faces, dtype=np.float64))
-        face = np.minimum(np.searchsorted(share, u * share[-1]), len(share) - 1)
+        face = np.searchsorted(share, u * share[-1])
         a, b, c = np.moveaxis(np.asarray(mesh.triangles)[face], 1, 0)
         root = np.sqrt(v)[:, None]
         points = (1.0 - root) * a + root * ((1.0 - w[:, None]) * b + w[:, None] * c)
@@ -150,13 +150,13 @@ def _even(count: int, axes: int) -> Array:
 
 
 def _quantiles(weights: Array, share: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the cells (n,) at which cumulative weights (n, k) reach shares (n,), 0 to 1.
+    """Return the cells (n,) at which cumulative weights (n, k) reach shares (n,), 0 up to below 1.
 
     Also returned is the fraction of each cell that is needed, (n,).
     """
     summed = np.cumsum(weights, axis=1)
     wanted = share * summed[:, -1]
-    cell = np.minimum((summed <= wanted[:, None]).sum(axis=1), weights.shape[1] - 1)
+    cell = (summed <= wanted[:, None]).sum(axis=1)
     each = np.arange(len(cell))
     own = weights[each, cell]
     return cell, np.clip(1.0 - (summed[each, cell] - wanted) / own, 0.0, 1.0)

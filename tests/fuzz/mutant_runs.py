@@ -19,9 +19,10 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 #: Libraries that take long to load. The package itself is loaded by each run from its copy.
@@ -37,12 +38,17 @@ NONE_FOUND = 5  # a folder without tests
 
 
 class Run(NamedTuple):
-    """End of a run: "passed", "failed" or "timed out", the first failure, processor time, calls."""
+    """End of a run: "passed", "failed" or "timed out", the first failure, processor time, s.
+
+    If the calls were recorded, ``tests`` holds the processor time of each test, s, and ``calls``
+    holds file and line of each function of the package with the numbers of the tests that call it.
+    """
 
     kind: str
     failure: str
     seconds: float
-    calls: frozenset[tuple[str, int]] = frozenset()
+    tests: Mapping[str, float] = MappingProxyType({})
+    calls: Sequence[tuple[str, int, list[int]]] = ()
 
 
 def load_libraries() -> None:
@@ -128,11 +134,12 @@ def run_tests(folder: Path, tests: Sequence[str], *, seconds: float, record: boo
     folder : Path
         Copy of the checkout; its package is the one that is imported.
     tests : sequence of str
-        Files and folders relative to it, in this order.
+        Files, folders and single tests, relative to the copy. Of a file with single tests in this
+        list, only these are run.
     seconds : float
         Limit of processor time, s.
     record : bool
-        Whether the functions of the package that are called are recorded, as file and line.
+        Whether the functions of the package that each test calls are recorded.
 
     Returns
     -------
@@ -173,8 +180,8 @@ def run_tests(folder: Path, tests: Sequence[str], *, seconds: float, record: boo
     if code not in (0, NONE_FOUND, *FAILED) or not told.is_file():
         sys.exit(f"pytest ended with {code}; see {log}")
     found = json.loads(told.read_text())
-    calls = frozenset((name, line) for name, line in found["calls"])
-    return Run("failed" if code in FAILED else "passed", found["failure"], used, calls)
+    kind = "failed" if code in FAILED else "passed"
+    return Run(kind, found["failure"], used, found["tests"], found["calls"])
 
 
 def _tested(folder: Path, tests: Sequence[str], seconds: float, told: Path, *, record: bool) -> int:
@@ -191,27 +198,78 @@ def _tested(folder: Path, tests: Sequence[str], seconds: float, told: Path, *, r
     for name in [*sys.modules]:  # of this program, which is not the copy's
         if name.split(".")[0] in ("tests", "nlosoptics"):
             del sys.modules[name]
-    watch = _Watch(folder / "nlosoptics")
+    watch = _Watch(folder / "nlosoptics", {test for test in tests if "::" in test}, record=record)
+    files = [*dict.fromkeys(test.split("::")[0] for test in tests)]
     options = ["-q", "-x", "-n0", "-p", "no:cacheprovider", "--tb=line", "--hypothesis-seed=0"]
     if record:
         threading.settrace(watch.called)
         sys.settrace(watch.called)
-    code = int(pytest.main([*options, *tests], plugins=[watch]))
+    code = int(pytest.main([*options, *files], plugins=[watch]))
     sys.settrace(None)
     package = sys.modules.get("nlosoptics")
     if package is not None and not str(package.__file__).startswith(str(folder)):
         return 71
-    told.write_text(json.dumps({"failure": watch.failure, "calls": sorted(watch.calls)}))
+    found = {"failure": watch.failure, "tests": watch.tests, "calls": watch.calls}
+    told.write_text(json.dumps(found))
     return code
 
 
 class _Watch:
-    """A plugin of pytest that keeps the first failure and the functions that were called."""
+    """A plugin of pytest that selects tests, and keeps the first failure, times and calls.
 
-    def __init__(self, package: Path) -> None:
+    A call while a shared fixture is set up counts for all tests that use the fixture. Caches are
+    cleared before each test, so that no test relies on the calls of an earlier one.
+    """
+
+    def __init__(self, package: Path, wanted: set[str], *, record: bool) -> None:
         self.failure = ""
-        self.calls: set[tuple[str, int]] = set()
-        self._start = f"{package}/"
+        self.tests: dict[str, float] = {}
+        self._calls: dict[str, set[tuple[str, int]]] = {"": set()}
+        self._uses: dict[str, list[str]] = {}
+        self._now = ""  # test or fixture
+        self._start, self._record = f"{package}/", record
+        self._wanted, self._files = wanted, {test.split("::")[0] for test in wanted}
+        self._begun = 0.0
+
+    @property
+    def calls(self) -> list[tuple[str, int, list[int]]]:
+        """File and line of each function, with the numbers of the tests that call it."""
+        found: dict[tuple[str, int], list[int]] = {}
+        for number, test in enumerate(self.tests):
+            names = [test, *self._uses[test]]
+            for place in set().union(*(self._calls.get(name, ()) for name in names)):
+                found.setdefault(place, []).append(number)
+        return [(*place, numbers) for place, numbers in sorted(found.items())]
+
+    def pytest_collection_modifyitems(self, items: list[Any]) -> None:
+        """Keep only the wanted tests of files of which single tests are wanted."""
+        items[:] = [
+            one
+            for one in items
+            if one.nodeid in self._wanted or one.nodeid.split("::")[0] not in self._files
+        ]
+
+    def pytest_runtest_protocol(self, item: Any) -> None:
+        """Start the clock of a test."""
+        if self._record:
+            _clear_caches(self._start)
+        self._now = item.nodeid
+        self._calls[self._now], self._uses[self._now] = set(), getattr(item, "fixturenames", [])
+        self.tests[self._now], self._begun = 0.0, time.process_time()
+
+    def pytest_runtest_logfinish(self, nodeid: str) -> None:
+        """Keep the processor time of a test."""
+        self.tests[nodeid] = round(time.process_time() - self._begun, 3)
+
+    def pytest_fixture_setup(self, fixturedef: Any) -> None:
+        """Keep the calls of a shared fixture apart from those of its first test."""
+        if fixturedef.scope != "function":
+            self._now = fixturedef.argname
+            self._calls.setdefault(self._now, set())
+
+    def pytest_runtest_call(self, item: Any) -> None:
+        """Go on with the calls of a test after its fixtures."""
+        self._now = item.nodeid
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         """Keep the address of the first test that failed."""
@@ -227,7 +285,18 @@ class _Watch:
         """Record a function of the package as it is called."""
         code = frame.f_code
         if code.co_filename.startswith(self._start):
-            self.calls.add((code.co_filename[len(self._start) :], code.co_firstlineno))
+            self._calls[self._now].add((code.co_filename[len(self._start) :], code.co_firstlineno))
+
+
+def _clear_caches(start: str) -> None:
+    """Clear the caches of all functions and methods of the package and its tests."""
+    folder = str(Path(start).parent)
+    for module in [*sys.modules.values()]:
+        if str(getattr(module, "__file__", None)).startswith(folder):
+            for value in [*vars(module).values()]:
+                for one in [value, *(vars(value).values() if isinstance(value, type) else ())]:
+                    if callable(getattr(one, "cache_clear", None)):
+                        one.cache_clear()
 
 
 def fingerprint(path: Path) -> str:

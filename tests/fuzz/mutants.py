@@ -4,15 +4,16 @@ python -m tests.fuzz.mutants [--number 100] [--seed 0] [--rooms NAME ...] [--sec
                              [--results FILE] [--again]
 
 The changes are drawn in turn from the rooms, each change of a room with equal probability. A test
-file is run once without any change, to record which functions it calls and how long it takes. A
-change is tested by its file's doctests and by the test files of its room that call its function,
-those of its folder first, until `--seconds` of their processor time are reached; a change of a
-kernel by those that call its users. A run that takes over three times as long as undisturbed tests
-has timed out, and counts as killed.
+file is run once without any change, to record which functions its tests call and how long they
+take. A change is tested by its file's doctests and by the tests of its room that call its function,
+those of its folder first and of these the quickest ones, until `--seconds` of their processor time
+are reached; a change of a kernel by those that call its users. A run that takes over three times as
+long as undisturbed tests has timed out, and counts as killed.
 
 The table counts killed and surviving changes. Changes of `equivalent_mutants.toml` alter no result,
-for the reason given there, and are not run. `--results` names a file that keeps the outcomes: what
-is in it is not run again, except for the survivors if `--again` is given.
+for the reason given there, and are not run. `--results` names a file that keeps the outcomes: its
+changes are drawn first, as far as their lines still exist, and are not run again, except for the
+survivors if `--again` is given.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import shutil
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -49,23 +50,29 @@ EQUIVALENT = Path(__file__).with_name("equivalent_mutants.toml")
 OUTCOMES = {"passed": "survived", "failed": "killed", "timed out": "timed out"}
 LONGEST = 1200.0  # limit of a test file that is undisturbed, s
 SLOWER = 3.0  # longest time of a run, times that of the undisturbed tests
-UNKNOWN = 10.0  # assumed time of a test file of which there is no record, s
 ALLOWANCE, COMPILING = 30.0, 180.0  # added to that, and again if kernels are compiled, s
 Row = dict[str, Any]
 
 
-def sample(root: Path, rooms: list[str], seed: int, number: int) -> list[Change]:
-    """Return random changes, drawn in turn from each room; more of them begin with the same."""
+def sample(
+    root: Path, rooms: list[str], seed: int, number: int, known: Container[tuple[str, ...]] = ()
+) -> list[Change]:
+    """Return random changes, drawn in turn from each room; more of them begin with the same.
+
+    Changes whose identity is in ``known`` come before the others of their room. An edit of a source
+    draws others, so without this the outcomes of earlier draws would be lost.
+    """
     drawn = []
     for room in rooms:
-        found = [
-            change
-            for file in sorted((root / "nlosoptics" / room).rglob("*.py"))
-            if file.name != "__init__.py"
-            for change in changes(str(file.relative_to(root / "nlosoptics")), file.read_text())
-        ]
+        found, late = [], []
+        for file in sorted((root / "nlosoptics" / room).rglob("*.py")):
+            if file.name != "__init__.py":
+                source = file.read_text()
+                some = changes(str(file.relative_to(root / "nlosoptics")), source)
+                found += some
+                late += [identity(described(one, source)) not in known for one in some]
         order = np.random.default_rng([seed, *room.encode()]).permutation(len(found))
-        drawn.append([found[i] for i in order])
+        drawn.append([found[i] for i in sorted(order, key=late.__getitem__)])
     turns = -(-number // len(rooms))
     return [one[turn] for turn in range(turns) for one in drawn if turn < len(one)][:number]
 
@@ -91,24 +98,24 @@ class Bench:
         copied(root, self._base)
         self._users = importers(self._base / "nlosoptics")
         self._package = fingerprint(self._base / "nlosoptics")
+        known = json.loads(self._record.read_text()) if self._record.is_file() else {}
+        self._known: dict[str, Row] = {key: told | {"new": 0.0} for key, told in known.items()}
         copied(self._base, self._changed)
 
     def run(self, change: Change, most: float) -> Row:
         """Run the tests that call a changed piece of code, and tell what happened."""
         source = (self._base / "nlosoptics" / change.file).read_text()
         stale, compiled = reach(change.file, self._users), -1
-        told: Row = {"outcome": "survived", "by": "", "seconds": 0.0, "test_files": 0}
-        for near, recorded in ((True, False), (True, True), (False, True)):
-            if (near, recorded) == (True, True) and told["outcome"] == "survived":
-                continue  # the tests without a record have passed
+        told: Row = {"outcome": "survived", "by": "", "seconds": 0.0, "tests": 0}
+        for near in (True, False):
             planned = told["seconds"]
             chosen = [f"nlosoptics/{change.file}"] if near and ">>> " in source else []
-            for name, seconds in self._callers(change, stale, most, near=near, recorded=recorded):
-                if not chosen or planned + seconds <= most:
-                    chosen.append(name)
-                    planned += seconds
-                if planned > most:
+            callers = self._callers(change, stale, most, near=near)
+            for name, seconds in sorted(callers, key=lambda one: one[1]):
+                if chosen and planned + seconds > most:
                     break
+                chosen.append(name)
+                planned += seconds
             if not chosen:
                 continue
             if compiled < 0:  # after the records, by which kernels were compiled
@@ -117,8 +124,8 @@ class Bench:
             run = run_tests(self._changed, chosen, seconds=limit)
             told["outcome"] = OUTCOMES[run.kind]
             told["by"], told["seconds"] = run.failure, round(told["seconds"] + run.seconds, 1)
-            told["test_files"] += len(chosen)
-            if run.kind == "failed" or (run.kind == "timed out" and recorded):
+            told["tests"] += len(chosen)
+            if run.kind != "passed":
                 break
         return told
 
@@ -133,12 +140,12 @@ class Bench:
         return forget_compiled(package, stale)
 
     def _callers(
-        self, change: Change, users: set[str], most: float, *, near: bool, recorded: bool
+        self, change: Change, users: set[str], most: float, *, near: bool
     ) -> Iterator[tuple[str, float]]:
-        """Yield test files that call the changed code and their time, the likeliest first.
+        """Yield tests that call the changed code and their time.
 
-        Files of the change's own folder may do without a record, for a first run. Records of other
-        files are made until they have taken ``most`` seconds.
+        Records of files of other folders are made until they have taken ``most`` seconds, the
+        likeliest files first.
         """
         room, *_ = folder = change.file.split("/")[:-1]
         source = (self._base / "nlosoptics" / change.file).read_text()
@@ -156,17 +163,14 @@ class Bench:
         for file in sorted(files, key=mentions):
             if file.is_relative_to(here) != near or (spent > most and not near):
                 continue
-            name, told = str(file.relative_to(self._base)), self._recorded(file)
-            if told is None and not recorded:
-                yield name, UNKNOWN
-                continue
-            if told is None:
-                told = self._recorded(file, now=True)
-                spent += told["seconds"]
-            calls = {tuple(one) for one in told["calls"]}
-            wanted = {(change.file, line) for line in lines} & calls
-            if wanted if lines else users & {called for called, _ in calls}:
-                yield name, told["seconds"]
+            told = self._known.get(self._key(file)) or self._recorded(file)
+            spent += told["new"]
+            told["new"] = 0.0
+            names, found = [*told["tests"]], set()
+            for called, line, tests in told["calls"]:
+                if (called == change.file and line in lines) if lines else called in users:
+                    found |= {*tests}
+            yield from ((names[i], told["tests"][names[i]]) for i in sorted(found))
 
     def _names(self, files: set[str]) -> set[str]:
         """Return the names of public functions and classes of files."""
@@ -175,19 +179,20 @@ class Bench:
         found = {node.name for tree in trees for node in tree.body if isinstance(node, named)}
         return {name for name in found if not name.startswith("_")} or {"nothing"}
 
-    def _recorded(self, file: Path, *, now: bool = False) -> Any:
-        """Return time and calls of a test file, or None if they were not recorded before now."""
+    def _key(self, file: Path) -> str:
+        return f"{file.relative_to(self._base)} {fingerprint(file)} {self._package}"
+
+    def _recorded(self, file: Path) -> Row:
+        """Run a test file, and return the times and calls of its tests."""
         name = str(file.relative_to(self._base))
-        key = f"{name} {fingerprint(file)} {self._package}"
-        known: Row = json.loads(self._record.read_text()) if self._record.is_file() else {}
-        if now:
-            run = run_tests(self._base, [name], seconds=LONGEST, record=True)
-            if run.kind != "passed":
-                print(f"left out, since it fails without any change: {run.failure or name}")
-            calls = sorted(run.calls) if run.kind == "passed" else []
-            known[key] = {"seconds": run.seconds, "calls": calls}
-            self._record.write_text(json.dumps(known))
-        return known.get(key)
+        run = run_tests(self._base, [name], seconds=LONGEST, record=True)
+        if run.kind != "passed":
+            print(f"left out, since it fails without any change: {run.failure or name}")
+        passed = run.kind == "passed"
+        calls, tests = (run.calls, run.tests) if passed else ([], {})
+        self._known[self._key(file)] = {"tests": tests, "calls": calls, "new": run.seconds}
+        self._record.write_text(json.dumps(self._known))
+        return self._known[self._key(file)]
 
 
 def _functions(source: str, line: int) -> set[int]:
@@ -238,7 +243,7 @@ def main() -> int:
     options.folder.mkdir(parents=True, exist_ok=True)
     done = {"killed", "timed out"} if options.again else {"killed", "timed out", "survived"}
     bench, rows = None, []
-    for change in sample(ROOT, options.rooms, options.seed, options.number):
+    for change in sample(ROOT, options.rooms, options.seed, options.number, {*known}):
         row = described(change, (ROOT / "nlosoptics" / change.file).read_text())
         kept = known.get(identity(row), {"outcome": ""})
         if identity(row) in reasons:

@@ -206,6 +206,15 @@ def test_area_average_of_a_brute_force_sum(scale, mirrored):
         assert average[i, j] == pytest.approx((values * weight).sum() / weight.sum(), abs=2e-3)
 
 
+def test_area_average_of_a_single_row():
+    """Footprints past both edges see the fraction of their area that the row covers."""
+    row = np.array([[0.2, 0.7, 0.4]])
+    x, y = np.meshgrid([0.0, 1.0, 2.0, 3.0], [-1.0, 0.25, 3.0, 4.0])
+    covered = np.array([0.25 / 1.25, 0.75 / 2.75, 0.0])
+    # areas of a few texels are sums of a few roundings
+    np.testing.assert_allclose(area_average(row, x, y), covered[:, None] * row, rtol=0, atol=1e-15)
+
+
 @pytest.mark.parametrize("scale", [0.2, 1.3, 5.0])
 def test_area_average_keeps_all_light(scale):
     picture = np.random.default_rng(3).random((9, 9))

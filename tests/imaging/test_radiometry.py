@@ -250,6 +250,20 @@ def test_patches_hold_the_area_and_centre_of_the_picture():
     np.testing.assert_array_equal(patches.normals[0], normal)
 
 
+def test_patches_of_a_tilted_picture_suit_its_nearest_corner():
+    """50 patches on each side for a picture as wide as its least distance, 8 at least."""
+    width, height = 0.6, 0.1
+    hidden = PlanarObject(
+        np.ones((64, 64)), (width, height), position=(0.0, 0.0, 1.0), yaw=0.9, pitch=0.2
+    )
+    right, up, _ = hidden.axes
+    corners = [a * width / 2 * right + b * height / 2 * up for a in (-1, 1) for b in (-1, 1)]
+    nearest = min(hidden.position[2] + corner[2] for corner in corners)
+    across = math.ceil(50 * width / nearest)
+    assert math.ceil(50 * height / nearest) < 8 < across < 64
+    assert len(object_patches(hidden).areas) == 8 * across
+
+
 def test_mesh_patches_hold_its_area_and_centre():
     mesh = trimesh.creation.icosphere(subdivisions=1, radius=0.2)
     for shape in (mesh, trimesh.creation.icosphere(subdivisions=5, radius=0.2)):
@@ -292,11 +306,13 @@ def test_no_cone_gathers_more_than_a_half_space(flat_scene, stop):
 # --- the laser's spot seen directly
 
 
-def test_spot_power_is_that_into_the_lens_cone(flat_scene):
-    scene = replace(flat_scene, wall_material=Lambert(0.7))
+@pytest.mark.parametrize("aim", [(0.0, 0.0, 0.0), (0.12, -0.07, 0.0)])
+def test_spot_power_is_that_into_the_lens_cone(flat_scene, aim):
+    laser = replace(flat_scene.laser, aim=aim)
+    scene = replace(flat_scene, wall_material=Lambert(0.7), laser=laser)
     spot = laser_spot(scene)
     camera = scene.camera
-    toward = np.array(camera.position)
+    toward = np.array(camera.position) - aim
     r = np.linalg.norm(toward)
     solid = np.pi / 4 * camera.stop_diameter**2 * (-(toward / r) @ camera.axis) / r**2
     expected = 5e-3 * 0.7 / np.pi * toward[2] / r * solid * camera.transmission

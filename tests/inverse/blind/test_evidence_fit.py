@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import torch
 
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.inverse import PupilPSF, evidence_fit, pcin, registered_correlation
+from nlosoptics.inverse.blind.evidence_search import Search
 from nlosoptics.inverse.blind.free_energy import FreeEnergy, Stage
 from nlosoptics.inverse.blind.random_walls import Breeding, children, random_walls
 from nlosoptics.inverse.wave.frames import frames_of
@@ -267,6 +269,31 @@ def test_a_weak_wall_is_told_from_the_image_taken_as_sharp(pupil):
     assert found.status == "converged"
     # the data's point spread has two frames of room, the fit's one and a half
     assert registered_correlation(found, letter(32)) > 0.99
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.9, False), (1.1, True)])
+def test_modes_are_added_by_schwarz_s_criterion(energy, share, kept):
+    """A parameter has to lower the energy by half the logarithm of the number of pixels."""
+    flat = replace(energy.starts(np.zeros((1, energy.size)), 1.0), energy=np.array([-5.0]))
+    pixels, added = 2 * 24**2, 21 - 15
+    gain = share * 0.5 * added * np.log(pixels)
+
+    class Wide:
+        modes, size = tuple(range(4, 22)), energy.size + added
+
+        def descend(self, starts, _):
+            return replace(starts, energy=flat.energy - gain)
+
+    verdict = SimpleNamespace(
+        modes=MODES, several=True, pixels=pixels, structured=lambda best: True
+    )
+    options = dict.fromkeys(("start_error", "strength", "proposals", "state"))
+    energies = lambda padding, modes: energy if modes == MODES else Wide()  # noqa: E731
+    search = Search(energies, verdict, first=np.zeros(12), rounds=1, seed=0, **options)
+    search.place.best = flat
+    assert search._widen(np.random.default_rng(0)) == "widen"
+    assert (search.place.modes == Wide.modes) is kept
+    assert search.place.best.coefficients.shape[1] == (Wide.size if kept else energy.size)
 
 
 def test_noise_alone_is_too_few_photons(pupil):

@@ -171,6 +171,11 @@ def test_scenes_without_training_walls_are_refused(scene):
         inverse.training_pairs(scene, 2, waves=0.0)
 
 
+def test_weights_that_overflow_are_refused(pairs):
+    with pytest.raises(SceneError, match=r"learning_rate = 1e\+30 gave weights .* lower it"):
+        inverse.train_cnn(pairs, base=8, depth=2, epochs=1, learning_rate=1e30)
+
+
 def test_one_pair_is_too_few(pairs):
     one = inverse.TrainingPairs(images=pairs.images[:1], objects=pairs.objects[:1])
     with pytest.raises(SceneError, match="1 pair, must be at least 2"):

@@ -66,6 +66,16 @@ def test_mean_over_facet_walls(s, geometry):
     assert np.all(off <= 4.5 * error[:8] + 3e-3 * mean.intensity.max())
 
 
+@pytest.mark.parametrize("relief", [facets(0.1, 1e-3), facets(3.0, 1e-3), bumps(0.1, 1e-3)])
+def test_lattice_on_the_wall_does_not_depend_on_the_distances(relief):
+    """A pupil pitch is the wall's divided by the footprint's magnification."""
+    pitches = []
+    for footprint in (0.5, 0.2):
+        view = view_of(relief, NORMAL | {"footprint": footprint})
+        pitches.append(view.widest_pitch(LAMBDA) * footprint)
+    assert pitches[0] == pytest.approx(pitches[1], rel=1e-12)
+
+
 def test_core_and_halo_of_facets_share_the_energy():
     wave = wave_of(2e-3)
     size = {"footprint": 0.5, "cos_sum": 2.0}

@@ -9,7 +9,7 @@ from pytest import approx
 
 from nlosoptics import psf
 from nlosoptics.errors import MemoryLimitError, SamplingError
-from nlosoptics.psf.transform import selection
+from nlosoptics.psf.transform import costs, selection
 from nlosoptics.psf.wave.detilted import split
 from nlosoptics.psf.wave.regime import regime
 
@@ -317,3 +317,14 @@ def test_errors_of_random_waves_stay_within_estimates(study, kind):
     for row in rows:
         if "refusal" in row:
             assert "; use " in row["refusal"], row
+
+
+@pytest.mark.parametrize("counted", range(4))
+def test_time_of_scattered_light_is_a_sum_over_its_parts(counted):
+    """Each count adds to the predicted time in proportion, whatever the other counts are."""
+    few, many = np.array([3e5, 2e4, 1e6, 1e4]), np.zeros(4)
+    many[counted] = 1e6
+    alone = costs.scattered(*many) - costs.scattered(*np.zeros(4))
+    # rounding of a sum of about 1 s
+    assert costs.scattered(*(few + many)) - costs.scattered(*few) == approx(alone, rel=1e-13)
+    assert 1e-7 < alone / 1e6 < 1e-6  # from a tenth of a microsecond to a microsecond each

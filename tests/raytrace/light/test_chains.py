@@ -12,6 +12,7 @@ from pytest import approx
 
 from nlosoptics.errors import SceneError
 from nlosoptics.raytrace import ray_plan, trace
+from nlosoptics.raytrace.light._chain_kernels import _set_facet
 from nlosoptics.raytrace.light.trace import mean_of, skewness_of
 from nlosoptics.scene import (
     CallableWall,
@@ -308,3 +309,29 @@ def test_rare_paths_are_said_to_be_uncertain():
     often = [sum(name in run.uncertain for run in runs) for name in ("bounce 3", "bounce 5")]
     assert often[0] < 5
     assert often[1] > 15
+
+
+def test_every_uncertain_result_exists():
+    """Few rays make most results uncertain, the stray light as well; no other sum is a result."""
+    scene = room(WavyWall(0.1, 0.4, size=(2.0, 2.0)), Lambert(0.7), Lambert(0.8), stop=0.05)
+    runs = [trace(scene, n_rays=64, max_bounces=3, seed=k) for k in range(8)]
+    named = {name for run in runs for name in run.uncertain}
+    assert {"flux", "stray", "bounce 3"} <= named
+    assert named <= {"flux", "stray", "bounce 1", "bounce 2", "bounce 3"}
+
+
+def test_slopes_of_a_single_chain_follow_the_lobe():
+    """Inverse density of each slope: 1/p of Gaussian slopes, and of Ward's exp(-s^2/alpha^2)."""
+    sigma, slope = 0.02, np.empty(2)
+    for material, alpha in (
+        (SpecularMicrofacet(0.5, sigma), math.sqrt(2) * sigma),
+        (Ward(0.5, sigma), sigma),
+    ):
+        lobes = material.lobe_table()
+        for ray in range(100):
+            address = (np.uint64(1), np.uint64(0), np.uint64(0))
+            chosen, inverse = _set_facet(lobes, np.uint64(5), np.uint64(ray), address, 1.0, slope)
+            assert chosen == 0
+            exact = math.pi * alpha**2 * math.exp((slope @ slope) / alpha**2)
+            # the slope is rounded, which moves the exponent of up to 20 by its rounding
+            assert inverse == approx(exact, rel=1e-12)

@@ -12,7 +12,12 @@ import trimesh
 from pytest import approx
 
 from nlosoptics.errors import MemoryLimitError, SceneError
+from nlosoptics.imaging.geometry import chief_rays
 from nlosoptics.raytrace import trace_point
+from nlosoptics.raytrace.light._point_kernels import landings
+from nlosoptics.raytrace.light.trace import job_of
+from nlosoptics.raytrace.light.trace_point import _boxes
+from nlosoptics.raytrace.light.trace_point import point_scene as moved_point
 from nlosoptics.scene import (
     Camera,
     ConcaveWall,
@@ -191,6 +196,34 @@ def test_defocus_makes_a_disc():
     inside = found.energy[away < blur - found.pitch]
     assert (inside > 0).all()
     assert inside.std() < 0.3 * inside.mean()
+
+
+def test_rays_from_all_over_the_lens_land_on_the_pixel_in_focus():
+    scene = point_scene(PAINT)
+    x, y = (scene.image_distance * np.array(part) for part in ((-0.2, 0.1, 0.3), (0.0, 0.25)))
+    chief = chief_rays(scene, x, y)
+    focus = LENS + chief.directions * (scene.focus_distance / chief.cos_axis)[..., None]
+    e1, e2, _ = frame(scene)
+    for u, v in ((0.0, 0.0), (12e-3, 0.0), (-5e-3, 9e-3)):
+        start = np.broadcast_to(LENS + u * e1 + v * e2, (6, 3)).copy()
+        toward = focus.reshape(-1, 3) - start
+        toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
+        found = np.empty((2, 6))
+        landings(job_of(scene, 1, "sobol", 0).around.world, start, toward, *found)
+        np.testing.assert_allclose(found[0].reshape(2, 3), np.tile(x, (2, 1)), rtol=0, atol=1e-15)
+        np.testing.assert_allclose(found[1].reshape(2, 3).T, np.tile(y, (3, 1)), rtol=0, atol=1e-15)
+
+
+def test_box_of_mirror_images_moves_with_the_scene():
+    """An unbounded wall is the same everywhere, so a shift of all else shifts only the corner."""
+    scene = point_scene(SpecularMicrofacet(0.5, 0.02), wall=FlatWall())
+    shift = np.array([0.7, -0.4, 0.0])
+    camera = replace(scene.camera, position=tuple(LENS + shift), aim=tuple(AIM + shift))
+    moved = replace(scene, camera=camera)
+    _, box = _boxes(moved_point(scene, POINT))
+    _, there = _boxes(moved_point(moved, POINT + shift))
+    # positions of about 1 m are rounded to 1e-16 m
+    np.testing.assert_allclose(there, box + np.append(shift[:2], [0.0, 0.0]), rtol=0, atol=1e-14)
 
 
 def test_lobes_add():

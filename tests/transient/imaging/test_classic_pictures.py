@@ -303,6 +303,15 @@ def test_backprojection_is_an_adjoint(pairing):
     assert np.vdot(back, values) == pytest.approx(np.vdot(light, there), rel=1e-7)
 
 
+def test_two_voxels_have_no_curvature():
+    """The Laplacian of a volume two voxels wide and one high is the derivative along z."""
+    light, z = capture(point_light(POINT)), POINT[2] + 0.01 * np.arange(-8, 9)
+    volume = Volume(POINT[0] + np.array([0.0, 0.02]), [POINT[1]], z)
+    images = [backprojection(light, volume, filter=f) for f in ("laplacian", "second_derivative")]
+    assert np.ptp(images[0].intensity, axis=2).max() > 0.01 * images[0].intensity.max()
+    np.testing.assert_array_equal(images[0].intensity, images[1].intensity)
+
+
 def test_backprojection_takes_outer_legs_with_it():
     light = capture(point_light(POINT))
     volume = around(POINT, count=7)

@@ -379,6 +379,23 @@ def test_coarse_sampling_is_warned_of():
     assert image.details["sum"] == "direct"
 
 
+def test_share_of_paths_outside_the_bins_is_exact_for_few_voxels():
+    """All paths of up to 15 voxels along each axis are counted, not only a sample of them."""
+    volume = Volume(np.linspace(-0.4, 0.1, 7), np.linspace(-0.2, 0.3, 5), np.linspace(0.5, 0.9, 11))
+    points = volume.points[..., None, :]
+    paths = 2 * np.linalg.norm(points - CONFOCAL.sensor_points.reshape(-1, 3), axis=-1)
+    late = np.median(paths)
+    short = noise_capture(
+        np.array(CONFOCAL.laser_points), pairing="confocal", H=CONFOCAL.H[: int(late / 0.02)],
+        t_start=0.0,
+    )  # fmt: skip
+    outside = 100 * np.mean(paths > short.edges[-1])
+    with pytest.warns(ValidityWarning, match=f"leave out {outside:.2g} % of the paths"):
+        phasor_image(short, volume, wl_mean=0.7)
+    few = quiet(short, volume, wl_mean=0.7)
+    assert f"({paths.min():.4g} to {paths.max():.4g} m)" in few.notes[-1]
+
+
 @pytest.mark.parametrize(
     ("capture", "options", "kind", "message"),
     [
