@@ -7,9 +7,12 @@ a point spread of each. `one` and `two` are seconds on the wall of a study with 
 `loop` those of `simulate` called for the first `--loop` points, scaled to all points. All three
 start without the point spreads of the others.
 
-Row "light": laser powers and exposures, whose Strehl ratio comes from one point spread. `client`
-and `worker` are CPU seconds for each point, `share` is the client's share of both, and `grown` is
-the growth of the client's memory while the second half of the points is computed, MiB.
+Row "light": laser powers and exposures, whose Strehl ratio comes from one point spread.
+
+In both rows, with one worker: `client` and `worker` are CPU seconds for each point, of the client
+from the first to the last block, of the worker with its start; `share` is the client's share of
+both, `block` the number of points that a worker computes at a time, and `grown` the growth of the
+client's memory while the second half of the points is computed, MiB.
 """
 
 from __future__ import annotations
@@ -22,65 +25,72 @@ import tempfile
 import time
 from pathlib import Path
 
-from studies import cpu_seconds
+from studies import Clock, cpu_seconds
 
 import nlosoptics as nlos
-from nlosoptics.study import Study, run_study
+from nlosoptics.study import Study, plan_study, run_study
 
 SCENE = str(Path(__file__).parents[1] / "examples" / "scenes" / "letter_flat.toml")
 FIGURES = ["strehl", {"figure": "mtf", "frequency": 60.0}]
 FOCUS = {"camera.focus_distance": {"from": "1.8 m", "to": "2.3 m"}}
 
 
+class Watch(Clock):
+    """Progress callback that also keeps the client's memory over the second half of the points."""
+
+    half = None
+
+    def __call__(self, text, share):
+        super().__call__(text, share)
+        if share >= 0.5:
+            self.last = _resident()
+            self.half = self.half or self.last
+
+
+def with_one_worker(kind, study, store):
+    """The row of a study with one worker, and its results."""
+    watch, block, before = Watch(), plan_study(study).block, cpu_seconds()[1]
+    begun = time.perf_counter()
+    results = run_study(study, store, workers=1, progress=watch)
+    one = time.perf_counter() - begun
+    points = results.counts["done"]
+    assert points == len(study)
+    client, worker = watch.passed()[1] / points, (cpu_seconds()[1] - before) / points
+    row = {"kind": kind, "points": points, "one": one, "client": client, "worker": worker}
+    grown = (watch.last - watch.half) / 2**20
+    return row | {"share": client / (client + worker), "block": block, "grown": grown}, results
+
+
 def heavy(points, looped):
-    """Seconds of a study with one and two workers, and of a plain loop."""
+    """Row of points with a point spread each; also with two workers, and in a plain loop."""
     draws = {"count": points, "method": "random", "of": FOCUS}
     study = Study.from_tables({"scene": SCENE, "figures": FIGURES, "draws": draws})
-    row = {"kind": "heavy", "points": points, "loop points": looped}
     with tempfile.TemporaryDirectory() as folder:
-        for name, workers in (("one", 1), ("two", 2)):
-            begun = time.perf_counter()
-            results = run_study(study, f"{folder}/{name}.zarr", workers=workers)
-            row[name] = time.perf_counter() - begun
-            assert results.counts["done"] == points
+        row, results = with_one_worker("heavy", study, f"{folder}/one.zarr")
+        begun = time.perf_counter()
+        again = run_study(study, f"{folder}/two.zarr", workers=2)
+        row["two"] = time.perf_counter() - begun
+        assert again.counts["done"] == points
         scenes = [results.scene(i) for i in range(looped)]
     nlos.simulate(scenes[0])  # imports
     begun = time.perf_counter()
     for scene in scenes:
         nlos.simulate(scene)
     row["loop"] = (time.perf_counter() - begun) / looped * points
-    return row | {"one / two": row["one"] / row["two"], "loop / two": row["loop"] / row["two"]}
+    ratios = {f"{name} / two": row[name] / row["two"] for name in ("one", "loop")}
+    return row | {"loop points": looped} | ratios
 
 
 def light(points):
-    """CPU time and memory of points that share their point spread."""
+    """Row of points that share their point spread."""
     side = math.isqrt(points)
     axes = {
         "laser.power": {"from": "1 mW", "to": "50 mW", "count": side},
         "camera.exposure": {"from": "1 ms", "to": "50 ms", "count": side},
     }
     study = Study.from_tables({"scene": SCENE, "figures": ["strehl"], "axes": axes})
-    memory = {}
-
-    def progress(text, share):
-        if share >= 0.5:
-            memory.setdefault("half", _resident())
-            memory["end"] = _resident()
-
     with tempfile.TemporaryDirectory() as folder:
-        begun = cpu_seconds()
-        run_study(study, f"{folder}/light.zarr", workers=1, progress=progress)
-        client, worker = (
-            (after - before) / side**2 for before, after in zip(begun, cpu_seconds(), strict=True)
-        )
-    return {
-        "kind": "light",
-        "points": side**2,
-        "client": client,
-        "worker": worker,
-        "share": client / (client + worker),
-        "grown": (memory["end"] - memory["half"]) / 2**20,
-    }
+        return with_one_worker("light", study, f"{folder}/light.zarr")[0]
 
 
 def _resident():

@@ -85,7 +85,7 @@ def commands(block: str) -> Iterator[str]:
 def test_every_block_has_a_language_that_is_run_or_known() -> None:
     """A block in a language of another name would be passed over."""
     known = {"python", "console", "toml", "json", "text"}
-    known |= {"toctree", "include", "eval-rst", "glossary"}  # directives
+    known |= {"toctree", "contents", "include", "eval-rst", "glossary"}  # directives
     for page in PAGES:
         found = re.findall(r"^```\{?([\w-]*)", page.read_text(), re.MULTILINE)
         assert set(found[::2]) <= known, page
@@ -137,7 +137,7 @@ def test_every_benchmark_is_on_the_page(
     page = extension("performance")
     page.pages(tmp_path)
     text = (tmp_path / "performance.md").read_text()
-    sections = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
+    sections = re.split(r"^### ", text, flags=re.MULTILINE)[1:]
     assert len(sections) == sum(map(len, page.ROOMS.values())) == text.count("$ ")
     assert all("\n| --- |" in section for section in sections)
     for picture in re.findall(r"\(_generated/([\w.]+)\)", text):
@@ -176,7 +176,7 @@ def test_figures_of_the_tables_are_those_of_the_files(
         {"rms": 1, "correlation": 0.85, "status": "converged", "seconds": 3.0},
         {"rms": 1, "correlation": 0.10, "status": "trivial", "seconds": 2.0},
     ]
-    (group,) = cells.groups(fits, "rms")
+    (group,) = cells.by("rms")(fits)
     columns = extension("performance.inverse").FITS.values()
     assert [cells.fill(cell, group) for cell in columns] == [
         "3",
@@ -200,6 +200,15 @@ def test_templates_of_the_tables(extension: Callable[[str], ModuleType]) -> None
         assert cells.fill(template, row) == text
     with pytest.raises(KeyError, match="gone"):
         cells.fill("{gone:time}", row)
+
+
+def test_scaling_on_paper_stops_at_the_slower_side(extension: Callable[[str], ModuleType]) -> None:
+    """1,000 workers of 10 s a point need 10 ms of the client; a client of 20 ms is too slow."""
+    studies = extension("performance.studies")
+    rows = [{"client": client, "worker": 10.0, "block": 2} for client in (0.005, 0.02)]
+    quick, slow = studies.on_paper(rows)
+    assert (quick["limit"], quick["rate"], quick["fed"]) == ("workers", 100.0, 2000.0)
+    assert (slow["limit"], slow["rate"], slow["needed"]) == ("client", 50.0, 40.0)
 
 
 def test_site_is_whole(extension: Callable[[str], ModuleType], tmp_path: Path) -> None:

@@ -72,45 +72,31 @@ def listed(cells: dict[str, Cell], row: Row) -> str:
     return table(["quantity", "value"], body)
 
 
-def groups(
-    found: Iterable[Row],
+def by(
     *keys: str,
     keep: Callable[[Row], object] = bool,
     order: Callable[[Row], Any] | None = None,
-) -> list[Row]:
-    """Return one row for all rows with the same values of some keys.
+) -> Callable[[Iterable[Row]], list[Row]]:
+    """Return a function that makes one row, a group, of all rows with the same values of some keys.
 
-    Parameters
-    ----------
-    found : iterable of dict
-        Rows.
-    *keys : str
-        Keys, whose values the row of a group has as well.
-    keep : callable, optional
-        Whether a row counts.
-    order : callable, optional
-        Sorting key of the groups; by default they come in the order of their first rows.
-
-    Returns
-    -------
-    list of dict
-        ``rows``, their number ``count``, and a list of values for each other key.
+    A group has these values, its ``rows``, their number ``count``, and a list of values for each
+    other key. Rows count if `keep` is true of them. The groups come in the order of their first
+    rows, or sorted by `order`.
     """
-    parts = defaultdict(list)
-    for row in filter(keep, found):
-        parts[tuple(row[key] for key in keys)].append(row)
-    made = []
-    for values, part in parts.items():
-        others = dict.fromkeys(key for row in part for key in row if key not in keys)
-        lists = {key: [row[key] for row in part if key in row] for key in others}
-        made.append(lists | dict(zip(keys, values, strict=True)) | {"rows": part})
-        made[-1]["count"] = len(part)
-    return sorted(made, key=order) if order else made
 
+    def groups(found: Iterable[Row]) -> list[Row]:
+        parts = defaultdict(list)
+        for row in filter(keep, found):
+            parts[tuple(row[key] for key in keys)].append(row)
+        made = []
+        for values, part in parts.items():
+            others = {key for row in part for key in row}.difference(keys)
+            lists = {key: [row[key] for row in part if key in row] for key in others}
+            same = dict(zip(keys, values, strict=True))
+            made.append(lists | same | {"rows": part, "count": len(part)})
+        return sorted(made, key=order) if order else made
 
-def by(*keys: str, **options: Any) -> Rows:
-    """Return `groups` as a function of the rows alone."""
-    return lambda found: groups(found, *keys, **options)
+    return groups
 
 
 def methods(found: Iterable[Row]) -> list[Row]:

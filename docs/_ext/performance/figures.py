@@ -40,16 +40,8 @@ def curves(
 ) -> Callable[[Iterable[Row]], Figure]:
     """Return a function that draws error against seconds, a line for each name.
 
-    Parameters
-    ----------
-    name : str or callable
-        Template of the line to which a row belongs.
-    error : callable
-        Function of a row.
-    label : str
-        Title of the axis of the error.
-    keep : callable, optional
-        Whether a row is drawn.
+    `name` is the template of the line to which a row belongs, `error` a function of a row and
+    `label` the title of its axis. Rows are drawn if `keep` is true of them.
     """
 
     def drawn(found: Iterable[Row]) -> Figure:

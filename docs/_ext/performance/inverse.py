@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from operator import itemgetter
 
-from .cells import Cell, Row, by, groups, methods
+from .cells import Cell, Row, by, methods
 from .figures import curves
 from .page import Section
 
@@ -54,7 +54,7 @@ def by_noise(found: Sequence[Row]) -> Iterator[Row]:
         label = f", {float(noise):.0%}"
         images = [row["image"] for row in part]
         yield {"name": f"the image itself{label}", "correlation": images}
-        for solver in groups(methods(part), "method"):
+        for solver in by("method")(methods(part)):
             name = solver["method"].replace("skimage_", "scikit-image, ")
             yield solver | {"name": f"{name}{label}"}
 
@@ -202,7 +202,7 @@ SECTIONS = (
             "halves agree": "{halves:median n}",
             "median run time": "{seconds:median time}",
         },
-        rows=lambda found: groups(methods(found), "method"),
+        rows=lambda found: by("method")(methods(found)),
     ),
     Section(
         "real_speckle.json",

@@ -53,7 +53,7 @@ class Section:
         found = tables.rows(self.file)
         made = self.table
         table = made(found) if callable(made) else filled(made, self.rows(found))
-        parts = [f"## {self.title}\n", f"{self.text}\n", table]
+        parts = [f"### {self.title}\n", f"{self.text}\n", table]
         if self.note is not None:
             parts.append(self.note(found).rstrip() + "\n")
         if self.figure is not None:
@@ -73,9 +73,10 @@ def write(rooms: Mapping[str, Iterable[Section]], target: Path) -> None:
     LookupError
         If a results file has no section or a section no file.
     """
-    sections = [section for part in rooms.values() for section in part]
-    there = {path.name for path in tables.RESULTS.iterdir()}
-    if differ := sorted(there ^ {section.file for section in sections}):
+    known = {section.file for part in rooms.values() for section in part}
+    if differ := sorted(known ^ {path.name for path in tables.RESULTS.iterdir()}):
         raise LookupError(f"docs/_ext/performance and benchmarks/results differ in {differ}")
-    text = [section.markdown(target) for section in sections]
+    text = []
+    for heading, part in rooms.items():
+        text += [f"## {heading}\n", *(section.markdown(target) for section in part)]
     tables.write(target / "performance.md", "\n".join(text))

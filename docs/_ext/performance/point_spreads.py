@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from tables import COLOURS, figure, table
 
-from .cells import Cell, Row, fill, groups, listed
+from .cells import Cell, Row, by, fill, listed
 from .figures import Series, errors_against_seconds, legend
 from .page import Section
 
@@ -26,7 +26,7 @@ def fastest(found: Sequence[Row], most: float) -> dict[str, Row]:
 def psf_peers(found: Sequence[Row]) -> str:
     """Return what each program takes to two errors."""
     body = []
-    for case in groups(found, "case"):
+    for case in by("case")(found):
         for most in (1e-3, 1e-6):
             best = fastest(case["rows"], most)
             cells = [
@@ -47,7 +47,7 @@ def front(found: Sequence[Row], name: str) -> Iterator[tuple[float, float]]:
 
 def draw_psf_peers(found: Sequence[Row]) -> Figure:
     """Draw the least seconds to any error, a panel a case."""
-    cases = groups(found, "case")
+    cases = by("case")(found)
     lines = (len(cases) + 1) // 2
     drawn = figure(9, 1 + 2.7 * lines)
     panels = drawn.subplots(lines, 2, sharex=True, sharey=True, squeeze=False).flat

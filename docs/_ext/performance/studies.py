@@ -1,12 +1,14 @@
 """Design studies: throughput on many workers, and the fast tier."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from statistics import median
 
 from tables import number, seconds
 
-from .cells import Row, fill
+from .cells import Row, fill, filled
 from .page import Section
+
+CORES = 1000
 
 
 def bottleneck(found: Sequence[Row]) -> str:
@@ -19,11 +21,25 @@ def bottleneck(found: Sequence[Row]) -> str:
         f"The client is the bottleneck. It needs {seconds(cpu)} of CPU time to write the "
         f"results of a block, so that on a core of its own it can write {number(1 / cpu, 2)} "
         f"blocks per second. In these runs it had only {number(cores, 2)} of a core, because of "
-        f"other work, and wrote {number(blocks, 2)} blocks per second. To keep 1,000 workers busy, "
-        f"the points must be so expensive that a block takes at least {seconds(1000 * cpu)}. The "
-        "last row of each store has expensive points, with 300 workers. With a real worker, the "
-        f"client needs {seconds(real['client'] * real['block'])} per block."
+        f"other work, and wrote {number(blocks, 2)} blocks per second. The last row of each "
+        "store has expensive points, with 300 workers. With a real worker, the client needs "
+        f"{seconds(real['client'] * real['block'])} per block."
     )
+
+
+def on_paper(found: Sequence[Row]) -> Iterator[Row]:
+    """Yield what each kind of point gives on `CORES` cores, by the CPU time of one worker."""
+    for row in found:
+        client, worker, block = row["client"], row["worker"], row["block"]
+        limit = "client" if CORES * client > worker else "workers"
+        yield row | {
+            "client block": client * block,
+            "worker block": worker * block,
+            "fed": worker / client,
+            "rate": min(CORES / worker, 1 / client),
+            "limit": limit,
+            "needed": CORES * client * block,
+        }
 
 
 SECTIONS = (
@@ -46,6 +62,40 @@ SECTIONS = (
             "share": "{share?:n2}",
         },
         note=bottleneck,
+    ),
+    Section(
+        "study_workers.json",
+        "Cost of a study, and scaling on paper",
+        "What does a study add to the computation of its points, and what would 1,000 cores give? "
+        "Each heavy point needs a point spread of its own; the light points share one. The loop "
+        "calls `simulate` for the same scenes, which also computes the image. The second table "
+        "extrapolates from the processor times of client and worker, with one worker on each core, "
+        "and the client on a core of its own. The time for messages over a network is not "
+        "included. The bottleneck is the client if the workers could compute more points than it "
+        "can write. The last column is the time that a worker must take for a block, so that the "
+        "client can keep 1,000 workers busy. Blocks are planned to take about 1 s; they take "
+        "longer only if a single point does. If the client is the bottleneck, more cores help "
+        "only if the study is divided into several studies, each with its own client.",
+        "python benchmarks/study_workers.py --json {file}",
+        table={
+            "points": "{points} {kind}",
+            "study, one worker": "{one:time}",
+            "two workers": "{two?:time}",
+            "loop": "{loop?:time}",
+            "growth of the client's memory": "{grown:.2f} MiB",
+        },
+        note=lambda found: filled(
+            {
+                "points": "{kind}, {block} per block",
+                "client's time for a block": "{client block:time}",
+                "worker's time for a block": "{worker block:time}",
+                "workers that keep the client busy": "{fed:n2}",
+                "points per second, 1,000 cores": "{rate:,.0f}",
+                "bottleneck": "{limit}",
+                "time for a block that 1,000 workers need": "{needed:time}",
+            },
+            on_paper(found),
+        ),
     ),
     Section(
         "fast_tier.json",

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 from tables import figure
 
-from .cells import Row, groups
+from .cells import Row, by
 from .figures import curves, errors_against_seconds, legend
 from .page import Section
 
@@ -14,7 +14,7 @@ def draw_measured_charts(found: Sequence[Row]) -> Figure:
     """Draw a point for each method, a panel a chart."""
     drawn = figure(8.5, 3.6)
     panels = drawn.subplots(1, 2, sharex=True, sharey=True)
-    for axes, chart in zip(panels, groups(found, "chart"), strict=True):
+    for axes, chart in zip(panels, by("chart")(found), strict=True):
         points = {row["method"]: [(row["seconds"], row["mae_m"] * 1e3)] for row in chart["rows"]}
         errors_against_seconds(axes, points, "mean error of depth (mm)")
         axes.set(title=chart["chart"].replace("_", " "), yscale="linear")

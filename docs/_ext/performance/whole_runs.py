@@ -1,8 +1,6 @@
 """Whole tasks: commands from start to exit, tolerances, growth with size, pictures of a room."""
 
-from tables import number, seconds, table
-
-from .cells import Row
+from .cells import Cell, Row, listed
 from .figures import curves
 from .page import Section
 
@@ -16,19 +14,17 @@ def longest_stages(row: Row) -> str:
 
 def pictures(found: Row) -> str:
     """Return seconds, sizes and frame rate of a room."""
-    png, files, frames = found["png_seconds"], found["files"], found["frames"]
-    drawn = png["trial_of_rendering"] + png["picture_with_pyvista"]
+    png, frames = found["png_seconds"], found["frames"]
     renderer = f"{frames['renderer'].split(' (')[0]}, {found['cores']} cores"
-    body = [
-        ["PNG, including the import of pyvista and a test of the renderer", seconds(drawn)],
-        ["HTML page", f"{number(files['html_megabytes'])} MB"],
-        ["glTF", f"{number(files['glb_megabytes'])} MB"],
-        [
-            f"{frames['segments']} segments, {renderer}",
-            f"{number(frames['frames_per_second'])} frames per second",
-        ],
-    ]
-    return table(["what", "value"], body)
+    cells: dict[str, Cell] = {
+        "PNG, including the import of pyvista and a test of the renderer": "{drawn:time}",
+        "HTML page": "{files[html_megabytes]:n} MB",
+        "glTF": "{files[glb_megabytes]:n} MB",
+        f"{frames['segments']} segments, {renderer}": "{frames[frames_per_second]:n} frames per "
+        "second",
+    }
+    drawn = png["trial_of_rendering"] + png["picture_with_pyvista"]
+    return listed(cells, found | {"drawn": drawn})
 
 
 SECTIONS = (
