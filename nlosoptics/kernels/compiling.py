@@ -1,17 +1,23 @@
-"""Decorator for kernels that loads them from numba's cache without preparing a compilation.
+"""Decorator for kernels that keeps the times of loading and of compilation short.
 
 Before numba looks into its cache it imports all that a compilation may need: its implementations
 of Python and numpy, and with them scipy.linalg. This takes longer than loading all kernels of a
 run. Compiled kernels need none of it, and a compilation imports it by itself.
+
+Many kernels are called only by other kernels. numba gives each of them an entry for Python and one
+for C, and compiles them again for every constant that they are called with. The decorator leaves
+this out.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from functools import cached_property
+from types import FunctionType
 from typing import Any
 
 import numba
+from numba.core import types
 from numba.core.caching import FunctionCache, NullCache
 from numba.core.runtime.nrt import rtsys
 
@@ -25,7 +31,7 @@ class _Cache(NullCache):
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
 
-    @cached_property
+    @functools.cached_property
     def _own(self) -> Any:
         return FunctionCache(self._function)
 
@@ -68,7 +74,31 @@ def njit(
     """
     if function is None:
         return lambda given: njit(given, cache=cache, **options)
-    compiled = numba.njit(function, **options)
+    compiled = numba.njit(function, no_cfunc_wrapper=True, **options)
     if cache and hasattr(compiled, "_cache"):  # NUMBA_DISABLE_JIT leaves the function as it is
         compiled._cache = _Cache(function)
+        if options.get("inline") != "always":
+            _set_inner(compiled, function, options)
     return compiled
+
+
+def _set_inner(compiled: Any, function: Callable[..., Any], options: dict[str, Any]) -> None:
+    """Make other kernels call a version of a compiled function that Python cannot call."""
+
+    @functools.cache
+    def called() -> Any:
+        inner = FunctionType(
+            function.__code__, function.__globals__, function.__name__, function.__defaults__
+        )
+        # numba's cache is keyed by the qualified name
+        inner.__qualname__, inner.__module__ = f"{function.__qualname__}_inner", function.__module__
+        made = numba.njit(inner, no_cfunc_wrapper=True, no_cpython_wrapper=True, **options)
+        made._cache = _Cache(inner)
+        return made
+
+    def get_call_template(given: Any, keywords: Any) -> Any:
+        """Return the types of a call; a constant has the type of other numbers."""
+        return called().get_call_template(tuple(map(types.unliteral, given)), keywords)
+
+    compiled.get_call_template = get_call_template
+    compiled.get_overload = lambda signature: called().get_overload(signature)

@@ -1,12 +1,14 @@
 """Heights of relay walls as compiled scalar functions.
 
 A wall is given by two float64 arrays. ``terms`` (n, 8) has one row per summand: its kind in column
-0, then its parameters in SI units. ``tables`` is a flat array with the samples of gridded summands.
+0, then its parameters in SI units. ``tables`` is a flat array with the samples of gridded summands,
+or None as `tables_for` returns it: numba then compiles only spheres, cylinders and waves.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from .codes import (
     BUMPS,
@@ -20,7 +22,12 @@ from .compiling import njit
 from .relief import bumps, facets
 
 
-@njit(cache=True, inline="always")
+def tables_for(terms: Any, tables: Any) -> Any:
+    """Return ``tables``, or None if all terms are planes, spheres, cylinders and waves."""
+    return tables if (terms[:, 0] >= GRID).any() else None
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
 def hermite(t, step):
     """Return the cubic Hermite basis at t in [0, 1] and its first and second x derivatives.
 
@@ -39,7 +46,7 @@ def hermite(t, step):
     return values, first, second
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _grid(row, tables, x, y):
     """Return height and derivatives of a bicubic Hermite surface at (x, y); NaN off its grid.
 
@@ -75,7 +82,7 @@ def _grid(row, tables, x, y):
     return h, hx, hy, hxx, hxy, hyy
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _summand(row, tables, x, y):
     """Return height and derivatives (h, hx, hy, hxx, hxy, hyy) of one term at (x, y), in m.
 
@@ -108,12 +115,13 @@ def _summand(row, tables, x, y):
         cosine, sine = math.cos(kx * x + ky * y + phase), math.sin(kx * x + ky * y + phase)
         h, hx, hy = a * cosine, -a * kx * sine, -a * ky * sine
         hxx, hxy, hyy = -a * kx * kx * cosine, -a * kx * ky * cosine, -a * ky * ky * cosine
-    elif kind == GRID:
-        h, hx, hy, hxx, hxy, hyy = _grid(row, tables, x, y)
-    elif kind == FACETS:
-        h, hx, hy = facets(row, x, y)
-    elif kind == BUMPS:
-        h, hx, hy, hxx, hxy, hyy = bumps(row, tables, x, y)
+    if tables is not None:
+        if kind == GRID:
+            h, hx, hy, hxx, hxy, hyy = _grid(row, tables, x, y)
+        elif kind == FACETS:
+            h, hx, hy = facets(row, x, y)
+        elif kind == BUMPS:
+            h, hx, hy, hxx, hxy, hyy = bumps(row, tables, x, y)
     return h, hx, hy, hxx, hxy, hyy
 
 
@@ -121,8 +129,11 @@ def _summand(row, tables, x, y):
 def surface(terms, tables, x, y):
     """Return the wall's height and derivatives (h, hx, hy, hxx, hxy, hyy) at (x, y), in m.
 
-    All are NaN where the wall has no height; callers convert that to a status.
+    All are NaN where the wall has no height; callers convert that to a status. A flat wall may have
+    None for its terms.
     """
+    if terms is None:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     return partial_surface(terms, tables, x, y, True, True)
 
 

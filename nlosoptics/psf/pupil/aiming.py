@@ -77,6 +77,7 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
             excess=np.zeros(len(nodes)),
             spreading=cosine / legs**2,
         )
+    from ...kernels.heights import tables_for
     from . import _aiming_kernels, callable_aiming
 
     out = np.empty((len(nodes), _aiming_kernels.N_COLUMNS))
@@ -85,7 +86,8 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
         callable_aiming.aim(wall, o, nodes, starts, axis, out)
     else:
         loop = _aiming_kernels.aim if len(nodes) > MANY else _aiming_kernels.aim.alone
-        loop(*wall.compiled(), o, nodes, starts, axis, out)
+        terms, tables = wall.compiled()
+        loop(terms, tables_for(terms, tables), o, nodes, starts, axis, out)
     lost = out[:, 7] != _aiming_kernels.FOUND
     if lost.any():
         raise CausticError(
@@ -142,6 +144,7 @@ def stationary_points(
     ``o`` and ``p`` (3,) are in the world, m; ``starts`` (n, 2) are first guesses on the wall, m;
     ``side`` is 1 for p in front of the wall, -1 for a virtual point behind it.
     """
+    from ...kernels.heights import tables_for
     from . import _aiming_kernels, callable_aiming
 
     if isinstance(wall, CallableWall):
@@ -150,6 +153,7 @@ def stationary_points(
         yield from zip(points[:, 0].tolist(), points[:, 1].tolist(), status.tolist(), strict=True)
         return
     terms, tables = wall.compiled()
+    tables = tables_for(terms, tables)
     for x, y in starts:
         yield _aiming_kernels.stationary_point(terms, tables, o, p, x, y, side)
 

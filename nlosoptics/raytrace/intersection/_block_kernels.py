@@ -269,7 +269,7 @@ def block_hits(terms, tables, grid_bounds, box, slab, w, state):
     state[:] = -1
     if only_waves(terms):
         wave_hits(terms, box, w, state)
-    elif terms.shape[0] == 1 and terms[0, 0] == GRID:
+    if tables is not None and terms.shape[0] == 1 and terms[0, 0] == GRID:
         grid_hits(terms[0], tables, grid_bounds[0], box, slab, w, state)
 
 
@@ -291,7 +291,7 @@ def intersect(
     """Fill distance (n,), points and normals (n, 3) and status (n,) with the first hits.
 
     Directions may have any length. Returns the number of invalid rays: those with NaN, infinity or
-    a zero direction. ``grid_bounds`` may be None as in `wall_hit`.
+    a zero direction. ``tables`` and ``grid_bounds`` may be None as in `wall_hit`.
     """
     count = distance.size
     bad = 0

@@ -302,8 +302,9 @@ def _unit(d):
 def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
     """Return distance (m), status and the wall's slopes dh/dx, dh/dy at the first hit of one ray.
 
-    If the wall is a single sphere or cylinder, ``grid_bounds`` may be None. Then numba does not
-    compile the march, which takes seconds.
+    If the wall is a single sphere or cylinder, ``grid_bounds`` may be None, and ``tables`` without
+    grids and reliefs. Then numba does not compile the march, or the search of facets, which takes
+    seconds.
     """
     conic = terms.shape[0] == 1 and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER)
     if grid_bounds is None or conic:
@@ -313,14 +314,15 @@ def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
         if low > high:
             return math.nan, missed, 0.0, 0.0
         top = 0.0
-        for i in range(terms.shape[0]):
-            if terms[i, 0] == FACETS:
-                top += EXTREME * terms[i, 2]
-        if top > 0.0:
-            t, condition = faceted_hit(
-                terms, tables, top, slab, o, d, low, high, bound, scale, missed
-            )
-        else:
+        if tables is not None:
+            for i in range(terms.shape[0]):
+                if terms[i, 0] == FACETS:
+                    top += EXTREME * terms[i, 2]
+            if top > 0.0:
+                t, condition = faceted_hit(
+                    terms, tables, top, slab, o, d, low, high, bound, scale, missed
+                )
+        if top == 0.0:
             t, hx, hy = newton_hit(terms, tables, slab, o, d, low, high, bound, scale)
             if t >= 0.0:
                 return t, HIT, hx, hy

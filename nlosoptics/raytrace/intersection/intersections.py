@@ -128,6 +128,7 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
         return _plane(wall, *_rays(origins, directions))
     if isinstance(wall, CallableWall):
         return _callable(wall, *_rays(origins, directions))
+    from ...kernels.heights import tables_for
     from ...kernels.relief import with_draws
     from . import _block_kernels
 
@@ -139,10 +140,10 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     curvature, box, slab, rim = search_bounds(wall, terms, tables)
     terms, tables = with_draws(terms, tables, box, MARCH * count)
     conic = len(terms) == 1 and terms[0, 0] in (SPHERE, CYLINDER)
-    bad = _block_kernels.intersect(
+    bad = _block_kernels.intersect(  # None, where possible, compiles a shorter function
         terms,
-        tables,
-        None if conic else curvature,  # compiles a shorter function
+        tables_for(terms, tables),
+        None if conic else curvature,
         box,
         slab,
         rim,

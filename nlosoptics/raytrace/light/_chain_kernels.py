@@ -21,6 +21,7 @@ from ...kernels.codes import GGX, WARD_1992
 from ...kernels.compiling import njit
 from ...kernels.heights import surface
 from ...kernels.random import uniform
+from ._connection_kernels import narrow_at, reflected
 from ._light_kernels import (
     LENGTH,
     MET,
@@ -28,11 +29,10 @@ from ._light_kernels import (
     POWER,
     SURFACE,
     chained_at,
-    narrow_at,
-    reflected,
+    lobes_of,
 )
 from ._lobe_kernels import STEEPEST, facet_slope_sq, is_narrow
-from ._surround_kernels import OBJECT, WALL, on_detector, texel
+from ._surround_kernels import OBJECT, WALL, dot, interval, on_detector, texel, three
 
 STREAM = np.uint64(303)  # stream of the random numbers
 # Largest numbers of Newton steps and of halvings of a step. A search tries many starts, and some
@@ -44,18 +44,6 @@ SAME = 1e-6  # distance of equal solutions relative to the length of the path
 TRIALS = 1 << 16  # largest number of starts for one solution
 THINNED = 8.0  # search one of so many chains for each reflection at the wall after the first
 LONG = 4  # reflections beyond which one of two chains is traced, for each further reflection
-
-
-@njit(cache=True)
-def _dot(a, b):
-    """Return the scalar product; unlike `_surround_kernels.dot` it is quick to compile."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@njit(cache=True)
-def _three(row, start):
-    """Return three consecutive numbers of a row as a tuple; quick to compile."""
-    return row[start], row[start + 1], row[start + 2]
 
 
 @njit(cache=True)
@@ -78,21 +66,22 @@ def _set_frame(world, kind, u, frame, bounds):
         frame[3] = frame[7] = frame[11] = 1.0
         return 1.0
     if world.plate.size > 0:
-        frame[:] = world.plate[:12]
+        for i in range(12):
+            frame[i] = world.plate[i]
         bounds[0], bounds[1] = world.plate[12], world.plate[13]
         return 1.0
     areas = world.areas
-    k = min(np.searchsorted(areas, u, side="right") - 1, areas.size - 2)
+    k = interval(areas, u)
     row = world.triangles[k]
-    a, b = _three(row, 3), _three(row, 6)
+    a, b = three(row, 3), three(row, 6)
     n = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-    side, double = math.sqrt(_dot(a, a)), math.sqrt(_dot(n, n))
+    side, double = math.sqrt(dot(a, a)), math.sqrt(dot(n, n))
     for i in range(3):
         frame[i], frame[3 + i], frame[9 + i] = row[i], a[i] / side, n[i] / double
     frame[6] = frame[10] * frame[5] - frame[11] * frame[4]
     frame[7] = frame[11] * frame[3] - frame[9] * frame[5]
     frame[8] = frame[9] * frame[4] - frame[10] * frame[3]
-    bx, by = _dot(b, _three(frame, 3)), _dot(b, _three(frame, 6))
+    bx, by = dot(b, three(frame, 3)), dot(b, three(frame, 6))
     bounds[0], bounds[1], bounds[2] = 1.0 / side, -bx / (side * by), 1.0 / by
     return 1.0 / (areas[k + 1] - areas[k])
 
@@ -162,22 +151,22 @@ def _unfold(frames, a, p, u):
     image = p
     for i in range(m - 1, -1, -1):
         f = frames[i]
-        n = _three(f, 9)
-        off = 2.0 * _dot((image[0] - f[0], image[1] - f[1], image[2] - f[2]), n)
+        n = three(f, 9)
+        off = 2.0 * dot((image[0] - f[0], image[1] - f[1], image[2] - f[2]), n)
         image = (image[0] - off * n[0], image[1] - off * n[1], image[2] - off * n[2])
         for k in range(3):
             images[i, k] = image[k]
     o = a
     for i in range(m):
-        f, to = frames[i], _three(images[i], 0)
-        n = _three(f, 9)
+        f, to = frames[i], three(images[i], 0)
+        n = three(f, 9)
         d = (to[0] - o[0], to[1] - o[1], to[2] - o[2])
-        along, above = _dot(d, n), _dot((f[0] - o[0], f[1] - o[1], f[2] - o[2]), n)
+        along, above = dot(d, n), dot((f[0] - o[0], f[1] - o[1], f[2] - o[2]), n)
         t = above / along if along != 0.0 else 0.5
         if not 0.0 < t < 1.0:
             t = 0.5
         x = (o[0] + t * d[0] - f[0], o[1] + t * d[1] - f[1], o[2] + t * d[2] - f[2])
-        u[i, 0], u[i, 1] = _dot(x, _three(f, 3)), _dot(x, _three(f, 6))
+        u[i, 0], u[i, 1] = dot(x, three(f, 3)), dot(x, three(f, 6))
         o = tuple_at(f, u[i, 0], u[i, 1])
 
 
@@ -210,14 +199,13 @@ def _equations(walls, kinds, frames, slopes, a, p, u, x, g, own, back, ahead):
     coordinates of the point itself and of its neighbours. An equation is the scalar product of a
     tangent of the facet with the sum of the unit vectors from both neighbours.
     """
-    terms, tables = walls[0], walls[1]
     m = u.shape[0]
     bends = np.zeros((m, 3))
     for i in range(m):
         f, h = frames[i], 0.0
         g[i, 0] = g[i, 1] = 0.0
-        if kinds[i] == WALL and terms.shape[0] > 0:
-            h, g[i, 0], g[i, 1], hxx, hxy, hyy = surface(terms, tables, u[i, 0], u[i, 1])
+        if kinds[i] == WALL:
+            h, g[i, 0], g[i, 1], hxx, hxy, hyy = surface(walls[0], walls[1], u[i, 0], u[i, 1])
             if not math.isfinite(h):
                 return math.inf
             bends[i, 0], bends[i, 1], bends[i, 2] = hxx, hxy, hyy
@@ -226,32 +214,32 @@ def _equations(walls, kinds, frames, slopes, a, p, u, x, g, own, back, ahead):
             x[i, k] = at[k] + h * f[9 + k]
     total = 0.0
     for i in range(m):
-        before = a if i == 0 else _three(x[i - 1], 0)
-        after = p if i == m - 1 else _three(x[i + 1], 0)
+        before = a if i == 0 else three(x[i - 1], 0)
+        after = p if i == m - 1 else three(x[i + 1], 0)
         d = (x[i, 0] - before[0], x[i, 1] - before[1], x[i, 2] - before[2])
         e = (x[i, 0] - after[0], x[i, 1] - after[1], x[i, 2] - after[2])
-        r, s = math.sqrt(_dot(d, d)), math.sqrt(_dot(e, e))
+        r, s = math.sqrt(dot(d, d)), math.sqrt(dot(e, e))
         if r == 0.0 or s == 0.0:
             return math.inf
         d, e = (d[0] / r, d[1] / r, d[2] / r), (e[0] / s, e[1] / s, e[2] / s)
         f, both = frames[i], (d[0] + e[0], d[1] + e[1], d[2] + e[2])
-        up = _dot(both, _three(f, 9))
+        up = dot(both, three(f, 9))
         for k in range(2):
             facet = _tangent(f, k, g[i, k] + slopes[i, k])
-            g[i, 2 + k] = _dot(facet, both)
+            g[i, 2 + k] = dot(facet, both)
             total += g[i, 2 + k] ** 2
-            on_d, on_e = _dot(facet, d), _dot(facet, e)
+            on_d, on_e = dot(facet, d), dot(facet, e)
             for q in range(2):
                 t = _tangent(f, q, g[i, q])
-                flat = _dot(facet, t)
-                own[i, k, q] = (flat - on_d * _dot(t, d)) / r + (flat - on_e * _dot(t, e)) / s
+                flat = dot(facet, t)
+                own[i, k, q] = (flat - on_d * dot(t, d)) / r + (flat - on_e * dot(t, e)) / s
                 own[i, k, q] += bends[i, k + q] * up
                 if i > 0:
                     t = _tangent(frames[i - 1], q, g[i - 1, q])
-                    back[i, k, q] = (on_d * _dot(t, d) - _dot(facet, t)) / r
+                    back[i, k, q] = (on_d * dot(t, d) - dot(facet, t)) / r
                 if i < m - 1:
                     t = _tangent(frames[i + 1], q, g[i + 1, q])
-                    ahead[i, k, q] = (on_e * _dot(t, e) - _dot(facet, t)) / s
+                    ahead[i, k, q] = (on_e * dot(t, e) - dot(facet, t)) / s
     return total
 
 
@@ -265,7 +253,8 @@ def _steps(g, own, back, ahead, step):
     pivot, side, whole = np.empty((2, 2)), np.zeros((m, 2, 2)), 1.0
     for i in range(m):
         right0, right1 = -g[i, 2], -g[i, 3]
-        pivot[:] = own[i]
+        for k in range(2):
+            pivot[k, 0], pivot[k, 1] = own[i, k, 0], own[i, k, 1]
         if i > 0:
             for k in range(2):
                 b0, b1 = back[i, k, 0], back[i, k, 1]
@@ -291,26 +280,28 @@ def _steps(g, own, back, ahead, step):
 
 
 @njit(cache=True)
-def _solve(walls, kinds, frames, slopes, a, p, u, x, g, limits):
+def _solve(walls, kinds, frames, slopes, a, p, u, x, g, steps, halvings):
     """Move the coordinates ``u`` (m, 2) to a solution; return the Jacobian's determinant, or 0.
 
-    Newton steps are halved until the sum of squares falls. ``limits`` are the largest numbers of
-    steps and halvings; without a solution within them the result is 0.
+    Newton steps are halved until the sum of squares falls. ``steps`` and ``halvings`` are their
+    largest numbers; without a solution within them the result is 0.
     """
     m = u.shape[0]
     own, back, ahead = np.zeros((m, 2, 2)), np.zeros((m, 2, 2)), np.zeros((m, 2, 2))
     step, old = np.zeros((m, 2)), np.empty((m, 2))
     worst = _equations(walls, kinds, frames, slopes, a, p, u, x, g, own, back, ahead)
-    for _ in range(limits[0]):
+    for _ in range(steps):
         if not worst < math.inf:
             return 0.0
         det = _steps(g, own, back, ahead, step)
         if worst < ZERO or det == 0.0:
             return det if worst < ZERO else 0.0
-        old[:] = u
+        for i in range(m):
+            old[i, 0], old[i, 1] = u[i, 0], u[i, 1]
         share, better = 1.0, math.inf
-        for _ in range(limits[1]):
-            u[:] = old + share * step
+        for _ in range(halvings):
+            for i in range(m):
+                u[i, 0], u[i, 1] = old[i, 0] + share * step[i, 0], old[i, 1] + share * step[i, 1]
             better = _equations(walls, kinds, frames, slopes, a, p, u, x, g, own, back, ahead)
             if better < worst:
                 break
@@ -333,12 +324,12 @@ def _normal(frame, slopes):
 
 
 @njit(cache=True)
-def _inside(world, walls, kind, bounds, u, v):
+def _inside(walls, kind, is_plate, bounds, u, v):
     """Return whether a surface extends to the point with the coordinates u, v of its frame."""
     if kind == WALL:
-        box, rim = walls[3], walls[5]
+        box, rim = walls[2], walls[3]
         return abs(u) <= box[0] and abs(v) <= box[1] and u * u + v * v <= rim * rim
-    if world.plate.size > 0:
+    if is_plate:
         return abs(u) <= bounds[0] and abs(v) <= bounds[1]
     second = bounds[2] * v
     first = bounds[0] * u + bounds[1] * v
@@ -355,17 +346,17 @@ def _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inver
     m, value = u.shape[0], 1.0
     for i in range(m):
         kind = kinds[i]
-        if not _inside(world, walls, kind, bounds[i], u[i, 0], u[i, 1]):
+        if not _inside(walls, kind, world.plate.size > 0, bounds[i], u[i, 0], u[i, 1]):
             return 0.0
-        before = a if i == 0 else _three(x[i - 1], 0)
-        after = p if i == m - 1 else _three(x[i + 1], 0)
+        before = a if i == 0 else three(x[i - 1], 0)
+        after = p if i == m - 1 else three(x[i + 1], 0)
         d = (before[0] - x[i, 0], before[1] - x[i, 1], before[2] - x[i, 2])
         e = (after[0] - x[i, 0], after[1] - x[i, 1], after[2] - x[i, 2])
-        r, s = math.sqrt(_dot(d, d)), math.sqrt(_dot(e, e))
+        r, s = math.sqrt(dot(d, d)), math.sqrt(dot(e, e))
         d, e = (d[0] / r, d[1] / r, d[2] / r), (e[0] / s, e[1] / s, e[2] / s)
         f, tilt = frames[i], 1.0 / math.sqrt(1.0 + g[i, 0] ** 2 + g[i, 1] ** 2)
         n = _normal(f, g[i])
-        mu_i, mu_o, between = _dot(d, n), _dot(e, n), _dot(d, e)
+        mu_i, mu_o, between = dot(d, n), dot(e, n), dot(d, e)
         if mu_i <= 0.0 or mu_o <= 0.0:
             return 0.0
         lobes, j = world.wall if kind == WALL else world.thing, lobes_at[i]
@@ -375,10 +366,10 @@ def _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inver
             return 0.0
         else:
             scattered = lobe(lobes, j, mu_i, mu_o, between)
-        up = _dot(d, _three(f, 9)) + _dot(e, _three(f, 9))
+        up = dot(d, three(f, 9)) + dot(e, three(f, 9))
         value *= scattered * inverse[i] * up * up / tilt * mu_i * mu_o / (r * r)
         if kind == OBJECT and world.plate.size > 0:
-            value *= texel(world, _three(x[i], 0))
+            value *= texel(world.plate, world.picture, three(x[i], 0))
         if i == m - 1:
             value /= s * s
     return value
@@ -392,7 +383,7 @@ def _shift(walls, seed, ray, address, kinds, reach, start, u):
     ``reach`` or less, m, uniform in the logarithm over four decades.
     """
     bounce, m, first = address
-    box = walls[3]
+    box = walls[2]
     for i in range(u.shape[0]):
         u[i, 0], u[i, 1] = start[i, 0], start[i, 1]
         if kinds[i] != WALL:
@@ -416,8 +407,10 @@ def chain_to_lens(
 
     Parameters
     ----------
-    world, walls : tuple
-        Data of the scene, and terms, tables and bounds of the wall.
+    world : World
+        Data of the scene.
+    walls : tuple
+        Terms and tables, see `kernels.heights`, box and rim of the wall.
     sampler : tuple
         Its first element is the seed.
     first : int
@@ -444,7 +437,7 @@ def chain_to_lens(
     Specular manifold sampling, 2020).
     """
     seed, camera, bounce, m = sampler[0], world.camera, order[0], order[1]
-    area, axis = math.pi * camera[12] ** 2 * camera[18], _three(camera, 9)
+    area, axis = math.pi * camera[12] ** 2 * camera[18], three(camera, 9)
     kinds, lobes_at = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
     frames, bounds, inverse = np.empty((m, 12)), np.zeros((m, 8)), np.empty(m)
     slopes, start, u, again = np.zeros((m, 2)), np.empty((m, 2)), np.empty((m, 2)), np.empty((m, 2))
@@ -455,7 +448,7 @@ def chain_to_lens(
         share = vertex[NARROW] if m == 1 else 1.0
         if vertex[SURFACE] < 0.0 or vertex[POWER] * share <= 0.0:
             continue
-        a, p, ready, on_wall = _three(vertex, 0), _three(lens[i], 0), True, 0
+        a, p, ready, on_wall = three(vertex, 0), three(lens[i], 0), True, 0
         for k in range(m):
             kinds[k] = WALL if (vertex[SURFACE] == OBJECT) == (k % 2 == 0) else OBJECT
             on_wall += 1 if kinds[k] == WALL else 0
@@ -468,7 +461,7 @@ def chain_to_lens(
         for k in range(m):
             chance = _number(seed, ray, bounce, m, 4 * k)
             share *= _set_frame(world, kinds[k], chance, frames[k], bounds[k])
-            ready = ready and chained_at(world, kinds[k])
+            ready = ready and chained_at(world.chains, kinds[k])
         if not ready:
             continue
         _unfold(frames, a, p, start)
@@ -482,10 +475,12 @@ def chain_to_lens(
             continue
         reach = math.sqrt((a[0] - p[0]) ** 2 + (a[1] - p[1]) ** 2 + (a[2] - p[2]) ** 2)
         reach += abs(a[2]) + abs(p[2])
-        u[:] = start
+        for k in range(m):
+            u[k, 0], u[k, 1] = start[k, 0], start[k, 1]
+        steps, halvings = SEARCH if search else SOLVE
         if search:
             _shift(walls, seed, ray, (bounce, m, 4 * m + 1), kinds, reach, start, u)
-        det = _solve(walls, kinds, frames, slopes, a, p, u, x, g, SEARCH if search else SOLVE)
+        det = _solve(walls, kinds, frames, slopes, a, p, u, x, g, steps, halvings)
         if det == 0.0:
             continue
         carried = _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inverse)
@@ -499,13 +494,16 @@ def chain_to_lens(
                 x[m - 1, 2] - p[2],
             ),
         )
-        r, s = math.sqrt(_dot(d, d)), math.sqrt(_dot(e, e))
+        r, s = math.sqrt(dot(d, d)), math.sqrt(dot(e, e))
         d, e = (d[0] / r, d[1] / r, d[2] / r), (e[0] / s, e[1] / s, e[2] / s)
-        cosine = _dot(d, _three(vertex, 3))
+        cosine = dot(d, three(vertex, 3))
         if cosine <= 0.0 or on_detector(camera, p, e) <= 0.0:
             continue
-        f = reflected(world, vertex, d, cosine) * (1.0 - narrow_at(world, vertex, d, cosine))
-        f *= vertex[POWER] * share * cosine * area * _dot(e, axis) * carried / abs(det)
+        kind = int(vertex[SURFACE])
+        lobes = lobes_of(world, kind)
+        f = reflected(lobes, vertex, d, cosine)
+        f *= 1.0 - narrow_at(lobes, chained_at(world.chains, kind), vertex, d, cosine)
+        f *= vertex[POWER] * share * cosine * area * dot(e, axis) * carried / abs(det)
         if f <= 0.0:
             continue
         if search:
@@ -513,7 +511,8 @@ def chain_to_lens(
             for trial in range(1, TRIALS + 1):
                 address = (bounce, m, (4 + 3 * trial) * m + 1)
                 _shift(walls, seed, ray, address, kinds, reach, start, again)
-                if _solve(walls, kinds, frames, slopes, a, p, again, y, other, SEARCH) != 0.0:
+                found = _solve(walls, kinds, frames, slopes, a, p, again, y, other, steps, halvings)
+                if found != 0.0:
                     off = 0.0
                     for k in range(m):
                         for c in range(3):
@@ -530,4 +529,4 @@ def chain_to_lens(
             mirror[SURFACE], mirror[MET] = kinds[k], 1.0
             if k > 0:
                 away = (x[k, 0] - x[k - 1, 0], x[k, 1] - x[k - 1, 1], x[k, 2] - x[k - 1, 2])
-                length[i] += math.sqrt(_dot(away, away))
+                length[i] += math.sqrt(dot(away, away))

@@ -1,4 +1,4 @@
-"""Compiled light paths: start, scattering, arrival and connection of vertices.
+"""Compiled light paths: start, scattering and arrival of vertices.
 
 A vertex is a row of VERTEX numbers: point P and normal N (world, m), direction I to the previous
 vertex, and
@@ -54,7 +54,7 @@ SUMS = 11
 
 
 @njit(cache=True, inline="always")
-def _sums(path_sums, first, i):
+def sums_of(path_sums, first, i):
     """Return the row of ``path_sums`` to which the power of ray ``first + i`` is added.
 
     Rays are summed in units of UNIT rays, and each unit in groups for the standard error. ``first``
@@ -64,37 +64,36 @@ def _sums(path_sums, first, i):
 
 
 @njit(cache=True, inline="always")
-def _lobes(world, kind):
-    """Return the table of lobes (n, 4) of the surface ``kind``: the wall or the hidden object."""
+def lobes_of(world, kind):
+    """Return the table of lobes (n, 4) of the surface ``kind``, the wall or the hidden object."""
     return world.wall if kind == WALL else world.thing
 
 
 @njit(cache=True, inline="always")
-def _aimed(world, vertex, eye):
+def aimed_share(world, vertex, eye):
     """Return the fraction, 0 to 1, of the rays leaving ``vertex`` that are aimed at the object."""
     if vertex[SURFACE] != WALL:
         return 0.0
     return world.aimed[0] if eye or vertex[BEFORE] == NOTHING else world.aimed[1]
 
 
-@njit(cache=True, inline="always")
-def chained_at(world, kind):
-    """Return whether narrow lobes of a surface take part in the chains of `_chain_kernels`."""
-    return world.chains & (1 if kind == WALL else 2) != 0
+@njit(cache=True)
+def chained_at(chains, kind):
+    """Return whether narrow lobes of a surface take part in `World.chains`."""
+    return chains & (1 if kind == WALL else 2) != 0
 
 
 @njit(cache=True)
-def narrow_share(world, kind, mu_i, mu_o, cos_between):
-    """Return the share of the narrow lobes in f_r of a surface; 0 if chains are not traced."""
-    if not chained_at(world, kind):
+def narrow_share(lobes, chained, mu_i, mu_o, cos_between):
+    """Return the share of the narrow lobes in f_r of a surface; 0 unless it is ``chained``."""
+    if not chained:
         return 0.0
-    lobes = _lobes(world, kind)
     narrow = narrow_part(lobes, mu_i, mu_o, cos_between)
     return narrow / material(lobes, mu_i, mu_o, cos_between) if narrow > 0.0 else 0.0
 
 
-@njit(cache=True, inline="always")
-def _linked(vertex, narrow, kind):
+@njit(cache=True)
+def chain_shares(vertex, narrow, kind):
     """Return BEGUN and LINKED of the vertex on a surface ``kind`` that follows ``vertex``.
 
     ``narrow`` is the share of the narrow lobes in the reflection at ``vertex``. A chain begins with
@@ -111,7 +110,7 @@ def _linked(vertex, narrow, kind):
 def _follow(old, new, narrow, kind):
     """Fill NARROW, BEGUN and LINKED of a vertex on a surface ``kind`` that follows ``old``."""
     new[NARROW] = narrow
-    new[BEGUN], new[LINKED] = _linked(old, narrow, kind)
+    new[BEGUN], new[LINKED] = chain_shares(old, narrow, kind)
 
 
 @njit(cache=True, inline="always")
@@ -145,10 +144,10 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
         group, index = ray % GROUPS, ray // GROUPS
         u = draw(sampler, group, index, ray, number)
         v = draw(sampler, group, index, ray, number + 1)
-        lobes = _lobes(world, kind)
+        lobes = lobes_of(world, kind)
         p, n, incident = three(vertex, 0), three(vertex, 3), three(vertex, 6)
         mirror, reach = -1.0, -1.0
-        share = _aimed(world, vertex, eye)
+        share = aimed_share(world, vertex, eye)
         if share > 0.0 and draw(sampler, group, index, ray, number + 2) < share:
             to, _ = object_point(world, u, v)
             d = (to[0] - p[0], to[1] - p[1], to[2] - p[2])
@@ -160,12 +159,13 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
             d, mirror = lobe_direction(lobes, incident, n, u, v, w, eye)
         cosine = dot(d, n)
         f = density = 0.0
-        narrow = 1.0 if chained_at(world, kind) else 0.0
+        chained = chained_at(world.chains, kind)
+        narrow = 1.0 if chained else 0.0
         if mirror < 0.0 and cosine > 0.0:
             mu, between = dot(incident, n), dot(incident, d)
             f = material(lobes, mu, cosine, between) * cosine
             density = lobe_density(lobes, mu, cosine, between, eye)
-            narrow = narrow_share(world, kind, mu, cosine, between)
+            narrow = narrow_share(lobes, chained, mu, cosine, between)
         for k in range(3):
             leave[i, k] = directions[i, k] = d[k]
             origins[i, k] = p[k]
@@ -176,11 +176,12 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
         live[i] = cosine > 0.0
 
 
-@njit(cache=True, inline="always")
-def _passed_on(world, leave, distance, kind, normal, scale):
+@njit(cache=True)
+def _passed_on(norm, leave, distance, kind, normal, scale):
     """Return the weight of a ray drawn by `scatter`, and the density at its end, 1/m^2.
 
-    ``leave`` is the ray's row from `scatter`; the others describe what it hits. Sampling by lobes
+    ``norm`` is that of `World`, and ``leave`` the ray's row from `scatter`; the others describe
+    what it hits. Sampling by lobes
     and by aiming at the object are combined with the one-sample balance heuristic. If only aimed
     rays may reach the object, the weight is a smooth function of the random numbers.
     """
@@ -190,7 +191,7 @@ def _passed_on(world, leave, distance, kind, normal, scale):
     cosine = abs(dot(d, normal))
     at_object = 0.0
     if kind == OBJECT and aimed > 0.0:
-        at_object = aimed * world.norm * scale * distance * distance / cosine
+        at_object = aimed * norm * scale * distance * distance / cosine
     astray = kind != OBJECT or abs(distance - leave[REACH]) > 1e-6 * leave[REACH]
     if leave[REACH] >= 0.0 and astray:
         return 0.0, 0.0  # another surface hides the point aimed at
@@ -253,14 +254,15 @@ def thin(sampler, first, share, vertices):
 
 @njit(cache=True, nogil=True)
 def land(
-    world, sampler, first, settings, old, leave, origins, directions, hits, new, path_sums, fates
+    around, sampler, first, settings, old, leave, origins, directions, hits, new, path_sums, fates
 ):
     """Fill the next vertices of light paths, and add lost power to the power balance.
 
-    ``settings`` is (bounce, max_bounces, analog, number of the draw for Russian roulette or -1).
-    ``hits`` is (distance, kind, normal, scale). ``fates`` receives the status of paths that end,
-    else -1.
+    ``around`` is (camera, norm, chains) of `World`. ``settings`` is (bounce, max_bounces, analog,
+    number of the draw for Russian roulette or -1). ``hits`` is (distance, kind, normal, scale).
+    ``fates`` receives the status of paths that end, else -1.
     """
+    camera, norm, chains = around
     bounce, most, analog, roulette = settings
     distance, kind, normal, scale = hits
     tail = most + 1
@@ -270,12 +272,12 @@ def land(
         if at < 0 or power <= 0.0:
             continue
         ray = first + i
-        sums = _sums(path_sums, first, i)
+        sums = sums_of(path_sums, first, i)
         where = int(kind[i])
         n = three(normal[i], 0)
         passed, density = 0.0, 0.0
         if dot(three(leave[i], 0), three(old[i], 3)) > 0.0:
-            passed, density = _passed_on(world, leave[i], distance[i], where, n, scale[i])
+            passed, density = _passed_on(norm, leave[i], distance[i], where, n, scale[i])
             if at == OBJECT:
                 passed *= old[i, SCALE]
         sent = power * passed
@@ -295,7 +297,7 @@ def land(
             fates[i] = paths.ESCAPED
         elif where == LENS:
             kept = _enter_lens(
-                world, sums, tail, old[i], leave[i], bounce, distance[i], sent, analog
+                camera, sums, tail, old[i], leave[i], bounce, distance[i], sent, analog
             )
             fates[i] = paths.DETECTED if kept > 0.0 else paths.BLOCKED
             if kept > 0.0:
@@ -304,7 +306,7 @@ def land(
             if where == WALL and at == WALL:
                 sums[tail + WALL_TO_WALL] += sent
             _arrive(old[i], new[i], o, d, distance[i], where, n, scale[i], sent, density)
-            if world.chains != 0:
+            if chains != 0:
                 _follow(old[i], new[i], leave[i, SHARE], where)
             if bounce == most:
                 sums[tail + LEFT] += sent
@@ -316,8 +318,8 @@ def land(
             fates[i] = paths.ABSORBED
 
 
-@njit(cache=True, inline="always")
-def _enter_lens(world, sums, tail, old, leave, bounce, distance, sent, analog):
+@njit(cache=True)
+def _enter_lens(camera, sums, tail, old, leave, bounce, distance, sent, analog):
     """Add light that hits the lens after scattering to the sums; return its detected power, W.
 
     Unless the trace is analog, connections already account for this light. The exception is light
@@ -327,8 +329,8 @@ def _enter_lens(world, sums, tail, old, leave, bounce, distance, sent, analog):
     """
     d = three(leave, 0)
     point = (old[0] + distance * d[0], old[1] + distance * d[1], old[2] + distance * d[2])
-    seen = on_detector(world.camera, point, (-d[0], -d[1], -d[2])) > 0.0
-    kept = sent * world.camera[18] if seen else 0.0
+    seen = on_detector(camera, point, (-d[0], -d[1], -d[2])) > 0.0
+    kept = sent * camera[18] if seen else 0.0
     by_mirrors = leave[MIRROR] >= 0.0 and old[HISTORY] > 0.0
     if analog or by_mirrors:
         counted = kept if analog else kept * (1.0 - old[LINKED])
@@ -342,18 +344,18 @@ def _enter_lens(world, sums, tail, old, leave, bounce, distance, sent, analog):
 
 
 @njit(cache=True, nogil=True)
-def start(world, first, most, origins, directions, hits, new, path_sums, fates):
+def start(power, first, most, origins, directions, hits, new, path_sums, fates):
     """Fill the first vertices of the laser's light, and add lost power to the power balance.
 
-    ``most`` is the largest number of reflections. ``fates`` receives the status of paths that end
-    here, else -1.
+    ``power`` is that of the laser, W, and ``most`` is the largest number of reflections. ``fates``
+    receives the status of paths that end here, else -1.
     """
     distance, kind, normal, scale = hits
     source = np.zeros(VERTEX)
     source[HISTORY], source[BEFORE], source[SURFACE] = 1.0, NOTHING, NOTHING
-    tail, power = most + 1, world.laser[13]
+    tail = most + 1
     for i in range(new.shape[0]):
-        sums = _sums(path_sums, first, i)
+        sums = sums_of(path_sums, first, i)
         new[i, SURFACE], fates[i] = NOTHING, -1
         where = int(kind[i])
         _end(source, new[i], three(origins[i], 0), three(directions[i], 0), distance[i], power)
@@ -404,8 +406,11 @@ def look(origins, directions, powers, densities, hits, new):
 
 
 @njit(cache=True, nogil=True)
-def look_on(world, old, leave, origins, directions, hits, new):
-    """Fill the second vertices of eye paths, after scattering at the first ones ``old``."""
+def look_on(norm, old, leave, origins, directions, hits, new):
+    """Fill the second vertices of eye paths, after scattering at the first ones ``old``.
+
+    ``norm`` is that of `World`.
+    """
     distance, kind, normal, scale = hits
     for i in range(new.shape[0]):
         new[i, SURFACE] = NOTHING
@@ -415,7 +420,7 @@ def look_on(world, old, leave, origins, directions, hits, new):
         if dot(three(leave[i], 0), three(old[i], 3)) <= 0.0:
             continue
         d, n = three(directions[i], 0), three(normal[i], 0)
-        passed, density = _passed_on(world, leave[i], distance[i], where, n, scale[i])
+        passed, density = _passed_on(norm, leave[i], distance[i], where, n, scale[i])
         if old[i, SURFACE] == OBJECT:
             passed *= old[i, SCALE]
         if passed > 0.0:
@@ -423,178 +428,3 @@ def look_on(world, old, leave, origins, directions, hits, new):
             power = old[i, POWER] * passed
             _arrive(old[i], new[i], o, d, distance[i], where, n, scale[i], power, density)
             new[i, NARROW] = leave[i, SHARE]
-
-
-@njit(cache=True, inline="always")
-def reflected(world, vertex, direction, cosine):
-    """Return f_r times brightness of a vertex toward a unit vector, 1/sr; smooth mirrors excluded.
-
-    ``cosine`` is that of the angle between direction and normal.
-    """
-    kind = int(vertex[SURFACE])
-    incident = three(vertex, 6)
-    mu = dot(incident, three(vertex, 3))
-    f = material(_lobes(world, kind), mu, cosine, dot(incident, direction))
-    return f * vertex[SCALE] if kind == OBJECT else f
-
-
-@njit(cache=True, inline="always")
-def narrow_at(world, vertex, direction, cosine):
-    """Return the share of the narrow lobes in `reflected`."""
-    incident = three(vertex, 6)
-    mu = dot(incident, three(vertex, 3))
-    return narrow_share(world, int(vertex[SURFACE]), mu, cosine, dot(incident, direction))
-
-
-@njit(cache=True, inline="always")
-def next_density(world, vertex, incident, direction, cosine, target, target_cosine, square, eye):
-    """Return the density, 1/m^2, with which `scatter` continues a path to the point of a target.
-
-    ``incident`` and ``direction`` are unit vectors toward the previous vertex and the target,
-    ``cosine`` and ``target_cosine`` the cosines at both ends, ``square`` the squared distance, m^2.
-    """
-    kind = int(vertex[SURFACE])
-    n = three(vertex, 3)
-    mu, between = dot(incident, n), dot(incident, direction)
-    density = lobe_density(_lobes(world, kind), mu, cosine, between, eye)
-    share = _aimed(world, vertex, eye)
-    density *= (1.0 - share) * target_cosine / square
-    if target[SURFACE] == OBJECT:
-        density += share * world.norm * target[SCALE]
-    return density
-
-
-@njit(cache=True)
-def between(a, b):
-    """Return the unit vector from vertex a to b, the squared distance (m^2), and both cosines."""
-    d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
-    square = dot(d, d)
-    if square == 0.0:
-        return d, 1.0, 0.0, 0.0
-    r = math.sqrt(square)
-    d = (d[0] / r, d[1] / r, d[2] / r)
-    return d, square, dot(d, three(a, 3)), -dot(d, three(b, 3))
-
-
-@njit(cache=True, inline="always")
-def _chained(world, a, b, seen, second, d, cos_a, cos_b):
-    """Return the share of a connection by `connect` that is traced as a chain of narrow lobes.
-
-    The connection goes from the light vertex ``a`` to the eye vertex ``b`` along the unit vector
-    ``d``. ``seen`` is the first eye vertex, and ``b`` the second one if ``second``.
-    """
-    narrow = narrow_at(world, a, d, cos_a)
-    begun, linked = _linked(a, narrow, b[SURFACE])
-    narrow_b = narrow_at(world, b, (-d[0], -d[1], -d[2]), cos_b)
-    if not second:
-        return linked * narrow_b
-    if b[SURFACE] == seen[SURFACE]:
-        return 0.0
-    return b[NARROW] * (narrow_b * begun + (1.0 - narrow_b) * narrow)
-
-
-@njit(cache=True, nogil=True)
-def connect(world, light, eye, seen, second, glossy, value, length, starts, ends):
-    """Fill the detected power and length of connections between light vertices and eye vertices.
-
-    ``seen`` holds the first vertices of the eye paths; ``eye`` holds the same, or the second ones
-    if ``second``. With glossy lobes, three strategies find the same paths and are weighted by the
-    balance heuristic. The light path contributes all vertices but the last two (``second``), all
-    but the last one (not ``second``), or all (`to_lens`).
-    """
-    for i in range(light.shape[0]):
-        value[i] = 0.0
-        a, b = light[i], eye[i]
-        if a[SURFACE] < 0.0 or b[SURFACE] < 0.0:
-            continue
-        d, square, cos_a, cos_b = between(a, b)
-        if cos_a <= 0.0 or cos_b <= 0.0:
-            continue
-        back = (-d[0], -d[1], -d[2])
-        f = reflected(world, a, d, cos_a) * reflected(world, b, back, cos_b)
-        if f <= 0.0:
-            continue
-        f *= a[POWER] * b[POWER] * cos_a * cos_b / square
-        if glossy:
-            onward = next_density(world, a, three(a, 6), d, cos_a, b, cos_b, square, False)
-            x = seen[i]
-            if second:
-                if b[DENSITY] > 0.0:
-                    # density with which the light path would find the first eye vertex
-                    to, r2, cos_1, cos_2 = between(b, x)
-                    last = next_density(world, b, back, to, cos_1, x, cos_2, r2, False)
-                    f /= 1.0 + onward / b[DENSITY] * (1.0 + last / x[DENSITY])
-            else:
-                others = onward / b[DENSITY]
-                if a[DENSITY] > 0.0:
-                    upstream = next_density(
-                        world, b, three(b, 6), back, cos_b, a, cos_a, square, True
-                    )
-                    others += upstream / a[DENSITY]
-                f /= 1.0 + others
-        if world.chains != 0:
-            f *= 1.0 - _chained(world, a, b, seen[i], second, d, cos_a, cos_b)
-        value[i] = f
-        length[i] = a[LENGTH] + math.sqrt(square) + b[LENGTH]
-        for k in range(3):
-            starts[i, k], ends[i, k] = a[k], b[k]
-
-
-@njit(cache=True, nogil=True)
-def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
-    """Fill the detected power and length of connections between light vertices and lens points.
-
-    With glossy lobes they are weighted against `connect` by the balance heuristic.
-    """
-    camera = world.camera
-    area, axis = math.pi * camera[12] ** 2 * camera[18], three(camera, 9)
-    for i in range(light.shape[0]):
-        value[i] = 0.0
-        a, p = light[i], three(lens[i], 0)
-        if a[SURFACE] < 0.0:
-            continue
-        d = (p[0] - a[0], p[1] - a[1], p[2] - a[2])
-        square = dot(d, d)
-        r = math.sqrt(square)
-        d = (d[0] / r, d[1] / r, d[2] / r)
-        cosine = dot(d, three(a, 3))
-        if cosine <= 0.0:
-            continue
-        seen = on_detector(camera, p, (-d[0], -d[1], -d[2]))
-        if seen <= 0.0:
-            continue
-        f = reflected(world, a, d, cosine) * cosine * a[POWER] * area * -dot(d, axis) / square
-        if f <= 0.0:
-            continue
-        if glossy and a[DENSITY] > 0.0:
-            here = seen * cosine / square
-            ratio = here / a[DENSITY]
-            b = before[i]
-            if b[DENSITY] > 0.0:
-                to, r2, cos_a, cos_b = between(a, b)
-                upstream = next_density(world, a, d, to, cos_a, b, cos_b, r2, True)
-                ratio += ratio * upstream / b[DENSITY]
-            f /= 1.0 + ratio
-        if a[LINKED] > 0.0:
-            f *= 1.0 - a[LINKED] * narrow_at(world, a, d, cosine)
-        value[i] = f
-        length[i] = a[LENGTH] + r
-        for k in range(3):
-            starts[i, k], ends[i, k] = a[k], p[k]
-
-
-@njit(cache=True, nogil=True)
-def book(light, eye, bounce, most, first, value, length, path_sums):
-    """Add the power of connections to the sums of their number of reflections, or to stray light.
-
-    Light that has never met the hidden object is stray light. ``value`` (n,) is in W and ``length``
-    (n,) in m.
-    """
-    for i in range(value.size):
-        if value[i] > 0.0:
-            sums = _sums(path_sums, first, i)
-            if light[i, MET] > 0.0 or eye[i, MET] > 0.0:
-                sums[bounce] += value[i]
-                sums[most + 1 + LENGTHS] += value[i] * length[i]
-            else:
-                sums[most + 1 + STRAY] += value[i]

@@ -13,6 +13,7 @@ from ...kernels.codes import GROUPS, UNIT
 from ...kernels.compiling import njit
 from ...kernels.random import disc, draw
 from ..fans import paths
+from ._connection_kernels import between, next_density, reflected
 from ._light_kernels import (
     BEFORE,
     DENSITY,
@@ -23,9 +24,8 @@ from ._light_kernels import (
     POWER,
     SCALE,
     SURFACE,
-    between,
-    next_density,
-    reflected,
+    aimed_share,
+    lobes_of,
 )
 from ._lobe_kernels import tangents
 from ._surround_kernels import (
@@ -89,10 +89,12 @@ def to_wall(world, light, targets, value, starts, ends):
         d, square, cos_a, cos_b = between(a, b)
         if cos_a <= 0.0 or cos_b <= 0.0:
             continue
-        f = reflected(world, a, d, cos_a) * a[POWER] * cos_a * cos_b / square
+        lobes = lobes_of(world, int(a[SURFACE]))
+        f = reflected(lobes, a, d, cos_a) * a[POWER] * cos_a * cos_b / square
         if f <= 0.0:
             continue
-        walked = next_density(world, a, three(a, 6), d, cos_a, b, cos_b, square, False)
+        share, came = aimed_share(world, a, False), three(a, 6)
+        walked = next_density(lobes, share, world.norm, a, came, d, cos_a, b, cos_b, square, False)
         value[i] = f / (b[DENSITY] + walked)
         for k in range(3):
             starts[i, k], ends[i, k] = a[k], b[k]
@@ -492,8 +494,9 @@ def connect(world, light, eye, value, starts, ends):
         d, square, cos_a, cos_b = between(a, b)
         if cos_a <= 0.0 or cos_b <= 0.0:
             continue
-        f = reflected(world, a, d, cos_a)
-        f *= reflected(world, b, (-d[0], -d[1], -d[2]), cos_b)
+        f = reflected(lobes_of(world, int(a[SURFACE])), a, d, cos_a)
+        back = (-d[0], -d[1], -d[2])
+        f *= reflected(lobes_of(world, int(b[SURFACE])), b, back, cos_b)
         value[i] = f * a[POWER] * b[POWER] * cos_a * cos_b / square
         for k in range(3):
             starts[i, k], ends[i, k] = a[k], b[k]

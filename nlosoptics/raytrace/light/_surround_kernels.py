@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...kernels.codes import GROUPS
 from ...kernels.compiling import njit
-from ...kernels.heights import surface
+from ...kernels.heights import tangent
 from ...kernels.random import disc, draw
 from ..intersection._block_kernels import BLOCK, DX, DY, DZ, HX, HY, OX, OY, OZ, ROWS, block_hits
 from ..intersection._block_kernels import T as DISTANCE
@@ -79,22 +79,37 @@ class World(NamedTuple):
     laser: NDArray[np.float64]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def dot(a, b):
     """Return the scalar product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def three(row, start):
     """Return three consecutive numbers of a row as a tuple."""
     return row[start], row[start + 1], row[start + 2]
 
 
+@njit(cache=True)
+def interval(shares, u):
+    """Return the number of the interval of cumulative ``shares``, from 0 to 1, in which u lies.
+
+    It is that of `numpy.searchsorted` from the right, which takes longer to compile.
+    """
+    low, high = 0, shares.size
+    while low < high:
+        middle = (low + high) >> 1
+        if shares[middle] <= u:
+            low = middle + 1
+        else:
+            high = middle
+    return min(low - 1, shares.size - 2)
+
+
 @njit(cache=True, nogil=True)
-def beam(world, sampler, first, origins, directions):
+def beam(laser, sampler, first, origins, directions):
     """Fill the rays of the laser, distributed uniformly over the beam."""
-    laser = world.laser
     for i in range(origins.shape[0]):
         ray = first + i
         group, index = ray % GROUPS, ray // GROUPS
@@ -108,13 +123,12 @@ def beam(world, sampler, first, origins, directions):
 
 
 @njit(cache=True, nogil=True)
-def sight(world, sampler, first, origins, directions, powers, densities):
+def sight(camera, sampler, first, origins, directions, powers, densities):
     """Fill rays from the lens into the scene, uniform over lens and detector (or field stop).
 
     ``powers`` are the detected powers per unit radiance, m^2 sr; ``densities`` are the sampling
     densities per solid angle, 1/sr.
     """
-    camera = world.camera
     lens_area, zoom, baffle = math.pi * camera[12] ** 2, camera[13] / camera[14], camera[20]
     for i in range(origins.shape[0]):
         ray = first + i
@@ -145,7 +159,7 @@ def sight(world, sampler, first, origins, directions, powers, densities):
         powers[i] = lens_area * cosine * camera[18] / densities[i] if seen else 0.0
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def on_detector(camera, point, direction):
     """Return the density of `sight` for a direction from a point of the lens, 1/sr.
 
@@ -164,10 +178,9 @@ def on_detector(camera, point, direction):
     return camera[14] ** 2 / (camera[19] * cosine**3)
 
 
-@njit(cache=True, inline="always")
-def _plate(world, o, d, low, high):
+@njit(cache=True)
+def _plate(plate, o, d, low, high):
     """Return the distance, m, from low to high at which a ray hits the planar object, else inf."""
-    plate = world.plate
     along = dot(d, three(plate, 9))
     if along == 0.0:
         return math.inf
@@ -181,10 +194,9 @@ def _plate(world, o, d, low, high):
     return t if abs(dot(across, three(plate, 6))) <= plate[13] else math.inf
 
 
-@njit(cache=True, inline="always")
-def texel(world, point):
+@njit(cache=True)
+def texel(plate, picture, point):
     """Return the pixel value of the planar object's picture at a point on the object."""
-    plate, picture = world.plate, world.picture
     across = (point[0] - plate[0], point[1] - plate[1], point[2] - plate[2])
     ny, nx = picture.shape
     column = int((0.5 + 0.5 * dot(across, three(plate, 3)) / plate[12]) * nx)
@@ -192,13 +204,12 @@ def texel(world, point):
     return picture[min(max(row, 0), ny - 1), min(max(column, 0), nx - 1)]
 
 
-@njit(cache=True, inline="always")
-def _lens(world, o, d, low, high):
+@njit(cache=True)
+def _lens(camera, o, d, low, high):
     """Return the distance, m, from low to high at which a ray hits the lens, else inf.
 
     Hits from both sides count.
     """
-    camera = world.camera
     axis = three(camera, 9)
     along = dot(d, axis)
     if along == 0.0:
@@ -212,19 +223,19 @@ def _lens(world, o, d, low, high):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def wall_hits(walls, origins, directions, live, distance, kind, normal):
+def wall_hits(
+    terms, tables, grid_bounds, box, slab, rim, origins, directions, live, distance, kind, normal
+):
     """Fill distance, kind and normal of those ``live`` rays that hit a compiled wall.
 
-    Rays without a hit keep their values. ``walls`` holds the terms, tables and search bounds of
-    `_wall_kernels`.
+    Rays without a hit keep their values. The first six arguments are those of
+    `_wall_kernels.wall_hit`; ``terms`` is None for a flat wall.
     """
-    terms, tables, grid_bounds, box, slab, rim = walls
-    flat = terms.shape[0] == 0
     w, state = np.zeros(ROWS * BLOCK), np.full(BLOCK, -1)
     count = distance.size
     for start in range(0, count, BLOCK):
         n = min(BLOCK, count - start)
-        if not flat:
+        if grid_bounds is not None:
             for i in range(n):
                 j = start + i
                 w[OX + i], w[OY + i], w[OZ + i] = three(origins[j], 0)
@@ -236,7 +247,7 @@ def wall_hits(walls, origins, directions, live, distance, kind, normal):
                 continue
             o, d = three(origins[j], 0), three(directions[j], 0)
             hx = hy = 0.0
-            if flat:
+            if terms is None:
                 t = -o[2] / d[2] if d[2] < 0.0 else math.nan
                 on = abs(o[0] + t * d[0]) <= box[0] and abs(o[1] + t * d[1]) <= box[1]
                 condition = HIT if on and t >= 0.0 else -1
@@ -255,33 +266,35 @@ def wall_hits(walls, origins, directions, live, distance, kind, normal):
 
 
 @njit(cache=True, nogil=True)
-def settle(walls, points, on_wall):
+def settle(terms, tables, points, on_wall):
     """Replace z of the points (n, 3) marked ``on_wall`` by the compiled wall's exact height, m."""
-    terms, tables = walls[0], walls[1]
     for i in range(on_wall.size):
         if on_wall[i]:
-            height = surface(terms, tables, points[i, 0], points[i, 1])[0]
+            height = tangent(terms, tables, points[i, 0], points[i, 1])[0]
             if math.isfinite(height):
                 points[i, 2] = height
 
 
 @njit(cache=True, nogil=True)
-def plate_and_lens(world, origins, directions, live, distance, kind, normal, scale):
+def plate_and_lens(
+    plate, picture, camera, origins, directions, live, distance, kind, normal, scale
+):
     """Replace the hits of ``live`` rays by nearer ones on the planar object and on the lens."""
-    has_plate = world.plate.size > 0
+    has_plate = plate.size > 0
     for i in range(distance.size):
         if not live[i]:
             continue
         o, d = three(origins[i], 0), three(directions[i], 0)
         if has_plate:
-            t = _plate(world, o, d, 1e-9, distance[i])
+            t = _plate(plate, o, d, 1e-9, distance[i])
             if t < distance[i]:
                 distance[i] = t
                 for k in range(3):
-                    normal[i, k] = world.plate[9 + k]
-                kind[i] = OBJECT if dot(d, three(world.plate, 9)) < 0.0 else BACK
-                scale[i] = texel(world, (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]))
-        t = _lens(world, o, d, 1e-9, distance[i])
+                    normal[i, k] = plate[9 + k]
+                kind[i] = OBJECT if dot(d, three(plate, 9)) < 0.0 else BACK
+                point = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
+                scale[i] = texel(plate, picture, point)
+        t = _lens(camera, o, d, 1e-9, distance[i])
         if t < distance[i]:
             distance[i], kind[i] = t, LENS
 
@@ -314,9 +327,9 @@ def object_point(world, u, v):
     if world.plate.size > 0:
         plate = world.plate
         ny, nx = world.picture.shape
-        row = min(np.searchsorted(world.rows, u, side="right") - 1, ny - 1)
+        row = interval(world.rows, u)
         line = world.columns[row]
-        column = min(np.searchsorted(line, v, side="right") - 1, nx - 1)
+        column = interval(line, v)
         y = row + (u - world.rows[row]) / (world.rows[row + 1] - world.rows[row])
         x = column + (v - line[column]) / (line[column + 1] - line[column])
         across, up = (2.0 * x / nx - 1.0) * plate[12], (1.0 - 2.0 * y / ny) * plate[13]
@@ -326,7 +339,7 @@ def object_point(world, u, v):
             plate[2] + across * plate[5] + up * plate[8],
         ), three(plate, 9)
     areas = world.areas
-    k = min(np.searchsorted(areas, u, side="right") - 1, areas.size - 2)
+    k = interval(areas, u)
     u = min((u - areas[k]) / (areas[k + 1] - areas[k]), 1.0)
     row, root = world.triangles[k], math.sqrt(u)
     b, c = root * (1.0 - v), root * v
@@ -343,18 +356,18 @@ def object_point(world, u, v):
 
 
 @njit(cache=True, nogil=True)
-def clear(world, starts, ends, value):
+def clear(plate, camera, starts, ends, value):
     """Set to zero the values of connections that the planar object or the lens blocks.
 
     ``starts`` and ``ends`` (n, 3) are the connections' ends, m, and ``value`` (n,) their powers.
     """
-    has_plate = world.plate.size > 0
+    has_plate = plate.size > 0
     for i in range(value.size):
         if value[i] <= 0.0:
             continue
         o = three(starts[i], 0)
         d = (ends[i, 0] - o[0], ends[i, 1] - o[1], ends[i, 2] - o[2])
         low, high = 1e-9, 1.0 - 1e-9
-        hidden = _lens(world, o, d, low, high) < high
-        if hidden or (has_plate and _plate(world, o, d, low, high) < high):
+        hidden = _lens(camera, o, d, low, high) < high
+        if hidden or (has_plate and _plate(plate, o, d, low, high) < high):
             value[i] = 0.0

@@ -13,6 +13,7 @@ from ...kernels.codes import GROUPS, UNIT
 from ...scene import Scene
 from ..fans.paths import DETECTED
 from . import _chain_kernels as chaining
+from . import _connection_kernels as connecting
 from . import _light_kernels as kernels
 from . import _surround_kernels as surround
 from .kept_paths import Kept, kept_paths
@@ -116,13 +117,13 @@ class Rays:
     def from_laser(self) -> Array:
         """Return the first vertices of the light paths, where the laser's rays hit a surface."""
         job, rays = self.job, (self.origins, self.directions)
-        surround.beam(self.around.world, job.sampler, self.first, *rays)
+        world = self.around.world
+        surround.beam(world.laser, job.sampler, self.first, *rays)
         self.sources = self.origins.copy()
         hits = self._hits(None)
         new = np.zeros((self.n, kernels.VERTEX))
-        kernels.start(
-            self.around.world, self.first, job.max_bounces, *rays, hits, new, self.sums, self.fates
-        )
+        power = world.laser[13]
+        kernels.start(power, self.first, job.max_bounces, *rays, hits, new, self.sums, self.fates)
         self._settle(new)
         self._take_ended(new, 0)
         return new
@@ -134,7 +135,7 @@ class Rays:
         """
         job, world, rays = self.job, self.around.world, (self.origins, self.directions)
         powers, densities = np.empty((2, self.n))
-        surround.sight(world, job.sampler, self.first, *rays, powers, densities)
+        surround.sight(world.camera, job.sampler, self.first, *rays, powers, densities)
         self.lens = self.origins.copy()
         np.greater(powers, 0.0, out=self.live)
         self.seen, self.further = np.zeros((2, self.n, kernels.VERTEX))
@@ -143,7 +144,7 @@ class Rays:
         if self.around.plan.glossy:
             self._scatter(self.seen, surround.DRAW_EYE, True)
             hits = self._hits(self.seen)
-            kernels.look_on(world, self.seen, self.leave, *rays, hits, self.further)
+            kernels.look_on(world.norm, self.seen, self.leave, *rays, hits, self.further)
             self._settle(self.further)
 
     def onward(self, light: Array, bounce: int) -> Array:
@@ -155,8 +156,9 @@ class Rays:
         hits = self._hits(light)
         roulette = number + 4 if bounce > 3 and not job.analog else -1
         new = np.zeros((self.n, kernels.VERTEX))
+        world = self.around.world
         kernels.land(
-            self.around.world,
+            (world.camera, world.norm, world.chains),
             job.sampler,
             self.first,
             (bounce, job.max_bounces, job.analog, roulette),
@@ -181,13 +183,13 @@ class Rays:
         world, glossy, most = self.around.world, self.around.plan.glossy, self.job.max_bounces
         found = (self.value, self.length, self.starts, self.ends)
         if bounce == 1 or glossy:
-            kernels.to_lens(world, light, before, self.lens, glossy, *found)
+            connecting.to_lens(world, light, before, self.lens, glossy, *found)
             self._book(light, light, bounce, ())
         if bounce + 1 <= most:
-            kernels.connect(world, light, self.seen, self.seen, False, glossy, *found)
+            connecting.connect(world, light, self.seen, self.seen, False, glossy, *found)
             self._book(light, self.seen, bounce + 1, (self.seen,))
         if glossy and bounce + 2 <= most:
-            kernels.connect(world, light, self.further, self.seen, True, glossy, *found)
+            connecting.connect(world, light, self.further, self.seen, True, glossy, *found)
             self._book(light, self.further, bounce + 2, (self.further, self.seen))
         if self.around.chains.surfaces:
             longest = most - bounce if self.around.chains.both else min(1, most - bounce)
@@ -202,7 +204,7 @@ class Rays:
         mirrors, chains = np.zeros((m, self.n, kernels.VERTEX)), self.around.chains
         chaining.chain_to_lens(
             self.around.world,
-            self.around.compiled_wall,
+            self.around.chain_wall,
             self.job.sampler,
             self.first,
             light,
@@ -275,7 +277,7 @@ class Rays:
         if on_wall is None:
             on_wall = light[:, kernels.SURFACE] == surround.WALL
         self.around.clear(self.starts, self.ends, on_wall, self.value, self.counts)
-        kernels.book(
+        connecting.book(
             light,
             eye,
             bounce,

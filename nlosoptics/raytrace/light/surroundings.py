@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...kernels.codes import BECKMANN
-from ...scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene
+from ...kernels.codes import BECKMANN, CYLINDER, SPHERE
+from ...scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene, Wall
 from ..intersection.intersections import HIT, UNRESOLVED, intersect, search_bounds
 from ..intersection.meshes import first_triangles, occluded
 from .chains import Chains, mirror_chains
@@ -208,16 +208,11 @@ class Surroundings:
         self._wall = scene.wall
         self._walls: Any = None
         if self.plan.wall_hits != "python":
-            from ...kernels.relief import with_draws
-
-            terms, tables = (np.zeros((0, 8)), np.zeros(0))
-            if not scene.wall.is_flat:
-                terms, tables = scene.wall.compiled()
-            bounds = search_bounds(scene.wall, terms, tables)
-            terms, tables = with_draws(terms, tables, bounds[1], math.inf)
-            self._walls = (terms, tables, *bounds)
-        flat = (np.zeros((0, 8)), np.zeros(0), np.zeros(0), np.full(2, math.inf), np.zeros(2), 0.0)
-        self.compiled_wall: Any = flat if self._walls is None else self._walls
+            self._walls = _compiled(scene.wall)
+        nowhere = (None, None, np.full(2, math.inf), 0.0)
+        if self._walls is not None:
+            terms, tables, _, box, _, rim = self._walls
+        self.chain_wall: Any = nowhere if self._walls is None else (terms, tables, box, rim)
         self._mesh, self._thing_faces = _triangles(scene)
         if self._mesh is not None:
             self._normals = np.array(self._mesh.face_normals, dtype=np.float64)
@@ -272,10 +267,22 @@ class Surroundings:
         asked = int(asking.sum())
         counts["wall"] += asked
         if asked and self._walls is not None:
-            kernels.wall_hits(self._walls, origins, directions, asking, distance, kind, normal)
+            kernels.wall_hits(*self._walls, origins, directions, asking, distance, kind, normal)
         elif asked:
             self._python_hits(origins, directions, asking, distance, kind, normal)
-        kernels.plate_and_lens(self.world, origins, directions, live, distance, kind, normal, scale)
+        world = self.world
+        kernels.plate_and_lens(
+            world.plate,
+            world.picture,
+            world.camera,
+            origins,
+            directions,
+            live,
+            distance,
+            kind,
+            normal,
+            scale,
+        )
         if self._mesh is not None:
             rows = np.flatnonzero(live)
             counts["mesh"] += len(rows)
@@ -324,7 +331,7 @@ class Surroundings:
         from . import _surround_kernels as kernels
 
         if self._walls is not None:
-            kernels.settle(self._walls, points, on_wall)
+            kernels.settle(*self._walls[:2], points, on_wall)
         elif on_wall.any():
             points[on_wall, 2] = self._wall.derivatives(*points[on_wall, :2].T)[:, 0]
 
@@ -351,7 +358,7 @@ class Surroundings:
         """
         from . import _surround_kernels as kernels
 
-        kernels.clear(self.world, starts, ends, value)
+        kernels.clear(self.world.plate, self.world.camera, starts, ends, value)
         if not (self.plan.wall_shadows or self._mesh is not None):
             return
         rows = np.flatnonzero(value > 0.0)
@@ -381,8 +388,25 @@ class Surroundings:
             return np.asarray(near | (hits.status == UNRESOLVED))
         distance, kind = np.full(len(length), math.inf), np.full(len(length), -1, dtype=np.int8)
         live = np.ones(len(length), dtype=bool)
-        kernels.wall_hits(self._walls, starts, lines, live, distance, kind, np.zeros_like(starts))
+        kernels.wall_hits(*self._walls, starts, lines, live, distance, kind, np.zeros_like(starts))
         return np.asarray(distance < length * (1.0 - 1e-9))
+
+
+def _compiled(wall: Wall) -> tuple[Any, ...]:
+    """Return a wall's terms, tables and search bounds for the kernels.
+
+    What the wall does not need is None, for which numba compiles nothing.
+    """
+    if wall.is_flat:
+        return None, None, None, *search_bounds(wall, np.zeros((0, 8)), np.zeros(0))[1:]
+    from ...kernels.heights import tables_for
+    from ...kernels.relief import with_draws
+
+    terms, tables = wall.compiled()
+    curvature, box, slab, rim = search_bounds(wall, terms, tables)
+    terms, tables = with_draws(terms, tables, box, math.inf)
+    conic = len(terms) == 1 and terms[0, 0] in (SPHERE, CYLINDER)
+    return terms, tables_for(terms, tables), None if conic else curvature, box, slab, rim
 
 
 def _triangles(scene: Scene) -> tuple[trimesh.Trimesh | None, int]:

@@ -161,7 +161,8 @@ class Wall(Noun):
         from ...kernels import heights
 
         out = np.empty((len(x), 6))
-        heights.surfaces(*self.compiled(), x, y, out)
+        terms, tables = self.compiled()
+        heights.surfaces(terms, heights.tables_for(terms, tables), x, y, out)
         return out
 
     def height(self, x: ArrayLike, y: ArrayLike) -> Array:
