@@ -340,9 +340,18 @@ def test_spot_power_is_that_into_the_lens_cone(flat_scene, aim):
     assert spot_power_through_lens(hidden, spot) == 0.0
 
 
-def test_spot_image_has_its_place_size_and_energy(flat_scene):
-    camera = replace(flat_scene.camera, aim=(0.02, 0.01, 0.0), pixels=(512, 512), binning=2)
-    scene = replace(flat_scene, camera=camera)
+@pytest.mark.parametrize(("beam", "farther"), [(3e-3, 1.0), (4e-2, 1.3)])
+def test_spot_image_has_its_place_size_and_energy(flat_scene, beam, farther):
+    """Defocus is most of the narrow beam's image, and a small part of the wide one's."""
+    camera = replace(
+        flat_scene.camera,
+        position=tuple(farther * np.array(flat_scene.camera.position)),
+        aim=(0.02, 0.01, 0.0),
+        pixels=(512, 512),
+        binning=2,
+    )
+    laser = replace(flat_scene.laser, beam_diameter=beam)
+    scene = replace(flat_scene, camera=camera, laser=laser)
     spot = laser_spot(scene)
     shares = spot_image(scene, spot)
     assert shares.sum() == pytest.approx(1.0, abs=1e-12)
