@@ -206,6 +206,16 @@ def test_area_average_of_a_brute_force_sum(scale, mirrored):
         assert average[i, j] == pytest.approx((values * weight).sum() / weight.sum(), abs=2e-3)
 
 
+def test_footprints_without_area_see_the_texel_at_their_centre():
+    picture = np.random.default_rng(3).random((4, 6))
+    # edge-on footprints of 1.1 texels, one row of them inside the picture and one beside it
+    x, y = np.meshgrid(0.1 + 1.1 * np.arange(6), [2.3, 2.3, 2.3 + 1e3, 2.3 + 1e3])
+    average = area_average(picture, x, y)
+    centres = (0.1 + 1.1 * (np.arange(5) + 0.5)).astype(int)
+    np.testing.assert_array_equal(average[0], picture[2, centres])
+    np.testing.assert_array_equal(average[2], 0.0)
+
+
 def test_area_average_of_a_single_row():
     """Footprints past both edges see the fraction of their area that the row covers."""
     row = np.array([[0.2, 0.7, 0.4]])

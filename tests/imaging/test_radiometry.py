@@ -11,7 +11,7 @@ import trimesh
 
 from nlosoptics.errors import SceneError
 from nlosoptics.imaging.geometry import chief_rays, pixel_centres
-from nlosoptics.imaging.objects import object_patches
+from nlosoptics.imaging.objects import mesh_hits, object_patches
 from nlosoptics.imaging.radiometry import (
     background_radiance,
     electrons_per_joule,
@@ -261,7 +261,8 @@ def test_patches_of_a_tilted_picture_suit_its_nearest_corner():
     nearest = min(hidden.position[2] + corner[2] for corner in corners)
     across = math.ceil(50 * width / nearest)
     assert math.ceil(50 * height / nearest) < 8 < across < 64
-    assert len(object_patches(hidden).areas) == 8 * across
+    places = (object_patches(hidden).points - hidden.position) @ np.array([right, up]).T
+    assert [len(np.unique(axis.round(9))) for axis in places.T] == [across, 8]
 
 
 def test_mesh_patches_hold_its_area_and_centre():
@@ -274,6 +275,24 @@ def test_mesh_patches_hold_its_area_and_centre():
         mean = (patches.points * patches.areas[:, None]).sum(0) / shape.area
         # even sampling of a list of triangles in no special order
         np.testing.assert_allclose(mean, hidden.position, rtol=0, atol=2e-3)
+
+
+@pytest.mark.parametrize("side", [5.0, 0.3])
+def test_mesh_of_any_size_gets_patches_of_the_same_share(side):
+    """Legs of 1/sqrt(512) of a square's side: two halves of 23 x 23 parts each."""
+    corners = side * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    hidden = MeshObject(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]]), position=(0, 0, 9.0))
+    assert len(object_patches(hidden).areas) == 2 * math.ceil(math.sqrt(512)) ** 2
+
+
+@pytest.mark.parametrize(("x", "expected"), [(0.4, True), (0.5, False), (0.6, False)])
+def test_mesh_is_lit_from_its_front_only(x, expected):
+    """Light that grazes a triangle in its plane does not light it."""
+    corners = [[0.5, -1.0, 0.5], [0.5, 0.0, 2.5], [0.5, 1.0, 0.5]]
+    mesh = trimesh.Trimesh(corners, [[0, 1, 2]])
+    assert mesh.face_normals[0].tolist() == [-1.0, 0.0, 0.0]
+    ray = (np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
+    assert mesh_hits(mesh, np.array([x, 0.1, 0.0]), *ray)[2].tolist() == [expected]
 
 
 def test_sensor_gain_follows_the_camera_equation(flat_scene):
@@ -321,9 +340,18 @@ def test_spot_power_is_that_into_the_lens_cone(flat_scene, aim):
     assert spot_power_through_lens(hidden, spot) == 0.0
 
 
-def test_spot_image_has_its_place_size_and_energy(flat_scene):
-    camera = replace(flat_scene.camera, aim=(0.02, 0.01, 0.0), pixels=(512, 512), binning=2)
-    scene = replace(flat_scene, camera=camera)
+@pytest.mark.parametrize(("beam", "farther"), [(3e-3, 1.0), (4e-2, 1.3)])
+def test_spot_image_has_its_place_size_and_energy(flat_scene, beam, farther):
+    """Defocus is most of the narrow beam's image, and a small part of the wide one's."""
+    camera = replace(
+        flat_scene.camera,
+        position=tuple(farther * np.array(flat_scene.camera.position)),
+        aim=(0.02, 0.01, 0.0),
+        pixels=(512, 512),
+        binning=2,
+    )
+    laser = replace(flat_scene.laser, beam_diameter=beam)
+    scene = replace(flat_scene, camera=camera, laser=laser)
     spot = laser_spot(scene)
     shares = spot_image(scene, spot)
     assert shares.sum() == pytest.approx(1.0, abs=1e-12)

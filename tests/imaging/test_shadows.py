@@ -257,6 +257,14 @@ def test_a_plate_before_the_lens_hides_the_spot_from_it(flat_scene):
         assert dim[name] == pytest.approx(bare[name] / 2, rel=0.13)
 
 
+def test_a_camera_that_sees_no_wall_sees_no_shadow(flat_scene):
+    camera = replace(flat_scene.camera, aim=(1.5, 1.5, 0.0))
+    scene = replace(flat_scene, wall=FlatWall(size=0.4), camera=camera, occluders=(FAR,))
+    found = cast_shadows(scene)
+    for part in (found.image, found.view, found.veil):
+        np.testing.assert_array_equal(part, 1.0)
+
+
 def test_an_occluder_in_the_beam_is_refused(flat_scene):
     # the beam from (0.6, 0.3, 1.1) passes z = 0.55 at (0.3, 0.15), 1.5 mm wide to each side
     for x in ((0.25, 0.35), (0.3014, 0.35)):
