@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 #: Largest number of pixels of a compressed picture. A file of less than a megabyte can hold a
 #: hundred times as many, which would fill the memory when they are decoded.
 MOST_PIXELS = 8192 * 8192
+#: Pillow logs some errors besides raising them. Python prints records that no handler takes.
+_UNPRINTED = logging.NullHandler()
 
 
 @contextmanager
@@ -41,6 +44,7 @@ def opened_picture(file: Path | IO[bytes], name: str) -> Iterator[Image]:
     """
     from PIL import Image
 
+    logging.getLogger("PIL").addHandler(_UNPRINTED)  # adds it once
     size = ""
     with warnings.catch_warnings():
         # Pillow's own limits are larger, and the lower one only warns

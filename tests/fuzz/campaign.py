@@ -133,7 +133,7 @@ def campaign(name: str, numbers: list[int], folder: Path) -> Iterator[Outcome]:
         place = folder / f"{name}_{numbers[0]}"
         process = context.Process(target=_work, args=(name, str(place), numbers, at, results))
         process.start()
-        last = time.monotonic()
+        last, stuck = time.monotonic(), False
         while True:
             while not results.empty() or (process.is_alive() and _waits(results)):
                 outcome = results.get()
@@ -142,7 +142,8 @@ def campaign(name: str, numbers: list[int], folder: Path) -> Iterator[Outcome]:
             if not process.is_alive():
                 break
             if time.monotonic() - last > 60.0 + 10.0 * MOST_SECONDS:
-                process.kill()  # stuck in compiled code
+                stuck = True
+                process.kill()
                 break
         process.join()
         shutil.rmtree(place, ignore_errors=True)
@@ -150,7 +151,10 @@ def campaign(name: str, numbers: list[int], folder: Path) -> Iterator[Outcome]:
             return
         if at.value == -2:
             sys.exit(f"the samples of {name} cannot be read")
-        yield Outcome(numbers[0], "", "process ended", f"exit code {process.exitcode}")
+        if stuck:
+            yield Outcome(numbers[0], "", "hang", "in compiled code")
+        else:
+            yield Outcome(numbers[0], "", "process ended", f"exit code {process.exitcode}")
         numbers = numbers[1:]
 
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from nlosoptics.errors import SceneError
+from nlosoptics.scene import MeshObject
 
 from .campaign import Bench, campaign
 from .mutations import mutated
@@ -68,3 +73,42 @@ def test_mutations_change_most_contents() -> None:
     text = b"[a]\nb = 1.5\nc = 2\n"
     found = {mutated(text, [text], np.random.default_rng(i), text=True) for i in range(100)}
     assert len(found) > 80
+
+
+def gltf(uri: str) -> bytes:
+    """A triangle whose vertices are in another file."""
+    views = [{"buffer": 0, "byteOffset": 0, "byteLength": 36}]
+    views += [{"buffer": 0, "byteOffset": 36, "byteLength": 12}]
+    part = {"attributes": {"POSITION": 0}, "indices": 1}
+    file = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [part]}],
+        "buffers": [{"byteLength": 48, "uri": uri}],
+        "bufferViews": views,
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"},
+        ],
+    }
+    text = json.dumps(file).encode()
+    return text + b" " * (-len(text) % 4)
+
+
+@pytest.mark.parametrize("uri", ["other.bin", "../other.bin", "ROOT/other.bin"])
+@pytest.mark.parametrize("suffix", [".gltf", ".glb"])
+def test_a_mesh_reads_no_other_file(uri: str, suffix: str, tmp_path: Path) -> None:
+    vertices = np.array([[0, 0, 0], [7, 0, 0], [0, 7, 0]], dtype=np.float32).tobytes()
+    (tmp_path / "sub").mkdir()
+    for folder in (tmp_path, tmp_path / "sub"):
+        (folder / "other.bin").write_bytes(vertices + np.arange(3, dtype=np.uint32).tobytes())
+    content = gltf(uri.replace("ROOT", str(tmp_path)))
+    if suffix == ".glb":
+        head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(content), len(content), b"JSON")
+        content = head + content
+    file = tmp_path / "sub" / f"a{suffix}"
+    file.write_bytes(content)
+    with pytest.raises(SceneError, match="is not a mesh"):
+        _ = MeshObject(file, position=(0.0, 0.0, 1.0)).surface

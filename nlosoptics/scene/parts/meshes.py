@@ -44,9 +44,9 @@ def load_mesh(name: str, given: Any) -> trimesh.Trimesh:
         path = SourceFile.at(given)
         if not path.is_held and not path.is_file():
             raise SceneError(f"{name}: there is no file {path}; give the path of a mesh")
-        # prefer the path: a mesh file may refer to other files in its folder
-        file: Any = io.BytesIO(path.content) if path.is_held else str(path)
         try:
+            # Bytes instead of the path: a glTF file could name any other file of this machine.
+            file = io.BytesIO(path.content if path.is_held else Path(path).read_bytes())
             mesh = trimesh.load(file, file_type=path.suffix[1:], force="mesh", process=False)
         except Exception as error:  # the loaders of trimesh raise arbitrary exception types
             raise SceneError(

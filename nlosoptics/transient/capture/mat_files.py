@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import mmap
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -22,6 +23,8 @@ COMPRESSED: Final = 15
 DATA: Final = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, MATRIX, 16, 17, 18})
 DEEPEST: Final = 32  # nested structures
 CHARS, SPARSE, INT64 = 4, 5, 14  # array classes; numeric ones are 6 to INT64
+#: Signature and version of an HDF5 heap for values of variable length; bytes of its headers.
+HEAP, HEADER = b"GCOL\x01", 16
 
 
 @contextmanager
@@ -52,6 +55,7 @@ def variables(path: Path) -> Iterator[Mapping[str, Any]]:
         with ExitStack() as opened:
             with _readable_hdf5():
                 held = opened.enter_context(h5py.File(path, "r"))
+                _check_heaps(path, held)
             yield _Hdf5(held, matlab=head.startswith(b"MATLAB 7.3"))
         return
     if head.startswith(b"\x89HDF"):
@@ -61,6 +65,29 @@ def variables(path: Path) -> Iterator[Mapping[str, Any]]:
             "is neither HDF5 nor a MATLAB file; give a capture in one of these formats"
         )
     yield _Mat5(path, "<" if head[126:128] == b"IM" else ">")
+
+
+def _check_heaps(path: Path, opened: Any) -> None:
+    """Raise ValueError if HDF5 would never end reading a heap of an open file.
+
+    HDF5 goes from object to object by their sizes, and does not check that these advance and stay
+    inside the heap (``H5HG__cache_heap_deserialize``).
+    """
+    if opened.id.get_create_plist().get_sizes()[1] != 8:
+        raise ValueError("lengths are not stored in 8 bytes")
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as held:
+        budget, start = len(held) // HEADER, held.find(HEAP)
+        while 0 <= start <= len(held) - HEADER:
+            end = min(start + struct.unpack_from("<8xQ", held, start)[0], len(held))
+            place = start + HEADER
+            while place + HEADER <= end:
+                index, length = struct.unpack_from("<H6xQ", held, place)
+                step = HEADER + -(-length // 8) * 8 if index else length  # 0: free space
+                budget -= 1
+                if not HEADER <= step <= end - place or budget < 0:
+                    raise ValueError(f"an object of {length} bytes in a heap is impossible")
+                place += step
+            start = held.find(HEAP, start + 1)
 
 
 class _Hdf5(Mapping[str, Any]):

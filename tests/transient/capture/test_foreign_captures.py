@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import tracemalloc
 
 import h5py
@@ -430,3 +431,26 @@ def test_what_a_layout_does_not_need_is_not_read(tal_file):
         assert tracemalloc.get_traced_memory()[1] < 50e6
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize("size", [0, 2, 16 + 3600, 2**64 - 8])
+def test_a_heap_whose_objects_do_not_fill_it_is_refused(size, tal_file):
+    """HDF5 itself would never end, or read what is after the heap."""
+    with h5py.File(tal_file, "r+") as file:
+        file["scene_info"] = "{}"  # of variable length
+    content = bytearray(tal_file.read_bytes())
+    (heap,) = [at for at in range(len(content)) if content[at : at + 4] == b"GCOL"]
+    free = heap + 16 + 16 + 8  # after the headers and the text
+    assert struct.unpack_from("<HHIQ", content, free) == (0, 0, 0, 4096 - 40)
+    struct.pack_into("<Q", content, free + 8, size)
+    tal_file.write_bytes(content)
+    with pytest.raises(SceneError, match="broken HDF5 file .an object of .* bytes in a heap is"):
+        TransientCapture.load(tal_file)
+
+
+def test_a_heap_of_many_texts_is_read(tal_file):
+    with h5py.File(tal_file, "r+") as file:
+        file["unused"] = ["x" * length for length in range(2000)]
+        del file["unused"]
+        file["scene_info"] = '{"text": "' + 100_000 * "y" + '"}'
+    assert TransientCapture.load(tal_file).details["text"] == 100_000 * "y"
