@@ -207,7 +207,8 @@ def through_focus(
     Examples
     --------
     Strehl ratio 0.2 mm before, in and beyond the focus of an F/10 lens without aberration. It is
-    about ``sinc(w)^2``, with w the defocus at the rim in wavelengths, ``shift/(8 N^2 lambda)``:
+    about ``(sin(pi w)/(pi w))^2``, with w the defocus at the rim in wavelengths,
+    ``shift/(8 N^2 lambda)``, and the F-number N:
 
     >>> from nlosoptics import psf
     >>> wave = psf.Wavefront.from_zernike(

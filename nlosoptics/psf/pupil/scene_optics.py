@@ -178,7 +178,8 @@ class SceneOptics:
         -------
         PointOptics
             Store of this object point. Its first wave, ``first.wave``, is the `Wavefront` that
-            `wavefront` returns by default. Computations that need more pupil samples trace others.
+            `wavefront` returns by default. Computations that need more pupil samples compute
+            further waves of this point.
         """
         if object_point is None:
             return self.reference

@@ -285,8 +285,8 @@ class HybridPointSpread(PointSpread):
         error, in the unit of ``normalisation``. They check the sum of the three parts. Without the
         check they are 0 and infinity.
     flux : float
-        Power through the lens, W, if the point emits 1 W in total. `hybrid_point_spread` sets the
-        directions by ``emission``.
+        Power through the lens, W, if the point emits 1 W in total. The argument ``emission`` of
+        `hybrid_point_spread` says into which directions this light is emitted.
 
     See Also
     --------

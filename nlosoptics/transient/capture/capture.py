@@ -37,9 +37,10 @@ class TransientCapture(Noun, Shown):
     Parameters
     ----------
     H : array_like
-        Signal in each bin: (n_bins, *laser_shape, *sensor_shape) for ``pairing="all"``,
-        (n_bins, *shape) for ``"confocal"``. Values are integrals over each bin, not densities, in
-        the unit of ``quantity``. float32 is kept, other types become float64.
+        Signal in each bin: (n_bins, *laser_shape, *sensor_shape) for ``pairing="all"``, (n_bins,
+        *shape) for ``"confocal"``. Values are contributions of the bins, not densities: their sum
+        is the ``quantity`` that a laser of constant power causes. float32 is kept, other types
+        become float64.
     laser_points, sensor_points : array_like
         Points lit by the laser, (*laser_shape, 3), and points observed by the sensor,
         (*sensor_shape, 3), world frame, m. A single point may have shape (3,); it adds no axis to

@@ -86,7 +86,8 @@ def phasor_image(
     camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
         Virtual camera, one of the four described at the beginning.
     wl_mean : float
-        Wavelength of the virtual wave, m.
+        Wavelength of the virtual wave, m; at least twice the spacing of the wall points (four times
+        in confocal captures).
     wl_sigma : float, optional
         Standard deviation of the pulse, m of optical path. None: wl_mean/sqrt(2).
     times : array_like, optional
