@@ -12,8 +12,13 @@ from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import registered_correlation
 from nlosoptics.inverse.data.measurement import measurement
+from nlosoptics.inverse.published import phase_retrieval as published
 from nlosoptics.inverse.published.autocorrelations import image_lags, spectrum_modulus
-from nlosoptics.inverse.published.projections import alternating_minimisation, spectral_start
+from nlosoptics.inverse.published.projections import (
+    alternating_minimisation,
+    projected,
+    spectral_start,
+)
 
 METHODS = ["alternating", "hio", "raar"]
 
@@ -66,6 +71,8 @@ def test_alternating_minimisation_succeeds_where_theory_says_so():
         return float((found.conj() @ x).abs() / found.norm() / x.norm())
 
     assert 0.7 < likeness(start) < 0.999
+    # the scale by the measurements makes their norms equal, to rounding
+    assert float((a @ start).norm()) == pytest.approx(float(sizes.norm()), rel=1e-12)
     found, error = alternating_minimisation(
         sizes,
         lambda v: a @ v,
@@ -182,6 +189,44 @@ def test_tensor_gives_tensor_and_uniform_image_too_few_photons():
     assert dark.status == "too_few_photons"
     assert not dark.object.any()
     assert dark.score == 0.0
+
+
+def test_each_restart_begins_from_its_own_half_of_the_measurements(monkeypatch):
+    image, _ = diffused(letter(128, 3), 0, 0.01)
+    halves = []
+
+    def noted(*given, used, **options):
+        halves.append(used)
+        return spectral_start(*given, used=used, **options)
+
+    monkeypatch.setattr(published, "spectral_start", noted)
+    options = {"restarts": 3, "max_iterations": 1, "object_size": (20, 16)}
+    inverse.phase_retrieval(image, method="alternating", **options)
+    assert len(halves) == 3
+    # five standard errors of a fair draw
+    limit = 2.5 / halves[0].numel() ** 0.5
+    for half in halves:
+        assert abs(float(half.double().mean()) - 0.5) < limit
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        assert abs(float((halves[a] == halves[b]).double().mean()) - 0.5) < limit
+
+
+def test_restarts_larger_than_a_chunk_are_done_one_by_one(monkeypatch):
+    image, _ = diffused(letter(128, 3), 0, 0.01)
+    options = {"method": "raar", "restarts": 3, "max_iterations": 10, "object_size": (20, 16)}
+    together = inverse.phase_retrieval(image, **options).object
+    done = []
+
+    def noted(objects, *given):
+        done.append(len(objects))
+        return projected(objects, *given)
+
+    monkeypatch.setattr(published, "CHUNK", 1)
+    monkeypatch.setattr(published, "projected", noted)
+    alone = inverse.phase_retrieval(image, **options).object
+    assert done == [1] * 30
+    # transforms of several images may round differently in single precision, 60 times in a row
+    np.testing.assert_allclose(alone, together, rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -7,7 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from nlosoptics.transient.rendering._three_bounce_kernels import spread
+from nlosoptics.scene import Lambert
+from nlosoptics.transient.rendering._three_bounce_kernels import COLUMNS, _piece, spread
 
 N = 400  # points along a side: middles of N^2 equal parts
 AREA, START, WIDTH, COUNT = 0.3, 1.0, 0.1, 8
@@ -70,3 +71,20 @@ def test_the_slope_of_the_light_has_its_sign():
     assert in_closed_form(paths, light)[1:-1] == pytest.approx(np.diff(below), rel=1e-9)
     backward = in_closed_form((1.0, 1.0, 1.8), (4.0, 4.0, 1.0))[1:-1]
     assert backward == pytest.approx(np.diff(below)[::-1], rel=1e-9)
+
+
+@pytest.mark.parametrize("side", [0.05, 0.1])
+def test_undivided_triangle_is_exact_to_the_second_degree(side):
+    """A plate parallel to the wall: light is the mean of z^4/(pi^2 r1^4 r2^4) over its points."""
+    corners = np.array([[0.1, 0.0, 1.0], [0.1 + side, 0.0, 1.0], [0.1, side, 1.0]])
+    laser, sensor, area = np.array([-0.2, 0.1, 0.0]), np.array([0.3, 0.2, 0.0]), side**2 / 2
+    piece = np.array([*corners.ravel(), area, 1.0, 1.0, 0.0])
+    pair, lobes = (*laser[:2], *sensor[:2], 1.0, 1.0), Lambert(0.5).lobe_table()
+    bins, stack = np.zeros(3), np.zeros((4, COLUMNS))
+    parts = _piece(piece, pair, lobes, 0, 1, 1.0, np.inf, 0.0, 10.0, bins, stack)
+    assert parts == 1
+    points = shares() @ corners
+    r1, r2 = (np.linalg.norm(points - end, axis=1) for end in (laser, sensor))
+    exact = 0.5 * area * (1 / (np.pi**2 * (r1 * r2) ** 4)).mean()
+    # three corners and the centroid are exact to the second degree, the middles to side^2/N^2
+    assert bins.sum() == pytest.approx(exact, rel=0.1 * side**3)
