@@ -121,6 +121,29 @@ class TestLinks:
         assert link.is_symlink()
         assert (tmp_path / "real" / "a").read_text() == "1"
 
+    def test_a_study_and_a_run_follow_a_link(
+        self, examples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("nlosoptics.cli.forward.can_draw", lambda: False)  # quicker
+        scene = examples / "scenes" / "letter_flat.toml"
+        (tmp_path / "study.toml").write_text(
+            f"scene = {str(scene)!r}\nfigures = ['aberration_rms']\n"
+            "[axes]\n'camera.focus_distance' = ['2 m', '1.9 m']\n"
+        )
+        small = ["--size", "16", "--tol", "1e-2", "--no-reconstruct"]
+        for words, written in (
+            (["run", str(scene), *small], "result.json"),
+            (["study", str(tmp_path / "study.toml"), "--workers", "0"], "zarr.json"),
+        ):
+            link, real = tmp_path / f"{words[0]}_link", tmp_path / f"{words[0]}_real"
+            link.symlink_to(real)
+            for _ in ("missing", "existing"):
+                with pytest.raises(SystemExit) as ended:
+                    cli.main([*words, "--out", str(link)])
+                assert not ended.value.code
+                assert link.is_symlink()
+                assert (real / written).is_file()
+
     @pytest.mark.parametrize(
         ("target", "words"),
         [("missing/real", "missing, which is no folder"), ("link", "symbolic links")],
