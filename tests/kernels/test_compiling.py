@@ -7,6 +7,10 @@ import os
 import subprocess
 import sys
 
+from numba.core import types
+
+from nlosoptics.kernels.compiling import njit
+
 MODULE = """
 import json, sys
 import numpy as np
@@ -54,7 +58,8 @@ def _run(folder, kernels, **environment):
 def test_cached_kernels_load_without_what_a_compilation_needs(tmp_path) -> None:
     """The second process compiles nothing and does not import numba's implementations of numpy."""
     (tmp_path / "module.py").write_text(MODULE)
-    assert _run(tmp_path, "total,") == [[12.0, 0, 1, True]]
+    # for Python, and not only as a part of the other, each kernel is compiled
+    assert _run(tmp_path, "total, doubled") == [[12.0, 0, 1, True], [12.0, 0, 1, True]]
     assert _run(tmp_path, "total, doubled") == [[12.0, 1, 0, False], [12.0, 1, 0, False]]
     # a kernel without a cache is compiled after one that was loaded, and calls it
     assert _run(tmp_path, "total, uncached") == [[12.0, 1, 0, False], [13.0, 0, 1, True]]
@@ -72,3 +77,20 @@ def test_python_functions_stay_as_they_are_without_compilation(tmp_path) -> None
         check=True,
     )
     assert json.loads(found.stdout) == ["function", 12.0]
+
+
+def test_a_kernel_is_compiled_once_for_all_constants() -> None:
+    """numba alone would compile it for each of two whole numbers, and for the variable."""
+
+    @njit(cache=True)
+    def shifted(x, by):
+        return x + by
+
+    @njit(cache=True)
+    def sums(x, by):
+        return shifted(x, 1) + shifted(x, 2) + shifted(x, by)
+
+    assert sums(1, 3) == 9
+    called = shifted.get_call_template((types.int64, types.literal(1)), {})[0]
+    assert [case.args for case in called.cases] == [(types.int64, types.int64)]
+    assert shifted(1, 1) == 2  # Python calls a version of its own
