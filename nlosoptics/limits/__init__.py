@@ -1,8 +1,8 @@
 """Prediction, before any fit, of what an image of a scene can show of the hidden object.
 
 `feasibility` is the main function: it predicts photons, noise, modulation, resolution and whether
-the object can be recovered. The other functions give the modulation that a diffuse or a glossy wall
-transmits.
+the object can be recovered. Other functions give the modulation that a diffuse or a glossy wall
+transmits. `laser_class` estimates whether the laser is safe for the eye.
 """
 
 import lazy_loader as _lazy

@@ -139,7 +139,7 @@ class _Waves:
             told = ", ".join(f"{address} = {label(value)}" for address, value in delta.items())
             try:
                 optics = SceneOptics(self.study.base.scene(delta))
-                why = _unfit(optics)
+                why = unfit(optics)
             except NlosError as error:
                 raise SceneError(
                     f"tier = 'fast' needs the wave at {told}: {error}; or use tier = 'full', or "
@@ -158,7 +158,7 @@ class _Waves:
         return figure.value(point, self.study.folder)[0]
 
 
-def _unfit(optics: SceneOptics) -> str:
+def unfit(optics: SceneOptics) -> str:
     """Return why the wave of a scene cannot be expanded; empty if it can."""
     if optics.scene.wall_roughness is not None:
         return "the wall has a roughness, whose point spread is no smooth function of the values"
@@ -195,16 +195,20 @@ def _expanded(waves: _Waves, figure: Figure, coordinates: Array) -> Array:
 
 
 def _needed_nodes(found: Expansion, coordinates: Array) -> int:
-    """Return the number of nodes along an axis that resolves the phase of every draw.
-
-    With v the range of the phase, ``v/4 + 3.1 v^(1/3) + 6`` Gauss-Legendre nodes integrate
-    exp(i v s) to 1e-15.
-    """
+    """Return the number of nodes along an axis that resolves the phase of every draw."""
     v = 0.0
     step = max(1, BLOCK // found.terms.shape[1])
     for first in range(0, len(coordinates), step):
         phase = found.at(coordinates[first : first + step])["phase"]
         v = max(v, 2 * math.pi * float(np.ptp(phase, axis=(-2, -1)).max()))
+    return resolving_nodes(v)
+
+
+def resolving_nodes(v: float) -> int:
+    """Return the number of nodes along an axis for a phase with the range v, rad.
+
+    So many Gauss-Legendre nodes integrate exp(i v s) over s from 0 to 1 to 1e-15.
+    """
     return max(FEW_NODES, math.ceil(v / 4 + 3.1 * math.cbrt(v) + 6))
 
 

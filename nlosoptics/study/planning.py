@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 from .._checks import counted
 from ..errors import NlosError
 from ..runs.plan import plan
+from .design.fast import has_gradient
 from .design.point import point_spread_key
 from .design.variables import delta_of
-from .search.methods import most_trials, trials_together
+from .search.methods import most_trials, searched_figures, trials_together
 
 if TYPE_CHECKING:
     from .design.study import Study
@@ -55,6 +56,11 @@ class StudyPlan:
         "fast"``), by an expansion of the wave to second order in the drawn values; otherwise 0.
     waves : int
         Approximate number of waves that are traced for this expansion.
+    gradients : tuple of str
+        Figures of merit whose gradients the optimisation computes without further trials; empty if
+        its method uses no gradients.
+    differences : tuple of str
+        Figures of merit whose gradients are differences between trials, one for each variable.
 
     See Also
     --------
@@ -70,6 +76,8 @@ class StudyPlan:
     block: int
     fast_draws: int = 0
     waves: int = 0
+    gradients: tuple[str, ...] = ()
+    differences: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """Return the plan as text."""
@@ -78,6 +86,8 @@ class StudyPlan:
             f"fast draws     {self.fast_draws}, from about {self.waves} waves expanded to second "
             f"order\nchecked draws  {self.points}, {counted(self.figures, 'figure')} each"
         )
+        methods = (("computed", self.gradients), ("by differences", self.differences))
+        slopes = [f"of {', '.join(names)} {how}" for how, names in methods if names]
         return "\n".join(
             (
                 fast
@@ -88,6 +98,7 @@ class StudyPlan:
                 f"blocks         {blocks} of at most {self.block} points",
                 f"CPU time       about {self.seconds:.3g} s",
                 f"store          at most {self.n_bytes / 1e6:.3g} MB",
+                *([f"gradients      {', '.join(slopes)}"] if slopes else []),
             )
         )
 
@@ -154,6 +165,9 @@ def _plan_search(study: Study) -> StudyPlan:
     trials = most_trials(study)
     together = one.points * min(trials, trials_together(study))
     block = min(int(BLOCK_SECONDS * one.points / one.seconds), together // LEAST_BLOCKS)
+    table = study.table.optimise
+    searched = searched_figures(study) if table is not None and table.method == "slsqp" else ()
+    known = {name for name in searched if has_gradient(study.figure(name))}
     return StudyPlan(
         points=one.points * trials,
         figures=one.figures,
@@ -162,6 +176,8 @@ def _plan_search(study: Study) -> StudyPlan:
         seconds=one.seconds * trials,
         n_bytes=one.n_bytes * trials,
         block=max(1, min(MOST_ROWS, block)),
+        gradients=tuple(name for name in searched if name in known),
+        differences=tuple(name for name in searched if name not in known),
     )
 
 

@@ -18,8 +18,9 @@ from .design.study import Study
 from .design.values import label
 from .design.variables import delta_of
 from .engine import Engine, computed
-from .search.methods import most_trials, outcome_of, search, searched_figures
-from .search.problem import Outcome, Point
+from .gradients import Gradients
+from .search.methods import dependences_of, most_trials, outcome_of, search, searched_figures
+from .search.problem import Array, Outcome, Point
 from .store import Store
 from .worker import Answers, Block
 
@@ -66,6 +67,9 @@ class Trials:
         self._asked: dict[str, Outcome] = {}  # by the JSON of their values, in order
         self._figures: dict[str, dict[str, float]] = {}  # by point
         self._names = searched_figures(study)
+        self._gradients = Gradients(study)
+        self._slopes_of: dict[str, Array] = {}  # by the JSON of the values
+        self._by: dict[str, dict[str, None]] = {"computed": {}, "by differences": {}}
         self._queue: deque[Block] = deque()
         self._free = range(0)  # rows of the store for further points
         self._stream = computed(engine, self._waiting(), interrupted)
@@ -98,11 +102,11 @@ class Trials:
         try:
             self._compute(blocks)
             self._recall()
-            why = search(self._study, self._ask)
+            why = search(self._study, self._ask, self._slopes)
         except _Ended as ended:
             why = str(ended)
         if why:
-            self._store.set_ended(why)
+            self._store.set_ended(why + self._about_gradients())
 
     def _ask(self, points: Sequence[Point]) -> list[Outcome]:
         """Return the outcomes of points, of which new ones are computed together."""
@@ -116,6 +120,33 @@ class Trials:
         if len(allowed) < len(new):
             raise _Ended(f"{most} evaluations")
         return [self._asked[key] for key in keys]
+
+    def _slopes(self, point: Point) -> Array:
+        """Return the derivatives of objective and margins at a point that was asked for.
+
+        Rows of figures without derivatives are NaN. Derivatives are computed here and are not
+        stored, since a replay computes them again from the same values.
+        """
+        delta = delta_of(self._study.variables, point)
+        key = json.dumps(delta)
+        if key not in self._slopes_of:
+            self._slopes_of[key] = self._derived(self._study.with_trials([delta]))
+        return self._slopes_of[key]
+
+    def _derived(self, study: Study) -> Array:
+        """Return the derivatives of the objective and the margins of a trial, see `_slopes`."""
+        points = [self._figures[name] for name in study.ids]
+        rows = dependences_of(study, self._columns(points))
+        found = np.zeros((len(rows), len(study.variables)))
+        for i in range(len(study)):
+            names = {name: None for name, slopes in rows if slopes[i] != 0.0}
+            known = self._gradients.at(study.delta(i), names)
+            for name in names:
+                self._by["computed" if name in known else "by differences"][name] = None
+            for row, (name, slopes) in zip(found, rows, strict=True):
+                if slopes[i] != 0.0:
+                    row += slopes[i] * known.get(name, np.full(len(row), np.nan))
+        return found
 
     def _add(self, new: Mapping[str, Mapping[str, Any]]) -> None:
         first = len(self._asked)
@@ -139,10 +170,17 @@ class Trials:
         size = len(study) // len(new)
         for i, key in enumerate(new):
             points = [self._figures[name] for name in study.ids[i * size : (i + 1) * size]]
-            columns = {name: np.array([p[name] for p in points]) for name in self._names}
-            self._asked[key] = outcome_of(study, columns)
+            self._asked[key] = outcome_of(study, self._columns(points))
         if fresh:
             self._tell(len(fresh))
+
+    def _columns(self, points: Sequence[Mapping[str, float]]) -> dict[str, Array]:
+        return {name: np.array([point[name] for point in points]) for name in self._names}
+
+    def _about_gradients(self) -> str:
+        """Return how the gradients were found; empty if the method uses none."""
+        parts = [f"of {', '.join(names)} {how}" for how, names in self._by.items() if names]
+        return f"; gradients {', '.join(parts)}" if parts else ""
 
     def _rows(self, study: Study) -> list[Block]:
         """Add rows for the points of a study to the store; return their blocks."""

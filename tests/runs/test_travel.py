@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import nlosoptics as nlos
-from nlosoptics import imaging, psf, raytrace, scene, study, transient
+from nlosoptics import imaging, limits, psf, raytrace, scene, study, transient
 from nlosoptics._html import Shown
 from nlosoptics.errors import SceneError
 from nlosoptics.runs.plan import Stage
@@ -154,6 +154,7 @@ MADE: Mapping[str, Any] = {
     ),
     "Lambert": lambda: scene.Lambert(0.5),
     "Laser": lambda: room().laser,
+    "LaserClass": lambda: limits.laser_class(room()),
     "MeshObject": lambda: scene.MeshObject(mesh(), position=(0.3, 0.0, 2.0), scale=0.1),
     "MeshWall": lambda: scene.MeshWall(mesh()),
     "Occluder": lambda: scene.Occluder(mesh(), position=(0.3, 0.0, 2.0), pitch=1.0),

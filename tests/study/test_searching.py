@@ -59,11 +59,41 @@ class _Killed(BaseException):
     pass
 
 
-@pytest.mark.slow
-def test_a_kill_between_any_two_writes_loses_nothing(tmp_path: Path, monkeypatch) -> None:
-    """Every fourth write of a search of six trials with draws is the last one in turn."""
+def sharp(evaluations: int) -> Study:
+    """A search by gradients of the wave."""
+    return made(
+        ["strehl"],
+        [{"figure": "strehl", "goal": "maximise"}],
+        "slsqp",
+        evaluations,
+        set={"camera.f_number": 16, "camera.binning": 32},
+        variables={
+            "camera.focus_distance": {"from": "2 m", "to": "4 m"},
+            "wall.radius": {"from": "4 m", "to": "6 m"},
+        },
+    )
+
+
+def test_search_by_gradients_goes_on_as_if_it_had_not_stopped(tmp_path: Path) -> None:
+    """Gradients are not stored: a search that goes on computes them again, bit for bit."""
+    calls = iter([False] * 4 + [True] * 99)
+    assert not run(sharp(9), tmp_path, interrupted=lambda: next(calls)).complete
+    done = run(sharp(9), tmp_path)
+    assert "gradients of strehl computed" in done.dataset.attrs["search"]
+    assert same(done, run_study(sharp(9), tmp_path / "once", workers=0))
+
+
+def _several(evaluations: int) -> Study:
     draws = {"count": 2, "of": {"camera.exposure": {"from": "0.5 s", "to": "1.5 s"}}}
-    study = made([OFF], ["off"], "differential-evolution", 6, variables=POWER, draws=draws)
+    method = "differential-evolution"
+    return made([OFF], ["off"], method, evaluations, variables=POWER, draws=draws)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("of", [_several, sharp])
+def test_a_kill_between_any_two_writes_loses_nothing(of, tmp_path: Path, monkeypatch) -> None:
+    """Every fourth write of a search of six trials, with draws or gradients, is the last one."""
+    study = of(6)
     whole = run_study(study, tmp_path / "whole", workers=0)
     left = 0
 
@@ -131,8 +161,10 @@ def test_a_killed_search_repeats_its_path_bit_for_bit(method: str, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_processes_choose_the_same_points(tmp_path: Path) -> None:
-    study = made([OFF], ["off"], "nsga-ii", 40, variables=PLANE)
+@pytest.mark.parametrize(
+    "study", [made([OFF], ["off"], "nsga-ii", 40, variables=PLANE), sharp(20)], ids=["lot", "one"]
+)
+def test_processes_choose_the_same_points(study: Study, tmp_path: Path) -> None:
     there = run_study(study, tmp_path / "there", workers=2)
     assert same(there, run_study(study, tmp_path / "here", workers=0))
 
@@ -233,6 +265,11 @@ ONE = {"figure": "power", "goal": "maximise"}
         (edited(method="simplex"), "method = .simplex.: it should be"),
         (edited(method="cma-es"), "needs two or more variables"),
         (edited(population=8), "does not go with method cobyqa"),
+        (edited(population=8, method="slsqp"), "does not go with method slsqp"),
+        (
+            edited(method="slsqp", objectives=[ONE | {"at_least": 1.0}]),
+            "no gradient, which method slsqp needs; use differential-evolution",
+        ),
         (edited(method="differential-evolution", population=3), "must be at least 5"),
         (edited() | {"axes": {"laser.power": ["1 mW"]}}, "laser.power is varied twice"),
         (

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 #: Figures of merit of the fast tier.
 FAST: Final = ("strehl", "aberration_rms", "spot_rms", "mtf", "value")
+#: Figures of merit that depend on the sampled wave only, and not on the window of a point spread.
+OF_WAVES: Final = ("strehl", "aberration_rms", "spot_rms")
 CHECK: Final = 200  # draws in full by default
 
 
@@ -73,6 +75,16 @@ def fast_spreads(
                 f"{', '.join(FAST)}; remove it, or use tier = 'full'"
             )
     return spreads(draws, value_of)
+
+
+def has_gradient(figure: Figure) -> bool:
+    """Return whether a figure's derivatives follow from neighbouring waves or scenes.
+
+    Those of other figures need differences of whole points. So does the modulation: it is that of a
+    point spread in a window, whose size changes with the scene and matters to the derivatives.
+    """
+    smooth = figure.source in OF_WAVES or figure.stage == "scene"
+    return smooth and figure.compensate is None
 
 
 def checked_draws(table: StudyTable, ids: Sequence[str]) -> tuple[int, ...]:

@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import scipy.optimize
 
-from ... import psf
+from ... import limits, psf
 from ..._checks import in_range, positive, real
 from ...errors import SceneError
-from ...limits import object_scale
 from .compensation import adjusted
 from .values import number
 
@@ -121,7 +120,7 @@ def encircled_energy_radius(point: StudyPoint, fraction: float = 0.8) -> Answer:
 def mtf(point: StudyPoint, frequency: float, azimuth: float = 0.0) -> Answer:
     """Modulation of the point spread with pixels at a frequency on the object, cycles/m."""
     frequency = positive("frequency", frequency, unit="cycles/m")
-    on_detector = frequency * object_scale(point.scene)
+    on_detector = frequency * limits.object_scale(point.scene)
     return float(psf.mtf(point.point_spread.point_spread, on_detector, azimuth=azimuth))
 
 
@@ -148,6 +147,11 @@ def relay_modes(point: StudyPoint) -> Answer:
 def predicted_correlation(point: StudyPoint) -> Answer:
     """Predicted correlation of a reconstruction with the object, with the spread of fits."""
     return point.forecast.score, point.forecast.score_spread
+
+
+def laser_class_ratio(point: StudyPoint, laser_class: str = "1") -> Answer:
+    """Power of the laser into the eye over the limit of a laser class, an estimate."""
+    return limits.laser_class(point.scene).ratio(laser_class)
 
 
 def value(point: StudyPoint, address: str) -> Answer:
@@ -179,6 +183,7 @@ FIGURES: Mapping[str, _Known] = {
     "resolution": _Known(resolution, "1/m", "forecast"),
     "relay_modes": _Known(relay_modes, "", "forecast"),
     "predicted_correlation": _Known(predicted_correlation, "", "forecast", True),
+    "laser_class_ratio": _Known(laser_class_ratio, "", "scene"),
     "value": _Known(value, "", "scene"),
 }
 #: Names that arrays of the results have themselves.

@@ -9,7 +9,7 @@ from .variables import Variable
 
 LISTS = ("differential-evolution", "tpe", "nsga-ii")  # methods that choose from lists
 SEVERAL = ("nsga-ii",)  # methods for several objectives
-ALONE = ("cobyqa",)  # methods that choose one point at a time
+ALONE = ("slsqp", "cobyqa")  # methods that choose one point at a time
 #: Least population of each method.
 LEAST = {"differential-evolution": 5, "tpe": 1, "cma-es": 4, "nsga-ii": 2}
 
@@ -64,6 +64,11 @@ def _check_optimise(
             raise SceneError(
                 f"{place}.goal = {objective.goal!r} would make the share of points within the "
                 'limits small; write goal = "maximise"'
+            )
+        if method == "slsqp":
+            raise SceneError(
+                f"{place} has limits, which make the share of points within them the objective; it "
+                "has no gradient, which method slsqp needs; use differential-evolution"
             )
     for i, constraint in enumerate(table.constraints):
         place = f"optimise.constraints[{i}]"

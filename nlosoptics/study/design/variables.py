@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -67,6 +68,10 @@ class Variable:
             found = self.low + float(coordinate) * (self.high - self.low)
         inner = min(max(float(f"{found:.{DIGITS}g}"), self.low), self.high)
         return canonical(with_unit(inner, self.unit))
+
+    def rate(self, value: float) -> float:
+        """Return the derivative of a continuous variable's value with its coordinate."""
+        return value * math.log(self.high / self.low) if self.log else self.high - self.low
 
     def coordinate(self, value: Any) -> float | None:
         """Return the coordinate of a value; None if it is not within the limits."""

@@ -9,12 +9,12 @@ from ...errors import SceneError
 from ..design.file import InverseSensitivity, Optimise
 from ..design.study import Study
 from .bisection import bisect
-from .problem import Array, Ask, Outcome, Problem, outcome, population
+from .problem import Array, Ask, Outcome, Problem, Slopes, dependences, outcome, population
 from .with_optuna import sampled
-from .with_scipy import cobyqa, evolution
+from .with_scipy import cobyqa, evolution, slsqp
 
 
-def search(study: Study, ask: Ask) -> str:
+def search(study: Study, ask: Ask, slopes: Slopes) -> str:
     """Choose points until the method ends, and return why it ended.
 
     Parameters
@@ -23,6 +23,8 @@ def search(study: Study, ask: Ask) -> str:
         Study with the table ``optimise`` or ``inverse_sensitivity``.
     ask : callable
         Returns the outcomes of points. The same outcomes lead to the same points.
+    slopes : callable
+        Returns derivatives at a point, for methods that use them.
     """
     table = search_table(study)
     if isinstance(table, InverseSensitivity):
@@ -43,6 +45,8 @@ def search(study: Study, ask: Ask) -> str:
     )
     if table.method == "cobyqa":
         return cobyqa(problem, ask)
+    if table.method == "slsqp":
+        return slsqp(problem, ask, slopes)
     if table.method == "differential-evolution":
         return evolution(problem, ask)
     return sampled(problem, ask, table.method)
@@ -79,6 +83,12 @@ def searched_figures(study: Study) -> tuple[str, ...]:
     if isinstance(table, InverseSensitivity):
         return (table.figure,)
     return tuple(dict.fromkeys(one.figure for one in (*table.objectives, *table.constraints)))
+
+
+def dependences_of(study: Study, figures: Mapping[str, Array]) -> list[tuple[str, Array]]:
+    """Return how objective and margins of a trial depend on its figures, see `dependences`."""
+    table = search_table(study)
+    return dependences(table, figures) if isinstance(table, Optimise) else []
 
 
 def outcome_of(study: Study, figures: Mapping[str, Array]) -> Outcome:

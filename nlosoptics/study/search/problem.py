@@ -92,6 +92,9 @@ class Problem:
 
 #: Returns the outcomes of points, which are computed together.
 Ask = Callable[[Sequence[Point]], list[Outcome]]
+#: Returns the derivatives (1 + margins, variables) of objective and margins with the coordinates of
+#: a point that was asked for; NaN in the rows that need differences.
+Slopes = Callable[[Point], Array]
 
 
 def population(table: Optimise) -> int:
@@ -130,9 +133,14 @@ def _objective(objective: Objective, found: Array) -> float:
 
 def _margin(constraint: Constraint, found: Array) -> float:
     """Return the margin that the required share of points has; -inf if too many failed."""
-    least_first = np.sort(_margins(constraint, found))
-    needed = math.ceil(constraint.share * len(found) - FEASIBLE)
-    return float(least_first[len(found) - max(1, needed)])
+    margins = _margins(constraint, found)
+    return float(margins[_deciding(constraint, margins)])
+
+
+def _deciding(constraint: Constraint, margins: Array) -> int:
+    """Return the point whose margin the required share of points has at least."""
+    needed = math.ceil(constraint.share * len(margins) - FEASIBLE)
+    return int(np.argsort(margins, kind="stable")[len(margins) - max(1, needed)])
 
 
 def _margins(limits: Within, found: Array) -> Array:
@@ -142,3 +150,43 @@ def _margins(limits: Within, found: Array) -> Array:
         if limit is not None:
             margins = np.minimum(margins, sign * (found - limit) / (abs(limit) or 1.0))
     return np.where(np.isnan(found), -np.inf, margins)
+
+
+def _rate(limits: Within, found: float) -> float:
+    """Return the derivative of the distance from the nearer limit, as a part of it."""
+    given = ((limits.at_least, 1.0), (limits.at_most, -1.0))
+    rates = [(limit, sign / (abs(limit) or 1.0)) for limit, sign in given if limit is not None]
+    return min((rate * (found - limit), rate) for limit, rate in rates)[1]
+
+
+def dependences(table: Optimise, figures: Mapping[str, Array]) -> list[tuple[str, Array]]:
+    """Return how the objective, and then each margin, depends on its figure.
+
+    Parameters
+    ----------
+    table : Optimise
+        One objective without limits, and constraints.
+    figures : mapping of str to ndarray, (points,)
+        Each figure at all points of the trial, none of which failed.
+
+    Returns
+    -------
+    list of (str, ndarray)
+        Figure, and the derivatives (points,) of objective or margin with its values. At a kink,
+        such as two worst points, they are those of one side.
+    """
+    (objective,) = table.objectives
+    found = figures[objective.figure]
+    sign = 1.0 if objective.goal == "minimise" else -1.0
+    slopes = np.full(len(found), sign / len(found))
+    if objective.over == "worst":
+        slopes[:] = 0.0
+        slopes[np.argmax(sign * found)] = sign
+    rows = [(objective.figure, slopes)]
+    for constraint in table.constraints:
+        found = figures[constraint.figure]
+        point = _deciding(constraint, _margins(constraint, found))
+        slopes = np.zeros(len(found))
+        slopes[point] = _rate(constraint, float(found[point]))
+        rows.append((constraint.figure, slopes))
+    return rows
