@@ -51,8 +51,8 @@ class Gradients:
     The wave at a point and those of two neighbours along each variable are traced. They give the
     Strehl ratio, the rms aberration and the ray spot with fixed quadrature nodes, so that these are
     smooth to rounding error and a difference over 1e-5 of the range is a derivative. No point
-    spread is computed. Aiming each wave takes a fifth of the time, so that the explicit derivative
-    of stationary paths, which needs one aimed wave only, would save little.
+    spread is computed. Aiming takes about a fifth of the time of a wave with its figure, so that
+    the explicit derivative of stationary paths, which needs one aimed wave only, would save little.
     """
 
     def __init__(self, study: Study) -> None:
