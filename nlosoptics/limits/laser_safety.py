@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -32,7 +31,7 @@ class LaserClass(Noun):
     name : {"1", "2", "3R", "3B", "4"}
         Safest class whose limit the beam meets.
     power : float
-        Power through the aperture that stands for the pupil of the eye, W.
+        Largest power through the aperture that stands for the pupil of the eye, W.
     aperture : float
         Diameter of this aperture, m.
     limits : mapping of str to float
@@ -92,8 +91,7 @@ def laser_class(scene: Scene) -> LaserClass:
     Parameters
     ----------
     scene : Scene
-        Scene with the laser, whose wavelength is 400 nm to 4 um. ``laser.beam_diameter`` is taken
-        as the diameter at which the irradiance of a Gaussian beam is 1/e^2 of its maximum.
+        Scene with the laser, whose wavelength is 400 nm to 4 um.
 
     Returns
     -------
@@ -131,8 +129,9 @@ def laser_class(scene: Scene) -> LaserClass:
     class 3R, and 100 s otherwise.
 
     The aperture is that of table 10 of [1]_ for the unaided eye (condition 3): 7 mm up to 1400 nm,
-    3.5 mm beyond. A Gaussian beam of diameter D has the fraction ``1 - exp(-2 (a/D)^2)`` of its
-    power in a centred aperture of diameter a.
+    3.5 mm beyond. Of a beam of diameter D, an aperture of diameter a is taken to pass the fraction
+    ``min(1, 2 (a/D)^2)``. This is an upper bound for a uniform beam, ``min(1, (a/D)^2)``, and for a
+    Gaussian beam whose irradiance at D/2 is 1/e^2 of its maximum, ``1 - exp(-2 (a/D)^2)``.
 
     References
     ----------
@@ -156,8 +155,7 @@ def laser_class(scene: Scene) -> LaserClass:
     laser = scene.laser
     limits = _limits(laser.wavelength)
     aperture = 7e-3 if laser.wavelength < RETINAL else 3.5e-3
-    passed = -math.expm1(-2 * (aperture / laser.beam_diameter) ** 2)
-    power = passed * laser.power
+    power = laser.power * min(1.0, 2 * (aperture / laser.beam_diameter) ** 2)
     return LaserClass(
         name=next((name for name, limit in limits.items() if power <= limit), "4"),
         power=power,
