@@ -81,7 +81,7 @@ def test_power_is_what_a_target_of_photons_needs(tmp_path: Path) -> None:
 
 
 def test_brightest_laser_of_a_class(tmp_path: Path) -> None:
-    """Class 2 allows 1 mW through 7 mm, and a beam of 10 mm is taken to have 0.98 of its power there."""
+    """Class 2 allows 1 mW through 7 mm, where a beam of 10 mm has at most 0.98 of its power."""
     power = {"figure": "value", "address": "laser.power", "name": "power"}
     study = made(
         [power, {"figure": "laser_class_ratio", "laser_class": "2"}],
