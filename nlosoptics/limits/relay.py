@@ -578,7 +578,10 @@ def _binned(picture: Array, counts: tuple[int, int]) -> Array:
     for axis, count in enumerate(counts):
         n = picture.shape[axis]
         edges = np.linspace(0.0, n, count + 1)
-        summed = np.insert(np.cumsum(np.moveaxis(picture, axis, 0), axis=0), 0, 0.0, axis=0)
+        lines = np.moveaxis(picture, axis, 0)
+        summed = np.zeros((n + 1, *lines.shape[1:]))
+        for i in range(n):  # `numpy.cumsum` along the first axis takes four times as long
+            np.add(summed[i], lines[i], out=summed[i + 1])
         low = np.minimum(edges.astype(np.intp), n - 1)
         shape = (-1,) + (1,) * (summed.ndim - 1)
         at = summed[low] + (edges - low).reshape(shape) * (summed[low + 1] - summed[low])

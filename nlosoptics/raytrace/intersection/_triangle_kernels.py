@@ -26,7 +26,7 @@ INDEX = 6  # column of ``rays`` with the number of the ray, as an integer
 MISSED = (math.nan, math.nan, math.nan)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _across(d):
     """Return a unit vector perpendicular to the unit vector d, without branches.
 
@@ -56,7 +56,7 @@ def _entry(boxes, node, o, inverse, low, high):
     return low if low <= high + 1e-15 * (abs(low) + abs(high)) else math.inf
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _bin(x, y, z, dx, dy, dz):
     """Return the number of the cell, 0 to SIDE^2 - 1, by which a ray is sorted.
 
@@ -126,7 +126,7 @@ def _flat(hits):
     return hits[0], hits[1].reshape(-1), hits[2].reshape(-1), hits[3]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _record(found, i, t, point, normal, name):
     """Write the hit of ray ``i`` to the result arrays of `_flat`."""
     distance, points, normals, triangle = found
@@ -202,7 +202,7 @@ def enter(origins, directions, limits, centre, scale, aside, loose, bins, rays, 
     return kept
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _facet(row, o, d):
     """Return where a ray meets the plane of the triangle ``row`` = (a, b - a, c - a).
 
@@ -222,7 +222,7 @@ def _facet(row, o, d):
     return u, v, det - u - v, det, t, (nx, ny, nz)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _landing(normal, o, d, t):
     """Return point (m) and unit normal of a hit at the distance t, m.
 
@@ -236,7 +236,7 @@ def _landing(normal, o, d, t):
     return p, (nx * size, ny * size, nz * size)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _row(numbers, start, step):
     """Return nine numbers of a flat array, ``step`` apart from index ``start`` on, as a tuple.
 

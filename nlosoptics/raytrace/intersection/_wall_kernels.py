@@ -286,7 +286,7 @@ def faceted_hit(terms, tables, top, slab, o, d, low, high, bound, scale, missed)
     return math.nan, UNRESOLVED
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _unit(d):
     """Return the unit vector along d, of any finite length; NaN for a zero vector."""
     largest = max(abs(d[0]), abs(d[1]), abs(d[2]))

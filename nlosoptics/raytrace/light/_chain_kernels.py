@@ -250,29 +250,29 @@ def _steps(g, own, back, ahead, step):
     The Jacobian is block tridiagonal and is eliminated block by block.
     """
     m = g.shape[0]
-    pivot, side, whole = np.empty((2, 2)), np.zeros((m, 2, 2)), 1.0
+    side, whole = np.zeros((m, 2, 2)), 1.0
     for i in range(m):
         right0, right1 = -g[i, 2], -g[i, 3]
-        for k in range(2):
-            pivot[k, 0], pivot[k, 1] = own[i, k, 0], own[i, k, 1]
+        p, q, r, s = own[i, 0, 0], own[i, 0, 1], own[i, 1, 0], own[i, 1, 1]  # the pivot's rows
         if i > 0:
-            for k in range(2):
-                b0, b1 = back[i, k, 0], back[i, k, 1]
-                pivot[k, 0] -= b0 * side[i - 1, 0, 0] + b1 * side[i - 1, 1, 0]
-                pivot[k, 1] -= b0 * side[i - 1, 0, 1] + b1 * side[i - 1, 1, 1]
-            right0 -= back[i, 0, 0] * step[i - 1, 0] + back[i, 0, 1] * step[i - 1, 1]
-            right1 -= back[i, 1, 0] * step[i - 1, 0] + back[i, 1, 1] * step[i - 1, 1]
-        det = pivot[0, 0] * pivot[1, 1] - pivot[0, 1] * pivot[1, 0]
+            a, b, c, d = back[i, 0, 0], back[i, 0, 1], back[i, 1, 0], back[i, 1, 1]
+            p -= a * side[i - 1, 0, 0] + b * side[i - 1, 1, 0]
+            q -= a * side[i - 1, 0, 1] + b * side[i - 1, 1, 1]
+            r -= c * side[i - 1, 0, 0] + d * side[i - 1, 1, 0]
+            s -= c * side[i - 1, 0, 1] + d * side[i - 1, 1, 1]
+            right0 -= a * step[i - 1, 0] + b * step[i - 1, 1]
+            right1 -= c * step[i - 1, 0] + d * step[i - 1, 1]
+        det = p * s - q * r
         if det == 0.0:
             return 0.0
         whole *= det
-        step[i, 0] = (pivot[1, 1] * right0 - pivot[0, 1] * right1) / det
-        step[i, 1] = (pivot[0, 0] * right1 - pivot[1, 0] * right0) / det
+        step[i, 0] = (s * right0 - q * right1) / det
+        step[i, 1] = (p * right1 - r * right0) / det
         if i < m - 1:
-            for q in range(2):
-                c0, c1 = ahead[i, 0, q], ahead[i, 1, q]
-                side[i, 0, q] = (pivot[1, 1] * c0 - pivot[0, 1] * c1) / det
-                side[i, 1, q] = (pivot[0, 0] * c1 - pivot[1, 0] * c0) / det
+            for k in range(2):
+                c0, c1 = ahead[i, 0, k], ahead[i, 1, k]
+                side[i, 0, k] = (s * c0 - q * c1) / det
+                side[i, 1, k] = (p * c1 - r * c0) / det
     for i in range(m - 2, -1, -1):
         for k in range(2):
             step[i, k] -= side[i, k, 0] * step[i + 1, 0] + side[i, k, 1] * step[i + 1, 1]

@@ -231,7 +231,8 @@ def wall_hits(
     Rays without a hit keep their values. The first six arguments are those of
     `_wall_kernels.wall_hit`; ``terms`` is None for a flat wall.
     """
-    w, state = np.zeros(ROWS * BLOCK), np.full(BLOCK, -1)
+    if grid_bounds is not None:
+        w, state = np.zeros(ROWS * BLOCK), np.full(BLOCK, -1)
     count = distance.size
     for start in range(0, count, BLOCK):
         n = min(BLOCK, count - start)
@@ -251,7 +252,7 @@ def wall_hits(
                 t = -o[2] / d[2] if d[2] < 0.0 else math.nan
                 on = abs(o[0] + t * d[0]) <= box[0] and abs(o[1] + t * d[1]) <= box[1]
                 condition = HIT if on and t >= 0.0 else -1
-            elif state[i] >= 0:
+            elif grid_bounds is not None and state[i] >= 0:
                 t, condition, hx, hy = w[DISTANCE + i], state[i], w[HX + i], w[HY + i]
             else:
                 t, condition, hx, hy = wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
