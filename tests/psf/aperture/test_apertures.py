@@ -25,7 +25,8 @@ BOX = MM * np.array([(-5, -3), (5, -3), (5, 3), (-5, 3)])
 #: seen from its centroid, and not
 ARROW = 5 * MM * np.array([(0, 0), (2, 0), (2, 1), (1, 1.01), (0.4, 0.4), (0, 2)])
 HOOK = 2 * MM * np.array([(0, 0), (4, 0), (4, 3), (1, 3), (1, 2), (3, 2), (3, 1), (0, 1)])
-
+#: The ends of both tines lie on one line.
+FORK = MM * np.array([[-3, -2], [3, -2], [3, 2], [1, 2], [1, 0], [-1, 0], [-1, 2], [-3, 2]])
 APERTURES = {
     "ellipse": psf.Aperture.ellipse(10 * MM, 6 * MM, 0.4),
     "ring": psf.Aperture.ellipse(10 * MM, 6 * MM, 0.4, obscuration=0.35),
@@ -212,7 +213,7 @@ def test_regular_polygons(sides):
     assert np.abs(np.abs(field(wave)) - np.abs(closed)).max() < 1e-12
 
 
-@pytest.mark.parametrize("corners", [ARROW, HOOK], ids=["arrow", "hook"])
+@pytest.mark.parametrize("corners", [ARROW, HOOK, FORK], ids=["arrow", "hook", "fork"])
 def test_polygons_that_are_not_convex(corners):
     wave = of(psf.Aperture.polygon(corners))
     closed = polygon_field(corners, *frequencies())

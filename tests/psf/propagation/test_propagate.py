@@ -9,6 +9,7 @@ from scipy.special import fresnel, j0
 
 from nlosoptics import psf
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
+from nlosoptics.psf.propagation import propagate
 
 WAVELENGTH = 500e-9
 WAIST = 0.2e-3
@@ -396,6 +397,22 @@ def test_auto_takes_what_the_distance_asks_for():
     assert "model error" in exact.reason
     edged = psf.propagate(field_of(np.ones((16, 16)), 5e-6), 1e-4)
     assert "sampling_error" in edged.reason
+
+
+def test_methods_that_need_too_much_memory_are_passed_over(monkeypatch):
+    """The next method is taken, the reason says so, and both agree to their errors."""
+    options = {"distance": 0.5 * RAYLEIGH, "tol": 1e-3}
+    first = psf.propagate(beam(), **options)
+
+    def fits_memory(method, *_):
+        if method == first.method:
+            raise MemoryLimitError("too large")
+
+    monkeypatch.setattr(propagate, "fits_memory", fits_memory)
+    second = psf.propagate(beam(), **options)
+    assert second.method != first.method
+    assert f"{first.method} does not fit into memory" in second.reason
+    assert difference(second.samples, first.samples) < 2e-3
 
 
 def test_no_distance_is_no_change():

@@ -11,6 +11,7 @@ from nlosoptics import psf, raytrace
 from nlosoptics._random import philox
 from nlosoptics.errors import SceneError
 from nlosoptics.psf.pupil import aiming
+from nlosoptics.raytrace.fans import pupil_fans
 from nlosoptics.raytrace.fans.footprints import lens_footprint
 from nlosoptics.raytrace.fans.material_slopes import material_slope
 from nlosoptics.raytrace.fans.paths import DETECTED, ESCAPED, LEFT
@@ -163,6 +164,26 @@ def test_launch_is_uniform_in_solid_angle(flat_scene):
     assert distance.max() < 1.1 * math.sqrt(rays.weight[0])
     cone = np.arccos(np.clip(d @ axis, -1, 1)) < 4e-3
     assert rays.weight[cone].sum() == approx(2 * math.pi * (1 - math.cos(4e-3)), rel=2e-2)
+
+
+@pytest.mark.parametrize("n", [1000, 1009, 1024])
+def test_launch_points_are_evenly_spread(n):
+    """Each coordinate has n equal steps, and neighbours are nearly as far apart as can be."""
+    places = pupil_fans._lattice(n, 0)
+    for axis in np.sort(places, axis=0).T:
+        np.testing.assert_allclose(np.diff(axis), 1 / n, rtol=0, atol=1e-12)
+    apart = np.abs(places[1:] - places[0])
+    shortest = np.hypot(*np.minimum(apart, 1 - apart).T).min()
+    # the hexagonal lattice is the best of all; one of integers may be a fifth worse
+    assert shortest > 0.8 * math.sqrt(2 / math.sqrt(3) / n)
+
+
+def test_fan_is_wider_than_the_lens_by_its_margin(flat_scene):
+    """1.5 ray spacings on each side of a fan of few rays, a fixed margin for many."""
+    few, many = (pupil_fans._fan(flat_scene, flat_scene.object_point, n, 0)[1] for n in (64, 4096))
+    expected = ((1 + 2 * 1.5 / (8 - 3)) / (1 + 2 * pupil_fans.MARGIN)) ** 2
+    # one product of two widths divided by the other: rounding
+    assert few / many == approx(expected, rel=1e-13)
 
 
 def test_rays_depend_on_their_seed_alone(flat_scene, on_threads):
