@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from ...kernels.codes import BECKMANN
 from ...scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene
 from ..intersection.intersections import HIT, UNRESOLVED, intersect, search_bounds
-from ..intersection.meshes import first_triangles, occluded
+from ..intersection.kept_meshes import KeptMesh, ball_around, cumulative, kept_mesh
+from ..intersection.meshes import blocked, first_triangles
 from .chains import Chains, mirror_chains
 
 if TYPE_CHECKING:
-    import trimesh
-
     from ._surround_kernels import World
 
 
@@ -204,7 +203,9 @@ class Surroundings:
     def __init__(self, scene: Scene, *, analog: bool = False) -> None:
         self.plan = ray_plan(scene)
         self.chains = mirror_chains(scene, wall_to_wall=self.plan.wall_to_wall)
-        self.world = _world(scene, self.plan, self.chains, analog)
+        hidden = scene.hidden
+        thing = hidden if isinstance(hidden, PlanarObject) else kept_mesh(hidden.surface)
+        self.world = _world(scene, self.plan, self.chains, analog, thing)
         self._wall = scene.wall
         self._walls: Any = None
         if self.plan.wall_hits != "python":
@@ -218,11 +219,9 @@ class Surroundings:
             self._walls = (terms, tables, *bounds)
         flat = (np.zeros((0, 8)), np.zeros(0), np.zeros(0), np.full(2, math.inf), np.zeros(2), 0.0)
         self.compiled_wall: Any = flat if self._walls is None else self._walls
-        self._mesh, self._thing_faces = _triangles(scene)
+        self._mesh, self._thing_faces = _triangles(scene, thing)
         if self._mesh is not None:
-            self._normals = np.array(self._mesh.face_normals, dtype=np.float64)
-            reach = float(np.abs(self._mesh.bounds).max())
-            self._gap = 1e-9 * max(reach, 1e-3)
+            self._gap = 1e-9 * max(self._mesh.reach, 1e-3)
 
     def first_hits(
         self,
@@ -280,14 +279,14 @@ class Surroundings:
             rows = np.flatnonzero(live)
             counts["mesh"] += len(rows)
             away, triangle = first_triangles(
-                self._mesh, origins[rows], directions[rows], min_distance=self._gap
+                self._mesh.facets, origins[rows], directions[rows], min_distance=self._gap
             )
             kernels.mesh_hits(
                 rows,
                 triangle,
                 away,
                 self._thing_faces,
-                self._normals,
+                self._mesh.normals,
                 directions,
                 distance,
                 kind,
@@ -357,7 +356,7 @@ class Surroundings:
         rows = np.flatnonzero(value > 0.0)
         if len(rows) and self._mesh is not None:
             counts["shadow"] += len(rows)
-            hidden = occluded(self._mesh, starts[rows], ends[rows])
+            hidden = blocked(self._mesh.facets, starts[rows], ends[rows] - starts[rows])
             value[rows[hidden]] = 0.0
             rows = rows[~hidden]
         if len(rows) and self.plan.wall_shadows:
@@ -385,21 +384,18 @@ class Surroundings:
         return np.asarray(distance < length * (1.0 - 1e-9))
 
 
-def _triangles(scene: Scene) -> tuple[trimesh.Trimesh | None, int]:
+def _triangles(scene: Scene, thing: PlanarObject | KeptMesh) -> tuple[KeptMesh | None, int]:
     """Return all triangles as one mesh, those of the hidden object first, and their number."""
-    thing = None if isinstance(scene.hidden, PlanarObject) else scene.hidden.surface
     black = scene.occluding_mesh
-    if thing is None or black is None:
-        return (black, 0) if thing is None else (thing, len(thing.faces))
-    import trimesh
-
-    vertices = np.concatenate([np.asarray(thing.vertices), np.asarray(black.vertices)])
-    faces = np.concatenate([np.asarray(thing.faces), np.asarray(black.faces) + len(thing.vertices)])
-    return trimesh.Trimesh(vertices, faces, process=False), len(thing.faces)
+    if isinstance(thing, PlanarObject) or isinstance(scene.hidden, PlanarObject):
+        return None if black is None else kept_mesh(black), 0
+    return thing if black is None else kept_mesh(scene.hidden.surface, black), thing.triangles
 
 
-def _world(scene: Scene, plan: RayPlan, chains: Chains, analog: bool) -> World:
-    """Return the data of a scene as arrays for the kernels."""
+def _world(
+    scene: Scene, plan: RayPlan, chains: Chains, analog: bool, thing: PlanarObject | KeptMesh
+) -> World:
+    """Return the data of a scene, whose hidden object is ``thing``, as arrays for the kernels."""
     from ._surround_kernels import World
 
     camera, laser = scene.camera, scene.laser
@@ -420,24 +416,14 @@ def _world(scene: Scene, plan: RayPlan, chains: Chains, analog: bool) -> World:
     across /= math.sqrt(float((across * across).sum()))
     picture, rows, columns = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
     plate, triangles, areas = np.zeros(0), np.zeros((0, 9)), np.zeros(0)
-    if isinstance(scene.hidden, PlanarObject):
-        picture = np.array(scene.hidden.reflectance)
-        plate = np.concatenate(
-            [scene.hidden.position, scene.hidden.axes.ravel(), np.divide(scene.hidden.size, 2)]
-        )
-        rows, columns = _cumulative(picture.sum(axis=1)), _cumulative(picture)
-        total = float(picture.mean()) * scene.hidden.size[0] * scene.hidden.size[1]
-        outline = scene.hidden.corners
+    if isinstance(thing, PlanarObject):
+        picture = np.array(thing.reflectance)
+        plate = np.concatenate([thing.position, thing.axes.ravel(), np.divide(thing.size, 2)])
+        rows, columns = cumulative(picture.sum(axis=1)), cumulative(picture)
+        total = float(picture.mean()) * thing.size[0] * thing.size[1]
+        ball = ball_around(thing.corners)
     else:
-        corners = np.asarray(scene.hidden.surface.triangles, dtype=np.float64)
-        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        triangles = np.concatenate([corners[:, 0], first, second], axis=1)
-        across_faces = np.cross(first, second)
-        sizes = 0.5 * np.sqrt((across_faces * across_faces).sum(axis=1))
-        areas, total = _cumulative(sizes), float(sizes.sum())
-        outline = corners.reshape(-1, 3)
-    centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
-    radius = float(np.sqrt(((outline - centre) ** 2).sum(axis=1).max()))
+        triangles, areas, total, ball = thing.corners, thing.area_shares, thing.area, thing.ball
     return World(
         wall=scene.wall_material.lobe_table(),
         thing=scene.hidden.material.lobe_table(),
@@ -445,13 +431,13 @@ def _world(scene: Scene, plan: RayPlan, chains: Chains, analog: bool) -> World:
         picture=picture,
         rows=rows,
         columns=columns,
-        triangles=np.ascontiguousarray(triangles),
+        triangles=triangles,
         areas=areas,
         norm=1.0 / total if total > 0.0 else 0.0,
         aimed=np.array(AIMED[plan.wall_to_wall] if total > 0.0 and not analog else (0.0, 0.0)),
         glossy=plan.glossy,
         chains=0 if analog else chains.surfaces,
-        ball=np.array([*centre, radius]),
+        ball=ball,
         camera=np.concatenate(
             [
                 camera.position,
@@ -471,13 +457,3 @@ def _world(scene: Scene, plan: RayPlan, chains: Chains, analog: bool) -> World:
             ]
         ),
     )
-
-
-def _cumulative(values: Array) -> Array:
-    """Return cumulative shares along the last axis, from 0 to 1; uniform if all values are 0."""
-    total = values.sum(axis=-1, keepdims=True)
-    shares = np.where(total > 0.0, values, 1.0)
-    sums = np.cumsum(shares, axis=-1) / shares.sum(axis=-1, keepdims=True)
-    sums = np.minimum(np.insert(sums, 0, 0.0, axis=-1), 1.0)
-    sums[..., -1] = 1.0  # exact, so that no random number falls beyond the last share
-    return np.asarray(sums)

@@ -450,7 +450,7 @@ def test_plan_of_rays():
 
 def test_flat_wall_never_asks_embree(monkeypatch):
     asked = Counter()
-    for name in ("first_triangles", "occluded"):
+    for name in ("first_triangles", "blocked"):
         monkeypatch.setattr(surroundings, name, lambda *_, name=name, **__: asked.update([name]))
     found = trace(wide_scene(wall_material=GLOSS), n_rays=5000)
     assert not asked
