@@ -7,9 +7,11 @@ anew, and an equal mesh in another scene, or from a pickle, is not.
 
 from __future__ import annotations
 
+import itertools
+import math
 import threading
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,47 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 MOST_TRIANGLES: Final = 1 << 20  # of all kept meshes but the latest, 0.5 kB each
 MOST_MESHES: Final = 32  # a lookup compares with each of them
+MOST_HALVINGS: Final = 12  # of a mesh into patches on which points are drawn
+
+
+class Chart(NamedTuple):
+    """Map from the unit square to a mesh that keeps areas, and neighbours where it can.
+
+    The square is halved in turns along u and v, at the shares of the areas of the halves of the
+    mesh, down to patches of few triangles. Neighbouring points of the square then lie close
+    together on the mesh, so that evenly spread points stay so.
+
+    Attributes
+    ----------
+    triangles : ndarray, (n, 9)
+        First corner and the two edges from there, m, patch by patch.
+    shares : ndarray, (n + 1,)
+        Cumulative shares of these triangles in the area, from 0 to 1.
+    firsts : ndarray of int64, (p + 1,)
+        First triangle of each patch, and the number of triangles; p is a power of two.
+    splits : ndarray, (p,)
+        Share of the first half of each part, in the order of a binary heap whose root is 1.
+    patches : ndarray of int32, (n,)
+        Patch of each triangle, in the order of the mesh.
+    centres, normals : ndarray, (p, 3)
+        Centroid of each patch, m, and the sum of its triangles' normals times their areas, m^2.
+    areas : ndarray, (p,)
+        Area of each patch, m^2.
+    """
+
+    triangles: Array
+    shares: Array
+    firsts: NDArray[np.int64]
+    splits: Array
+    patches: NDArray[np.int32]
+    centres: Array
+    normals: Array
+    areas: Array
+
+    @property
+    def area(self) -> float:
+        """Area of all triangles, m^2."""
+        return float(self.areas.sum())
 
 
 class KeptMesh:
@@ -63,26 +106,34 @@ class KeptMesh:
         return float(np.abs(self._mesh.bounds).max())
 
     @cached_property
-    def corners(self) -> Array:
-        """First corner and two edges from there of each triangle, (n, 9), m."""
+    def chart(self) -> Chart:
+        """Triangles in the order in which points are drawn on them."""
         corners = np.asarray(self._mesh.triangles, dtype=np.float64)
+        middles = corners.mean(axis=1)
+        order, firsts = _halved(middles)
+        corners = corners[order]
         first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        return np.concatenate([corners[:, 0], first, second], axis=1)
+        across = 0.5 * np.cross(first, second)
+        sizes = np.sqrt((across * across).sum(axis=1))
+        patches = np.empty(len(order), dtype=np.int32)
+        patches[order] = np.repeat(np.arange(len(firsts) - 1, dtype=np.int32), np.diff(firsts))
 
-    @cached_property
-    def area_shares(self) -> Array:
-        """Cumulative shares of the triangles in the area, (n + 1,), from 0 to 1."""
-        return cumulative(self._areas)
+        def summed(values: Array) -> Array:
+            return np.asarray(np.add.reduceat(values, firsts[:-1], axis=0))
 
-    @cached_property
-    def area(self) -> float:
-        """Area of all triangles, m^2."""
-        return float(self._areas.sum())
-
-    @property
-    def _areas(self) -> Array:
-        across = np.cross(self.corners[:, 3:6], self.corners[:, 6:])
-        return np.asarray(0.5 * np.sqrt((across * across).sum(axis=1)))
+        areas = summed(sizes)
+        centres = summed(sizes[:, None] * middles[order])
+        centres /= np.where(areas > 0.0, areas, 1.0)[:, None]
+        return Chart(
+            triangles=np.concatenate([corners[:, 0], first, second], axis=1),
+            shares=cumulative(sizes),
+            firsts=firsts,
+            splits=chart_splits(areas),
+            patches=patches,
+            centres=centres,
+            normals=summed(across),
+            areas=areas,
+        )
 
     @cached_property
     def ball(self) -> Array:
@@ -135,6 +186,17 @@ def ball_around(points: Array) -> Array:
     return np.array([*centre, radius])
 
 
+def chart_splits(weights: Array) -> Array:
+    """Return `Chart.splits` at which patches are drawn in proportion to the weights (p,)."""
+    splits = np.full(len(weights), 0.5)
+    while len(weights) > 1:
+        pairs = weights.reshape(-1, 2)
+        weights = pairs.sum(axis=1)
+        half = splits[len(weights) : 2 * len(weights)]
+        np.divide(pairs[:, 0], weights, out=half, where=weights > 0.0)
+    return splits
+
+
 def cumulative(values: Array) -> Array:
     """Return cumulative shares along the last axis, from 0 to 1; uniform if all values are 0."""
     total = values.sum(axis=-1, keepdims=True)
@@ -143,6 +205,23 @@ def cumulative(values: Array) -> Array:
     sums = np.minimum(np.insert(sums, 0, 0.0, axis=-1), 1.0)
     sums[..., -1] = 1.0  # exact, so that no random number falls beyond the last share
     return np.asarray(sums)
+
+
+def _halved(points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return an order of points (n, 3) and the starts of its patches, made by repeated halving.
+
+    Each part is halved along its longest side.
+    """
+    order, firsts = np.arange(len(points)), [0, len(points)]
+    for _ in range(min(MOST_HALVINGS, int(math.log2(len(points))))):
+        finer = [0]
+        for a, b in itertools.pairwise(firsts):
+            part = points[order[a:b]]
+            across, middle = part[:, int(np.ptp(part, axis=0).argmax())], (b - a) // 2
+            order[a:b] = order[a:b][np.argpartition(across, middle)]
+            finer += [a + middle, b]
+        firsts = finer
+    return order, np.array(firsts, dtype=np.int64)
 
 
 def _bits(vertices: Any) -> NDArray[np.uint64]:

@@ -11,6 +11,7 @@ vertex, and
 - BEFORE: kind of surface of the previous vertex;
 - NARROW: share of the light that narrow lobes reflected at the previous vertex, 1 for the laser;
 - BEGUN: share that arrives by a chain of narrow lobes, or may begin one here;
+- LIT: density, 1/m^2, with which rays aimed from the laser spot meet the object here;
 - LINKED: share that `_chain_kernels` traces if narrow lobes reflect it to the lens from here.
 """
 
@@ -40,10 +41,10 @@ from ._surround_kernels import (
     three,
 )
 
-VERTEX = 20
+VERTEX = 21
 P, N, I = slice(0, 3), slice(3, 6), slice(6, 9)  # noqa: E741  (the letter of incidence)
 POWER, DENSITY, SURFACE, SCALE, LENGTH, MET, HISTORY, BEFORE = range(9, 17)
-NARROW, BEGUN, LINKED = range(17, 20)
+NARROW, BEGUN, LINKED, LIT = range(17, 21)
 LEAVE = 10
 LOBE, PDF, MIRROR, AIMED, REACH, APART, SHARE = range(3, 10)
 
@@ -75,6 +76,21 @@ def _aimed(world, vertex, eye):
     if vertex[SURFACE] != WALL:
         return 0.0
     return world.aimed[0] if eye or vertex[BEFORE] == NOTHING else world.aimed[1]
+
+
+@njit(cache=True, inline="always")
+def _is_spot(vertex, eye):
+    """Return whether a vertex of the wall is the laser spot."""
+    return not eye and vertex[BEFORE] == NOTHING
+
+
+@njit(cache=True, inline="always")
+def _target(world, vertex, eye, scale, lit):
+    """Return the density, 1/m^2, with which rays aimed from a vertex meet a point of the object.
+
+    ``scale`` is the brightness at the point, and ``lit`` the density for the laser spot.
+    """
+    return lit if _is_spot(vertex, eye) else world.norm * scale
 
 
 @njit(cache=True, inline="always")
@@ -150,7 +166,8 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
         mirror, reach = -1.0, -1.0
         share = _aimed(world, vertex, eye)
         if share > 0.0 and draw(sampler, group, index, ray, number + 2) < share:
-            to, _ = object_point(world, u, v)
+            splits = world.lit_splits if _is_spot(vertex, eye) else world.splits
+            to, _ = object_point(world, splits, u, v)
             d = (to[0] - p[0], to[1] - p[1], to[2] - p[2])
             reach = math.sqrt(dot(d, d))
             d = (d[0] / reach, d[1] / reach, d[2] / reach)
@@ -177,10 +194,11 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
 
 
 @njit(cache=True, inline="always")
-def _passed_on(world, leave, distance, kind, normal, scale):
+def _passed_on(leave, distance, kind, normal, target):
     """Return the weight of a ray drawn by `scatter`, and the density at its end, 1/m^2.
 
-    ``leave`` is the ray's row from `scatter`; the others describe what it hits. Sampling by lobes
+    ``leave`` is the ray's row from `scatter`; the others describe what it hits, and ``target`` is
+    the density of `_target` there. Sampling by lobes
     and by aiming at the object are combined with the one-sample balance heuristic. If only aimed
     rays may reach the object, the weight is a smooth function of the random numbers.
     """
@@ -190,7 +208,7 @@ def _passed_on(world, leave, distance, kind, normal, scale):
     cosine = abs(dot(d, normal))
     at_object = 0.0
     if kind == OBJECT and aimed > 0.0:
-        at_object = aimed * world.norm * scale * distance * distance / cosine
+        at_object = aimed * target * distance * distance / cosine
     astray = kind != OBJECT or abs(distance - leave[REACH]) > 1e-6 * leave[REACH]
     if leave[REACH] >= 0.0 and astray:
         return 0.0, 0.0  # another surface hides the point aimed at
@@ -258,11 +276,11 @@ def land(
     """Fill the next vertices of light paths, and add lost power to the power balance.
 
     ``settings`` is (bounce, max_bounces, analog, number of the draw for Russian roulette or -1).
-    ``hits`` is (distance, kind, normal, scale). ``fates`` receives the status of paths that end,
-    else -1.
+    ``hits`` are those of `Surroundings.first_hits`. ``fates`` receives the status of paths that
+    end, else -1.
     """
     bounce, most, analog, roulette = settings
-    distance, kind, normal, scale = hits
+    distance, kind, normal, scale, lit = hits
     tail = most + 1
     for i in range(old.shape[0]):
         new[i, SURFACE], fates[i] = NOTHING, -1
@@ -275,7 +293,8 @@ def land(
         n = three(normal[i], 0)
         passed, density = 0.0, 0.0
         if dot(three(leave[i], 0), three(old[i], 3)) > 0.0:
-            passed, density = _passed_on(world, leave[i], distance[i], where, n, scale[i])
+            target = _target(world, old[i], False, scale[i], lit[i])
+            passed, density = _passed_on(leave[i], distance[i], where, n, target)
             if at == OBJECT:
                 passed *= old[i, SCALE]
         sent = power * passed
@@ -304,6 +323,7 @@ def land(
             if where == WALL and at == WALL:
                 sums[tail + WALL_TO_WALL] += sent
             _arrive(old[i], new[i], o, d, distance[i], where, n, scale[i], sent, density)
+            new[i, LIT] = lit[i]
             if world.chains != 0:
                 _follow(old[i], new[i], leave[i, SHARE], where)
             if bounce == most:
@@ -348,7 +368,7 @@ def start(world, first, most, origins, directions, hits, new, path_sums, fates):
     ``most`` is the largest number of reflections. ``fates`` receives the status of paths that end
     here, else -1.
     """
-    distance, kind, normal, scale = hits
+    distance, kind, normal, scale, _ = hits
     source = np.zeros(VERTEX)
     source[HISTORY], source[BEFORE], source[SURFACE] = 1.0, NOTHING, NOTHING
     tail, power = most + 1, world.laser[13]
@@ -390,7 +410,7 @@ def look(origins, directions, powers, densities, hits, new):
     ``powers`` (n,) are detected powers per unit radiance, m^2 sr, and ``densities`` (n,) the
     densities of the directions, 1/sr.
     """
-    distance, kind, normal, scale = hits
+    distance, kind, normal, scale, lit = hits
     source = np.zeros(VERTEX)
     source[BEFORE], source[SURFACE] = NOTHING, NOTHING
     for i in range(new.shape[0]):
@@ -401,12 +421,13 @@ def look(origins, directions, powers, densities, hits, new):
             density = densities[i] * abs(dot(d, n)) / distance[i] ** 2
             o = three(origins[i], 0)
             _arrive(source, new[i], o, d, distance[i], where, n, scale[i], powers[i], density)
+            new[i, LIT] = lit[i]
 
 
 @njit(cache=True, nogil=True)
 def look_on(world, old, leave, origins, directions, hits, new):
     """Fill the second vertices of eye paths, after scattering at the first ones ``old``."""
-    distance, kind, normal, scale = hits
+    distance, kind, normal, scale, lit = hits
     for i in range(new.shape[0]):
         new[i, SURFACE] = NOTHING
         where = int(kind[i])
@@ -415,13 +436,15 @@ def look_on(world, old, leave, origins, directions, hits, new):
         if dot(three(leave[i], 0), three(old[i], 3)) <= 0.0:
             continue
         d, n = three(directions[i], 0), three(normal[i], 0)
-        passed, density = _passed_on(world, leave[i], distance[i], where, n, scale[i])
+        target = _target(world, old[i], True, scale[i], lit[i])
+        passed, density = _passed_on(leave[i], distance[i], where, n, target)
         if old[i, SURFACE] == OBJECT:
             passed *= old[i, SCALE]
         if passed > 0.0:
             o = three(origins[i], 0)
             power = old[i, POWER] * passed
             _arrive(old[i], new[i], o, d, distance[i], where, n, scale[i], power, density)
+            new[i, LIT] = lit[i]
             new[i, NARROW] = leave[i, SHARE]
 
 
@@ -460,7 +483,7 @@ def next_density(world, vertex, incident, direction, cosine, target, target_cosi
     share = _aimed(world, vertex, eye)
     density *= (1.0 - share) * target_cosine / square
     if target[SURFACE] == OBJECT:
-        density += share * world.norm * target[SCALE]
+        density += share * _target(world, vertex, eye, target[SCALE], target[LIT])
     return density
 
 

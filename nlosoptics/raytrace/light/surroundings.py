@@ -10,10 +10,18 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._checks import Vector
 from ...kernels.codes import BECKMANN
 from ...scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene
 from ..intersection.intersections import HIT, UNRESOLVED, intersect, search_bounds
-from ..intersection.kept_meshes import KeptMesh, ball_around, cumulative, kept_mesh
+from ..intersection.kept_meshes import (
+    Chart,
+    KeptMesh,
+    ball_around,
+    chart_splits,
+    cumulative,
+    kept_mesh,
+)
 from ..intersection.meshes import blocked, first_triangles
 from .chains import Chains, mirror_chains
 
@@ -22,11 +30,14 @@ if TYPE_CHECKING:
 
 
 Array = NDArray[np.float64]
-Hits = tuple[Array, NDArray[np.int8], Array, Array]
+Hits = tuple[Array, NDArray[np.int8], Array, Array, Array]
 # Shares of the rays leaving the wall that are aimed at the object: first for the laser spot and
 # points seen from the lens, second for other points. The second row is for walls that see
 # themselves, which need more of the other rays. Binary fractions split Sobol points exactly.
 AIMED: Final = ((0.75, 0.75), (0.5, 0.25))
+#: Share of the rays aimed from the laser spot at a mesh that are spread evenly over its area, so
+#: that shadows, glossy lobes and inclined parts of a patch cost little where the others miss them.
+ANYWHERE: Final = 0.125
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,7 +230,7 @@ class Surroundings:
             self._walls = (terms, tables, *bounds)
         flat = (np.zeros((0, 8)), np.zeros(0), np.zeros(0), np.full(2, math.inf), np.zeros(2), 0.0)
         self.compiled_wall: Any = flat if self._walls is None else self._walls
-        self._mesh, self._thing_faces = _triangles(scene, thing)
+        self._mesh = _triangles(scene, thing)
         if self._mesh is not None:
             self._gap = 1e-9 * max(self._mesh.reach, 1e-3)
 
@@ -254,12 +265,15 @@ class Surroundings:
             Unit normal at the hit, world.
         scale : ndarray, (n,)
             Brightness of a planar object at the hit, else 1.
+        lit : ndarray, (n,)
+            Density, 1/m^2, with which rays aimed from the laser spot meet the object at the hit.
         """
         from . import _surround_kernels as kernels
 
         n = len(origins)
         distance, kind = np.full(n, math.inf), np.full(n, kernels.NOTHING, dtype=np.int8)
-        normal, scale = np.zeros((n, 3)), np.ones(n)
+        normal, scale, lit = np.zeros((n, 3)), np.ones(n), np.zeros(n)
+        ends = (distance, kind, normal, scale, lit)
         # rays that leave a wall which cannot see itself need no wall test
         asking = live
         if on_wall.any():
@@ -274,26 +288,16 @@ class Surroundings:
             kernels.wall_hits(self._walls, origins, directions, asking, distance, kind, normal)
         elif asked:
             self._python_hits(origins, directions, asking, distance, kind, normal)
-        kernels.plate_and_lens(self.world, origins, directions, live, distance, kind, normal, scale)
+        kernels.plate_and_lens(self.world, origins, directions, live, *ends)
         if self._mesh is not None:
             rows = np.flatnonzero(live)
             counts["mesh"] += len(rows)
             away, triangle = first_triangles(
                 self._mesh.facets, origins[rows], directions[rows], min_distance=self._gap
             )
-            kernels.mesh_hits(
-                rows,
-                triangle,
-                away,
-                self._thing_faces,
-                self._mesh.normals,
-                directions,
-                distance,
-                kind,
-                normal,
-                scale,
-            )
-        return distance, kind, normal, scale
+            normals = self._mesh.normals
+            kernels.mesh_hits(self.world, rows, triangle, away, normals, directions, *ends)
+        return ends
 
     def _python_hits(
         self,
@@ -354,26 +358,26 @@ class Surroundings:
         if not (self.plan.wall_shadows or self._mesh is not None):
             return
         rows = np.flatnonzero(value > 0.0)
+        # start at the end that is on the wall, since rays hit the wall from its front only, and
+        # those that start on a mesh are slow
+        turned = ~on_wall[rows, None]
+        near = np.where(turned, ends[rows], starts[rows])
+        lines = np.where(turned, starts[rows], ends[rows]) - near
         if len(rows) and self._mesh is not None:
             counts["shadow"] += len(rows)
-            hidden = blocked(self._mesh.facets, starts[rows], ends[rows] - starts[rows])
-            value[rows[hidden]] = 0.0
-            rows = rows[~hidden]
+            free = ~blocked(self._mesh.facets, near, lines)
+            value[rows[~free]] = 0.0
+            rows, near, lines = rows[free], near[free], lines[free]
         if len(rows) and self.plan.wall_shadows:
             counts["wall shadow"] += len(rows)
-            # start at the end that is on the wall, since rays hit the wall from its front only
-            turned = ~on_wall[rows, None]
-            near = np.where(turned, ends[rows], starts[rows])
-            far = np.where(turned, starts[rows], ends[rows])
-            value[rows[self._behind_wall(near, far)]] = 0.0
+            value[rows[self._behind_wall(near, lines)]] = 0.0
 
-    def _behind_wall(self, starts: Array, ends: Array) -> NDArray[np.bool_]:
-        """Return whether the wall blocks the lines between points (n, 3); ends may lie on it."""
+    def _behind_wall(self, starts: Array, lines: Array) -> NDArray[np.bool_]:
+        """Return whether the wall blocks lines (n, 3) from starts (n, 3); ends may lie on it."""
         from . import _surround_kernels as kernels
 
-        lines = ends - starts
         length = np.sqrt((lines * lines).sum(axis=1))
-        lines /= length[:, None]
+        lines = lines / length[:, None]
         if self._walls is None:
             hits = intersect(self._wall, starts, lines)
             near = hits.hit & (np.nan_to_num(hits.distance) < length * (1.0 - 1e-9))
@@ -384,12 +388,40 @@ class Surroundings:
         return np.asarray(distance < length * (1.0 - 1e-9))
 
 
-def _triangles(scene: Scene, thing: PlanarObject | KeptMesh) -> tuple[KeptMesh | None, int]:
-    """Return all triangles as one mesh, those of the hidden object first, and their number."""
+def _triangles(scene: Scene, thing: PlanarObject | KeptMesh) -> KeptMesh | None:
+    """Return all triangles as one mesh, those of the hidden object first."""
     black = scene.occluding_mesh
     if isinstance(thing, PlanarObject) or isinstance(scene.hidden, PlanarObject):
-        return None if black is None else kept_mesh(black), 0
-    return thing if black is None else kept_mesh(scene.hidden.surface, black), thing.triangles
+        return None if black is None else kept_mesh(black)
+    return thing if black is None else kept_mesh(scene.hidden.surface, black)
+
+
+def lit_patches(scene: Scene, chart: Chart) -> Array:
+    """Return the densities, (p,), 1/m^2, with which the laser spot aims rays at patches of a mesh.
+
+    All but a share `ANYWHERE` of the rays are drawn in proportion to the light of a point at the
+    laser spot that a patch would send to the point of the wall on the optical axis, both matt and
+    nothing in between.
+    """
+    camera, laser = scene.camera, scene.laser
+    weights = np.ones(len(chart.areas))
+    for end, toward in ((laser.position, laser.aim), (camera.position, camera.aim)):
+        away = _met(scene, end, toward) - chart.centres
+        square = (away * away).sum(axis=1)
+        # no nearer than the patch is wide
+        facing = np.maximum((chart.normals * away).sum(axis=1), 0.0) * np.abs(away[:, 2])
+        weights *= facing / (square + chart.areas) ** 2
+    weights /= np.where(chart.areas > 0.0, chart.areas, 1.0)
+    uniform = chart.areas / chart.area
+    total = float(weights.sum())
+    share = (1.0 - ANYWHERE) * weights / total + ANYWHERE * uniform if total > 0.0 else uniform
+    return np.asarray(share / np.where(chart.areas > 0.0, chart.areas, 1.0))
+
+
+def _met(scene: Scene, start: Vector, toward: Vector) -> Array:
+    """Return the point of the wall that a ray through two points meets, or else the second one."""
+    hits = intersect(scene.wall, start, np.subtract(toward, start))
+    return hits.points if hits.hit else np.array(toward, dtype=np.float64)
 
 
 def _world(
@@ -415,7 +447,8 @@ def _world(
     across = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
     across /= math.sqrt(float((across * across).sum()))
     picture, rows, columns = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
-    plate, triangles, areas = np.zeros(0), np.zeros((0, 9)), np.zeros(0)
+    plate = np.zeros(0)
+    chart, lit = None, np.zeros(0)
     if isinstance(thing, PlanarObject):
         picture = np.array(thing.reflectance)
         plate = np.concatenate([thing.position, thing.axes.ravel(), np.divide(thing.size, 2)])
@@ -423,7 +456,8 @@ def _world(
         total = float(picture.mean()) * thing.size[0] * thing.size[1]
         ball = ball_around(thing.corners)
     else:
-        triangles, areas, total, ball = thing.corners, thing.area_shares, thing.area, thing.ball
+        chart, total, ball = thing.chart, thing.chart.area, thing.ball
+        lit = lit_patches(scene, chart)
     return World(
         wall=scene.wall_material.lobe_table(),
         thing=scene.hidden.material.lobe_table(),
@@ -431,8 +465,13 @@ def _world(
         picture=picture,
         rows=rows,
         columns=columns,
-        triangles=triangles,
-        areas=areas,
+        triangles=np.zeros((0, 9)) if chart is None else chart.triangles,
+        areas=np.zeros(0) if chart is None else chart.shares,
+        firsts=np.zeros(0, dtype=np.int64) if chart is None else chart.firsts,
+        splits=np.zeros(0) if chart is None else chart.splits,
+        patches=np.zeros(0, dtype=np.int32) if chart is None else chart.patches,
+        lit_splits=np.zeros(0) if chart is None else chart_splits(lit * chart.areas),
+        lit=lit,
         norm=1.0 / total if total > 0.0 else 0.0,
         aimed=np.array(AIMED[plan.wall_to_wall] if total > 0.0 and not analog else (0.0, 0.0)),
         glossy=plan.glossy,
