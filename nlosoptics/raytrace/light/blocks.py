@@ -14,6 +14,7 @@ from ...kernels.codes import GROUPS, UNIT
 from ...scene import Scene
 from ..fans.paths import DETECTED
 from . import _chain_kernels as chaining
+from . import _connection_kernels as connections
 from . import _light_kernels as kernels
 from . import _surround_kernels as surround
 from .kept_paths import Kept, kept_paths
@@ -202,16 +203,16 @@ class Rays:
         world, glossy, most = self.around.world, self.around.plan.glossy, self.job.max_bounces
         found = (self.value, self.length, self.starts, self.ends)
         if bounce == 1 or glossy:
-            kernels.to_lens(world, light, before, self.lens, glossy, *found)
+            connections.to_lens(world, light, before, self.lens, glossy, *found)
             self._book(light, light, bounce, (), self.lens)
         # the laser spot is much the same for all rays, so that partners would add nothing
         partners = self.partners if bounce > 1 else [(self.seen, self.lens, 1.0)]
         for seen, lens, share in partners if bounce + 1 <= most else ():
-            kernels.connect(world, light, seen, seen, False, glossy, *found)
+            connections.connect(world, light, seen, seen, False, glossy, *found)
             self.value *= share
             self._book(light, seen, bounce + 1, (seen,), lens)
         if glossy and bounce + 2 <= most:
-            kernels.connect(world, light, self.further, self.seen, True, glossy, *found)
+            connections.connect(world, light, self.further, self.seen, True, glossy, *found)
             self._book(light, self.further, bounce + 2, (self.further, self.seen), self.lens)
         if self.around.chains.surfaces:
             longest = most - bounce if self.around.chains.both else min(1, most - bounce)
@@ -301,7 +302,7 @@ class Rays:
         if on_wall is None:
             on_wall = light[:, kernels.SURFACE] == surround.WALL
         self.around.clear(self.starts, self.ends, on_wall, self.value, self.counts)
-        kernels.book(
+        connections.book(
             light,
             eye,
             bounce,

@@ -1,0 +1,152 @@
+"""Compiled connections of light vertices with eye vertices and with the lens.
+
+Vertices are those of `_light_kernels`.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ...kernels.compiling import njit
+from ._light_kernels import (
+    DENSITY,
+    LENGTH,
+    LENGTHS,
+    LINKED,
+    MET,
+    NARROW,
+    POWER,
+    STRAY,
+    SURFACE,
+    between,
+    linked_after,
+    narrow_at,
+    next_density,
+    reflected,
+    sums_of,
+)
+from ._surround_kernels import dot, on_detector, three
+
+
+@njit(cache=True, inline="always")
+def _chained(world, a, b, seen, second, d, cos_a, cos_b):
+    """Return the share of a connection by `connect` that is traced as a chain of narrow lobes.
+
+    The connection goes from the light vertex ``a`` to the eye vertex ``b`` along the unit vector
+    ``d``. ``seen`` is the first eye vertex, and ``b`` the second one if ``second``.
+    """
+    narrow = narrow_at(world, a, d, cos_a)
+    begun, linked = linked_after(a, narrow, b[SURFACE])
+    narrow_b = narrow_at(world, b, (-d[0], -d[1], -d[2]), cos_b)
+    if not second:
+        return linked * narrow_b
+    if b[SURFACE] == seen[SURFACE]:
+        return 0.0
+    return b[NARROW] * (narrow_b * begun + (1.0 - narrow_b) * narrow)
+
+
+@njit(cache=True, nogil=True)
+def connect(world, light, eye, seen, second, glossy, value, length, starts, ends):
+    """Fill the detected power and length of connections between light vertices and eye vertices.
+
+    ``seen`` holds the first vertices of the eye paths; ``eye`` holds the same, or the second ones
+    if ``second``. With glossy lobes, three strategies find the same paths and are weighted by the
+    balance heuristic. The light path contributes all vertices but the last two (``second``), all
+    but the last one (not ``second``), or all (`to_lens`).
+    """
+    for i in range(light.shape[0]):
+        value[i] = 0.0
+        a, b = light[i], eye[i]
+        if a[SURFACE] < 0.0 or b[SURFACE] < 0.0:
+            continue
+        d, square, cos_a, cos_b = between(a, b)
+        if cos_a <= 0.0 or cos_b <= 0.0:
+            continue
+        back = (-d[0], -d[1], -d[2])
+        f = reflected(world, a, d, cos_a) * reflected(world, b, back, cos_b)
+        if f <= 0.0:
+            continue
+        f *= a[POWER] * b[POWER] * cos_a * cos_b / square
+        if glossy:
+            onward = next_density(world, a, three(a, 6), d, cos_a, b, cos_b, square, False)
+            x = seen[i]
+            if second:
+                if b[DENSITY] > 0.0:
+                    # density with which the light path would find the first eye vertex
+                    to, r2, cos_1, cos_2 = between(b, x)
+                    last = next_density(world, b, back, to, cos_1, x, cos_2, r2, False)
+                    f /= 1.0 + onward / b[DENSITY] * (1.0 + last / x[DENSITY])
+            else:
+                others = onward / b[DENSITY]
+                if a[DENSITY] > 0.0:
+                    upstream = next_density(
+                        world, b, three(b, 6), back, cos_b, a, cos_a, square, True
+                    )
+                    others += upstream / a[DENSITY]
+                f /= 1.0 + others
+        if world.chains != 0:
+            f *= 1.0 - _chained(world, a, b, seen[i], second, d, cos_a, cos_b)
+        value[i] = f
+        length[i] = a[LENGTH] + math.sqrt(square) + b[LENGTH]
+        for k in range(3):
+            starts[i, k], ends[i, k] = a[k], b[k]
+
+
+@njit(cache=True, nogil=True)
+def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
+    """Fill the detected power and length of connections between light vertices and lens points.
+
+    With glossy lobes they are weighted against `connect` by the balance heuristic.
+    """
+    camera = world.camera
+    area, axis = math.pi * camera[12] ** 2 * camera[18], three(camera, 9)
+    for i in range(light.shape[0]):
+        value[i] = 0.0
+        a, p = light[i], three(lens[i], 0)
+        if a[SURFACE] < 0.0:
+            continue
+        d = (p[0] - a[0], p[1] - a[1], p[2] - a[2])
+        square = dot(d, d)
+        r = math.sqrt(square)
+        d = (d[0] / r, d[1] / r, d[2] / r)
+        cosine = dot(d, three(a, 3))
+        if cosine <= 0.0:
+            continue
+        seen = on_detector(camera, p, (-d[0], -d[1], -d[2]))
+        if seen <= 0.0:
+            continue
+        f = reflected(world, a, d, cosine) * cosine * a[POWER] * area * -dot(d, axis) / square
+        if f <= 0.0:
+            continue
+        if glossy and a[DENSITY] > 0.0:
+            here = seen * cosine / square
+            ratio = here / a[DENSITY]
+            b = before[i]
+            if b[DENSITY] > 0.0:
+                to, r2, cos_a, cos_b = between(a, b)
+                upstream = next_density(world, a, d, to, cos_a, b, cos_b, r2, True)
+                ratio += ratio * upstream / b[DENSITY]
+            f /= 1.0 + ratio
+        if a[LINKED] > 0.0:
+            f *= 1.0 - a[LINKED] * narrow_at(world, a, d, cosine)
+        value[i] = f
+        length[i] = a[LENGTH] + r
+        for k in range(3):
+            starts[i, k], ends[i, k] = a[k], p[k]
+
+
+@njit(cache=True, nogil=True)
+def book(light, eye, bounce, most, first, value, length, path_sums):
+    """Add the power of connections to the sums of their number of reflections, or to stray light.
+
+    Light that has never met the hidden object is stray light. ``value`` (n,) is in W and ``length``
+    (n,) in m.
+    """
+    for i in range(value.size):
+        if value[i] > 0.0:
+            sums = sums_of(path_sums, first, i)
+            if light[i, MET] > 0.0 or eye[i, MET] > 0.0:
+                sums[bounce] += value[i]
+                sums[most + 1 + LENGTHS] += value[i] * length[i]
+            else:
+                sums[most + 1 + STRAY] += value[i]
