@@ -1,16 +1,17 @@
-"""Traces of Wu's scene: seconds against error, beside Mitsuba 3 and Optiland.
+"""Traces of four scenes: processor time against error, beside Mitsuba 3 and Optiland.
 
-python benchmarks/traces.py [--peers-python PATH] [--seeds 16] [--json FILE]
+python benchmarks/traces.py [--peers-python PATH] [--seeds 32] [--json FILE]
 python benchmarks/traces.py --growth         seconds, error and memory against the rays
-python benchmarks/wu_scene.py                the flux by quadrature, which errors are held against
+python benchmarks/wu_scene.py                the letter's flux by quadrature
 
-The flux is that of light which went from the laser's spot over the letter and the wall to the
-detector. Its error is the standard deviation over independent seeds, relative; seconds are the
-least of these runs, without compiling, and for the peers without loading the scene. All run on two
-threads but Optiland, whose arrays keep one core busy. Peers run in an environment of their own, see
-requirements-peers.txt; how their scenes are built, and why that is their best, is said in
-peers/mitsuba_scene.py and peers/optiland_scene.py. trimesh's and embreex's rays are held against
-ours in intersections.py.
+The flux is that of light which went from the laser's spot over the object and the wall to the
+detector, with three reflections. Its error is the standard deviation over independent seeds,
+relative to the flux. Both programs run on one thread, in turns seed by seed, and their time is the
+median processor time of a run, without compiling, and for the peers without loading the scene. The
+mean fluxes of both must agree within three standard errors, or nothing is written. Peers run in an
+environment of their own, see requirements-peers.txt; how their scenes are built, and why that is
+their best, is said in peers/mitsuba_scene.py and peers/optiland_scene.py. trimesh's and embreex's
+rays are held against ours in intersections.py.
 """
 
 from __future__ import annotations
@@ -25,69 +26,107 @@ import time
 from pathlib import Path
 
 import numpy as np
+import traced_scenes
 import wu_scene
 
 from nlosoptics import raytrace
 
 HERE = Path(__file__).parent
-THREADS = 2
+THREADS = 1
 GOALS = (1e-2, 1e-3)  # relative errors to which seconds are given
+MOST_APART = 3.0  # standard errors between the fluxes of two programs
+RAYS = tuple(2**k for k in range(7, 17))
+SAMPLES = (4, 16, 64, 256)  # a pixel of Mitsuba's film
+OURS = "nlosoptics"
 WIDE = 0.8  # m, a lens into which Optiland's rays find their way often enough to check the flux
 FLUX = wu_scene.flux()
-TRUTH = {reflections: FLUX[3] + FLUX[5] * (reflections == 5) for reflections in (3, 5)}
 
 
-def our_runs(n_rays, seeds, reflections, sampler):
-    """Fluxes and seconds of our tracer, with several seeds."""
-    scene, fluxes, seconds = wu_scene.scene(), [], []
-    for seed in range(-1, seeds):  # the first compiles
-        start = time.perf_counter()
-        paths = raytrace.trace(
-            scene, n_rays=n_rays, max_bounces=reflections, sampler=sampler, seed=seed % 2**32
-        )
-        seconds.append(time.perf_counter() - start)
-        fluxes.append(paths.flux)
-    return {
-        "name": f"nlosoptics, {sampler}",
-        "reflections": reflections,
-        "n_rays": n_rays,
-        "flux": fluxes[1:],
-        "seconds": seconds[1:],
-    }
-
-
-def peer(python, name, job):
-    """What a peer's script says of a job, or None, with a line that says why."""
-    if python is None:
-        return None
-    if not Path(python).is_file():
-        print(f"{name} did not run: there is no {python}")
-        return None
-    run = subprocess.run(
-        [python, HERE / "peers" / f"{name}_scene.py"],
-        input=json.dumps({"scene": wu_scene.description(), **job}),
-        capture_output=True,
-        text=True,
-        env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
-        check=False,
+def our_run(scene, n_rays, seed, sampler="sobol"):
+    """Flux and processor time of one trace."""
+    start = time.process_time()
+    paths = raytrace.trace(
+        scene, n_rays=n_rays, max_bounces=traced_scenes.REFLECTIONS, sampler=sampler, seed=seed
     )
-    if run.returncode:
-        lines = run.stderr.strip().splitlines() or [f"exit status {run.returncode}"]
-        print(f"{name} did not run: {lines[-1]}")
-        return None
-    return json.loads(run.stdout)
+    return paths.flux, time.process_time() - start
+
+
+def environment():
+    """The environment of a peer's process, which must not see our packages."""
+    return {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+
+
+class Mitsuba:
+    """Mitsuba in a process of its own that answers jobs."""
+
+    def __init__(self, python):
+        self.process = subprocess.Popen(
+            [python, HERE / "peers" / "mitsuba_scene.py"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment(),
+        )
+
+    def answer(self, **job):
+        """What the process says of a job."""
+        self.process.stdin.write(json.dumps(job) + "\n")
+        self.process.stdin.flush()
+        line = self.process.stdout.readline()
+        if not line:
+            raise SystemExit(f"Mitsuba ended with {self.process.wait()}; its message is above")
+        return json.loads(line)
+
+    def close(self):
+        """End the process."""
+        self.process.stdin.close()
+        self.process.wait()
+
+
+def side_by_side(name, scene, mitsuba, seeds):
+    """Rows of each program, way and number of rays, whose runs took turns."""
+    head = {}
+    runs = {(OURS, n_rays): [] for n_rays in RAYS}
+    if mitsuba is not None:
+        head = mitsuba.answer(
+            scene=traced_scenes.description(scene),
+            threads=THREADS,
+            reflections=traced_scenes.REFLECTIONS,
+        )
+        runs |= {(way, samples): [] for way in head["ways"] for samples in SAMPLES}
+    for seed in range(-1, seeds):  # the first compiles
+        for (way, amount), found in runs.items():
+            if way == OURS:
+                flux, seconds = our_run(scene, amount, seed % 2**32)
+                run = {"flux": flux, "seconds": seconds, "n_rays": amount}
+            else:
+                run = mitsuba.answer(way=way, samples=amount, seed=seed % 2**20)
+            if seed >= 0:
+                found.append(run)
+    return [
+        with_errors(
+            {
+                "scene": name,
+                "name": way if way == OURS else f"Mitsuba {head['version']}, {way}",
+                "n_rays": found[0]["n_rays"],
+                "flux": [run["flux"] for run in found],
+                "seconds": [run["seconds"] for run in found],
+            }
+        )
+        for (way, _), found in runs.items()
+    ]
 
 
 def with_errors(row):
-    """The row with its errors against the truth."""
-    truth, flux = TRUTH[row["reflections"]], np.array(row["flux"])
+    """The row with mean flux, relative error, and median seconds."""
+    flux = np.array(row["flux"])
+    mean = float(flux.mean())
     return {
         **row,
-        "seconds": min(row["seconds"]),
-        "flux": float(flux.mean()),
-        "relative_error": float(flux.std(ddof=1) / truth),
-        "bias": float(flux.mean() / truth - 1),
-        "bias_error": float(flux.std(ddof=1) / truth / math.sqrt(len(flux))),
+        "seconds": float(np.median(row["seconds"])),
+        "flux": mean,
+        "flux_error": float(flux.std(ddof=1) / math.sqrt(len(flux))),
+        "relative_error": float(flux.std(ddof=1) / abs(mean)),
     }
 
 
@@ -98,96 +137,125 @@ def slope(x, y):
 
 
 def seconds_to(goal, rows):
-    """Seconds to a relative error: rays by the fitted law, seconds by what these rays took.
+    """Seconds to a relative error, by the power law between rays and error.
 
-    The law is 1/sqrt(n), but for low-discrepancy samplers, whose exponent is fitted: our Sobol
-    points and those of Mitsuba's paths. Fewer rays than were run are taken to cost what the fewest
-    did.
+    The law is 1/sqrt(n) for independent samples, and fitted for the low-discrepancy points of ours
+    and of Mitsuba's paths. Seconds are those that so many rays took, those of the fewest rays below
+    and in proportion to the rays beyond the most.
     """
     n, error, seconds = (
         np.array([row[key] for row in rows]) for key in ("n_rays", "relative_error", "seconds")
     )
     exponent, factor = -0.5, math.exp(np.log(error * np.sqrt(n)).mean())
-    if rows[0]["name"] in ("nlosoptics, sobol", "Mitsuba, path"):
+    if not rows[0]["name"].endswith(("ptracer, aimed", "philox")):
         exponent, factor = slope(n, error)
     needed = (goal / factor) ** (1 / exponent)
     return float(np.interp(needed, n, seconds) * max(1.0, needed / n[-1]))
 
 
-def optiland_row(found):
-    """Seconds to each goal by detections that will take, from the truth and its rays a second."""
-    narrow, wide = found["rows"]
-    spot = wu_scene.description()["spot_power"]
-    weight = spot * wu_scene.LETTER_ALBEDO * wu_scene.WALL_ALBEDO * wu_scene.TRANSMISSION
-    share = TRUTH[3] / weight  # of rays that are detected
-    rate = narrow["n_rays"] / narrow["seconds"]
-    expected = wu_scene.flux(stop=WIDE, letter=4, field=36, rings=4, wall=16)[3]
-    return {
-        "name": "Optiland, extrapolated",
-        "version": found["version"],
-        "reflections": 3,
-        "rays_per_second": rate,
-        "detected_share": share,
-        "seconds_to": {goal: 1 / (goal**2 * share * rate) for goal in GOALS},
-        "wide_lens_bias": wide["flux"] / expected - 1,
-        "wide_lens_error": 1 / math.sqrt(wide["detections"]),
-    }
-
-
-def compare(options):
-    """Print and return the rows of everyone."""
-    rows = [
-        our_runs(n_rays, options.seeds, reflections, sampler)
-        for sampler in ("sobol", "philox")
-        for reflections in (3, 5)
-        for n_rays in (2**10, 2**12, 2**14, 2**16, 2**18)
-    ]
-    python = options.peers_python
-    if python is None:
-        print("no --peers-python PATH: nlosoptics alone")
-    job = {
-        "threads": THREADS,
-        "reflections": [3, 5],
-        "samples": [4, 16, 64, 256, 1024],
-        "seeds": options.seeds,
-    }
-    mitsuba = peer(python, "mitsuba", job)
-    if mitsuba:
-        print(f"Mitsuba {mitsuba['version']} {mitsuba['variant']}")
-        rows += [{**row, "name": f"Mitsuba, {row['name']}"} for row in mitsuba["rows"]]
-    rows = [with_errors(row) for row in rows]
-    print(
-        f"{'by':24s} {'bounces':>7s} {'rays':>8s} {'ms':>9s} {'error':>9s} {'mean/truth - 1':>21s}"
+def mean_flux(rows):
+    """Mean of all runs of a program and its standard error, weighted by the rays."""
+    n, flux, error = (
+        np.array([row[key] for row in rows]) for key in ("n_rays", "flux", "flux_error")
     )
-    for row in rows:
-        print(
-            f"{row['name']:24s} {row['reflections']:7d} {row['n_rays']:8d} "
-            f"{1e3 * row['seconds']:9.2f} {row['relative_error']:9.1e} "
-            f"{row['bias']:+10.1e} +- {row['bias_error']:.0e}"
-        )
-    stops = [wu_scene.STOP, WIDE]
-    job = {"n_rays": options.optiland_rays, "reflections": 3, "seeds": 2, "stops": stops}
-    optiland = peer(python, "optiland", job)
-    extrapolated = [optiland_row(optiland)] if optiland else []
-    print("\nseconds to a relative error")
-    for name, reflections, part in series(rows):
-        seconds = [f"{seconds_to(goal, part):.2g} s to {100 * goal:g} %" for goal in GOALS]
-        print(f"{name:24s} {reflections:7d} bounces: {', '.join(seconds)}")
-    for row in extrapolated:
-        seconds = [f"{row['seconds_to'][goal]:.2g} s to {100 * goal:g} %" for goal in GOALS]
-        print(
-            f"{row['name']:24s} {3:7d} bounces: {', '.join(seconds)} (Optiland {row['version']}: "
-            f"{row['rays_per_second']:.2g} rays/s, {row['detected_share']:.1e} of them detected; "
-            f"with a lens of {WIDE} m {row['wide_lens_bias']:+.1%} +- {row['wide_lens_error']:.1%} "
-            "from the truth)"
-        )
-    return rows, extrapolated
+    weights = n / n.sum()
+    return float(weights @ flux), float(math.sqrt(((weights * error) ** 2).sum()))
+
+
+def summary(name, rows):
+    """Seconds to each goal of both programs, their ratio, and how far the fluxes are apart."""
+    curves = {key: list(part) for key, part in series(rows)}
+    times = {key: [seconds_to(goal, part) for goal in GOALS] for key, part in curves.items()}
+    ours = mean_flux(curves.pop(OURS))
+    peers = {key: mean_flux(part) for key, part in curves.items()}
+    apart = {
+        key: (flux - ours[0]) / math.hypot(error, ours[1]) for key, (flux, error) in peers.items()
+    }
+    return {
+        "scene": name,
+        "goals": GOALS,
+        "seconds_to": times,
+        "ratios": [
+            min(t[k] for key, t in times.items() if key != OURS) / times[OURS][k]
+            for k in range(len(GOALS))
+        ]
+        if curves
+        else None,
+        "flux": ours[0],
+        "flux_error": ours[1],
+        "peer_flux": {key: flux for key, (flux, _) in peers.items()},
+        "standard_errors_apart": apart,
+    }
 
 
 def series(rows):
-    """Name, reflections and rows of each curve."""
-    for key in dict.fromkeys((row["name"], row["reflections"]) for row in rows):
-        yield *key, [row for row in rows if (row["name"], row["reflections"]) == key]
+    """Name and rows of each curve."""
+    for key in dict.fromkeys(row["name"] for row in rows):
+        yield key, [row for row in rows if row["name"] == key]
+
+
+def optiland(options):
+    """Seconds to each goal by detections that will take, from the truth and its rays a second."""
+    stops = [wu_scene.STOP, WIDE]
+    job = {"n_rays": options.optiland_rays, "reflections": 3, "seeds": 2, "stops": stops}
+    run = subprocess.run(
+        [options.peers_python, HERE / "peers" / "optiland_scene.py"],
+        input=json.dumps({"scene": wu_scene.description(), **job}),
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment(),
+        check=True,
+    )
+    found = json.loads(run.stdout)
+    narrow, wide = found["rows"]
+    spot = wu_scene.description()["spot_power"]
+    weight = spot * wu_scene.LETTER_ALBEDO * wu_scene.WALL_ALBEDO * wu_scene.TRANSMISSION
+    share = FLUX[3] / weight  # of rays that are detected
+    rate = narrow["n_rays"] / narrow["seconds"]
+    expected = wu_scene.flux(stop=WIDE, letter=4, field=36, rings=4, wall=16)[3]
+    for goal in GOALS:
+        print(f"{found['version']}: {1 / (goal**2 * share * rate):.2g} s to {100 * goal:g} %")
+    bias, error = wide["flux"] / expected - 1, 1 / math.sqrt(wide["detections"])
+    print(f"with a lens of {WIDE} m {bias:+.1%} +- {error:.1%} from the truth")
+
+
+def compare(options):
+    """Print and return the rows of both programs, and those of the summaries."""
+    if options.peers_python is None:
+        print("no --peers-python PATH: nlosoptics alone")
+    mitsuba = None if options.peers_python is None else Mitsuba(options.peers_python)
+    rows, summaries = [], []
+    for name, scene in traced_scenes.scenes().items():
+        part = side_by_side(name, scene, mitsuba, options.seeds)
+        print(f"\n{name}\n{'by':30s} {'rays':>8s} {'CPU ms':>9s} {'error':>9s}")
+        for row in part:
+            print(
+                f"{row['name']:30s} {row['n_rays']:8d} {1e3 * row['seconds']:9.2f} "
+                f"{row['relative_error']:9.1e}"
+            )
+        found = summary(name, part)
+        for key, times in found["seconds_to"].items():
+            print(
+                f"{key:30s} "
+                + ", ".join(
+                    f"{t:.2g} s to {100 * goal:g} %" for goal, t in zip(GOALS, times, strict=True)
+                )
+            )
+        print(f"flux {found['flux']:.6e} +- {found['flux_error']:.1e} W")
+        for key, apart in found["standard_errors_apart"].items():
+            print(f"{key}: {found['peer_flux'][key]:.6e} W, {apart:+.1f} standard errors off")
+        if found["ratios"]:
+            print("Mitsuba's least time over ours:", ", ".join(f"{r:.3g}" for r in found["ratios"]))
+        rows += part
+        summaries.append(found)
+    if mitsuba is not None:
+        mitsuba.close()
+    letter = summaries[0]
+    print(
+        f"\nletter by quadrature: {FLUX[3]:.7e} W, ours is "
+        f"{(letter['flux'] - FLUX[3]) / letter['flux_error']:+.1f} standard errors off"
+    )
+    return rows, summaries
 
 
 def peak_memory(n_rays):
@@ -212,9 +280,15 @@ def print_peak(n_rays):
 
 def growth(options):
     """Print and return how seconds, errors and memory grow with the rays."""
-    counts, rows = [2**k for k in (12, 14, 16, 18, 20)], []
+    counts, rows, scene = [2**k for k in (12, 14, 16, 18, 20)], [], wu_scene.scene()
     for sampler in ("sobol", "philox"):
-        part = [with_errors(our_runs(n, options.seeds, 3, sampler)) for n in counts]
+        part = []
+        for n in counts:
+            runs = [our_run(scene, n, seed, sampler) for seed in range(options.seeds)]
+            flux, seconds = zip(*runs, strict=True)
+            part.append(
+                with_errors({"name": sampler, "n_rays": n, "flux": flux, "seconds": seconds})
+            )
         rows += part
         errors, seconds = ([row[key] for row in part] for key in ("relative_error", "seconds"))
         for n, error, time_taken in zip(counts, errors, seconds, strict=True):
@@ -234,7 +308,8 @@ def main():
     """Print the table, write what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--peers-python", metavar="PATH", help="interpreter that has the peers")
-    parser.add_argument("--seeds", type=int, default=16)
+    parser.add_argument("--seeds", type=int, default=32)
+    parser.add_argument("--optiland", action="store_true", help="its seconds for the letter, alone")
     parser.add_argument("--optiland-rays", type=int, default=1_000_000)
     parser.add_argument("--growth", action="store_true")
     parser.add_argument("--json", type=Path, metavar="FILE")
@@ -244,14 +319,18 @@ def main():
     if options.peak:
         print_peak(options.peak)
         return
-    print(f"truth: {TRUTH[3]:.7e} W by 3 reflections, {TRUTH[5]:.7e} W by up to 5")
     if options.growth:
-        rows = growth(options)
-    else:
-        measured, extrapolated = compare(options)
-        rows = measured + extrapolated
+        growth(options)
+        return
+    if options.optiland:
+        optiland(options)
+        return
+    rows, summaries = compare(options)
     if options.json:
-        options.json.write_text(json.dumps(rows, indent=1) + "\n")
+        apart = [abs(a) for s in summaries for a in s["standard_errors_apart"].values()]
+        if not apart or max(apart) > MOST_APART:
+            raise SystemExit(f"{options.json} was not written: the fluxes do not agree")
+        options.json.write_text(json.dumps({"scenes": summaries, "rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -353,9 +353,9 @@ def test_a_coarse_mesh_leaves_the_waves_out(flat_scene):
 def test_embree_is_skipped_without_triangles(flat_scene, monkeypatch):
     """A picture, a wall of formulas and nothing in the way: no triangle is asked for."""
     from nlosoptics import raytrace
-    from nlosoptics.raytrace.intersection import meshes
+    from nlosoptics.raytrace.intersection.triangles import Facets
 
-    asked = counted(monkeypatch, meshes, "_facets")
+    asked = counted(monkeypatch, Facets, "first")
     for wall in (flat_scene.wall, ConcaveWall(5.0)):
         scene = replace(flat_scene, wall=wall)
         assert "embree" in {stage.name for stage in nlos.plan(scene).skipped}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import os
 import threading
-import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from ..._checks import in_range
 from ..._nouns import Noun
 from ...errors import SceneError
 from .intersections import Hits, _rays, flat_rays
+from .kept_meshes import kept_mesh
 from .triangles import NO_LIMIT, Facets, Found, NoRayError
 
 if TYPE_CHECKING:
@@ -75,8 +75,8 @@ def intersect_mesh(
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        Triangle mesh, world frame, m. Its search structures are cached until it changes or is
-        deleted.
+        Triangle mesh, world frame, m. Its search structures are kept for later calls with an equal
+        mesh, among those of the latest meshes.
     origins : array_like, (..., 3)
         Starting points of the rays, world frame, m.
     directions : array_like, (..., 3)
@@ -125,7 +125,7 @@ def intersect_mesh(
     ([True, False], 1.5)
     """
     nearest = in_range("min_distance", min_distance, 0.0, unit="m")
-    distance, points, normals, triangle = _first(mesh, origins, directions, nearest)
+    distance, points, normals, triangle = _first(_facets(mesh), origins, directions, nearest)
     return MeshHits(
         distance,
         points,
@@ -136,25 +136,25 @@ def intersect_mesh(
 
 
 def first_triangles(
-    mesh: trimesh.Trimesh, origins: Array, directions: Array, *, min_distance: float
+    facets: Facets, origins: Array, directions: Array, *, min_distance: float
 ) -> tuple[Array, NDArray[np.int32]]:
     """Return distance (n,), m, and triangle (n,) of the first hits, as `intersect_mesh` finds them.
 
     Parameters
     ----------
-    mesh : trimesh.Trimesh
-        Triangle mesh, world frame, m.
+    facets : Facets
+        Search structures of the mesh.
     origins, directions : ndarray, (n, 3)
         Starts, m, and directions of any length but zero.
     min_distance : float
         Hits at a smaller distance are ignored, m.
     """
-    distance, _, _, triangle = _first(mesh, origins, directions, min_distance, placed=False)
+    distance, _, _, triangle = _first(facets, origins, directions, min_distance, placed=False)
     return distance, triangle
 
 
 def _first(
-    mesh: trimesh.Trimesh,
+    facets: Facets,
     origins: ArrayLike,
     directions: ArrayLike,
     nearest: float,
@@ -168,7 +168,7 @@ def _first(
     unless ``placed``.
     """
     o, d, shape = flat_rays(origins, directions)
-    facets, count = _facets(mesh), len(o)
+    count = len(o)
     rows = count if placed else 0
     distance, triangle = np.empty(count), np.empty(count, dtype=np.int32)
     points, normals = np.empty((rows, 3)), np.empty((rows, 3))
@@ -227,8 +227,8 @@ def all_hits(
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        Triangle mesh, world frame, m. Its search structures are cached until it changes or is
-        deleted.
+        Triangle mesh, world frame, m. Its search structures are kept for later calls with an equal
+        mesh, among those of the latest meshes.
     origins : array_like, (..., 3)
         Starting points of the rays, world frame, m.
     directions : array_like, (..., 3)
@@ -324,10 +324,22 @@ def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> N
         raise SceneError(
             f"origins {o.shape} and targets {p.shape} do not broadcast; give equal shapes"
         ) from None
-    starts = np.broadcast_to(o, paths.shape)
-    gap = OFFSET * _facets(mesh).reach + 1e-14 * float(np.abs(o).max(initial=0.0))
+    return blocked(_facets(mesh), np.broadcast_to(o, paths.shape), paths)
+
+
+def blocked(facets: Facets, origins: Array, paths: Array) -> NDArray[np.bool_]:
+    """Return whether a mesh blocks straight paths (...), as `occluded` says of their ends.
+
+    Parameters
+    ----------
+    facets : Facets
+        Search structures of the mesh.
+    origins, paths : ndarray, (..., 3)
+        Starts and vectors to the ends, m.
+    """
+    gap = OFFSET * facets.reach + 1e-14 * float(np.abs(origins).max(initial=0.0))
     lengths = np.sqrt((paths * paths).sum(axis=-1)) - gap
-    triangle = _first(mesh, starts, paths, gap, lengths.reshape(-1), placed=False)[3]
+    triangle = _first(facets, origins, paths, gap, lengths.reshape(-1), placed=False)[3]
     return np.asarray(triangle.reshape(lengths.shape) >= 0)
 
 
@@ -356,7 +368,6 @@ def _in_parts(
 
 _lock = threading.Lock()
 _threads: list[ThreadPoolExecutor] = []
-_built: dict[int, tuple[weakref.ref[Any], int, Facets]] = {}
 
 
 def threads() -> int:
@@ -380,11 +391,5 @@ if hasattr(os, "register_at_fork"):
 
 
 def _facets(mesh: trimesh.Trimesh) -> Facets:
-    """Return the search structures of a mesh, from the cache if the mesh has not changed."""
-    key, state = id(mesh), hash(mesh)
-    kept = _built.get(key)
-    if kept is not None and kept[0]() is mesh and kept[1] == state:
-        return kept[2]
-    facets = Facets(mesh)
-    _built[key] = (weakref.ref(mesh, lambda _: _built.pop(key, None)), state, facets)
-    return facets
+    """Return the search structures of a mesh, kept ones if there are any."""
+    return kept_mesh(mesh).facets

@@ -14,6 +14,7 @@ from ._light_kernels import (
     LENGTH,
     LENGTHS,
     LINKED,
+    LIT,
     MET,
     NARROW,
     POWER,
@@ -26,6 +27,7 @@ from ._light_kernels import (
     lobes_of,
     narrow_share,
     sums_of,
+    target_density,
 )
 from ._lobe_kernels import lobe_density
 from ._surround_kernels import OBJECT, dot, on_detector, three
@@ -67,7 +69,7 @@ def next_density(
     density = lobe_density(lobes, mu, cosine, between, eye)
     density *= (1.0 - share) * target_cosine / square
     if target[SURFACE] == OBJECT:
-        density += share * norm * target[SCALE]
+        density += share * target_density(norm, vertex, eye, target[SCALE], target[LIT])
     return density
 
 

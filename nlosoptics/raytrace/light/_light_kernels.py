@@ -11,6 +11,7 @@ vertex, and
 - BEFORE: kind of surface of the previous vertex;
 - NARROW: share of the light that narrow lobes reflected at the previous vertex, 1 for the laser;
 - BEGUN: share that arrives by a chain of narrow lobes, or may begin one here;
+- LIT: density, 1/m^2, with which rays aimed from the laser spot meet the object here;
 - LINKED: share that `_chain_kernels` traces if narrow lobes reflect it to the lens from here.
 """
 
@@ -40,10 +41,10 @@ from ._surround_kernels import (
     three,
 )
 
-VERTEX = 20
+VERTEX = 21
 P, N, I = slice(0, 3), slice(3, 6), slice(6, 9)  # noqa: E741  (the letter of incidence)
 POWER, DENSITY, SURFACE, SCALE, LENGTH, MET, HISTORY, BEFORE = range(9, 17)
-NARROW, BEGUN, LINKED = range(17, 20)
+NARROW, BEGUN, LINKED, LIT = range(17, 21)
 LEAVE = 10
 LOBE, PDF, MIRROR, AIMED, REACH, APART, SHARE = range(3, 10)
 
@@ -81,6 +82,22 @@ def aimed_share(world, vertex, eye):
 def chained_at(chains, kind):
     """Return whether narrow lobes of a surface take part in `World.chains`."""
     return chains & (1 if kind == WALL else 2) != 0
+
+
+@njit(cache=True)
+def _is_spot(vertex, eye):
+    """Return whether a vertex of the wall is the laser spot."""
+    return not eye and vertex[BEFORE] == NOTHING
+
+
+@njit(cache=True)
+def target_density(norm, vertex, eye, scale, lit):
+    """Return the density, 1/m^2, with which rays aimed from a vertex meet a point of the object.
+
+    ``norm`` is that of `World`, ``scale`` the brightness at the point, and ``lit`` the density for
+    the laser spot.
+    """
+    return lit if _is_spot(vertex, eye) else norm * scale
 
 
 @njit(cache=True)
@@ -149,7 +166,8 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
         mirror, reach = -1.0, -1.0
         share = aimed_share(world, vertex, eye)
         if share > 0.0 and draw(sampler, group, index, ray, number + 2) < share:
-            to, _ = object_point(world, u, v)
+            splits = world.lit_splits if _is_spot(vertex, eye) else world.splits
+            to, _ = object_point(world, splits, u, v)
             d = (to[0] - p[0], to[1] - p[1], to[2] - p[2])
             reach = math.sqrt(dot(d, d))
             d = (d[0] / reach, d[1] / reach, d[2] / reach)
@@ -177,11 +195,11 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
 
 
 @njit(cache=True)
-def _passed_on(norm, leave, distance, kind, normal, scale):
+def _passed_on(leave, distance, kind, normal, target):
     """Return the weight of a ray drawn by `scatter`, and the density at its end, 1/m^2.
 
-    ``norm`` is that of `World`, and ``leave`` the ray's row from `scatter`; the others describe
-    what it hits. Sampling by lobes
+    ``leave`` is the ray's row from `scatter`; the others describe what it hits, and ``target`` is
+    the `target_density` there. Sampling by lobes
     and by aiming at the object are combined with the one-sample balance heuristic. If only aimed
     rays may reach the object, the weight is a smooth function of the random numbers.
     """
@@ -191,7 +209,7 @@ def _passed_on(norm, leave, distance, kind, normal, scale):
     cosine = abs(dot(d, normal))
     at_object = 0.0
     if kind == OBJECT and aimed > 0.0:
-        at_object = aimed * norm * scale * distance * distance / cosine
+        at_object = aimed * target * distance * distance / cosine
     astray = kind != OBJECT or abs(distance - leave[REACH]) > 1e-6 * leave[REACH]
     if leave[REACH] >= 0.0 and astray:
         return 0.0, 0.0  # another surface hides the point aimed at
@@ -259,12 +277,12 @@ def land(
     """Fill the next vertices of light paths, and add lost power to the power balance.
 
     ``around`` is (camera, norm, chains) of `World`. ``settings`` is (bounce, max_bounces, analog,
-    number of the draw for Russian roulette or -1). ``hits`` is (distance, kind, normal, scale).
-    ``fates`` receives the status of paths that end, else -1.
+    number of the draw for Russian roulette or -1). ``hits`` are those of
+    `Surroundings.first_hits`. ``fates`` receives the status of paths that end, else -1.
     """
     camera, norm, chains = around
     bounce, most, analog, roulette = settings
-    distance, kind, normal, scale = hits
+    distance, kind, normal, scale, lit = hits
     tail = most + 1
     for i in range(old.shape[0]):
         new[i, SURFACE], fates[i] = NOTHING, -1
@@ -277,7 +295,8 @@ def land(
         n = three(normal[i], 0)
         passed, density = 0.0, 0.0
         if dot(three(leave[i], 0), three(old[i], 3)) > 0.0:
-            passed, density = _passed_on(norm, leave[i], distance[i], where, n, scale[i])
+            target = target_density(norm, old[i], False, scale[i], lit[i])
+            passed, density = _passed_on(leave[i], distance[i], where, n, target)
             if at == OBJECT:
                 passed *= old[i, SCALE]
         sent = power * passed
@@ -306,6 +325,7 @@ def land(
             if where == WALL and at == WALL:
                 sums[tail + WALL_TO_WALL] += sent
             _arrive(old[i], new[i], o, d, distance[i], where, n, scale[i], sent, density)
+            new[i, LIT] = lit[i]
             if chains != 0:
                 _follow(old[i], new[i], leave[i, SHARE], where)
             if bounce == most:
@@ -350,7 +370,7 @@ def start(power, first, most, origins, directions, hits, new, path_sums, fates):
     ``power`` is that of the laser, W, and ``most`` is the largest number of reflections. ``fates``
     receives the status of paths that end here, else -1.
     """
-    distance, kind, normal, scale = hits
+    distance, kind, normal, scale, _ = hits
     source = np.zeros(VERTEX)
     source[HISTORY], source[BEFORE], source[SURFACE] = 1.0, NOTHING, NOTHING
     tail = most + 1
@@ -392,7 +412,7 @@ def look(origins, directions, powers, densities, hits, new):
     ``powers`` (n,) are detected powers per unit radiance, m^2 sr, and ``densities`` (n,) the
     densities of the directions, 1/sr.
     """
-    distance, kind, normal, scale = hits
+    distance, kind, normal, scale, lit = hits
     source = np.zeros(VERTEX)
     source[BEFORE], source[SURFACE] = NOTHING, NOTHING
     for i in range(new.shape[0]):
@@ -403,6 +423,7 @@ def look(origins, directions, powers, densities, hits, new):
             density = densities[i] * abs(dot(d, n)) / distance[i] ** 2
             o = three(origins[i], 0)
             _arrive(source, new[i], o, d, distance[i], where, n, scale[i], powers[i], density)
+            new[i, LIT] = lit[i]
 
 
 @njit(cache=True, nogil=True)
@@ -411,7 +432,7 @@ def look_on(norm, old, leave, origins, directions, hits, new):
 
     ``norm`` is that of `World`.
     """
-    distance, kind, normal, scale = hits
+    distance, kind, normal, scale, lit = hits
     for i in range(new.shape[0]):
         new[i, SURFACE] = NOTHING
         where = int(kind[i])
@@ -420,11 +441,13 @@ def look_on(norm, old, leave, origins, directions, hits, new):
         if dot(three(leave[i], 0), three(old[i], 3)) <= 0.0:
             continue
         d, n = three(directions[i], 0), three(normal[i], 0)
-        passed, density = _passed_on(norm, leave[i], distance[i], where, n, scale[i])
+        target = target_density(norm, old[i], True, scale[i], lit[i])
+        passed, density = _passed_on(leave[i], distance[i], where, n, target)
         if old[i, SURFACE] == OBJECT:
             passed *= old[i, SCALE]
         if passed > 0.0:
             o = three(origins[i], 0)
             power = old[i, POWER] * passed
             _arrive(old[i], new[i], o, d, distance[i], where, n, scale[i], power, density)
+            new[i, LIT] = lit[i]
             new[i, NARROW] = leave[i, SHARE]

@@ -53,7 +53,7 @@ def glow(world, sampler, first, power, new):
         group, index = ray % GROUPS, ray // GROUPS
         u = draw(sampler, group, index, ray, DRAW_PIXEL)
         v = draw(sampler, group, index, ray, DRAW_PIXEL + 1)
-        point, normal = object_point(world, u, v)
+        point, normal = object_point(world, world.splits, u, v)
         for k in range(3):
             new[i, k], new[i, 3 + k], new[i, 6 + k] = point[k], normal[k], normal[k]
         new[i, POWER], new[i, DENSITY], new[i, SURFACE], new[i, SCALE] = power, -1.0, OBJECT, 1.0
@@ -216,7 +216,7 @@ def arrive(source, whole, box, share, directions, reach, live, hits, new):
 
     The sampling strategies of `shine` are combined by the balance heuristic.
     """
-    distance, kind, normal, _ = hits
+    distance, kind, normal, _, _ = hits
     for i in range(new.shape[0]):
         new[i, SURFACE] = NOTHING
         if not live[i] or kind[i] != WALL:

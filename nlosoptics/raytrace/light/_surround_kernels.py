@@ -38,10 +38,11 @@ class World(NamedTuple):
         Brightness of the planar object, row 0 on top.
     rows, columns : ndarray, (ny + 1,) and (ny, nx + 1)
         Cumulative brightness of the rows, and of the pixels within each row, 0 to 1.
-    triangles : ndarray, (n, 9)
-        Mesh object: a corner and the two sides from it.
-    areas : ndarray, (n + 1,)
-        Cumulative areas of the triangles, 0 to 1.
+    triangles, areas, firsts, splits, patches : ndarray
+        Mesh object: `kept_meshes.Chart` of its triangles, whose ``shares`` are ``areas``.
+    lit_splits, lit : ndarray, (p,)
+        Mesh object: splits of the chart, and densities on the patches, 1/m^2, with which rays from
+        the laser spot are aimed; see `surroundings.lit_patches`.
     norm : float
         1 over the integral of brightness over the object's area, 1/m^2; 0 for a black object.
     aimed : ndarray, (2,)
@@ -70,6 +71,11 @@ class World(NamedTuple):
     columns: NDArray[np.float64]
     triangles: NDArray[np.float64]
     areas: NDArray[np.float64]
+    firsts: NDArray[np.int64]
+    splits: NDArray[np.float64]
+    patches: NDArray[np.int32]
+    lit_splits: NDArray[np.float64]
+    lit: NDArray[np.float64]
     norm: float
     aimed: NDArray[np.float64]
     glossy: bool
@@ -278,7 +284,7 @@ def settle(terms, tables, points, on_wall):
 
 @njit(cache=True, nogil=True)
 def plate_and_lens(
-    plate, picture, camera, origins, directions, live, distance, kind, normal, scale
+    plate, picture, camera, norm, origins, directions, live, distance, kind, normal, scale, lit
 ):
     """Replace the hits of ``live`` rays by nearer ones on the planar object and on the lens."""
     has_plate = plate.size > 0
@@ -295,18 +301,20 @@ def plate_and_lens(
                 kind[i] = OBJECT if dot(d, three(plate, 9)) < 0.0 else BACK
                 point = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
                 scale[i] = texel(plate, picture, point)
+                lit[i] = norm * scale[i]
         t = _lens(camera, o, d, 1e-9, distance[i])
         if t < distance[i]:
             distance[i], kind[i] = t, LENS
 
 
 @njit(cache=True, nogil=True)
-def mesh_hits(rows, found, away, thing_faces, normals, directions, distance, kind, normal, scale):
+def mesh_hits(world, rows, found, away, normals, directions, distance, kind, normal, scale, lit):
     """Replace the hits of the rays ``rows`` by nearer ones on triangles.
 
-    ``found`` and ``away`` are the triangles (-1 for none) and their distances, m. The first
-    ``thing_faces`` triangles belong to the hidden object, the others to occluders.
+    ``found`` and ``away`` are the triangles (-1 for none) and their distances, m. The first ones
+    belong to the hidden object if it is a mesh, the others to occluders.
     """
+    thing_faces = world.patches.size
     for j in range(rows.size):
         i, k = rows[j], found[j]
         # a triangle that lies in the wall's surface does not cover the wall
@@ -320,11 +328,45 @@ def mesh_hits(rows, found, away, thing_faces, normals, directions, distance, kin
             kind[i] = OCCLUDER
         else:
             kind[i] = OBJECT if dot(three(directions[i], 0), three(normals[k], 0)) < 0 else BACK
+            lit[i] = world.lit[world.patches[k]]
 
 
 @njit(cache=True, inline="always")
-def object_point(world, u, v):
-    """Draw a point of the object's front by area times brightness; return it and its normal."""
+def _triangle(world, splits, u, v):
+    """Return the triangle that the mesh's chart has at a point of the unit square, and its place.
+
+    ``splits`` are those of the chart or ``lit_splits``. The place is the point's two coordinates
+    within the part of the square that is the triangle.
+    """
+    areas, node = world.areas, 1
+    along = True
+    while node < splits.size:
+        split, t = splits[node], u if along else v
+        node *= 2
+        if t < split or split == 1.0:  # rounding may have made t one
+            t /= split
+        else:
+            t = (t - split) / (1.0 - split)
+            node += 1
+        if along:
+            u = t
+        else:
+            v = t
+        along = not along
+    patch = node - splits.size
+    a, b = world.firsts[patch], world.firsts[patch + 1]
+    t = areas[a] + u * (areas[b] - areas[a])
+    k = a + min(np.searchsorted(areas[a : b + 1], t, side="right") - 1, b - a - 1)
+    whole = areas[k + 1] - areas[k]
+    return k, min((t - areas[k]) / whole, 1.0) if whole > 0.0 else 0.5, v
+
+
+@njit(cache=True, inline="always")
+def object_point(world, splits, u, v):
+    """Draw a point of the object's front by area times brightness; return it and its normal.
+
+    On a mesh, ``splits`` are those of the chart, or ``lit_splits`` to draw by `World.lit` instead.
+    """
     if world.plate.size > 0:
         plate = world.plate
         ny, nx = world.picture.shape
@@ -339,9 +381,7 @@ def object_point(world, u, v):
             plate[1] + across * plate[4] + up * plate[7],
             plate[2] + across * plate[5] + up * plate[8],
         ), three(plate, 9)
-    areas = world.areas
-    k = interval(areas, u)
-    u = min((u - areas[k]) / (areas[k + 1] - areas[k]), 1.0)
+    k, u, v = _triangle(world, splits, u, v)
     row, root = world.triangles[k], math.sqrt(u)
     b, c = root * (1.0 - v), root * v
     point = (

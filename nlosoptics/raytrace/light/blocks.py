@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -21,6 +22,7 @@ from .surroundings import Surroundings
 
 Array = NDArray[np.float64]
 LEDGER: Final = 0.25  # share of the rays continued when only the ledger still needs them
+PARTNERS: Final = 4
 #: Sums by unit and group, numbers of intersection tests, and kept paths of a block.
 Traced = tuple[Array, Counter[str], list[Kept]]
 
@@ -86,6 +88,20 @@ def follow(block: Rays) -> Traced:
     return units, block.counts, block.kept
 
 
+@lru_cache(maxsize=8)
+def _partners(n: int, count: int) -> list[tuple[NDArray[np.int64], Array]]:
+    """Return rows and weights (n,) of the eye paths to which n light paths are connected, in turns.
+
+    Partners are rays of the same group and unit whose numbers differ in the lowest bits. The points
+    of a Sobol sequence with these bits turned are another such sequence, so that each turn alone is
+    as evenly spread as pairs of equal rows. The weights (n,) of all turns add up to 1.
+    """
+    ray = np.arange(n)
+    rows = [(ray // GROUPS ^ turn) * GROUPS + ray % GROUPS for turn in range(count)]
+    there = sum(row < n for row in rows)
+    return [(np.where(row < n, row, ray), (row < n) / there) for row in rows]
+
+
 class Rays:
     """Block of rays: light paths from the laser, eye paths from the lens, and their connections.
 
@@ -141,6 +157,11 @@ class Rays:
         self.seen, self.further = np.zeros((2, self.n, kernels.VERTEX))
         kernels.look(*rays, powers, densities, self._hits(None), self.seen)
         self._settle(self.seen)
+        # kept paths stay few, and the three strategies of glossy lobes gain nothing from partners
+        count = 1 if job.keep_paths or self.around.plan.glossy else PARTNERS
+        (_, share), *turns = _partners(self.n, count)
+        self.partners: list[tuple[Array, Array, Array | float]] = [(self.seen, self.lens, share)]
+        self.partners += [(self.seen[rows], self.lens[rows], share) for rows, share in turns]
         if self.around.plan.glossy:
             self._scatter(self.seen, surround.DRAW_EYE, True)
             hits = self._hits(self.seen)
@@ -184,13 +205,16 @@ class Rays:
         found = (self.value, self.length, self.starts, self.ends)
         if bounce == 1 or glossy:
             connecting.to_lens(world, light, before, self.lens, glossy, *found)
-            self._book(light, light, bounce, ())
-        if bounce + 1 <= most:
-            connecting.connect(world, light, self.seen, self.seen, False, glossy, *found)
-            self._book(light, self.seen, bounce + 1, (self.seen,))
+            self._book(light, light, bounce, (), self.lens)
+        # the laser spot is much the same for all rays, so that partners would add nothing
+        partners = self.partners if bounce > 1 else [(self.seen, self.lens, 1.0)]
+        for seen, lens, share in partners if bounce + 1 <= most else ():
+            connecting.connect(world, light, seen, seen, False, glossy, *found)
+            self.value *= share
+            self._book(light, seen, bounce + 1, (seen,), lens)
         if glossy and bounce + 2 <= most:
             connecting.connect(world, light, self.further, self.seen, True, glossy, *found)
-            self._book(light, self.further, bounce + 2, (self.further, self.seen))
+            self._book(light, self.further, bounce + 2, (self.further, self.seen), self.lens)
         if self.around.chains.surfaces:
             longest = most - bounce if self.around.chains.both else min(1, most - bounce)
             for m in range(1, longest + 1):
@@ -226,7 +250,7 @@ class Rays:
             self.starts[:] = self.ends
             on_wall = ~on_wall
         self.ends[:] = self.lens
-        self._book(light, self.by_object, bounce + m, tuple(mirrors), on_wall)
+        self._book(light, self.by_object, bounce + m, tuple(mirrors), self.lens, on_wall)
 
     def _scatter(self, vertices: Array, number: int, eye: bool) -> None:
         """Draw the directions in which the paths continue, from random number ``number`` on."""
@@ -265,12 +289,14 @@ class Rays:
         eye: Array,
         bounce: int,
         seen: tuple[Array, ...],
+        lens: Array,
         on_wall: NDArray[np.bool_] | None = None,
     ) -> None:
         """Add the power of unblocked connections to the sums, and store their paths if wanted.
 
         ``light`` and ``eye`` are the connected vertices and ``bounce`` the number of reflections.
-        ``seen`` holds the vertices between the light vertices and the lens, for stored paths.
+        ``seen`` holds the vertices between the light vertices and the points ``lens`` (n, 3) of
+        the lens, for stored paths.
         ``on_wall`` (n,) tells whether a connection starts on the wall; by default this is the
         surface of the light vertices.
         """
@@ -288,7 +314,7 @@ class Rays:
             self.sums,
         )
         if self.watched:
-            self.take_detected(self.value, self.length, [*self.walked, *seen], self.lens, bounce)
+            self.take_detected(self.value, self.length, [*self.walked, *seen], lens, bounce)
 
     def _take_ended(self, new: Array, bounce: int) -> None:
         """Pass on paths that ended at the vertices ``new`` and that no connection stands for.

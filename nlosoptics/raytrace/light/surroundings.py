@@ -10,24 +10,34 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._checks import Vector
 from ...kernels.codes import BECKMANN, CYLINDER, SPHERE
 from ...scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene, Wall
 from ..intersection.intersections import HIT, UNRESOLVED, intersect, search_bounds
-from ..intersection.meshes import first_triangles, occluded
+from ..intersection.kept_meshes import (
+    Chart,
+    KeptMesh,
+    ball_around,
+    chart_splits,
+    cumulative,
+    kept_mesh,
+)
+from ..intersection.meshes import blocked, first_triangles
 from .chains import Chains, mirror_chains
 
 if TYPE_CHECKING:
-    import trimesh
-
     from ._surround_kernels import World
 
 
 Array = NDArray[np.float64]
-Hits = tuple[Array, NDArray[np.int8], Array, Array]
+Hits = tuple[Array, NDArray[np.int8], Array, Array, Array]
 # Shares of the rays leaving the wall that are aimed at the object: first for the laser spot and
 # points seen from the lens, second for other points. The second row is for walls that see
 # themselves, which need more of the other rays. Binary fractions split Sobol points exactly.
 AIMED: Final = ((0.75, 0.75), (0.5, 0.25))
+#: Share of the rays aimed from the laser spot at a mesh that are spread evenly over its area, so
+#: that shadows, glossy lobes and inclined parts of a patch cost little where the others miss them.
+ANYWHERE: Final = 0.125
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,7 +214,9 @@ class Surroundings:
     def __init__(self, scene: Scene, *, analog: bool = False) -> None:
         self.plan = ray_plan(scene)
         self.chains = mirror_chains(scene, wall_to_wall=self.plan.wall_to_wall)
-        self.world = _world(scene, self.plan, self.chains, analog)
+        hidden = scene.hidden
+        thing = hidden if isinstance(hidden, PlanarObject) else kept_mesh(hidden.surface)
+        self.world = _world(scene, self.plan, self.chains, analog, thing)
         self._wall = scene.wall
         self._walls: Any = None
         if self.plan.wall_hits != "python":
@@ -213,11 +225,9 @@ class Surroundings:
         if self._walls is not None:
             terms, tables, _, box, _, rim = self._walls
         self.chain_wall: Any = nowhere if self._walls is None else (terms, tables, box, rim)
-        self._mesh, self._thing_faces = _triangles(scene)
+        self._mesh = _triangles(scene, thing)
         if self._mesh is not None:
-            self._normals = np.array(self._mesh.face_normals, dtype=np.float64)
-            reach = float(np.abs(self._mesh.bounds).max())
-            self._gap = 1e-9 * max(reach, 1e-3)
+            self._gap = 1e-9 * max(self._mesh.reach, 1e-3)
 
     def first_hits(
         self,
@@ -250,12 +260,15 @@ class Surroundings:
             Unit normal at the hit, world.
         scale : ndarray, (n,)
             Brightness of a planar object at the hit, else 1.
+        lit : ndarray, (n,)
+            Density, 1/m^2, with which rays aimed from the laser spot meet the object at the hit.
         """
         from . import _surround_kernels as kernels
 
         n = len(origins)
         distance, kind = np.full(n, math.inf), np.full(n, kernels.NOTHING, dtype=np.int8)
-        normal, scale = np.zeros((n, 3)), np.ones(n)
+        normal, scale, lit = np.zeros((n, 3)), np.ones(n), np.zeros(n)
+        ends = (distance, kind, normal, scale, lit)
         # rays that leave a wall which cannot see itself need no wall test
         asking = live
         if on_wall.any():
@@ -272,36 +285,17 @@ class Surroundings:
             self._python_hits(origins, directions, asking, distance, kind, normal)
         world = self.world
         kernels.plate_and_lens(
-            world.plate,
-            world.picture,
-            world.camera,
-            origins,
-            directions,
-            live,
-            distance,
-            kind,
-            normal,
-            scale,
+            world.plate, world.picture, world.camera, world.norm, origins, directions, live, *ends
         )
         if self._mesh is not None:
             rows = np.flatnonzero(live)
             counts["mesh"] += len(rows)
             away, triangle = first_triangles(
-                self._mesh, origins[rows], directions[rows], min_distance=self._gap
+                self._mesh.facets, origins[rows], directions[rows], min_distance=self._gap
             )
-            kernels.mesh_hits(
-                rows,
-                triangle,
-                away,
-                self._thing_faces,
-                self._normals,
-                directions,
-                distance,
-                kind,
-                normal,
-                scale,
-            )
-        return distance, kind, normal, scale
+            normals = self._mesh.normals
+            kernels.mesh_hits(self.world, rows, triangle, away, normals, directions, *ends)
+        return ends
 
     def _python_hits(
         self,
@@ -362,26 +356,26 @@ class Surroundings:
         if not (self.plan.wall_shadows or self._mesh is not None):
             return
         rows = np.flatnonzero(value > 0.0)
+        # start at the end that is on the wall, since rays hit the wall from its front only, and
+        # those that start on a mesh are slow
+        turned = ~on_wall[rows, None]
+        near = np.where(turned, ends[rows], starts[rows])
+        lines = np.where(turned, starts[rows], ends[rows]) - near
         if len(rows) and self._mesh is not None:
             counts["shadow"] += len(rows)
-            hidden = occluded(self._mesh, starts[rows], ends[rows])
-            value[rows[hidden]] = 0.0
-            rows = rows[~hidden]
+            free = ~blocked(self._mesh.facets, near, lines)
+            value[rows[~free]] = 0.0
+            rows, near, lines = rows[free], near[free], lines[free]
         if len(rows) and self.plan.wall_shadows:
             counts["wall shadow"] += len(rows)
-            # start at the end that is on the wall, since rays hit the wall from its front only
-            turned = ~on_wall[rows, None]
-            near = np.where(turned, ends[rows], starts[rows])
-            far = np.where(turned, starts[rows], ends[rows])
-            value[rows[self._behind_wall(near, far)]] = 0.0
+            value[rows[self._behind_wall(near, lines)]] = 0.0
 
-    def _behind_wall(self, starts: Array, ends: Array) -> NDArray[np.bool_]:
-        """Return whether the wall blocks the lines between points (n, 3); ends may lie on it."""
+    def _behind_wall(self, starts: Array, lines: Array) -> NDArray[np.bool_]:
+        """Return whether the wall blocks lines (n, 3) from starts (n, 3); ends may lie on it."""
         from . import _surround_kernels as kernels
 
-        lines = ends - starts
         length = np.sqrt((lines * lines).sum(axis=1))
-        lines /= length[:, None]
+        lines = lines / length[:, None]
         if self._walls is None:
             hits = intersect(self._wall, starts, lines)
             near = hits.hit & (np.nan_to_num(hits.distance) < length * (1.0 - 1e-9))
@@ -409,21 +403,46 @@ def _compiled(wall: Wall) -> tuple[Any, ...]:
     return terms, tables_for(terms, tables), None if conic else curvature, box, slab, rim
 
 
-def _triangles(scene: Scene) -> tuple[trimesh.Trimesh | None, int]:
-    """Return all triangles as one mesh, those of the hidden object first, and their number."""
-    thing = None if isinstance(scene.hidden, PlanarObject) else scene.hidden.surface
+def _triangles(scene: Scene, thing: PlanarObject | KeptMesh) -> KeptMesh | None:
+    """Return all triangles as one mesh, those of the hidden object first."""
     black = scene.occluding_mesh
-    if thing is None or black is None:
-        return (black, 0) if thing is None else (thing, len(thing.faces))
-    import trimesh
-
-    vertices = np.concatenate([np.asarray(thing.vertices), np.asarray(black.vertices)])
-    faces = np.concatenate([np.asarray(thing.faces), np.asarray(black.faces) + len(thing.vertices)])
-    return trimesh.Trimesh(vertices, faces, process=False), len(thing.faces)
+    if isinstance(thing, PlanarObject) or isinstance(scene.hidden, PlanarObject):
+        return None if black is None else kept_mesh(black)
+    return thing if black is None else kept_mesh(scene.hidden.surface, black)
 
 
-def _world(scene: Scene, plan: RayPlan, chains: Chains, analog: bool) -> World:
-    """Return the data of a scene as arrays for the kernels."""
+def lit_patches(scene: Scene, chart: Chart) -> Array:
+    """Return the densities, (p,), 1/m^2, with which the laser spot aims rays at patches of a mesh.
+
+    All but a share `ANYWHERE` of the rays are drawn in proportion to the light of a point at the
+    laser spot that a patch would send to the point of the wall on the optical axis, both matt and
+    nothing in between.
+    """
+    camera, laser = scene.camera, scene.laser
+    weights = np.ones(len(chart.areas))
+    for end, toward in ((laser.position, laser.aim), (camera.position, camera.aim)):
+        away = _met(scene, end, toward) - chart.centres
+        square = (away * away).sum(axis=1)
+        # no nearer than the patch is wide
+        facing = np.maximum((chart.normals * away).sum(axis=1), 0.0) * np.abs(away[:, 2])
+        weights *= facing / (square + chart.areas) ** 2
+    weights /= np.where(chart.areas > 0.0, chart.areas, 1.0)
+    uniform = chart.areas / chart.area
+    total = float(weights.sum())
+    share = (1.0 - ANYWHERE) * weights / total + ANYWHERE * uniform if total > 0.0 else uniform
+    return np.asarray(share / np.where(chart.areas > 0.0, chart.areas, 1.0))
+
+
+def _met(scene: Scene, start: Vector, toward: Vector) -> Array:
+    """Return the point of the wall that a ray through two points meets, or else the second one."""
+    hits = intersect(scene.wall, start, np.subtract(toward, start))
+    return hits.points if hits.hit else np.array(toward, dtype=np.float64)
+
+
+def _world(
+    scene: Scene, plan: RayPlan, chains: Chains, analog: bool, thing: PlanarObject | KeptMesh
+) -> World:
+    """Return the data of a scene, whose hidden object is ``thing``, as arrays for the kernels."""
     from ._surround_kernels import World
 
     camera, laser = scene.camera, scene.laser
@@ -443,25 +462,17 @@ def _world(scene: Scene, plan: RayPlan, chains: Chains, analog: bool) -> World:
     across = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
     across /= math.sqrt(float((across * across).sum()))
     picture, rows, columns = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
-    plate, triangles, areas = np.zeros(0), np.zeros((0, 9)), np.zeros(0)
-    if isinstance(scene.hidden, PlanarObject):
-        picture = np.array(scene.hidden.reflectance)
-        plate = np.concatenate(
-            [scene.hidden.position, scene.hidden.axes.ravel(), np.divide(scene.hidden.size, 2)]
-        )
-        rows, columns = _cumulative(picture.sum(axis=1)), _cumulative(picture)
-        total = float(picture.mean()) * scene.hidden.size[0] * scene.hidden.size[1]
-        outline = scene.hidden.corners
+    plate = np.zeros(0)
+    chart, lit = None, np.zeros(0)
+    if isinstance(thing, PlanarObject):
+        picture = np.array(thing.reflectance)
+        plate = np.concatenate([thing.position, thing.axes.ravel(), np.divide(thing.size, 2)])
+        rows, columns = cumulative(picture.sum(axis=1)), cumulative(picture)
+        total = float(picture.mean()) * thing.size[0] * thing.size[1]
+        ball = ball_around(thing.corners)
     else:
-        corners = np.asarray(scene.hidden.surface.triangles, dtype=np.float64)
-        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        triangles = np.concatenate([corners[:, 0], first, second], axis=1)
-        across_faces = np.cross(first, second)
-        sizes = 0.5 * np.sqrt((across_faces * across_faces).sum(axis=1))
-        areas, total = _cumulative(sizes), float(sizes.sum())
-        outline = corners.reshape(-1, 3)
-    centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
-    radius = float(np.sqrt(((outline - centre) ** 2).sum(axis=1).max()))
+        chart, total, ball = thing.chart, thing.chart.area, thing.ball
+        lit = lit_patches(scene, chart)
     return World(
         wall=scene.wall_material.lobe_table(),
         thing=scene.hidden.material.lobe_table(),
@@ -469,13 +480,18 @@ def _world(scene: Scene, plan: RayPlan, chains: Chains, analog: bool) -> World:
         picture=picture,
         rows=rows,
         columns=columns,
-        triangles=np.ascontiguousarray(triangles),
-        areas=areas,
+        triangles=np.zeros((0, 9)) if chart is None else chart.triangles,
+        areas=np.zeros(0) if chart is None else chart.shares,
+        firsts=np.zeros(0, dtype=np.int64) if chart is None else chart.firsts,
+        splits=np.zeros(0) if chart is None else chart.splits,
+        patches=np.zeros(0, dtype=np.int32) if chart is None else chart.patches,
+        lit_splits=np.zeros(0) if chart is None else chart_splits(lit * chart.areas),
+        lit=lit,
         norm=1.0 / total if total > 0.0 else 0.0,
         aimed=np.array(AIMED[plan.wall_to_wall] if total > 0.0 and not analog else (0.0, 0.0)),
         glossy=plan.glossy,
         chains=0 if analog else chains.surfaces,
-        ball=np.array([*centre, radius]),
+        ball=ball,
         camera=np.concatenate(
             [
                 camera.position,
@@ -495,13 +511,3 @@ def _world(scene: Scene, plan: RayPlan, chains: Chains, analog: bool) -> World:
             ]
         ),
     )
-
-
-def _cumulative(values: Array) -> Array:
-    """Return cumulative shares along the last axis, from 0 to 1; uniform if all values are 0."""
-    total = values.sum(axis=-1, keepdims=True)
-    shares = np.where(total > 0.0, values, 1.0)
-    sums = np.cumsum(shares, axis=-1) / shares.sum(axis=-1, keepdims=True)
-    sums = np.minimum(np.insert(sums, 0, 0.0, axis=-1), 1.0)
-    sums[..., -1] = 1.0  # exact, so that no random number falls beyond the last share
-    return np.asarray(sums)

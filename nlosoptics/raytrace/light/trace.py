@@ -73,9 +73,9 @@ def trace(
         Largest number of reflections, 1 to 64. Three correspond to wall, object, wall.
     keep_paths : bool
         Whether to return single paths (vertices, lobes, lengths, powers), for example to plot them:
-        all paths with ``analog``, else the detected ones. Without them, memory does not grow with
-        the number of rays. With ``tol`` or ``max_seconds``, also give ``n_rays``, so small that
-        the paths fit into memory.
+        all paths with ``analog``, else the detected ones. The other results then differ within
+        their errors. Without paths, memory does not grow with the number of rays. With ``tol`` or
+        ``max_seconds``, also give ``n_rays``, so small that the paths fit into memory.
     analog : bool
         Whether to follow rays only as physical light propagates. Such rays meet the object and the
         lens by chance alone, which is slow, but `RayPaths.ledger` then adds up to the laser's power
@@ -115,7 +115,10 @@ def trace(
     angular distribution. Rays leave the wall either in directions drawn from its lobes or toward
     the object; their power accounts for the probability of both. Each point that reflects a ray is
     connected to another point of the scene, which is found by tracing a ray backwards from the
-    detector through the lens. The connections give the detected power.
+    detector through the lens. The connections give the detected power. After the first reflection
+    of the laser's light, each point is connected to the points of four backward rays, unless a lobe
+    is glossy or paths are kept. Rays from the laser spot to a hidden mesh are drawn in proportion
+    to the light that each patch of triangles would send on to the middle of the field of view.
 
     If a lobe is glossy, the same light is sampled in two further ways. The backward rays are
     reflected once before they are connected, and the points that reflect rays are connected

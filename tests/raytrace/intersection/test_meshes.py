@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 import hashlib
 import os
-import pickle
 import subprocess
 import sys
 
@@ -376,28 +374,6 @@ def test_bits_do_not_depend_on_the_number_of_threads():
     }
     assert len(prints) == 1
     assert len(prints.pop().strip()) == 2 * hashlib.sha256().digest_size
-
-
-def test_mesh_is_built_once_and_again_when_it_changes(monkeypatch):
-    built = []
-    original = meshes.Facets._scene
-    monkeypatch.setattr(
-        meshes.Facets, "_scene", lambda self, corners: built.append(1) or original(self, corners)
-    )
-    mesh = bumpy(2)
-    for _ in range(3):
-        near = raytrace.intersect_mesh(mesh, (0, 0, 0), (0, 0, 1)).distance
-    assert len(built) == 1
-    mesh.vertices *= 2.0
-    far = raytrace.intersect_mesh(mesh, (0, 0, 0), (0, 0, 1)).distance
-    assert len(built) == 2
-    assert far == pytest.approx(2 * near, rel=1e-14)
-    assert len(pickle.loads(pickle.dumps(mesh)).faces) == len(mesh.faces)
-    gc.collect()
-    kept = len(meshes._built)
-    del mesh
-    gc.collect()  # meshes refer to themselves
-    assert len(meshes._built) == kept - 1
 
 
 def test_flat_walls_never_touch_embree(monkeypatch):

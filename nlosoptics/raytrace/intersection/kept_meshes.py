@@ -1,0 +1,234 @@
+"""Triangle meshes with the arrays that rays need of them, prepared once and kept between calls.
+
+A kept mesh is found by its contents: every lookup compares all vertices and faces with the copies
+that the structures were built from. A mesh that was changed, in whatever way, is therefore prepared
+anew, and an equal mesh in another scene, or from a pickle, is not.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import threading
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .triangles import Facets
+
+if TYPE_CHECKING:
+    import trimesh
+
+Array = NDArray[np.float64]
+MOST_TRIANGLES: Final = 1 << 20  # of all kept meshes but the latest, 0.5 kB each
+MOST_MESHES: Final = 32  # a lookup compares with each of them
+MOST_HALVINGS: Final = 12  # of a mesh into patches on which points are drawn
+
+
+class Chart(NamedTuple):
+    """Map from the unit square to a mesh that keeps areas, and neighbours where it can.
+
+    The square is halved in turns along u and v, at the shares of the areas of the halves of the
+    mesh, down to patches of few triangles. Neighbouring points of the square then lie close
+    together on the mesh, so that evenly spread points stay so.
+
+    Attributes
+    ----------
+    triangles : ndarray, (n, 9)
+        First corner and the two edges from there, m, patch by patch.
+    shares : ndarray, (n + 1,)
+        Cumulative shares of these triangles in the area, from 0 to 1.
+    firsts : ndarray of int64, (p + 1,)
+        First triangle of each patch, and the number of triangles; p is a power of two.
+    splits : ndarray, (p,)
+        Share of the first half of each part, in the order of a binary heap whose root is 1.
+    patches : ndarray of int32, (n,)
+        Patch of each triangle, in the order of the mesh.
+    centres, normals : ndarray, (p, 3)
+        Centroid of each patch, m, and the sum of its triangles' normals times their areas, m^2.
+    areas : ndarray, (p,)
+        Area of each patch, m^2.
+    """
+
+    triangles: Array
+    shares: Array
+    firsts: NDArray[np.int64]
+    splits: Array
+    patches: NDArray[np.int32]
+    centres: Array
+    normals: Array
+    areas: Array
+
+    @property
+    def area(self) -> float:
+        """Area of all triangles, m^2."""
+        return float(self.areas.sum())
+
+
+class KeptMesh:
+    """Triangles of one or several meshes, and the arrays and search structures made from them.
+
+    Each of these is computed when it is first asked for.
+
+    Parameters
+    ----------
+    meshes : tuple of trimesh.Trimesh
+        Meshes to join in this order, world frame, m. Their vertices and faces are copied.
+    """
+
+    def __init__(self, *meshes: trimesh.Trimesh) -> None:
+        # copied first and built from the copies, which then belong together whatever others write
+        self.parts = [(_bits(mesh.vertices).copy(), _faces(mesh).copy()) for mesh in meshes]
+        self.triangles = sum(len(faces) for _, faces in self.parts)
+
+    def holds(self, *meshes: trimesh.Trimesh) -> bool:
+        """Return whether these meshes have bitwise the vertices and faces that were copied."""
+        return len(meshes) == len(self.parts) and all(
+            np.array_equal(vertices, _bits(mesh.vertices)) and np.array_equal(faces, _faces(mesh))
+            for (vertices, faces), mesh in zip(self.parts, meshes, strict=True)
+        )
+
+    @cached_property
+    def facets(self) -> Facets:
+        """Search structures of all triangles."""
+        return Facets(self._mesh)
+
+    @cached_property
+    def normals(self) -> Array:
+        """Unit normals of the triangles, (n, 3)."""
+        return np.array(self._mesh.face_normals, dtype=np.float64)
+
+    @cached_property
+    def reach(self) -> float:
+        """Largest absolute coordinate, m."""
+        return float(np.abs(self._mesh.bounds).max())
+
+    @cached_property
+    def chart(self) -> Chart:
+        """Triangles in the order in which points are drawn on them."""
+        corners = np.asarray(self._mesh.triangles, dtype=np.float64)
+        middles = corners.mean(axis=1)
+        order, firsts = _halved(middles)
+        corners = corners[order]
+        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        across = 0.5 * np.cross(first, second)
+        sizes = np.sqrt((across * across).sum(axis=1))
+        patches = np.empty(len(order), dtype=np.int32)
+        patches[order] = np.repeat(np.arange(len(firsts) - 1, dtype=np.int32), np.diff(firsts))
+
+        def summed(values: Array) -> Array:
+            return np.asarray(np.add.reduceat(values, firsts[:-1], axis=0))
+
+        areas = summed(sizes)
+        centres = summed(sizes[:, None] * middles[order])
+        centres /= np.where(areas > 0.0, areas, 1.0)[:, None]
+        return Chart(
+            triangles=np.concatenate([corners[:, 0], first, second], axis=1),
+            shares=cumulative(sizes),
+            firsts=firsts,
+            splits=chart_splits(areas),
+            patches=patches,
+            centres=centres,
+            normals=summed(across),
+            areas=areas,
+        )
+
+    @cached_property
+    def ball(self) -> Array:
+        """Centre (x, y, z) and radius of a sphere that holds all triangles, (4,), m."""
+        return ball_around(np.asarray(self._mesh.triangles, dtype=np.float64).reshape(-1, 3))
+
+    @property
+    def _mesh(self) -> trimesh.Trimesh:
+        import trimesh
+
+        starts = np.cumsum([0, *(len(vertices) for vertices, _ in self.parts)])
+        vertices = np.concatenate([vertices.view(np.float64) for vertices, _ in self.parts])
+        faces = [faces + start for (_, faces), start in zip(self.parts, starts, strict=False)]
+        return trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
+
+
+_kept: list[KeptMesh] = []  # the latest used last
+_lock = threading.Lock()
+
+
+def kept_mesh(*meshes: trimesh.Trimesh) -> KeptMesh:
+    """Return the prepared triangles of the meshes together, kept ones if there are any.
+
+    At most `MOST_TRIANGLES` triangles are kept beside the latest mesh; those not used for longest
+    go first.
+
+    Parameters
+    ----------
+    meshes : tuple of trimesh.Trimesh
+        Meshes to join in this order, world frame, m.
+    """
+    found = next((kept for kept in reversed(_kept.copy()) if kept.holds(*meshes)), None)
+    if found is None:
+        found = KeptMesh(*meshes)
+    with _lock:
+        if found in _kept:
+            _kept.remove(found)
+        _kept.append(found)
+        while len(_kept) > 1 and (
+            len(_kept) > MOST_MESHES or sum(k.triangles for k in _kept[:-1]) > MOST_TRIANGLES
+        ):
+            del _kept[0]
+    return found
+
+
+def ball_around(points: Array) -> Array:
+    """Return centre (x, y, z) and radius of a sphere that holds the points (n, 3), (4,), m."""
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    radius = float(np.sqrt(((points - centre) ** 2).sum(axis=1).max()))
+    return np.array([*centre, radius])
+
+
+def chart_splits(weights: Array) -> Array:
+    """Return `Chart.splits` at which patches are drawn in proportion to the weights (p,)."""
+    splits = np.full(len(weights), 0.5)
+    while len(weights) > 1:
+        pairs = weights.reshape(-1, 2)
+        weights = pairs.sum(axis=1)
+        half = splits[len(weights) : 2 * len(weights)]
+        np.divide(pairs[:, 0], weights, out=half, where=weights > 0.0)
+    return splits
+
+
+def cumulative(values: Array) -> Array:
+    """Return cumulative shares along the last axis, from 0 to 1; uniform if all values are 0."""
+    total = values.sum(axis=-1, keepdims=True)
+    shares = np.where(total > 0.0, values, 1.0)
+    sums = np.cumsum(shares, axis=-1) / shares.sum(axis=-1, keepdims=True)
+    sums = np.minimum(np.insert(sums, 0, 0.0, axis=-1), 1.0)
+    sums[..., -1] = 1.0  # exact, so that no random number falls beyond the last share
+    return np.asarray(sums)
+
+
+def _halved(points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return an order of points (n, 3) and the starts of its patches, made by repeated halving.
+
+    Each part is halved along its longest side.
+    """
+    order, firsts = np.arange(len(points)), [0, len(points)]
+    for _ in range(min(MOST_HALVINGS, int(math.log2(len(points))))):
+        finer = [0]
+        for a, b in itertools.pairwise(firsts):
+            part = points[order[a:b]]
+            across, middle = part[:, int(np.ptp(part, axis=0).argmax())], (b - a) // 2
+            order[a:b] = order[a:b][np.argpartition(across, middle)]
+            finer += [a + middle, b]
+        firsts = finer
+    return order, np.array(firsts, dtype=np.int64)
+
+
+def _bits(vertices: Any) -> NDArray[np.uint64]:
+    """Return the bits of coordinates, which also compare NaN and the sign of zero."""
+    return np.asarray(np.ascontiguousarray(vertices, dtype=np.float64)).view(np.uint64)
+
+
+def _faces(mesh: trimesh.Trimesh) -> NDArray[np.int64]:
+    """Return the faces of a mesh as a plain array."""
+    return np.asarray(mesh.faces, dtype=np.int64)
