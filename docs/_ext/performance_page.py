@@ -100,7 +100,6 @@ def errors_against_seconds(
     axes.grid(alpha=0.3)
 
 
-TRACE_GOALS = (0.01, 0.001)
 PROGRAMS = ("nlosoptics", "prysm", "HCIPy", "POPPY", "Optiland")
 
 
@@ -758,29 +757,45 @@ def draw_series(series: dict[str, list[tuple[float, float]]], label: str) -> Any
     return drawn
 
 
-def traces(found: Sequence[Row]) -> str:
-    """Return what each program and setting takes to two errors."""
-    head = ["program", *(f"time to {100 * goal:g} %" for goal in TRACE_GOALS)]
-    body = []
-    three = [row for row in found if row.get("reflections", 3) == 3]
-    for (name,), part in grouped(three, "name").items():
-        cells = []
-        for goal in TRACE_GOALS:
-            times = [row.get("seconds_to", {}).get(str(goal)) for row in part]
-            times += [row["seconds"] for row in part if row.get("relative_error", 1.0) <= goal]
-            known = [time for time in times if time is not None]
-            cells.append(seconds(min(known)) if known else "not reached")
-        body.append([name, *cells])
-    return table(head, body)
+def traces(found: Row) -> str:
+    """Return what each program takes to each error, scene by scene, and what the ratios are."""
+    scenes = found["scenes"]
+    goals = [f"{100 * goal:g} %" for goal in scenes[0]["goals"]]
+    head = ["scene", "program", *(f"time to {goal}" for goal in goals)]
+    body = [
+        [scene["scene"], name, *map(seconds, times)]
+        for scene in scenes
+        for name, times in scene["seconds_to"].items()
+    ]
+    spans = []
+    for goal, ratios in zip(
+        goals, zip(*(scene["ratios"] for scene in scenes), strict=True), strict=True
+    ):
+        least, most = number(min(ratios)), number(max(ratios))
+        spans.append(f"{least} to {most} times the time to {goal}")
+    apart = max(abs(a) for scene in scenes for a in scene["standard_errors_apart"].values())
+    return (
+        f"{table(head, body)}\nMitsuba in its better way takes {' and '.join(spans)}. The mean "
+        f"fluxes of the two programs differ by at most {number(apart, 2)} standard errors.\n"
+    )
 
 
-def draw_traces(found: Sequence[Row]) -> Any:
-    """Draw a line for each program and setting that was measured."""
-    series: dict[str, list[tuple[float, float]]] = defaultdict(list)
-    for row in found:
-        if row.get("reflections") == 3 and "seconds" in row:
-            series[row["name"]].append((row["seconds"], row["relative_error"]))
-    return draw_series(dict(series), "relative standard deviation of the flux")
+def draw_traces(found: Row) -> Any:
+    """Draw a line for each program, a panel a scene."""
+    drawn = figure(8.5, 7.0)
+    panels = drawn.subplots(2, 2, sharex=True, sharey=True)
+    for axes, ((scene,), part) in zip(
+        panels.flat, grouped(found["rows"], "scene").items(), strict=True
+    ):
+        series = {
+            name: [(row["seconds"], row["relative_error"]) for row in rows_of]
+            for (name,), rows_of in grouped(part, "name").items()
+        }
+        errors_against_seconds(axes, series, "relative standard deviation")
+        axes.set(title=scene, xlabel="processor time (s)")
+        axes.label_outer()
+    drawn.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return drawn
 
 
 def draw_tolerances(found: Sequence[Row]) -> Any:
@@ -890,16 +905,18 @@ SECTIONS = (
     ),
     Section(
         "traces.json",
-        "Ray tracing compared with Mitsuba 3 and Optiland",
-        "Time to compute the light that reaches the lens from a letter by way of a matt wall. The "
-        "error is the relative standard deviation of the detected flux; it falls with the number "
-        "of rays. All programs ran with two threads, except Optiland, which uses one core; its "
-        "time is extrapolated from its number of rays per second. Values have two digits, because "
-        "they were read off a figure.",
+        "Ray tracing compared with Mitsuba 3",
+        "Processor time to compute the light that reaches the lens from a hidden object by way of "
+        "a wall, with three reflections. The error is the standard deviation of the detected flux "
+        "over independent runs, relative to its mean; it falls with the number of rays. Both "
+        "programs ran on one thread, in turns. Mitsuba has two ways: paths from the camera that "
+        "are connected to the lit spot, and light from a projector that is aimed at the object. "
+        "Times follow from a power law fitted to the runs; those beyond the longest run are "
+        "extrapolated.",
         f"{RUN}/traces.py --peers-python PEER/bin/python --json benchmarks/results/traces.json",
         traces,
         draw_traces,
-        "Seconds against error of traced flux: nlosoptics has the least error at any time",
+        "Processor time against error of traced flux by nlosoptics and Mitsuba, in four scenes",
     ),
     Section(
         "tolerances.json",
