@@ -1,6 +1,7 @@
 """Traces of four scenes: processor time against error, beside Mitsuba 3 and Optiland.
 
 python benchmarks/traces.py [--peers-python PATH] [--seeds 32] [--json FILE]
+python benchmarks/traces.py --optiland       Optiland's time for the letter, extrapolated
 python benchmarks/traces.py --growth         seconds, error and memory against the rays
 python benchmarks/wu_scene.py                the letter's flux by quadrature
 
@@ -8,10 +9,10 @@ The flux is that of light which went from the laser's spot over the object and t
 detector, with three reflections. Its error is the standard deviation over independent seeds,
 relative to the flux. Both programs run on one thread, in turns seed by seed, and their time is the
 median processor time of a run, without compiling, and for the peers without loading the scene. The
-mean fluxes of both must agree within three standard errors, or nothing is written. Peers run in an
-environment of their own, see requirements-peers.txt; how their scenes are built, and why that is
-their best, is said in peers/mitsuba_scene.py and peers/optiland_scene.py. trimesh's and embreex's
-rays are held against ours in intersections.py.
+mean fluxes of both must agree within three standard errors over many more runs, or nothing is
+written. Peers run in an environment of their own, see requirements-peers.txt; how their scenes are
+built, and why that is their best, is said in peers/mitsuba_scene.py and peers/optiland_scene.py.
+trimesh's and embreex's rays are held against ours in intersections.py.
 """
 
 from __future__ import annotations
@@ -38,6 +39,10 @@ MOST_APART = 3.0  # standard errors between the fluxes of two programs
 RAYS = tuple(2**k for k in range(7, 17))
 SAMPLES = (4, 16, 64, 256)  # a pixel of Mitsuba's film
 OURS = "nlosoptics"
+CHECKS, FIRST_CHECK = (
+    60,
+    1000,
+)  # runs of Mitsuba that its fluxes are checked by, and their first seed
 WIDE = 0.8  # m, a lens into which Optiland's rays find their way often enough to check the flux
 FLUX = wu_scene.flux()
 
@@ -153,38 +158,41 @@ def seconds_to(goal, rows):
     return float(np.interp(needed, n, seconds) * max(1.0, needed / n[-1]))
 
 
-def mean_flux(rows):
-    """Mean of all runs of a program and its standard error, weighted by the rays."""
-    n, flux, error = (
-        np.array([row[key] for row in rows]) for key in ("n_rays", "flux", "flux_error")
-    )
-    weights = n / n.sum()
-    return float(weights @ flux), float(math.sqrt(((weights * error) ** 2).sum()))
+def check_fluxes(ways, mitsuba):
+    """Mean flux of many more of Mitsuba's runs by name, with its standard error."""
+    found = {}
+    for name, way in ways.items():
+        flux = [
+            mitsuba.answer(way=way, samples=SAMPLES[-1], seed=FIRST_CHECK + k)["flux"]
+            for k in range(CHECKS)
+        ]
+        found[name] = float(np.mean(flux)), float(np.std(flux, ddof=1) / math.sqrt(CHECKS))
+    return found
 
 
-def summary(name, rows):
-    """Seconds to each goal of both programs, their ratio, and how far the fluxes are apart."""
-    curves = {key: list(part) for key, part in series(rows)}
+def summary(name, rows, checks):
+    """Seconds to each goal of both programs, their ratio, and how far the fluxes are apart.
+
+    ``checks`` are those of `check_fluxes`; our flux is that of the runs with the most rays.
+    """
+    curves = dict(series(rows))
     times = {key: [seconds_to(goal, part) for goal in GOALS] for key, part in curves.items()}
-    ours = mean_flux(curves.pop(OURS))
-    peers = {key: mean_flux(part) for key, part in curves.items()}
-    apart = {
-        key: (flux - ours[0]) / math.hypot(error, ours[1]) for key, (flux, error) in peers.items()
-    }
+    ours = max(curves[OURS], key=lambda row: row["n_rays"])
+    least = [
+        min((t[k] for key, t in times.items() if key != OURS), default=math.nan) for k in (0, 1)
+    ]
     return {
         "scene": name,
         "goals": GOALS,
         "seconds_to": times,
-        "ratios": [
-            min(t[k] for key, t in times.items() if key != OURS) / times[OURS][k]
-            for k in range(len(GOALS))
-        ]
-        if curves
-        else None,
-        "flux": ours[0],
-        "flux_error": ours[1],
-        "peer_flux": {key: flux for key, (flux, _) in peers.items()},
-        "standard_errors_apart": apart,
+        "ratios": [peer / our for peer, our in zip(least, times[OURS], strict=True)],
+        "flux": ours["flux"],
+        "flux_error": ours["flux_error"],
+        "peer_flux": {key: flux for key, (flux, _) in checks.items()},
+        "standard_errors_apart": {
+            key: (flux - ours["flux"]) / math.hypot(error, ours["flux_error"])
+            for key, (flux, error) in checks.items()
+        },
     }
 
 
@@ -233,7 +241,8 @@ def compare(options):
                 f"{row['name']:30s} {row['n_rays']:8d} {1e3 * row['seconds']:9.2f} "
                 f"{row['relative_error']:9.1e}"
             )
-        found = summary(name, part)
+        ways = {row["name"]: row["name"].split(", ", 1)[1] for row in part if row["name"] != OURS}
+        found = summary(name, part, check_fluxes(ways, mitsuba))
         for key, times in found["seconds_to"].items():
             print(
                 f"{key:30s} "
@@ -244,7 +253,7 @@ def compare(options):
         print(f"flux {found['flux']:.6e} +- {found['flux_error']:.1e} W")
         for key, apart in found["standard_errors_apart"].items():
             print(f"{key}: {found['peer_flux'][key]:.6e} W, {apart:+.1f} standard errors off")
-        if found["ratios"]:
+        if mitsuba is not None:
             print("Mitsuba's least time over ours:", ", ".join(f"{r:.3g}" for r in found["ratios"]))
         rows += part
         summaries.append(found)

@@ -1,46 +1,74 @@
 """Ray tracing: other programs, and how often standard errors hold."""
 
-from collections.abc import Callable
+from collections import defaultdict
+from typing import Any
 
-from tables import seconds
+from tables import figure, number, table
 
-from .cells import Row, by
-from .figures import curves
+from .cells import WORDS, Row, by
+from .figures import Series, errors_against_seconds, legend
 from .page import Section
 
 
-def time_to(goal: float) -> Callable[[Row], str]:
-    """Return a cell: the least time to an error, of all runs of a program and setting."""
+def against_mitsuba(found: Row) -> str:
+    """Return a table: what each program takes to each error, scene by scene."""
+    goals = (f"time to {100 * goal:g} %" for goal in found["scenes"][0]["goals"])
+    body = (
+        [scene["scene"], name, *map(WORDS["time"], times)]
+        for scene in found["scenes"]
+        for name, times in scene["seconds_to"].items()
+    )
+    return table(["scene", "program", *goals], body)
 
-    def cell(program: Row) -> str:
-        times = [row.get("seconds_to", {}).get(str(goal)) for row in program["rows"]]
-        times += [r["seconds"] for r in program["rows"] if r.get("relative_error", 1.0) <= goal]
-        known = [time for time in times if time is not None]
-        return seconds(min(known)) if known else "not reached"
 
-    return cell
+def ratios(found: Row) -> str:
+    """Return a paragraph: ratios of the times, and how far apart the fluxes are."""
+    scenes = found["scenes"]
+    spans = []
+    for i, goal in enumerate(scenes[0]["goals"]):
+        there = [scene["ratios"][i] for scene in scenes]
+        spans.append(
+            f"{number(min(there))} to {number(max(there))} times the time to {100 * goal:g} %"
+        )
+    apart = max(abs(a) for scene in scenes for a in scene["standard_errors_apart"].values())
+    return (
+        f"Mitsuba in its better way takes {' and '.join(spans)}. The mean fluxes of the two "
+        f"programs differ by at most {number(apart, 2)} standard errors."
+    )
+
+
+def panels(found: Row) -> Any:
+    """Draw a panel for each scene, with a line for each program."""
+    drawn = figure(8.5, 7.0)
+    axes = drawn.subplots(2, 2, sharex=True, sharey=True)
+    for axis, scene in zip(axes.flat, by("scene")(found["rows"]), strict=True):
+        series: Series = defaultdict(list)
+        for row in scene["rows"]:
+            series[row["name"]].append((row["seconds"], row["relative_error"]))
+        errors_against_seconds(axis, series, "relative standard deviation")
+        axis.set(title=scene["scene"], xlabel="processor time (s)")
+        axis.label_outer()
+    legend(drawn, 3)
+    return drawn
 
 
 SECTIONS = (
     Section(
         "traces.json",
-        "Ray tracing compared with Mitsuba 3 and Optiland",
-        "Time to compute the light that reaches the lens from a letter by way of a matt wall. The "
-        "error is the relative standard deviation of the detected flux; it falls with the number "
-        "of rays. All programs ran with two threads, except Optiland, which uses one core; its "
-        "time is extrapolated from its number of rays per second. Values have two digits, because "
-        "they were read off a figure.",
+        "Ray tracing compared with Mitsuba 3",
+        "Processor time to compute the light that reaches the lens from a hidden object by way of "
+        "a wall, with three reflections. The error is the standard deviation of the detected flux "
+        "over independent runs, relative to its mean; it falls with the number of rays. Both "
+        "programs ran on one thread, in turns. Mitsuba has two ways: paths from the camera that "
+        "are connected to the lit spot, and light from a projector that is aimed at the object. "
+        "Times follow from a power law fitted to the runs; those beyond the longest run are "
+        "extrapolated.",
         "python benchmarks/traces.py --peers-python PEER/bin/python --json {file}",
-        table={"program": "{name}", "time to 1 %": time_to(0.01), "time to 0.1 %": time_to(0.001)},
-        rows=by("name", keep=lambda row: row.get("reflections", 3) == 3),
-        figure=curves(
-            "{name}",
-            lambda row: row["relative_error"],
-            "relative standard deviation of the flux",
-            keep=lambda row: row.get("reflections") == 3 and "seconds" in row,
-        ),
-        alternative="Seconds against error of traced flux: nlosoptics has the least error at any "
-        "time",
+        table=against_mitsuba,
+        note=ratios,
+        figure=panels,
+        alternative="Processor time against error of traced flux by nlosoptics and Mitsuba, in "
+        "four scenes",
     ),
     Section(
         "trace_coverage.jsonl",
