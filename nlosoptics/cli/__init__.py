@@ -6,13 +6,15 @@ adds the traceback. A failed run leaves no partial output folder. SIGTERM acts l
 
 from __future__ import annotations
 
+import _thread
 import atexit
 import gc
 import signal
 import sys
-from collections.abc import Sequence
-from contextlib import suppress
-from typing import Annotated
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import Annotated, Any
 
 import typer
 
@@ -31,6 +33,7 @@ from .shell import DONE, app, tell
 
 __all__ = ["main"]
 
+SOON = 0.01  # s until a lost interrupt is raised again
 INTERRUPTED = 130  # what typer returns for Ctrl-C outside of `errors_told`
 
 
@@ -60,7 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         words = tuple(sys.argv[1:] if arguments is None else arguments)
-        code = app(args=words, prog_name="nlosoptics", standalone_mode=False, obj=words)
+        with _interrupts_kept():
+            code = app(args=words, prog_name="nlosoptics", standalone_mode=False, obj=words)
         if code == INTERRUPTED:  # while the words were read
             code = tell(KeyboardInterrupt())
     except (Exception, KeyboardInterrupt) as error:
@@ -69,6 +73,30 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if before is not None:
             signal.signal(signal.SIGTERM, before)
     sys.exit(code or DONE)
+
+
+@contextmanager
+def _interrupts_kept() -> Iterator[None]:
+    """Raise an interrupt again that Python would print and forget.
+
+    It does so where no exception can be raised, as in the callback of a weak reference.
+    """
+    before, timers = sys.unraisablehook, []
+
+    def again(lost: Any) -> None:
+        if not isinstance(lost.exc_value, KeyboardInterrupt):
+            before(lost)
+            return
+        timers.append(threading.Timer(SOON, _thread.interrupt_main))
+        timers[-1].start()
+
+    sys.unraisablehook = again
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+        for timer in timers:
+            timer.cancel()
 
 
 def _print_version(wanted: bool) -> None:

@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -359,6 +361,19 @@ def terminate(*_: object, **__: object) -> None:
     signal.raise_signal(signal.SIGTERM)
 
 
+def terminate_in_a_callback(*_: object, **__: object) -> None:
+    """End the process while Python cannot raise the exception."""
+
+    class Thing:
+        pass
+
+    thing = Thing()
+    watched = weakref.ref(thing, terminate)
+    del thing
+    assert watched() is None
+    time.sleep(5.0)
+
+
 @pytest.mark.usefixtures("interruptible")
 def test_broken_run_leaves_the_old_folder(
     scene_file: Path, run: Run, monkeypatch: pytest.MonkeyPatch
@@ -376,6 +391,7 @@ def test_broken_run_leaves_the_old_folder(
             (disk_full, "disk full"),
             (interrupt, "interrupted; no partial result was written"),
             (terminate, "interrupted; no partial result was written"),
+            (terminate_in_a_callback, "interrupted; no partial result was written"),
         ):
             with monkeypatch.context() as broken:
                 broken.setattr(where, step, break_it)
