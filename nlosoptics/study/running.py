@@ -102,7 +102,8 @@ def run_study(
     >>> results.dataset["aberration_rms"].values.round(3)
     array([0.429, 1.367])
     """
-    path = Path(os.path.realpath(path_of("path", path)))  # zarr replaces no folder behind a link
+    given = path_of("path", path)
+    path = Path(os.path.realpath(given))  # zarr replaces no folder behind a link
     tell, stop = progress or (lambda text, share: None), interrupted or (lambda: False)
     count = os.cpu_count() or 1 if workers is None else whole("workers", workers, 0)
     sweep(unpacked_at())  # also by a run that unpacks nothing
@@ -126,7 +127,7 @@ def run_study(
                 _fill(store, engine, blocks, tell, stop)
             finally:
                 engine.close()
-    return Results.load(path)
+    return Results.load(given)
 
 
 def _engine(study: Study, workers: int, scheduler: str | None) -> Engine:
