@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -138,9 +139,7 @@ class PointSpreadField(Noun):
 
     def mean(self) -> Array:
         """Return the point spread function averaged over the object, (py, px), energy per pixel."""
-        steps = (2 * np.arange(AVERAGED) + 1) / AVERAGED - 1
-        weights = self.at(steps[None, :], steps[:, None]).mean(axis=(1, 2))
-        return np.asarray(np.tensordot(weights, self.modes, 1))
+        return np.asarray(np.tensordot(self._even_weights.mean(axis=(1, 2)), self.modes, 1))
 
     def deviation(self) -> float:
         """Return how far the point spreads differ from their mean: rms difference over rms mean.
@@ -150,7 +149,7 @@ class PointSpreadField(Noun):
         float
             Root mean square over object and pixels; 0 if the point spread is the same everywhere.
         """
-        weights, products = self._weights_and_products()
+        weights, products = self._even_weights.reshape(len(self.modes), -1), self._products
         mean = weights.mean(axis=1)
         apart = weights - mean[:, None]
         squares = np.einsum("in,ij,jn->n", apart, products, apart)
@@ -177,8 +176,8 @@ class PointSpreadField(Noun):
             If the tolerance is out of range.
         """
         in_range("tol", tol, 0.0, 1.0)
-        weights, products = self._weights_and_products()
-        powers = products * (weights @ weights.T)
+        weights = self._even_weights.reshape(len(self.modes), -1)
+        powers = self._products * (weights @ weights.T)
         # Entry k is the power of modes k to the last; modes of given fields may overlap.
         rest = np.diagonal(powers[::-1, ::-1].cumsum(axis=0).cumsum(axis=1))[::-1]
         count = max(1, int(np.count_nonzero(rest > tol**2 * rest[0])))
@@ -199,11 +198,16 @@ class PointSpreadField(Noun):
     def _flat(self) -> Array:
         return self.modes.reshape(len(self.modes), -1)
 
-    def _weights_and_products(self) -> tuple[Array, Array]:
-        """Return weights at evenly spread object points, (K, n), and the modes' products (K, K)."""
+    @cached_property
+    def _even_weights(self) -> Array:
+        """Weights at evenly spread object points, (K, AVERAGED, AVERAGED)."""
         steps = (2 * np.arange(AVERAGED) + 1) / AVERAGED - 1
-        weights = self.at(steps[None, :], steps[:, None]).reshape(len(self.modes), -1)
-        return weights, np.einsum("ip,jp->ij", self._flat, self._flat)
+        return self.at(steps[None, :], steps[:, None])
+
+    @cached_property
+    def _products(self) -> Array:
+        """Sums over pixels of the products of two modes, (K, K)."""
+        return np.asarray(np.einsum("ip,jp->ij", self._flat, self._flat))
 
 
 def point_spread_field(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -128,32 +128,14 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
         return _plane(wall, *_rays(origins, directions))
     if isinstance(wall, CallableWall):
         return _callable(wall, *_rays(origins, directions))
-    from ...kernels.heights import tables_for
-    from ...kernels.relief import with_draws
     from . import _block_kernels
 
     o, d, shape = flat_rays(origins, directions)
-    terms, tables = wall.compiled()
     count = math.prod(shape)
     distance, status = np.empty(count), np.empty(count, dtype=np.int8)
     points, normals = np.empty((count, 3)), np.empty((count, 3))
-    curvature, box, slab, rim = search_bounds(wall, terms, tables)
-    terms, tables = with_draws(terms, tables, box, MARCH * count)
-    conic = len(terms) == 1 and terms[0, 0] in (SPHERE, CYLINDER)
-    bad = _block_kernels.intersect(  # None, where possible, compiles a shorter function
-        terms,
-        tables_for(terms, tables),
-        None if conic else curvature,
-        box,
-        slab,
-        rim,
-        o,
-        d,
-        distance,
-        points,
-        normals,
-        status,
-    )
+    compiled = compiled_wall(wall, MARCH * count)
+    bad = _block_kernels.intersect(*compiled, o, d, distance, points, normals, status)
     if bad:
         _rays(origins, directions)  # raises an error that names the first bad ray
     return Hits(
@@ -282,6 +264,24 @@ def _callable(wall: CallableWall, origins: Array, directions: Array) -> Hits:
         normals.reshape(*shape, 3),
         status.astype(np.int8).reshape(shape),
     )
+
+
+def compiled_wall(wall: Wall, uses: float) -> tuple[Any, ...]:
+    """Return a wall as its kernels take it: terms, tables and the limits of `search_bounds`.
+
+    ``uses`` is the expected number of evaluations, see `with_draws`. What the wall does not need is
+    None, for which numba compiles a shorter function: for a flat wall terms, tables and curvature.
+    """
+    if wall.is_flat:
+        return None, None, None, *search_bounds(wall, np.zeros((0, 8)), np.zeros(0))[1:]
+    from ...kernels.heights import tables_for
+    from ...kernels.relief import with_draws
+
+    terms, tables = wall.compiled()
+    curvature, box, slab, rim = search_bounds(wall, terms, tables)
+    terms, tables = with_draws(terms, tables, box, uses)
+    conic = len(terms) == 1 and terms[0, 0] in (SPHERE, CYLINDER)
+    return terms, tables_for(terms, tables), None if conic else curvature, box, slab, rim
 
 
 def search_bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Array, Array, Array, float]:

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import Vector
-from ...kernels.codes import BECKMANN, CYLINDER, SPHERE
-from ...scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene, Wall
-from ..intersection.intersections import HIT, UNRESOLVED, intersect, search_bounds
+from ...kernels.codes import BECKMANN
+from ...scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene
+from ..intersection.intersections import HIT, UNRESOLVED, compiled_wall, intersect
 from ..intersection.kept_meshes import (
     Chart,
     KeptMesh,
@@ -219,12 +219,11 @@ class Surroundings:
         self.world = _world(scene, self.plan, self.chains, analog, thing)
         self._wall = scene.wall
         self._walls: Any = None
+        self.chain_wall: Any = (None, None, np.full(2, math.inf), 0.0)
         if self.plan.wall_hits != "python":
-            self._walls = _compiled(scene.wall)
-        nowhere = (None, None, np.full(2, math.inf), 0.0)
-        if self._walls is not None:
+            self._walls = compiled_wall(scene.wall, math.inf)
             terms, tables, _, box, _, rim = self._walls
-        self.chain_wall: Any = nowhere if self._walls is None else (terms, tables, box, rim)
+            self.chain_wall = terms, tables, box, rim
         self._mesh = _triangles(scene, thing)
         if self._mesh is not None:
             self._gap = 1e-9 * max(self._mesh.reach, 1e-3)
@@ -384,23 +383,6 @@ class Surroundings:
         live = np.ones(len(length), dtype=bool)
         kernels.wall_hits(*self._walls, starts, lines, live, distance, kind, np.zeros_like(starts))
         return np.asarray(distance < length * (1.0 - 1e-9))
-
-
-def _compiled(wall: Wall) -> tuple[Any, ...]:
-    """Return a wall's terms, tables and search bounds for the kernels.
-
-    What the wall does not need is None, for which numba compiles nothing.
-    """
-    if wall.is_flat:
-        return None, None, None, *search_bounds(wall, np.zeros((0, 8)), np.zeros(0))[1:]
-    from ...kernels.heights import tables_for
-    from ...kernels.relief import with_draws
-
-    terms, tables = wall.compiled()
-    curvature, box, slab, rim = search_bounds(wall, terms, tables)
-    terms, tables = with_draws(terms, tables, box, math.inf)
-    conic = len(terms) == 1 and terms[0, 0] in (SPHERE, CYLINDER)
-    return terms, tables_for(terms, tables), None if conic else curvature, box, slab, rim
 
 
 def _triangles(scene: Scene, thing: PlanarObject | KeptMesh) -> KeptMesh | None:
