@@ -23,7 +23,7 @@ from .results import Result
 from .stages import FIELD, MEAN, MOST_NODES
 
 if TYPE_CHECKING:
-    from ..imaging import ForwardModel, SpeckleImage
+    from ..imaging import ForwardModel, Shadows, SpeckleImage
     from ..inverse import Reconstruction
     from ..psf import PointSpread, PointSpreadField, SceneOptics
 
@@ -188,7 +188,7 @@ def _stages(
     reconstruction = None
     if todo.runs("reconstruction"):
         begin("reconstruction")
-        reconstruction = _reconstruct(scene, image, spreads)
+        reconstruction = _reconstruct(scene, image, spreads, shadows)
     ends = [*list(begun.values())[1:], time.perf_counter()]
     if progress is not None:
         progress("done", 1.0)
@@ -292,12 +292,15 @@ def image_model(
 
 
 def _reconstruct(
-    scene: Scene, image: SpeckleImage, spreads: PointSpreadField | PointSpread
+    scene: Scene,
+    image: SpeckleImage,
+    spreads: PointSpreadField | PointSpread,
+    shadows: Shadows | None,
 ) -> Reconstruction:
     """Reconstruct the object; pose, point spreads and shape of the diffuse light are known."""
     from .. import inverse
 
-    veil = veil_shape(scene)
+    veil = veil_shape(scene, shadows)
     model = image_model(scene, spreads)
     dark = image.ledger["dark"] / image.electrons.size
     return inverse.tv_deconvolve(
@@ -309,10 +312,11 @@ def _reconstruct(
     )
 
 
-def veil_shape(scene: Scene) -> Array:
+def veil_shape(scene: Scene, shadows: Shadows | None = None) -> Array:
     """Return the wall's diffuse light in the image, (ny, nx), electrons, for a white object.
 
-    It replaces that of the unknown picture, from which its shape hardly differs.
+    It replaces that of the unknown picture, from which its shape hardly differs. ``shadows`` are
+    those of the scene, if known already.
     """
     from ..imaging import diffuse_background
 
@@ -323,4 +327,4 @@ def veil_shape(scene: Scene) -> Array:
         stand_in[1::4, 1::4] = 1.0
         if scene.occluders:  # shadows need the whole plate
             stand_in = np.ones((7, 7))
-    return diffuse_background(scene, stand_in)
+    return diffuse_background(scene, stand_in, shadows=shadows)
