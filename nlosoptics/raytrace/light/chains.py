@@ -72,7 +72,8 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
     # chains of one reflection matter if the laser's glint on the wall reaches the object
     facets = DEVIATIONS * max((x.slope_rms for x in scene.wall_material.mirror_lobes), default=0.0)
     spread = 2.0 * (math.atan(steepest) + facets)
-    wall = wall and (thing or _meets_object(scene, spread, mirrored=True))
+    room = bool(scene.room_materials)
+    wall = wall and (thing or room or _meets_object(scene, spread, mirrored=True))
     obstacle = _obstacle(scene, hills) if wall else ""
     if obstacle:
         path = "the object and then" if thing else "the wall, and after the object again"
@@ -88,6 +89,9 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
             text = "light that the object's mirror-like lobes reflect twice in a row: its mesh is "
             missing.append((3, f"{text}not convex"))
     wall = wall and not obstacle
+    if any(material.mirror_lobes for material in scene.room_materials):
+        text = "light that mirror-like lobes of occluders reflect to the lens or to another mirror"
+        missing.append((2, text))
     return Chains(
         surfaces=int(wall) + 2 * int(thing),
         both=wall and thing,

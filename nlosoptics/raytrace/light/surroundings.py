@@ -30,10 +30,11 @@ if TYPE_CHECKING:
 
 
 Array = NDArray[np.float64]
-Hits = tuple[Array, NDArray[np.int8], Array, Array, Array]
+Hits = tuple[Array, NDArray[np.int16], Array, Array, Array]
 # Shares of the rays leaving the wall that are aimed at the object: first for the laser spot and
 # points seen from the lens, second for other points. The second row is for walls that see
-# themselves, which need more of the other rays. Binary fractions split Sobol points exactly.
+# themselves, or occluders that reflect light, which need more of the other rays. Binary fractions
+# split Sobol points exactly.
 AIMED: Final = ((0.75, 0.75), (0.5, 0.25))
 #: Share of the rays aimed from the laser spot at a mesh that are spread evenly over its area, so
 #: that shadows, glossy lobes and inclined parts of a patch cost little where the others miss them.
@@ -60,8 +61,8 @@ class RayPlan:
         Whether the wall can block the line between two of its points, or between the wall and a
         point in the room.
     glossy : bool
-        Whether the material of wall or object has a glossy part (a microfacet or Ward lobe). Its
-        light is then sampled in three ways instead of one; see the notes of `trace`.
+        Whether a material of the scene has a glossy part (a microfacet or Ward lobe). Its light is
+        then sampled in three ways instead of one; see the notes of `trace`.
     chains : bool
         Whether the tracer solves the law of reflection for paths with several mirror-like
         reflections in a row (at wall and object). Random rays hardly find such paths.
@@ -169,7 +170,8 @@ def ray_plan(scene: Scene) -> RayPlan:
     closed = wall.is_flat or isinstance(wall, ConvexWall | ConcaveWall)
     beside = isinstance(wall, ConcaveWall) and not _within_hollow(wall, scene)
     how = "python" if isinstance(wall, CallableWall) else "closed form" if closed else "march"
-    lobes = np.concatenate([scene.wall_material.lobe_table(), scene.hidden.material.lobe_table()])
+    materials = (scene.wall_material, scene.hidden.material, *scene.room_materials)
+    lobes = np.concatenate([material.lobe_table() for material in materials])
     chains = mirror_chains(scene, wall_to_wall=not convex)
     return RayPlan(
         wall_hits=how,
@@ -183,13 +185,15 @@ def ray_plan(scene: Scene) -> RayPlan:
 
 
 def _within_hollow(wall: ConcaveWall, scene: Scene) -> bool:
-    """Return whether lens and object lie inside the convex room of a concave wall.
+    """Return whether all that sends light lies inside the convex room of a concave wall.
 
     The room is the interior of the sphere or cylinder, extended toward +z from its widest level.
     """
     hidden, camera = scene.hidden, scene.camera
     thing = hidden.corners if isinstance(hidden, PlanarObject) else hidden.surface.vertices
-    points = np.concatenate([[camera.position], np.asarray(thing, dtype=np.float64)])
+    things = [np.asarray(thing, dtype=np.float64)]
+    things += [mesh.vertices for mesh, material in scene.occluder_surfaces if not material.is_black]
+    points = np.concatenate([[camera.position], *things])
     margin = np.zeros(len(points))
     margin[0] = camera.stop_diameter / 2
     if wall.shape == "sphere":
@@ -253,8 +257,8 @@ class Surroundings:
         -------
         distance : ndarray, (n,)
             Distance to the hit, m; infinite without one.
-        kind : ndarray of int8, (n,)
-            Kind of surface, from ``NOTHING`` to ``LOST`` in `_surround_kernels`.
+        kind : ndarray of int16, (n,)
+            Kind of surface, from ``NOTHING`` to ``ROOM`` and beyond in `_surround_kernels`.
         normal : ndarray, (n, 3)
             Unit normal at the hit, world.
         scale : ndarray, (n,)
@@ -265,7 +269,7 @@ class Surroundings:
         from . import _surround_kernels as kernels
 
         n = len(origins)
-        distance, kind = np.full(n, math.inf), np.full(n, kernels.NOTHING, dtype=np.int8)
+        distance, kind = np.full(n, math.inf), np.full(n, kernels.NOTHING, dtype=np.int16)
         normal, scale, lit = np.zeros((n, 3)), np.ones(n), np.zeros(n)
         ends = (distance, kind, normal, scale, lit)
         # rays that leave a wall which cannot see itself need no wall test
@@ -302,7 +306,7 @@ class Surroundings:
         directions: Array,
         asking: NDArray[np.bool_],
         distance: Array,
-        kind: NDArray[np.int8],
+        kind: NDArray[np.int16],
         normal: Array,
     ) -> None:
         """Fill in the hits on a wall of Python functions for the rays ``asking``."""
@@ -379,7 +383,7 @@ class Surroundings:
             hits = intersect(self._wall, starts, lines)
             near = hits.hit & (np.nan_to_num(hits.distance) < length * (1.0 - 1e-9))
             return np.asarray(near | (hits.status == UNRESOLVED))
-        distance, kind = np.full(len(length), math.inf), np.full(len(length), -1, dtype=np.int8)
+        distance, kind = np.full(len(length), math.inf), np.full(len(length), -1, dtype=np.int16)
         live = np.ones(len(length), dtype=bool)
         kernels.wall_hits(*self._walls, starts, lines, live, distance, kind, np.zeros_like(starts))
         return np.asarray(distance < length * (1.0 - 1e-9))
@@ -387,10 +391,28 @@ class Surroundings:
 
 def _triangles(scene: Scene, thing: PlanarObject | KeptMesh) -> KeptMesh | None:
     """Return all triangles as one mesh, those of the hidden object first."""
-    black = scene.occluding_mesh
+    others = scene.occluding_mesh
     if isinstance(thing, PlanarObject) or isinstance(scene.hidden, PlanarObject):
-        return None if black is None else kept_mesh(black)
-    return thing if black is None else kept_mesh(scene.hidden.surface, black)
+        return None if others is None else kept_mesh(others)
+    return thing if others is None else kept_mesh(scene.hidden.surface, others)
+
+
+def _room(scene: Scene) -> tuple[Array, NDArray[np.int16]]:
+    """Return `World.room` and `World.kinds` of the occluders."""
+    from ._surround_kernels import OCCLUDER, ROOM
+
+    tables: list[Array] = []
+    kinds = [np.zeros(0, dtype=np.int16)]
+    for mesh, material in scene.occluder_surfaces:
+        kind = OCCLUDER
+        if not material.is_black:
+            kind = ROOM + len(tables)
+            tables.append(material.lobe_table())
+        kinds.append(np.full(len(mesh.faces), kind, dtype=np.int16))
+    room = np.zeros((len(tables), max((len(table) for table in tables), default=1), 4))
+    for lobes, table in zip(room, tables, strict=True):
+        lobes[: len(table)] = table
+    return room, np.concatenate(kinds)
 
 
 def lit_patches(scene: Scene, chart: Chart) -> Array:
@@ -446,6 +468,7 @@ def _world(
     picture, rows, columns = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
     plate = np.zeros(0)
     chart, lit = None, np.zeros(0)
+    room, kinds = _room(scene)
     if isinstance(thing, PlanarObject):
         picture = np.array(thing.reflectance)
         plate = np.concatenate([thing.position, thing.axes.ravel(), np.divide(thing.size, 2)])
@@ -458,6 +481,8 @@ def _world(
     return World(
         wall=scene.wall_material.lobe_table(),
         thing=scene.hidden.material.lobe_table(),
+        room=room,
+        kinds=kinds,
         plate=plate,
         picture=picture,
         rows=rows,
@@ -470,7 +495,9 @@ def _world(
         lit_splits=np.zeros(0) if chart is None else chart_splits(lit * chart.areas),
         lit=lit,
         norm=1.0 / total if total > 0.0 else 0.0,
-        aimed=np.array(AIMED[plan.wall_to_wall] if total > 0.0 and not analog else (0.0, 0.0)),
+        aimed=np.array(
+            AIMED[plan.wall_to_wall or len(room) > 0] if total > 0.0 and not analog else (0.0, 0.0)
+        ),
         glossy=plan.glossy,
         chains=0 if analog else chains.surfaces,
         ball=ball,

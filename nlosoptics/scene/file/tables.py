@@ -482,7 +482,7 @@ def _hidden_tag(table: Any) -> str:
 
 
 class OccluderTable(Table):
-    """Black triangle mesh that blocks light."""
+    """Triangle mesh that blocks light. It is black unless a material is given."""
 
     mesh: str
     scale: float | None = None
@@ -490,6 +490,7 @@ class OccluderTable(Table):
     yaw: AngleText | None = None
     pitch: AngleText | None = None
     roll: AngleText | None = None
+    material: MaterialTable | None = None
 
 
 HiddenTable = Annotated[
