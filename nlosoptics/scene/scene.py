@@ -308,7 +308,7 @@ class Scene(Noun, Shown):
         SceneError
             If one of them lies behind the wall.
         """
-        if self.wall.is_flat:
+        if self.wall.is_flat or not self.wall.has_height:
             return  # each of them checks its own z > 0
         places: list[tuple[str, ArrayLike]] = [
             ("laser.position", self.laser.position),

@@ -36,7 +36,7 @@ class World(NamedTuple):
     room : ndarray, (m, k, 4)
         Lobes of the m materials of occluders that reflect light; rows without a lobe are 0.
     kinds : ndarray of int16, (f,)
-        Kinds of hit of the triangles of occluders.
+        Kinds of hit of the triangles of occluders and wall.
     plate : ndarray, (14,)
         Planar object: centre, right, up, normal, half width, half height; empty for a mesh.
     picture : ndarray, (ny, nx)
@@ -325,7 +325,8 @@ def mesh_hits(world, rows, found, away, normals, directions, distance, kind, nor
     """Replace the hits of the rays ``rows`` by nearer ones on triangles.
 
     ``found`` and ``away`` are the triangles (-1 for none) and their distances, m. The first ones
-    belong to the hidden object if it is a mesh, the others to occluders, whose sides are alike.
+    belong to the hidden object if it is a mesh, the others to occluders or wall, whose two sides
+    are alike.
     """
     thing_faces = world.patches.size
     for j in range(rows.size):

@@ -61,8 +61,17 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
         Whether light from the wall can meet the wall again.
     """
     wall, thing = bool(scene.wall_material.mirror_lobes), bool(scene.hidden.material.mirror_lobes)
-    steepest, hills = (0.0, 0.0) if scene.wall.is_flat else _slopes(scene)
     missing: list[tuple[int, str]] = []
+    steepest = hills = 0.0
+    if not scene.wall.has_height:
+        if wall:
+            text = (
+                "light that mirror-like lobes of the wall reflect to the lens or to another mirror"
+            )
+            missing.append((2, f"{text}: the wall consists of triangles"))
+        wall = False
+    elif not scene.wall.is_flat:
+        steepest, hills = _slopes(scene)
     if wall and wall_to_wall and _lens_elevation(scene) <= 3.0 * math.atan(steepest):
         text = (
             "light that the wall's mirror-like lobes reflect twice in a row: its slopes, up to "

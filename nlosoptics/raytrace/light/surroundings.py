@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..._checks import Vector
 from ...kernels.codes import BECKMANN
-from ...scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene
+from ...scene import CallableWall, ConcaveWall, ConvexWall, MeshWall, PlanarObject, Scene
 from ..intersection.intersections import HIT, UNRESOLVED, compiled_wall, intersect
 from ..intersection.kept_meshes import (
     Chart,
@@ -22,7 +22,7 @@ from ..intersection.kept_meshes import (
     cumulative,
     kept_mesh,
 )
-from ..intersection.meshes import blocked, first_triangles
+from ..intersection.meshes import blocked, first_triangles, intersect_mesh
 from .chains import Chains, mirror_chains
 
 if TYPE_CHECKING:
@@ -49,11 +49,11 @@ class RayPlan:
 
     Parameters
     ----------
-    wall_hits : {"closed form", "march", "python"}
-        How hits on the wall are found: in closed form, by steps along the ray in compiled code, or
-        by such steps in Python, for a `nlosoptics.scene.CallableWall`.
+    wall_hits : {"closed form", "march", "python", "triangles"}
+        How hits on the wall are found: in closed form; by steps along the ray in compiled code, or
+        in Python for a `nlosoptics.scene.CallableWall`; or as those on other triangles.
     embree : bool
-        Whether the scene has triangles that rays can meet: those of a hidden mesh or of occluders.
+        Whether the scene has triangles that rays can meet: those of wall, hidden mesh or occluders.
         The library Embree finds hits on large meshes, own code those on small ones.
     wall_to_wall : bool
         Whether light from one point of the wall can meet the wall again.
@@ -170,14 +170,16 @@ def ray_plan(scene: Scene) -> RayPlan:
     closed = wall.is_flat or isinstance(wall, ConvexWall | ConcaveWall)
     beside = isinstance(wall, ConcaveWall) and not _within_hollow(wall, scene)
     how = "python" if isinstance(wall, CallableWall) else "closed form" if closed else "march"
+    how = how if wall.has_height else "triangles"
     materials = (scene.wall_material, scene.hidden.material, *scene.room_materials)
     lobes = np.concatenate([material.lobe_table() for material in materials])
     chains = mirror_chains(scene, wall_to_wall=not convex)
     return RayPlan(
         wall_hits=how,
-        embree=bool(scene.occluders) or not isinstance(scene.hidden, PlanarObject),
+        embree=bool(scene.occluders)
+        or not (isinstance(scene.hidden, PlanarObject) and wall.has_height),
         wall_to_wall=not convex,
-        wall_shadows=beside or not closed,
+        wall_shadows=(beside or not closed) and wall.has_height,
         glossy=bool((lobes[:, 0] >= BECKMANN).any()),
         chains=chains.surfaces > 0,
         unreached=tuple(text for _, text in chains.unreached),
@@ -224,11 +226,11 @@ class Surroundings:
         self._wall = scene.wall
         self._walls: Any = None
         self.chain_wall: Any = (None, None, np.full(2, math.inf), 0.0)
-        if self.plan.wall_hits != "python":
+        if self.plan.wall_hits not in ("python", "triangles"):
             self._walls = compiled_wall(scene.wall, math.inf)
             terms, tables, _, box, _, rim = self._walls
             self.chain_wall = terms, tables, box, rim
-        self._mesh = _triangles(scene, thing)
+        self._mesh = _triangles(scene)
         if self._mesh is not None:
             self._gap = 1e-9 * max(self._mesh.reach, 1e-3)
 
@@ -280,7 +282,7 @@ class Surroundings:
                 counts["wall to wall"] += int(leaving.sum())
             else:
                 asking = live & ~leaving
-        asked = int(asking.sum())
+        asked = int(asking.sum()) if self._wall.has_height else 0
         counts["wall"] += asked
         if asked and self._walls is not None:
             kernels.wall_hits(*self._walls, origins, directions, asking, distance, kind, normal)
@@ -329,7 +331,7 @@ class Surroundings:
 
         if self._walls is not None:
             kernels.settle(*self._walls[:2], points, on_wall)
-        elif on_wall.any():
+        elif on_wall.any() and self._wall.has_height:
             points[on_wall, 2] = self._wall.derivatives(*points[on_wall, :2].T)[:, 0]
 
     def clear(
@@ -389,17 +391,19 @@ class Surroundings:
         return np.asarray(distance < length * (1.0 - 1e-9))
 
 
-def _triangles(scene: Scene, thing: PlanarObject | KeptMesh) -> KeptMesh | None:
-    """Return all triangles as one mesh, those of the hidden object first."""
-    others = scene.occluding_mesh
-    if isinstance(thing, PlanarObject) or isinstance(scene.hidden, PlanarObject):
-        return None if others is None else kept_mesh(others)
-    return thing if others is None else kept_mesh(scene.hidden.surface, others)
+def _triangles(scene: Scene) -> KeptMesh | None:
+    """Return all triangles as one mesh: of the hidden object, the occluders, and the wall."""
+    meshes = [] if isinstance(scene.hidden, PlanarObject) else [scene.hidden.surface]
+    if scene.occluding_mesh is not None:
+        meshes.append(scene.occluding_mesh)
+    if isinstance(scene.wall, MeshWall) and not scene.wall.smooth:
+        meshes.append(scene.wall.triangles)
+    return kept_mesh(*meshes) if meshes else None
 
 
 def _room(scene: Scene) -> tuple[Array, NDArray[np.int16]]:
-    """Return `World.room` and `World.kinds` of the occluders."""
-    from ._surround_kernels import OCCLUDER, ROOM
+    """Return `World.room` and `World.kinds` of the occluders and the wall's triangles."""
+    from ._surround_kernels import OCCLUDER, ROOM, WALL
 
     tables: list[Array] = []
     kinds = [np.zeros(0, dtype=np.int16)]
@@ -409,6 +413,8 @@ def _room(scene: Scene) -> tuple[Array, NDArray[np.int16]]:
             kind = ROOM + len(tables)
             tables.append(material.lobe_table())
         kinds.append(np.full(len(mesh.faces), kind, dtype=np.int16))
+    if isinstance(scene.wall, MeshWall) and not scene.wall.smooth:
+        kinds.append(np.full(len(scene.wall.triangles.faces), WALL, dtype=np.int16))
     room = np.zeros((len(tables), max((len(table) for table in tables), default=1), 4))
     for lobes, table in zip(room, tables, strict=True):
         lobes[: len(table)] = table
@@ -439,7 +445,12 @@ def lit_patches(scene: Scene, chart: Chart) -> Array:
 
 def _met(scene: Scene, start: Vector, toward: Vector) -> Array:
     """Return the point of the wall that a ray through two points meets, or else the second one."""
-    hits = intersect(scene.wall, start, np.subtract(toward, start))
+    beam = np.subtract(toward, start)
+    wall = scene.wall
+    if isinstance(wall, MeshWall) and not wall.smooth:
+        hits: Any = intersect_mesh(wall.triangles, start, beam)
+    else:
+        hits = intersect(wall, start, beam)
     return hits.points if hits.hit else np.array(toward, dtype=np.float64)
 
 

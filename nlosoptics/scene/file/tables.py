@@ -409,6 +409,7 @@ class MeshWallTable(Table):
     shape: Literal["mesh"]
     mesh: str
     scale: float | None = None
+    smooth: bool | None = None
     material: MaterialTable | None = None
     roughness: RoughnessTable | None = None
 

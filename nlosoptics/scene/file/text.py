@@ -183,6 +183,7 @@ def _wall_table(key: str, wall: Wall, named: Naming) -> Any:
             shape="mesh",
             mesh=_file(f"{key}.mesh", wall.mesh, named),
             scale=wall.scale,
+            smooth=None if wall.smooth else False,
         )
     if isinstance(wall, HeightMapWall) and wall.drawn is not None:
         return _file_tables.RandomTable.model_construct(shape="random", **wall.drawn)
