@@ -108,7 +108,7 @@ def cast_shadows(scene: Scene) -> Shadows:
     See Also
     --------
     form_image : Image in electrons, with noise.
-    nlosoptics.scene.Occluder : Black object that casts shadows.
+    nlosoptics.scene.Occluder : Surface that blocks light, black or of any material.
     nlosoptics.raytrace.occluded : Whether a mesh blocks lines of sight.
 
     Notes
