@@ -15,13 +15,14 @@ from ..data.arrays import (
     as_double,
     as_numpy,
     irfft2,
+    is_tensor,
     library,
     like,
     norm,
     rfft2,
     total,
 )
-from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
+from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
 from ..data.measurement import Measurement
 from ..data.models import AnyModel, mean_transfer, model_like
 from ..data.reconstruction import Reconstruction
@@ -223,7 +224,7 @@ class _Splitting(Solver[_Split]):
         rule: tuple[int, float],
         tv_weight: float | None,
     ) -> None:
-        self.data = data
+        self.data, self._model = data, model
         self.max_iterations, self._tolerance = rule
         self._scale = data.span()
         self._sigma = data.sigma / self._scale
@@ -349,10 +350,16 @@ class _Splitting(Solver[_Split]):
             converged=self.done(found.state),
             history={"objective": objective, "residual": residuals, "change": changes},
             most_residual=MOST_RESIDUAL if self._given is None else None,
-            sharp=self._given is None,
+            again=self._repeated if self._given is None else None,
         )
         background = self._level + found.state.background * self._scale
         return {"background": background, "tv_weight": tv_weight, "ending": ending}
+
+    def _repeated(self, data: Measurement) -> Values:
+        """Return the object (H, W), image units, of the same fit to another image."""
+        own = data.in_torch() if is_tensor(self.data.data) else data
+        again = _Splitting(own, self._model, (self.max_iterations, self._tolerance), None)
+        return again.level(run(again).state)
 
     def _factors(self, state: _Split) -> tuple[Values, Values, Values]:
         """Return the half spectra of R, of the preconditioner and of the data filter.
