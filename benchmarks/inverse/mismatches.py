@@ -29,7 +29,7 @@ from scipy import fft, ndimage, signal
 PIXELS = 64
 LOW, HIGH = 0.85, 0.93
 # Share of the answers above HIGH that may be doubted, and ridge of the regression.
-LOST, RIDGE = 0.07, 1.0
+LOST, RIDGE = 0.05, 1.0
 # Strength of each mismatch: least and largest, drawn evenly in the logarithm.
 OPTICS = {
     "vignetting": (0.2, 0.8),  # amplitude lost at the pupil's edge
