@@ -2,11 +2,13 @@
 
 Each sign alone is also seen in right fits, so that no limit of its own would separate them. Their
 weights are those of a logistic regression that tells answers of `tv_deconvolve` with a correlation
-below 0.85 from those above 0.93; the offset lets the sum exceed 0 in 10 % of the latter. These are
+below 0.85 from those above 0.93; the offset lets the sum exceed 0 in 5 % of the latter. These are
 mostly answers with a correlation of up to 0.96 whose model is wrong; of the fits with a right model
-3 % are among them. A smaller share would call more wrong answers right: 6 % of them at a share of
-5 %, 2 % at 10 %, 1 % at 15 %. The constants were fitted by ``benchmarks/inverse/mismatches.py
---fit``.
+2 % are among them. In a cross-validation, 3 % of the wrong answers were called right at this share,
+and 1 % at a share of 10 %. The constants were fitted by ``benchmarks/inverse/mismatches.py --fit``.
+
+The sign "unsteady" is a parametric bootstrap: the fitted object is imaged by the model with new
+noise and fitted again. Detail that noise made, or hides, differs between the two objects.
 """
 
 from __future__ import annotations
@@ -30,15 +32,16 @@ _EXCESS, _LEAST_REST = 1.1, 1e-3
 _HALO_PIXELS, _HALO_REACH = 64, 8
 # Brightness below which pixels are dim, relative to the brightest; quantile of the brightest.
 _DIM, _BRIGHTEST = 0.25, 0.997
-# Largest logarithm of the residual's ratio, and largest evidence about the pattern, that count.
-_MOST_UNEVEN, _MOST_UNLIKE = 3.0, 0.15
+_LEAST_LOSS = 1e-3  # correlation lost in a repetition that counts as none
+# Steps of the object, relative to its brightness, that do not count as soft, as -log.
+_LEAST_SOFT = 1.4
 _HALO_OFFSET = 1.02  # the rest besides a halo counts by its logarithm, above this minus 1
 _HALO_RIDGE = 0.01  # of the bright parts' power, for a stable fit
 
 
 @dataclass(frozen=True)
 class _Sign:
-    """Weight of a sign, its mean over right fits, and the value that 90 % of them do not exceed."""
+    """Weight of a sign, its mean over right fits, and the value that 95 % of them do not exceed."""
 
     weight: float
     mean: float
@@ -46,64 +49,58 @@ class _Sign:
     words: str
 
 
-_OFFSET = 12.877
+_OFFSET = -4.134
 # Sum for which half of the answers in the regression were wrong.
-_EVEN = 0.96
+_EVEN = 0.729
 SIGNS = {
     "grain": _Sign(
-        3.458,
-        -2.32,
-        -1.675,
+        1.280,
+        -2.334,
+        -1.546,
         "the object is grainy: {0:.2f} on a scale from 0 (few edges) to 0.79 (noise), usually "
         "below {1:.2f}",
     ),
+    "soft": _Sign(
+        7.613,
+        1.418,
+        1.549,
+        "the object has soft edges: its steps are {0:.2f} of its brightness, usually more than "
+        "{1:.2f}; the true point spread may be wider than the model's",
+    ),
     "border": _Sign(
-        4.442,
-        0.189,
-        0.466,
+        4.331,
+        0.170,
+        0.558,
         "the object is {0:.2f} times as bright at the frame's edge as on average, usually below "
         "{1:.2f}: there is a veil (give background_shape) or light from outside the frame",
     ),
-    "hidden": _Sign(
-        2.558,
-        -2.266,
-        -1.581,
-        "the noise hides much of the object: a linear estimate would miss {0:.2f} of its "
-        "correlation, usually below {1:.2f}",
-    ),
-    "unexplained": _Sign(
-        1.203,
-        -2.976,
-        -3.0,
-        "the fit does not explain {0:.2g} of the power of the image's detail, usually below "
-        "{1:.2g}: the point spread, the camera's response or the background differs",
-    ),
     "halo": _Sign(
-        4.385,
-        0.455,
-        0.743,
+        4.106,
+        0.456,
+        0.888,
         "{0:.2f} of the power of the dim parts is one halo around all bright parts, usually below "
         "{1:.2f}: the true point spread has light that the model lacks",
     ),
     "dim": _Sign(
-        0.823,
-        -3.824,
-        -2.641,
+        0.566,
+        -3.952,
+        -2.493,
         "dim parts hold {0:.2g} of the object's power, usually below {1:.2g}",
     ),
-    "uneven": _Sign(
-        1.374,
-        0.966,
-        1.908,
-        "in one part of the frame the residual has {0:.2g} times the power that it has in most "
-        "others, usually below {1:.2g}: pixels, the camera's response or the light differ there",
+    "unexplained": _Sign(
+        0.459,
+        -2.984,
+        -3.000,
+        "the fit does not explain {0:.2g} of the power of the image's detail, usually below "
+        "{1:.2g}: the point spread, the camera's response or the background differs",
     ),
-    "unlike": _Sign(
-        19.019,
-        -0.013,
-        0.057,
-        "the image's spectrum lacks the pattern of the transfer function: by {0:.2g} in "
-        "log-likelihood per frequency, usually below {1:.2g}; the point spread is another one",
+    "unsteady": _Sign(
+        1.397,
+        -4.805,
+        -3.168,
+        "a fit to the object's own image with other noise gives an object whose correlation with "
+        "this one is lower by {0:.2g}, usually below {1:.2g}: the noise hides detail (expose "
+        "longer), or the point spread is another one",
     ),
 }
 
@@ -121,14 +118,14 @@ def risk(values: Mapping[str, float]) -> float:
     return 1.0 / (1.0 + math.exp(min(_EVEN - doubt(values), 500.0)))
 
 
-def with_all_detail(values: Mapping[str, float]) -> dict[str, float]:
-    """Return the signs as if the noise hid no more of the object than is usual."""
-    return {**values, "hidden": min(values["hidden"], SIGNS["hidden"].mean)}
+def as_if_steady(values: Mapping[str, float]) -> dict[str, float]:
+    """Return the signs as if the object were no less steady than is usual."""
+    return {**values, "unsteady": min(values["unsteady"], SIGNS["unsteady"].mean)}
 
 
 def told(values: Mapping[str, float]) -> Iterator[str]:
     """Yield a sentence for each unusual sign, or for the strongest one, the heaviest first."""
-    weights = {name: sign.weight * (values[name] - sign.mean) for name, sign in SIGNS.items()}
+    weights = {name: SIGNS[name].weight * (v - SIGNS[name].mean) for name, v in values.items()}
     order = sorted(weights, key=lambda name: -weights[name])
     unusual = [name for name in order if weights[name] > 0.0 and values[name] > SIGNS[name].usual]
     for name in unusual or order[:1]:
@@ -136,61 +133,59 @@ def told(values: Mapping[str, float]) -> Iterator[str]:
         yield sign.words.format(*(_plain(name, v) for v in (values[name], sign.usual)))
 
 
-def signs(
-    level: Array,
-    *,
-    residual: float,
-    excess: float,
-    share: float,
-    uneven: float,
-    pattern: float,
-) -> dict[str, float]:
+def signs(level: Array, again: Array, *, residual: float, excess: float) -> dict[str, float]:
     """Return the signs of a fit, whose weighted sum is `doubt`.
 
     Parameters
     ----------
     level : ndarray, (H, W)
         Fitted object, any unit, non-negative and not all zero.
+    again : ndarray, (H, W)
+        Object of the same fit to an image of ``level`` with other noise.
     residual : float
         Rms residual over the noise.
     excess : float
         Power of the image's detail over that of the noise.
-    share : float
-        Expected correlation of the object and its linear estimate, 0 to 1.
-    uneven : float
-        Largest mean square of the residual over the median, of blocks of the frame.
-    pattern : float
-        Evidence for the pattern of the transfer function, from `spectra.pattern_evidence`.
 
     Returns
     -------
     dict of str to float
-        ``grain``: logarithm of (mean |grad|)^2 / mean |grad|^2. ``border``: brightness at the
-        frame's edge over the mean. ``hidden``: logarithm of 1 - share. ``unexplained``: decimal
-        logarithm of the residual's power above the noise over ``excess``. ``halo``: minus the
-        logarithm of the share of the dim parts' power that one halo around all bright parts does
-        not explain, plus 0.02. ``dim``: logarithm of the dim parts' share of the object's power.
-        ``uneven``: logarithm of the ratio. ``unlike``: minus the evidence, positive if the image
-        lacks the pattern.
+        ``grain``: logarithm of (mean |grad|)^2 / mean |grad|^2. ``soft``: minus the logarithm of
+        the mean |grad|, weighted by itself, over the brightness, at least 1.4. ``border``:
+        brightness at the frame's edge over the mean. ``halo``: minus the logarithm of the share of
+        the dim parts' power that one halo around all bright parts does not explain, plus 0.02.
+        ``dim``: logarithm of the dim parts' share of the object's power. ``unexplained``: decimal
+        logarithm of the residual's power above the noise over ``excess``. ``unsteady``: logarithm
+        of one minus the correlation of both objects.
     """
     steps = np.hypot(level - np.roll(level, 1, 0), level - np.roll(level, 1, 1))
     width = max(1, round(_BORDER * min(level.shape)))
     inside = level[width:-width, width:-width]
     edge = (level.sum() - inside.sum()) / (level.size - inside.size) / level.mean()
-    rest = max(residual**2 - _EXCESS, 0.0) / max(excess, _LEAST_REST)
     side = -(-max(level.shape) // _HALO_PIXELS)
     halo, dim = _halo(block_means(level, side))
+    total, square = (max(float(part.mean()), 1e-300) for part in (steps, steps**2))
+    rest = max(residual**2 - _EXCESS, 0.0) / max(excess, _LEAST_REST)
     return {
-        "grain": 2.0 * math.log(max(float(steps.mean()), 1e-300))
-        - math.log(max(float((steps**2).mean()), 1e-300)),
+        "grain": 2.0 * math.log(total) - math.log(square),
+        "soft": max(math.log(total / square * _brightness(level)), _LEAST_SOFT),
         "border": min(float(edge), _MOST_BORDER),
-        "hidden": math.log(max(1.0 - share, 1e-3)),
-        "unexplained": math.log10(max(rest, _LEAST_REST)),
         "halo": -math.log(_HALO_OFFSET - halo),
         "dim": math.log(dim + 1e-3),
-        "uneven": min(math.log(max(uneven, 1.0)), _MOST_UNEVEN),
-        "unlike": min(max(-pattern, -_MOST_UNLIKE), _MOST_UNLIKE),
+        "unexplained": math.log10(max(rest, _LEAST_REST)),
+        "unsteady": math.log(max(1.0 - _correlation(level, again), _LEAST_LOSS)),
     }
+
+
+def _brightness(object_: Array) -> float:
+    """Return the brightness that only the brightest 0.3 % of the pixels exceed."""
+    return float(np.quantile(object_, _BRIGHTEST)) or float(object_.max())
+
+
+def _correlation(one: Array, other: Array) -> float:
+    """Return the Pearson correlation of two objects, 0 if either is uniform."""
+    a, b = one - one.mean(), other - other.mean()
+    return float((a * b).sum()) / max(math.sqrt(float((a**2).sum() * (b**2).sum())), 1e-300)
 
 
 def _halo(object_: Array) -> tuple[float, float]:
@@ -201,8 +196,7 @@ def _halo(object_: Array) -> tuple[float, float]:
     """
     from scipy import linalg  # slow to load
 
-    brightest = float(np.quantile(object_, _BRIGHTEST)) or float(object_.max())
-    bright = np.where(object_ > _DIM * brightest, object_, 0.0)
+    bright = np.where(object_ > _DIM * _brightness(object_), object_, 0.0)
     dim = object_ - bright
     grid = [fft.next_fast_len(n + 2 * _HALO_REACH, real=True) for n in object_.shape]
     spectrum, rest = fft.rfft2(bright, grid), fft.rfft2(dim, grid)
@@ -239,4 +233,6 @@ def _plain(name: str, value: float) -> float:
         return float(10.0**value)
     if name == "halo":
         return _HALO_OFFSET - math.exp(-value)
-    return math.exp(value) if name in ("grain", "hidden", "dim", "uneven") else value
+    if name == "soft":
+        return math.exp(-value)
+    return value if name == "border" else math.exp(value)

@@ -20,9 +20,6 @@ Array = NDArray[np.float64]
 # Largest power of an object's image, relative to the noise, at a frequency that counts as beyond
 # the optics.
 _NOTHING_PASSED = 0.05
-# Exponents of an object's power over the squared frequency, between which a fit searches; first
-# value, number and largest step of its iterations.
-_SLOPES, _FIRST_SLOPE, _STEPS, _MOST_STEP = (0.5, 2.0), 1.2, 20, 1.0
 
 
 def frame_transfer(model: AnyModel) -> NDArray[np.complex128]:
@@ -125,77 +122,6 @@ def expected_signal(
     signal = passed * object_power(shape)
     excess = float((twice * (image_power - variance)).sum())
     return signal * (max(excess, 0.0) / max(float((twice * signal).sum()), 1e-300))
-
-
-def pattern_evidence(
-    image_power: Array, passed: Array, variance: float, shape: tuple[int, int]
-) -> float:
-    """Return the evidence for the directions and dark spots of a transfer function.
-
-    Parameters
-    ----------
-    image_power : ndarray, (H, W//2 + 1)
-        Power of the image, from `periodic_power`.
-    passed : ndarray, (H, W//2 + 1)
-        Squared modulus of the transfer function, from `passed_power`.
-    variance : float
-        Variance of the noise, image units squared.
-    shape : (int, int)
-        Rows H and columns W of the image.
-
-    Returns
-    -------
-    float
-        Difference of two log-likelihoods, per independent frequency: with ``passed``, minus with
-        its averages over rings of equal frequency. Negative if the image does not have the pattern.
-
-    Notes
-    -----
-    The object is taken to have the power ``a/(f^2 + f_0^2)^b`` with f_0 of half a cycle per frame.
-    Both values are the largest over a and b (Whittle's likelihood: the periodogram's values are
-    independent exponential variables).
-    """
-    y, x = _angles(*shape)
-    cycles = np.hypot(y, x) * (max(shape) / (2.0 * math.pi))
-    ring = np.floor(cycles + (0.5 + 1e-9)).astype(int)  # halves upward, whatever their rounding
-    count = np.maximum(np.bincount(ring.ravel()), 1)
-    even = (np.bincount(ring.ravel(), passed.ravel()) / count)[ring]
-    number = 0.5 * float(half_weights(shape).sum())
-    own, other = (_likelihood(image_power, p, variance, shape) for p in (passed, even))
-    return (own - other) / max(number, 1.0)
-
-
-def _likelihood(
-    image_power: Array, passed: Array, variance: float, shape: tuple[int, int]
-) -> float:
-    """Return the largest log-likelihood of an image of an object with a power law.
-
-    Fisher's method of scoring for the logarithm of its power and the exponent.
-    """
-    half = 0.5 * half_weights(shape)
-    y, x = _angles(*shape)
-    falls = -np.log((y**2 + x**2) / (2.0 * math.pi) ** 2 + (0.5 / max(shape)) ** 2)
-    weighted = half * np.exp(_FIRST_SLOPE * falls) * passed
-    excess = float((half * (image_power - variance)).sum())
-    least = 1e-6 * float((half * image_power).sum())
-    level = max(excess, least, 1e-300) / max(float(weighted.sum()), 1e-300)
-    found, best = np.array([math.log(level), _FIRST_SLOPE]), -math.inf
-    for _ in range(_STEPS):
-        signal = np.exp(np.minimum(found[0] + found[1] * falls, 600.0)) * passed
-        expected = signal + variance
-        now = -float((half * (np.log(expected) + image_power / expected)).sum())
-        best = max(best, now)
-        share = signal / expected
-        slope = half * share * (image_power / expected - 1.0)
-        gradient = np.array([slope.sum(), (slope * falls).sum()])
-        squares = half * share**2
-        mixed = float((squares * falls).sum())
-        matrix = np.array([[squares.sum(), mixed], [mixed, (squares * falls**2).sum()]])
-        matrix += 1e-9 * max(float(np.trace(matrix)), 1e-300) * np.eye(2)
-        step = np.linalg.solve(matrix, gradient)
-        found = found + step * min(1.0, _MOST_STEP / max(float(np.abs(step).max()), 1e-300))
-        found[1] = min(max(float(found[1]), _SLOPES[0]), _SLOPES[1])
-    return best
 
 
 def beyond_optics(signal: Array, variance: float) -> NDArray[np.bool_]:

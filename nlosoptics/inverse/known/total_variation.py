@@ -15,13 +15,14 @@ from ..data.arrays import (
     as_double,
     as_numpy,
     irfft2,
+    is_tensor,
     library,
     like,
     norm,
     rfft2,
     total,
 )
-from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
+from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
 from ..data.measurement import Measurement
 from ..data.models import AnyModel, mean_transfer, model_like
 from ..data.reconstruction import Reconstruction
@@ -133,6 +134,10 @@ def tv_deconvolve(
     The target is smaller by the number of pixels along the image's outline, and by less for faint
     images. For 128 x 128 pixels the rms residual is then 0.984 of the noise.
 
+    With the automatic weight, a second fit serves the status: the model's image of the fitted
+    object, with other noise, is fitted again. If the model is right, the correlation of both
+    objects is close to that of the first one with the truth. This takes about as long as the fit.
+
     The computation runs on one thread in single precision, or in double precision if the noise is
     below 1e-4 of the image's range. Only an image on a GPU is processed by torch. ``objective`` in
     the history is evaluated at the final weight, so it may rise while the weight is adjusted.
@@ -223,7 +228,7 @@ class _Splitting(Solver[_Split]):
         rule: tuple[int, float],
         tv_weight: float | None,
     ) -> None:
-        self.data = data
+        self.data, self._model = data, model
         self.max_iterations, self._tolerance = rule
         self._scale = data.span()
         self._sigma = data.sigma / self._scale
@@ -349,10 +354,16 @@ class _Splitting(Solver[_Split]):
             converged=self.done(found.state),
             history={"objective": objective, "residual": residuals, "change": changes},
             most_residual=MOST_RESIDUAL if self._given is None else None,
-            sharp=self._given is None,
+            again=self._repeated if self._given is None else None,
         )
         background = self._level + found.state.background * self._scale
         return {"background": background, "tv_weight": tv_weight, "ending": ending}
+
+    def _repeated(self, data: Measurement) -> Values:
+        """Return the object (H, W), image units, of the same fit to another image."""
+        own = data.in_torch() if is_tensor(self.data.data) else data
+        again = _Splitting(own, self._model, (self.max_iterations, self._tolerance), None)
+        return again.level(run(again).state)
 
     def _factors(self, state: _Split) -> tuple[Values, Values, Values]:
         """Return the half spectra of R, of the preconditioner and of the data filter.

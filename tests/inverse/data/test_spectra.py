@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import optimize
 
 from nlosoptics.errors import SamplingError
 from nlosoptics.imaging import ForwardModel
@@ -13,7 +12,6 @@ from nlosoptics.inverse.data.spectra import (
     frame_transfer,
     half_weights,
     passed_power,
-    pattern_evidence,
     periodic_power,
     power,
 )
@@ -42,41 +40,6 @@ def test_power_passed_by_a_field_is_the_mean_over_the_object(point_spread_field)
     ]
     # rounding of an eigendecomposition
     np.testing.assert_allclose(passed_power(model), np.mean(each, axis=0), atol=1e-12)
-
-
-def _least(image_power, passed, variance, shape):
-    """Return Whittle's log-likelihood, maximised by another method and written out again."""
-    y, x = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
-    law = y**2 + x**2 + (0.5 / max(shape)) ** 2
-    half = half_weights(shape) / 2
-
-    def loss(p):
-        expected = np.exp(p[0]) * law ** -p[1] * passed + variance
-        return float((half * (np.log(expected) + image_power / expected)).sum())
-
-    starts = [(a, b) for a in (-8.0, -4.0, 0.0) for b in (0.7, 1.5)]
-    bounds = [(-30.0, 10.0), (0.5, 2.0)]
-    found = [optimize.minimize(loss, s, bounds=bounds, method="L-BFGS-B").fun for s in starts]
-    return -min(found) / half.sum()
-
-
-@pytest.mark.parametrize("slope", [0.8, 1.6])
-def test_evidence_tells_a_pattern_from_its_ring_average_and_from_another(slope):
-    """Images of random objects with a power law, seen by oblong spots."""
-    shape, rng = (32, 40), np.random.default_rng(5)
-    y, x = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
-    law = (y**2 + x**2 + (0.5 / max(shape)) ** 2) ** -slope
-    passed = np.exp(-40.0 * (y - 2.0 * x) ** 2 - 2.0 * (2.0 * y + x) ** 2)
-    other = np.exp(-40.0 * (y + 2.0 * x) ** 2 - 2.0 * (2.0 * y - x) ** 2)
-    variance = 0.5
-    seen = (law * passed + variance) * rng.exponential(size=passed.shape)
-    right, wrong = (pattern_evidence(seen, p, variance, shape) for p in (passed, other))
-    assert wrong < -0.1 < 0.1 < right
-    ring = np.floor(np.hypot(y, x) * max(shape) + 0.5 + 1e-9).astype(int)
-    even = np.array([passed[ring == k].mean() for k in range(ring.max() + 1)])[ring]
-    expected = _least(seen, passed, variance, shape) - _least(seen, even, variance, shape)
-    # the tolerance of the other method
-    assert right == pytest.approx(expected, abs=1e-4)
 
 
 @pytest.mark.parametrize("shape", [(12, 15), (9, 8)])
