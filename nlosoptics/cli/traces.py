@@ -40,8 +40,8 @@ def trace_command(
     n_rays: Annotated[
         int | None,
         typer.Option(
-            help="Number of rays; with --tol or --max-seconds the largest number. By default 65536, "
-            "or without limit if --tol or --max-seconds is given."
+            help="Number of rays; with --tol or --max-seconds the largest number. By default "
+            "65536, or without limit if --tol or --max-seconds is given."
         ),
     ] = None,
     tol: Annotated[
@@ -84,8 +84,8 @@ def trace_command(
 
     The light takes any number of reflections between wall, object and room, without diffraction.
     Rooms that scatter light and walls that fold back, which waves cannot model, can be traced. The
-    output folder gets pictures (PNG), all pixels (image.npz) and result.json with the power balance.
-    An existing folder is replaced only if an earlier command wrote it.
+    output folder gets pictures (PNG), all pixels (image.npz) and result.json with the power
+    balance. An existing folder is replaced only if an earlier command wrote it.
     """
     with errors_told(debug):
         start = time.perf_counter()

@@ -49,7 +49,8 @@ def test_room_is_traced_into_a_folder(run):
         scene.laser.power, rel=0.1
     )
     assert {p.name for p in Path("corner_room_trace").iterdir()} == set(record["files"])
-    assert record["scene_sha256"] and record["seed"] == 3
+    assert record["scene_sha256"]
+    assert record["seed"] == 3
     # an earlier result is replaced, and one ray has no standard error
     code, _, _ = run("trace", ROOM, "--n-rays", 1, "--size", 16)
     assert code == 0
