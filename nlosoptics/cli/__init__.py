@@ -27,6 +27,7 @@ from . import (  # imported to register their commands, in the order of the help
     reconstructions,  # noqa: F401
     reports,  # noqa: F401
     studies,  # noqa: F401
+    traces,  # noqa: F401
     warmup,  # noqa: F401
 )
 from .shell import DONE, app, tell

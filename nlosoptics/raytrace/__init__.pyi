@@ -20,5 +20,7 @@ from .light.trace import trace as trace
 from .light.trace_image import PathHistogram as PathHistogram
 from .light.trace_image import TracedImage as TracedImage
 from .light.trace_image import trace_image as trace_image
+from .light.trace_lasers import LaserTraces as LaserTraces
+from .light.trace_lasers import trace_lasers as trace_lasers
 from .light.trace_point import PointTrace as PointTrace
 from .light.trace_point import trace_point as trace_point

@@ -200,6 +200,7 @@ def test_version(run: Run) -> None:
         ["schema"],
         ["transient"],
         ["phasor"],
+        ["trace"],
     ],
 )
 def test_help(command: list[str], run: Run) -> None:

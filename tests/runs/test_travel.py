@@ -198,6 +198,7 @@ MADE: Mapping[str, Any] = {
     "TracedImage": lambda: raytrace.trace_image(
         room(), n_rays=256, max_bounces=3, t_start=3.0, delta_t=1.0, n_bins=4
     ),
+    "LaserTraces": lambda: raytrace.trace_lasers(room(), [room().laser], n_rays=256, max_bounces=3),
     "Plan": lambda: nlos.plan(room()),
     "Study": design_study,
     "Results": results,

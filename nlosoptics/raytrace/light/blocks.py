@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...kernels.codes import GROUPS, UNIT
-from ...scene import Scene
+from ...scene import Laser, Scene
 from ..fans.paths import DETECTED
 from . import _chain_kernels as chaining
 from . import _connection_kernels as connecting
 from . import _light_kernels as kernels
 from . import _surround_kernels as surround
 from .kept_paths import Kept, kept_paths
-from .surroundings import Surroundings
+from .surroundings import Surroundings, laser_row
 
 Array = NDArray[np.float64]
 LEDGER: Final = 0.25  # share of the rays continued when only the ledger still needs them
@@ -65,11 +65,25 @@ def traced(job: Job, first: int, end: int) -> Traced:
     return follow(Rays(job, first, end - first))
 
 
+def traced_lasers(job: Job, first: int, end: int, *, lasers: tuple[Laser, ...]) -> list[Traced]:
+    """Trace rays of several lasers, which share their paths from the lens; see `traced`."""
+    eyes = Rays(job, first, end - first)
+    eyes.look()
+    found = []
+    for laser in lasers:
+        block = Rays(job, first, end - first, laser_row(laser))
+        block.share(eyes)
+        found.append(follow(block))
+    # the intersection tests of the eye paths are counted once
+    found[0][1].update({name: count for name, count in eyes.counts.items() if name != "rays"})
+    return found
+
+
 def follow(block: Rays) -> Traced:
     """Trace a block of rays from the laser, and return its sums and paths."""
     job, first = block.job, block.first
     light = block.from_laser()
-    if not job.analog:
+    if not (job.analog or block.partners):
         block.look()
     before = np.zeros_like(light)
     before[:, kernels.DENSITY] = -1.0
@@ -113,10 +127,13 @@ class Rays:
         Number of the first ray.
     n : int
         Number of rays.
+    laser : ndarray, (14,), optional
+        The laser, as `World.laser`; by default that of the scene.
     """
 
-    def __init__(self, job: Job, first: int, n: int) -> None:
+    def __init__(self, job: Job, first: int, n: int, laser: Array | None = None) -> None:
         self.job, self.first, self.n, self.around = job, first, n, job.around
+        self.laser = job.around.world.laser if laser is None else laser
         self.sums = np.zeros((-(-n // UNIT) * GROUPS, job.columns))
         self.counts = Counter[str](rays=n)
         self.origins, self.directions, self.starts, self.ends = np.empty((4, n, 3))
@@ -126,17 +143,17 @@ class Rays:
         self.value, self.length = np.empty((2, n))
         self.watched = job.keep_paths
         self.walked: list[Array] = []
+        self.partners: list[tuple[Array, Array, Array | float]] = []
         self.kept: list[Kept] = []
 
     def from_laser(self) -> Array:
         """Return the first vertices of the light paths, where the laser's rays hit a surface."""
         job, rays = self.job, (self.origins, self.directions)
-        world = self.around.world
-        surround.beam(world.laser, job.sampler, self.first, *rays)
+        surround.beam(self.laser, job.sampler, self.first, *rays)
         self.sources = self.origins.copy()
         hits = self._hits(None)
         new = np.zeros((self.n, kernels.VERTEX))
-        power = world.laser[13]
+        power = self.laser[13]
         kernels.start(power, self.first, job.max_bounces, *rays, hits, new, self.sums, self.fates)
         self._settle(new)
         self._take_ended(new, 0)
@@ -158,13 +175,18 @@ class Rays:
         # kept paths stay few, and the three strategies of glossy lobes gain nothing from partners
         count = 1 if job.keep_paths or self.around.plan.glossy else PARTNERS
         (_, share), *turns = _partners(self.n, count)
-        self.partners: list[tuple[Array, Array, Array | float]] = [(self.seen, self.lens, share)]
+        self.partners = [(self.seen, self.lens, share)]
         self.partners += [(self.seen[rows], self.lens[rows], share) for rows, share in turns]
         if self.around.plan.glossy:
             self._scatter(self.seen, surround.DRAW_EYE, True)
             hits = self._hits(self.seen)
             kernels.look_on(world.norm, self.seen, self.leave, *rays, hits, self.further)
             self._settle(self.further)
+
+    def share(self, other: Rays) -> None:
+        """Use the eye paths of another block of the same rays."""
+        self.lens, self.seen, self.further = other.lens, other.seen, other.further
+        self.partners = other.partners
 
     def onward(self, light: Array, bounce: int) -> Array:
         """Return the next vertices of the light paths, after scattering at those in ``light``."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -108,6 +108,15 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
         steepest=steepest,
         unreached=tuple(missing),
     )
+
+
+def joint_chains(found: list[Chains]) -> Chains:
+    """Return the treatment that serves several scenes, which differ in their lasers alone."""
+    surfaces = 0
+    for chains in found:
+        surfaces |= chains.surfaces
+    unreached = dict.fromkeys(path for chains in found for path in chains.unreached)
+    return replace(found[0], surfaces=surfaces, both=surfaces == 3, unreached=tuple(unreached))
 
 
 def _obstacle(scene: Scene, hills: float) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from ..._checks import Vector
 from ...kernels.codes import BECKMANN
-from ...scene import CallableWall, ConcaveWall, ConvexWall, MeshWall, PlanarObject, Scene
+from ...scene import (
+    CallableWall,
+    ConcaveWall,
+    ConvexWall,
+    Laser,
+    MeshWall,
+    PlanarObject,
+    Scene,
+)
 from ..intersection.intersections import HIT, UNRESOLVED, compiled_wall, intersect
 from ..intersection.kept_meshes import (
     Chart,
@@ -23,7 +31,7 @@ from ..intersection.kept_meshes import (
     kept_mesh,
 )
 from ..intersection.meshes import blocked, first_triangles, intersect_mesh
-from .chains import Chains, mirror_chains
+from .chains import Chains, joint_chains, mirror_chains
 
 if TYPE_CHECKING:
     from ._surround_kernels import World
@@ -215,14 +223,20 @@ class Surroundings:
         Scene to trace.
     analog : bool
         Whether no rays are aimed at the object, so that directions follow the lobes alone.
+    lasers : tuple of Laser
+        Lasers to trace instead of the scene's own; `World.laser` is the first of them.
     """
 
-    def __init__(self, scene: Scene, *, analog: bool = False) -> None:
+    def __init__(
+        self, scene: Scene, *, analog: bool = False, lasers: tuple[Laser, ...] = ()
+    ) -> None:
         self.plan = ray_plan(scene)
-        self.chains = mirror_chains(scene, wall_to_wall=self.plan.wall_to_wall)
+        scenes = [replace(scene, laser=laser) for laser in lasers] or [scene]
+        between = self.plan.wall_to_wall
+        self.chains = joint_chains([mirror_chains(s, wall_to_wall=between) for s in scenes])
         hidden = scene.hidden
         thing = hidden if isinstance(hidden, PlanarObject) else kept_mesh(hidden.surface)
-        self.world = _world(scene, self.plan, self.chains, analog, thing)
+        self.world = _world(scenes, self.plan, self.chains, analog, thing)
         self._wall = scene.wall
         self._walls: Any = None
         self.chain_wall: Any = (None, None, np.full(2, math.inf), 0.0)
@@ -454,13 +468,32 @@ def _met(scene: Scene, start: Vector, toward: Vector) -> Array:
     return hits.points if hits.hit else np.array(toward, dtype=np.float64)
 
 
+def laser_row(laser: Laser) -> Array:
+    """Return a laser as an array for the kernels, `World.laser`."""
+    axis = np.subtract(laser.aim, laser.position)
+    axis = axis / math.sqrt(float((axis * axis).sum()))
+    across = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
+    across /= math.sqrt(float((across * across).sum()))
+    sides = (axis, across, np.cross(axis, across))
+    return np.concatenate([laser.position, *sides, [laser.beam_diameter / 2, laser.power]])
+
+
 def _world(
-    scene: Scene, plan: RayPlan, chains: Chains, analog: bool, thing: PlanarObject | KeptMesh
+    scenes: list[Scene],
+    plan: RayPlan,
+    chains: Chains,
+    analog: bool,
+    thing: PlanarObject | KeptMesh,
 ) -> World:
-    """Return the data of a scene, whose hidden object is ``thing``, as arrays for the kernels."""
+    """Return the data of scenes as arrays for the kernels.
+
+    The scenes differ in their lasers alone, of which the first is stored. Their hidden object is
+    ``thing``.
+    """
     from ._surround_kernels import World
 
-    camera, laser = scene.camera, scene.laser
+    scene = scenes[0]
+    camera = scene.camera
     ny, nx = camera.shape
     half = 0.5 * camera.image_pitch * np.array([nx, ny])
     stop, area, baffle = -1.0, 4.0 * float(half.prod()), 0.0
@@ -472,10 +505,6 @@ def _world(
             area, baffle = math.pi * (slope * scene.image_distance) ** 2, slope
     baffle *= scene.focus_distance
     optics = (camera.stop_diameter / 2, scene.focus_distance, scene.image_distance)
-    axis = np.subtract(laser.aim, laser.position)
-    axis = axis / math.sqrt(float((axis * axis).sum()))
-    across = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
-    across /= math.sqrt(float((across * across).sum()))
     picture, rows, columns = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
     plate = np.zeros(0)
     chart, lit = None, np.zeros(0)
@@ -488,7 +517,7 @@ def _world(
         ball = ball_around(thing.corners)
     else:
         chart, total, ball = thing.chart, thing.chart.area, thing.ball
-        lit = lit_patches(scene, chart)
+        lit = np.mean([lit_patches(s, chart) for s in scenes], axis=0)
     return World(
         wall=scene.wall_material.lobe_table(),
         thing=scene.hidden.material.lobe_table(),
@@ -521,13 +550,5 @@ def _world(
                 [stop, camera.transmission, area, baffle],
             ]
         ),
-        laser=np.concatenate(
-            [
-                laser.position,
-                axis,
-                across,
-                np.cross(axis, across),
-                [laser.beam_diameter / 2, laser.power],
-            ]
-        ),
+        laser=laser_row(scene.laser),
     )

@@ -6,6 +6,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal, TypeVar
@@ -18,7 +19,7 @@ from ..._progress import Progress
 from ..._random import checked_seed, scrambled_sobol
 from ...errors import SceneError
 from ...kernels.codes import GROUPS
-from ...scene import Scene
+from ...scene import Laser, Scene
 from ..fans.paths import RayPaths
 from ..intersection.meshes import worker_pool
 from .surroundings import Surroundings
@@ -31,6 +32,7 @@ Array = NDArray[np.float64]
 Found = TypeVar("Found")
 Given = TypeVar("Given")
 BLOCK: Final = 4096  # rays per task; a multiple of UNIT
+WAITING: Final = 8  # largest number of blocks at once
 FIRST: Final = 1 << 10  # rays before the first check of the error; a multiple of UNIT
 MOST: Final = 1 << 36  # largest number of rays
 GIVE_UP: Final = 1 << 18  # rays without any detected light after which tracing to tol fails
@@ -228,7 +230,7 @@ def until_done(
         goal = min(most, 2 * done)
     if progress is not None:
         progress("rays", 1.0)
-    return _result(job, total, counts, kept, stopped, time.perf_counter() - begun)
+    return result_of(job, total, counts, kept, stopped, time.perf_counter() - begun)
 
 
 def job_of(
@@ -239,14 +241,19 @@ def job_of(
     *,
     analog: bool = False,
     keep_paths: bool = False,
+    lasers: tuple[Laser, ...] = (),
 ) -> Job:
-    """Check the options common to all tracers, and return the prepared scene with its relief."""
+    """Check the options common to all tracers, and return the prepared scene with its relief.
+
+    ``lasers`` are those to trace instead of the scene's own.
+    """
     from .blocks import Job
 
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
     scene = scene.with_relief()
-    scene.check_in_front()
+    for laser in lasers or (scene.laser,):
+        replace(scene, laser=laser).check_in_front()
     whole("max_bounces", max_bounces, 1, MOST_BOUNCES)
     one_of("sampler", sampler, ("sobol", "philox"))
     seed = checked_seed(seed)
@@ -255,7 +262,7 @@ def job_of(
         columns, shifts = columns[:, :0], shifts[:, :0]
     return Job(
         scene=scene,
-        around=Surroundings(scene, analog=analog),
+        around=Surroundings(scene, analog=analog, lasers=lasers),
         sampler=(np.uint64(seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts)),
         max_bounces=max_bounces,
         analog=analog,
@@ -302,7 +309,7 @@ def in_blocks(
     try:
         for part in parts:
             waiting.append(pool.submit(work, job, *part))
-            if len(waiting) >= 8:
+            if len(waiting) >= WAITING:
                 yield waiting.pop(0).result()
         while waiting:
             yield waiting.pop(0).result()
@@ -362,7 +369,7 @@ def mean_map(sums: Array, rays: int) -> tuple[Array, Array]:
     return mean, spread / (groups * (groups - 3)) if groups > 3 else np.full_like(mean, np.inf)
 
 
-def _result(
+def result_of(
     job: Job,
     total: Array,
     counts: Counter[str],

@@ -1,0 +1,214 @@
+"""Command trace, for camera images by ray tracing."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .._checks import counted
+from .._whole_files import whole_folder
+from ..runs.record import arrays, now, peak_memory, scene_hash, versions
+from .shell import (
+    Changes,
+    Debug,
+    SceneFile,
+    Seed,
+    Size,
+    app,
+    can_draw,
+    check_target,
+    errors_told,
+    load,
+    progress_bar,
+    typed,
+)
+
+if TYPE_CHECKING:
+    from ..raytrace import TracedImage
+
+
+@app.command("trace", short_help="Compute the camera image of a scene by ray tracing.")
+def trace_command(
+    context: typer.Context,
+    scene_file: SceneFile,
+    changes: Changes = None,
+    n_rays: Annotated[
+        int | None,
+        typer.Option(
+            help="Number of rays; with --tol or --max-seconds the largest number. By default "
+            "65536, or without limit if --tol or --max-seconds is given."
+        ),
+    ] = None,
+    tol: Annotated[
+        float | None,
+        typer.Option(
+            help="End when the relative standard error of the hidden object's light on the whole "
+            "detector is this small, 1e-6 to 1. Single pixels have larger errors."
+        ),
+    ] = None,
+    max_seconds: Annotated[
+        float | None, typer.Option(help="End after this time, s; the result so far is written.")
+    ] = None,
+    max_bounces: Annotated[int, typer.Option(help="Largest number of reflections, 1 to 64.")] = 5,
+    seed: Seed = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Output folder; by default the name of the scene file with _trace."),
+    ] = None,
+    size: Size = None,
+    t_start: Annotated[
+        float | None,
+        typer.Option(
+            help="Start of the first bin of a histogram of path lengths, m. Give --delta-t and "
+            "--n-bins too."
+        ),
+    ] = None,
+    delta_t: Annotated[float | None, typer.Option(help="Width of a bin, m.")] = None,
+    n_bins: Annotated[int | None, typer.Option(help="Number of bins.")] = None,
+    outer_legs: Annotated[
+        bool,
+        typer.Option(
+            "--outer-legs/--no-outer-legs",
+            help="Whether the lengths in the histogram include the paths from the laser to the "
+            "first reflection and from the last reflection to the lens.",
+        ),
+    ] = True,
+    debug: Debug = False,
+) -> None:
+    """Compute the camera image of a scene by ray tracing, with the standard error of every pixel.
+
+    The light takes any number of reflections between wall, object and room, without diffraction.
+    Rooms that scatter light and walls that fold back, which waves cannot model, can be traced. The
+    output folder gets pictures (PNG), all pixels (image.npz) and result.json with the power
+    balance. An existing folder is replaced only if an earlier command wrote it.
+    """
+    with errors_told(debug):
+        start = time.perf_counter()
+        folder = Path(f"{scene_file.stem}_trace") if out is None else out
+        from .. import raytrace
+
+        scene = load(scene_file, size, changes)
+        check_target(folder)
+        drawn = can_draw()
+        with progress_bar() as progress:
+            image = raytrace.trace_image(
+                scene,
+                n_rays=n_rays,
+                tol=tol,
+                max_seconds=max_seconds,
+                max_bounces=max_bounces,
+                t_start=t_start,
+                delta_t=delta_t,
+                n_bins=n_bins,
+                outer_legs=outer_legs,
+                seed=seed,
+                progress=progress,
+            )
+            progress("writing", 1.0)
+            report = _report(image) | {
+                "command_line": typed(context),
+                "seed": seed,
+                "scene_file": scene_file.name,
+                "scene_sha256": scene_hash(scene),
+            }
+            with whole_folder(folder) as new:
+                _write_image(image, new, drawn)
+                report["seconds"]["total"] = time.perf_counter() - start
+                report["files"] = sorted([*(p.name for p in new.iterdir()), "result.json"])
+                text = json.dumps(report, indent=2, allow_nan=False)
+                (new / "result.json").write_text(text + "\n")
+        for text in image.paths.unreached:
+            typer.echo(f"nlosoptics: rays find by chance only {text}", err=True)
+        _print_image(image, report, folder)
+
+
+def _report(image: TracedImage) -> dict[str, Any]:
+    """Contents of ``result.json`` for a traced image; errors of too few rays are null."""
+    paths = image.paths
+    values = {
+        "flux": (paths.flux, paths.standard_error),
+        "stray": (paths.stray, paths.stray_error),
+        **{
+            f"bounce {k}": (float(power), float(error))
+            for k, (power, error) in enumerate(
+                zip(paths.by_bounce, paths.by_bounce_error, strict=True)
+            )
+            if k > 0
+        },
+    }
+    ledger = {name: (power, paths.ledger_error[name]) for name, power in paths.ledger.items()}
+    return {
+        "program": "nlosoptics",
+        "command": "trace",
+        "status": "done",
+        "finished": now(),
+        "figures": {
+            "power": {name: _value(*pair) for name, pair in values.items()},
+            "ledger": {name: _value(*pair) for name, pair in ledger.items()},
+            "electrons_peak": float(image.expected.max()),
+            "electrons_mean": float(image.expected.mean()),
+            "image_shape": list(image.expected.shape),
+            "n_rays": paths.n_rays,
+            "stopped": paths.stopped,
+            "peak_memory_bytes": peak_memory(),
+        },
+        "uncertain": list(paths.uncertain),
+        "unreached": list(paths.unreached),
+        "seconds": {"tracing": paths.seconds},
+        "versions": versions(),
+    }
+
+
+def _value(power: float, error: float) -> dict[str, float | None]:
+    """Return a power and its standard error, W, for JSON."""
+    return {"watts": power, "standard_error": error if math.isfinite(error) else None}
+
+
+def _write_image(image: TracedImage, folder: Path, drawn: bool) -> None:
+    """Write the pixels and the histogram, and pictures of them."""
+    from dataclasses import fields
+
+    import numpy as np
+
+    parts = {f.name: getattr(image, f.name) for f in fields(image) if f.name != "paths"}
+    np.savez(folder / "image.npz", **arrays({k: v for k, v in parts.items() if v is not None}))
+    if not drawn:
+        return
+    from .. import views
+
+    views.save(views.traced_image(image), folder / "image.png")
+    views.save(views.traced_image(image, quantity="power"), folder / "object.png")
+    if image.histogram is not None:
+        views.save(views.path_lengths(image.histogram), folder / "path_lengths.png")
+
+
+def _print_image(image: TracedImage, report: dict[str, Any], folder: Path) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("quantity", "value", box=box.SIMPLE_HEAD)
+    paths = image.paths
+    ny, nx = image.expected.shape
+    table.add_row("image", f"{nx} x {ny} pixels of {1e6 * image.pitch:.3g} um")
+    table.add_row(
+        "electrons per pixel",
+        f"{image.expected.max():.3g} at most, {image.expected.mean():.3g} on average",
+    )
+    table.add_row("light of the object", f"{paths.flux:.4g} ± {paths.standard_error:.2g} W")
+    for k, power in enumerate(paths.by_bounce):
+        if power > 0.0:
+            table.add_row(f"  of {counted(k, 'reflection')}", f"{power:.4g} W")
+    table.add_row("stray light", f"{paths.stray:.4g} ± {paths.stray_error:.2g} W")
+    if paths.uncertain:
+        table.add_row("errors maybe too small", ", ".join(paths.uncertain))
+    table.add_row("rays", f"{paths.n_rays}, ended by {paths.stopped}")
+    for stage, seconds in report["seconds"].items():
+        table.add_row(f"  {stage}", f"{seconds:.2f} s")
+    table.add_row("written to", str(folder))
+    Console().print(table)
