@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import signal
+import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -45,6 +47,43 @@ def on_threads() -> Callable[[int, Callable[[], Any]], Any]:
             numba.set_num_threads(1)
 
     return run
+
+
+class _Limit(float):
+    """An infinite limit that keeps what is compared with it."""
+
+    def __new__(cls) -> _Limit:
+        found = super().__new__(cls, math.inf)
+        found.seen = []
+        return found
+
+    seen: list[float]
+
+    def __lt__(self, need: float) -> bool:
+        self.seen.append(need)
+        return False
+
+
+@pytest.fixture
+def memory_of() -> Callable[[Callable[[], Any]], tuple[float, float]]:
+    """``memory_of(call)``: the most memory that a call takes, and that it says to need, bytes.
+
+    The first is that of Python and numpy, without that of compiled libraries.
+    """
+    from nlosoptics._checks import Budget, within
+
+    def measured(call: Callable[[], Any]) -> tuple[float, float]:
+        call()  # imports, compiles, and fills caches
+        limit = _Limit()
+        tracemalloc.start()
+        try:
+            with within(Budget(memory=limit, seconds=math.inf)):
+                call()
+            return tracemalloc.get_traced_memory()[1], max(limit.seen, default=0.0)
+        finally:
+            tracemalloc.stop()
+
+    return measured
 
 
 @pytest.fixture(scope="session")

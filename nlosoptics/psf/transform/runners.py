@@ -378,7 +378,7 @@ def _mdft(task: Task) -> tuple[Array, float]:
     n = grid.values.shape[0]
     fits_memory(
         f"the transform of {n} samples to {samples.shape[0]} x {samples.shape[1]}",
-        48.0 * n * (n + max(samples.shape)),
+        144.0 * n * n + 48.0 * n * max(samples.shape) + 72.0 * math.prod(samples.shape),
         "use a smaller shape",
     )
     mean = mdft.intensity_in(residual, grid, samples, task.rule)

@@ -1,12 +1,8 @@
 """Stated needs of memory against what pictures of captures take, for large captures and volumes."""
 
-import math
-import tracemalloc
-
 import numpy as np
 import pytest
 
-from nlosoptics._checks import Budget, within
 from nlosoptics.transient import (
     TransientCapture,
     Volume,
@@ -34,22 +30,9 @@ SIZES = {
 }
 
 
-class Asked(float):
-    """A limit of memory that nothing exceeds, which keeps what is compared with it, bytes."""
-
-    def __new__(cls):
-        found = super().__new__(cls, math.inf)
-        found.seen = []
-        return found
-
-    def __lt__(self, need):
-        self.seen.append(need)
-        return False
-
-
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
-def test_memory_is_what_was_stated(method, size):
+def test_memory_is_what_was_stated(method, size, memory_of):
     count, n_bins, across, deep, pitch = SIZES[size]
     if method is METHODS["phasor_image"] and size != "volume":
         pytest.skip("it takes blocks of a fixed size, larger than what these captures need")
@@ -63,11 +46,5 @@ def test_memory_is_what_was_stated(method, size):
         delta_t=3.3 / n_bins,
         pairing="confocal",
     )
-    asked = Asked()
-    method(capture, volume)  # compiled and imported
-    tracemalloc.start()
-    with within(Budget(memory=asked, seconds=math.inf)):
-        method(capture, volume)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert 0.3 * max(asked.seen) < peak < max(asked.seen)
+    peak, stated = memory_of(lambda: method(capture, volume))
+    assert 0.3 * stated < peak < stated
