@@ -96,8 +96,8 @@ def wave_bounds(
     steps, overlap = _steps(separations, {*coefficients, *modes, 2, 3, 4})
     along, across = (frequencies[:, None] * f(angles) * pitch for f in (np.cos, np.sin))
     passed = lobe[:, None] * np.sinc(along) * np.sinc(across)
-    phase = sum(c * steps[j].at(angles) for j, c in coefficients.items())
-    phase = phase * (2 * math.pi / wave.wavelength)
+    waves = sum(c * steps[j].at(angles) for j, c in coefficients.items())
+    phase = waves * (2 * math.pi / wave.wavelength)
     defocused = 2 * math.pi * steps[4].at(angles)
     weight = area * power / (picture.noise.variance * math.prod(picture.grid))
     moved = [steps[j] for j in (*modes, 2, 3)]
