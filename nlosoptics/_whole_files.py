@@ -6,7 +6,6 @@ import errno
 import glob
 import json
 import os
-import secrets
 import shutil
 import sys
 import weakref
@@ -171,7 +170,7 @@ def beside(target: Path) -> Iterator[Path]:
     """
     sweep(target)
     # A name is chosen first, so that the folder is removed whenever a signal interrupts this.
-    folder = target.with_name(f".{target.name}-{secrets.token_hex(_NAME // 2)}")
+    folder = target.with_name(f".{target.name}-{os.urandom(_NAME // 2).hex()}")
     with ExitStack() as held:
         finish = weakref.finalize(held, _finish_own, folder, os.getpid())
         try:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import _thread
 import atexit
 import gc
+import os
 import signal
 import sys
 import threading
@@ -59,6 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Most collections would search what modules and numba's compiler keep: a seventh of a first
     # run's processor time.
     gc.set_threshold(50_000)
+    # pydantic would read the metadata of all installed packages for extensions of its own.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     before = None
     with suppress(ValueError):  # not in the main thread
         before = signal.signal(signal.SIGTERM, signal.default_int_handler)

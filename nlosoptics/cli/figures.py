@@ -8,19 +8,19 @@ the overview, the other all single figures. This process draws whatever they do 
 from __future__ import annotations
 
 import importlib.util
-import multiprocessing
 import os
 import pickle
 import signal
-import sys
 import tempfile
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final
+
+from .processes import can_help, forked
 
 if TYPE_CHECKING:
     from ..inverse import Reconstruction
@@ -80,21 +80,12 @@ def painters(scene: Scene) -> Iterator[Painters]:
         The processes. There are none where the system cannot fork, has one core, or lacks
         matplotlib.
     """
-    if (
-        not sys.platform.startswith("linux")
-        or (os.cpu_count() or 1) < 2
-        or importlib.util.find_spec("matplotlib") is None
-    ):
+    if not can_help() or importlib.util.find_spec("matplotlib") is None:
         yield Painters()
         return
-    context = multiprocessing.get_context("fork")
-    pipes = [context.Pipe() for _ in range(2)]
+    pipes = [Pipe() for _ in range(2)]
     with tempfile.TemporaryFile() as held:
-        first = context.Process(target=_first, args=(scene, pipes, held.fileno()))
-        with warnings.catch_warnings():
-            # The processes only draw: they take no lock that another thread may hold.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            first.start()
+        first = forked(_first, scene, pipes, held.fileno())
         group = first.pid or 0
         _group(group)
         for _, theirs in pipes:
@@ -109,14 +100,6 @@ def painters(scene: Scene) -> Iterator[Painters]:
             with suppress(OSError):
                 os.killpg(group, signal.SIGKILL)
             first.join()
-
-
-def _ends_with_parent() -> None:
-    """Let the system end this process when its parent is killed, so that it writes no more."""
-    import ctypes
-
-    on_death = 1  # PR_SET_PDEATHSIG of linux/prctl.h
-    ctypes.CDLL(None).prctl(on_death, signal.SIGKILL)
 
 
 def _group(leader: int) -> None:
@@ -206,34 +189,24 @@ def _write(folder: Path, name: str, content: bytes) -> None:
 
 def _first(scene: Scene, pipes: list[tuple[Connection, Connection]], held: int) -> None:
     """Load matplotlib, start the second process, draw the scene and then the single results."""
-    _ends_with_parent()
     _group(0)  # also done by the parent, whichever comes first
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run itself ends its processes
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    warnings.simplefilter("ignore", DeprecationWarning)
     # While one of these processes holds the run's own ends, the other would never see them closed.
     for ours, _ in pipes:
         ours.close()
     (_, here), (_, there) = pipes
-    with _silent():
-        _load()
-        second = multiprocessing.get_context("fork").Process(
-            target=_second, args=(here, there, held)
-        )
-        second.start()
-        there.close()
-        ready = {name: _drawn(draw) for name, draw in _of_scene(scene).items()}
-        _serve(here, held, ready, _of_parts, _of_fit, place=-1)
+    _load()
+    forked(_second, here, there, held)
+    there.close()
+    ready = {name: _drawn(draw) for name, draw in _of_scene(scene).items()}
+    _serve(here, held, ready, _of_parts, _of_fit, place=-1)
 
 
 def _second(other: Connection, own: Connection, held: int) -> None:
     """Draw the overview."""
-    _ends_with_parent()
-    other.close()
-    with _silent():
-        from ..views.run_overview import FIT
+    from ..views.run_overview import FIT
 
-        _serve(own, held, {}, lambda _: {}, _of_run, place=FIT)
+    other.close()
+    _serve(own, held, {}, lambda _: {}, _of_run, place=FIT)
 
 
 def _load() -> None:
@@ -244,15 +217,6 @@ def _load() -> None:
     load_for_drawing()
     # the results that are received are of classes in these packages
     _ = inverse.Reconstruction, limits.object_scale
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """End a process that fails without a word: the run draws its figures, and tells its errors."""
-    try:
-        yield
-    except Exception:
-        os._exit(1)
 
 
 def _serve(

@@ -87,11 +87,12 @@ def run_command(
         from ..runs.results import write_record, write_result
         from ..runs.simulate import carried_out
         from . import figures
+        from .first_run import compiled_ahead
 
         seed = checked_seed(seed)
         scene = load(scene_file, size, changes)
         loaded = time.perf_counter()
-        with figures.painters(scene) as beside:
+        with compiled_ahead(), figures.painters(scene) as beside:
             planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
             check_target(folder)
             ready = time.perf_counter()

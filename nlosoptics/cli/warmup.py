@@ -17,7 +17,7 @@ def warmup_command(
         list[Path] | None,
         typer.Argument(
             metavar="[SCENE...]",
-            help="Scene files for whose runs to compile; by default two typical scenes.",
+            help="Scene files for whose runs to compile; by default walls of all kinds.",
         ),
     ] = None,
     debug: Debug = False,
@@ -29,8 +29,10 @@ def warmup_command(
     with errors_told(debug):
         start = time.perf_counter()
         from ..runs.warmup import warm_up
+        from . import first_run
 
         scenes = [load(path, None, None) for path in scene_files or ()]
         with progress_bar() as progress:
             warm_up(scenes, progress)
+        first_run.mark_done()
         typer.echo(f"compiled functions are ready, {time.perf_counter() - start:.1f} s")

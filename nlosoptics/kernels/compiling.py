@@ -59,7 +59,12 @@ class _Cache(NullCache):
 
 
 def njit(
-    function: Callable[..., Any] | None = None, /, *, cache: bool = False, **options: Any
+    function: Callable[..., Any] | None = None,
+    /,
+    *,
+    cache: bool = False,
+    shared: bool = False,
+    **options: Any,
 ) -> Any:
     """Compile a function as `numba.njit` does.
 
@@ -69,15 +74,18 @@ def njit(
         Function to compile. Without it, a decorator is returned.
     cache : bool
         Whether to keep the compiled function in numba's cache.
+    shared : bool
+        Whether other kernels call the version for Python, so that there is only one. It suits a
+        kernel that both call in a first run.
     **options
         Further options of `numba.njit`.
     """
     if function is None:
-        return lambda given: njit(given, cache=cache, **options)
+        return lambda given: njit(given, cache=cache, shared=shared, **options)
     compiled = numba.njit(function, no_cfunc_wrapper=True, **options)
     if cache and hasattr(compiled, "_cache"):  # NUMBA_DISABLE_JIT leaves the function as it is
         compiled._cache = _Cache(function)
-        if options.get("inline") != "always":
+        if not shared and options.get("inline") != "always":
             _set_inner(compiled, function, options)
     return compiled
 

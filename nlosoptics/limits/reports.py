@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from .._checks import positive
+from .._freed_memory import keep_freed_memory
 from .._html import Figures, Shown
 from .._nouns import Noun
 from ..errors import SceneError
@@ -304,6 +305,7 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     if exposure is not None:
         camera = replace(scene.camera, exposure=positive("exposure", exposure, unit="s"))
         scene = replace(scene, camera=camera)
+    keep_freed_memory()
     view = _View(scene)
     modulation, strength = view.modulation(view.frequency), view.strength()
     relay, diffuse = view.relay_modulation(view.frequency), view.diffuse_strength()

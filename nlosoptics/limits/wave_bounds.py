@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +81,7 @@ def wave_bounds(
     # image frequency of a pupil separation s is s/(lambda |d_i|)
     per_separation = 1.0 / (wave.wavelength * abs(wave.image_distance))
     cut = min(2.0 * radius * per_separation, 0.5 / pitch)
-    nodes, weights = np.polynomial.legendre.leggauss(RADII)
+    nodes, weights = _gauss_legendre(RADII)
     frequencies = cut * (nodes + 1.0) / 2.0
     angles = math.pi * (np.arange(ANGLES) + 0.5) / ANGLES  # half plane; the rest is conjugate
     power = _radial_power(picture, frequencies / scale)
@@ -91,18 +93,32 @@ def wave_bounds(
         j: c for j, c in fit_zernike(wave, FITTED).items() if abs(c) > SMALLEST * wave.wavelength
     }
     separations = frequencies / per_separation / radius
-    steps, overlap = _steps(separations, angles, {*coefficients, *modes, 2, 3, 4})
+    steps, overlap = _steps(separations, {*coefficients, *modes, 2, 3, 4})
     along, across = (frequencies[:, None] * f(angles) * pitch for f in (np.cos, np.sin))
     passed = lobe[:, None] * np.sinc(along) * np.sinc(across)
-    phase = sum(c * steps[j] for j, c in coefficients.items()) * (2 * math.pi / wave.wavelength)
+    waves = sum(c * steps[j].at(angles) for j, c in coefficients.items())
+    phase = waves * (2 * math.pi / wave.wavelength)
+    defocused = 2 * math.pi * steps[4].at(angles)
     weight = area * power / (picture.noise.variance * math.prod(picture.grid))
-    moved = np.stack([2 * math.pi * steps[j] for j in (*modes, 2, 3)])
+    moved = [steps[j] for j in (*modes, 2, 3)]
+    first, second = (
+        np.stack([getattr(s, end) for s in moved], axis=1) for end in ("first", "second")
+    )
+    turns = np.outer([step.order for step in moved], angles)[:, None]
     information, found = np.zeros((len(modes), len(modes))), []
     for extra in defocus:
-        turn = phase + 2 * math.pi * extra * steps[4]
+        turn = phase + extra * defocused
         # a shift of the phase by a coefficient multiplies the sum's terms by i times its step
         even, odd = (overlap[:, None] * f(turn) for f in (np.cos, np.sin))
-        real, imaginary = (np.einsum("mran,ran->mra", moved, part) for part in (-odd, even))
+        real, imaginary = (
+            2
+            * math.pi
+            * sum(
+                f(turns) * np.moveaxis(part_of @ np.swapaxes(part, 1, 2), 1, 0)
+                for f, part_of in ((np.cos, first), (np.sin, second))
+            )
+            for part in (-odd, even)
+        )
         derivatives = np.concatenate([real + 1j * imaginary, [(even + 1j * odd).sum(axis=-1)]])
         derivatives *= passed
         full = np.einsum("r,kra,lra->kl", weight, derivatives.conj(), derivatives).real
@@ -111,14 +127,29 @@ def wave_bounds(
     return found
 
 
-def _steps(
-    separations: Array, angles: Array, indices: Iterable[int]
-) -> tuple[dict[int, Array], Array]:
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """Difference ``cos(m a) first + sin(m a) second`` of a Zernike polynomial at angles ``a``.
+
+    ``first`` and ``second`` are (radii, nodes), and ``order`` is m.
+    """
+
+    order: int
+    first: Array
+    second: Array
+
+    def at(self, angles: Array) -> Array:
+        """Return the differences at some angles, (radii, angles, nodes)."""
+        cosine, sine = (f(self.order * angles)[:, None] for f in (np.cos, np.sin))
+        return self.first[:, None] * cosine + self.second[:, None] * sine
+
+
+def _steps(separations: Array, indices: Iterable[int]) -> tuple[dict[int, _Step], Array]:
     """Return differences of Zernike polynomials between pairs of pupil points, and weights.
 
     The pairs are the points of the pupils' overlap for each separation. ``separations`` are in
-    pupil radii, below 2; ``angles`` in rad. The differences, keyed by Noll index, have the shape
-    (radii, angles, nodes); the weights (radii, nodes) hold for all angles.
+    pupil radii, below 2. The differences are keyed by Noll index; the weights (radii, nodes) hold
+    for all angles.
     """
     x, y, weights = _overlaps(separations)
     half = separations[:, None] / 2
@@ -131,16 +162,16 @@ def _steps(
     found = {}
     for j in indices:
         m = abs(zernike_order(j)[1])
-        step = np.broadcast_to(
-            difference(j, 0.0)[:, None] * np.cos(m * angles)[:, None],
-            (len(separations), len(angles), x.shape[1]),
-        )
-        if m:
-            # cos(m (t + a)) is a sum of cos(m t) and of cos(m (t + pi/2m)) = -sin(m t)
-            quarter = difference(j, math.pi / (2 * m))
-            step = step + quarter[:, None] * np.sin(m * angles)[:, None]
-        found[j] = step
+        # cos(m (t + a)) is a sum of cos(m t) and of cos(m (t + pi/2m)) = -sin(m t)
+        second = difference(j, math.pi / (2 * m)) if m else np.zeros_like(x)
+        found[j] = _Step(m, difference(j, 0.0), second)
     return found, weights
+
+
+@lru_cache(maxsize=2)
+def _gauss_legendre(count: int) -> tuple[Array, Array]:
+    """Return nodes on (-1, 1) and weights."""
+    return np.polynomial.legendre.leggauss(count)
 
 
 def _overlaps(separations: Array) -> tuple[Array, Array, Array]:
@@ -149,7 +180,7 @@ def _overlaps(separations: Array) -> tuple[Array, Array, Array]:
     The discs are separated along x, by ``separations`` (radii,). Nodes (radii, nodes) are relative
     to the centre of the overlap.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    nodes, weights = _gauss_legendre(NODES)
     top = np.sqrt(np.maximum(1.0 - separations**2 / 4.0, 0.0))[:, None]
     # the substitution v = sin removes the square-root singularity at the tips
     v = top * np.sin(math.pi / 2 * nodes)

@@ -4,48 +4,74 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from .._progress import Progress
 from ..scene import (
     Camera,
+    ConcaveWall,
+    FacetWall,
     FlatWall,
     Laser,
+    MeshWall,
+    Occluder,
     OrenNayar,
     PlanarObject,
     Scene,
     SpecularMicrofacet,
     SumMaterial,
+    Wall,
+    WallRoughness,
     WavyWall,
 )
 from .plan import MOST_SECONDS, looked_at
 from .simulate import carried_out
 
 TOL = 1e-3  # default of the command line
+RAYS = 64  # rays of the paths in a report
 
 
 def warm_up(scenes: Sequence[Scene] = (), progress: Progress | None = None) -> None:
-    """Compile the kernels that runs of some scenes use, so that later processes only load them.
+    """Compile the kernels that runs and reports of some scenes use, so that they are only loaded.
 
     numba keeps them in its cache, which ``NUMBA_CACHE_DIR`` can move.
 
     Parameters
     ----------
     scenes : sequence of Scene
-        Scenes to simulate without reconstruction, which has no kernels. By default a letter seen
-        by a flat wall and by a wavy one.
+        Scenes to simulate without reconstruction, which has no kernels, and to trace as reports do.
+        By default a letter seen by walls of all kinds that have kernels of their own: flat, wavy,
+        curved and behind an occluder, a mesh, and rough.
     progress : callable(str, float), optional
         Called with the number of the scene and the completed fraction.
     """
-    scenes = scenes or (_letter(FlatWall()), _letter(WavyWall(1e-4, 0.25, 1.0, direction=0.5)))
+    from .. import raytrace
+
+    scenes = scenes or _letters()
     for number, scene in enumerate(scenes):
         if progress is not None:
             progress(f"scene {number + 1} of {len(scenes)}", number / len(scenes))
         carried_out(*looked_at(scene, TOL, False, None, MOST_SECONDS), seed=0)
+        raytrace.trace(scene, n_rays=RAYS, keep_paths=True)
 
 
-def _letter(wall: FlatWall | WavyWall) -> Scene:
+def _letters() -> tuple[Scene, ...]:
+    """Return a letter seen by walls of all kinds."""
+    import trimesh
+
+    plate = trimesh.creation.box((0.28, 0.28, 0.005))
+    return (
+        _letter(FlatWall()),
+        _letter(WavyWall(1e-4, 0.25, 1.0, direction=0.5)),
+        _letter(ConcaveWall(5.0), occluders=(Occluder(plate, position=(0.56, 0.17, 0.5)),)),
+        _letter(MeshWall(ConcaveWall(5.0, size=(1.4, 1.0)).to_mesh(max_sag_error=1e-5))),
+        _letter(FlatWall(), wall_roughness=WallRoughness(FacetWall(1e-3, 2e-3))),
+    )
+
+
+def _letter(wall: Wall, **more: Any) -> Scene:
     """Return a bright bar seen by a wall, with the distances of Wu et al. (2024)."""
     picture = np.zeros((32, 32))
     picture[8:24, 12:20] = 1.0
@@ -66,4 +92,5 @@ def _letter(wall: FlatWall | WavyWall) -> Scene:
             focal_length=18.432e-3 / math.tan(math.radians(20.0)),
             stop_diameter=25e-3,
         ),
+        **more,
     )

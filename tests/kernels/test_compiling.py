@@ -94,3 +94,18 @@ def test_a_kernel_is_compiled_once_for_all_constants() -> None:
     called = shifted.get_call_template((types.int64, types.literal(1)), {})[0]
     assert [case.args for case in called.cases] == [(types.int64, types.int64)]
     assert shifted(1, 1) == 2  # Python calls a version of its own
+
+
+def test_a_shared_kernel_is_compiled_once_for_python_and_kernels() -> None:
+    @njit(cache=True, shared=True)
+    def doubled(x):
+        return 2 * x
+
+    @njit(cache=True)
+    def quadrupled(x):
+        return doubled(doubled(x))
+
+    assert quadrupled(3) == 12
+    (only,) = doubled.overloads.values()
+    assert doubled(3) == 6
+    assert list(doubled.overloads.values()) == [only]

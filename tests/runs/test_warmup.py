@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from numba.core import event
 
-from nlosoptics import simulate
-from nlosoptics.runs.warmup import warm_up
+from nlosoptics import plan, raytrace, simulate
+from nlosoptics.runs import warmup
 
 
 class Compilations(event.Listener):
@@ -21,10 +21,23 @@ class Compilations(event.Listener):
         pass
 
 
-def test_a_warmed_up_run_compiles_nothing(flat_scene) -> None:
+def test_a_warmed_up_run_and_its_report_compile_nothing(flat_scene) -> None:
     told = []
-    warm_up(progress=lambda text, fraction: told.append((text, fraction)))
+    scenes = warmup._letters()[:2]
+    warmup.warm_up(scenes, progress=lambda text, fraction: told.append((text, fraction)))
     assert told == [("scene 1 of 2", 0.0), ("scene 2 of 2", 0.5)]
     with event.install_listener("numba:compile", Compilations()) as compiled:
         simulate(flat_scene, seed=0)
+        raytrace.trace(flat_scene, n_rays=warmup.RAYS, keep_paths=True)
     assert compiled.names == []
+
+
+def test_the_scenes_cover_walls_with_kernels_of_their_own() -> None:
+    scenes = warmup._letters()
+    walls = {type(scene.wall).__name__ for scene in scenes}
+    assert walls == {"FlatWall", "WavyWall", "ConcaveWall", "MeshWall"}
+    assert any(scene.occluders for scene in scenes)
+    assert any(scene.wall_roughness is not None for scene in scenes)
+    for scene in scenes:
+        planned = plan(scene, warmup.TOL)
+        assert planned.runs("image")

@@ -149,7 +149,7 @@ def rim_of(residual: Residual, wave: SoftWave) -> Rim:
     pupil = residual.wavefront
     du, dv = np.empty((2, CIRCLES.size, SPOKES))
     places = read_only(CIRCLES), read_only(COSINE), read_only(SINE)
-    _wave_kernels.slopes(wave.aberration, *places, du, dv)
+    _wave_kernels.slopes(wave.aberration, *places, np.empty((4, SPOKES)), du, dv)
     steepest = np.maximum(np.abs(du), np.abs(dv)).max(axis=1)
     landing = np.stack([CIRCLES, 2 / pupil.wavelength * steepest])
     # total length of both rims over the pupil's area, relative to a clear disc

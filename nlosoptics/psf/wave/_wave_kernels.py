@@ -1,4 +1,7 @@
-"""Compiled loops over sampled waves: phasors, polar fits, slopes and moments."""
+"""Compiled loops over sampled waves: phasors, polar fits, slopes and moments.
+
+Kernels that a plan needs allocate no arrays: to load them, numba would import its own arrays.
+"""
 
 from __future__ import annotations
 
@@ -130,25 +133,18 @@ def extended_polynomial(powers, u, v, inner, out):
 
 
 @njit(cache=True)
-def polar_fit(values, waves, weights, modes, heights):
-    """Fill ``heights`` (orders, terms) with the fit coefficients of ``values`` (rings, spokes).
+def polar_fit(values, waves, turned, along, modes, work, heights):
+    """Add the fit coefficients of ``values`` (rings, spokes) to ``heights`` (terms, orders), zeros.
 
-    ``waves`` (orders, spokes) are the modes' angular parts, ``modes`` (orders, terms, rings) their
-    radial parts, and ``weights`` (orders, terms, rings) the radial projection onto them. Returns
-    the largest absolute misfit and the largest absolute value.
+    ``waves`` (orders, spokes) are the modes' angular parts, and ``turned`` their transpose;
+    ``modes`` (orders, terms, rings) are the radial parts, and ``along`` (rings, terms, orders) the
+    radial projection onto them. ``work`` holds orders + spokes values. Returns the largest absolute
+    misfit and the largest absolute value.
     """
     rings, spokes = values.shape
-    orders, terms = heights.shape
-    # Arrays are copied by loops: numba compiles an assignment to a slice ten times slower.
+    terms, orders = heights.shape
     # The order is the last axis, so that the inner loops are vectorised.
-    turned, along = np.empty((spokes, orders)), np.empty((rings, terms, orders))
-    share, height = np.empty(orders), np.zeros((terms, orders))
-    for m in range(orders):
-        for j in range(spokes):
-            turned[j, m] = waves[m, j]
-        for k in range(terms):
-            for i in range(rings):
-                along[i, k, m] = weights[m, k, i]
+    share, line = work[:orders], work[orders:]
     most = 0.0
     for i in range(rings):
         for m in range(orders):
@@ -160,23 +156,19 @@ def polar_fit(values, waves, weights, modes, heights):
                 share[m] += turned[j, m] * value
         for k in range(terms):
             for m in range(orders):
-                height[k, m] += along[i, k, m] * share[m]
+                heights[k, m] += along[i, k, m] * share[m]
     misfit = 0.0
-    line = np.empty(spokes)
     for i in range(rings):
         for j in range(spokes):
             line[j] = values[i, j]
         for m in range(orders):
             part = 0.0
             for k in range(terms):
-                part += height[k, m] * modes[m, k, i]
+                part += heights[k, m] * modes[m, k, i]
             for j in range(spokes):
                 line[j] -= part * waves[m, j]
         for j in range(spokes):
             misfit = max(misfit, abs(line[j]))
-    for m in range(orders):
-        for k in range(terms):
-            heights[m, k] = height[k, m]
     return misfit, most
 
 
@@ -197,11 +189,13 @@ def polynomial(powers, rho, cosine, sine, out):
 
 
 @njit(cache=True)
-def slopes(powers, rho, cosine, sine, du, dv):
-    """Fill ``du``, ``dv`` (radii, angles) with the gradient of ``sum powers[i, j] u^i v^j``."""
+def slopes(powers, rho, cosine, sine, work, du, dv):
+    """Fill ``du``, ``dv`` (radii, angles) with the gradient of ``sum powers[i, j] u^i v^j``.
+
+    ``work`` (4, angles) is overwritten.
+    """
     n = powers.shape[0]
-    u, v = np.empty(cosine.shape[0]), np.empty(cosine.shape[0])
-    value, slope = np.empty_like(u), np.empty_like(u)
+    u, v, value, slope = work[0], work[1], work[2], work[3]
     for k in range(rho.shape[0]):
         along, across = du[k], dv[k]
         for m in range(u.shape[0]):

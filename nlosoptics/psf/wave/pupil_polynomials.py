@@ -63,9 +63,9 @@ class LowPolynomial:
         from . import _wave_kernels
 
         shape = len(rho), len(cosine)
-        du, dv = np.empty(shape), np.empty(shape)
+        du, dv, work = np.empty(shape), np.empty(shape), np.empty((4, len(cosine)))
         places = read_only(rho), read_only(cosine), read_only(sine)
-        _wave_kernels.slopes(self.powers / self.radius, *places, du, dv)
+        _wave_kernels.slopes(self.powers / self.radius, *places, work, du, dv)
         return du, dv
 
     def at(self, u: Array, v: Array) -> Array:
@@ -97,10 +97,11 @@ def low_polynomial(values: Array, radius: float, obscuration: float) -> LowPolyn
     if values.shape[0] < LOW or values.shape[1] < 2 * LOW + 2:
         return None
     orders = _orders(*values.shape, obscuration)
-    heights = np.empty(orders.weights.shape[:2])
+    found, work = np.zeros(orders.along.shape[1:]), np.empty(sum(orders.waves.shape))
     misfit, largest = _wave_kernels.polar_fit(
-        read_only(values), orders.waves, orders.weights, orders.modes, heights
+        read_only(values), orders.waves, orders.turned, orders.along, orders.modes, work, found
     )
+    heights = np.ascontiguousarray(found.T)
     if misfit > 1e-14 * largest:
         return None
     # einsum does not call BLAS, so results are bit-identical for any thread count.
@@ -130,7 +131,9 @@ class _Orders(NamedTuple):
     ----------
     waves : ndarray, (orders, angles)
         Angular parts: cosines and sines.
-    weights : ndarray, (orders, terms, radii)
+    turned : ndarray, (angles, orders)
+        Their transpose.
+    along : ndarray, (radii, terms, orders)
         Projection of the rings' angular components onto each term.
     modes : ndarray, (orders, terms, radii)
         Radial parts.
@@ -141,7 +144,8 @@ class _Orders(NamedTuple):
     """
 
     waves: Array
-    weights: Array
+    turned: Array
+    along: Array
     modes: Array
     powers: Array
     degrees: NDArray[np.int64]
@@ -169,9 +173,10 @@ def _orders(n_r: int, n_theta: int, obscuration: float) -> _Orders:
         weights[row, : len(indices)] = share / np.sum(waves[row] ** 2)
         powers[row, : len(indices)] = [powers_of(j, LOW) for j in indices]
         degrees[row, : len(indices)] = [zernike_order(j)[0] for j in indices]
-    for table in (waves, weights, modes, powers):
+    turned, along = np.ascontiguousarray(waves.T), np.ascontiguousarray(weights.T)
+    for table in (waves, turned, along, modes, powers):
         frozen(table)
-    return _Orders(waves, weights, modes, powers, degrees)
+    return _Orders(waves, turned, along, modes, powers, degrees)
 
 
 def fitted(values: Array, obscuration: float, degree: int) -> tuple[Array, float]:

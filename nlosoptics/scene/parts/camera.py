@@ -236,8 +236,10 @@ def pupil_frame(axis: NDArray[np.float64]) -> NDArray[np.float64]:
     Camera : Lens and detector.
     nlosoptics.psf.ExitPupil : Position and size of the exit pupil.
     """
-    e1 = np.cross((0.0, 1.0, 0.0), axis)
+    x, y, z = (float(part) for part in axis)
+    # products are written out, because `numpy.cross` takes ten times as long
+    e1 = np.array([z, 0.0, -x])
     if np.linalg.norm(e1) < 1e-12:
-        e1 = np.cross((1.0, 0.0, 0.0), axis)
-    e1 = e1 / np.linalg.norm(e1)
-    return np.stack([e1, np.cross(axis, e1), axis])
+        e1 = np.array([0.0, -z, y])
+    a, b, c = (float(part) for part in e1 / np.linalg.norm(e1))
+    return np.array([(a, b, c), (y * c - z * b, z * a - x * c, x * b - y * a), (x, y, z)])
