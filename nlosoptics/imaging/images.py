@@ -42,7 +42,7 @@ from .radiometry import (
     object_radiance,
     spot_power_through_lens,
 )
-from .shadows import SHADOW_BYTES, Shadows, cast_shadows
+from .shadows import SHADOW_BYTES, Shadows, cast_shadows, repainted
 from .stray import spot_image
 
 if TYPE_CHECKING:
@@ -359,6 +359,7 @@ def diffuse_background(
     object_image: ArrayLike | None = None,
     *,
     exposure: float | None = None,
+    shadows: Shadows | None = None,
 ) -> Array:
     """Compute the part of the camera image that the wall reflects diffusely, in electrons.
 
@@ -375,6 +376,9 @@ def diffuse_background(
         scene's own.
     exposure : float, optional
         Exposure time, s; by default the camera's.
+    shadows : Shadows, optional
+        Result of `cast_shadows` for this scene; what ``object_image`` changes is computed again.
+        None: computed if the scene has occluders.
 
     Returns
     -------
@@ -403,10 +407,11 @@ def diffuse_background(
     exposure = positive("exposure", scene.camera.exposure if exposure is None else exposure)
     if object_image is not None:
         scene = _with_picture(scene, object_image)
+        shadows = None if shadows is None else repainted(shadows, scene)
     spot, rays, visible, gain = _view(scene, exposure)
     patches = object_patches(scene.hidden)
     diffuse = gain * background_radiance(scene, spot, patches, rays, visible > 0)
-    shadows = _shadows(scene, None)
+    shadows = _shadows(scene, shadows)
     if shadows is not None:
         diffuse *= shadows.view * shadows.veil
     return np.asarray(diffuse)

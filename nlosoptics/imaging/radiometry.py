@@ -80,8 +80,9 @@ def laser_spot(scene: Scene) -> LaserSpot:
     ------
     SceneError
         If the beam misses the wall or crosses its edge, or if the spot at grazing incidence is too
-        long to be treated as a point source.
+        long to be treated as a point source; or if an occluder reflects light.
     """
+    scene.check_black_occluders()
     laser = scene.laser
     beam = np.subtract(laser.aim, laser.position)
     hits = intersect(scene.wall, np.array(laser.position), beam)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -108,7 +108,7 @@ def cast_shadows(scene: Scene) -> Shadows:
     See Also
     --------
     form_image : Image in electrons, with noise.
-    nlosoptics.scene.Occluder : Black object that casts shadows.
+    nlosoptics.scene.Occluder : Surface that blocks light, black or of any material.
     nlosoptics.raytrace.occluded : Whether a mesh blocks lines of sight.
 
     Notes
@@ -153,6 +153,19 @@ def cast_shadows(scene: Scene) -> Shadows:
         veil=_veil_share(scene, mesh, spot, rays, seen),
         spot=1.0 - float(occluded(mesh, spot.point, lens).mean()),
     )
+
+
+def repainted(shadows: Shadows, scene: Scene) -> Shadows:
+    """Return the shadows of a scene, given those of the same scene with another picture.
+
+    Only the veil depends on the picture.
+    """
+    mesh = scene.occluding_mesh
+    if mesh is None:
+        return shadows
+    rays = chief_rays(scene, *pixel_centres(scene.camera))
+    seen = wall_visibility(scene, rays) > 0
+    return replace(shadows, veil=_veil_share(scene, mesh, laser_spot(scene), rays, seen))
 
 
 def check_beam(scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot) -> None:

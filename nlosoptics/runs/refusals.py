@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 
@@ -65,16 +66,16 @@ def check_sight(scene: Scene, pupil: ExitPupil) -> None:
 
 
 def check_cones(scene: Scene, counts: list[int]) -> None:
-    """Raise if occluders cut part of the light from any node of the object to the lens.
+    """Raise if occluders cut part of the light from any node or corner of the object to the lens.
 
     ``counts`` are the nodes along each side of the fields of point spreads to be computed.
     """
     if not (scene.occluders and isinstance(scene.hidden, PlanarObject)):
         return
     for count in counts:
-        for y in picture_nodes(count):
-            for x in picture_nodes(count):
-                check_cone(scene, picture_point(scene.hidden, float(x), float(y)))
+        places = [-1.0, *picture_nodes(count).tolist(), 1.0]
+        for x, y in product(places, places):
+            check_cone(scene, picture_point(scene.hidden, x, y))
 
 
 def _half_extent(scene: Scene) -> float:

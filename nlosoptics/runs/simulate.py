@@ -24,7 +24,7 @@ from .stages import FIELD, MEAN, MOST_NODES
 from .veil import fitted_veil
 
 if TYPE_CHECKING:
-    from ..imaging import ForwardModel, SpeckleImage
+    from ..imaging import ForwardModel, Shadows, SpeckleImage
     from ..inverse import Reconstruction
     from ..psf import PointSpread, PointSpreadField, SceneOptics
 
@@ -189,7 +189,7 @@ def _stages(
     reconstruction = None
     if todo.runs("reconstruction"):
         begin("reconstruction")
-        reconstruction = _reconstruct(scene, image, spreads)
+        reconstruction = _reconstruct(scene, image, spreads, shadows)
     ends = [*list(begun.values())[1:], time.perf_counter()]
     if progress is not None:
         progress("done", 1.0)
@@ -293,7 +293,10 @@ def image_model(
 
 
 def _reconstruct(
-    scene: Scene, image: SpeckleImage, spreads: PointSpreadField | PointSpread
+    scene: Scene,
+    image: SpeckleImage,
+    spreads: PointSpreadField | PointSpread,
+    shadows: Shadows | None,
 ) -> Reconstruction:
     """Reconstruct the object; its pose and the point spreads are known."""
     from .. import inverse
@@ -301,7 +304,9 @@ def _reconstruct(
     model = image_model(scene, spreads)
     dark = image.ledger["dark"] / image.electrons.size
     noise = electron_noise(scene, image.electrons - dark)
-    veil = fitted_veil(scene, image.electrons, model, noise_sigma=noise, background=dark)
+    veil = fitted_veil(
+        scene, image.electrons, model, noise_sigma=noise, background=dark, shadows=shadows
+    )
     return inverse.tv_deconvolve(
         image.electrons, model, noise_sigma=noise, background=dark, background_shape=veil
     )

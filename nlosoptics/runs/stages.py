@@ -13,7 +13,13 @@ from .._checks import (
     counted,
 )
 from ..errors import SamplingError
-from ..imaging.image_fields import COUNTS, expected_counts, interpolation_errors, picture_frame
+from ..imaging.image_fields import (
+    CHECKED,
+    COUNTS,
+    expected_counts,
+    interpolation_errors,
+    picture_frame,
+)
 from ..imaging.images import BYTES_PER_PIXEL as IMAGE_BYTES
 from ..imaging.objects import object_patches
 from ..imaging.radiometry import background_work
@@ -264,18 +270,19 @@ def field_stage(scene: Scene, pupil: ExitPupil, look: Look, tol: float) -> Stage
         wider = f"use tol = {1.1 * left:.2g}, or" if 1.1 * left < 0.1 else "use"
         raise SamplingError(
             f"the wall's shape changes too fast over the picture: with {COUNTS[-1]} x "
-            f"{COUNTS[-1]} point spreads its image would still change by about {left:.2g} of its "
-            f"rms, limit tol = {tol:g}; {wider} a smaller picture"
+            f"{COUNTS[-1]} point spreads its image would still have an error of about {left:.2g} "
+            f"of its rms, limit tol = {tol:g}; {wider} a smaller picture"
         )
     spreads = math.prod(float(sum(n**2 for n in counts)) for counts in ends) ** (1 / 3)
-    waves = spreads + sum(min(n**2, 5) for n in ends[1])
+    spreads += CHECKED**2
+    waves = spreads + 5  # those of the corners and of the centre determine the window
     counts = ends[-1]
     check_cones(scene, counts)
     one = spread_cost(scene, look, look.field_side, tol / 2)
     each = one.seconds + look.cut * _cost_model.seconds(transforms=GRID_SECONDS)
     aimed = _aiming_seconds(scene, look.seen.first.wave.u.size)
     held = 40.0 * counts[-1] ** 2 * look.field_side**2
-    compared = 80.0 * counts[-1] * picture_frame(scene).size  # images computed from the modes
+    compared = 80.0 * picture_frame(scene).size  # for the picture's autocorrelation
     return Stage(
         name=FIELD,
         runs=True,

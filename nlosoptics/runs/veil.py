@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..imaging import ForwardModel, diffuse_background
+from ..imaging import ForwardModel, Shadows, cast_shadows, diffuse_background
 from ..imaging.geometry import picture_coordinates
 from ..imaging.images import light_levels
 from ..scene import PlanarObject, Scene
@@ -28,10 +28,11 @@ ROUNDS = 6  # largest number of reconstructions
 ITERATIONS, TOLERANCE = 100, 2e-3  # of each: the veil needs only coarse detail
 
 
-def veil_shape(scene: Scene) -> Array:
+def veil_shape(scene: Scene, shadows: Shadows | None = None) -> Array:
     """Return the wall's diffuse light in the image, (ny, nx), electrons, for a white object.
 
-    It replaces that of the unknown picture, from which its shape hardly differs.
+    It replaces that of the unknown picture, from which its shape hardly differs. ``shadows`` are
+    those of the scene, if known already.
     """
     stand_in = None
     if isinstance(scene.hidden, PlanarObject):
@@ -40,7 +41,7 @@ def veil_shape(scene: Scene) -> Array:
         stand_in[1::4, 1::4] = 1.0
         if scene.occluders:  # shadows need the whole plate
             stand_in = np.ones((7, 7))
-    return diffuse_background(scene, stand_in)
+    return diffuse_background(scene, stand_in, shadows=shadows)
 
 
 def fitted_veil(
@@ -50,6 +51,7 @@ def fitted_veil(
     *,
     noise_sigma: Array | None,
     background: float = 0.0,
+    shadows: Shadows | None = None,
 ) -> Array | None:
     """Return the shape of the wall's diffuse light, from the object that the image shows.
 
@@ -65,6 +67,8 @@ def fitted_veil(
         Rms noise of each pixel, in the image's unit, infinite at masked pixels. None: no noise.
     background : float
         Known background, in the image's unit.
+    shadows : Shadows, optional
+        Result of `imaging.cast_shadows` for this scene. None: computed if there are occluders.
 
     Returns
     -------
@@ -80,7 +84,9 @@ def fitted_veil(
     """
     from ..inverse import tv_deconvolve
 
-    veil = veil_shape(scene)
+    if shadows is None and scene.occluders:
+        shadows = cast_shadows(scene)
+    veil = veil_shape(scene, shadows)
     if not veil.any():
         return None
     shape: Array = veil / veil.mean()
@@ -101,11 +107,11 @@ def fitted_veil(
             max_iterations=ITERATIONS,
             tolerance=TOLERANCE,
         )
-        cells = cells or _Cells(scene, scene.hidden)
+        cells = cells or _Cells(scene, scene.hidden, shadows)
         picture = cells.picture(found.object)
         if not picture.any():
             break
-        veil = diffuse_background(scene, picture)
+        veil = diffuse_background(scene, picture, shadows=shadows)
         change = found.physical_parameters["background"] * (veil / veil.mean() - shape)
         shape, error = veil / veil.mean(), np.full_like(shape, 0.5 * np.sqrt(np.mean(change**2)))
     return shape
@@ -114,9 +120,9 @@ def fitted_veil(
 class _Cells:
     """Cells of the object's plane, and the pixels that show them."""
 
-    def __init__(self, scene: Scene, hidden: PlanarObject) -> None:
+    def __init__(self, scene: Scene, hidden: PlanarObject, shadows: Shadows | None) -> None:
         white = replace(hidden, image=np.ones((CELLS, CELLS)))
-        levels = light_levels(replace(scene, hidden=white))
+        levels = light_levels(replace(scene, hidden=white), shadows=shadows)
         column, row = picture_coordinates(white, levels.rays)
         with np.errstate(invalid="ignore"):
             shown = (levels.ideal > 0.0) & (np.minimum(column, row) >= 0.0)

@@ -21,7 +21,7 @@ from .parts.camera import Camera
 from .parts.hidden import HiddenObject, MeshObject, PlanarObject
 from .parts.laser import Laser
 from .parts.materials import Lambert, Material, SpecularMicrofacet, SumMaterial
-from .parts.occluders import Occluder, checked_occluders, joined
+from .parts.occluders import BLACK, Occluder, checked_occluders, joined
 from .parts.transient_scan import TransientScan
 from .walls.analytic import Array, ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 from .walls.mesh_walls import MeshWall
@@ -54,8 +54,8 @@ class Scene(Noun, Shown):
     camera : Camera
         Thin-lens camera that looks at the wall.
     occluders : tuple of trimesh.Trimesh or Occluder
-        Black bodies that block light: meshes in the world frame, m, or `Occluder` objects with a
-        mesh file, a position and a rotation. By default none.
+        Surfaces that block light: meshes in the world frame, m, which are black, or `Occluder`
+        objects with a mesh file, a position, a rotation and a material. By default none.
     wall_material : Material
         Bidirectional reflectance of the relay wall. The default is matt paint (albedo 0.7) with a
         smooth mirror-like part that reflects 5 % of the light.
@@ -308,7 +308,7 @@ class Scene(Noun, Shown):
         SceneError
             If one of them lies behind the wall.
         """
-        if self.wall.is_flat:
+        if self.wall.is_flat or not self.wall.has_height:
             return  # each of them checks its own z > 0
         places: list[tuple[str, ArrayLike]] = [
             ("laser.position", self.laser.position),
@@ -325,7 +325,37 @@ class Scene(Noun, Shown):
     @cached_property
     def occluding_mesh(self) -> trimesh.Trimesh | None:
         """All occluders as one mesh in the world frame, m; None without occluders."""
-        return joined(self.occluders)
+        return joined([mesh for mesh, _ in self.occluder_surfaces])
+
+    @cached_property
+    def occluder_surfaces(self) -> tuple[tuple[trimesh.Trimesh, Material], ...]:
+        """Mesh in the world frame, m, and material of each occluder; its file is read here."""
+        return tuple(
+            (o.surface, o.material) if isinstance(o, Occluder) else (o, BLACK)
+            for o in self.occluders
+        )
+
+    @property
+    def room_materials(self) -> tuple[Material, ...]:
+        """Materials of the occluders that reflect light."""
+        materials = (o.material for o in self.occluders if isinstance(o, Occluder))
+        return tuple(material for material in materials if not material.is_black)
+
+    def check_black_occluders(self) -> None:
+        """Check that no occluder reflects light, which most methods do not take into account.
+
+        Raises
+        ------
+        SceneError
+            If an occluder has a material that reflects light.
+        """
+        for index, occluder in enumerate(self.occluders):
+            if isinstance(occluder, Occluder) and not occluder.material.is_black:
+                raise SceneError(
+                    f"occluder[{index}].material reflects light, which only raytrace.trace, "
+                    "trace_image and wall_irradiance and transient.render_scene take into account; "
+                    "use one of these, or remove the material"
+                )
 
     @property
     def object_point(self) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.special
-import scipy.stats
+import scipy  # its parts are loaded lazily, on first use
 import xarray as xr
 from numpy.typing import NDArray
 

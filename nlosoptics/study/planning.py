@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from .design.study import Study
 
 BLOCK_SECONDS = 1.0  # predicted time of a block, s
-MOST_ROWS = 1000  # in a block
+MOST_ROWS = 2000  # in a block
 LEAST_BLOCKS = 8  # so that a short study shows progress and uses several workers
-SCENE_SECONDS = 0.004  # s to build and check a scene
+SCENE_SECONDS = 5e-4  # s to build and check a scene
 FORECAST = 0.1, 2.0  # s of a forecast, and multiple of the point spread's seconds
 COMPENSATION = 30  # evaluations of a compensation
 STEPS = 3  # of the differences that the fast tier takes along a direction

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..scene import PlanarObject, Scene
+from ..scene import MeshWall, PlanarObject, Scene
 from . import room_parts as parts
 from .canvas import GREY, INK, PALE_GREY, PALE_SKY, round_step
 from .rays import COLOURS, chosen_paths, colour_style, path_lines
@@ -218,6 +218,10 @@ _SIDES = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 def _draw_wall(plotter: Plotter, scene: Scene, size: tuple[float, float]) -> dict[str, str]:
     """Draw the relay wall and return its legend entry."""
+    if isinstance(scene.wall, MeshWall) and not scene.wall.smooth:
+        mesh = parts.mesh_surface(scene.wall.triangles)
+        plotter.add_mesh(mesh, color=WALL, name="relay wall", **MATT)
+        return {"relay wall, triangles": WALL}
     mesh, texture, steepest = parts.wall_surface(scene, size)
     style = parts.gloss(scene.wall_material)
     plotter.add_mesh(
@@ -242,7 +246,7 @@ def _draw_light(plotter: Plotter, scene: Scene, extent: float) -> dict[str, str]
     """Draw the laser and its beam and return their legend entry."""
     laser = scene.laser
     x, y, _ = laser.aim
-    spot = np.array([x, y, float(scene.wall.height(x, y))])
+    spot = np.array([x, y, float(scene.wall.height(x, y)) if scene.wall.has_height else 0.0])
     radius = max(laser.beam_diameter / 2, THIN * extent)
     plotter.add_mesh(
         parts.tube(laser.position, spot, radius), color=LASER, name="laser beam", **FLAT

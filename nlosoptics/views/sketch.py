@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import SceneError
-from ..scene import Occluder, PlanarObject, Scene
+from ..scene import MeshWall, Occluder, PlanarObject, Scene
 from .canvas import (
     BLACK,
     BLUE,
@@ -110,6 +110,13 @@ def _draw(scene: Scene, axes: Axes, *, across: int, up: int) -> None:
 
 def _profile(scene: Scene, *, along: int, reach: float) -> Any:
     """Return points of the wall along world x or y through the origin, (n, 3), m."""
+    if isinstance(scene.wall, MeshWall) and not scene.wall.smooth:
+        import trimesh
+
+        cut: Any = trimesh.intersections.mesh_plane  # untyped
+        lines = cut(scene.wall.triangles, np.eye(3)[1 - along], np.zeros(3))
+        ends = np.full((len(lines), 1, 3), np.nan)  # which interrupt the curve
+        return np.concatenate([lines, ends], axis=1).reshape(-1, 3)
     size = scene.wall.size
     half = reach if size is None else size[along] / 2
     t, zero = np.linspace(-half, half, 401), np.zeros(401)
@@ -127,7 +134,7 @@ def _outlines(scene: Scene) -> list[tuple[str, Any, dict[str, Any]]]:
     """Return label, world points (n, 3) in m and line style of everything but the wall."""
     camera, laser = np.array(scene.camera.position), np.array(scene.laser.position)
     x, y, _ = scene.laser.aim
-    spot = np.array([x, y, float(scene.wall.height(x, y))])
+    spot = np.array([x, y, float(scene.wall.height(x, y)) if scene.wall.has_height else 0.0])
     hidden, mirrored = scene.object_point, scene.mirrored_object_point
     # where the straight line from the camera to the mirrored object crosses z = 0
     crossing = camera + (mirrored - camera) * camera[2] / (camera[2] - mirrored[2])

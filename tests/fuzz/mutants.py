@@ -7,8 +7,9 @@ The changes are drawn in turn from the rooms, each change of a room with equal p
 file is run once without any change, to record which functions its tests call and how long they
 take. A change is tested by its file's doctests and by the tests of its room that call its function,
 those of its folder first and of these the quickest ones, until `--seconds` of their processor time
-are reached; a change of a kernel by those that call its users. A run that takes over three times as
-long as undisturbed tests has timed out, and counts as killed.
+are reached. A change of a kernel is tested by those that call its users, but first by those that
+call kernels alone, in files that name its module: they compile least. A run that takes over three
+times as long as undisturbed tests has timed out, and counts as killed.
 
 The table counts killed and surviving changes. Changes of `equivalent_mutants.toml` alter no result,
 for the reason given there, and are not run. `--results` names a file that keeps the outcomes: its
@@ -107,10 +108,11 @@ class Bench:
         source = (self._base / "nlosoptics" / change.file).read_text()
         stale, compiled = reach(change.file, self._users), -1
         told: Row = {"outcome": "survived", "by": "", "seconds": 0.0, "tests": 0}
-        for near in (True, False):
+        for where in ("alone", "near", "far"):
             planned = told["seconds"]
-            chosen = [f"nlosoptics/{change.file}"] if near and ">>> " in source else []
-            callers = self._callers(change, stale, most, near=near)
+            doctests = where == "near" and ">>> " in source
+            chosen = [f"nlosoptics/{change.file}"] if doctests else []
+            callers = self._callers(change, stale, most, where)
             for name, seconds in sorted(callers, key=lambda one: one[1]):
                 if chosen and planned + seconds > most:
                     break
@@ -140,13 +142,17 @@ class Bench:
         return forget_compiled(package, stale)
 
     def _callers(
-        self, change: Change, users: set[str], most: float, *, near: bool
+        self, change: Change, users: set[str], most: float, where: str
     ) -> Iterator[tuple[str, float]]:
         """Yield tests that call the changed code and their time.
 
-        Records of files of other folders are made until they have taken ``most`` seconds, the
-        likeliest files first.
+        ``where`` is "alone" for tests that call no users but name the module of a kernel, "near"
+        for others of the folder, and "far" for those of other folders. Records of the last are made
+        until they have taken ``most`` seconds, the likeliest files first.
         """
+        alone, stem = where == "alone", Path(change.file).stem
+        if alone and not is_kernel(change.file):
+            return
         room, *_ = folder = change.file.split("/")[:-1]
         source = (self._base / "nlosoptics" / change.file).read_text()
         lines = _functions(source, change.line(source))
@@ -161,7 +167,12 @@ class Bench:
         files = sorted((self._base / "tests" / room).rglob("test_*.py"))
         spent = 0.0
         for file in sorted(files, key=mentions):
-            if file.is_relative_to(here) != near or (spent > most and not near):
+            held = (
+                stem in file.read_text()
+                if alone
+                else file.is_relative_to(here) == (where == "near")
+            )
+            if not held or (spent > most and where == "far"):
                 continue
             told = self._known.get(self._key(file)) or self._recorded(file)
             spent += told["new"]
@@ -170,6 +181,8 @@ class Bench:
             for called, line, tests in told["calls"]:
                 if (called == change.file and line in lines) if lines else called in users:
                     found |= {*tests}
+            if alone:
+                found = {*range(len(names))} - found
             yield from ((names[i], told["tests"][names[i]]) for i in sorted(found))
 
     def _names(self, files: set[str]) -> set[str]:

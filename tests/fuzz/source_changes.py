@@ -144,7 +144,10 @@ class _Finder(ast.NodeVisitor):
     def _on_unaryop(self, node: ast.UnaryOp) -> None:
         if isinstance(node.op, ast.Not | ast.USub):
             kind = "boolean" if isinstance(node.op, ast.Not) else "arithmetic"
-            self._add(kind, self._span(node)[0], self._span(node.operand)[0], "")
+            start, last = self._span(node)[0], self._span(node.operand)[0]
+            word = "not" if kind == "boolean" else "-"  # parentheses of the operand stay
+            rest = self._source[start + len(word) : last].lstrip()
+            self._add(kind, start, last - len(rest), "")
 
     def _on_constant(self, node: ast.Constant) -> None:
         value = node.value

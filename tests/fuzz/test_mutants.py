@@ -29,6 +29,7 @@ def mean(values: list[float] | None, *, power: int = 2) -> float:
             raise ValueError(f"{value + 1} is above {LIMIT - 1}")
         total += np.abs(-value) ** power
     values.clear()
+    total = -(total + 4.0) if not (total) else total
     return (total) / (
         len(values)  # a comment with - in it
     )
@@ -49,6 +50,10 @@ EXPECTED = {
     ("arithmetic", "total += np.abs(-value) * power"),
     ("arithmetic", "total += np.abs(value) ** power"),
     ("removed call", "total += (-value) ** power"),
+    ("arithmetic", "total = (total + 4.0) if not (total) else total"),
+    ("arithmetic", "total = -(total - 4.0) if not (total) else total"),
+    ("constant", "total = -(total + 8.0) if not (total) else total"),
+    ("boolean", "total = -(total + 4.0) if (total) else total"),
     ("arithmetic", "return (total) * ("),
 }
 
@@ -96,6 +101,10 @@ from numba import njit
 @njit(cache=True)
 def low(x):
     return x + 1.0
+
+@njit(cache=True)
+def lower(x):
+    return x - 1.0
 """,
     "nlosoptics/psf/_high_kernels.py": """
 from numba import njit
@@ -137,6 +146,12 @@ def test_first(raised):
 
 def test_second(raised):
     assert raised == 0.0
+""",
+    "tests/psf/test_low.py": """
+from nlosoptics.psf._low_kernels import lower
+
+def test_lower():
+    assert lower(1.0) == 0.0
 """,
     "pyproject.toml": "[tool.pytest.ini_options]\naddopts = ['--import-mode=importlib']\n",
 }
@@ -184,16 +199,21 @@ def outcomes(folder: Path, *wanted: str) -> dict[str, Any]:
 def test_changes_are_killed_survive_or_time_out(tmp_path: Path) -> None:
     inlined, guard = "_low_kernels: return x - 1.0", "shell: if x <= 0.0:"
     unused, endless, wrong = "shell: return x - 1.0", "shell: x -= 1.0", "shell: x += 2.0"
-    found = outcomes(tmp_path, inlined, guard, unused, endless, wrong)
+    alone = "_low_kernels: return x + 1.0"
+    found = outcomes(tmp_path, inlined, guard, unused, endless, wrong, alone)
     assert {name: one["outcome"] for name, one in found.items()} == {
         inlined: "killed",  # by a kernel of another file, which was compiled again
         guard: "survived",
         unused: "survived",
         endless: "timed out",
         wrong: "killed",  # in a fixture that the first test uses as well
+        alone: "killed",  # by a test that calls only the kernel
     }
-    by = ["tests/psf/test_shell.py::test_shell", "tests/psf/test_shell.py::test_second"]
+    by = [
+        f"tests/psf/{name}" for name in ("test_shell.py::test_shell", "test_shell.py::test_second")
+    ]
     assert [found[name]["by"] for name in (inlined, wrong)] == by
+    assert found[alone]["by"] == "tests/psf/test_low.py::test_lower"
     assert [found[name]["tests"] for name in (guard, unused, wrong)] == [1, 0, 2]
 
 

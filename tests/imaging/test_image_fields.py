@@ -14,10 +14,12 @@ from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel, image_field
 from nlosoptics.imaging.image_fields import (
     COUNTS,
+    autocorrelation,
+    blurred_power,
+    checked_places,
     expected_counts,
     interpolation_errors,
     picture_frame,
-    rms_difference,
 )
 from nlosoptics.psf import point_spread_field
 from nlosoptics.scene import ConcaveWall, FlatWall, MeshObject, WavyWall
@@ -26,6 +28,10 @@ from nlosoptics.scene import ConcaveWall, FlatWall, MeshObject, WavyWall
 @pytest.fixture(scope="module")
 def scene(examples):
     return nlos.Scene.load(examples / "scenes" / "letter_speckle.toml").resized(128)
+
+
+def rms_difference(found, exact):
+    return float(np.sqrt(np.mean((found - exact) ** 2) / np.mean(exact**2)))
 
 
 def test_error_bounds_that_of_the_image(examples):
@@ -40,12 +46,10 @@ def test_error_bounds_that_of_the_image(examples):
         return ForwardModel(wide, shape=picture.shape).forward(picture)
 
     exact = image(point_spread_field(scene, 6, tol=1e-3, checks=0))
-    field, error = image_field(scene, tol=1e-2)
+    field, error = image_field(scene, tol=3e-3)
     assert field.weights[0].size < 36
     true = rms_difference(image(field), exact)
-    # the estimate is the coarser grid's error; point spreads have a tol of their own
-    assert true <= error + 5e-3
-    assert error <= 1e-2
+    assert 0.2 * error <= true <= error <= 3e-3
     # one point spread is worse, and so are these without what lies beyond their windows
     assert rms_difference(image(point_spread_field(scene, 1, checks=0)), exact) > 3 * true
     narrow = ForwardModel(field, shape=picture.shape).forward(picture)
@@ -74,11 +78,28 @@ def test_frame_is_the_picture_upright_on_the_wall(scene):
 
 
 def test_too_few_nodes_are_refused(scene):
-    with pytest.raises(SamplingError, match=r"still changes by .* 4 x 4 point spreads"):
+    with pytest.raises(SamplingError, match=r"still has an error of .* 3 x 3 point spreads"):
         image_field(replace(scene, wall=ConcaveWall(6.0)), tol=1e-7, most_nodes=4)
-    # two grids tell one difference, and it takes two
-    with pytest.raises(SceneError, match="most_nodes = 2 .* at least 4"):
-        image_field(scene, most_nodes=2)
+    with pytest.raises(SceneError, match="most_nodes = 0 .* at least 1"):
+        image_field(scene, most_nodes=0)
+
+
+def test_power_is_that_of_the_blurred_picture():
+    rng = np.random.default_rng(4)
+    picture, kernels = rng.uniform(size=(9, 13)), rng.normal(size=(3, 5, 5))
+    # a frame that holds all the light: then nothing is lost beyond its edges
+    framed = np.pad(picture, 4)
+    exact = [(ForwardModel(k, shape=framed.shape).forward(framed) ** 2).sum() for k in kernels]
+    assert blurred_power(kernels, autocorrelation(picture, 5)) == pytest.approx(exact, rel=1e-12)
+
+
+def test_points_to_check_are_where_the_picture_is_bright():
+    picture = np.zeros((40, 80))
+    picture[10:30, 60:80] = 1.0
+    across, up = np.transpose(checked_places(picture))
+    for at, low, high in ((across, 0.5, 1.0), (up, -0.5, 0.5)):
+        parts = np.bincount((4 * (at - low) / (high - low)).astype(int), minlength=4)
+        assert parts.tolist() == [4, 4, 4, 4]
 
 
 def test_a_mesh_has_no_field(scene):

@@ -325,6 +325,24 @@ def test_shadows_of_another_camera_are_refused(flat_scene):
         form_image(scene, spread(scene), shadows=cast_shadows(scene.resized(32)))
 
 
+def test_known_shadows_serve_for_another_picture(flat_scene):
+    """A plate hides the light of one half of the object from parts of the wall."""
+    material = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 0.0))
+    scene = replace(
+        flat_scene,
+        laser=replace(flat_scene.laser, position=(-0.6, 0.3, 1.1)),
+        wall_material=material,
+        occluders=(plate((0.0, 0.4), (0.0, 0.3), 0.4),),
+    )
+    left = np.zeros((8, 8))
+    left[:, :4] = 1.0
+    known = cast_shadows(scene)
+    found = diffuse_background(scene, left, shadows=known)
+    assert np.array_equal(found, diffuse_background(scene, left))
+    other = replace(scene, hidden=replace(scene.hidden, image=left))
+    assert not np.allclose(cast_shadows(other).veil, known.veil, rtol=0.01)
+
+
 def test_what_is_left_of_the_object_is_reconstructed(examples):
     scene = nlos.Scene.load(examples / "scenes" / "letter_occluder.toml").resized(128)
     result = nlos.simulate(scene, reconstruct=True)

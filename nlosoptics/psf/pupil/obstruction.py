@@ -60,8 +60,9 @@ def hides(scene: Scene, object_point: Array, on_wall: Array, on_lens: Array) -> 
     Raises
     ------
     SceneError
-        If some paths are blocked and others are not.
+        If some paths are blocked and others are not, or an occluder reflects light.
     """
+    scene.check_black_occluders()
     mesh = scene.occluding_mesh
     if mesh is None:
         return False

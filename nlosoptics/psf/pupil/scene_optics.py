@@ -153,6 +153,7 @@ class SceneOptics:
             raise SceneError(
                 f"pupil is a {type(pupil).__name__}; give an ExitPupil, or leave it out"
             )
+        scene.check_black_occluders()
         self.scene, self._pupil = scene, pupil
 
     @cached_property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,11 +17,14 @@ from ..._random import generator
 from ...errors import SamplingError, SceneError
 from ...raytrace.intersection.meshes import worker_pool
 from ...scene import PlanarObject, Scene
-from ..pupil.scene_optics import SceneOptics, optics_of
+from ..pupil.scene_optics import PointOptics, SceneOptics, optics_of
 from ..transform.point_spread import PointSpread
 from .scene_psf import point_image, point_window
 
 Array = NDArray[np.float64]
+#: Coordinates of an object point across and up, -1 to 1 from edge to edge.
+Place = tuple[float, float]
+EDGES: Final = np.array([-1.0, 1.0])
 HELD_OUT = 501  # random stream of the points at which a field is checked
 AVERAGED = 32  # points along each side of the object over which a field is averaged
 BLOCK = 1 << 14  # points that are interpolated together, few enough for the processor's cache
@@ -274,50 +278,96 @@ def point_spread_field(
     """
     optics = optics_of(scene)
     scene = optics.scene
-    hidden = _picture(scene)
     ny, nx = _grid_counts(grid)
     in_range("tol", tol, 1e-9, 0.1)
     checks = whole("checks", checks, 0)
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
-    up, across = picture_nodes(ny), picture_nodes(nx)
-    corners = {(float(x), float(y)) for y in (up[0], up[-1]) for x in (across[0], across[-1])}
-    # The optics of these points determine the window; those of corner nodes are used again below.
-    seen = {
-        place: optics.at(picture_point(hidden, *place)) for place in sorted(corners | {(0.0, 0.0)})
-    }
-    side = max(point_window(one, pitch, tol / 2) for one in seen.values())
-    fits_memory(
-        f"{ny} x {nx} point spreads of {side} x {side} pixels",
-        40.0 * ny * nx * side * side,
-        "use a larger tol, or fewer nodes",
-    )
-    points = [(x, y) for y in up.tolist() for x in across.tolist()]
-    held_out = generator(seed, HELD_OUT).uniform(-1.0, 1.0, size=(checks, 2)).tolist()
+    drawn = generator(seed, HELD_OUT).uniform(-1.0, 1.0, size=(checks, 2)).tolist()
+    spreads = SampledSpreads(optics, pitch, tol / 2, picture_nodes(nx), picture_nodes(ny))
+    return spreads.field((ny, nx), [(x, y) for x, y in drawn], progress)
 
-    def spread(place: tuple[float, float]) -> PointSpread:
-        one = seen.get(place) or optics.at(picture_point(hidden, *place))
-        return point_image(one, pitch, (side, side), tol / 2)[1]
 
-    found = []
-    for one in worker_pool().map(carried(spread), [*points, *map(tuple, held_out)]):
-        found.append(one)
-        if progress is not None:
-            progress("field", len(found) / (ny * nx + checks))
-    spreads = np.array([one.intensity for one in found[: ny * nx]])
-    modes, weights, lost = _compressed(spreads.reshape(ny * nx, -1), tol / 2)
-    worst = max(one.error_estimate for one in found)
-    field = PointSpreadField(
-        modes=modes.reshape(-1, side, side),
-        weights=np.ascontiguousarray(weights.T).reshape(-1, ny, nx),
-        across=across,
-        up=up,
-        pitch=pitch,
-        truncation_error=lost,
-        error_estimate=lost + worst,
-    )
-    rest = zip(held_out, found[ny * nx :], strict=True)
-    error = max((_off(field.point_spread(x, y), one.intensity) for (x, y), one in rest), default=0)
-    return replace(field, error_estimate=max(error, lost) + worst)
+class SampledSpreads:
+    """Point spreads of points of a planar object on one window, each computed once.
+
+    Parameters
+    ----------
+    optics : SceneOptics
+        Optics of a scene with a `PlanarObject`.
+    pitch : float
+        Pixel side, m.
+    tol : float
+        Largest error of each point spread, relative to its peak.
+    across, up : ndarray, (nx,) and (ny,)
+        Increasing coordinates of the points. Those at the corners and at the object's centre
+        determine the window; by default the object's own corners.
+
+    Attributes
+    ----------
+    side : int
+        Pixels along each side of the window.
+    """
+
+    def __init__(
+        self,
+        optics: SceneOptics,
+        pitch: float,
+        tol: float,
+        across: Array = EDGES,
+        up: Array = EDGES,
+    ) -> None:
+        self.optics, self.pitch, self.tol = optics, pitch, tol
+        self._hidden = _picture(optics.scene)
+        corners = {(float(x), float(y)) for y in (up[0], up[-1]) for x in (across[0], across[-1])}
+        self._seen = {place: self._optics_at(place) for place in sorted(corners | {(0.0, 0.0)})}
+        self.side = max(point_window(one, pitch, tol) for one in self._seen.values())
+        self._found: dict[Place, PointSpread] = {}
+
+    def _optics_at(self, place: Place) -> PointOptics:
+        return self.optics.at(picture_point(self._hidden, *place))
+
+    def _compute(self, place: Place) -> PointSpread:
+        one = self._seen.get(place) or self._optics_at(place)
+        return point_image(one, self.pitch, (self.side, self.side), self.tol)[1]
+
+    def at(self, places: list[Place], progress: Progress | None = None) -> list[PointSpread]:
+        """Return the point spreads at coordinates across and up, -1 to 1, on all cores."""
+        missing = [place for place in dict.fromkeys(places) if place not in self._found]
+        done = worker_pool().map(carried(self._compute), missing)
+        for number, (place, one) in enumerate(zip(missing, done, strict=True), 1):
+            self._found[place] = one
+            if progress is not None:
+                progress("field", number / len(missing))
+        return [self._found[place] for place in places]
+
+    def field(
+        self, grid: tuple[int, int], held_out: list[Place], progress: Progress | None = None
+    ) -> PointSpreadField:
+        """Return the field of a grid of (ny, nx) points, compared with the points held out."""
+        ny, nx = grid
+        up, across = picture_nodes(ny), picture_nodes(nx)
+        fits_memory(
+            f"{ny} x {nx} point spreads of {self.side} x {self.side} pixels",
+            40.0 * ny * nx * self.side**2,
+            "use a larger tol, or fewer nodes",
+        )
+        points = [(x, y) for y in up.tolist() for x in across.tolist()]
+        found = self.at([*points, *held_out], progress)
+        spreads = np.array([one.intensity.ravel() for one in found[: ny * nx]])
+        modes, weights, lost = _compressed(spreads, self.tol)
+        worst = max(one.error_estimate for one in found)
+        field = PointSpreadField(
+            modes=modes.reshape(-1, self.side, self.side),
+            weights=np.ascontiguousarray(weights.T).reshape(-1, ny, nx),
+            across=across,
+            up=up,
+            pitch=self.pitch,
+            truncation_error=lost,
+            error_estimate=lost,
+        )
+        rest = zip(held_out, found[ny * nx :], strict=True)
+        errors = [_off(field.point_spread(x, y), one.intensity) for (x, y), one in rest]
+        return replace(field, error_estimate=max([lost, *errors]) + worst)
 
 
 def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> float:

@@ -26,6 +26,7 @@ STATUS: Final = ("detected", "escaped", "absorbed", "left", "blocked")
 NO_SURFACE: Final = -1
 ON_WALL: Final = 0
 ON_OBJECT: Final = 1
+ON_OCCLUDER: Final = 2
 
 
 def _no_numbers() -> NDArray[np.int8]:
@@ -65,8 +66,8 @@ class RayPaths(Noun):
         when tracing ended, usually after ``max_bounces`` reflections. 4: at the lens, but without
         reaching the detector, because of its edges or of the field stop.
     surface : ndarray of int8, (n, k)
-        Surface that reflects the light at each vertex: 0 for the wall, 1 for the hidden object, -1
-        for the source and the end. Empty for `pupil_rays`.
+        Surface that reflects the light at each vertex: 0 for the wall, 1 for the hidden object, 2
+        for an occluder, -1 for the source and the end. Empty for `pupil_rays`.
     lobe : ndarray of int8, (n, k)
         Index, from 0, of the lobe that reflects most of the path's light at each vertex; -1 for the
         source and the end. Lobes are the parts of the surface's material, each with its own angular

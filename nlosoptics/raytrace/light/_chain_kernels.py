@@ -1,6 +1,7 @@
 """Compiled chains of narrow lobes: light from a vertex over mirrors to a point of the lens.
 
-A chain of m reflections alternates between wall and hidden object. At each reflection a narrow lobe
+A chain of m reflections alternates between wall and hidden object, and begins with either of them
+if it comes from an occluder. At each reflection a narrow lobe
 is chosen and the slope of a facet is drawn; a smooth mirror has slope 0. Newton steps then find the
 points at which facets of these slopes reflect the light from the vertex to the lens. The Jacobian
 of the equations gives the power (Hanika et al., Manifold next event estimation, 2015).
@@ -32,7 +33,7 @@ from ._light_kernels import (
     lobes_of,
 )
 from ._lobe_kernels import STEEPEST, facet_slope_sq, is_narrow
-from ._surround_kernels import OBJECT, WALL, dot, interval, on_detector, texel, three
+from ._surround_kernels import OBJECT, ROOM, WALL, dot, interval, on_detector, texel, three
 
 STREAM = np.uint64(303)  # stream of the random numbers
 # Largest numbers of Newton steps and of halvings of a step. A search tries many starts, and some
@@ -419,8 +420,10 @@ def chain_to_lens(
         Light vertices at which wide lobes begin the chains.
     lens : ndarray, (n, 3)
         Points of the lens, m.
-    order : (int, int)
-        Number of reflections up to the light vertices, and m, that of a chain.
+    order : (int, int, bool)
+        Number of reflections up to the light vertices; m, that of a chain; and whether the first
+        reflection is at the wall, from light vertices on occluders alone. Otherwise the first
+        reflection is at the hidden object, or at the wall from light vertices on the object.
     several : bool
         Whether a chain of given slopes may have several solutions.
     steepest : float
@@ -436,7 +439,7 @@ def chain_to_lens(
     starts until it is found again, whose mean is the reciprocal of its chance (Zeltner et al.,
     Specular manifold sampling, 2020).
     """
-    seed, camera, bounce, m = sampler[0], world.camera, order[0], order[1]
+    seed, camera, (bounce, m, at_wall) = sampler[0], world.camera, order
     area, axis = math.pi * camera[12] ** 2 * camera[18], three(camera, 9)
     kinds, lobes_at = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
     frames, bounds, inverse = np.empty((m, 12)), np.zeros((m, 8)), np.empty(m)
@@ -448,9 +451,12 @@ def chain_to_lens(
         share = vertex[NARROW] if m == 1 else 1.0
         if vertex[SURFACE] < 0.0 or vertex[POWER] * share <= 0.0:
             continue
+        if at_wall and vertex[SURFACE] < ROOM:
+            continue
         a, p, ready, on_wall = three(vertex, 0), three(lens[i], 0), True, 0
+        begin = WALL if at_wall or vertex[SURFACE] == OBJECT else OBJECT
         for k in range(m):
-            kinds[k] = WALL if (vertex[SURFACE] == OBJECT) == (k % 2 == 0) else OBJECT
+            kinds[k] = begin if k % 2 == 0 else WALL + OBJECT - begin
             on_wall += 1 if kinds[k] == WALL else 0
         search = several and on_wall > 0
         keep = THINNED ** (1 - on_wall) if search else 1.0
@@ -526,7 +532,8 @@ def chain_to_lens(
             mirror, n = mirrors[k, i], _normal(frames[k], g[k])
             for c in range(3):
                 mirror[c], mirror[3 + c] = x[k, c], n[c]
-            mirror[SURFACE], mirror[MET] = kinds[k], 1.0
+            mirror[SURFACE] = kinds[k]
+            mirror[MET] = 1.0 if kinds[k] == OBJECT or k > 0 else vertex[MET]
             if k > 0:
                 away = (x[k, 0] - x[k - 1, 0], x[k, 1] - x[k - 1, 1], x[k, 2] - x[k - 1, 2])
                 length[i] += math.sqrt(dot(away, away))

@@ -34,10 +34,12 @@ from ._surround_kernels import (
     NOTHING,
     OBJECT,
     OCCLUDER,
+    ROOM,
     WALL,
     dot,
     object_point,
     on_detector,
+    reflects,
     three,
 )
 
@@ -66,14 +68,16 @@ def sums_of(path_sums, first, i):
 
 @njit(cache=True, inline="always")
 def lobes_of(world, kind):
-    """Return the table of lobes (n, 4) of the surface ``kind``, the wall or the hidden object."""
-    return world.wall if kind == WALL else world.thing
+    """Return the table of lobes (n, 4) of a surface that reflects light; see `reflects`."""
+    if kind == WALL:
+        return world.wall
+    return world.thing if kind == OBJECT else world.room[kind - ROOM]
 
 
 @njit(cache=True, inline="always")
 def aimed_share(world, vertex, eye):
     """Return the fraction, 0 to 1, of the rays leaving ``vertex`` that are aimed at the object."""
-    if vertex[SURFACE] != WALL:
+    if vertex[SURFACE] == OBJECT:
         return 0.0
     return world.aimed[0] if eye or vertex[BEFORE] == NOTHING else world.aimed[1]
 
@@ -81,12 +85,12 @@ def aimed_share(world, vertex, eye):
 @njit(cache=True)
 def chained_at(chains, kind):
     """Return whether narrow lobes of a surface take part in `World.chains`."""
-    return chains & (1 if kind == WALL else 2) != 0
+    return kind < OCCLUDER and chains & (1 if kind == WALL else 2) != 0
 
 
 @njit(cache=True)
 def _is_spot(vertex, eye):
-    """Return whether a vertex of the wall is the laser spot."""
+    """Return whether a vertex is the laser spot."""
     return not eye and vertex[BEFORE] == NOTHING
 
 
@@ -121,13 +125,6 @@ def chain_shares(vertex, narrow, kind):
         return 0.0, 0.0
     chain, wide = narrow * vertex[BEGUN], 1.0 - narrow
     return wide + chain, wide * vertex[NARROW] + chain
-
-
-@njit(cache=True, inline="always")
-def _follow(old, new, narrow, kind):
-    """Fill NARROW, BEGUN and LINKED of a vertex on a surface ``kind`` that follows ``old``."""
-    new[NARROW] = narrow
-    new[BEGUN], new[LINKED] = chain_shares(old, narrow, kind)
 
 
 @njit(cache=True, inline="always")
@@ -300,7 +297,8 @@ def land(
             if at == OBJECT:
                 passed *= old[i, SCALE]
         sent = power * passed
-        sums[tail + (ABSORBED_OBJECT if at == OBJECT else ABSORBED_WALL)] += power - sent
+        absorber = ABSORBED_WALL if at == WALL else ABSORBED_OBJECT
+        sums[tail + (absorber if at < ROOM else ABSORBED_OCCLUDERS)] += power - sent
         if at == WALL and old[i, BEFORE] == WALL:
             sums[tail + TRAPPED] += power - sent
         if sent > 0.0 and roulette >= 0:
@@ -321,13 +319,16 @@ def land(
             fates[i] = paths.DETECTED if kept > 0.0 else paths.BLOCKED
             if kept > 0.0:
                 new[i, POWER] = kept
-        elif where in (WALL, OBJECT):
+        elif reflects(where):
             if where == WALL and at == WALL:
                 sums[tail + WALL_TO_WALL] += sent
             _arrive(old[i], new[i], o, d, distance[i], where, n, scale[i], sent, density)
             new[i, LIT] = lit[i]
             if chains != 0:
-                _follow(old[i], new[i], leave[i, SHARE], where)
+                new[i, NARROW] = leave[i, SHARE]
+                if chained_at(chains, where):
+                    shares = chain_shares(old[i], leave[i, SHARE], where)
+                    new[i, BEGUN], new[i, LINKED] = shares
             if bounce == most:
                 sums[tail + LEFT] += sent
                 new[i, SURFACE] = NOTHING
@@ -382,7 +383,7 @@ def start(power, first, most, origins, directions, hits, new, path_sums, fates):
         if where == NOTHING:
             sums[tail + ESCAPED] += power
             fates[i] = paths.ESCAPED
-        elif where in (WALL, OBJECT):
+        elif reflects(where):
             _arrive(
                 source,
                 new[i],
@@ -418,7 +419,7 @@ def look(origins, directions, powers, densities, hits, new):
     for i in range(new.shape[0]):
         new[i, SURFACE] = NOTHING
         where = int(kind[i])
-        if powers[i] > 0.0 and where in (WALL, OBJECT):
+        if powers[i] > 0.0 and reflects(where):
             d, n = three(directions[i], 0), three(normal[i], 0)
             density = densities[i] * abs(dot(d, n)) / distance[i] ** 2
             o = three(origins[i], 0)
@@ -436,7 +437,7 @@ def look_on(norm, old, leave, origins, directions, hits, new):
     for i in range(new.shape[0]):
         new[i, SURFACE] = NOTHING
         where = int(kind[i])
-        if old[i, SURFACE] < 0.0 or where not in (WALL, OBJECT):
+        if old[i, SURFACE] < 0.0 or not reflects(where):
             continue
         if dot(three(leave[i], 0), three(old[i], 3)) <= 0.0:
             continue

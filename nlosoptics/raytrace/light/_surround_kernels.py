@@ -16,8 +16,9 @@ from ..intersection._block_kernels import BLOCK, DX, DY, DZ, HX, HY, OX, OY, OZ,
 from ..intersection._block_kernels import T as DISTANCE
 from ..intersection._wall_kernels import HIT, UNRESOLVED, wall_hit
 
-# kinds of hit: BACK is the back of the hidden object, LOST a hit that could not be resolved
-NOTHING, WALL, OBJECT, OCCLUDER, LENS, BACK, LOST = range(-1, 6)
+# kinds of hit: OCCLUDER is a black occluder, BACK the back of the hidden object, LOST a hit that
+# could not be resolved, and ROOM + k an occluder of material k
+NOTHING, WALL, OBJECT, OCCLUDER, LENS, BACK, LOST, ROOM = range(-1, 7)
 # Numbers of a ray's random draws. Low Sobol dimensions are the most uniform, so that the draws with
 # the largest influence on the detected power come first.
 DRAW_PIXEL, DRAW_FIRST, DRAW_LENS, DRAW_BEAM, DRAW_EYE, DRAW_NEXT = 0, 2, 6, 8, 10, 14
@@ -32,6 +33,10 @@ class World(NamedTuple):
     ----------
     wall, thing : ndarray, (n, 4)
         Lobes of the wall and of the hidden object.
+    room : ndarray, (m, k, 4)
+        Lobes of the m materials of occluders that reflect light; rows without a lobe are 0.
+    kinds : ndarray of int16, (f,)
+        Kinds of hit of the triangles of occluders and wall.
     plate : ndarray, (14,)
         Planar object: centre, right, up, normal, half width, half height; empty for a mesh.
     picture : ndarray, (ny, nx)
@@ -65,6 +70,8 @@ class World(NamedTuple):
 
     wall: NDArray[np.float64]
     thing: NDArray[np.float64]
+    room: NDArray[np.float64]
+    kinds: NDArray[np.int16]
     plate: NDArray[np.float64]
     picture: NDArray[np.float64]
     rows: NDArray[np.float64]
@@ -89,6 +96,12 @@ class World(NamedTuple):
 def dot(a, b):
     """Return the scalar product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, inline="always")
+def reflects(kind):
+    """Return whether surfaces of this kind reflect light, so that a path may go on from them."""
+    return kind in (WALL, OBJECT) or kind >= ROOM
 
 
 @njit(cache=True)
@@ -312,7 +325,8 @@ def mesh_hits(world, rows, found, away, normals, directions, distance, kind, nor
     """Replace the hits of the rays ``rows`` by nearer ones on triangles.
 
     ``found`` and ``away`` are the triangles (-1 for none) and their distances, m. The first ones
-    belong to the hidden object if it is a mesh, the others to occluders.
+    belong to the hidden object if it is a mesh, the others to occluders or wall, whose two sides
+    are alike.
     """
     thing_faces = world.patches.size
     for j in range(rows.size):
@@ -324,11 +338,15 @@ def mesh_hits(world, rows, found, away, normals, directions, distance, kind, nor
         distance[i], scale[i] = away[j], 1.0
         for m in range(3):
             normal[i, m] = normals[k, m]
-        if k >= thing_faces:
-            kind[i] = OCCLUDER
-        else:
-            kind[i] = OBJECT if dot(three(directions[i], 0), three(normals[k], 0)) < 0 else BACK
+        front = dot(three(directions[i], 0), three(normals[k], 0)) < 0
+        if k < thing_faces:
+            kind[i] = OBJECT if front else BACK
             lit[i] = world.lit[world.patches[k]]
+            continue
+        kind[i] = world.kinds[k - thing_faces]
+        if not front:
+            for m in range(3):
+                normal[i, m] = -normal[i, m]
 
 
 @njit(cache=True, inline="always")

@@ -124,8 +124,6 @@ class Rays:
         self.live = np.ones(n, dtype=bool)
         self.fates = np.empty(n, dtype=np.int8)
         self.value, self.length = np.empty((2, n))
-        self.by_object = np.zeros((n, kernels.VERTEX))  # stands for chains, which meet the object
-        self.by_object[:, kernels.MET] = 1.0
         self.watched = job.keep_paths
         self.walked: list[Array] = []
         self.kept: list[Kept] = []
@@ -218,12 +216,15 @@ class Rays:
         if self.around.chains.surfaces:
             longest = most - bounce if self.around.chains.both else min(1, most - bounce)
             for m in range(1, longest + 1):
-                self._chain(light, bounce, m)
+                self._chain(light, bounce, m, False)
+                if len(world.room):
+                    self._chain(light, bounce, m, True)
 
-    def _chain(self, light: Array, bounce: int, m: int) -> None:
+    def _chain(self, light: Array, bounce: int, m: int, at_wall: bool) -> None:
         """Add the power of chains of ``m`` mirror-like reflections from light vertices to the lens.
 
-        ``bounce`` is the number of reflections up to the light vertices.
+        ``bounce`` is the number of reflections up to the light vertices, and ``at_wall`` says which
+        of the chains from occluders are traced; see `_chain_kernels.chain_to_lens`.
         """
         mirrors, chains = np.zeros((m, self.n, kernels.VERTEX)), self.around.chains
         chaining.chain_to_lens(
@@ -233,7 +234,7 @@ class Rays:
             self.first,
             light,
             self.lens,
-            (bounce, m),
+            (bounce, m, at_wall),
             chains.several,
             chains.steepest,
             self.value,
@@ -248,9 +249,9 @@ class Rays:
             self.ends[:] = mirror[:, kernels.P]
             self.around.clear(self.starts, self.ends, on_wall, self.value, self.counts)
             self.starts[:] = self.ends
-            on_wall = ~on_wall
+            on_wall = mirror[:, kernels.SURFACE] == surround.WALL
         self.ends[:] = self.lens
-        self._book(light, self.by_object, bounce + m, tuple(mirrors), self.lens, on_wall)
+        self._book(light, mirrors[-1], bounce + m, tuple(mirrors), self.lens, on_wall)
 
     def _scatter(self, vertices: Array, number: int, eye: bool) -> None:
         """Draw the directions in which the paths continue, from random number ``number`` on."""

@@ -61,8 +61,17 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
         Whether light from the wall can meet the wall again.
     """
     wall, thing = bool(scene.wall_material.mirror_lobes), bool(scene.hidden.material.mirror_lobes)
-    steepest, hills = (0.0, 0.0) if scene.wall.is_flat else _slopes(scene)
     missing: list[tuple[int, str]] = []
+    steepest = hills = 0.0
+    if not scene.wall.has_height:
+        if wall:
+            text = (
+                "light that mirror-like lobes of the wall reflect to the lens or to another mirror"
+            )
+            missing.append((2, f"{text}: the wall consists of triangles"))
+        wall = False
+    elif not scene.wall.is_flat:
+        steepest, hills = _slopes(scene)
     if wall and wall_to_wall and _lens_elevation(scene) <= 3.0 * math.atan(steepest):
         text = (
             "light that the wall's mirror-like lobes reflect twice in a row: its slopes, up to "
@@ -72,7 +81,8 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
     # chains of one reflection matter if the laser's glint on the wall reaches the object
     facets = DEVIATIONS * max((x.slope_rms for x in scene.wall_material.mirror_lobes), default=0.0)
     spread = 2.0 * (math.atan(steepest) + facets)
-    wall = wall and (thing or _meets_object(scene, spread, mirrored=True))
+    room = bool(scene.room_materials)
+    wall = wall and (thing or room or _meets_object(scene, spread, mirrored=True))
     obstacle = _obstacle(scene, hills) if wall else ""
     if obstacle:
         path = "the object and then" if thing else "the wall, and after the object again"
@@ -88,6 +98,9 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
             text = "light that the object's mirror-like lobes reflect twice in a row: its mesh is "
             missing.append((3, f"{text}not convex"))
     wall = wall and not obstacle
+    if any(material.mirror_lobes for material in scene.room_materials):
+        text = "light that mirror-like lobes of occluders reflect to the lens or to another mirror"
+        missing.append((2, text))
     return Chains(
         surfaces=int(wall) + 2 * int(thing),
         both=wall and thing,

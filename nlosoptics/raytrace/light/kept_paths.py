@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..._vectors import dot
 from ...kernels import brdf
 from ...kernels.codes import BECKMANN
-from ..fans.paths import NO_SURFACE, ON_OBJECT, ON_WALL
+from ..fans.paths import NO_SURFACE, ON_OBJECT, ON_OCCLUDER, ON_WALL
 from . import _light_kernels as kernels
 from . import _surround_kernels as surround
 
@@ -66,6 +66,7 @@ def kept_paths(
         for kind, surface, table in (
             (surround.WALL, ON_WALL, world.wall),
             (surround.OBJECT, ON_OBJECT, world.thing),
+            *((surround.ROOM + k, ON_OCCLUDER, lobes) for k, lobes in enumerate(world.room)),
         ):
             rows = vertex[:, kernels.SURFACE] == kind
             surfaces[rows, j + 1] = surface

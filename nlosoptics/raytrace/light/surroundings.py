@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..._checks import Vector
 from ...kernels.codes import BECKMANN
-from ...scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene
+from ...scene import CallableWall, ConcaveWall, ConvexWall, MeshWall, PlanarObject, Scene
 from ..intersection.intersections import HIT, UNRESOLVED, compiled_wall, intersect
 from ..intersection.kept_meshes import (
     Chart,
@@ -22,7 +22,7 @@ from ..intersection.kept_meshes import (
     cumulative,
     kept_mesh,
 )
-from ..intersection.meshes import blocked, first_triangles
+from ..intersection.meshes import blocked, first_triangles, intersect_mesh
 from .chains import Chains, mirror_chains
 
 if TYPE_CHECKING:
@@ -30,10 +30,11 @@ if TYPE_CHECKING:
 
 
 Array = NDArray[np.float64]
-Hits = tuple[Array, NDArray[np.int8], Array, Array, Array]
+Hits = tuple[Array, NDArray[np.int16], Array, Array, Array]
 # Shares of the rays leaving the wall that are aimed at the object: first for the laser spot and
 # points seen from the lens, second for other points. The second row is for walls that see
-# themselves, which need more of the other rays. Binary fractions split Sobol points exactly.
+# themselves, or occluders that reflect light, which need more of the other rays. Binary fractions
+# split Sobol points exactly.
 AIMED: Final = ((0.75, 0.75), (0.5, 0.25))
 #: Share of the rays aimed from the laser spot at a mesh that are spread evenly over its area, so
 #: that shadows, glossy lobes and inclined parts of a patch cost little where the others miss them.
@@ -48,11 +49,11 @@ class RayPlan:
 
     Parameters
     ----------
-    wall_hits : {"closed form", "march", "python"}
-        How hits on the wall are found: in closed form, by steps along the ray in compiled code, or
-        by such steps in Python, for a `nlosoptics.scene.CallableWall`.
+    wall_hits : {"closed form", "march", "python", "triangles"}
+        How hits on the wall are found: in closed form; by steps along the ray in compiled code, or
+        in Python for a `nlosoptics.scene.CallableWall`; or as those on other triangles.
     embree : bool
-        Whether the scene has triangles that rays can meet: those of a hidden mesh or of occluders.
+        Whether the scene has triangles that rays can meet: those of wall, hidden mesh or occluders.
         The library Embree finds hits on large meshes, own code those on small ones.
     wall_to_wall : bool
         Whether light from one point of the wall can meet the wall again.
@@ -60,8 +61,8 @@ class RayPlan:
         Whether the wall can block the line between two of its points, or between the wall and a
         point in the room.
     glossy : bool
-        Whether the material of wall or object has a glossy part (a microfacet or Ward lobe). Its
-        light is then sampled in three ways instead of one; see the notes of `trace`.
+        Whether a material of the scene has a glossy part (a microfacet or Ward lobe). Its light is
+        then sampled in three ways instead of one; see the notes of `trace`.
     chains : bool
         Whether the tracer solves the law of reflection for paths with several mirror-like
         reflections in a row (at wall and object). Random rays hardly find such paths.
@@ -169,13 +170,16 @@ def ray_plan(scene: Scene) -> RayPlan:
     closed = wall.is_flat or isinstance(wall, ConvexWall | ConcaveWall)
     beside = isinstance(wall, ConcaveWall) and not _within_hollow(wall, scene)
     how = "python" if isinstance(wall, CallableWall) else "closed form" if closed else "march"
-    lobes = np.concatenate([scene.wall_material.lobe_table(), scene.hidden.material.lobe_table()])
+    how = how if wall.has_height else "triangles"
+    materials = (scene.wall_material, scene.hidden.material, *scene.room_materials)
+    lobes = np.concatenate([material.lobe_table() for material in materials])
     chains = mirror_chains(scene, wall_to_wall=not convex)
     return RayPlan(
         wall_hits=how,
-        embree=bool(scene.occluders) or not isinstance(scene.hidden, PlanarObject),
+        embree=bool(scene.occluders)
+        or not (isinstance(scene.hidden, PlanarObject) and wall.has_height),
         wall_to_wall=not convex,
-        wall_shadows=beside or not closed,
+        wall_shadows=(beside or not closed) and wall.has_height,
         glossy=bool((lobes[:, 0] >= BECKMANN).any()),
         chains=chains.surfaces > 0,
         unreached=tuple(text for _, text in chains.unreached),
@@ -183,13 +187,15 @@ def ray_plan(scene: Scene) -> RayPlan:
 
 
 def _within_hollow(wall: ConcaveWall, scene: Scene) -> bool:
-    """Return whether lens and object lie inside the convex room of a concave wall.
+    """Return whether all that sends light lies inside the convex room of a concave wall.
 
     The room is the interior of the sphere or cylinder, extended toward +z from its widest level.
     """
     hidden, camera = scene.hidden, scene.camera
     thing = hidden.corners if isinstance(hidden, PlanarObject) else hidden.surface.vertices
-    points = np.concatenate([[camera.position], np.asarray(thing, dtype=np.float64)])
+    things = [np.asarray(thing, dtype=np.float64)]
+    things += [mesh.vertices for mesh, material in scene.occluder_surfaces if not material.is_black]
+    points = np.concatenate([[camera.position], *things])
     margin = np.zeros(len(points))
     margin[0] = camera.stop_diameter / 2
     if wall.shape == "sphere":
@@ -220,11 +226,11 @@ class Surroundings:
         self._wall = scene.wall
         self._walls: Any = None
         self.chain_wall: Any = (None, None, np.full(2, math.inf), 0.0)
-        if self.plan.wall_hits != "python":
+        if self.plan.wall_hits not in ("python", "triangles"):
             self._walls = compiled_wall(scene.wall, math.inf)
             terms, tables, _, box, _, rim = self._walls
             self.chain_wall = terms, tables, box, rim
-        self._mesh = _triangles(scene, thing)
+        self._mesh = _triangles(scene)
         if self._mesh is not None:
             self._gap = 1e-9 * max(self._mesh.reach, 1e-3)
 
@@ -253,8 +259,8 @@ class Surroundings:
         -------
         distance : ndarray, (n,)
             Distance to the hit, m; infinite without one.
-        kind : ndarray of int8, (n,)
-            Kind of surface, from ``NOTHING`` to ``LOST`` in `_surround_kernels`.
+        kind : ndarray of int16, (n,)
+            Kind of surface, from ``NOTHING`` to ``ROOM`` and beyond in `_surround_kernels`.
         normal : ndarray, (n, 3)
             Unit normal at the hit, world.
         scale : ndarray, (n,)
@@ -265,7 +271,7 @@ class Surroundings:
         from . import _surround_kernels as kernels
 
         n = len(origins)
-        distance, kind = np.full(n, math.inf), np.full(n, kernels.NOTHING, dtype=np.int8)
+        distance, kind = np.full(n, math.inf), np.full(n, kernels.NOTHING, dtype=np.int16)
         normal, scale, lit = np.zeros((n, 3)), np.ones(n), np.zeros(n)
         ends = (distance, kind, normal, scale, lit)
         # rays that leave a wall which cannot see itself need no wall test
@@ -276,7 +282,7 @@ class Surroundings:
                 counts["wall to wall"] += int(leaving.sum())
             else:
                 asking = live & ~leaving
-        asked = int(asking.sum())
+        asked = int(asking.sum()) if self._wall.has_height else 0
         counts["wall"] += asked
         if asked and self._walls is not None:
             kernels.wall_hits(*self._walls, origins, directions, asking, distance, kind, normal)
@@ -302,7 +308,7 @@ class Surroundings:
         directions: Array,
         asking: NDArray[np.bool_],
         distance: Array,
-        kind: NDArray[np.int8],
+        kind: NDArray[np.int16],
         normal: Array,
     ) -> None:
         """Fill in the hits on a wall of Python functions for the rays ``asking``."""
@@ -325,7 +331,7 @@ class Surroundings:
 
         if self._walls is not None:
             kernels.settle(*self._walls[:2], points, on_wall)
-        elif on_wall.any():
+        elif on_wall.any() and self._wall.has_height:
             points[on_wall, 2] = self._wall.derivatives(*points[on_wall, :2].T)[:, 0]
 
     def clear(
@@ -379,18 +385,40 @@ class Surroundings:
             hits = intersect(self._wall, starts, lines)
             near = hits.hit & (np.nan_to_num(hits.distance) < length * (1.0 - 1e-9))
             return np.asarray(near | (hits.status == UNRESOLVED))
-        distance, kind = np.full(len(length), math.inf), np.full(len(length), -1, dtype=np.int8)
+        distance, kind = np.full(len(length), math.inf), np.full(len(length), -1, dtype=np.int16)
         live = np.ones(len(length), dtype=bool)
         kernels.wall_hits(*self._walls, starts, lines, live, distance, kind, np.zeros_like(starts))
         return np.asarray(distance < length * (1.0 - 1e-9))
 
 
-def _triangles(scene: Scene, thing: PlanarObject | KeptMesh) -> KeptMesh | None:
-    """Return all triangles as one mesh, those of the hidden object first."""
-    black = scene.occluding_mesh
-    if isinstance(thing, PlanarObject) or isinstance(scene.hidden, PlanarObject):
-        return None if black is None else kept_mesh(black)
-    return thing if black is None else kept_mesh(scene.hidden.surface, black)
+def _triangles(scene: Scene) -> KeptMesh | None:
+    """Return all triangles as one mesh: of the hidden object, the occluders, and the wall."""
+    meshes = [] if isinstance(scene.hidden, PlanarObject) else [scene.hidden.surface]
+    if scene.occluding_mesh is not None:
+        meshes.append(scene.occluding_mesh)
+    if isinstance(scene.wall, MeshWall) and not scene.wall.smooth:
+        meshes.append(scene.wall.triangles)
+    return kept_mesh(*meshes) if meshes else None
+
+
+def _room(scene: Scene) -> tuple[Array, NDArray[np.int16]]:
+    """Return `World.room` and `World.kinds` of the occluders and the wall's triangles."""
+    from ._surround_kernels import OCCLUDER, ROOM, WALL
+
+    tables: list[Array] = []
+    kinds = [np.zeros(0, dtype=np.int16)]
+    for mesh, material in scene.occluder_surfaces:
+        kind = OCCLUDER
+        if not material.is_black:
+            kind = ROOM + len(tables)
+            tables.append(material.lobe_table())
+        kinds.append(np.full(len(mesh.faces), kind, dtype=np.int16))
+    if isinstance(scene.wall, MeshWall) and not scene.wall.smooth:
+        kinds.append(np.full(len(scene.wall.triangles.faces), WALL, dtype=np.int16))
+    room = np.zeros((len(tables), max((len(table) for table in tables), default=1), 4))
+    for lobes, table in zip(room, tables, strict=True):
+        lobes[: len(table)] = table
+    return room, np.concatenate(kinds)
 
 
 def lit_patches(scene: Scene, chart: Chart) -> Array:
@@ -417,7 +445,12 @@ def lit_patches(scene: Scene, chart: Chart) -> Array:
 
 def _met(scene: Scene, start: Vector, toward: Vector) -> Array:
     """Return the point of the wall that a ray through two points meets, or else the second one."""
-    hits = intersect(scene.wall, start, np.subtract(toward, start))
+    beam = np.subtract(toward, start)
+    wall = scene.wall
+    if isinstance(wall, MeshWall) and not wall.smooth:
+        hits: Any = intersect_mesh(wall.triangles, start, beam)
+    else:
+        hits = intersect(wall, start, beam)
     return hits.points if hits.hit else np.array(toward, dtype=np.float64)
 
 
@@ -446,6 +479,7 @@ def _world(
     picture, rows, columns = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
     plate = np.zeros(0)
     chart, lit = None, np.zeros(0)
+    room, kinds = _room(scene)
     if isinstance(thing, PlanarObject):
         picture = np.array(thing.reflectance)
         plate = np.concatenate([thing.position, thing.axes.ravel(), np.divide(thing.size, 2)])
@@ -458,6 +492,8 @@ def _world(
     return World(
         wall=scene.wall_material.lobe_table(),
         thing=scene.hidden.material.lobe_table(),
+        room=room,
+        kinds=kinds,
         plate=plate,
         picture=picture,
         rows=rows,
@@ -470,7 +506,9 @@ def _world(
         lit_splits=np.zeros(0) if chart is None else chart_splits(lit * chart.areas),
         lit=lit,
         norm=1.0 / total if total > 0.0 else 0.0,
-        aimed=np.array(AIMED[plan.wall_to_wall] if total > 0.0 and not analog else (0.0, 0.0)),
+        aimed=np.array(
+            AIMED[plan.wall_to_wall or len(room) > 0] if total > 0.0 and not analog else (0.0, 0.0)
+        ),
         glossy=plan.glossy,
         chains=0 if analog else chains.surfaces,
         ball=ball,

@@ -269,8 +269,7 @@ def _refuse_darkness(scene: Scene) -> None:
         ("wall_material", scene.wall_material),
         ("hidden.material", scene.hidden.material),
     ):
-        lobes = material.lobe_table()
-        if not (lobes[:, 1] * lobes[:, 3] > 0.0).any():
+        if material.is_black:
             raise SceneError(f"{name} reflects nothing, so no light can arrive; raise its albedo")
     if getattr(scene.hidden, "reflectance", np.ones(1)).max() == 0.0:
         raise SceneError(

@@ -164,7 +164,7 @@ def trace_point(
     Raises
     ------
     SceneError
-        If an option is out of range or the point is behind the wall.
+        If an option is out of range, the point is behind the wall, or an occluder reflects light.
     MemoryLimitError
         If the pixels would not fit in memory.
 
@@ -274,10 +274,12 @@ def point_scene(scene: Scene, object_point: ArrayLike | None) -> Scene:
     Raises
     ------
     SceneError
-        If ``scene`` is no `Scene`, or the point is not finite or behind the wall.
+        If ``scene`` is no `Scene`, the point is not finite or behind the wall, or an occluder
+        reflects light.
     """
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
+    scene.check_black_occluders()
     o = (
         scene.object_point
         if object_point is None

@@ -377,8 +377,10 @@ def _occluders(tables: list[_file_tables.OccluderTable], folder: Path) -> tuple[
     """Return the occluders of a scene file."""
     found = []
     for index, table in enumerate(tables):
-        values = _given(table)
+        values = _given(table, "material")
         mesh = _resolved(folder, values.pop("mesh"))
+        if table.material is not None:
+            values["material"] = _material(f"occluder[{index}].material", table.material)
         with located(f"occluder[{index}].", "occluder."):
             found.append(Occluder(mesh, **values))
     return tuple(found)

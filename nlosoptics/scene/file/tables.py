@@ -409,6 +409,7 @@ class MeshWallTable(Table):
     shape: Literal["mesh"]
     mesh: str
     scale: float | None = None
+    smooth: bool | None = None
     material: MaterialTable | None = None
     roughness: RoughnessTable | None = None
 
@@ -482,7 +483,7 @@ def _hidden_tag(table: Any) -> str:
 
 
 class OccluderTable(Table):
-    """Black triangle mesh that blocks light."""
+    """Triangle mesh that blocks light. It is black unless a material is given."""
 
     mesh: str
     scale: float | None = None
@@ -490,6 +491,7 @@ class OccluderTable(Table):
     yaw: AngleText | None = None
     pitch: AngleText | None = None
     roll: AngleText | None = None
+    material: MaterialTable | None = None
 
 
 HiddenTable = Annotated[

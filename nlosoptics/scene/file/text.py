@@ -15,7 +15,7 @@ from ...errors import SceneError
 from ..parts._sources import SourceFile, array_file, mesh_file, picture_file
 from ..parts.hidden import MeshObject, PlanarObject
 from ..parts.materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
-from ..parts.occluders import Occluder
+from ..parts.occluders import BLACK, Occluder
 from ..walls.analytic import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 from ..walls.height_maps import HeightMapWall
 from ..walls.mesh_walls import MeshWall
@@ -183,6 +183,7 @@ def _wall_table(key: str, wall: Wall, named: Naming) -> Any:
             shape="mesh",
             mesh=_file(f"{key}.mesh", wall.mesh, named),
             scale=wall.scale,
+            smooth=None if wall.smooth else False,
         )
     if isinstance(wall, HeightMapWall) and wall.drawn is not None:
         return _file_tables.RandomTable.model_construct(shape="random", **wall.drawn)
@@ -238,9 +239,11 @@ def _occluder_table(key: str, occluder: Any, named: Naming) -> Any:
     """Return the table of an occluder; ``key`` is the key of its mesh."""
     if not isinstance(occluder, Occluder):
         occluder = Occluder(occluder)
-    places = {key: getattr(occluder, key) for key in ("scale", "position", "yaw", "pitch", "roll")}
+    values = {key: getattr(occluder, key) for key in ("scale", "position", "yaw", "pitch", "roll")}
+    if occluder.material != BLACK:
+        values["material"] = _material_table(occluder.material)
     mesh = _file(key, occluder.mesh, named)
-    return _file_tables.OccluderTable.model_construct(mesh=mesh, **places)
+    return _file_tables.OccluderTable.model_construct(mesh=mesh, **values)
 
 
 def _file(key: str, held: Any, named: Naming) -> str:

@@ -43,6 +43,12 @@ class Material:
         raise NotImplementedError
 
     @property
+    def is_black(self) -> bool:
+        """Whether the material reflects no light at all."""
+        lobes = self.lobe_table()
+        return not bool((lobes[:, 1] * lobes[:, 3] > 0.0).any())
+
+    @property
     def specular_reflectance(self) -> float:
         """Fraction of the incident power that mirror-like lobes reflect, 0 to 1.
 

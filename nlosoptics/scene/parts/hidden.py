@@ -272,7 +272,7 @@ class MeshObject(PosedMesh):
     See Also
     --------
     PlanarObject : Hidden image on a plane.
-    Occluder : Black object that casts shadows.
+    Occluder : Surface that blocks light, black or of any material.
     """
 
     table: ClassVar[str] = "hidden"

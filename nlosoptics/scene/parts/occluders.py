@@ -1,4 +1,4 @@
-"""Occluders: black bodies in the room that block light."""
+"""Occluders: further surfaces of the room, which block light and may reflect it."""
 
 from __future__ import annotations
 
@@ -11,17 +11,24 @@ import numpy as np
 from ..._checks import Vector
 from ...errors import SceneError
 from ._posed import PosedMesh
+from .materials import Lambert, Material
 from .meshes import load_mesh
 
 if TYPE_CHECKING:
     import trimesh
 
+BLACK = Lambert(0.0)  # material of occluders that only block light
 ROUNDING = 1e-12  # relative to the largest coordinate: error of rotating a mesh onto the wall
 
 
 @dataclass(frozen=True, eq=False)
 class Occluder(PosedMesh):
-    """Black body: a triangle mesh that absorbs all light that meets it from either side.
+    """Surface in the room: a triangle mesh that blocks light, such as a screen, or a floor.
+
+    It is black by default. With a ``material`` it also reflects light, from both sides, so that
+    floor, ceiling and side walls can be modelled. Only ray tracing takes this light into account
+    (`nlosoptics.raytrace` except `trace_point`, and `nlosoptics.transient.render_scene`); all other
+    methods refuse occluders that reflect light.
 
     The wall is at the plane z = 0, the room at z > 0, and y points up. The mesh may touch this
     plane but must not reach behind it. Its parts behind the surface of a curved wall block nothing,
@@ -44,13 +51,15 @@ class Occluder(PosedMesh):
     roll : float
         Right-handed rotation about the world's z axis, rad. It is applied first: the order is roll,
         pitch, yaw.
+    material : Material
+        Bidirectional reflectance of the surface, from both sides. The default is black.
 
     Raises
     ------
     SceneError
-        If a value is out of range. The file is read when the property `surface` (the mesh in the
-        world frame) is first used. Only then is an error raised if the file is missing or the mesh
-        reaches behind the plane z = 0.
+        If a value is out of range or ``material`` is no `Material`. The file is read when the
+        property `surface` (the mesh in the world frame) is first used. Only then is an error raised
+        if the file is missing or the mesh reaches behind the plane z = 0.
 
     See Also
     --------
@@ -68,11 +77,27 @@ class Occluder(PosedMesh):
     >>> board = Occluder(trimesh.creation.box((0.4, 1.0, 0.01)), position=(0.0, 0.0, 0.8))
     >>> scene = Scene.load("examples/scenes/letter_flat.toml")
     >>> shadowed = replace(scene, occluders=(board,))
+
+    A grey floor, 4 m wide and 3 m deep, 1 m below the centre of the wall:
+
+    >>> from nlosoptics.scene import Lambert
+    >>> corners = [(-2, 0, 0), (2, 0, 0), (2, 0, 3), (-2, 0, 3)]
+    >>> sheet = trimesh.Trimesh(corners, [(0, 2, 1), (0, 3, 2)])
+    >>> floor = Occluder(sheet, position=(0.0, -1.0, 0.0), material=Lambert(0.3))
     """
 
     table: ClassVar[str] = "occluder"
     _: KW_ONLY
     position: Vector = (0.0, 0.0, 0.0)
+    material: Material = BLACK
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.material, Material):
+            raise SceneError(
+                f"occluder.material = {self.material!r} is a {type(self.material).__name__}; give "
+                "a Material, such as Lambert(0.3)"
+            )
 
     @cached_property
     def surface(self) -> trimesh.Trimesh:
@@ -107,13 +132,12 @@ def checked_occluders(values: Any) -> tuple[Occluder | trimesh.Trimesh, ...]:
     return occluders
 
 
-def joined(occluders: tuple[Occluder | trimesh.Trimesh, ...]) -> trimesh.Trimesh | None:
-    """Return all occluders as one mesh in the world frame, m; None without occluders."""
-    if not occluders:
+def joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh | None:
+    """Return all meshes as one; None without meshes."""
+    if not meshes:
         return None
     import trimesh
 
-    meshes = [o.surface if isinstance(o, Occluder) else o for o in occluders]
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     faces = [np.asarray(m.faces) + start for m, start in zip(meshes, starts, strict=True)]
     return trimesh.Trimesh(

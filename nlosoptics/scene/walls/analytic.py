@@ -57,6 +57,8 @@ class Wall(Noun):
     size: tuple[float, float] | None
     #: Whether kernels can evaluate the height, from the arrays that `compiled` returns.
     is_compiled = True
+    #: Whether the wall is a height above each point of the plane z = 0, as waves need it.
+    has_height = True
 
     def compiled(self) -> tuple[Array, Array]:
         """Return the height function as arrays, the form in which compiled code needs it.

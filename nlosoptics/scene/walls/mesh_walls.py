@@ -24,12 +24,16 @@ from ..parts.meshes import load_mesh
 
 @dataclass(frozen=True, eq=False)
 class MeshWall(Wall):
-    """Relay wall given by a triangle mesh with a single height above each point of the plane z = 0.
+    """Relay wall given by a triangle mesh, as a smooth surface or as the triangles themselves.
 
-    Waves need a smooth surface, so a bicubic surface with continuous slopes is fitted to the
-    vertices. It is stored on a regular grid in x and y. The property `fit_residual` estimates the
-    error of this fit, m. The property `mesh_error` is the mean distance in z between the flat
-    triangles and the fitted surface, m.
+    Waves need a smooth surface with a single height above each point of the plane z = 0, so a
+    bicubic surface with continuous slopes is fitted to the vertices. It is stored on a regular grid
+    in x and y. The property `fit_residual` estimates the error of this fit, m. The property
+    `mesh_error` is the mean distance in z between the flat triangles and the fitted surface, m.
+
+    With ``smooth=False``, nothing is fitted, and rays meet the triangles from both sides. The mesh
+    may then fold back, like a scan with undercuts. Only `raytrace.trace` and `raytrace.trace_image`
+    can use such a wall. All other methods refuse it, because it has no height function.
 
     Parameters
     ----------
@@ -38,12 +42,15 @@ class MeshWall(Wall):
         must surround the origin.
     scale : float
         Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
+    smooth : bool
+        Whether a smooth surface is fitted to the mesh, as waves need it. False: rays meet the
+        triangles themselves, which may fold back.
 
     Raises
     ------
     SceneError
-        If ``scale`` is not above 0. A missing file, too few vertices, or a mesh that folds back or
-        does not surround the origin is found at the first use.
+        If ``scale`` is not above 0 or ``smooth`` is no bool. A missing file, too few vertices, or a
+        mesh that folds back or does not surround the origin is found at the first use.
 
     See Also
     --------
@@ -54,20 +61,29 @@ class MeshWall(Wall):
     mesh: Any
     _: KW_ONLY
     scale: float = 1.0
+    smooth: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mesh", source(self.mesh))
         positive("wall.scale", self.scale)
+        if not isinstance(self.smooth, bool):
+            raise SceneError(f"wall.smooth = {self.smooth!r}; give True or False")
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, MeshWall):
             return NotImplemented
-        return self.scale == other.scale and equal_sources(self.mesh, other.mesh)
+        same = (self.scale, self.smooth) == (other.scale, other.smooth)
+        return same and equal_sources(self.mesh, other.mesh)
 
     __hash__ = None  # type: ignore[assignment]
 
     def __getstate__(self) -> dict[str, Any]:
         return super().__getstate__() | {"mesh": bare_mesh(self.mesh)}
+
+    @property
+    def has_height(self) -> bool:  # type: ignore[override]
+        """Whether the wall is a height above each point of the plane z = 0: if it is smooth."""
+        return self.smooth
 
     @cached_property
     def triangles(self) -> trimesh.Trimesh:
@@ -93,6 +109,11 @@ class MeshWall(Wall):
     @cached_property
     def _fit(self) -> tuple[Array, Array, float, float]:
         """Height term, table, residual (m) and curvature (1/m) of the fitted bicubic surface."""
+        if not self.smooth:
+            raise SceneError(
+                "wall.smooth is false, so that the wall has triangles but no height function, and "
+                "only raytrace.trace and trace_image can use it; set wall.smooth = true"
+            )
         from scipy.interpolate import RectBivariateSpline
 
         mesh = self.triangles
@@ -143,7 +164,8 @@ class MeshWall(Wall):
         if not (np.all(upward > 0) or np.all(upward < 0)):
             raise SceneError(
                 f"wall.mesh folds back: {int(min((upward > 0).sum(), (upward <= 0).sum()))} of "
-                f"{len(upward)} triangles face the other way in z; give a single-valued height"
+                f"{len(upward)} triangles face the other way in z; give a single-valued height, or "
+                "wall.smooth = false to trace rays alone"
             )
 
     def compiled(self) -> tuple[Array, Array]:

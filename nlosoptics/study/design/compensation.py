@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded lazily, on first use
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from .file import Limits
 from .point import StudyPoint
@@ -62,7 +62,7 @@ def adjusted(
     tried(point)
     start = np.array([one.start for one in chosen])
     inward = np.where(start <= 0.5, FIRST_STEP, -FIRST_STEP)
-    minimize(
+    scipy.optimize.minimize(
         at,
         start,
         method="Nelder-Mead",

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.stats
+import scipy  # its parts are loaded lazily, on first use
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from ...errors import SceneError
 from ...scene.file.errors import located
@@ -267,7 +266,7 @@ def _uniform(draws: Draws, addresses: tuple[str, ...], seed: int) -> Array:
         return np.stack([_stream(seed, a).random(count) for a in addresses], axis=1)
     rng = _stream(seed, draws.method)
     if draws.method == "latin":
-        return np.asarray(qmc.LatinHypercube(size, rng=rng).random(count))
+        return np.asarray(scipy.stats.qmc.LatinHypercube(size, rng=rng).random(count))
     if count & (count - 1):
         near = 1 << count.bit_length()
         raise SceneError(
@@ -275,9 +274,9 @@ def _uniform(draws: Draws, addresses: tuple[str, ...], seed: int) -> Array:
             f"{near // 2} or {near}"
         )
     if draws.method == "sobol":
-        return np.asarray(qmc.Sobol(size, rng=rng).random(count))
+        return np.asarray(scipy.stats.qmc.Sobol(size, rng=rng).random(count))
     # rows A, B and A with one column of B (Saltelli 2010), draw by draw, so that more draws append
-    both = np.asarray(qmc.Sobol(2 * size, rng=rng).random(count))
+    both = np.asarray(scipy.stats.qmc.Sobol(2 * size, rng=rng).random(count))
     a, b = both[:, None, :size], both[:, None, size:]
     mixed = np.where(np.eye(size, dtype=bool), b, a)
     return np.concatenate([a, b, mixed], axis=1).reshape(-1, size)

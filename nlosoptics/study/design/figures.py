@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import scipy.optimize
+import scipy  # its parts are loaded lazily, on first use
 
 from ... import limits, psf
 from ..._checks import in_range, positive, real

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
-from scipy.optimize import Bounds, NonlinearConstraint, differential_evolution, minimize
-from scipy.stats import qmc
+import scipy  # its parts are loaded lazily, on first use
 
 from .problem import Array, Ask, Outcome, Problem, Slopes
 
@@ -50,12 +49,12 @@ def cobyqa(problem: Problem, ask: Ask) -> str:
     count = len(problem.variables)
     limits: Any = ()
     if at(problem.start).margins:
-        limits = NonlinearConstraint(margins, 0.0, np.inf)
-    found = minimize(
+        limits = scipy.optimize.NonlinearConstraint(margins, 0.0, np.inf)
+    found = scipy.optimize.minimize(
         objective,
         problem.start,
         method="COBYQA",
-        bounds=Bounds(np.zeros(count), np.ones(count)),
+        bounds=scipy.optimize.Bounds(np.zeros(count), np.ones(count)),
         constraints=limits,
         options={
             "initial_tr_radius": FIRST_STEP,
@@ -124,12 +123,12 @@ def slsqp(problem: Problem, ask: Ask, slopes: Slopes) -> str:
             "fun": lambda coordinates: at(coordinates)[1:],
             "jac": lambda coordinates: jacobian(coordinates)[1:],
         }
-    found: Any = minimize(
+    found: Any = scipy.optimize.minimize(
         objective,
         start,
         jac=gradient,
         method="SLSQP",
-        bounds=Bounds(np.zeros(count), np.ones(count)),
+        bounds=scipy.optimize.Bounds(np.zeros(count), np.ones(count)),
         constraints=limits,
         options={"ftol": DECREASE, "maxiter": problem.evaluations},
     )
@@ -150,16 +149,16 @@ def evolution(problem: Problem, ask: Ask) -> str:
     low = np.array([0.0 if v.continuous else v.low for v in variables])
     high = np.array([1.0 if v.continuous else v.high for v in variables])
     rng = np.random.default_rng(problem.seed)
-    spread = qmc.LatinHypercube(len(variables), rng=rng).random(problem.population)
+    spread = scipy.stats.qmc.LatinHypercube(len(variables), rng=rng).random(problem.population)
     first = low + (high - low) * spread
     first[0] = problem.start
 
     def together(_: Callable[..., Any], members: Iterable[Array]) -> list[float]:
         return [one.ranks[0] for one in ask([problem.point(member) for member in members])]
 
-    found: Any = differential_evolution(
+    found: Any = scipy.optimize.differential_evolution(
         float,  # never called; `together` evaluates
-        Bounds(low, high),
+        scipy.optimize.Bounds(low, high),
         integrality=[not v.continuous for v in variables],
         init=first,
         rng=rng,

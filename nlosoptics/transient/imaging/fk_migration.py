@@ -141,7 +141,7 @@ def fk_migration(
     room = 3 * columns * n_f + 3 * nz * ny * nx + 2 * ROWS * 2 * len(grid.x) * (n_f + n)
     fits_memory(
         "f-k migration",
-        float(room) * np.dtype(kind).itemsize,
+        float(room) * np.dtype(kind).itemsize + 16.0 * capture.H.size,
         "give a volume of fewer or larger voxels, or a coarser capture",
     )
     light = capture.H * grid.depths[:, None, None] ** FALLOFF[target]

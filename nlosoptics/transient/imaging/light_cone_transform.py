@@ -139,7 +139,8 @@ def lct(
     reach = sum((next_size(2 * len(a)) // 2 * (a[1] - a[0])) ** 2 for a in (grid.x, grid.y))
     # a cone longer than the padded axis would wrap around
     size = next_size(max(2 * len(squares), len(squares) + reach / (squares[1] - squares[0])))
-    room = (size // 2 + 1) * (len(grid.x) * len(grid.y) + len(volume.x) * len(volume.y))
+    nz, ny, nx = volume.shape
+    room = (size // 2 + 1) * (len(grid.x) * len(grid.y) + 2 * ny * nx) + 2 * nz * ny * nx
     room += (size + 4 * len(squares)) * len(grid.x) * len(grid.y) // 2
     fits_memory(
         "the light-cone transform",

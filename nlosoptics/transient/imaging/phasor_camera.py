@@ -328,7 +328,7 @@ def _check_memory(
     voxels = float(np.prod(volume.shape))
     fits_memory(
         f"a field at {counted(len(moments), 'time')} on {voxels:.3g} voxels",
-        2.5 * size * len(moments) * voxels,
+        3.25 * size * len(moments) * voxels,
         "ask for fewer voxels or times",
     )
     n_waves, each = _slice(setup, grid, len(band.numbers), dtype)

@@ -273,7 +273,7 @@ def _put(cells, sizes, at, count, corners, size):
     Returns the new number of polygons or OVERFLOW.
     """
     kept = min(size, CORNERS)
-    if max(at + 1, count + size - kept) > sizes.size:
+    if max(count, at + 1) + size - kept > sizes.size:
         return OVERFLOW
     for i in range(kept):
         cells[at, 2 * i], cells[at, 2 * i + 1] = corners[i, 0], corners[i, 1]

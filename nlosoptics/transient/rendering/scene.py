@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ..._progress import Progress
 from ...errors import SceneError
 from ...scene import Lambert, MeshObject, PlanarObject, Scene, SumMaterial, TransientScan
+from ...scene.parts.occluders import joined
 from ..capture.capture import TransientCapture
 from ..capture.wall_points import wall_grid
 from .render import render
@@ -41,9 +42,9 @@ def render_scene(
     laser of 1 W, whatever the scene's power; ``quantity`` is "irradiance", W/m^2, by default. The
     laser spot is a point. With five or more bounces, the whole wall also reflects light between
     hidden surfaces. A hidden image is converted to a mesh of its white area, of at most 64 cells
-    along each side, that scatters on both sides. Occluders are black surfaces. If the scene has a
-    ``wall_roughness``, its ``realisation`` must be ``"mean"``. Such a roughness has no effect here,
-    because it does not change the reflection of a Lambertian wall.
+    along each side, that scatters on both sides. Occluders are further surfaces, black or of their
+    material. If the scene has a ``wall_roughness``, its ``realisation`` must be ``"mean"``. Such a
+    roughness has no effect here, because it does not change the reflection of a Lambertian wall.
 
     Parameters
     ----------
@@ -111,8 +112,10 @@ def render_scene(
         )
     albedo = _wall_albedo(scene, scan)
     surfaces = [(_hidden_mesh(scene.hidden), scene.hidden.material)]
-    if scene.occluding_mesh is not None:
-        surfaces.append((scene.occluding_mesh, Lambert(0.0)))
+    black = joined([mesh for mesh, material in scene.occluder_surfaces if material.is_black])
+    if black is not None:
+        surfaces.append((black, Lambert(0.0)))
+    surfaces += [found for found in scene.occluder_surfaces if not found[1].is_black]
     grid = wall_grid(scan.side, scan.count)
     capture = render(
         surfaces,

@@ -13,6 +13,7 @@ from nlosoptics._checks import Budget, within
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
 from nlosoptics.psf.batch import batch_transform
 from nlosoptics.psf.batch.chord_nodes import Need, chord_nodes
+from nlosoptics.psf.batch.point_spreads import _Batch
 from nlosoptics.psf.batch.polar_basis import PolarBasis
 from nlosoptics.raytrace.intersection.meshes import worker_pool
 
@@ -312,6 +313,26 @@ def test_a_window_beside_the_spot_is_computed_more_accurately():
     difference = np.abs(spreads.intensity - fine.intensity).max(axis=(1, 2)) / peaks
     assert (difference < spreads.error_estimate).all()
     assert 0.0 < spreads.accuracy < 1e-6  # no longer the first accuracy, of about 6e-5
+
+
+def test_wide_spots_are_computed_once(monkeypatch):
+    """Defocus over 30 Airy units: the accuracy that is chosen first suffices for dim light."""
+    wave, passes, plan = pupil(), [], _Batch.plan
+
+    def counted(batch, *given, **options):
+        passes.append(batch.core)
+        return plan(batch, *given, **options)
+
+    monkeypatch.setattr(_Batch, "plan", counted)
+    defocus = 4 * WAVELENGTH * (wave.u**2 + wave.v**2) / RADIUS**2
+    spreads = psf.point_spreads(
+        wave, defocus[None], shape=130, tol=1e-4, normalisation="ideal-peak"
+    )
+    peak = spreads.intensity.max()
+    assert peak < 0.02
+    assert len(passes) == 1
+    assert spreads.error_estimate.max() <= 1e-4
+    assert passes[0] < 1e-4 * peak**0.5 / 2  # I = |E|^2: an error of E counts 2 / sqrt(I) times
 
 
 # batches as such

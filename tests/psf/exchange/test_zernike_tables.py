@@ -127,6 +127,12 @@ def test_what_is_refused(tmp_path, text, options, message):
         psf.read_zernikes(path, **options)
 
 
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    (tmp_path / "t.csv").write_bytes("# Öffnung\n".encode("latin-1"))
+    with pytest.raises(SceneError, match="byte 2 is not UTF-8"):
+        psf.read_zernikes(tmp_path / "t.csv")
+
+
 def test_what_is_not_written(tmp_path):
     with pytest.raises(SceneError, match="without a wavelength"):
         psf.write_zernikes(tmp_path / "a.csv", {4: 1e-7}, unit="waves")

@@ -15,6 +15,7 @@ from nlosoptics import raytrace
 from nlosoptics.errors import SceneError
 from nlosoptics.raytrace import HIT, MISS
 from nlosoptics.raytrace.intersection import meshes
+from nlosoptics.raytrace.intersection._triangle_kernels import SIDE, _bin
 from nlosoptics.scene import FlatWall
 
 
@@ -374,6 +375,32 @@ def test_bits_do_not_depend_on_the_number_of_threads():
     }
     assert len(prints) == 1
     assert len(prints.pop().strip()) == 2 * hashlib.sha256().digest_size
+
+
+def test_rays_of_one_cell_pass_through_the_same_place():
+    """Rays are sorted by where they leave a sphere around the mesh, which the cells divide."""
+    draw = np.random.default_rng(12)
+    starts, ways = draw.uniform(-0.5, 0.5, (30_000, 3)), draw.normal(size=(30_000, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    along = (starts * ways).sum(axis=1)
+    t = np.sqrt(along**2 - (starts**2).sum(axis=1) + 1.5) - along
+    leaves = starts + t[:, None] * ways
+    cells = np.array([_bin(*start, *way) for start, way in zip(starts, ways, strict=True)])
+    assert cells.min() >= 0
+    assert cells.max() < SIDE**2
+    assert len(set(cells.tolist())) > 0.6 * SIDE**2  # 77 % if all are as likely
+    order = np.argsort(cells, kind="stable")
+    same = np.flatnonzero(np.diff(cells[order]) == 0)
+    apart = np.linalg.norm(np.diff(leaves[order], axis=0)[same], axis=1)
+    # the diagonal of a cell, 2 sqrt(2) / SIDE, at most 3 times as long on the unit sphere
+    assert apart.max() < 1.5**0.5 * 3 * 8**0.5 / SIDE
+
+
+def test_the_pool_has_a_thread_for_each_core_or_as_many_as_are_asked_for(monkeypatch):
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
+    for asked, count in ((1, 1), (0, 1), (2, min(2, cores)), (100_000, cores)):
+        monkeypatch.setenv("NUMBA_NUM_THREADS", str(asked))
+        assert meshes.threads() == count
 
 
 def test_flat_walls_never_touch_embree(monkeypatch):

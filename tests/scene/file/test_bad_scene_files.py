@@ -305,7 +305,11 @@ OCCLUDERS = {
     ),
     "a material": (
         'material = "foam"\n',
-        ("occluder[0].material", "unknown key", "the keys here are mesh, scale, position"),
+        ("occluder[0].material", "foam", "unknown"),
+    ),
+    "a lobe": (
+        'material = { lobe = "lambert", albedo = 1.5 }\n',
+        ("occluder[0].material.albedo = 1.5 is out of range, must be 0 to 1",),
     ),
     "no size": ("scale = 0.0\n", ("occluder[0].scale = 0 is out of range, must be above 0",)),
     "no unit": ("yaw = 10\n", ("occluder[0].yaw = 10", "has no unit", '"10 deg"')),

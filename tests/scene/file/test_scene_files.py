@@ -244,6 +244,22 @@ def test_occluders_round_trip_exactly(flat: Scene, examples: Path, tmp_path: Pat
     assert text.count("[[occluder]]") == 2
     again = Scene.load(tmp_path / "first.toml")
     np.testing.assert_array_equal(again.occluding_mesh.vertices, scene.occluding_mesh.vertices)
+    assert "[occluder" not in text.replace("[[occluder]]", "")  # black, as by default
+
+
+def test_materials_of_occluders_round_trip(flat: Scene, tmp_path: Path) -> None:
+    mesh = trimesh.creation.box((0.1, 0.2, 0.3))
+    lobes = SumMaterial(Lambert(1 / 3), SpecularMicrofacet(0.1, 0.2))
+    occluders = [
+        Occluder(mesh, position=(0, 0, z), material=material)
+        for z, material in ((0.5, Lambert(0.3)), (1.0, lobes), (1.5, Lambert(0.0)))
+    ]
+    scene = replace(flat, occluders=tuple(occluders))
+    again = saved(scene, tmp_path)
+    assert [o.material for o in again.occluders] == [o.material for o in occluders]
+    assert again.room_materials == (Lambert(0.3), lobes)
+    other = replace(occluders[0], material=Lambert(0.4))
+    assert replace(scene, occluders=(other, *occluders[1:])) != scene
 
 
 def test_an_occluder_of_a_file_alone_stands_as_it_is(flat: Scene, tmp_path: Path) -> None:

@@ -116,6 +116,16 @@ def test_bad_znlos(tmp_path, changes, words):
         TransientCapture.load(path)
 
 
+@pytest.mark.parametrize(
+    "changes", [{"da": np.ones(7)}, {"xg": np.ones((2, 3))}, {"yg": np.ones((2, 3))}]
+)
+def test_bad_dirac(tmp_path, changes):
+    held = {"data_t": np.ones((8, 3, 2)), "xg": GRID[..., 0].T, "yg": GRID[..., 1].T}
+    path = written(tmp_path / "d.hdf5", **{**held, "da": np.ones(8), **changes})
+    with pytest.raises(SamplingError, match=r"data_t has shape \(8, 3, 2\), must be"):
+        TransientCapture.load(path)
+
+
 def test_dirac_leaves_pairing_and_times_to_the_caller(tmp_path):
     H = DRAW.random((8, 2, 3))
     path = written(

@@ -345,6 +345,8 @@ def with_nan():
         ([], {}, SceneError, "at least one"),
         ([plate()], {}, SceneError, "pairs"),
         ([(plate(), 0.5)], {}, SceneError, "material float"),
+        ([("plate", WHITE)], {}, SceneError, r"surfaces\[0\] of type str holds no triangles"),
+        ([(mesh([[0, 0, 1]], np.zeros((0, 3), int)), WHITE)], {}, SceneError, "no triangles"),
         ([(with_nan(), WHITE)], {}, SceneError, "NaN or infinite"),
         ([(mesh([[0, 0, 1], [1, 0, 1], [2, 0, 1]], [[0, 1, 2]]), WHITE)], {}, SceneError, "area"),
         ([(plate(centre=(0, 0, -1)), WHITE)], {}, SceneError, "behind the wall, to z = -1 m"),

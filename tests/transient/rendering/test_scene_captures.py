@@ -17,6 +17,7 @@ from nlosoptics.scene import (
     Lambert,
     Laser,
     MeshObject,
+    Occluder,
     PlanarObject,
     Scene,
     SumMaterial,
@@ -116,6 +117,28 @@ def test_the_wall_takes_part_from_five_bounces_on():
     assert first > 3.9  # four times the distance of nearly 1 m
     with pytest.raises(SceneError, match="wall.size is missing, with transient.max_bounces = 5"):
         render_scene(scene(transient=many, wall=FlatWall()))
+
+
+def test_occluders_with_a_material_give_light_too():
+    """As further surfaces of `render`, to the last bit."""
+    corners = [(0.9, -0.5, 0.3), (0.9, 0.5, 0.3), (0.9, 0.5, 1.3), (0.9, -0.5, 1.3)]
+    side = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
+    hidden = scene().hidden
+    lit = render_scene(scene(occluders=(Occluder(side, material=Lambert(0.4)),)), tol=1e-2)
+    same = render(
+        [(cut_out(hidden), hidden.material), (side, Lambert(0.4))],
+        laser_points=(0, 0, 0),
+        sensor_points=wall_grid(2.0, 3),
+        wall_albedo=0.8,
+        t_start=1.5,
+        delta_t=0.02,
+        n_bins=120,
+        max_bounces=3,
+        tol=1e-2,
+    )
+    assert np.array_equal(lit.H, same.H)
+    dark = render_scene(scene(occluders=(side,)), tol=1e-2)
+    assert (lit.H.sum(axis=0) > 1.2 * dark.H.sum(axis=0)).all()
 
 
 def test_occluders_take_light_and_give_none():
