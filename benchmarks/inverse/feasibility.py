@@ -78,7 +78,7 @@ def drawn_scene(index, *, tune=False):
     """Scene number ``index`` of the set, and what was drawn for it."""
     from nlosoptics.scene import Lambert, PlanarObject, Scene, SpecularMicrofacet, SumMaterial
 
-    rng = np.random.default_rng([7 if tune else 3, index])
+    rng = np.random.default_rng([7 if tune else 11, index])
 
     def between(low, high):
         return float(np.exp(rng.uniform(math.log(low), math.log(high))))

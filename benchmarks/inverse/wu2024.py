@@ -119,7 +119,7 @@ def peak(base):
 def of_scene(options):
     """One line: the scene's image by the simulator, fitted with the facets of its wall."""
     from nlosoptics import Scene, inverse, psf, reconstructing, simulate
-    from nlosoptics.runs.simulate import veil_shape
+    from nlosoptics.runs.veil import veil_shape
 
     scene = Scene.load(options.scene)
     camera = scene.camera

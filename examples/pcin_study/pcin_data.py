@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 import nlosoptics as nlos
 from nlosoptics import imaging, inverse, psf, reconstructing
-from nlosoptics.runs import simulate
+from nlosoptics.runs.veil import veil_shape
 from nlosoptics.scene import Scene, WavyWall
 
 Array = NDArray[np.float64]
@@ -181,7 +181,7 @@ def known_model(place: Place, *, mean: bool = False) -> imaging.ForwardModel:
 @lru_cache(maxsize=64)
 def veil(place: Place) -> Array | None:
     """Shape of the wall's diffuse light in the image."""
-    shape = simulate.veil_shape(study_scene(place, 40e-3))
+    shape = veil_shape(study_scene(place, 40e-3))
     return shape if shape.any() else None
 
 

@@ -16,14 +16,14 @@ from .relay import CELLS, CONTRAST
 Array = NDArray[np.float64]
 
 RINGS = 64  # rings over which the object's power spectrum is averaged
-#: Noise variance, relative to the true one and per grain of the object, with which a Wiener filter
-#: reaches the correlation of `inverse.tv_deconvolve`; and the variance of the image over that of
-#: the noise below which that fit smooths more. Fitted to the scenes of
+#: Noise variance, relative to the true one and per power of the object's grain, with which a Wiener
+#: filter reaches the correlation of `inverse.tv_deconvolve`; and the variance of the image over
+#: that of the noise below which that fit smooths more. Fitted to the scenes of
 #: `benchmarks/inverse/feasibility.py --tune`.
-NOISE_SHARE, WEAK_LIGHT = 3.96, 0.0404
+NOISE_SHARE, GRAIN_POWER, WEAK_LIGHT = 1.45, 0.81, 0.0164
 #: Scatter of these fits about the prediction c: over sqrt(1 - c^2), always, and in weak light; and
 #: the variance of the image over that of the noise at which half of the last is added.
-SPREAD, LEAST_SPREAD, WEAK_SPREAD, WEAK_EXCESS = 0.08, 0.01, 0.3, 0.04
+SPREAD, LEAST_SPREAD, WEAK_SPREAD, WEAK_EXCESS = 0.07, 0.008, 0.05, 0.03
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,8 +110,8 @@ class Picture:
 
         It is that of a Wiener filter, ``c^2 = sum P w/sum P`` over all frequencies, with the
         object's power P, ``w = S/(S + N)``, signal power S, and a noise power N that is
-        ``NOISE_SHARE grain (1 + WEAK_LIGHT/excess)`` times the true one: the fewer edges an object
-        has, the better total variation tells it from noise.
+        ``NOISE_SHARE grain^GRAIN_POWER (1 + WEAK_LIGHT/excess)`` times the true one: the fewer
+        edges an object has, the better total variation tells it from noise.
         """
         power = self.power * self.twice
         total = float(power.sum())
@@ -119,7 +119,7 @@ class Picture:
             return 0.0
         signal = self.transfer**2 * self.power
         # by Parseval, white noise has this power at each frequency of an unnormalised FFT
-        noise = NOISE_SHARE * self.grain * self.noise.variance * self.samples
+        noise = NOISE_SHARE * self.grain**GRAIN_POWER * self.noise.variance * self.samples
         noise *= 1.0 + WEAK_LIGHT / max(self.excess, 1e-30)
         passed = power * signal / np.maximum(signal + noise, 1e-300)
         return math.sqrt(float(passed.sum()) / total)

@@ -30,7 +30,8 @@ from ..scene import Scene
 from .noise import camera_noise
 from .plan import plan
 from .record import arrays, now, scene_hash, versions
-from .simulate import image_model, image_spreads, veil_shape
+from .simulate import image_model, image_spreads
+from .veil import fitted_veil
 
 if TYPE_CHECKING:
     from ..inverse import CnnBaseline, Reconstruction
@@ -250,12 +251,11 @@ def reconstructed(
     solver = getattr(inverse, KNOWN[task.method]) if network is None else network.reconstruct
     (image,) = task.images
     model = model or known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
-    veil = veil_shape(task.scene)
-    offered = {
-        "noise_sigma": camera_noise(task.scene, image, model),
-        "background_shape": veil if veil.any() else None,
-        **_always(task, start, progress),
-    }
+    noise = camera_noise(task.scene, image, model)
+    offered = {"noise_sigma": noise, **_always(task, start, progress)}
+    if "background_shape" in inspect.signature(solver).parameters:
+        veil = fitted_veil(task.scene, image.values, model, noise_sigma=noise)
+        offered["background_shape"] = veil
     found: Reconstruction = solver(image.values, model, **_taken(solver, task.method, offered))
     return found
 

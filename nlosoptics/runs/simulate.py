@@ -21,6 +21,7 @@ from .plan import MOST_SECONDS, Plan, looked_at
 from .refusals import wave_refusal
 from .results import Result
 from .stages import FIELD, MEAN, MOST_NODES
+from .veil import fitted_veil
 
 if TYPE_CHECKING:
     from ..imaging import ForwardModel, Shadows, SpeckleImage
@@ -297,34 +298,15 @@ def _reconstruct(
     spreads: PointSpreadField | PointSpread,
     shadows: Shadows | None,
 ) -> Reconstruction:
-    """Reconstruct the object; pose, point spreads and shape of the diffuse light are known."""
+    """Reconstruct the object; its pose and the point spreads are known."""
     from .. import inverse
 
-    veil = veil_shape(scene, shadows)
     model = image_model(scene, spreads)
     dark = image.ledger["dark"] / image.electrons.size
-    return inverse.tv_deconvolve(
-        image.electrons,
-        model,
-        noise_sigma=electron_noise(scene, image.electrons - dark),
-        background=dark,
-        background_shape=veil if veil.any() else None,
+    noise = electron_noise(scene, image.electrons - dark)
+    veil = fitted_veil(
+        scene, image.electrons, model, noise_sigma=noise, background=dark, shadows=shadows
     )
-
-
-def veil_shape(scene: Scene, shadows: Shadows | None = None) -> Array:
-    """Return the wall's diffuse light in the image, (ny, nx), electrons, for a white object.
-
-    It replaces that of the unknown picture, from which its shape hardly differs. ``shadows`` are
-    those of the scene, if known already.
-    """
-    from ..imaging import diffuse_background
-
-    stand_in = None
-    if isinstance(scene.hidden, PlanarObject):
-        # four bright pixels, near Gauss points, represent a white object
-        stand_in = np.zeros((7, 7))
-        stand_in[1::4, 1::4] = 1.0
-        if scene.occluders:  # shadows need the whole plate
-            stand_in = np.ones((7, 7))
-    return diffuse_background(scene, stand_in, shadows=shadows)
+    return inverse.tv_deconvolve(
+        image.electrons, model, noise_sigma=noise, background=dark, background_shape=veil
+    )

@@ -16,6 +16,7 @@ from .arrays import Values, as_numpy, is_tensor, library, total, weighted
 from .models import AnyModel, model_shape
 from .spectra import (
     beyond_optics,
+    cosines_within,
     expected_signal,
     half_weights,
     object_power,
@@ -34,6 +35,9 @@ _FLOAT32_NOISE = 1e-4
 _LEAST_BEYOND = 500
 # Sum of squared weights that is only rounding error.
 _ROUNDING = 1e-9
+# Standard errors by which the noise beyond the optics may differ from the stated noise; more is a
+# sign of light that the optics should not pass.
+_MOST_ERRORS = 3.0
 # Share of images of noise alone in which an object is detected.
 _FALSE_ALARMS = 1e-3
 
@@ -192,6 +196,39 @@ class Measurement:
         kinds = [passed * object_power(shape) ** half for half in (0.0, 0.5, 1.0)]
         chances = [_chance(relative, kind, shape, self.sigma_estimated) for kind in kinds]
         return len(kinds) * min(chances) > _FALSE_ALARMS
+
+    def energies(self, model: AnyModel) -> tuple[float, float]:
+        """Split the image's sum of squares over the noise's variance into noise and signal.
+
+        The expected sum of the noise is `counted`. At frequencies that the optics do not pass, the
+        image is the noise itself, and its power there replaces the expected one, unless the noise
+        was estimated from this power. The cosine transform is used, since jumps between opposite
+        edges of the frame do not affect it. The signal is at least the standard error of the noise
+        at all other frequencies.
+        """
+        own = self.in_numpy()
+        rest = own.data - own.background(own.background_strength(own.data))
+        if own.weights is not None:
+            rest = rest * np.sqrt(own.weights)
+        whole = float((rest**2).sum()) / self.sigma**2
+        noise, inside = float(self.counted), rest.size
+        if not self.sigma_estimated:
+            unit = self.counted * self.sigma**2 / rest.size
+            passed = passed_power(model)
+            least = unit * math.sqrt(2.0 * rest.size)  # standard error of the whole noise
+            signal = expected_signal(periodic_power(rest), passed, unit, rest.shape, least)
+            beyond = beyond_optics(signal, unit)
+            cosines = cosines_within(beyond, rest.shape)
+            from scipy import fft  # slow to load
+
+            there = fft.dctn(rest, norm="ortho")[cosines] ** 2 / unit
+            left = float(signal[beyond].mean()) / unit if beyond.any() else 0.0
+            excess = float((there - 1.0 - left).sum())
+            if abs(excess) < _MOST_ERRORS * math.sqrt(2.0 * there.size):
+                noise += excess * self.counted / rest.size
+                inside -= there.size
+        seen = max(whole - noise, math.sqrt(2.0 * inside))
+        return whole - seen, seen
 
     def is_noise_about(self, explained: Values | float) -> bool:
         """Return whether data minus ``explained`` has the power of noise, within three errors.

@@ -103,7 +103,11 @@ def object_power(shape: tuple[int, ...]) -> Array:
 
 
 def expected_signal(
-    image_power: Array, passed: Array | float, variance: float, shape: tuple[int, ...]
+    image_power: Array,
+    passed: Array | float,
+    variance: float,
+    shape: tuple[int, ...],
+    least: float = 0.0,
 ) -> Array:
     """Return the power of the image of an object with spectrum `object_power`.
 
@@ -117,16 +121,32 @@ def expected_signal(
         Variance of the noise, image units squared.
     shape : (int, int)
         Rows H and columns W of the image.
+    least : float
+        Least sum of the object's power over all frequencies, image units squared.
     """
     twice = half_weights(shape)
     signal = passed * object_power(shape)
     excess = float((twice * (image_power - variance)).sum())
-    return signal * (max(excess, 0.0) / max(float((twice * signal).sum()), 1e-300))
+    return signal * (max(excess, least) / max(float((twice * signal).sum()), 1e-300))
 
 
 def beyond_optics(signal: Array, variance: float) -> NDArray[np.bool_]:
     """Return the mask of frequencies at which the `expected_signal` is far below the noise."""
     return signal < _NOTHING_PASSED * variance
+
+
+def cosines_within(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return which products of cosines in a frame (H, W) lie within a mask of a half spectrum.
+
+    The cosine transform steps by half cycles per frame. The neighbours at whole cycles must be in
+    the mask, for both signs of one axis.
+    """
+    pairs = mask & mask[-np.arange(len(mask))]
+    for axis, length in enumerate(shape):
+        half = np.arange(length) / 2
+        low, high = (np.take(pairs, at.astype(int), axis) for at in (np.floor(half), np.ceil(half)))
+        pairs = low & high
+    return pairs
 
 
 def _squared(spectrum: NDArray[np.complex128]) -> Array:

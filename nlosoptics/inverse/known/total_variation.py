@@ -132,7 +132,9 @@ def tv_deconvolve(
     The automatic weight aims at a residual slightly below the noise, because a fit always follows
     some of the noise. For noise alone, the sum of ``(residual/sigma_i)^2`` is the number of pixels.
     The target is smaller by the number of pixels along the image's outline, and by less for faint
-    images. For 128 x 128 pixels the rms residual is then 0.984 of the noise.
+    images. For 128 x 128 pixels the rms residual is then 0.984 of the noise. At frequencies that
+    the point spread does not pass, the image shows its noise, and the target contains the measured
+    power instead of the expected one. This makes the weight less random in faint images.
 
     With the automatic weight, a second fit serves the status: the model's image of the fitted
     object, with other noise, is fitted again. If the model is right, the correlation of both
@@ -255,7 +257,9 @@ class _Splitting(Solver[_Split]):
         if twin.weights is not None:
             self._field = FieldStep(twin.weights, twin.transfer / self._response, self._dark)
         self._given = None if tv_weight is None else self._response / (self._sigma * tv_weight)
-        self._target = self._sigma * math.sqrt(max(data.counted - _taken(data), data.counted / 2))
+        noise, signal = data.energies(model)
+        left = max(noise - _taken(signal, model.shape), data.counted / 2)
+        self._target = self._sigma * math.sqrt(left)
         self._factored: tuple[tuple[float, ...], tuple[Values, Values, Values]] | None = None
 
     def init(self, first: Values | None) -> _Split:
@@ -533,17 +537,15 @@ def _adapt(state: _Split) -> None:
     state.data_dual /= ratio
 
 
-def _taken(data: Measurement) -> float:
-    """Return how many values of the image the fit takes from the object, not from the noise.
+def _taken(signal: float, shape: tuple[int, int]) -> float:
+    """Return how much of the noise, in units of its variance, the fit takes for the object.
 
     An object of few edges has about as many free values as its frame has pixels along the border.
-    If they share the image's energy evenly, each is taken with the gain of the Wiener filter:
-    nearly 0 in faint light, and 1 in strong light.
+    They share the energy ``signal``, over the noise's variance, evenly. A Wiener filter then passes
+    noise of the square of its gain: nearly 0 in faint light, and 1 in strong light.
     """
-    rest = data.data - data.background(data.background_strength(data.data))
-    energy = max(total(data.weighted(rest * rest)) / data.sigma**2 - data.counted, 0.0)
-    values: float = 2.0 * sum(data.data.shape)
-    return values * energy / (energy + values)
+    values = 2.0 * sum(shape)
+    return values * (signal / (signal + values)) ** 2
 
 
 def _relaxed(new: Values, old: Values) -> Values:

@@ -9,6 +9,7 @@ import torch
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import estimate_noise, wiener
+from nlosoptics.inverse.data.measurement import measurement
 
 
 @pytest.mark.parametrize("sigma", [1e-3, 7.0])
@@ -71,3 +72,51 @@ def test_what_is_no_image_is_named(image):
 def test_a_tensor_that_records_gradients_is_an_image():
     image = np.random.default_rng(0).normal(size=(24, 24))
     assert estimate_noise(torch.tensor(image, requires_grad=True)) == estimate_noise(image)
+
+
+def test_noise_and_signal_are_told_apart_beyond_the_optics():
+    """A sum over 64^2 pixels has an error of 91; most of it is seen beyond the cut-off."""
+    y, x = np.mgrid[-20:21, -20:21]
+    kernel = np.exp(-(x * x + y * y) / (2 * 2.5**2))
+    model = ForwardModel(kernel / kernel.sum(), shape=(64, 64))
+    truth = np.zeros((64, 64))
+    truth[20:44, 22:30] = truth[20:28, 22:42] = 2.0
+    seen = model.forward(truth)
+    errors, signals = [], []
+    for seed in range(12):
+        noise = np.random.default_rng(seed).normal(size=truth.shape)
+        data = measurement(
+            seen + noise,
+            model,
+            noise_sigma=1.0,
+            background=0.0,
+            fit_background=True,
+            background_shape=None,
+        )
+        found, signal = data.energies(model)
+        errors.append(found - (noise**2).sum())
+        signals.append(signal)
+    # about 600 frequencies of 4096 are within the optics: an error of 35
+    assert np.std(errors) < 50.0
+    assert abs(np.mean(errors)) < 40.0
+    assert np.mean(signals) == pytest.approx(((seen - seen.mean()) ** 2).sum(), rel=0.1)
+
+
+def test_stated_noise_is_kept_if_the_image_contradicts_it():
+    """Half of the noise's power beyond the optics is no chance: the statement or the scene errs."""
+    model = ForwardModel(np.full((7, 7), 1 / 49), shape=(64, 64))
+    image = np.random.default_rng(0).normal(size=(64, 64))
+    image[20:40, 20:40] += 3.0
+    data = measurement(
+        image,
+        model,
+        noise_sigma=2.0**0.5,
+        background=0.0,
+        fit_background=True,
+        background_shape=None,
+    )
+    noise, signal = data.energies(model)
+    # the signal is then at least the error of the noise
+    assert signal == pytest.approx(np.sqrt(2 * 64**2))
+    rest = image - image.mean()
+    assert noise + signal == pytest.approx((rest**2).sum() / 2.0)

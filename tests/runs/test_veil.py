@@ -1,0 +1,72 @@
+"""Diffuse light of the hidden object in the image, and its shape from the image."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import nlosoptics
+from nlosoptics import inverse
+from nlosoptics.imaging import diffuse_background
+from nlosoptics.runs import simulate
+from nlosoptics.runs.noise import electron_noise
+from nlosoptics.runs.veil import fitted_veil, veil_shape
+from nlosoptics.scene import Scene
+
+
+@pytest.fixture(scope="module")
+def bright(examples) -> nlosoptics.Result:
+    """A long exposure of a picture whose light comes from one side."""
+    scene = Scene.load(examples / "scenes" / "letter_flat.toml").resized(64)
+    picture = np.zeros((40, 40))
+    picture[5:35, 3:9] = 1.0
+    picture[5:11, 9:25] = 0.7
+    scene = replace(
+        scene,
+        hidden=replace(scene.hidden, image=picture, size=0.6, position=(0.33, 0.0, 0.6)),
+        camera=replace(scene.camera, exposure=0.07, stop_diameter=0.012),
+        laser=replace(scene.laser, independent_patterns=1000),
+    )
+    return nlosoptics.simulate(scene, 1e-2, seed=1)
+
+
+def test_veil_of_a_bright_object_is_found(bright):
+    """Its error falls from many standard errors of the noise to few, and the fit succeeds."""
+    scene, image = bright.scene, bright.image
+    dark = image.ledger["dark"] / image.electrons.size
+    noise = electron_noise(scene, image.electrons - dark)
+    model = simulate.image_model(scene, bright.point_spread)
+    known = {"noise_sigma": noise, "background": dark}
+    found = fitted_veil(scene, image.electrons, model, **known)
+    true, white = diffuse_background(scene), veil_shape(scene)
+
+    def error(shape):
+        """Standard errors, with the best strength."""
+        weighted = shape / noise
+        rest = true / noise - weighted * (weighted * true / noise).sum() / (weighted**2).sum()
+        return np.linalg.norm(rest)
+
+    # measured 511, and 9.9 with the found shape
+    assert error(white) > 100.0
+    assert error(found) < 0.05 * error(white)
+    assert found.mean() == pytest.approx(1.0)
+    fits = [
+        inverse.tv_deconvolve(image.electrons, model, **known, background_shape=shape)
+        for shape in (found, white)
+    ]
+    # measured 0.99995 and 0.9625
+    near, far = (inverse.registered_correlation(fit, image.ideal) for fit in fits)
+    assert near > 0.999
+    assert far < 0.98
+
+
+def test_veil_that_cannot_differ_is_not_fitted(bright, monkeypatch):
+    """Without noise, or with much of it, the shape is that of a white object."""
+    monkeypatch.setattr(inverse, "tv_deconvolve", lambda *_, **__: 1 / 0)
+    scene, image, model = bright.scene, bright.image.electrons, None
+    shape = veil_shape(scene) / veil_shape(scene).mean()
+    assert np.array_equal(fitted_veil(scene, image, model, noise_sigma=None), shape)
+    noise = np.full(image.shape, image.max())
+    assert np.array_equal(fitted_veil(scene, image, model, noise_sigma=noise), shape)
