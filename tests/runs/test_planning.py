@@ -88,7 +88,7 @@ def test_geometry_is_computed_once(flat_scene, monkeypatch):
     # one fan of rays for each object point: the reference point, the picture's corners and edges
     # by which the plan finds the windows, and the nodes of the field
     points = {tuple(np.asarray(call[1]).tolist()) for call in aimed}
-    assert len(aimed) == len(points) == 13
+    assert len(aimed) == len(points) == 25
     assert len(split) == len(points)
     assert len({id(call[0]) for call in split}) == len(points)
     assert not seen  # a smooth mirror needs no view of the wall

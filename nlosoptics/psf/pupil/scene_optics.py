@@ -22,6 +22,8 @@ Found = TypeVar("Found")
 #: Numbers of pupil samples to try after those of ``nodes="auto"``: radii of polar nodes, with four
 #: times as many angles, or cells per side of a grid.
 FINER: Final = {"polar": (48, 96), "grid": (1024, 2048)}
+#: Object points whose waves a scene keeps: its reference point, corners and edges, and a few more.
+KEPT: Final = 16
 
 
 class PointOptics:
@@ -155,6 +157,7 @@ class SceneOptics:
             )
         scene.check_black_occluders()
         self.scene, self._pupil = scene, pupil
+        self._kept: dict[tuple[float, ...], PointOptics] = {}
 
     @cached_property
     def exit_pupil(self) -> ExitPupil:
@@ -173,7 +176,8 @@ class SceneOptics:
         ----------
         object_point : array_like, (3,), optional
             Object point in world coordinates, m. Default: the hidden object's reference point, that
-            is the centre of a planar object or the centroid of a mesh; only its wave is stored.
+            is the centre of a planar object or the centroid of a mesh. The waves of the first 16
+            points are stored.
 
         Returns
         -------
@@ -187,7 +191,11 @@ class SceneOptics:
         point = np.array(vector("object_point", object_point))
         if np.array_equal(point, self.scene.object_point):
             return self.reference
-        return PointOptics(self.scene, self.exit_pupil, point)
+        place = tuple(point.tolist())
+        found = self._kept.get(place) or PointOptics(self.scene, self.exit_pupil, point)
+        if len(self._kept) < KEPT:
+            self._kept[place] = found
+        return found
 
 
 def optics_of(scene: Scene | SceneOptics) -> SceneOptics:

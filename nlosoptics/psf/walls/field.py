@@ -319,16 +319,16 @@ class SampledSpreads:
         self.optics, self.pitch, self.tol = optics, pitch, tol
         self._hidden = _picture(optics.scene)
         corners = {(float(x), float(y)) for y in (up[0], up[-1]) for x in (across[0], across[-1])}
-        self._seen = {place: self._optics_at(place) for place in sorted(corners | {(0.0, 0.0)})}
-        self.side = max(point_window(one, pitch, tol) for one in self._seen.values())
+        seen = [self._optics_at(place) for place in sorted(corners | {(0.0, 0.0)})]
+        self.side = max(point_window(one, pitch, tol) for one in seen)
         self._found: dict[Place, PointSpread] = {}
 
     def _optics_at(self, place: Place) -> PointOptics:
         return self.optics.at(picture_point(self._hidden, *place))
 
     def _compute(self, place: Place) -> PointSpread:
-        one = self._seen.get(place) or self._optics_at(place)
-        return point_image(one, self.pitch, (self.side, self.side), self.tol)[1]
+        window = self.side, self.side
+        return point_image(self._optics_at(place), self.pitch, window, self.tol)[1]
 
     def at(self, places: list[Place], progress: Progress | None = None) -> list[PointSpread]:
         """Return the point spreads at coordinates across and up, -1 to 1, on all cores."""
