@@ -71,8 +71,11 @@ _MOST_CHANGE, _LEAST_ITERATIONS = 5e-4, 100
 # Largest brightness of the object at the frame's edge relative to its mean, in a padded frame.
 _MOST_BORDER = 1.1
 _BORDER = 1 / 32  # width of the edge, relative to the shorter side
-# Least expected correlation of object and Wiener estimate.
-_LEAST_SHARE = 0.73
+# Least expected correlation of object and Wiener estimate. A sharp fit restores edges that a filter
+# does not, but half of the power of a typical object's detail must exceed the noise.
+_LEAST_SHARE, _LEAST_SHARP_SHARE = 0.73, math.sqrt(0.5)
+# Largest loss of correlation in a second fit with other noise.
+_MOST_LOST = 0.1
 # Largest share of a linear estimate's power in negative pixels, apart from that of the noise.
 _MOST_NEGATIVE = 0.03
 # Largest ratio of measured and stated noise beyond the optics, or of two parts of that noise.
@@ -159,7 +162,9 @@ def judged(
     right and wrong answers. The last reason states this probability. One of the signs needs a
     second fit, to the model's image of the object with other noise. If the sum is positive only
     because this fit gives another object, and noise alone can explain this, the image has too few
-    photons.
+    photons. It also has too few if the correlation of both objects is below 0.9, or if the Wiener
+    filter would recover too little of an object with the spectrum 1/f^2: a second fit does not show
+    the loss of detail that the first one has lost already.
 
     For other fits
 
@@ -178,7 +183,7 @@ def judged(
     if not level.any():
         return "too_few_photons", ("the fit explains the image without an object; expose longer",)
     spectrum = Spectra(data, level, strength, model)
-    settled = ending.settled()
+    settled, share = ending.settled(), spectrum.share()
     if settled or ending.stalled():
         faults = list(spectrum.stated_noise_faults())
         if ending.again is not None:
@@ -186,8 +191,9 @@ def judged(
             again = ending.again(spectrum.repetition()) if settled else level
             values = spectrum.signs(as_double(as_numpy(again)))
             # The noise can hide no more than what a linear estimate would miss.
-            noisy = math.exp(values["unsteady"]) <= 1.0 - spectrum.share()
-            if noisy and not faults and doubt(as_if_steady(values)) <= 0.0 < doubt(values):
+            lost = math.exp(values["unsteady"])
+            noisy = lost <= 1.0 - share and doubt(as_if_steady(values)) <= 0.0 < doubt(values)
+            if not faults and (noisy or (doubt(values) <= 0.0 and lost > _MOST_LOST)):
                 return "too_few_photons", tuple(told({"unsteady": values["unsteady"]}))
             if doubt(values) > 0.0:
                 faults += [*told(values), *spectrum.colour_faults()]
@@ -203,9 +209,7 @@ def judged(
             return "does_not_fit", tuple(faults)
     if not settled:
         return "unconverged", (spectrum.unfinished(len(ending.history["residual"])),)
-    if ending.again is not None:
-        return "converged", ()
-    share, negative = spectrum.share(), _negative_share(level)
+    negative = _negative_share(level)
     noise = 0.5 * (1.0 - share**2)  # of the power; noise is as often negative as positive
     if negative > _MOST_NEGATIVE + noise:
         return "does_not_fit", (
@@ -218,10 +222,11 @@ def judged(
             f"{100 * _MOST_NEGATIVE:g} %; the object is mostly noise: expose longer, or use "
             "tv_deconvolve",
         )
-    if share < _LEAST_SHARE:
+    least = _LEAST_SHARE if ending.again is None else _LEAST_SHARP_SHARE
+    if share < least:
         return "too_few_photons", (
             f"the noise hides most of the object: expected correlation {share:.2f} of a linear "
-            f"estimate, least {_LEAST_SHARE:g}; expose longer",
+            f"estimate, least {least:.2f}; expose longer",
         )
     return "converged", ()
 
