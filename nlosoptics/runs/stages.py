@@ -372,7 +372,7 @@ def reconstruction_stage(scene: Scene, wanted: bool, nodes: int = 0) -> Stage:
         reason="total-variation deconvolution with known pose and point spread",
         # with a field of point spreads 1.3 to 2.5 times as long
         seconds=_cost_model.seconds(
-            transforms=(1.3 + 3e-6 * nx * ny) * (FIELD_COST if nodes > 1 else 1.0)
+            transforms=(1.3 + 6e-6 * nx * ny) * (FIELD_COST if nodes > 1 else 1.0)
         ),
         memory=2000.0 * nx * ny,
         error="status and score are reported",
