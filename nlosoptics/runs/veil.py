@@ -7,19 +7,26 @@ reconstructs the object, and computes the veil of what it found.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded lazily, on first use
 from numpy.typing import NDArray
 
 from ..imaging import ForwardModel, Shadows, cast_shadows, diffuse_background
 from ..imaging.geometry import picture_coordinates
 from ..imaging.images import light_levels
+from ..inverse.known.total_variation import sharpest
 from ..scene import PlanarObject, Scene
 
 Array = NDArray[np.float64]
 
-CELLS = 16  # cells of the object along each side, for its veil
+CELLS = 8  # cells of the object along each side, for its veil
+#: Largest number of pixels along a side of the binned image in which the object is found, and of
+#: the image in which its veil is computed.
+FITTED, COARSE = 64, 32
 #: Assumed error of the veil of a white object, relative to the veil; measured up to 0.17.
 ERROR = 0.1
 #: Veil errors, in standard errors of the noise of a shape, that a fit tolerates.
@@ -81,48 +88,129 @@ def fitted_veil(
     uncertain, its error is added to the noise; the next error is half of the last change. Parts of
     the object that the image does not show are given the mean reflectance of the others. The veil
     of a mesh is known, since all of it has one reflectance.
-    """
-    from ..inverse import tv_deconvolve
 
-    if shadows is None and scene.occluders:
-        shadows = cast_shadows(scene)
-    veil = veil_shape(scene, shadows)
-    if not veil.any():
+    The reconstructions are of the binned image, by the mean of the point spreads. Only the ratio of
+    the veil to that of a white object changes; it is smooth, and computed in fewer pixels.
+    """
+    white = veil_shape(scene, shadows)
+    if not white.any():
         return None
-    shape: Array = veil / veil.mean()
+    shape: Array = white / white.mean()
     if noise_sigma is None or not isinstance(scene.hidden, PlanarObject):
         return shape
-    light = (image - background)[np.isfinite(noise_sigma)]
-    error = ERROR * max(float(light.mean()), 0.0) * shape
-    cells = None
+    valid = np.isfinite(noise_sigma)
+    light = max(float((image - background)[valid].mean()), 0.0)
+    if _standard_errors(ERROR * light * shape, noise_sigma) < TOLERATED:
+        return shape
+    side = _binning(image.shape, FITTED)
+    binned = _Binned(valid, side)
+    fewer = _binning(binned.shape, COARSE)
+    cells = _Cells(_resized(scene, side), scene.hidden)
+    coarse = _resized(scene, side * fewer)
+    coarse_shadows = cast_shadows(coarse) if scene.occluders else None
+    first = veil_shape(coarse, coarse_shadows)
+    seen, noise, mine = binned.mean(image), binned.noise(noise_sigma), binned.mean(shape)
+    blur = ForwardModel(_binned_kernel(model, side), shape=binned.shape)
+    ratio, error = np.ones_like(seen), ERROR * light * mine
+    found = first
     for _ in range(ROUNDS):
-        if np.sqrt(np.sum((error / noise_sigma) ** 2)) < TOLERATED:
+        if _standard_errors(error, noise) < TOLERATED:
             break
-        found = tv_deconvolve(
-            image,
-            model,
-            noise_sigma=np.hypot(noise_sigma, error),
+        object_, strength = sharpest(
+            seen,
+            blur,
+            (ITERATIONS, TOLERANCE),
+            noise_sigma=np.hypot(noise, error),
             background=background,
-            background_shape=shape,
-            max_iterations=ITERATIONS,
-            tolerance=TOLERANCE,
+            background_shape=mine * ratio,
         )
-        cells = cells or _Cells(scene, scene.hidden, shadows)
-        picture = cells.picture(found.object)
+        picture = cells.picture(np.asarray(object_))
         if not picture.any():
             break
-        veil = diffuse_background(scene, picture, shadows=shadows)
-        change = found.physical_parameters["background"] * (veil / veil.mean() - shape)
-        shape, error = veil / veil.mean(), np.full_like(shape, 0.5 * np.sqrt(np.mean(change**2)))
-    return shape
+        found = diffuse_background(coarse, picture, shadows=coarse_shadows)
+        before, ratio = ratio, _ratio(found, first, fewer)
+        ratio = ratio / (mine * ratio).mean()
+        change = strength * mine * (ratio - before)
+        error = np.full_like(mine, 0.5 * np.sqrt(np.mean(change**2)))
+    shape = shape * _ratio(found, first, side * fewer)
+    return np.asarray(shape / shape.mean())
+
+
+def _ratio(veil: Array, other: Array, side: int) -> Array:
+    """Return the ratio of two veils in ``side`` times as many pixels; 1 where both are dark."""
+    above, below = _enlarged(veil, side), _enlarged(other, side)
+    return np.divide(above, below, out=np.ones_like(above), where=below > 0.0)
+
+
+def _resized(scene: Scene, side: int) -> Scene:
+    """Return the scene with pixels of side x side pixels."""
+    return scene if side == 1 else scene.resized(scene.camera.shape[1] // side)
+
+
+def _enlarged(picture: Array, side: int) -> Array:
+    """Return a picture with ``side`` times as many pixels, interpolated linearly."""
+    return np.asarray(scipy.ndimage.zoom(picture, side, order=1, mode="nearest", grid_mode=True))
+
+
+def _standard_errors(error: Array, noise_sigma: Array) -> float:
+    return float(np.sqrt(np.sum((error / noise_sigma) ** 2)))
+
+
+def _binning(shape: tuple[int, ...], most: int) -> int:
+    """Return the least number that divides both sides into at most ``most`` parts.
+
+    It is 1 if there is none that leaves `CELLS` parts.
+    """
+    for side in range(1, min(shape) // CELLS + 1):
+        if math.gcd(side, *shape) == side and max(shape) <= most * side:
+            return side
+    return 1
+
+
+def _binned_kernel(model: ForwardModel, side: int) -> Array:
+    """Return the mean point spread (ky, kx) between pixels of side x side pixels."""
+    kernel = model.kernel
+    if model.weights is not None:
+        kernel = np.tensordot(model.weights.mean((-2, -1)), kernel, 1)
+
+    def sums(length: int) -> Array:
+        arm = -(-(length // 2) // side)
+        parts = np.arange(-arm, arm + 1)[:, None]
+        return np.maximum(0.0, 1.0 - np.abs((np.arange(length) - length // 2) / side - parts))
+
+    rows, columns = (sums(length) for length in kernel.shape)
+    return np.asarray(rows @ kernel @ columns.T)
+
+
+class _Binned:
+    """Means over squares of pixels, of those that are valid."""
+
+    def __init__(self, valid: NDArray[np.bool_], side: int) -> None:
+        self._valid, self._side = valid, side
+        self._count = self._sums(valid)
+        self.shape = self._count.shape
+
+    def mean(self, values: Array) -> Array:
+        """Return the means; 0 where no pixel is valid."""
+        return self._sums(np.where(self._valid, values, 0.0)) / np.maximum(self._count, 1.0)
+
+    def noise(self, sigma: Array) -> Array:
+        """Return the noise of the means; infinite where no pixel is valid."""
+        variance = self._sums(np.where(self._valid, sigma, 0.0) ** 2)
+        return np.where(self._count > 0.0, np.sqrt(variance) / np.maximum(self._count, 1.0), np.inf)
+
+    def _sums(self, values: NDArray[Any]) -> Array:
+        rows, columns = values.shape
+        blocks = rows // self._side, self._side, columns // self._side, self._side
+        return np.asarray(values.reshape(blocks).sum((1, 3)), dtype=np.float64)
 
 
 class _Cells:
     """Cells of the object's plane, and the pixels that show them."""
 
-    def __init__(self, scene: Scene, hidden: PlanarObject, shadows: Shadows | None) -> None:
+    def __init__(self, scene: Scene, hidden: PlanarObject) -> None:
         white = replace(hidden, image=np.ones((CELLS, CELLS)))
-        levels = light_levels(replace(scene, hidden=white), shadows=shadows)
+        levels = light_levels(replace(scene, hidden=white))
         column, row = picture_coordinates(white, levels.rays)
         with np.errstate(invalid="ignore"):
             shown = (levels.ideal > 0.0) & (np.minimum(column, row) >= 0.0)

@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 
@@ -104,9 +104,9 @@ class Solver(ABC, Generic[S]):
 def run(solver: Solver[S], start: Any = None, progress: Progress | None = None) -> Run[S]:
     """Iterate until the solver is done, its iterations are used, or a callback stops it.
 
-    ``start`` is an initial object, (H, W) in image units, a saved state or None, and ``progress`` a
-    callback as in `inverse.data.checkpoints`. A `SceneError` or `SamplingError` is raised if
-    ``start`` belongs to another solver or shape, or is not finite.
+    ``start`` is an initial object, (H, W) in image units, a saved state, a state in memory, or
+    None, and ``progress`` a callback as in `inverse.data.checkpoints`. A `SceneError` or
+    `SamplingError` is raised if ``start`` belongs to another solver or shape, or is not finite.
     """
     state, history = _begun(solver, start)
     on = True
@@ -195,6 +195,8 @@ def _saved(solver: Solver[S], state: S, history: Mapping[str, list[float]]) -> S
 
 def _begun(solver: Solver[S], start: Any) -> tuple[S, dict[str, list[float]]]:
     """Return the initial state, or the one that was saved, with its history."""
+    if isinstance(start, Iterate):
+        return cast(S, start), {name: [] for name in solver.records}
     if isinstance(start, Mapping) or (start is not None and not solver.takes_object):
         state, known = solver.init(None), start if isinstance(start, Mapping) else {}
         missing = [name for name in (*_arrays(state), "numbers", "history") if name not in known]

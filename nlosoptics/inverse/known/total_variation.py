@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from ..data.arrays import (
     total,
 )
 from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
-from ..data.measurement import Measurement
+from ..data.measurement import Measurement, measurement
 from ..data.models import AnyModel, mean_transfer, model_like
 from ..data.reconstruction import Reconstruction
 from ..data.status import MOST_RESIDUAL, Ending
@@ -170,6 +171,19 @@ def tv_deconvolve(
 
     known = noise_sigma, background, fit_background, background_shape, gain
     return reconstructed(solve, image, model, *known, in_numpy=True)
+
+
+def sharpest(
+    image: Any, model: AnyModel, rule: tuple[int, float], **known: Any
+) -> tuple[Values, float]:
+    """Return object and background of `tv_deconvolve`, not judged; no object if none is seen."""
+    data = measurement(image, model, fit_background=True, **known)
+    if data.is_background(model):
+        return 0.0 * data.data, float(data.background_strength(data.data))
+    solver = _Splitting(data, model, rule, None)
+    found = run(solver)
+    level = solver.level(found.state)
+    return level, float(solver.answer(found, level)["background"])
 
 
 @dataclass(eq=False, kw_only=True)
@@ -358,16 +372,16 @@ class _Splitting(Solver[_Split]):
             converged=self.done(found.state),
             history={"objective": objective, "residual": residuals, "change": changes},
             most_residual=MOST_RESIDUAL if self._given is None else None,
-            again=self._repeated if self._given is None else None,
+            again=partial(self._repeated, found.state) if self._given is None else None,
         )
         background = self._level + found.state.background * self._scale
         return {"background": background, "tv_weight": tv_weight, "ending": ending}
 
-    def _repeated(self, data: Measurement) -> Values:
-        """Return the object (H, W), image units, of the same fit to another image."""
+    def _repeated(self, state: _Split, data: Measurement) -> Values:
+        """Return the object (H, W), image units, of the fit to another image, begun at a state."""
         own = data.in_torch() if is_tensor(self.data.data) else data
         again = _Splitting(own, self._model, (self.max_iterations, self._tolerance), None)
-        return again.level(run(again).state)
+        return again.level(run(again, replace(state, count=0, measure=math.inf)).state)
 
     def _factors(self, state: _Split) -> tuple[Values, Values, Values]:
         """Return the half spectra of R, of the preconditioner and of the data filter.
