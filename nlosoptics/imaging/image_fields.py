@@ -52,6 +52,7 @@ def image_field(
     *,
     tol: float = 1e-3,
     most_nodes: int = COUNTS[-1],
+    anywhere: bool = False,
     progress: Progress | None = None,
 ) -> tuple[PointSpreadField, float]:
     """Compute PSFs at as many points of the hidden object as an accurate camera image needs.
@@ -70,6 +71,9 @@ def image_field(
         error over rms image, and that of each PSF, max |dI| / max I with its intensity I.
     most_nodes : int
         Largest number of nodes along each side of the object.
+    anywhere : bool, default False
+        Whether the PSFs are checked all over the object, as for photographs of an unknown object
+        in the place of the scene's. By default they are checked where the picture is bright.
     progress : callable(str, float), optional
         Called with "field" and the completed fraction of the nodes that may be needed.
 
@@ -104,7 +108,7 @@ def image_field(
     counts = [n for n in COUNTS if n <= most_nodes]
     start, limit = time.perf_counter(), seconds_limit(math.inf)
     spreads = SampledSpreads(optics, optics.scene.camera.image_pitch, tol / 2)
-    places = checked_places(picture)
+    places = checked_places(np.ones_like(picture) if anywhere else picture)
     exact = np.array([one.intensity for one in spreads.at(places)])
     echo = autocorrelation(picture, spreads.side)
     bright = blurred_power(exact, echo)

@@ -342,7 +342,7 @@ def known_model(scene: Scene, *, tol: float = 1e-3, mean: bool = False) -> Forwa
     (32, 32)
     """
     todo = plan(scene, tol, reconstruct=True)
-    spreads, _ = image_spreads(todo, SceneOptics(scene, todo.exit_pupil))
+    spreads, _ = image_spreads(todo, SceneOptics(scene, todo.exit_pupil), anywhere=True)
     spread = spreads.mean() if isinstance(spreads, PointSpreadField) else spreads.intensity
     shape = scene.camera.shape
     middle = tuple(

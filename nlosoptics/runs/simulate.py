@@ -204,6 +204,8 @@ def image_spreads(
     seed: int = 0,
     begin: Callable[[str], None] = lambda _: None,
     tell: Callable[[str, float], None] = lambda _, share: None,
+    *,
+    anywhere: bool = False,
 ) -> tuple[PointSpreadField | PointSpread, dict[str, float]]:
     """Compute the point spreads with which a plan forms the image.
 
@@ -221,6 +223,8 @@ def image_spreads(
         Called at the start of each stage.
     tell : callable(str, float)
         Called with a stage's name and its completed fraction.
+    anywhere : bool
+        Whether the object may differ from the scene's picture, see `imaging.image_field`.
 
     Returns
     -------
@@ -256,6 +260,7 @@ def image_spreads(
         optics,
         tol=todo.tol,
         most_nodes=MOST_NODES,
+        anywhere=anywhere,
         progress=lambda _, share: tell(FIELD, share),
     )
     return field, {FIELD: error}

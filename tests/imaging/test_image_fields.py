@@ -56,6 +56,16 @@ def test_error_bounds_that_of_the_image(examples):
     assert rms_difference(narrow, exact) > 2 * true
 
 
+def test_an_unknown_object_may_be_bright_anywhere(examples):
+    """A spot in the middle needs one point spread, an object in its place needs more."""
+    flat = nlos.Scene.load(examples / "scenes" / "letter_flat.toml")
+    picture = np.zeros((41, 41))
+    picture[20, 19:22] = 1.0
+    spot = replace(flat, wall=ConcaveWall(6.0), hidden=replace(flat.hidden, image=picture))
+    one, many = (image_field(spot, tol=1e-2, anywhere=where)[0] for where in (False, True))
+    assert one.weights[0].size < many.weights[0].size
+
+
 def test_mean_is_that_over_the_picture(scene):
     field = point_spread_field(replace(scene, wall=ConcaveWall(6.0)), 4, checks=0)
     places = np.random.default_rng(1).uniform(-1, 1, (4000, 2))
