@@ -185,7 +185,7 @@ def judged(
     spectrum = Spectra(data, level, strength, model)
     settled, share = ending.settled(), spectrum.share()
     if settled or ending.stalled():
-        faults = list(spectrum.stated_noise_faults())
+        faults = list(spectrum.stated_noise_faults(explained=ending.again is not None))
         if ending.again is not None:
             # a fit that still changes cannot converge, so that a second one would tell nothing
             again = ending.again(spectrum.repetition()) if settled else level
@@ -271,9 +271,13 @@ class Spectra:
         excess = float((self._twice * self._ratio).sum()) / self._level.size
         return signs(self._level, again, residual=self._rms, excess=excess)
 
-    def stated_noise_faults(self) -> Iterator[str]:
-        """Compare the image beyond the cut-off with the stated noise."""
-        power_there = self._mean(self._noise, self._beyond)
+    def stated_noise_faults(self, *, explained: bool) -> Iterator[str]:
+        """Compare the image beyond the cut-off with the stated noise.
+
+        With ``explained``, the fitted image is subtracted: the frame cuts it off, which spreads its
+        power over all frequencies. Filters that fit the noise as well leave no noise to compare.
+        """
+        power_there = self._mean(self._left if explained else self._noise, self._beyond)
         enough = power_there[1] >= 4 * _LEAST_COUNT and not self._data.sigma_estimated
         if enough and _differ(power_there, (1.0, math.inf)):
             yield (

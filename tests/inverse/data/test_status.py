@@ -160,6 +160,21 @@ def test_detail_that_a_linear_filter_would_miss_is_no_reason(drawn):
     assert inverse.wiener(case.image, model).status == "too_few_photons"
 
 
+@pytest.mark.parametrize(("lost", "share"), [(0.12, 0.95), (0.02, 0.65)])
+def test_noise_that_hides_the_object_is_named(monkeypatch, lost, share):
+    """Each limit alone: the object of a second fit, and the detail above the noise."""
+    model, truth = lobe(2.0), np.zeros((SIDE, SIDE))
+    truth[20:44, 22:30] = 1.0
+    image = model.forward(truth) + 0.01 * np.random.default_rng(0).normal(size=truth.shape)
+    assert inverse.tv_deconvolve(image, model).status == "converged"
+    found = Spectra.signs
+    monkeypatch.setattr(Spectra, "share", lambda self: share)
+    monkeypatch.setattr(
+        Spectra, "signs", lambda self, again: found(self, again) | {"unsteady": np.log(lost)}
+    )
+    assert inverse.tv_deconvolve(image, model).status == "too_few_photons"
+
+
 def test_a_repetition_has_the_noise_of_the_image():
     """Each pixel has its own noise, and excluded pixels have none."""
     rng = np.random.default_rng(0)
@@ -280,6 +295,17 @@ def test_stated_noise_is_compared_with_the_image(drawn):
     assert wrong.status == "does_not_fit"
     # power 1/1.5^2 = 0.44, known to a tenth from about a thousand frequencies
     assert "0.4" in wrong.reasons[0]
+    assert "stated noise's power" in wrong.reasons[0]
+
+
+def test_an_image_that_the_frame_cuts_off_is_not_taken_for_noise():
+    """Blurred light ends at the frame, which spreads its power beyond the optics' cut-off."""
+    model, truth = lobe(3.0), np.zeros((SIDE, SIDE))
+    truth[4:30, 3:8] = truth[4:9, 8:24] = truth[40:60, 50:60] = 1.0
+    image = model.forward(truth) + 1e-3 * np.random.default_rng(0).normal(size=truth.shape)
+    right, wrong = (inverse.tv_deconvolve(image, model, noise_sigma=s) for s in (1e-3, 2e-3))
+    assert (right.status, right.reasons) == ("converged", ())
+    assert wrong.status == "does_not_fit"
     assert "stated noise's power" in wrong.reasons[0]
 
 
