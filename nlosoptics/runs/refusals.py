@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 
 from ..errors import NotWaveGradeError, SceneError
+from ..imaging.image_fields import checked_places, picture_frame
 from ..psf.pupil.exit_pupil import ExitPupil
 from ..psf.pupil.obstruction import check_cone
 from ..psf.pupil.wall_wavefront import check_wave_grade
@@ -66,16 +67,19 @@ def check_sight(scene: Scene, pupil: ExitPupil) -> None:
 
 
 def check_cones(scene: Scene, counts: list[int]) -> None:
-    """Raise if occluders cut part of the light from any node or corner of the object to the lens.
+    """Raise if occluders cut light from a corner or a used point of the object to the lens.
 
-    ``counts`` are the nodes along each side of the fields of point spreads to be computed.
+    These points are the nodes of the fields of point spreads to be computed, with ``counts`` nodes
+    along each side, and the points between them at which the fields are checked.
     """
     if not (scene.occluders and isinstance(scene.hidden, PlanarObject)):
         return
+    places = checked_places(picture_frame(scene))
     for count in counts:
-        places = [-1.0, *picture_nodes(count).tolist(), 1.0]
-        for x, y in product(places, places):
-            check_cone(scene, picture_point(scene.hidden, x, y))
+        line = [-1.0, *picture_nodes(count).tolist(), 1.0]
+        places += product(line, line)
+    for x, y in places:
+        check_cone(scene, picture_point(scene.hidden, x, y))
 
 
 def _half_extent(scene: Scene) -> float:
