@@ -234,6 +234,14 @@ def light_levels(
     )
 
 
+def mirror_image(scene: Scene) -> tuple[ChiefRays, Array]:
+    """Return the chief rays, and the electrons (ny, nx) of mirror-like light without blur."""
+    spot, rays, visible, gain = _view(scene, scene.camera.exposure)
+    shadows = _shadows(scene, None)
+    ideal = gain * _mirrored_radiance(scene, spot, rays, visible > 0)
+    return rays, ideal if shadows is None else ideal * shadows.image
+
+
 def form_image(
     scene: Scene,
     point_spread: PointSpread | PointSpreadField,

@@ -12,12 +12,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import scipy  # its parts are loaded lazily, on first use
 from numpy.typing import NDArray
 
 from ..imaging import ForwardModel, Shadows, cast_shadows, diffuse_background
 from ..imaging.geometry import picture_coordinates
-from ..imaging.images import light_levels
+from ..imaging.images import mirror_image
 from ..inverse.known.total_variation import sharpest
 from ..scene import PlanarObject, Scene
 
@@ -149,7 +148,13 @@ def _resized(scene: Scene, side: int) -> Scene:
 
 def _enlarged(picture: Array, side: int) -> Array:
     """Return a picture with ``side`` times as many pixels, interpolated linearly."""
-    return np.asarray(scipy.ndimage.zoom(picture, side, order=1, mode="nearest", grid_mode=True))
+
+    def weights(n: int) -> Array:
+        at = np.clip((np.arange(n * side) + 0.5) / side - 0.5, 0.0, n - 1.0)
+        return np.asarray(np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(n))))
+
+    rows, columns = (weights(n) for n in picture.shape)
+    return rows @ picture @ columns.T
 
 
 def _standard_errors(error: Array, noise_sigma: Array) -> float:
@@ -210,14 +215,14 @@ class _Cells:
 
     def __init__(self, scene: Scene, hidden: PlanarObject) -> None:
         white = replace(hidden, image=np.ones((CELLS, CELLS)))
-        levels = light_levels(replace(scene, hidden=white))
-        column, row = picture_coordinates(white, levels.rays)
+        rays, light = mirror_image(replace(scene, hidden=white))
+        column, row = picture_coordinates(white, rays)
         with np.errstate(invalid="ignore"):
-            shown = (levels.ideal > 0.0) & (np.minimum(column, row) >= 0.0)
+            shown = (light > 0.0) & (np.minimum(column, row) >= 0.0)
             shown &= np.maximum(column, row) < CELLS
         self._shown = shown
         self._cell = row[shown].astype(np.intp) * CELLS + column[shown].astype(np.intp)
-        self._white = self._sums(levels.ideal)
+        self._white = self._sums(light)
 
     def picture(self, level: Array) -> Array:
         """Return the reflectance of each cell, at most 1, from an unblurred image (ny, nx)."""

@@ -194,8 +194,6 @@ def _halo(object_: Array) -> tuple[float, float]:
     The halo h minimises ``|dim - h * bright|^2 + ridge |h|^2`` over all h within `_HALO_REACH`
     pixels, with the convolution ``*``. A blur that the model lacks leaves such a halo.
     """
-    from scipy import linalg  # slow to load
-
     bright = np.where(object_ > _DIM * _brightness(object_), object_, 0.0)
     dim = object_ - bright
     grid = [fft.next_fast_len(n + 2 * _HALO_REACH, real=True) for n in object_.shape]
@@ -211,7 +209,7 @@ def _halo(object_: Array) -> tuple[float, float]:
     if power == 0.0 or own[0, 0] == 0.0:
         return 0.0, 0.0
     ridge = _HALO_RIDGE * own[0, 0] * np.eye(len(y))
-    halo = linalg.solve(matrix + ridge, target, assume_a="pos")
+    halo = np.linalg.solve(matrix + ridge, target)
     explained = float(halo @ (2.0 * target - matrix @ halo))
     return explained / power, power / float((object_**2).sum())
 
