@@ -1,5 +1,6 @@
 """Ray tracing: other programs, and how often standard errors hold."""
 
+import math
 from collections import defaultdict
 from typing import Any
 
@@ -90,5 +91,27 @@ SECTIONS = (
             "least reliable reflection": "{worst_bounce}",
             "within 2 for this one": "{worst_95:percent .3g} %",
         },
+    ),
+    Section(
+        "random_traces.jsonl",
+        "Traces of random scenes",
+        "Does a trace that connects paths to the lens agree with the plain walk of light, in "
+        "scenes that nobody chose? Each random scene has a wall, materials, a picture or a mesh, "
+        "and often an occluder. It was traced with 4,096 rays, and with a hundred times as many "
+        "by the plain walk (`analog`), whose rays meet the lens by chance. The table states the "
+        "largest and the rms difference of the fluxes, in standard errors of both. Scenes in which "
+        "the walk met no light at all are left out.",
+        "python benchmarks/random_traces.py --json {file}",
+        table={
+            "wall": "{wall}",
+            "scenes": "{count}",
+            "largest difference": lambda group: f"{max(map(abs, group['off'])):.2f}",
+            "rms difference": lambda group: (
+                f"{math.hypot(*group['off']) / group['count'] ** 0.5:.2f}"
+            ),
+            "median error of the trace": "{relative_error:median percent .2g} %",
+            "of the plain walk": "{walk_relative_error:median percent .2g} %",
+        },
+        rows=by("wall", keep=lambda row: row["walk_relative_error"] is not None),
     ),
 )
