@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 import warnings
 from pathlib import Path
@@ -12,7 +11,7 @@ import typer
 
 from .._whole_files import whole_folder
 from ..errors import SceneError
-from ..runs.record import arrays, now, peak_memory, scene_hash, versions
+from ..runs.record import arrays, now, peak_memory, scene_hash, versions, write_record
 from .shell import (
     Changes,
     Debug,
@@ -277,9 +276,7 @@ def phasor_command(
             with whole_folder(folder) as new:
                 _write_picture(image, new, drawn)
                 report["seconds"]["total"] = time.perf_counter() - start
-                report["files"] = sorted([*(p.name for p in new.iterdir()), "result.json"])
-                text = json.dumps(report, indent=2, allow_nan=False)
-                (new / "result.json").write_text(text + "\n")
+                write_record(report, new)
         for note in image.notes:
             typer.echo(f"nlosoptics: {note}", err=True)
         _print_picture(report, folder)

@@ -84,7 +84,8 @@ def run_command(
         folder = Path(scene_file.stem) if out is None else out
         from .._random import checked_seed
         from ..runs.plan import looked_at
-        from ..runs.results import write_record, write_result
+        from ..runs.record import write_record
+        from ..runs.results import write_result
         from ..runs.simulate import carried_out
         from . import figures
         from .first_run import compiled_ahead

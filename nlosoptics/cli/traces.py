@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from pathlib import Path
@@ -12,7 +11,7 @@ import typer
 
 from .._checks import counted
 from .._whole_files import whole_folder
-from ..runs.record import arrays, now, peak_memory, scene_hash, versions
+from ..runs.record import arrays, now, peak_memory, scene_hash, versions, write_record
 from .shell import (
     Changes,
     Debug,
@@ -119,9 +118,7 @@ def trace_command(
             with whole_folder(folder) as new:
                 _write_image(image, new, drawn)
                 report["seconds"]["total"] = time.perf_counter() - start
-                report["files"] = sorted([*(p.name for p in new.iterdir()), "result.json"])
-                text = json.dumps(report, indent=2, allow_nan=False)
-                (new / "result.json").write_text(text + "\n")
+                write_record(report, new)
         for text in image.paths.unreached:
             typer.echo(f"nlosoptics: rays find by chance only {text}", err=True)
         _print_image(image, report, folder)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import datetime
+import json
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import __version__
+from .._whole_files import RECORD
 
 if TYPE_CHECKING:
     from ..scene import Scene
@@ -16,6 +19,13 @@ if TYPE_CHECKING:
 PAGE = "report.html"
 #: Packages whose versions can change the numbers of a run.
 DECIDING = ("numpy", "scipy", "numba", "ducc0", "torch", "trimesh", "pillow")
+
+
+def write_record(record: dict[str, Any], folder: Path) -> None:
+    """Write ``result.json``, which also lists every file of its folder."""
+    files = sorted([*(path.name for path in folder.iterdir()), RECORD])
+    text = json.dumps(record | {"files": files}, indent=2, allow_nan=False)
+    (folder / RECORD).write_text(text + "\n")
 
 
 def arrays(noun: Any) -> dict[str, Any]:

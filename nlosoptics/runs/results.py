@@ -15,7 +15,7 @@ from ..errors import SceneError
 from ..psf.pupil.exit_pupil import ExitPupil
 from ..scene import Scene
 from .plan import Plan
-from .record import now, peak_memory, scene_hash, versions
+from .record import now, peak_memory, scene_hash, versions, write_record
 
 if TYPE_CHECKING:
     from ..imaging import SpeckleImage
@@ -196,13 +196,6 @@ def write_result(result: Result, folder: Path) -> dict[str, Any]:
     nouns = {entry.name: getattr(result, entry.name) for entry in fields(result)}
     del nouns["scene"]
     return _account(result) | {"format": FORMAT, "result": written(nouns, folder)}
-
-
-def write_record(record: dict[str, Any], folder: Path) -> None:
-    """Write ``result.json``, which also lists every file of its folder."""
-    files = sorted([*(path.name for path in folder.iterdir()), RECORD])
-    text = json.dumps(record | {"files": files}, indent=2, allow_nan=False)
-    (folder / RECORD).write_text(text + "\n")
 
 
 def _account(result: Result) -> dict[str, Any]:
