@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..scene import MeshWall, PlanarObject, Scene
+from ..scene import PlanarObject, Scene
 from . import room_parts as parts
 from .canvas import GREY, INK, PALE_GREY, PALE_SKY, round_step
 from .rays import COLOURS, chosen_paths, colour_style, path_lines
@@ -218,8 +218,8 @@ _SIDES = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 def _draw_wall(plotter: Plotter, scene: Scene, size: tuple[float, float]) -> dict[str, str]:
     """Draw the relay wall and return its legend entry."""
-    if isinstance(scene.wall, MeshWall) and not scene.wall.smooth:
-        mesh = parts.mesh_surface(scene.wall.triangles)
+    if scene.wall.true_triangles is not None:
+        mesh = parts.mesh_surface(scene.wall.true_triangles)
         plotter.add_mesh(mesh, color=WALL, name="relay wall", **MATT)
         return {"relay wall, triangles": WALL}
     mesh, texture, steepest = parts.wall_surface(scene, size)

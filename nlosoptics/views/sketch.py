@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import SceneError
-from ..scene import MeshWall, Occluder, PlanarObject, Scene
+from ..scene import Occluder, PlanarObject, Scene
 from .canvas import (
     BLACK,
     BLUE,
@@ -110,11 +110,11 @@ def _draw(scene: Scene, axes: Axes, *, across: int, up: int) -> None:
 
 def _profile(scene: Scene, *, along: int, reach: float) -> Any:
     """Return points of the wall along world x or y through the origin, (n, 3), m."""
-    if isinstance(scene.wall, MeshWall) and not scene.wall.smooth:
+    if scene.wall.true_triangles is not None:
         import trimesh
 
         cut: Any = trimesh.intersections.mesh_plane  # untyped
-        lines = cut(scene.wall.triangles, np.eye(3)[1 - along], np.zeros(3))
+        lines = cut(scene.wall.true_triangles, np.eye(3)[1 - along], np.zeros(3))
         ends = np.full((len(lines), 1, 3), np.nan)  # which interrupt the curve
         return np.concatenate([lines, ends], axis=1).reshape(-1, 3)
     size = scene.wall.size

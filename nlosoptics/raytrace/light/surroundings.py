@@ -17,7 +17,6 @@ from ...scene import (
     ConcaveWall,
     ConvexWall,
     Laser,
-    MeshWall,
     PlanarObject,
     Scene,
 )
@@ -410,8 +409,8 @@ def _triangles(scene: Scene) -> KeptMesh | None:
     meshes = [] if isinstance(scene.hidden, PlanarObject) else [scene.hidden.surface]
     if scene.occluding_mesh is not None:
         meshes.append(scene.occluding_mesh)
-    if isinstance(scene.wall, MeshWall) and not scene.wall.smooth:
-        meshes.append(scene.wall.triangles)
+    if scene.wall.true_triangles is not None:
+        meshes.append(scene.wall.true_triangles)
     return kept_mesh(*meshes) if meshes else None
 
 
@@ -427,8 +426,8 @@ def _room(scene: Scene) -> tuple[Array, NDArray[np.int16]]:
             kind = ROOM + len(tables)
             tables.append(material.lobe_table())
         kinds.append(np.full(len(mesh.faces), kind, dtype=np.int16))
-    if isinstance(scene.wall, MeshWall) and not scene.wall.smooth:
-        kinds.append(np.full(len(scene.wall.triangles.faces), WALL, dtype=np.int16))
+    if (triangles := scene.wall.true_triangles) is not None:
+        kinds.append(np.full(len(triangles.faces), WALL, dtype=np.int16))
     room = np.zeros((len(tables), max((len(table) for table in tables), default=1), 4))
     for lobes, table in zip(room, tables, strict=True):
         lobes[: len(table)] = table
@@ -460,11 +459,10 @@ def lit_patches(scene: Scene, chart: Chart) -> Array:
 def _met(scene: Scene, start: Vector, toward: Vector) -> Array:
     """Return the point of the wall that a ray through two points meets, or else the second one."""
     beam = np.subtract(toward, start)
-    wall = scene.wall
-    if isinstance(wall, MeshWall) and not wall.smooth:
-        hits: Any = intersect_mesh(wall.triangles, start, beam)
+    if (triangles := scene.wall.true_triangles) is not None:
+        hits: Any = intersect_mesh(triangles, start, beam)
     else:
-        hits = intersect(wall, start, beam)
+        hits = intersect(scene.wall, start, beam)
     return hits.points if hits.hit else np.array(toward, dtype=np.float64)
 
 

@@ -60,6 +60,11 @@ class Wall(Noun):
     #: Whether the wall is a height above each point of the plane z = 0, as waves need it.
     has_height = True
 
+    @property
+    def true_triangles(self) -> trimesh.Trimesh | None:
+        """Triangles that rays meet in place of a height, world frame, m; None for other walls."""
+        return None
+
     def compiled(self) -> tuple[Array, Array]:
         """Return the height function as arrays, the form in which compiled code needs it.
 

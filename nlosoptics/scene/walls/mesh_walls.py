@@ -85,6 +85,11 @@ class MeshWall(Wall):
         """Whether the wall is a height above each point of the plane z = 0: if it is smooth."""
         return self.smooth
 
+    @property
+    def true_triangles(self) -> trimesh.Trimesh | None:
+        """Triangles that rays meet, world frame, m; None if the wall is smooth."""
+        return None if self.smooth else self.triangles
+
     @cached_property
     def triangles(self) -> trimesh.Trimesh:
         """Scaled mesh in the world frame, m."""
