@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..psf import Wavefront, fit_zernike
+from ..psf.aperture.quadrature_nodes import gauss_legendre
 from ..psf.wave.zernikes import zernike, zernike_order
 from .modulation import Picture
 
@@ -81,14 +81,14 @@ def wave_bounds(
     # image frequency of a pupil separation s is s/(lambda |d_i|)
     per_separation = 1.0 / (wave.wavelength * abs(wave.image_distance))
     cut = min(2.0 * radius * per_separation, 0.5 / pitch)
-    nodes, weights = _gauss_legendre(RADII)
-    frequencies = cut * (nodes + 1.0) / 2.0
+    shares, weights = gauss_legendre(RADII)
+    frequencies = cut * shares
     angles = math.pi * (np.arange(ANGLES) + 0.5) / ANGLES  # half plane; the rest is conjugate
     power = _radial_power(picture, frequencies / scale)
     lobe = np.exp(-2.0 * (math.pi * blur * frequencies / scale) ** 2)
     # spectrum samples per unit frequency area; the factor 2 accounts for the other half plane
     density = _density(picture) / scale**2
-    area = frequencies * (cut / 2.0 * weights) * (math.pi / ANGLES) * density * 2.0
+    area = frequencies * (cut * weights) * (math.pi / ANGLES) * density * 2.0
     coefficients = {
         j: c for j, c in fit_zernike(wave, FITTED).items() if abs(c) > SMALLEST * wave.wavelength
     }
@@ -168,19 +168,14 @@ def _steps(separations: Array, indices: Iterable[int]) -> tuple[dict[int, _Step]
     return found, weights
 
 
-@lru_cache(maxsize=2)
-def _gauss_legendre(count: int) -> tuple[Array, Array]:
-    """Return nodes on (-1, 1) and weights."""
-    return np.polynomial.legendre.leggauss(count)
-
-
 def _overlaps(separations: Array) -> tuple[Array, Array, Array]:
     """Return quadrature nodes in the overlaps of two unit discs, and their weights over pi.
 
     The discs are separated along x, by ``separations`` (radii,). Nodes (radii, nodes) are relative
     to the centre of the overlap.
     """
-    nodes, weights = _gauss_legendre(NODES)
+    shares, weights = gauss_legendre(NODES)
+    nodes, weights = 2.0 * shares - 1.0, 2.0 * weights
     top = np.sqrt(np.maximum(1.0 - separations**2 / 4.0, 0.0))[:, None]
     # the substitution v = sin removes the square-root singularity at the tips
     v = top * np.sin(math.pi / 2 * nodes)

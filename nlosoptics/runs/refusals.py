@@ -78,7 +78,7 @@ def check_cones(scene: Scene, counts: list[int]) -> None:
     for count in counts:
         line = [-1.0, *picture_nodes(count).tolist(), 1.0]
         places += product(line, line)
-    for x, y in places:
+    for x, y in dict.fromkeys(places):
         check_cone(scene, picture_point(scene.hidden, x, y))
 
 

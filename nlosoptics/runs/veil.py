@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..imaging import ForwardModel, Shadows, cast_shadows, diffuse_background
 from ..imaging.geometry import picture_coordinates
 from ..imaging.images import mirror_image
+from ..inverse.data.signs import block_means
 from ..inverse.known.total_variation import sharpest
 from ..scene import PlanarObject, Scene
 
@@ -205,9 +206,7 @@ class _Binned:
         return np.where(self._count > 0.0, np.sqrt(variance) / np.maximum(self._count, 1.0), np.inf)
 
     def _sums(self, values: NDArray[Any]) -> Array:
-        rows, columns = values.shape
-        blocks = rows // self._side, self._side, columns // self._side, self._side
-        return np.asarray(values.reshape(blocks).sum((1, 3)), dtype=np.float64)
+        return block_means(values, self._side) * self._side**2
 
 
 class _Cells:

@@ -271,9 +271,10 @@ class _Splitting(Solver[_Split]):
         if twin.weights is not None:
             self._field = FieldStep(twin.weights, twin.transfer / self._response, self._dark)
         self._given = None if tv_weight is None else self._response / (self._sigma * tv_weight)
-        noise, signal = data.energies(model)
-        left = max(noise - _taken(signal, model.shape), data.counted / 2)
-        self._target = self._sigma * math.sqrt(left)
+        if self._given is None:
+            noise, signal = data.energies(model)
+            left = max(noise - _taken(signal, model.shape), data.counted / 2)
+            self._target = self._sigma * math.sqrt(left)
         self._factored: tuple[tuple[float, ...], tuple[Values, Values, Values]] | None = None
 
     def init(self, first: Values | None) -> _Split:
