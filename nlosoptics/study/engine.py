@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import os
 import pickle
 import uuid
 from collections.abc import Callable, Iterator
@@ -62,14 +63,25 @@ class InProcess:
 
 
 class Processes:
-    """Engine of spawned processes on this machine, with one thread each."""
+    """Engine of spawned processes on this machine, with one thread each.
 
-    def __init__(self, study: Any, workers: int) -> None:
+    With ``ahead`` they start at once, otherwise with the first blocks.
+    """
+
+    def __init__(self, study: Any, workers: int, *, ahead: bool = False) -> None:
         self.key, self.workers = uuid.uuid4().hex, workers
         self._packed = pickle.dumps(study)
+        self._waiting = self._pool() if ahead else None
+        if self._waiting:
+            for _ in range(workers):
+                self._waiting.submit(os.getpid)  # starts a process
 
     def start(self) -> Executor:
-        """Return a pool; its processes start with the first block."""
+        """Return a pool."""
+        pool, self._waiting = self._waiting or self._pool(), None
+        return pool
+
+    def _pool(self) -> Executor:
         return ProcessPoolExecutor(
             self.workers,
             multiprocessing.get_context("spawn"),
@@ -78,7 +90,9 @@ class Processes:
         )
 
     def close(self) -> None:
-        """Do nothing; the study ends with the processes."""
+        """End processes that no block has asked for; others end with their pool."""
+        if self._waiting:
+            self._waiting.shutdown()
 
 
 class Cluster:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 from .._checks import path_of, whole
@@ -107,7 +108,12 @@ def run_study(
     tell, stop = progress or (lambda text, share: None), interrupted or (lambda: False)
     count = os.cpu_count() or 1 if workers is None else whole("workers", workers, 0)
     sweep(unpacked_at())  # also by a run that unpacks nothing
-    with only_writer(path):
+    new = not path.exists()
+    with only_writer(path), ExitStack() as ending:
+        engine = None
+        if new and not study.variables:  # workers start while the store is made
+            engine = _engine(study, min(count, len(study.in_full)), scheduler, ahead=True)
+            ending.callback(engine.close)
         with reading(path):
             store, study = prepared(study, path)
             blocks = open_blocks(study, store, again)
@@ -122,18 +128,17 @@ def run_study(
             with Trials(study, store, engine, tell, stop) as trials:
                 trials.run(blocks)
         elif blocks:
-            engine = _engine(study, min(count, len(blocks)) if count else 0, scheduler)
-            try:
-                _fill(store, engine, blocks, tell, stop)
-            finally:
-                engine.close()
+            if engine is None:
+                engine = _engine(study, min(count, len(blocks)), scheduler)
+                ending.callback(engine.close)
+            _fill(store, engine, blocks, tell, stop)
     return Results.load(given)
 
 
-def _engine(study: Study, workers: int, scheduler: str | None) -> Engine:
+def _engine(study: Study, workers: int, scheduler: str | None, *, ahead: bool = False) -> Engine:
     if scheduler is not None:
         return Cluster(study, scheduler)
-    return Processes(study, workers) if workers else InProcess(study)
+    return Processes(study, workers, ahead=ahead) if workers else InProcess(study)
 
 
 def _fill(

@@ -9,6 +9,7 @@ import os
 import threading
 import time
 from collections.abc import Mapping
+from multiprocessing.util import Finalize
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
@@ -61,9 +62,15 @@ def prepare(key: str, packed: bytes, *, own_process: bool = True) -> None:
 
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         os.environ |= dict.fromkeys(THREADS, "1")
+        # a worker has nothing to tidy up, and the end of an interpreter with numba takes 0.3 s
+        Finalize(None, os._exit, (0,), exitpriority=-1)
     import pickle
 
     from .design.point import stage_caches
+
+    if own_process:  # what most points use loads while the client makes the store
+        import nlosoptics.psf.metrics.psf_metrics
+        import nlosoptics.psf.walls.scene_psf  # noqa: F401
 
     _studies[key] = pickle.loads(packed), stage_caches()
 
