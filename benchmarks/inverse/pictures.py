@@ -32,14 +32,20 @@ _FONTS = (
 
 def pictures(count: int, seed: int) -> np.ndarray:
     """Pictures (count, SIDE, SIDE), 0 to 1; a larger count extends those of a smaller one."""
-    kinds = (_glyph, _glyph, _glyph, _pair, _strokes, _strokes, _shapes, _dots, _cloud)
     found = np.empty((count, SIDE, SIDE), dtype=np.float32)
     for number in range(count):
-        draw = np.random.default_rng([seed, number])
-        fine = kinds[draw.integers(len(kinds))](draw)
+        _kind, fine = fine_picture(seed, number)
         cells = fine.reshape(SIDE, _FINE, SIDE, _FINE).mean(axis=(1, 3))
         found[number] = cells / max(float(cells.max()), 1e-6)
     return found
+
+
+def fine_picture(seed: int, number: int) -> tuple[str, np.ndarray]:
+    """Kind of one of the pictures, and the picture at _FINE samples per pixel."""
+    kinds = (_glyph, _glyph, _glyph, _pair, _strokes, _strokes, _shapes, _dots, _cloud)
+    draw = np.random.default_rng([seed, number])
+    kind = kinds[draw.integers(len(kinds))]
+    return kind.__name__[1:], kind(draw)
 
 
 @cache
