@@ -17,6 +17,7 @@ from ..aperture.quadrature_nodes import grid_nodes
 from ..wave.detilted import Residual
 from ..wave.polar_series import values_at
 from ..window.rim_tails import edge_ratio
+from ._spline_kernels import spline_values
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -29,7 +30,7 @@ FEW_CELLS = 128
 STEP = 0.08
 #: Peak memory per cell, bytes.
 CELL_BYTES: Final = 400.0
-#: Order of the interpolating spline; 3 and 5 have small error constants.
+#: Order of the interpolating spline, that of `spline_values`.
 ORDER: Final = 5
 
 
@@ -181,9 +182,14 @@ def _correlation(values: NDArray[np.complex128] | Array) -> ComplexArray:
     n = values.shape[0]
     padded = np.zeros((2 * n, 2 * n), dtype=np.complex128)
     padded[:n, :n] = values
-    ducc0.fft.c2c(padded, out=padded, nthreads=1)
-    padded = (padded.real**2 + padded.imag**2).astype(np.complex128)
-    ducc0.fft.c2c(padded, out=padded, forward=False, inorm=2, nthreads=1)
+    ducc0.fft.c2c(padded[:n], axes=(1,), out=padded[:n], nthreads=1)
+    ducc0.fft.c2c(padded, axes=(0,), out=padded, nthreads=1)
+    power = padded.real**2 + padded.imag**2
+    # the transform of real values; that of the other half are its conjugates
+    half = ducc0.fft.r2c(power, forward=False, inorm=2, nthreads=1)
+    padded[:, : n + 1] = half
+    padded[0, n + 1 :] = np.conj(half[0, n - 1 : 0 : -1])
+    padded[1:, n + 1 :] = np.conj(half[:0:-1, n - 1 : 0 : -1])
     return np.asarray(np.fft.fftshift(padded))
 
 
@@ -212,14 +218,13 @@ class LatticeRatio:
 
         table = np.zeros(self.plain.shape, dtype=np.complex128)
         np.divide(_correlation(pupil), self.plain, out=table, where=self.seen)
-        parts: list[Array] = [ndimage.spline_filter(p, ORDER) for p in (table.real, table.imag)]
+        spline = ndimage.spline_filter(table, ORDER, output=np.complex128)
 
         def at(du: Array, dv: Array) -> ComplexArray:
-            place = np.stack([dv, du]) / self.pitch + self.centre
-            real, imag = (
-                ndimage.map_coordinates(part, place, order=ORDER, prefilter=False) for part in parts
-            )
-            return np.asarray(real + 1j * imag)
+            row, column = (np.ravel(d) / self.pitch + self.centre for d in (dv, du))
+            found = np.empty(row.shape, dtype=np.complex128)
+            spline_values(spline, row, column, found)
+            return found.reshape(du.shape)
 
         return at
 

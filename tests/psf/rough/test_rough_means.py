@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pytest import approx
+from scipy import ndimage, signal
 
 from nlosoptics import psf
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.psf.rough import otf
+from nlosoptics.psf.rough._spline_kernels import spline_values
 from nlosoptics.psf.wave.detilted import split
 from nlosoptics.scene import ConcaveWall
 
@@ -310,6 +312,33 @@ def test_lattice_is_the_closed_form():
     difference = np.abs(clear.at(0.6 * d, 0.8 * d) - lattice.at(0.6 * d, 0.8 * d)).max()
     assert difference < lattice.error
     assert lattice.error < 3e-3
+
+
+@pytest.mark.parametrize("shape", [(12, 17), (6, 6)])
+def test_spline_is_that_of_scipy_and_zero_outside(shape):
+    """At random places, at lattice points and at the edges; sums of 36 terms round differently."""
+    rng = np.random.default_rng(3)
+    values = rng.normal(size=shape) + 1j * rng.normal(size=shape)
+    row, column = rng.uniform(-1.0, 17.0, size=(2, 4000))
+    row[:200], column[100:300] = np.rint(row[:200]), np.rint(column[100:300])
+    found = np.empty(row.shape, dtype=np.complex128)
+    spline = ndimage.spline_filter(values, otf.ORDER, output=np.complex128)
+    spline_values(spline, row, column, found)
+    expected = ndimage.map_coordinates(values, [row, column], order=otf.ORDER)
+    assert np.abs(found - expected).max() < 1e-12
+    outside = (row < 0) | (row > shape[0] - 1) | (column < 0) | (column > shape[1] - 1)
+    assert not found[outside].any()
+    assert found[~outside].all()
+
+
+@pytest.mark.parametrize("n", [5, 8])
+def test_autocorrelation_is_the_sum_over_pairs(n):
+    rng = np.random.default_rng(n)
+    values = rng.normal(size=(n, n)) + 1j * rng.normal(size=(n, n))
+    found = otf._correlation(values)
+    expected = np.zeros_like(found)
+    expected[1:, 1:] = signal.correlate2d(values, values)
+    assert np.abs(found - expected).max() < 1e-12
 
 
 @pytest.mark.parametrize(
