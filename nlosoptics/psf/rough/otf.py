@@ -17,7 +17,6 @@ from ..aperture.quadrature_nodes import grid_nodes
 from ..wave.detilted import Residual
 from ..wave.polar_series import values_at
 from ..window.rim_tails import edge_ratio
-from ._spline_kernels import spline_values
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -215,6 +214,8 @@ class LatticeRatio:
         It is 0 where the autocorrelation of the weights is negligible.
         """
         from scipy import ndimage
+
+        from ._spline_kernels import spline_values
 
         table = np.zeros(self.plain.shape, dtype=np.complex128)
         np.divide(_correlation(pupil), self.plain, out=table, where=self.seen)
