@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pytest
 
 from nlosoptics.scene import Lambert
-from nlosoptics.transient.rendering._three_bounce_kernels import COLUMNS, _piece, spread
+from nlosoptics.transient.rendering._three_bounce_kernels import COLUMNS, _may_hide, _piece, spread
 
 N = 400  # points along a side: middles of N^2 equal parts
 AREA, START, WIDTH, COUNT = 0.3, 1.0, 0.1, 8
@@ -124,3 +125,21 @@ def test_a_triangle_is_divided_where_its_error_is_above_the_limit(share, edge, c
 
     assert parts(wrong * (1 + 1e-6)) == 1
     assert parts(wrong * (1 - 1e-6)) > 1
+
+
+@pytest.mark.parametrize(("tilt", "turn"), [(0.5, 0.1), (0.5, 0.45), (0.2, 0.3), (1.55, 0.1)])
+def test_a_narrow_lobe_may_peak_within_a_part(tilt, turn):
+    """Light rises towards the mirror direction by at most exp(tan^2/sharp^2)."""
+    sharp, least = 0.1, max(tilt - turn, 0.0)
+    rise = (math.tan(min(tilt, 1.5)) ** 2 - math.tan(min(least, 1.5)) ** 2) / sharp**2
+    limit = 3e-9
+    most = limit * math.exp(-min(rise, 700.0))
+    assert _may_hide(1.001 * most, tilt, turn, sharp, limit)
+    assert not _may_hide(0.999 * most, tilt, turn, sharp, limit)
+    # without light at the centroid, or a limit, parts that come near the peak are divided
+    for light, lim, near in ((0.0, limit, 26.0), (1.0, math.inf, 5.0)):
+        if least > 0.0:
+            assert _may_hide(light, tilt, turn, least / near * 1.001, lim)
+            assert not _may_hide(light, tilt, turn, least / near * 0.999, lim)
+        else:
+            assert _may_hide(light, tilt, turn, 1e-3, lim)
