@@ -209,3 +209,27 @@ def test_counts_may_be_numpys(scene):
     found = psf.point_spread_field(scene, np.int64(1), tol=1e-2, checks=1.0)
     assert np.array_equal(found.modes, known.modes)
     assert found.error_estimate == known.error_estimate
+
+
+def test_fewest_modes_hold_the_spreads(memory_of):
+    """Of three orthogonal spreads with weights that fall tenfold, by the singular values."""
+    rng = np.random.default_rng(0)
+    weights, _ = np.linalg.qr(rng.normal(size=(12, 3)))
+    patterns, _ = np.linalg.qr(rng.normal(size=(3000, 3)))
+    spreads = 5.0 + weights * (1.0, 0.1, 0.01) @ patterns.T  # one more mode, the mean
+    spreads -= spreads.min() - 1.0
+
+    def found(tol):
+        modes, shares, error = field_module._compressed(spreads, tol)
+        off = np.abs(shares @ modes - spreads).max(axis=1) / spreads.max(axis=1)
+        assert error == approx(off.max(), rel=1e-9, abs=1e-15)
+        assert error <= tol
+        return len(modes)
+
+    limits = np.geomspace(1e-9, 1.0, 40)
+    counts = [found(tol) for tol in limits]
+    assert sorted({*counts}, reverse=True) == [4, 3, 2, 1]
+    assert counts == sorted(counts, reverse=True)
+    peak, _ = memory_of(lambda: field_module._compressed(spreads, 1e-9))
+    # the modes, the rest and its size; not as many modes as pixels
+    assert peak < 8 * spreads.nbytes
