@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from nlosoptics.scene import Lambert
-from nlosoptics.transient.rendering._three_bounce_kernels import COLUMNS, _may_hide, _piece, spread
+from nlosoptics.transient.rendering._three_bounce_kernels import (
+    COLUMNS,
+    _is_whole,
+    _may_hide,
+    _piece,
+    _whole,
+    spread,
+)
 
 N = 400  # points along a side: middles of N^2 equal parts
 AREA, START, WIDTH, COUNT = 0.3, 1.0, 0.1, 8
@@ -143,3 +150,16 @@ def test_a_narrow_lobe_may_peak_within_a_part(tilt, turn):
             assert not _may_hide(light, tilt, turn, least / near * 0.999, lim)
         else:
             assert _may_hide(light, tilt, turn, 1e-3, lim)
+
+
+def test_only_the_whole_triangle_is_told_as_whole():
+    polygons, sizes = np.zeros((1, 10)), np.zeros(1, dtype=np.int64)
+    _whole(polygons, sizes)
+    assert sizes[0] == 3
+    assert polygons[0, :6].tolist() == [0.0, 0.0, 1.0, 0.0, 0.0, 1.0]
+    assert _is_whole(polygons[0], 3)
+    assert not _is_whole(polygons[0], 4)
+    for k in range(6):
+        part = polygons[0].copy()
+        part[k] = 0.5
+        assert not _is_whole(part, 3)
