@@ -66,11 +66,11 @@ def load_libraries() -> None:
 def copied(root: Path, folder: Path) -> None:
     """Copy a checkout without results and hidden files.
 
-    A copy whose package has the same files keeps it, with what was compiled there.
+    A package that is there keeps what was compiled of files that no edit reaches.
     """
     ignored, package = shutil.ignore_patterns("out", ".*"), folder / "nlosoptics"
-    if package.is_dir() and fingerprint(package) != fingerprint(root / "nlosoptics"):
-        shutil.rmtree(package)
+    if package.is_dir():
+        _update(package, root / "nlosoptics")
     for path in folder.iterdir() if folder.is_dir() else ():
         if path != package:
             (shutil.rmtree if path.is_dir() else Path.unlink)(path)
@@ -83,6 +83,24 @@ def copied(root: Path, folder: Path) -> None:
             shutil.copytree(path, there, ignore=ignored)
         else:
             shutil.copy2(path, there)
+
+
+def _update(package: Path, new: Path) -> None:
+    """Give a copy of the package the files of another, and forget what edits have made stale."""
+    users = importers(new)
+    names = {
+        str(file.relative_to(folder))
+        for folder in (package, new)
+        for file in folder.rglob("*.*")
+        if file.is_file() and "__pycache__" not in file.parts
+    }
+    for name in names:
+        if fingerprint(package / name) != fingerprint(new / name):
+            (package / name).unlink(missing_ok=True)
+            forget_compiled(package, reach(name, users))
+            if (new / name).is_file():
+                (package / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(new / name, package / name)
 
 
 def importers(package: Path) -> dict[str, set[str]]:
@@ -299,10 +317,6 @@ def _clear_caches(start: str) -> None:
                         one.cache_clear()
 
 
-def fingerprint(path: Path) -> str:
-    """Return a hash of a file, or of the files of a folder apart from caches."""
-    told = hashlib.sha256()
-    for file in sorted(path.rglob("*.*")) if path.is_dir() else [path]:
-        if file.is_file() and "__pycache__" not in file.parts:
-            told.update(str(file.relative_to(path.parent)).encode() + b"\0" + file.read_bytes())
-    return told.hexdigest()[:16]
+def fingerprint(file: Path) -> str:
+    """Return a hash of a file, or nothing if there is none."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:16] if file.is_file() else ""

@@ -3,11 +3,13 @@
 python -m tests.fuzz.mutants [--number 100] [--seed 0] [--rooms NAME ...] [--seconds 60]
                              [--results FILE] [--again]
 
-The changes are drawn in turn from the rooms, each change of a room with equal probability. A test
-file is run once without any change, to record which functions its tests call and how long they
-take. A change is tested by its file's doctests and by the tests of its room that call its function,
-those of its folder first and of these the quickest ones, until `--seconds` of their processor time
-are reached. A change of a kernel is tested by those that call its users, but first by those that
+The changes are drawn in turn from the rooms, each change of a room with equal probability. A change
+is tested first by the files of its folder that name the changed module's functions most. If they
+pass, test files are run once without any change, to record which functions their tests call and
+how long they take; a record holds until the test file or a file that it calls is edited. Then the
+change is tested by its file's doctests and by the tests of its room that call its function, those
+of its folder first and of these the quickest ones, until `--seconds` of their processor time are
+reached. A change of a kernel is tested by those that call its users, but first by those that
 call kernels alone, in files that name its module: they compile least. A run that takes over three
 times as long as undisturbed tests has timed out, and counts as killed.
 
@@ -50,6 +52,7 @@ ROOMS = ("psf", "raytrace", "transient", "inverse", "imaging")
 EQUIVALENT = Path(__file__).with_name("equivalent_mutants.toml")
 OUTCOMES = {"passed": "survived", "failed": "killed", "timed out": "timed out"}
 LONGEST = 1200.0  # limit of a test file that is undisturbed, s
+FIRST = 3  # test files that are run without a record
 SLOWER = 3.0  # longest time of a run, times that of the undisturbed tests
 ALLOWANCE, COMPILING = 30.0, 180.0  # added to that, and again if kernels are compiled, s
 Row = dict[str, Any]
@@ -61,19 +64,21 @@ def sample(
     """Return random changes, drawn in turn from each room; more of them begin with the same.
 
     Changes whose identity is in ``known`` come before the others of their room. An edit of a source
-    draws others, so without this the outcomes of earlier draws would be lost.
+    draws others, so without this the outcomes of earlier draws would be lost. Of changes with the
+    same identity, the first in the source is drawn.
     """
     drawn = []
     for room in rooms:
-        found, late = [], []
+        found: dict[tuple[str, ...], Change] = {}
         for file in sorted((root / "nlosoptics" / room).rglob("*.py")):
             if file.name != "__init__.py":
                 source = file.read_text()
-                some = changes(str(file.relative_to(root / "nlosoptics")), source)
-                found += some
-                late += [identity(described(one, source)) not in known for one in some]
-        order = np.random.default_rng([seed, *room.encode()]).permutation(len(found))
-        drawn.append([found[i] for i in sorted(order, key=late.__getitem__)])
+                for one in changes(str(file.relative_to(root / "nlosoptics")), source):
+                    found.setdefault(identity(described(one, source)), one)
+        names = [*found]
+        order = np.random.default_rng([seed, *room.encode()]).permutation(len(names))
+        shuffled = [names[i] for i in order]
+        drawn.append([found[name] for name in sorted(shuffled, key=lambda one: one not in known)])
     turns = -(-number // len(rooms))
     return [one[turn] for turn in range(turns) for one in drawn if turn < len(one)][:number]
 
@@ -98,7 +103,7 @@ class Bench:
         self._record = folder / "tests.json"
         copied(root, self._base)
         self._users = importers(self._base / "nlosoptics")
-        self._package = fingerprint(self._base / "nlosoptics")
+        self._prints: dict[str, str] = {}
         known = json.loads(self._record.read_text()) if self._record.is_file() else {}
         self._known: dict[str, Row] = {key: told | {"new": 0.0} for key, told in known.items()}
         copied(self._base, self._changed)
@@ -108,8 +113,18 @@ class Bench:
         source = (self._base / "nlosoptics" / change.file).read_text()
         stale, compiled = reach(change.file, self._users), -1
         told: Row = {"outcome": "survived", "by": "", "seconds": 0.0, "tests": 0}
+        likeliest = self._likeliest(change)
+        if likeliest:
+            compiled = self._apply(change, stale)
+            limit = len(likeliest) * (SLOWER * most + ALLOWANCE) + COMPILING
+            run = run_tests(self._changed, likeliest, seconds=limit)
+            self._keep_compiled(stale)
+            told["seconds"], told["tests"] = round(run.seconds, 1), len(run.tests)
+            if run.kind != "passed":
+                return told | {"outcome": OUTCOMES[run.kind], "by": run.failure}
+        spent = 0.0
         for where in ("alone", "near", "far"):
-            planned = told["seconds"]
+            planned = spent
             doctests = where == "near" and ">>> " in source
             chosen = [f"nlosoptics/{change.file}"] if doctests else []
             callers = self._callers(change, stale, most, where)
@@ -124,7 +139,9 @@ class Bench:
                 compiled = self._apply(change, stale)
             limit = SLOWER * planned + ALLOWANCE + COMPILING * bool(compiled)
             run = run_tests(self._changed, chosen, seconds=limit)
+            self._keep_compiled(stale)
             told["outcome"] = OUTCOMES[run.kind]
+            spent += run.seconds
             told["by"], told["seconds"] = run.failure, round(told["seconds"] + run.seconds, 1)
             told["tests"] += len(chosen)
             if run.kind != "passed":
@@ -140,6 +157,32 @@ class Bench:
         (package / change.file).unlink()
         (package / change.file).write_text(change.applied(source))
         return forget_compiled(package, stale)
+
+    def _keep_compiled(self, stale: set[str]) -> None:
+        """Keep what a run compiled of files that the change does not reach."""
+        changed = {Path(file).with_suffix("") for file in stale}
+        for file in (self._changed / "nlosoptics").rglob("*.nb[ic]"):
+            there = file.relative_to(self._changed / "nlosoptics")
+            if there.parents[1] / there.name.split(".")[0] not in changed:
+                (self._base / "nlosoptics" / there.parent).mkdir(exist_ok=True)
+                shutil.copy2(file, self._base / "nlosoptics" / there)
+
+    def _likeliest(self, change: Change) -> list[str]:
+        """Return test files of a folder without a record: those that name the module most."""
+        stem, folder = Path(change.file).stem, Path(change.file).parent
+        imports = re.compile(rf"^(?:from|import) .*\b{stem}\b", re.MULTILINE)
+        names = re.compile(r"\b(" + "|".join(self._names({change.file})) + r")\b")
+        counts = {}
+        for file in sorted((self._base / "tests" / folder).rglob("test_*.py")):
+            text = file.read_text()
+            called = len(names.findall(text))
+            counts[file] = (stem.strip("_") in file.stem, len(imports.findall(text)), called)
+        files = sorted(counts, key=lambda one: counts[one], reverse=True)[:FIRST]
+        return [
+            str(file.relative_to(self._base))
+            for file in files
+            if any(counts[file]) and not self._kept(file)
+        ]
 
     def _callers(
         self, change: Change, users: set[str], most: float, where: str
@@ -174,7 +217,7 @@ class Bench:
             )
             if not held or (spent > most and where == "far"):
                 continue
-            told = self._known.get(self._key(file)) or self._recorded(file)
+            told = self._kept(file) or self._recorded(file)
             spent += told["new"]
             told["new"] = 0.0
             names, found = [*told["tests"]], set()
@@ -192,8 +235,17 @@ class Bench:
         found = {node.name for tree in trees for node in tree.body if isinstance(node, named)}
         return {name for name in found if not name.startswith("_")} or {"nothing"}
 
-    def _key(self, file: Path) -> str:
-        return f"{file.relative_to(self._base)} {fingerprint(file)} {self._package}"
+    def _kept(self, file: Path) -> Row | None:
+        """Return the record of a test file, if neither it nor a file that it calls was edited."""
+        told = self._known.get(str(file.relative_to(self._base)))
+        same = told and all(self._print(one) == kept for one, kept in told["prints"].items())
+        return told if same else None
+
+    def _print(self, name: str) -> str:
+        """Return the fingerprint of a file of the checkout, or nothing if there is no such file."""
+        if name not in self._prints:
+            self._prints[name] = fingerprint(self._base / name)
+        return self._prints[name]
 
     def _recorded(self, file: Path) -> Row:
         """Run a test file, and return the times and calls of its tests."""
@@ -203,9 +255,11 @@ class Bench:
             print(f"left out, since it fails without any change: {run.failure or name}")
         passed = run.kind == "passed"
         calls, tests = (run.calls, run.tests) if passed else ([], {})
-        self._known[self._key(file)] = {"tests": tests, "calls": calls, "new": run.seconds}
+        prints = {one: self._print(one) for one in (name, *(f"nlosoptics/{c[0]}" for c in calls))}
+        told = {"tests": tests, "calls": calls, "new": run.seconds, "prints": prints}
+        self._known[name] = told
         self._record.write_text(json.dumps(self._known))
-        return self._known[self._key(file)]
+        return told
 
 
 def _functions(source: str, line: int) -> set[int]:

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from ..._checks import one_of
 from ...errors import SamplingError, SceneError
-from ...psf import exit_pupil, wall_view, wavefront
+from ...psf import wall_view, wavefront
 from ...scene import PlanarObject, Scene
 from .pupil_optics import ImageOptions, PupilOptics
 from .pupil_waves import like, on_cells
@@ -71,11 +71,11 @@ class SceneLeaves(nn.Module):
     Raises
     ------
     SceneError
-        If a parameter is unknown, repeated or absent from the scene, the wall's edge is the
-        aperture stop, or the scene has ``wall_roughness`` or several mirror-like lobes with a
-        slope.
+        If a parameter is unknown, repeated or absent from the scene, or the scene has
+        ``wall_roughness`` or several mirror-like lobes with a slope.
     CausticError, NotWaveGradeError, SamplingError
-        If the wave is undefined or not resolved, at the start or later; see `psf.wavefront`.
+        If the wave is undefined or not resolved, at the start or later, or the wall's edge cuts the
+        light; see `psf.wavefront`.
 
     See Also
     --------
@@ -111,11 +111,6 @@ class SceneLeaves(nn.Module):
         super().__init__()
         self.scene = scene
         wave = wavefront(scene, nodes="polar")
-        if exit_pupil(scene).stop != "lens":
-            raise SceneError(
-                "the wall's edge is the aperture stop, must be the lens; use a smaller "
-                "camera.stop_diameter"
-            )
         self.optics = PupilOptics(
             wavelength=wave.wavelength,
             pupil_radius=wave.pupil_radius,

@@ -141,9 +141,7 @@ def smooth_cost(
     rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape))
     task = Task(residual, tol, pitch, shape, rule)
     if cells:
-        samples = task.samples.shape
-        n_bytes = 48.0 * cells * (cells + max(samples)) + 16.0 * math.prod(samples)
-        return Cost(costs.map_sums(cells, task.samples), n_bytes + 32.0 * math.prod(shape))
+        return Cost(costs.map_sums(cells, task.samples), _grid_bytes(task, cells))
     ways = [
         Cost(way.seconds + whole.seconds, _transform_bytes(task, way.method) + whole.n_bytes)
         for way in able(task, regime(residual, pitch))
@@ -171,7 +169,14 @@ def _transform_bytes(task: Task, method: str) -> float:
         size = polar_size(task)
         n = grid_size(task.residual.wavefront.pupil_radius, grid_period_pitch(task, size))
         return held + 48.0 * n * size + 16.0 * samples
-    return float(held + 48.0 * n * (n + max(task.samples.shape)) + 16.0 * samples)
+    return _grid_bytes(task, n)
+
+
+def _grid_bytes(task: Task, cells: int) -> float:
+    """Return the peak memory for a wave on a grid of ``cells`` x ``cells`` nodes, bytes."""
+    samples = task.samples.shape
+    sums = 48.0 * cells * (cells + max(samples)) + 24.0 * math.prod(samples)
+    return max(sums + 32.0 * math.prod(task.shape), 140.0 * cells**2)  # the latter to prepare it
 
 
 def _scattered_cost(

@@ -238,11 +238,10 @@ def _leg(
         )
 
     on_threads(send, len(vertices), 1)
-    live = np.flatnonzero(leaving[:, kernels.SENT] > 0.0)
+    live = leaving[:, kernels.SENT] > 0.0
     distance = np.zeros(len(vertices))
     triangle = np.full(len(vertices), -1, dtype=np.int32)
-    if len(live):
-        distance[live], triangle[live] = job.around.first_hits(origins[live], directions[live])
+    distance[live], triangle[live] = job.around.first_hits(origins[live], directions[live])
     new = np.zeros_like(vertices)
 
     def land(part: slice) -> None:

@@ -224,6 +224,31 @@ def test_children_differ_from_their_parents_and_repeat(energy):
     assert min(np.abs(child - walls).max(axis=1).min() for child in one) > 1e-3
 
 
+def test_children_of_a_wall_and_its_twin_change_one_of_them():
+    """Their mixture is the wall itself, since the second parent is replaced by its twin."""
+    rng, count = np.random.default_rng(3), 4000
+    wall, twin = rng.normal(size=9), np.where(np.arange(9) % 2, -1.0, 1.0)
+    parents = np.array([wall, twin * wall])
+    starts = SimpleNamespace(coefficients=parents)
+    found = children(starts, count, twin, Breeding(flips=0.0, noise=0.1), rng)
+    away = np.linalg.norm(found[:, None] - parents, axis=2) / np.linalg.norm(wall)
+    nearest = away.min(axis=1)
+    mixed = np.isclose(nearest, 0.15, rtol=1e-9)
+    flipped = (np.isclose(np.abs(found), np.abs(wall), rtol=1e-12)).all(axis=1)
+    mirrored = np.isclose(found[:, None], -parents).all(axis=2).any(axis=1)
+    one = (found[:, None] != parents).sum(axis=2).min(axis=1) == 1
+    moved = ~mixed & ~flipped
+    assert (flipped == (one | mirrored)).all()
+    assert nearest[moved].min() > 0.05
+    assert nearest[moved].max() < 0.15
+    shares = np.array([mixed.mean(), (one & ~mirrored).mean(), moved.mean(), mirrored.mean()])
+    expected = np.array([0.35, 0.3, 0.3, 0.05])
+    # five standard errors
+    assert (np.abs(shares - expected) < 5 * np.sqrt(expected * (1 - expected) / count)).all()
+    best = (away[mixed | moved].argmin(axis=1) == 0).mean()
+    assert best == pytest.approx(1 / 1.2, abs=0.04)
+
+
 def test_two_frames_are_enough():
     data, sigma = images(32, wall(0.4))
     found = pcin(

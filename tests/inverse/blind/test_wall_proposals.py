@@ -15,7 +15,14 @@ from nlosoptics.inverse.blind.evidence_search import Search
 from nlosoptics.inverse.blind.free_energy import FreeEnergy
 from nlosoptics.inverse.blind.random_walls import random_walls
 from nlosoptics.inverse.blind.verdict import Verdict
-from nlosoptics.inverse.blind.wall_network import MODES, SIDE, WallNetwork, twin_signs
+from nlosoptics.inverse.blind.wall_network import (
+    MODES,
+    SIDE,
+    Mixture,
+    WallNetwork,
+    channels,
+    twin_signs,
+)
 from nlosoptics.inverse.data._threads import single_thread
 from nlosoptics.inverse.wave.frames import frames_of
 
@@ -344,3 +351,49 @@ def test_training_draws_the_strengths_and_noise_it_is_given(training):
     assert coefficients.norm(dim=1).numpy() == pytest.approx(strengths, rel=1e-6)
     assert 0.003 <= float(noise.min()) <= float(noise.max()) <= 0.05
     assert seen.shape == (3, SIDE, SIDE)
+
+
+def test_what_the_network_sees_is_the_power_over_the_noise_and_its_transform():
+    """By sums over pixels of the whole image, for a few frequencies and lags."""
+    rng, sigma = np.random.default_rng(0), 0.5
+    data = 40.0 * rng.random((SIDE, SIDE))
+    found = channels(torch.tensor(data)[None], torch.tensor([sigma], dtype=torch.float64))[0]
+    assert found.shape == (4, SIDE, SIDE)
+    # the window rises to 1 over four pixels, by sines squared of 1/16 of a turn and so on
+    rise = np.sin(np.pi / 16 * np.array([1, 3, 5, 7])) ** 2
+    window = np.concatenate([rise, np.ones(SIDE - 8), rise[::-1]])
+    scaled = data / data.max()
+    waves = np.exp(-2j * np.pi * np.outer(np.arange(SIDE), np.arange(SIDE)) / SIDE)
+    spectrum = waves @ (scaled * np.outer(window, window)) @ waves
+    power = np.abs(spectrum) ** 2 / (SIDE * sigma / data.max()) ** 2
+    logarithm = np.log1p(power)
+    lags = (waves.conj() @ logarithm @ waves.conj()).real / SIDE**2
+    lags[0, 0] = 0.0
+    even = spectrum / np.abs(spectrum) * power / (1 + power)
+    even = (waves.conj() @ even @ waves.conj()).real / SIDE**2
+    centre = (SIDE // 2, SIDE // 2)
+    expected = [
+        4.0 * scaled - 0.5,
+        np.roll(logarithm / 4.0 - 0.5, centre, (0, 1)),
+        np.roll(16.0 * lags, centre, (0, 1)),
+        40.0 * even,
+    ]
+    for part, exact in zip(found.numpy(), expected, strict=True):
+        # the window is of single precision
+        assert np.abs(part - exact).max() < 1e-5 * np.abs(exact).max()
+
+
+def test_density_of_a_mixture_counts_a_wall_and_its_twin():
+    """One Gaussian about zero is even, so that both halves are the density of a normal."""
+    flat = torch.zeros(1, 1, len(MODES), dtype=torch.float64)
+    one = Mixture(torch.zeros(1, 1), flat, 2.0 * torch.ones_like(flat))
+    at = torch.ones(1, len(MODES), dtype=torch.float64)
+    expected = -len(MODES) * (0.5 / 4 + np.log(2.0))  # but for the constant of the normal
+    assert float(one.log_likelihood(at)) == pytest.approx(expected, rel=1e-12)
+    means = torch.from_numpy(np.where(TWIN < 0, 0.3, 0.0))[None, None]
+    moved = Mixture(torch.zeros(1, 1), means, torch.ones_like(flat))
+    here, there = means[0] * 1.0, means[0] * torch.from_numpy(TWIN)
+    assert float(moved.log_likelihood(here)) == float(moved.log_likelihood(there))
+    away = float((0.6 * (TWIN < 0)) @ (0.6 * (TWIN < 0))) / 2
+    exact = np.log(0.5 * (1.0 + np.exp(-away)))
+    assert float(moved.log_likelihood(here)) == pytest.approx(exact, rel=1e-12)

@@ -13,6 +13,7 @@ import nlosoptics
 from nlosoptics import cli, inverse
 from nlosoptics.errors import NlosError, SceneError
 from nlosoptics.imaging import ForwardModel
+from nlosoptics.inverse.published.training_pairs import _picture
 from nlosoptics.scene import ConcaveWall, Lambert, Ward
 
 SIDE = 16
@@ -54,6 +55,45 @@ def test_pairs_are_exposures_of_their_objects(scene):
         # diffraction at two pixels, and noise of a few per cent
         assert alike > 0.8
         assert alike > inverse.registered_correlation(blurred, picture)
+
+
+class Scripted:
+    """A generator of numbers that are given."""
+
+    def __init__(self, integers, uniforms):
+        self._integers, self._uniforms = iter(integers), iter(uniforms)
+
+    def integers(self, *_):
+        return next(self._integers)
+
+    def uniform(self, *_, size=None):
+        return next(self._uniforms)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.6, 2.5])
+@pytest.mark.parametrize(
+    ("kind", "area", "along", "across"),
+    [
+        (0, 4 * 0.4 * 0.1, 0.4**2 / 3, 0.1**2 / 3),  # a bar
+        (1, np.pi * 0.2**2, 0.2**2 / 4, 0.2**2 / 4),  # a disc
+        (2, np.pi * (0.34**2 - 0.22**2), (0.34**2 + 0.22**2) / 4, (0.34**2 + 0.22**2) / 4),
+    ],
+)
+def test_pictures_hold_bars_discs_and_rings(kind, area, along, across, angle):
+    """Of half lengths 0.4 and widths 0.1 about a centre, by their moments."""
+    centre = np.array([0.2, -0.3])
+    picture = _picture(Scripted([1, kind], [centre, angle, 0.4, 0.1, 0.9, 0.5]))
+    assert {*np.unique(picture)} == {0.0, 0.5}
+    side = len(picture)
+    axis = (np.arange(side) + 0.5) / side * 2.0 - 1.0
+    y, x = (axis[k] for k in np.nonzero(picture))
+    # pixels at the rim count whole or not
+    assert len(x) * (2 / side) ** 2 == pytest.approx(area, rel=0.05)
+    assert np.array([x.mean(), y.mean()]) == pytest.approx(centre, abs=1 / side)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    moments = turn @ np.cov(x, y) @ turn.T
+    expected = np.diag([along, across])
+    assert np.abs(moments - expected).max() < 0.06 * max(along, across)
 
 
 def test_training_learns(pairs, training):

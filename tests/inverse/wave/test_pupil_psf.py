@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics._checks import Budget, within
+from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import PupilPSF
 from nlosoptics.psf import Wavefront, point_spread, zernike
@@ -323,3 +324,12 @@ def test_defocus_in_waves_or_words_is_refused(defocus, words):
         assert "\n" not in str(caught.value)
     with pytest.raises(SceneError, match="object_image of type ndarray is not a tensor"):
         module.image(np.zeros((8, 8)))
+
+
+def test_modes_beyond_the_memory_are_refused_before_they_are_computed():
+    size = pupil().optics.share.size
+    with (
+        within(Budget(memory=24.0 * 59 * size, seconds=60.0)),
+        pytest.raises(MemoryLimitError, match="60 modes on the pupil needs .* use fewer modes"),
+    ):
+        pupil(dict.fromkeys(range(2, 62), 0.0))

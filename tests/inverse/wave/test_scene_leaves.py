@@ -233,6 +233,7 @@ def test_adam_finds_the_radius_of_the_wall(speckle):
         (["wall_radius"], {"wall": FlatWall(size=SIZE)}, SceneError, "but a FlatWall has none"),
         (["lobe_slope"], {}, SceneError, "lobe_slope starts at 0"),
         (["wall_radius"], {"wall": ConcaveWall(1.1, size=SIZE)}, CausticError, "wall"),
+        (["wall_radius"], {"wall": ConcaveWall(1.5, size=1e-3)}, SamplingError, "is the stop"),
     ],
 )
 def test_bad_leaves_are_refused_in_one_line(speckle, names, change, kind, text):

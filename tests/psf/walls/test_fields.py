@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from pytest import approx
 from nlosoptics import imaging, psf
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
+from nlosoptics.psf.walls import field as field_module
 from nlosoptics.psf.walls.field import BLOCK, picture_nodes
 from nlosoptics.scene import ConcaveWall, MeshObject, PlanarObject
 
@@ -147,6 +150,38 @@ def test_isoplanatic_radius_shrinks_with_the_tolerance(scene):
     assert psf.isoplanatic_radius(scene, tol=1.0) == np.inf
 
 
+@pytest.mark.parametrize("steepest", range(8))
+def test_isoplanatic_radius_is_the_smallest_of_eight_directions(scene, steepest, monkeypatch):
+    """Of a point spread whose brightest sample falls linearly along one direction of the object."""
+    hidden = replace(scene.hidden, image=np.ones((8, 16)), size=(0.3, 0.15))
+    scene = replace(scene, hidden=hidden)
+    right, up, _ = hidden.axes
+    slope = np.array([math.cos(steepest * math.pi / 4), math.sin(steepest * math.pi / 4)])
+    slope = slope / np.array(hidden.size)  # relative to the peak, 1/m
+
+    def image(point, *_):
+        x, y = right @ (point - hidden.position), up @ (point - hidden.position)
+        return None, SimpleNamespace(intensity=np.array([2.0, 2.0 - 2.0 * max(slope @ (x, y), 0)]))
+
+    stub = SimpleNamespace(scene=scene, at=lambda point: point)
+    monkeypatch.setattr(field_module, "optics_of", lambda _: stub)
+    monkeypatch.setattr(field_module, "point_window", lambda *_: 8)
+    monkeypatch.setattr(field_module, "point_image", image)
+    turns = np.arange(8) * math.pi / 4
+    steps = np.stack([np.cos(turns), np.sin(turns)], axis=1) * np.array(hidden.size) / 2
+    reach, fall = np.hypot(*steps.T), steps @ slope
+    expected = min(r * 0.1 / f for r, f in zip(reach, fall, strict=True) if f > 0.05)
+    found = psf.isoplanatic_radius(scene, tol=0.1)
+    # bisection to 1e-3 of the object's half size
+    assert expected - 1.5e-3 * reach.max() < found <= expected * (1 + 1e-12)
+    assert psf.isoplanatic_radius(scene, tol=0.9) == math.inf
+    # bounds of the object along the axes and the diagonals
+    most = 0.5 * max(abs(slope[0]) * hidden.size[0], abs(slope[1]) * hidden.size[1])
+    most = most if steepest % 2 == 0 else 0.5 * float(np.abs(slope) @ hidden.size)
+    assert psf.isoplanatic_radius(scene, tol=0.99 * most) < math.inf
+    assert psf.isoplanatic_radius(scene, tol=1.01 * most) == math.inf
+
+
 def test_bad_input_is_refused(scene, field):
     import trimesh
 
@@ -174,3 +209,27 @@ def test_counts_may_be_numpys(scene):
     found = psf.point_spread_field(scene, np.int64(1), tol=1e-2, checks=1.0)
     assert np.array_equal(found.modes, known.modes)
     assert found.error_estimate == known.error_estimate
+
+
+def test_fewest_modes_hold_the_spreads(memory_of):
+    """Of three orthogonal spreads with weights that fall tenfold, by the singular values."""
+    rng = np.random.default_rng(0)
+    weights, _ = np.linalg.qr(rng.normal(size=(12, 3)))
+    patterns, _ = np.linalg.qr(rng.normal(size=(3000, 3)))
+    spreads = 5.0 + weights * (1.0, 0.1, 0.01) @ patterns.T  # one more mode, the mean
+    spreads -= spreads.min() - 1.0
+
+    def found(tol):
+        modes, shares, error = field_module._compressed(spreads, tol)
+        off = np.abs(shares @ modes - spreads).max(axis=1) / spreads.max(axis=1)
+        assert error == approx(off.max(), rel=1e-9, abs=1e-15)
+        assert error <= tol
+        return len(modes)
+
+    limits = np.geomspace(1e-9, 1.0, 40)
+    counts = [found(tol) for tol in limits]
+    assert sorted({*counts}, reverse=True) == [4, 3, 2, 1]
+    assert counts == sorted(counts, reverse=True)
+    peak, _ = memory_of(lambda: field_module._compressed(spreads, 1e-9))
+    # the modes, the rest and its size; not as many modes as pixels
+    assert peak < 8 * spreads.nbytes

@@ -13,7 +13,7 @@ import trimesh
 from nlosoptics import Scene, raytrace
 from nlosoptics.raytrace.intersection import kept_meshes
 from nlosoptics.raytrace.intersection.kept_meshes import kept_mesh
-from nlosoptics.raytrace.intersection.triangles import Facets
+from nlosoptics.raytrace.intersection.triangles import Facets, _Room
 from nlosoptics.scene import Camera, FlatWall, Lambert, Laser, MeshObject, Occluder
 
 
@@ -204,3 +204,16 @@ def test_threads_share_and_evict_without_mixing_meshes(monkeypatch):
     assert found == [expected[k % 6] for k in range(600)]
     assert len(set(expected)) == 6
     assert len(kept_meshes._kept) == 3
+
+
+def test_room_of_rays_begins_at_cache_lines_and_grows_only():
+    room = _Room()
+    starts = []
+    for count in (5, 1000, 100_000, 7, 1000):
+        rays, cells, ordered = room.arrays(count)
+        assert (rays.shape, cells.shape, ordered.shape) == ((count, 8), (count,), (count, 8))
+        assert rays.ctypes.data % 64 == ordered.ctypes.data % 64 == 0
+        rays[:], ordered[:] = 1.0, 2.0
+        assert (rays == 1.0).all()  # apart from each other
+        starts.append(rays.ctypes.data)
+    assert starts[2] == starts[3] == starts[4]

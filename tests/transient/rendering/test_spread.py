@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pytest
 
 from nlosoptics.scene import Lambert
-from nlosoptics.transient.rendering._three_bounce_kernels import COLUMNS, _piece, spread
+from nlosoptics.transient.rendering._three_bounce_kernels import (
+    COLUMNS,
+    _is_whole,
+    _may_hide,
+    _piece,
+    _whole,
+    spread,
+)
 
 N = 400  # points along a side: middles of N^2 equal parts
 AREA, START, WIDTH, COUNT = 0.3, 1.0, 0.1, 8
@@ -88,3 +96,70 @@ def test_undivided_triangle_is_exact_to_the_second_degree(side):
     exact = 0.5 * area * (1 / (np.pi**2 * (r1 * r2) ** 4)).mean()
     # three corners and the centroid are exact to the second degree, the middles to side^2/N^2
     assert bins.sum() == pytest.approx(exact, rel=0.1 * side**3)
+
+
+@pytest.mark.parametrize(
+    ("edge", "counts"),
+    [(-1.1, False), (-0.9, True), ("high", True), ("above", False)],
+    ids=["below the shortest path", "above it", "below the longest path", "above that"],
+)
+@pytest.mark.parametrize("share", [1e-3, 0.5, 3.0])
+def test_a_triangle_is_divided_where_its_error_is_above_the_limit(share, edge, counts):
+    """The error is that of the light, and of the light that a bent path moves past a bin's edge.
+
+    ``share`` is the shift of the path relative to a bin. ``edge`` is the place of the first bin's
+    start, relative to the path of the nearest corner in units of the shift.
+    """
+    corners = np.array([[0.1, 0.0, 0.6], [0.5, 0.0, 0.6], [0.1, 0.4, 0.6]])
+    laser, sensor, area = np.array([-0.2, 0.1, 0.0]), np.array([0.3, 0.2, 0.0]), 0.08
+    points = np.array([*corners, corners.mean(axis=0)])
+    r1, r2 = (np.linalg.norm(points - end, axis=1) for end in (laser, sensor))
+    paths, light = r1 + r2, 0.5 * 0.6**4 / (np.pi**2 * (r1 * r2) ** 4)
+    # of a quadratic, 3/4 of the difference between the centroid and the mean of the corners
+    shift, lift = (0.75 * (values[3] - values[:3].mean()) for values in (paths, light))
+    assert shift < 0.0
+    low, high = paths[:3].min(), paths[:3].max()
+    at = {"high": high - 1e-6, "above": high + 1e-6}.get(edge) or low - edge * shift
+    wrong, delta = area * abs(lift), abs(shift) / share
+    if counts or (edge == -1.1 and delta < high - low):
+        wrong += area * light[3] * min(1.0, share)
+    piece = np.array([*corners.ravel(), area, 0.6, 0.6, 0.0])
+    pair, lobes = (*laser[:2], *sensor[:2], 0.6, 0.6), Lambert(0.5).lobe_table()
+
+    def parts(limit):
+        bins, stack = np.zeros(3000), np.zeros((200, COLUMNS))
+        return _piece(piece, pair, lobes, 0, 1, 1.0, limit, at, delta, bins, stack)
+
+    assert parts(wrong * (1 + 1e-6)) == 1
+    assert parts(wrong * (1 - 1e-6)) > 1
+
+
+@pytest.mark.parametrize(("tilt", "turn"), [(0.5, 0.1), (0.5, 0.45), (0.2, 0.3), (1.55, 0.1)])
+def test_a_narrow_lobe_may_peak_within_a_part(tilt, turn):
+    """Light rises towards the mirror direction by at most exp(tan^2/sharp^2)."""
+    sharp, least = 0.1, max(tilt - turn, 0.0)
+    rise = (math.tan(min(tilt, 1.5)) ** 2 - math.tan(min(least, 1.5)) ** 2) / sharp**2
+    limit = 3e-9
+    most = limit * math.exp(-min(rise, 700.0))
+    assert _may_hide(1.001 * most, tilt, turn, sharp, limit)
+    assert not _may_hide(0.999 * most, tilt, turn, sharp, limit)
+    # without light at the centroid, or a limit, parts that come near the peak are divided
+    for light, lim, near in ((0.0, limit, 26.0), (1.0, math.inf, 5.0)):
+        if least > 0.0:
+            assert _may_hide(light, tilt, turn, least / near * 1.001, lim)
+            assert not _may_hide(light, tilt, turn, least / near * 0.999, lim)
+        else:
+            assert _may_hide(light, tilt, turn, 1e-3, lim)
+
+
+def test_only_the_whole_triangle_is_told_as_whole():
+    polygons, sizes = np.zeros((1, 10)), np.zeros(1, dtype=np.int64)
+    _whole(polygons, sizes)
+    assert sizes[0] == 3
+    assert polygons[0, :6].tolist() == [0.0, 0.0, 1.0, 0.0, 0.0, 1.0]
+    assert _is_whole(polygons[0], 3)
+    assert not _is_whole(polygons[0], 4)
+    for k in range(6):
+        part = polygons[0].copy()
+        part[k] = 0.5
+        assert not _is_whole(part, 3)

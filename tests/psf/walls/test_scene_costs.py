@@ -1,0 +1,27 @@
+"""Predicted memory of the point spread of a scene's point, against the memory that it takes."""
+
+import pytest
+from pytest import approx
+
+from nlosoptics import psf
+from nlosoptics.psf.transform.wide_pixels import wide_point_spread
+from nlosoptics.psf.walls.scene_costs import smooth_cost
+from nlosoptics.psf.wave.detilted import split
+
+SYSTEM = {"wavelength": 632.8e-9, "pupil_radius": 12.5e-3, "image_distance": 50e-3}
+PITCH = 632.8e-9 * 2 / 4  # a quarter of lambda N at F/2
+
+
+@pytest.mark.parametrize(("cells", "side"), [(700, 60), (300, 400), (130, 600)])
+def test_memory_of_a_wave_on_a_grid(cells, side, memory_of):
+    """The largest part is the grid, the sums over its rows, or the window."""
+    aberration = {4: 3e-8, 9: 2e-8}
+    wave = psf.Wavefront.from_zernike(aberration, nodes="grid", samples=cells, **SYSTEM)
+    options = {"pitch": PITCH, "shape": (side, side), "tol": 1e-3}
+    stated = smooth_cost(split(wave), **options).n_bytes
+    peak, _ = memory_of(lambda: wide_point_spread(wave, **options))
+    assert 0.8 * stated < peak < 1.1 * stated
+    # a finer grid that is not sampled yet
+    finer = smooth_cost(split(wave), **options, cells=2 * cells)
+    wave = psf.Wavefront.from_zernike(aberration, nodes="grid", samples=2 * cells, **SYSTEM)
+    assert finer.n_bytes == approx(smooth_cost(split(wave), **options).n_bytes, rel=1e-12)
