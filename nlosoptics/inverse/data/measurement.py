@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import positive, real
 from ..._fourier import cosines2
+from ..._special import upper_gamma_share
 from ...errors import SamplingError, SceneError
 from .arrays import Values, as_numpy, is_tensor, library, total, weighted
 from .models import AnyModel, model_shape
@@ -276,9 +277,7 @@ def _chance(
     freedom = 4.0 * variance**3 / third**2
     deviation = float((twice * weights * (relative - 1.0)).sum()) / math.sqrt(variance)
     value = max(freedom + deviation * math.sqrt(freedom), 0.0)
-    from scipy import special  # slow to load
-
-    return float(special.gammaincc(freedom, value))
+    return upper_gamma_share(freedom, value)
 
 
 def measurement(

@@ -6,6 +6,7 @@ Half spectra, (H, W//2 + 1), as ``rfft2`` of an image (H, W) returns them.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,12 +150,12 @@ def cosines_within(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[n
     return pairs
 
 
-def _squared(spectrum: NDArray[np.complex128]) -> Array:
-    return spectrum.real**2 + spectrum.imag**2
+def _squared(spectrum: NDArray[Any]) -> Array:
+    return np.asarray(spectrum.real**2 + spectrum.imag**2)
 
 
 def _angles(rows: int, columns: int) -> tuple[Array, Array]:
     """Return the angular frequencies of a half spectrum, radians per pixel, as column and row."""
-    y = 2.0 * math.pi * np.fft.fftfreq(rows)[:, None]
-    x = 2.0 * math.pi * np.fft.rfftfreq(columns)[None]
+    y = np.array(2.0 * math.pi * np.fft.fftfreq(rows))[:, None]
+    x = np.array(2.0 * math.pi * np.fft.rfftfreq(columns))[None]
     return y, x
