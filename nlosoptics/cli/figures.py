@@ -132,13 +132,10 @@ def write_figures(result: Result, folder: Path, drawing: Painters | None = None)
 
 
 def _of_scene(scene: Scene) -> Figures:
-    """Return the figures that need no result."""
+    """Return the figure that needs no result."""
     from .. import views
 
-    return {
-        "scene": lambda: views.scene_sketch(scene),
-        "scene_narrow": lambda: views.scene_sketch(scene, stacked=True),
-    }
+    return {"scene": lambda: views.scene_sketch(scene)}
 
 
 def _of_run(result: Result) -> Figures:
