@@ -134,6 +134,27 @@ def test_a_figure_completed_late_is_the_figure_drawn_at_once(
 
 
 @forks
+def test_other_processes_draw_the_same_figures(flat_scene, tmp_path, monkeypatch):
+    """To the last byte, although matplotlib does less in them."""
+    monkeypatch.setattr(figures.os, "cpu_count", lambda: 2)
+    result = simulate(flat_scene.resized(32), tol=1e-2, reconstruct=True)
+    folders = [tmp_path / name for name in ("here", "there")]
+    for folder in folders:
+        folder.mkdir()
+    figures.write_figures(result, folders[0])
+    with figures.painters(flat_scene) as beside:
+        beside.send(replace(result, reconstruction=None))
+        beside.send(result.reconstruction, folders[1])
+        monkeypatch.setattr(figures, "_drawn", None)  # nothing is left to draw here
+        figures.write_figures(result, folders[1], beside)
+    here, there = (
+        {file.name: file.read_bytes() for file in folder.iterdir()} for folder in folders
+    )
+    assert len(here) == 6
+    assert here == there
+
+
+@forks
 def test_processes_end_with_a_run_that_fails(drawn_by, flat_scene, monkeypatch):
     monkeypatch.setattr(figures.os, "cpu_count", lambda: 2)
     ends = []
