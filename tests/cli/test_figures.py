@@ -11,6 +11,7 @@ import pytest
 
 from nlosoptics import simulate
 from nlosoptics.cli import figures
+from nlosoptics.psf import ScenePointSpread
 from nlosoptics.runs.plan import Plan
 from nlosoptics.views import saving
 from nlosoptics.views.run_overview import FIT
@@ -33,13 +34,15 @@ def drawn_by(tmp_path, monkeypatch, flat_scene):
 
         monkeypatch.setattr(figures, "_of_scene", named("scene"))
         monkeypatch.setattr(figures, "_of_run", named("overview"))
-        monkeypatch.setattr(figures, "_of_parts", named("image"))
+        monkeypatch.setattr(figures, "_of_wave", named("wavefront"))
+        monkeypatch.setattr(figures, "_of_image", named("image"))
         monkeypatch.setattr(figures, "_of_fit", named("reconstruction"))
         monkeypatch.setattr(figures, "_drawn", lambda draw: draw() or str(os.getpid()).encode())
         monkeypatch.setattr(figures.os, "cpu_count", lambda: cores)
         plan = Plan(stages=(), skipped=(), tol=1e-3, waves=0.0, exit_pupil=None, budget=None)
         result = SimpleNamespace(scene=flat_scene, plan=plan)
         with figures.painters(flat_scene) as beside:
+            beside.send(None)
             beside.send(result)
             beside.send(None, tmp_path)
             figures.write_figures(result, tmp_path, beside)
@@ -60,16 +63,16 @@ def fail():
 @forks
 def test_two_other_processes_draw(drawn_by):
     found = drawn_by()
-    assert found["scene"] == found["image"] == found["reconstruction"]
+    assert found["scene"] == found["wavefront"] == found["image"] == found["reconstruction"]
     assert len({HERE, found["image"], found["overview"]}) == 3
 
 
 def test_one_core_draws_all_here(drawn_by):
-    names = "scene", "image", "reconstruction", "overview"
+    names = "scene", "wavefront", "image", "reconstruction", "overview"
     assert drawn_by(cores=1) == dict.fromkeys(names, HERE)
 
 
-@pytest.mark.parametrize("name", ["scene", "overview", "image", "reconstruction"])
+@pytest.mark.parametrize("name", ["scene", "overview", "wavefront", "image", "reconstruction"])
 def test_figures_of_a_process_that_fails_are_drawn_here(drawn_by, capfd, name):
     assert drawn_by(**{name: elsewhere(fail)})[name] == HERE
     assert capfd.readouterr().err == ""
@@ -143,6 +146,8 @@ def test_other_processes_draw_the_same_figures(flat_scene, tmp_path, monkeypatch
         folder.mkdir()
     figures.write_figures(result, folders[0])
     with figures.painters(flat_scene) as beside:
+        wave = {name: getattr(result, name) for name in ScenePointSpread.__dataclass_fields__}
+        beside.send(ScenePointSpread(**wave))
         beside.send(replace(result, reconstruction=None))
         beside.send(result.reconstruction, folders[1])
         monkeypatch.setattr(figures, "_drawn", None)  # nothing is left to draw here
