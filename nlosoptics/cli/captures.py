@@ -15,6 +15,7 @@ from ..runs.record import arrays, now, peak_memory, scene_hash, versions, write_
 from .shell import (
     Changes,
     Debug,
+    Figures,
     SceneFile,
     Seed,
     app,
@@ -385,37 +386,29 @@ def _write_picture(image: PhasorImage, folder: Path, drawn: bool) -> None:
 
 
 def _print_capture(capture: TransientCapture, path: Path, seconds: float) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("quantity", "value", box=box.SIMPLE_HEAD)
-    table.add_row("bins", f"{capture.n_bins} of {1e3 * capture.delta_t:g} mm")
+    table = Figures()
+    table.add("bins", f"{capture.n_bins} of {1e3 * capture.delta_t:g} mm")
     lasers, sensors = (
         " x ".join(map(str, shape)) or "1" for shape in (capture.laser_shape, capture.sensor_shape)
     )
-    table.add_row("points", f"{lasers} laser, {sensors} sensor, {capture.pairing}")
+    table.add("points", f"{lasers} laser, {sensors} sensor, {capture.pairing}")
     total = float(capture.H.sum())
-    table.add_row("light in all bins", f"{total:.4g} ({capture.quantity})")
+    table.add("light in all bins", f"{total:.4g} ({capture.quantity})")
     for bounces, part in capture.by_bounce.items():
-        table.add_row(f"  of {bounces} reflections", f"{float(part.sum()):.4g}")
-    table.add_row("seconds", f"{seconds:.2f}")
-    table.add_row("written to", str(path))
-    Console().print(table)
+        table.add(f"  of {bounces} reflections", f"{float(part.sum()):.4g}")
+    table.add("seconds", f"{seconds:.2f}")
+    table.add("written to", str(path))
+    table.print()
 
 
 def _print_picture(report: dict[str, Any], folder: Path) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("quantity", "value", box=box.SIMPLE_HEAD)
+    table = Figures()
     figures = report["figures"]
     place = ", ".join(f"{value:.3g}" for value in figures["brightest_voxel"])
-    table.add_row("brightest voxel", f"({place}) m")
-    table.add_row("voxels", " x ".join(map(str, figures["volume_shape"])))
-    table.add_row("camera", f"{report['camera']}, wavelength {report['wl_mean']:g} m")
+    table.add("brightest voxel", f"({place}) m")
+    table.add("voxels", " x ".join(map(str, figures["volume_shape"])))
+    table.add("camera", f"{report['camera']}, wavelength {report['wl_mean']:g} m")
     for stage, seconds in report["seconds"].items():
-        table.add_row(f"  {stage}", f"{seconds:.2f} s")
-    table.add_row("written to", str(folder))
-    Console().print(table)
+        table.add(f"  {stage}", f"{seconds:.2f} s")
+    table.add("written to", str(folder))
+    table.print()

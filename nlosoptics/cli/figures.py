@@ -1,7 +1,8 @@
 """Figures of a run, drawn by two other processes where the system can fork.
 
-They load matplotlib and draw the scene while the run computes. They get the result before its
-reconstruction, draw the rest meanwhile, and complete it when the reconstruction is known. One draws
+They load matplotlib and draw the scene while the run computes. They get the point spread with its
+wave, then the result before its reconstruction, draw the rest meanwhile, and complete it when the
+reconstruction is known. One draws
 the overview, the other all single figures. This process draws whatever they do not report.
 """
 
@@ -24,6 +25,7 @@ from .processes import can_help, forked
 
 if TYPE_CHECKING:
     from ..inverse import Reconstruction
+    from ..psf import ScenePointSpread
     from ..runs.results import Result
     from ..scene import Scene
 
@@ -118,11 +120,12 @@ def write_figures(result: Result, folder: Path, drawing: Painters | None = None)
     folder : Path
         Folder that receives the files.
     drawing : Painters, optional
-        Processes of `painters`, which were sent the result, then the reconstruction and the folder.
+        Processes of `painters`, which were sent the point spread with its wave, the result, and
+        then the reconstruction and the folder.
         Without them, this process draws all figures.
     """
-    missing = {**_of_scene(result.scene), **_of_run(result), **_of_parts(result)}
-    missing |= _of_fit(result)
+    missing = {**_of_scene(result.scene), **_of_wave(result), **_of_image(result)}
+    missing |= {**_of_fit(result), **_of_run(result)}
     for end in drawing.ends if drawing else ():
         with suppress(EOFError, OSError):
             while end.poll(LONGEST) and (name := end.recv()) is not None:
@@ -132,13 +135,10 @@ def write_figures(result: Result, folder: Path, drawing: Painters | None = None)
 
 
 def _of_scene(scene: Scene) -> Figures:
-    """Return the figures that need no result."""
+    """Return the figure that needs no result."""
     from .. import views
 
-    return {
-        "scene": lambda: views.scene_sketch(scene),
-        "scene_narrow": lambda: views.scene_sketch(scene, stacked=True),
-    }
+    return {"scene": lambda: views.scene_sketch(scene)}
 
 
 def _of_run(result: Result) -> Figures:
@@ -148,19 +148,25 @@ def _of_run(result: Result) -> Figures:
     return {"overview": lambda: views.overview(result)}
 
 
-def _of_parts(result: Result) -> Figures:
-    """Return the figures of single results, without the reconstruction."""
+def _of_wave(found: ScenePointSpread | Result) -> Figures:
+    """Return the figures of the point spread and of the wave that forms it."""
+    from .. import views
+
+    drawn: Figures = {
+        "wavefront": lambda: views.wavefront(found.wavefront),
+        "point_spread": lambda: views.point_spread(found.point_spread),
+    }
+    if (field := found.pupil_field) is not None:
+        drawn["pupil_phase"] = lambda: views.pupil_field(field)
+    return drawn
+
+
+def _of_image(result: Result) -> Figures:
+    """Return the figure of the camera image."""
     from .. import limits, views
 
     scale = limits.object_scale(result.scene)
-    found: Figures = {
-        "wavefront": lambda: views.wavefront(result.wavefront),
-        "point_spread": lambda: views.point_spread(result.point_spread),
-        "image": lambda: views.image(result.image, object_scale=scale),
-    }
-    if (field := result.pupil_field) is not None:
-        found["pupil_phase"] = lambda: views.pupil_field(field)
-    return found
+    return {"image": lambda: views.image(result.image, object_scale=scale)}
 
 
 def _of_fit(result: Result) -> Figures:
@@ -198,7 +204,7 @@ def _first(scene: Scene, pipes: list[tuple[Connection, Connection]], held: int) 
     forked(_second, here, there, held)
     there.close()
     ready = {name: _drawn(draw) for name, draw in _of_scene(scene).items()}
-    _serve(here, held, ready, _of_parts, _of_fit, place=-1)
+    _serve(here, held, ready, (_of_wave, _of_image, _of_fit), place=-1)
 
 
 def _second(other: Connection, own: Connection, held: int) -> None:
@@ -206,7 +212,7 @@ def _second(other: Connection, own: Connection, held: int) -> None:
     from ..views.run_overview import FIT
 
     other.close()
-    _serve(own, held, {}, lambda _: {}, _of_run, place=FIT)
+    _serve(own, held, {}, (lambda _: {}, lambda _: {}, _of_run), place=FIT)
 
 
 def _load() -> None:
@@ -223,8 +229,7 @@ def _serve(
     end: Connection,
     held: int,
     ready: dict[str, bytes],
-    known: Callable[[Result], Figures],
-    late: Callable[[Result], Figures],
+    kinds: tuple[Callable[[Any], Figures], ...],
     *,
     place: int,
 ) -> None:
@@ -238,13 +243,16 @@ def _serve(
         File descriptor of the shared file.
     ready : dict of str to bytes
         Figures that need no result.
-    known, late : callable
-        Return the figures that do not show the reconstruction and those that do.
+    kinds : three callables
+        Return the figures of the point spread with its wave, those of the result that do not show
+        the reconstruction, and those that do.
     place : int
         Index of the reconstruction among the axes of a late figure.
     """
-    (result,) = _received(end, held)
-    ready |= {name: _drawn(draw) for name, draw in known(result).items()}
+    *known, late = kinds
+    for figures in known:
+        (result,) = _received(end, held)
+        ready |= {name: _drawn(draw) for name, draw in figures(result).items()}
     complete = _awaiting(result, late, place)
     fit, folder = _received(end, held)
     for name, content in ready.items():

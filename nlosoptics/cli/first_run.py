@@ -60,6 +60,7 @@ def _compile() -> None:
     from numba import types
 
     # looked up by name below
+    from ..inverse.known import _splitting_kernels  # noqa: F401
     from ..kernels import brdf  # noqa: F401
     from ..psf.transform import _antialiased_kernels, _transform_kernels  # noqa: F401
     from ..psf.wave import _wave_kernels  # noqa: F401

@@ -15,6 +15,7 @@ from .shell import (
     MOST_SECONDS,
     Changes,
     Debug,
+    Figures,
     MaxSeconds,
     Memory,
     SceneFile,
@@ -137,33 +138,27 @@ def schema_command(debug: Debug = False) -> None:
 
 def _print_summary(report: dict[str, Any], folder: Path) -> None:
     """Print a run's figures as a table."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
     f = report["figures"]
-    table = Table("quantity", "value", box=box.SIMPLE_HEAD)
-    table.add_row("exit pupil", f"radius {1e3 * f['exit_pupil_radius']:.4g} mm, stop: {f['stop']}")
-    table.add_row("working F-number", f"{f['f_number']:.4g}")
-    table.add_row(
+    table = Figures()
+    table.add("exit pupil", f"radius {1e3 * f['exit_pupil_radius']:.4g} mm, stop: {f['stop']}")
+    table.add("working F-number", f"{f['f_number']:.4g}")
+    table.add(
         "wave aberration",
         f"{f['aberration_rms_waves']:.3g} waves rms ({1e9 * f['aberration_rms']:.3g} nm)",
     )
-    table.add_row(
-        "point spread", f"{f['point_spread_method']}, error {f['point_spread_error']:.1e}"
-    )
+    table.add("point spread", f"{f['point_spread_method']}, error {f['point_spread_error']:.1e}")
     if "point_spread_model_error" in f:
-        table.add_row(
+        table.add(
             "model of diffraction",
             f"{f['point_spread_model']}, error {f['point_spread_model_error']:.1e}",
         )
     if f["field_nodes"] > 1:
         error = f["errors"]["field of point spreads"]
-        table.add_row(
+        table.add(
             "point spreads over the object",
             f"{f['field_nodes']} points in {counted(f['field_modes'], 'mode')}, error {error:.1e}",
         )
-    table.add_row(
+    table.add(
         "electrons per pixel",
         f"{f['electrons_peak']:.3g} at most, {f['electrons_mean']:.3g} on average, "
         f"{f['signal_electrons_peak']:.3g} at most from the object",
@@ -172,10 +167,10 @@ def _print_summary(report: dict[str, Any], folder: Path) -> None:
         told = "no light from the object reaches the camera"
         if "correlation_with_truth" in f:
             told = f"correlation with the true object {f['correlation_with_truth']:.4f}"
-        table.add_row("reconstruction", f"{f['reconstruction_status']}, {told}")
+        table.add("reconstruction", f"{f['reconstruction_status']}, {told}")
     for stage, seconds in report["seconds"].items():
-        table.add_row(f"  {stage}", f"{seconds:.2f} s")
+        table.add(f"  {stage}", f"{seconds:.2f} s")
     if f["peak_memory_bytes"] is not None:
-        table.add_row("peak memory", f"{f['peak_memory_bytes'] / 2**20:.0f} MiB")
-    table.add_row("written to", str(folder))
-    Console().print(table)
+        table.add("peak memory", f"{f['peak_memory_bytes'] / 2**20:.0f} MiB")
+    table.add("written to", str(folder))
+    table.print()

@@ -13,6 +13,7 @@ from .shell import (
     FAILED,
     Changes,
     Debug,
+    Figures,
     SceneFile,
     Seed,
     Size,
@@ -248,23 +249,19 @@ def train_command(
 
 def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
     """Print a reconstruction's figures as a table."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
     f = report["figures"]
-    table = Table("quantity", "value", box=box.SIMPLE_HEAD)
+    table = Figures()
     told = (
         f"{f['method']}: {f['reconstruction_status']} after {counted(f['iterations'], 'iteration')}"
     )
-    table.add_row("reconstruction", told)
+    table.add("reconstruction", told)
     for reason in f["reconstruction_reasons"]:
-        table.add_row("", reason)
+        table.add("", reason)
     if f["method"] == "phase_retrieval":
-        table.add_row("agreement of two halves of the starts", f"{f['reconstruction_score']:.4g}")
+        table.add("agreement of two halves of the starts", f"{f['reconstruction_score']:.4g}")
     else:
-        table.add_row("residual", f"{f['reconstruction_score']:.4g} of the noise")
-    table.add_row("saturated pixels", f"{100 * f['saturated_fraction']:.2g} %")
-    table.add_row("seconds", f"{report['seconds']['total']:.2f} s")
-    table.add_row("written to", str(folder))
-    Console().print(table)
+        table.add("residual", f"{f['reconstruction_score']:.4g} of the noise")
+    table.add("saturated pixels", f"{100 * f['saturated_fraction']:.2g} %")
+    table.add("seconds", f"{report['seconds']['total']:.2f} s")
+    table.add("written to", str(folder))
+    table.print()

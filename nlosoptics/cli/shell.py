@@ -6,10 +6,14 @@ import errno
 import importlib.util
 import os
 import shlex
+import shutil
 import signal
+import sys
+import textwrap
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -191,9 +195,36 @@ def interruptible() -> Iterator[Callable[[], bool]]:
             signal.signal(kind, handler)
 
 
+class Figures:
+    """Table of quantities and their values, for the terminal."""
+
+    def __init__(self) -> None:
+        self._rows = [("quantity", "value")]
+
+    def add(self, quantity: str, value: str) -> None:
+        """Append a row."""
+        self._rows.append((quantity, value))
+
+    def print(self) -> None:
+        """Print the table; values that are wider than the terminal go on in further lines."""
+        wide = max(len(quantity) for quantity, _ in self._rows)
+        columns = shutil.get_terminal_size().columns
+        room = max(columns - wide - 5, 20)
+        lines = []
+        for quantity, value in self._rows:
+            parts = textwrap.wrap(value, room, break_long_words=False, break_on_hyphens=False)
+            for name, part in zip_longest([quantity], parts, fillvalue=""):
+                lines.append(f"  {name:{wide}}   {part}".rstrip())
+        lines.insert(1, "-" * min(columns, max(map(len, lines))))
+        typer.echo("\n".join(["", *lines, ""]))
+
+
 @contextmanager
 def progress_bar(width: int = 17) -> Iterator[Callable[[str, float], None]]:
     """Show a progress bar with the current stage on stderr, unless stderr is not a terminal."""
+    if not sys.stderr.isatty():  # and rich need not be loaded
+        yield lambda stage, fraction: None
+        return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 

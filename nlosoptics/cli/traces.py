@@ -15,6 +15,7 @@ from ..runs.record import arrays, now, peak_memory, scene_hash, versions, write_
 from .shell import (
     Changes,
     Debug,
+    Figures,
     SceneFile,
     Seed,
     Size,
@@ -185,27 +186,23 @@ def _write_image(image: TracedImage, folder: Path, drawn: bool) -> None:
 
 
 def _print_image(image: TracedImage, report: dict[str, Any], folder: Path) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("quantity", "value", box=box.SIMPLE_HEAD)
+    table = Figures()
     paths = image.paths
     ny, nx = image.expected.shape
-    table.add_row("image", f"{nx} x {ny} pixels of {1e6 * image.pitch:.3g} um")
-    table.add_row(
+    table.add("image", f"{nx} x {ny} pixels of {1e6 * image.pitch:.3g} um")
+    table.add(
         "electrons per pixel",
         f"{image.expected.max():.3g} at most, {image.expected.mean():.3g} on average",
     )
-    table.add_row("light of the object", f"{paths.flux:.4g} ± {paths.standard_error:.2g} W")
+    table.add("light of the object", f"{paths.flux:.4g} ± {paths.standard_error:.2g} W")
     for k, power in enumerate(paths.by_bounce):
         if power > 0.0:
-            table.add_row(f"  of {counted(k, 'reflection')}", f"{power:.4g} W")
-    table.add_row("stray light", f"{paths.stray:.4g} ± {paths.stray_error:.2g} W")
+            table.add(f"  of {counted(k, 'reflection')}", f"{power:.4g} W")
+    table.add("stray light", f"{paths.stray:.4g} ± {paths.stray_error:.2g} W")
     if paths.uncertain:
-        table.add_row("errors maybe too small", ", ".join(paths.uncertain))
-    table.add_row("rays", f"{paths.n_rays}, ended by {paths.stopped}")
+        table.add("errors maybe too small", ", ".join(paths.uncertain))
+    table.add("rays", f"{paths.n_rays}, ended by {paths.stopped}")
     for stage, seconds in report["seconds"].items():
-        table.add_row(f"  {stage}", f"{seconds:.2f} s")
-    table.add_row("written to", str(folder))
-    Console().print(table)
+        table.add(f"  {stage}", f"{seconds:.2f} s")
+    table.add("written to", str(folder))
+    table.print()

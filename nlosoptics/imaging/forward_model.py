@@ -7,10 +7,10 @@ from dataclasses import InitVar, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-import scipy  # loads scipy.fft on first use
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, one_of, positive, whole
+from .._fourier import fast_length, irfft2, rfft2
 from .._nouns import Noun
 from ..errors import SamplingError
 from ..psf import PointSpreadField
@@ -134,7 +134,7 @@ class ForwardModel(Noun):
             40.0 * len(modes) * math.prod(grid),
             "bin the pixels or cut out a region",
         )
-        transfer = np.stack([scipy.fft.rfft2(_on_grid(mode, shape, grid)) for mode in modes])
+        transfer = np.stack([rfft2(_on_grid(mode, shape, grid)) for mode in modes])
         if weights is None:
             transfer = transfer[0]
         else:
@@ -169,7 +169,7 @@ class ForwardModel(Noun):
         if self.weights is None:
             return self._filter(picture, self.transfer)
         parts = zip(self.weights, self.transfer, strict=True)
-        spectrum = sum(scipy.fft.rfft2(w * picture, s=self.grid) * t for w, t in parts)
+        spectrum = sum(rfft2(w * picture, self.grid) * t for w, t in parts)
         return self._frame(spectrum)
 
     def adjoint(self, image: ArrayLike) -> Array:
@@ -188,7 +188,7 @@ class ForwardModel(Noun):
         picture = self._checked("image", image)
         if self.weights is None:
             return self._filter(picture, np.conj(self.transfer))
-        spectrum, total = scipy.fft.rfft2(picture, s=self.grid), np.zeros(picture.shape)
+        spectrum, total = rfft2(picture, self.grid), np.zeros(picture.shape)
         for w, t in zip(self.weights, self.transfer, strict=True):
             total += w * self._frame(spectrum * np.conj(t))
         return total
@@ -208,21 +208,19 @@ class ForwardModel(Noun):
         return picture
 
     def _filter(self, picture: Array, transfer: NDArray[np.complex128]) -> Array:
-        spectrum = scipy.fft.rfft2(picture, s=self.grid)
+        spectrum = rfft2(picture, self.grid)
         spectrum *= transfer
         return self._frame(spectrum)
 
     def _frame(self, spectrum: NDArray[np.complex128]) -> Array:
         rows, columns = self.shape
-        return np.ascontiguousarray(scipy.fft.irfft2(spectrum, s=self.grid)[..., :rows, :columns])
+        return np.ascontiguousarray(irfft2(spectrum, self.grid[1])[..., :rows, :columns])
 
 
 def padded_grid(kernel: tuple[int, ...], shape: tuple[int, int]) -> tuple[int, int]:
     """Return the FFT grid that holds a frame and the kernel's longer arm along each axis."""
     arms = (_longer_arm(k, n) for k, n in zip(kernel, shape, strict=True))
-    rows, columns = (
-        int(scipy.fft.next_fast_len(n + arm, real=True)) for n, arm in zip(shape, arms, strict=True)
-    )
+    rows, columns = (fast_length(n + arm) for n, arm in zip(shape, arms, strict=True))
     return rows, columns
 
 

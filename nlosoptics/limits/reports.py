@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from .._checks import positive
+from .._fourier import irfft2, rfft2
 from .._freed_memory import keep_freed_memory
 from .._html import Figures, Shown
 from .._nouns import Noun
@@ -391,8 +391,8 @@ class _View:
         sharp = passed
         if self.transfer is not None:
             passed, sharp = self.transfer(u, v), self.transfer.sharp(u, v)
-        spectrum = fft.rfft2(levels.ideal, s=grid) * passed
-        blurred = fft.irfft2(spectrum, s=grid)[: shape[0], : shape[1]]
+        spectrum = rfft2(levels.ideal, grid) * passed
+        blurred = irfft2(spectrum, grid[1])[: shape[0], : shape[1]]
         self.blurred = signal = np.maximum(blurred, 0.0)
         self._light = light = signal + levels.stray
         dark = levels.dark

@@ -9,7 +9,7 @@ from typing import Any
 from .. import __version__
 from .._checks import counted
 from .._html import Column, Html, joined, png, table, tag
-from ..errors import SceneError
+from ..errors import NlosError, SceneError
 from ..limits import object_scale
 from ..runs.plan import FIELD
 from . import words
@@ -183,7 +183,7 @@ def _scene(held: Folder, drawn: Room | None, missing: str) -> Iterator[Html]:
             src=png(sketch),
             alt="Plan and side view of relay wall, laser beam, hidden object and camera.",
         )
-        if narrow := held.picture("scene_narrow.png"):
+        if narrow := _narrow_sketch(held):
             stacked = tag("source", media=f"screen and (max-width: {NARROW})", srcset=png(narrow))
             picture = tag("picture", stacked, picture)
         yield figure(
@@ -193,6 +193,18 @@ def _scene(held: Folder, drawn: Room | None, missing: str) -> Iterator[Html]:
             "the lens, as if the wall were flat.",
             class_="sketch",
         )
+
+
+def _narrow_sketch(held: Folder) -> bytes | None:
+    """Return the views of the sketch one above the other as PNG; None if they cannot be drawn."""
+    from ..views.saving import figure_file
+    from ..views.sketch import scene_sketch
+
+    try:
+        scene = held.scene()
+        return None if scene is None else figure_file(scene_sketch(scene, stacked=True), ".png")
+    except NlosError:
+        return None
 
 
 def _plan(held: Folder) -> Iterator[Html]:

@@ -26,7 +26,7 @@ from .veil import fitted_veil
 if TYPE_CHECKING:
     from ..imaging import ForwardModel, Shadows, SpeckleImage
     from ..inverse import Reconstruction
-    from ..psf import PointSpread, PointSpreadField, SceneOptics
+    from ..psf import PointSpread, PointSpreadField, SceneOptics, ScenePointSpread
 
 Array = NDArray[np.float64]
 
@@ -105,7 +105,7 @@ def carried_out(
     optics: SceneOptics,
     seed: int,
     progress: Progress | None = None,
-    formed: Callable[[Result], None] = lambda _: None,
+    found: Callable[[ScenePointSpread | Result], None] = lambda _: None,
 ) -> Result:
     """Run a plan within its budget and reuse the waves computed for it.
 
@@ -119,11 +119,12 @@ def carried_out(
         Seed of the random numbers, already checked.
     progress : callable(str, float), optional
         Called with the name of the stage that begins and the completed fraction, 0 to 1.
-    formed : callable(Result)
-        Called once the image is formed, with the result without reconstruction and timings.
+    found : callable
+        Called with the point spread and its wave once they are known, and with the result without
+        reconstruction and timings once the image is formed.
     """
     with within(todo.budget):
-        return _stages(todo, optics, seed, progress, formed)
+        return _stages(todo, optics, seed, progress, found)
 
 
 def _stages(
@@ -131,7 +132,7 @@ def _stages(
     optics: SceneOptics,
     seed: int,
     progress: Progress | None,
-    formed: Callable[[Result], None],
+    found: Callable[[ScenePointSpread | Result], None],
 ) -> Result:
     """Run the stages of a plan in order."""
     scene, tol = optics.scene, todo.tol
@@ -158,8 +159,9 @@ def _stages(
         begin("mesh surface")
         scene.wall.fit_residual  # noqa: B018  (fits and caches the surface)
     begin("exit pupil")
-    found = psf.scene_point_spread(optics, tol, progress=begin)
-    spread = found.point_spread
+    formed = psf.scene_point_spread(optics, tol, progress=begin)
+    found(formed)
+    spread = formed.point_spread
     errors = {"point spread": spread.error_estimate}
     spreads, found_errors = image_spreads(todo, optics, spread, seed, begin, tell)
     errors |= found_errors
@@ -174,18 +176,18 @@ def _stages(
     result = Result(
         scene=scene,
         plan=todo,
-        exit_pupil=found.exit_pupil,
-        wavefront=found.wavefront,
+        exit_pupil=formed.exit_pupil,
+        wavefront=formed.wavefront,
         point_spread=spread,
         field=field,
-        pupil_field=found.pupil_field,
+        pupil_field=formed.pupil_field,
         image=image,
         reconstruction=None,
         errors=errors,
         timings={},
         seed=seed,
     )
-    formed(result)
+    found(result)
     reconstruction = None
     if todo.runs("reconstruction"):
         begin("reconstruction")

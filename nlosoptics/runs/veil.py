@@ -27,6 +27,7 @@ CELLS = 8  # cells of the object along each side, for its veil
 #: Largest number of pixels along a side of the binned image in which the object is found, and of
 #: the image in which its veil is computed.
 FITTED, COARSE = 64, 32
+FINER = 9  # parts of a cell along each side, of which the middle one shines
 #: Assumed error of the veil of a white object, relative to the veil; measured up to 0.17.
 ERROR = 0.1
 #: Veil errors, in standard errors of the noise of a shape, that a fit tolerates.
@@ -43,11 +44,11 @@ def veil_shape(scene: Scene, shadows: Shadows | None = None) -> Array:
     """
     stand_in = None
     if isinstance(scene.hidden, PlanarObject):
-        # four bright pixels, near Gauss points, represent a white object
+        # four bright points, near those of Gauss's rule, represent a white object
         stand_in = np.zeros((7, 7))
         stand_in[1::4, 1::4] = 1.0
-        if scene.occluders:  # shadows need the whole plate
-            stand_in = np.ones((7, 7))
+        # shadows need the whole plate
+        stand_in = np.ones((7, 7)) if scene.occluders else _points(stand_in)
     return diffuse_background(scene, stand_in, shadows=shadows)
 
 
@@ -127,6 +128,7 @@ def fitted_veil(
         picture = cells.picture(np.asarray(object_))
         if not picture.any():
             break
+        picture = picture if scene.occluders else _points(picture)
         found = diffuse_background(coarse, picture, shadows=coarse_shadows)
         before, ratio = ratio, _ratio(found, first, fewer)
         ratio = ratio / (mine * ratio).mean()
@@ -134,6 +136,16 @@ def fitted_veil(
         error = np.full_like(mine, 0.5 * np.sqrt(np.mean(change**2)))
     shape = shape * _ratio(found, first, side * fewer)
     return np.asarray(shape / shape.mean())
+
+
+def _points(picture: Array) -> Array:
+    """Return a picture whose light comes from the middle of each pixel, which is one patch.
+
+    The wall's light changes by the order of (side/distance)^2 of a pixel.
+    """
+    points = np.zeros([FINER * n for n in picture.shape])
+    points[FINER // 2 :: FINER, FINER // 2 :: FINER] = picture
+    return points
 
 
 def _ratio(veil: Array, other: Array, side: int) -> Array:

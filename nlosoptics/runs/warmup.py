@@ -41,9 +41,9 @@ def warm_up(scenes: Sequence[Scene] = (), progress: Progress | None = None) -> N
     Parameters
     ----------
     scenes : sequence of Scene
-        Scenes to simulate without reconstruction, which has no kernels, and to trace as reports do.
-        By default a letter seen by walls of all kinds that have kernels of their own: flat, wavy,
-        curved and behind an occluder, a mesh, and rough.
+        Scenes to simulate with reconstruction, and to trace as reports do. By default a letter seen
+        by walls of all kinds that have kernels of their own: flat, wavy, curved and behind an
+        occluder, a mesh, and rough.
     progress : callable(str, float), optional
         Called with the number of the scene and the completed fraction.
     """
@@ -53,7 +53,7 @@ def warm_up(scenes: Sequence[Scene] = (), progress: Progress | None = None) -> N
     for number, scene in enumerate(scenes):
         if progress is not None:
             progress(f"scene {number + 1} of {len(scenes)}", number / len(scenes))
-        carried_out(*looked_at(scene, TOL, False, None, MOST_SECONDS), seed=0)
+        carried_out(*looked_at(scene, TOL, True, None, MOST_SECONDS), seed=0)
         raytrace.trace(scene, n_rays=RAYS, keep_paths=True)
 
 

@@ -24,7 +24,7 @@ def loaded() -> list[tuple[str, list[str]]]:
         return load(cache, sig, context)
 
     compiling._Cache.load_overload = told
-    simulate(Scene.load(SCENE))
+    simulate(Scene.load(SCENE), reconstruct=True)
     return [(name, list(types)) for name, types in found]
 
 

@@ -510,3 +510,25 @@ def test_materials_are_listed_with_their_sources(run: Run) -> None:
     assert (code, out) == (2, "")
     assert 'did you mean "white ceramic tile"?' in err
     assert err.count("\n") == 1
+
+
+def test_figures_fit_the_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Long values go on below the first line; a path stays whole."""
+    monkeypatch.setenv("COLUMNS", "40")
+    table = shell.Figures()
+    table.add("light", "one two three four five six seven eight")
+    table.add("  stage", "")
+    table.add("written to", "/a-folder/" + 40 * "x")
+    table.print()
+    assert capsys.readouterr().out.splitlines() == [
+        "",
+        "  quantity     value",
+        40 * "-",
+        "  light        one two three four five",
+        "               six seven eight",
+        "    stage",
+        "  written to   /a-folder/" + 40 * "x",
+        "",
+    ]

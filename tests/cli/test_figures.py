@@ -11,6 +11,7 @@ import pytest
 
 from nlosoptics import simulate
 from nlosoptics.cli import figures
+from nlosoptics.psf import ScenePointSpread
 from nlosoptics.runs.plan import Plan
 from nlosoptics.views import saving
 from nlosoptics.views.run_overview import FIT
@@ -33,13 +34,15 @@ def drawn_by(tmp_path, monkeypatch, flat_scene):
 
         monkeypatch.setattr(figures, "_of_scene", named("scene"))
         monkeypatch.setattr(figures, "_of_run", named("overview"))
-        monkeypatch.setattr(figures, "_of_parts", named("image"))
+        monkeypatch.setattr(figures, "_of_wave", named("wavefront"))
+        monkeypatch.setattr(figures, "_of_image", named("image"))
         monkeypatch.setattr(figures, "_of_fit", named("reconstruction"))
         monkeypatch.setattr(figures, "_drawn", lambda draw: draw() or str(os.getpid()).encode())
         monkeypatch.setattr(figures.os, "cpu_count", lambda: cores)
         plan = Plan(stages=(), skipped=(), tol=1e-3, waves=0.0, exit_pupil=None, budget=None)
         result = SimpleNamespace(scene=flat_scene, plan=plan)
         with figures.painters(flat_scene) as beside:
+            beside.send(None)
             beside.send(result)
             beside.send(None, tmp_path)
             figures.write_figures(result, tmp_path, beside)
@@ -60,16 +63,16 @@ def fail():
 @forks
 def test_two_other_processes_draw(drawn_by):
     found = drawn_by()
-    assert found["scene"] == found["image"] == found["reconstruction"]
+    assert found["scene"] == found["wavefront"] == found["image"] == found["reconstruction"]
     assert len({HERE, found["image"], found["overview"]}) == 3
 
 
 def test_one_core_draws_all_here(drawn_by):
-    names = "scene", "image", "reconstruction", "overview"
+    names = "scene", "wavefront", "image", "reconstruction", "overview"
     assert drawn_by(cores=1) == dict.fromkeys(names, HERE)
 
 
-@pytest.mark.parametrize("name", ["scene", "overview", "image", "reconstruction"])
+@pytest.mark.parametrize("name", ["scene", "overview", "wavefront", "image", "reconstruction"])
 def test_figures_of_a_process_that_fails_are_drawn_here(drawn_by, capfd, name):
     assert drawn_by(**{name: elsewhere(fail)})[name] == HERE
     assert capfd.readouterr().err == ""
@@ -131,6 +134,29 @@ def test_a_figure_completed_late_is_the_figure_drawn_at_once(
     assert [complete(each)[name] for each in (*others, fit)] == [*wanted[1:], wanted[0]]
     monkeypatch.setattr(saving, "figure_file", None)  # not needed for what is expected
     assert complete(fit)[name] == wanted[0]
+
+
+@forks
+def test_other_processes_draw_the_same_figures(flat_scene, tmp_path, monkeypatch):
+    """To the last byte, although matplotlib does less in them."""
+    monkeypatch.setattr(figures.os, "cpu_count", lambda: 2)
+    result = simulate(flat_scene.resized(32), tol=1e-2, reconstruct=True)
+    folders = [tmp_path / name for name in ("here", "there")]
+    for folder in folders:
+        folder.mkdir()
+    figures.write_figures(result, folders[0])
+    with figures.painters(flat_scene) as beside:
+        wave = {name: getattr(result, name) for name in ScenePointSpread.__dataclass_fields__}
+        beside.send(ScenePointSpread(**wave))
+        beside.send(replace(result, reconstruction=None))
+        beside.send(result.reconstruction, folders[1])
+        monkeypatch.setattr(figures, "_drawn", None)  # nothing is left to draw here
+        figures.write_figures(result, folders[1], beside)
+    here, there = (
+        {file.name: file.read_bytes() for file in folder.iterdir()} for folder in folders
+    )
+    assert len(here) == 6
+    assert here == there
 
 
 @forks

@@ -10,9 +10,10 @@ import math
 import sys
 from typing import Any
 
-import ducc0.fft
 import numpy as np
 from numpy.typing import NDArray
+
+from ... import _fourier
 
 #: numpy array or torch tensor.
 Values = Any
@@ -70,14 +71,14 @@ def rfft2(values: Values, out: Values | None = None) -> Values:
     """Return the half spectra (..., rows, columns//2 + 1) of images (..., rows, columns)."""
     if is_tensor(values):
         return library(values).fft.rfft2(values, out=out)
-    return ducc0.fft.r2c(values, axes=(-2, -1), out=out)
+    return _fourier.rfft2(values, out=out)
 
 
 def irfft2(spectra: Values, columns: int, out: Values | None = None) -> Values:
     """Return the images (..., rows, columns) of half spectra (..., rows, columns//2 + 1)."""
     if is_tensor(spectra):
         return library(spectra).fft.irfft2(spectra, s=(spectra.shape[-2], columns), out=out)
-    return ducc0.fft.c2r(spectra, axes=(-2, -1), lastsize=columns, forward=False, inorm=2, out=out)
+    return _fourier.irfft2(spectra, columns, out)
 
 
 def half_spectrum_weights(columns: int) -> NDArray[np.float64]:

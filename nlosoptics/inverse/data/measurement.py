@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import positive, real
+from ..._fourier import cosines2
+from ..._special import upper_gamma_share
 from ...errors import SamplingError, SceneError
 from .arrays import Values, as_numpy, is_tensor, library, total, weighted
 from .models import AnyModel, model_shape
@@ -219,9 +221,7 @@ class Measurement:
             signal = expected_signal(periodic_power(rest), passed, unit, rest.shape, least)
             beyond = beyond_optics(signal, unit)
             cosines = cosines_within(beyond, rest.shape)
-            from scipy import fft  # slow to load
-
-            there = fft.dctn(rest, norm="ortho")[cosines] ** 2 / unit
+            there = cosines2(rest)[cosines] ** 2 / unit
             left = float(signal[beyond].mean()) / unit if beyond.any() else 0.0
             excess = float((there - 1.0 - left).sum())
             if abs(excess) < _MOST_ERRORS * math.sqrt(2.0 * there.size):
@@ -277,9 +277,7 @@ def _chance(
     freedom = 4.0 * variance**3 / third**2
     deviation = float((twice * weights * (relative - 1.0)).sum()) / math.sqrt(variance)
     value = max(freedom + deviation * math.sqrt(freedom), 0.0)
-    from scipy import special  # slow to load
-
-    return float(special.gammaincc(freedom, value))
+    return upper_gamma_share(freedom, value)
 
 
 def measurement(

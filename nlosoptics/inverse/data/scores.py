@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from ..._checks import positive, whole
 from ..._smoothing import gaussian_smoothed
@@ -222,8 +221,8 @@ def _highest_peak(
     first: Array, second: Array, upsampling: int
 ) -> tuple[float, tuple[float, float]]:
     """Return the largest circular cross-correlation of two images and its shift (rows, columns)."""
-    spectrum = np.conj(fft.fft2(first)) * fft.fft2(second)
-    correlation = fft.ifft2(spectrum).real
+    spectrum = np.conj(np.fft.fft2(first)) * np.fft.fft2(second)
+    correlation = np.fft.ifft2(spectrum).real
     row, column = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
     best, shift = float(correlation[row, column]), (float(row), float(column))
     if upsampling > 1:
@@ -244,8 +243,8 @@ def _refined_peak(
     rows, columns = spectrum.shape
     row_shifts = peak[0] + steps
     column_shifts = peak[1] + steps
-    by_row = np.exp(2j * np.pi * np.outer(row_shifts, fft.fftfreq(rows)))
-    by_column = np.exp(2j * np.pi * np.outer(fft.fftfreq(columns), column_shifts))
+    by_row = np.exp(2j * np.pi * np.outer(row_shifts, np.fft.fftfreq(rows)))
+    by_column = np.exp(2j * np.pi * np.outer(np.fft.fftfreq(columns), column_shifts))
     values = (by_row @ spectrum @ by_column).real
     row, column = np.unravel_index(int(np.argmax(values)), values.shape)
     shift = float(row_shifts[row]), float(column_shifts[column])
@@ -257,9 +256,10 @@ def _shifted(picture: Array, shift: tuple[float, float]) -> Array:
     if shift[0].is_integer() and shift[1].is_integer():
         return np.roll(picture, (int(shift[0]), int(shift[1])), (0, 1))
     ramp = [
-        np.exp(-2j * np.pi * s * fft.fftfreq(n)) for s, n in zip(shift, picture.shape, strict=True)
+        np.exp(-2j * np.pi * s * np.fft.fftfreq(n))
+        for s, n in zip(shift, picture.shape, strict=True)
     ]
-    return np.asarray(fft.ifft2(fft.fft2(picture) * ramp[0][:, None] * ramp[1]).real)
+    return np.asarray(np.fft.ifft2(np.fft.fft2(picture) * ramp[0][:, None] * ramp[1]).real)
 
 
 def _pair(reconstruction: Any, truth: Any) -> tuple[Array, Array]:

@@ -6,11 +6,12 @@ Half spectra, (H, W//2 + 1), as ``rfft2`` of an image (H, W) returns them.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
+from ..._fourier import irfft2, rfft2
 from ...imaging.forward_model import ForwardModel
 from .arrays import half_spectrum_weights
 from .models import AnyModel, mean_transfer, numpy_model
@@ -50,7 +51,7 @@ def passed_power(model: AnyModel) -> Array:
 
 def _at_frame(transfer: NDArray[np.complex128], model: ForwardModel) -> NDArray[np.complex128]:
     """Return a transfer function of a model's grid at the frequencies of its frame."""
-    kernel = fft.irfft2(transfer, s=model.grid)
+    kernel = irfft2(transfer, model.grid[1])
     for axis, (side, length) in enumerate(zip(model.grid, model.shape, strict=True)):
         # Offsets of at least the frame's length are negative ones, see `padded_transfer`.
         offsets = np.arange(side)
@@ -58,7 +59,7 @@ def _at_frame(transfer: NDArray[np.complex128], model: ForwardModel) -> NDArray[
         wrapped = np.zeros((length, kernel.shape[1 - axis]))
         np.add.at(wrapped, offsets, np.moveaxis(kernel, axis, 0))
         kernel = np.moveaxis(wrapped, 0, axis)
-    return np.asarray(fft.rfft2(kernel))
+    return rfft2(kernel)
 
 
 def half_weights(shape: tuple[int, ...]) -> Array:
@@ -71,7 +72,7 @@ def half_weights(shape: tuple[int, ...]) -> Array:
 
 def power(image: Array) -> Array:
     """Return the power of each frequency of an image; for white noise its variance, on average."""
-    return _squared(fft.rfft2(image)) / image.size
+    return _squared(rfft2(image)) / image.size
 
 
 def periodic_power(image: Array) -> Array:
@@ -89,9 +90,9 @@ def periodic_power(image: Array) -> Array:
     y, x = _angles(rows, columns)
     curvature = 2.0 * (np.cos(y) + np.cos(x)) - 4.0
     curvature[0, 0] = 1.0
-    smooth = fft.rfft2(jumps) / curvature
+    smooth = rfft2(jumps) / curvature
     smooth[0, 0] = 0.0
-    return _squared(fft.rfft2(image) - smooth) / image.size
+    return _squared(rfft2(image) - smooth) / image.size
 
 
 def object_power(shape: tuple[int, ...]) -> Array:
@@ -149,12 +150,12 @@ def cosines_within(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[n
     return pairs
 
 
-def _squared(spectrum: NDArray[np.complex128]) -> Array:
-    return spectrum.real**2 + spectrum.imag**2
+def _squared(spectrum: NDArray[Any]) -> Array:
+    return np.asarray(spectrum.real**2 + spectrum.imag**2)
 
 
 def _angles(rows: int, columns: int) -> tuple[Array, Array]:
     """Return the angular frequencies of a half spectrum, radians per pixel, as column and row."""
-    y = 2.0 * math.pi * fft.fftfreq(rows)[:, None]
-    x = 2.0 * math.pi * fft.rfftfreq(columns)[None]
+    y = np.array(2.0 * math.pi * np.fft.fftfreq(rows))[:, None]
+    x = np.array(2.0 * math.pi * np.fft.rfftfreq(columns))[None]
     return y, x

@@ -19,9 +19,7 @@ from ..data.arrays import (
     is_tensor,
     library,
     like,
-    norm,
     rfft2,
-    total,
 )
 from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
 from ..data.measurement import Measurement, measurement
@@ -29,12 +27,12 @@ from ..data.models import AnyModel, mean_transfer, model_like
 from ..data.reconstruction import Reconstruction
 from ..data.status import MOST_RESIDUAL, Ending
 from .field_step import FieldStep
+from .splitting_steps import gradient, steps_on
 
 # Penalties of the splitting x = p (sign) and grad x = d (edges), per unit of the object's
-# brightness, and over-relaxation. From sweeps over smooth and speckle kernels, 128^2 and 512^2.
+# brightness. From sweeps over smooth and speckle kernels, 128^2 and 512^2.
 _SIGN_PENALTY = 5.0
 _EDGE_PENALTY = 10.0
-_RELAXATION = 1.7
 # The data penalty follows the data multiplier for the first iterations, then stays: with
 # constant penalties the method of multipliers converges.
 _DATA_SHARE = 0.2
@@ -211,19 +209,12 @@ class _Split(Iterate):
 
 
 class _Scratch:
-    """Arrays that each iteration fills anew: new ones would cost more than the arithmetic.
+    """Arrays that each iteration fills anew; ``prototype`` is an array on the FFT grid."""
 
-    ``prototype`` is an array on the FFT grid and ``image`` one in the frame.
-    """
-
-    def __init__(self, prototype: Values, image: Values) -> None:
+    def __init__(self, prototype: Values) -> None:
         empty = library(prototype).empty_like
-        self.wanted, self.pull, self.free, self.seen, self.length, self.part = (
-            empty(prototype) for _ in range(6)
-        )
+        self.wanted, self.pull, self.free, self.seen = (empty(prototype) for _ in range(4))
         self.first, self.second = (rfft2(prototype) for _ in range(2))
-        self.edges = library(prototype).stack((prototype, prototype))
-        self.misfit, self.squares, self.kept = (empty(image) for _ in range(3))
 
 
 class _Splitting(Solver[_Split]):
@@ -248,6 +239,7 @@ class _Splitting(Solver[_Split]):
         self.max_iterations, self._tolerance = rule
         self._scale = data.span()
         self._sigma = data.sigma / self._scale
+        self._counted = data.counted
         self._library = library(data.data)
         # A background far above the noise would exhaust single precision, so it is subtracted.
         self._level = data.border_strength()
@@ -256,14 +248,17 @@ class _Splitting(Solver[_Split]):
         working = self._library.zeros_like(image, dtype=data.working_dtype())
         self._dark = like(np.zeros(model.grid), working)
         self._image = like(image, working)
-        shape = data.background_shape
-        self._shape = like(1.0 + 0.0 * image if shape is None else shape, working)
-        self._weights = None if data.weights is None else like(data.weights, self._dark)
+        ones = 1.0 + 0.0 * image
+        shape, weights = (
+            like(ones if given is None else given, working)
+            for given in (data.background_shape, data.weights)
+        )
+        self._steps = steps_on(self._image, shape, weights, model.grid[1])
         twin = model_like(model, data.data)
         transfer = mean_transfer(twin)
         self._response = float(abs(transfer).max())
         transfer = transfer / self._response
-        self._scratch = _Scratch(self._dark, self._image)
+        self._scratch = _Scratch(self._dark)
         self._transfer = like(transfer, self._scratch.first)
         self._power = like(transfer.real**2 + transfer.imag**2, self._dark)
         self._laplacian = like(_laplacian(model.grid), self._dark)
@@ -297,7 +292,7 @@ class _Splitting(Solver[_Split]):
         highest = math.ceil(0.99 * framed.size) - 1
         brightness = float(np.partition(framed, highest)[highest])
         brightness = brightness if brightness > 0.0 else 1.0
-        edges = _gradient(signed, self._library.stack((signed, signed)))
+        edges = gradient(signed)
         if self._given is None:
             data_penalty = 1.0 / (self._sigma * brightness)
             multiplier = data_penalty / _DATA_SHARE
@@ -326,22 +321,23 @@ class _Splitting(Solver[_Split]):
 
     def step(self, state: _Split) -> tuple[float, float, float]:
         """Make one iteration; return total variation, residual and change of the object."""
-        own = self._scratch
+        own, steps = self._scratch, self._steps
         own.wanted[...] = state.predicted
         own.wanted[self._frame] -= state.data_dual
-        self._library.subtract(state.edges, state.edge_dual, out=own.edges)
-        pull = _transposed_gradient(own.edges, own.pull)
-        pull *= state.edge_penalty / state.sign_penalty
-        pull += state.signed
-        pull -= state.sign_dual
-        pull *= state.sign_penalty
-        free, predicted = self._object_step(state, own.wanted, pull)
-        residual = self._data_step(state, predicted)
-        variation = self._edge_step(state, _gradient(free, own.edges))
-        change, distance = self._sign_step(state, free)
+        steps.pull(
+            (state.edges, state.edge_dual, state.edge_penalty),
+            (state.signed, state.sign_dual, state.sign_penalty),
+            own.pull,
+        )
+        free, seen = self._object_step(state)
+        residual = self._data_step(state, seen)
+        variation = steps.shrink_edges(free, state.edges, state.edge_dual, 1 / state.edge_penalty)
+        sums = steps.keep_positive(free, state.signed, state.sign_dual)
+        size, change, distance = map(math.sqrt, sums)
+        change, distance = (length / max(size, 1e-30) for length in (change, distance))
         state.measure = max(change, distance)
         if self._given is None:
-            expected = self._target / (self._sigma * math.sqrt(self.data.counted))
+            expected = self._target / (self._sigma * math.sqrt(self._counted))
             state.measure = max(state.measure, _RESIDUAL_SHARE * abs(residual - expected))
         if state.count < _ADAPT_UNTIL and state.count % _ADAPT_EVERY == _ADAPT_EVERY - 1:
             _adapt(state)
@@ -397,145 +393,53 @@ class _Splitting(Solver[_Split]):
             self._factored = penalties, (rest, inverse, filtered)
         return self._factored[1]
 
-    def _object_step(self, state: _Split, wanted: Values, pull: Values) -> tuple[Values, Values]:
+    def _object_step(self, state: _Split) -> tuple[Values, Values]:
         """Return the object whose image and gradients best match their targets, and its image.
 
-        ``wanted`` is the target image and ``pull`` the target gradients and values, transposed and
-        times their penalties, on the FFT grid.
+        The targets are in the scratch, both on the FFT grid: the image, and gradients and values,
+        transposed and times their penalties.
         """
-        own, columns = self._scratch, wanted.shape[-1]
+        own, columns = self._scratch, self._dark.shape[-1]
         rest, inverse, filtered = self._factors(state)
         if self._field is not None and state.free is not None and state.seen is not None:
             state.free, state.seen = self._field.solve(
-                wanted, pull, state.data_penalty, rest, inverse, (state.free, state.seen)
+                own.wanted, own.pull, state.data_penalty, rest, inverse, (state.free, state.seen)
             )
-            own.seen[...] = state.seen
-            return state.free, own.seen
-        spectrum = rfft2(wanted, own.first)
-        spectrum *= filtered
-        pulled = rfft2(pull, own.second)
-        pulled *= inverse
-        spectrum += pulled
-        free = irfft2(spectrum, columns, own.free)
-        spectrum *= self._transfer
-        return free, irfft2(spectrum, columns, own.seen)
+            return state.free, state.seen
+        spectra = rfft2(own.wanted, own.first), rfft2(own.pull, own.second)
+        self._steps.mix(*spectra, filtered, inverse, self._transfer)
+        return irfft2(spectra[0], columns, own.free), irfft2(spectra[1], columns, own.seen)
 
-    def _data_step(self, state: _Split, predicted: Values) -> float:
+    def _data_step(self, state: _Split, seen: Values) -> float:
         """Move the predicted image toward the measured one until the residual equals the noise.
 
         The background and, if searched for, the multiplier are updated too. Returns the rms
-        residual before, over the noise. The array of ``predicted`` becomes the state's.
+        residual before, over the noise.
         """
-        own = self._scratch
-        misfit = self._misfit(state, predicted)
-        squared = self._weighted_square(misfit)
-        relaxed = _relaxed(predicted, state.predicted)
-        relaxed[self._frame] += state.data_dual
+        steps, predicted, dual = self._steps, state.predicted, state.data_dual
+        ratio, level = state.multiplier / state.data_penalty, state.background
+        square, best = steps.relax_image(seen, predicted, dual, level, ratio)
         if self.data.fit_background:
-            misfit = self._library.subtract(relaxed[self._frame], self._image, out=own.misfit)
-            state.background = -self._strength(misfit, self._shrinkage(state))
-        misfit = self._misfit(state, relaxed)
+            state.background = best
         if self._given is None:
-            self._seek_multiplier(state, misfit)
-        self._library.multiply(misfit, self._shrinkage(state), out=own.squares)
-        self._library.subtract(misfit, own.squares, out=state.data_dual)
-        relaxed[self._frame] -= state.data_dual
-        state.predicted, own.seen = relaxed, state.predicted
-        return math.sqrt(squared / self.data.counted) / self._sigma
-
-    def _misfit(self, state: _Split, predicted: Values) -> Values:
-        """Return the predicted image plus the background minus the image, (H, W)."""
-        own = self._scratch
-        misfit = self._library.multiply(self._shape, state.background, out=own.misfit)
-        misfit += predicted[self._frame]
-        misfit -= self._image
-        return misfit
-
-    def _weighted_square(self, misfit: Values) -> float:
-        """Return the weighted sum of squares of an image (H, W), which stay in the scratch."""
-        squares = self._library.multiply(misfit, misfit, out=self._scratch.squares)
-        if self._weights is not None:
-            squares *= self._weights
-        return total(squares)
-
-    def _shrinkage(self, state: _Split) -> Values | float:
-        """Return the factor, 0 to 1, by which the data step reduces a misfit."""
-        if self._weights is None:
-            return state.data_penalty / (state.data_penalty + state.multiplier)
+            self._seek_multiplier(state)
         ratio = state.multiplier / state.data_penalty
-        kept = self._library.multiply(self._weights, ratio, out=self._scratch.kept)
-        kept += 1.0
-        return self._library.reciprocal(kept, out=kept)
+        steps.split_misfit(predicted, dual, state.background, ratio)
+        return math.sqrt(square / self._counted) / self._sigma
 
-    def _strength(self, misfit: Values, shrinkage: Values | float) -> float:
-        """Return the background strength that best fits a misfit (H, W).
+    def _seek_multiplier(self, state: _Split) -> None:
+        """Set the multiplier for which the residual after the data step equals the noise, rms.
 
-        Pixels are weighted as in the data step.
+        Newton's method for 1/norm, which is nearly linear in the multiplier: exactly for uniform
+        noise.
         """
-        if self._weights is None:
-            weights = self._shape
-        else:
-            weights = self._library.multiply(self._weights, shrinkage, out=self._scratch.squares)
-            weights *= self._shape
-        return total(weights * misfit) / total(weights * self._shape)
-
-    def _seek_multiplier(self, state: _Split, misfit: Values) -> None:
-        """Set the multiplier for which the residual after the data step equals the noise, rms."""
-        target = self._target
-        square = self._weighted_square(misfit)
-        if self._weights is None:
-            state.multiplier = state.data_penalty * max(math.sqrt(square) / target - 1.0, 0.0)
-            return
-        # Newton's method for 1/norm, which is nearly linear in the multiplier (exactly for uniform
-        # noise).
-        squares = self._scratch.squares
         for _ in range(2):
-            kept = self._shrinkage(state)
-            part = squares * kept
-            part *= kept
-            square = total(part)
-            part *= kept
-            part *= self._weights
-            slope = total(part) / state.data_penalty
+            ratio = state.multiplier / state.data_penalty
+            square, slope = self._steps.weigh_misfit(state.predicted, state.background, ratio)
             if slope <= 0.0:
                 return
-            step = (1.0 / target - square**-0.5) * square**1.5 / slope
-            state.multiplier = max(state.multiplier + step, 0.0)
-
-    def _edge_step(self, state: _Split, gradient: Values) -> float:
-        """Shrink the gradients (soft threshold); return their total variation."""
-        own, here = self._scratch, self._library
-        relaxed = _relaxed(gradient, state.edges)
-        relaxed += state.edge_dual
-        length = here.multiply(relaxed[0], relaxed[0], out=own.length)
-        length += here.multiply(relaxed[1], relaxed[1], out=own.part)
-        here.sqrt(length, out=length)
-        left = here.subtract(length, 1.0 / state.edge_penalty, out=own.part)
-        here.clip(left, 0.0, None, out=left)
-        variation = total(left)
-        left /= here.clip(length, float(here.finfo(length.dtype).tiny), None, out=length)
-        here.multiply(relaxed, left, out=state.edges)
-        here.subtract(relaxed, state.edges, out=state.edge_dual)
-        return variation
-
-    def _sign_step(self, state: _Split, free: Values) -> tuple[float, float]:
-        """Update the non-negative object.
-
-        Returns its change and its distance from the unconstrained object ``free``, both relative to
-        its norm.
-        """
-        own, here = self._scratch, self._library
-        relaxed = own.pull
-        relaxed[...] = free
-        relaxed = _relaxed(relaxed, state.signed)
-        relaxed += state.sign_dual
-        before, state.signed = state.signed, self._allowed(relaxed, own.part)
-        here.subtract(relaxed, state.signed, out=state.sign_dual)
-        size = max(norm(state.signed), 1e-30)
-        distance = norm(here.subtract(free, state.signed, out=own.length)) / size
-        before -= state.signed
-        own.part = before  # the array of the last object serves the next iteration
-        return norm(before) / size, distance
+            step = (1.0 / self._target - square**-0.5) * square**1.5 / slope
+            state.multiplier = max(state.multiplier + state.data_penalty * step, 0.0)
 
     def _allowed(self, picture: Values, out: Values) -> Values:
         """Return the non-negative part of an object inside the frame, and zero outside."""
@@ -561,34 +465,6 @@ def _taken(signal: float, shape: tuple[int, int]) -> float:
     """
     values = 2.0 * sum(shape)
     return values * (signal / (signal + values)) ** 2
-
-
-def _relaxed(new: Values, old: Values) -> Values:
-    """Move a new value beyond the old one, in place."""
-    new *= _RELAXATION
-    new -= (_RELAXATION - 1.0) * old
-    return new
-
-
-def _gradient(picture: Values, out: Values) -> Values:
-    """Return periodic forward differences along y and x, (2, H, W), in ``out``."""
-    subtract = library(picture).subtract
-    subtract(picture[1:], picture[:-1], out=out[0, :-1])
-    subtract(picture[0], picture[-1], out=out[0, -1])
-    subtract(picture[:, 1:], picture[:, :-1], out=out[1, :, :-1])
-    subtract(picture[:, 0], picture[:, -1], out=out[1, :, -1])
-    return out
-
-
-def _transposed_gradient(field: Values, out: Values) -> Values:
-    """Return the transpose of `_gradient` of a field (2, H, W), in ``out`` (H, W)."""
-    subtract = library(field).subtract
-    subtract(field[0, :-1], field[0, 1:], out=out[1:])
-    subtract(field[0, -1], field[0, 0], out=out[0])
-    out[:, 1:] += field[1, :, :-1]
-    out[:, 0] += field[1, :, -1]
-    out -= field[1]
-    return out
 
 
 def _laplacian(grid: tuple[int, int]) -> Values:

@@ -12,10 +12,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy  # scipy.special is loaded lazily, on first use; that takes about 0.1 s
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from ..._special import bessel_j0, bessel_j1, erfc
 from ..aperture.quadrature_nodes import gauss_legendre
 
 Array = NDArray[np.float64]
@@ -27,6 +27,7 @@ STEP = 0.08
 REACH = 17
 #: Shorter reach, in cells, for uses that accept the larger error given by `cut`.
 SHORT_REACH = 10
+BLOCK = 1 << 16  # values of Bessel functions held at once
 
 
 def leak(s: Array) -> Array:
@@ -34,7 +35,7 @@ def leak(s: Array) -> Array:
 
     It is the loss of the image at s, and equally what is left of its repeat at the distance 1 - s.
     """
-    return np.asarray(scipy.special.erfc((0.5 - s) / STEP) / 2)
+    return erfc((0.5 - s) / STEP) / 2
 
 
 def cut(radius: float, reach: int) -> float:
@@ -82,14 +83,7 @@ def _hankel(r: Array, radius: float) -> Array:
     turns = top * (2 * radius + REACH)
     fraction, weights = gauss_legendre(math.ceil(4 * turns) + 60)
     q = top * fraction
-    spectrum = (
-        scipy.special.erfc((q - 0.5) / STEP)
-        / 2
-        * scipy.special.j1(2 * math.pi * radius * q)
-        * weights
-        * top
-    )
-    total = np.empty_like(r)
-    for i, at in enumerate(r):
-        total[i] = 2 * math.pi * radius * np.sum(spectrum * scipy.special.j0(2 * math.pi * at * q))
-    return total
+    spectrum = leak(1 - q) * bessel_j1(2 * math.pi * radius * q) * weights * top
+    parts = np.array_split(r, math.ceil(r.size * q.size / BLOCK))
+    waves = [bessel_j0(2 * math.pi * part[:, None] * q) for part in parts]
+    return 2 * math.pi * radius * np.concatenate([wave @ spectrum for wave in waves])

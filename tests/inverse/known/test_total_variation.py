@@ -225,7 +225,7 @@ def test_low_noise_runs_in_double_precision(case):
 
 @pytest.mark.parametrize("varies", [False, True])
 def test_numpy_and_torch_find_the_same_object(varies, point_spread_field):
-    """Both run the same lines; a GPU takes the path of torch."""
+    """Arrays take the kernels, tensors the same steps in torch, as on a GPU."""
     side = 40
     spread = point_spread_field if varies else point_spread_field.modes[0]
     model = ForwardModel(spread, shape=(side, side))
