@@ -17,6 +17,8 @@ from .light.irradiance import wall_irradiance as wall_irradiance
 from .light.surroundings import RayPlan as RayPlan
 from .light.surroundings import ray_plan as ray_plan
 from .light.trace import trace as trace
+from .light.trace_colours import ColourTraces as ColourTraces
+from .light.trace_colours import trace_colours as trace_colours
 from .light.trace_image import PathHistogram as PathHistogram
 from .light.trace_image import TracedImage as TracedImage
 from .light.trace_image import trace_image as trace_image

@@ -428,7 +428,7 @@ def _room(scene: Scene) -> tuple[Array, NDArray[np.int16]]:
         kinds.append(np.full(len(mesh.faces), kind, dtype=np.int16))
     if (triangles := scene.wall.true_triangles) is not None:
         kinds.append(np.full(len(triangles.faces), WALL, dtype=np.int16))
-    room = np.zeros((len(tables), max((len(table) for table in tables), default=1), 4))
+    room = np.zeros((len(tables), max((len(table) for table in tables), default=1), 5))
     for lobes, table in zip(room, tables, strict=True):
         lobes[: len(table)] = table
     return room, np.concatenate(kinds)
