@@ -147,8 +147,8 @@ def ward(mu_i, mu_o, cos_between, albedo, alpha, kind):
 def lobe(lobes, j, mu_i, mu_o, cos_between):
     """Return f_r of lobe ``j``, 1/sr.
 
-    Columns of ``lobes`` (n, 5): kind, strength, slope rms (alpha for Ward), constant factor, and
-    the strength by which samples choose a lobe.
+    Columns of ``lobes`` (n, 7): kind, strength, slope rms (alpha for Ward), constant factor, the
+    strength by which samples choose a lobe, and refractive index n and k, 0 if unknown.
     """
     kind, strength, slope, factor = int(lobes[j, 0]), lobes[j, 1], lobes[j, 2], lobes[j, 3]
     if kind == LAMBERT:
@@ -177,7 +177,7 @@ def evaluate(lobes: Any, mu_i: Any, mu_o: Any, cos_between: Any, out: Any) -> No
     Lobes are added one by one, so that only the families that occur are compiled.
     """
     out[:] = 0.0
-    for kind, strength, slope, factor, _ in lobes:
+    for kind, strength, slope, factor in lobes[:, :4]:
         if kind == LAMBERT:
             out += factor * np.where((mu_i >= 0.0) & (mu_o >= 0.0), strength / math.pi, 0.0)
         elif kind in (BECKMANN, GGX):

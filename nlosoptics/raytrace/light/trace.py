@@ -242,10 +242,12 @@ def job_of(
     analog: bool = False,
     keep_paths: bool = False,
     lasers: tuple[Laser, ...] = (),
+    chained: bool = True,
 ) -> Job:
     """Check the options common to all tracers, and return the prepared scene with its relief.
 
-    ``lasers`` are those to trace instead of the scene's own.
+    ``lasers`` are those to trace instead of the scene's own, and ``chained`` tells whether chains
+    of mirror-like reflections are solved for.
     """
     from .blocks import Job
 
@@ -262,7 +264,7 @@ def job_of(
         columns, shifts = columns[:, :0], shifts[:, :0]
     return Job(
         scene=scene,
-        around=Surroundings(scene, analog=analog, lasers=lasers),
+        around=Surroundings(scene, analog=analog, lasers=lasers, chained=chained),
         sampler=(np.uint64(seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts)),
         max_bounces=max_bounces,
         analog=analog,

@@ -414,6 +414,8 @@ def _material(name: str, table: Any) -> Material:
 def _lobe(place: str, table: Any) -> Material:
     """Return the material of one lobe table; errors are prefixed with ``place``."""
     values = _given(table, "lobe")
+    if "index" in values:
+        values["index"] = complex(*values["index"])
     for key, value in values.items():
         if isinstance(value, _file_tables.SpectrumTable):
             with located(f"{place}{key}."):

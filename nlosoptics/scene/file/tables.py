@@ -79,6 +79,7 @@ EXAMPLES: dict[str, Any] = {
     "variant": "bounded",
     "reflectance": 0.05,
     "distribution": "ggx",
+    "index": [1.5, 0.0],
     "image": "../objects/F.png",
     "yaw": "10 deg",
     "pitch": "10 deg",
@@ -181,6 +182,12 @@ class SpecularTable(Table):
     reflectance: AlbedoTable
     slope_rms: AngleText
     distribution: Literal["beckmann", "ggx"] | None = None
+    index: list[float] | None = Field(
+        None,
+        min_length=2,
+        max_length=2,
+        description="Refractive index [n, k], for the polarisation of reflected light.",
+    )
 
 
 class WardTable(Table):

@@ -146,6 +146,7 @@ def _material_table(material: Material) -> Any:
             reflectance=spectrum or material.reflectance,
             slope_rms=material.slope_rms,
             distribution=material.distribution,
+            index=None if material.index is None else [material.index.real, material.index.imag],
         )
     if isinstance(material, Ward):
         return _file_tables.WardTable.model_construct(

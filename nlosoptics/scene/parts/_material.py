@@ -36,10 +36,11 @@ class Material:
 
         Returns
         -------
-        ndarray, (n, 5)
+        ndarray, (n, 7)
             One row per lobe. Columns: code of the kind of lobe (a constant of `kernels.codes`);
             albedo or reflectance; rms slope or alpha, rad; factor by which the lobe's reflectance
-            is multiplied; strength by which samples choose a lobe. The factor is 1, except for an
+            is multiplied; strength by which samples choose a lobe; real and imaginary part of the
+            refractive index, 0 where none is given. The factor is 1, except for an
             `OrenNayar` lobe with ``normalised=True`` that would reflect more light than it
             receives. The strength is albedo times factor or, for a `Spectrum`, the mean of its
             values, so that samples are the same at all wavelengths.
@@ -54,10 +55,12 @@ class Material:
         object.__setattr__(self, field, value)
         object.__setattr__(self, "spectrum", spectrum)
 
-    def _lobe(self, kind: int, value: float, width: float, factor: float = 1.0) -> Array:
+    def _lobe(
+        self, kind: int, value: float, width: float, factor: float = 1.0, index: complex = 0.0
+    ) -> Array:
         """Return the table of one lobe; see `lobe_table`."""
         chosen = value * factor if self.spectrum is None else self.spectrum.mean
-        return np.array([[kind, value, width, factor, chosen]])
+        return np.array([[kind, value, width, factor, chosen, index.real, index.imag]])
 
     def at(self, wavelength: float) -> Material:
         """Return the material at a wavelength; `Scene` calls this for its laser.

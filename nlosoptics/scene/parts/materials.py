@@ -50,6 +50,18 @@ def _largest_albedo(rho: float, slope_rms: float, model: str) -> float:
     return float(OrenNayar(rho, slope_rms, model=model).albedo(math.pi / 2))
 
 
+def _index(value: complex) -> complex:
+    """Return a checked refractive index n + ik."""
+    if not isinstance(value, int | float | complex | np.number) or isinstance(value, bool):
+        raise SceneError(f"index is {value!r}; give a refractive index n + ik, such as 1.5")
+    index = complex(value)
+    n = in_range("index, its real part,", index.real, 0.01, 100.0)
+    k = in_range("index, its imaginary part,", index.imag, 0.0, 100.0)
+    if n == 1.0 and k == 0.0:
+        raise SceneError("index is 1, at which nothing is reflected; give that of the surface")
+    return complex(n, k)
+
+
 @dataclass(frozen=True, init=False)
 class Lambert(Material):
     """Ideal diffuse (Lambertian) reflector of bidirectional reflectance albedo/pi.
@@ -203,6 +215,10 @@ class SpecularMicrofacet(MirrorLobe):
         counts as mirror-like and forms an image; above that it counts as diffuse.
     distribution : {"beckmann", "ggx"}
         Distribution of the facet normals: Gaussian slopes, or GGX with longer tails.
+    index : complex, optional
+        Refractive index n + ik of the surface at the wavelength used, such as 1.5 for paint. It
+        determines the polarisation of reflected light in `nlosoptics.raytrace.trace_polarised`,
+        and nothing else: for unpolarised light the reflectance is always ``reflectance``.
     spectrum : Spectrum, optional
         Table of reflectances whose value is ``reflectance``, as `dataclasses.replace` passes it;
         otherwise give it as ``reflectance``.
@@ -227,6 +243,7 @@ class SpecularMicrofacet(MirrorLobe):
     slope_rms: float
     _: KW_ONLY
     distribution: str = "beckmann"
+    index: complex | None = field(default=None, repr=False)
     spectrum: Spectrum | None = field(default=None, repr=False)
 
     def __init__(
@@ -235,6 +252,7 @@ class SpecularMicrofacet(MirrorLobe):
         slope_rms: float,
         *,
         distribution: str = "beckmann",
+        index: complex | None = None,
         spectrum: Spectrum | None = None,
     ) -> None:
         # `dataclasses.replace` gives a table and its value, unless another reflectance was asked
@@ -248,13 +266,16 @@ class SpecularMicrofacet(MirrorLobe):
                 f"slope_rms = {self.slope_rms:g} rad is out of range, must be 0 or at least "
                 f"{_LEAST_SLOPE:g} rad; give 0 for a smooth mirror"
             )
+        if index is not None:
+            index = _index(index)
+        object.__setattr__(self, "index", index)
         known = one_of("distribution", distribution, _DISTRIBUTIONS)
         object.__setattr__(self, "distribution", known)
 
     def lobe_table(self) -> Array:
         """Return the parameters of the lobe for the compiled code, see `Material.lobe_table`."""
         kind = _DISTRIBUTIONS[self.distribution]
-        return self._lobe(kind, self.reflectance, self.slope_rms)
+        return self._lobe(kind, self.reflectance, self.slope_rms, index=self.index or 0.0)
 
     @property
     def specular_reflectance(self) -> float:
@@ -417,7 +438,7 @@ class SumMaterial(Material):
             )
 
     def lobe_table(self) -> Array:
-        """Return the parameters of all lobes as an array, (n, 5); see `Material.lobe_table`."""
+        """Return the parameters of all lobes as an array, (n, 7); see `Material.lobe_table`."""
         return np.concatenate([part.lobe_table() for part in self.parts])
 
     def at(self, wavelength: float) -> SumMaterial:

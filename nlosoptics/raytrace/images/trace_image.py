@@ -17,7 +17,7 @@ from ...errors import SceneError
 from ...kernels.codes import GROUPS
 from ...scene import Scene
 from ..fans.paths import RayPaths
-from .trace import group_means, job_of, mean_map, until_done
+from ..light.trace import group_means, job_of, mean_map, until_done
 
 Array = NDArray[np.float64]
 MOST_BINS = 1 << 20  # largest number of bins of a histogram

@@ -15,7 +15,7 @@ from ..._nouns import Noun
 from ..._progress import Progress
 from ...errors import SceneError
 from ...scene import Scene
-from .trace import MOST
+from ..light.trace import MOST
 from .trace_image import TracedImage, trace_image
 
 Array = NDArray[np.float64]
