@@ -26,7 +26,7 @@ FLOORS: tuple[dict[str, tuple[str, ...]], ...] = (
     {"kernels": ()},
     {"ground": ()},
     {"scene": ("parts", "walls", "file")},
-    {"raytrace": ("intersection", "fans", "light")},
+    {"raytrace": ("intersection", "fans", "light", "images")},
     {
         "psf": (
             "aperture",

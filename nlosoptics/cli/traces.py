@@ -24,12 +24,14 @@ from .shell import (
     check_target,
     errors_told,
     load,
+    numbers,
     progress_bar,
     typed,
 )
 
 if TYPE_CHECKING:
     from ..raytrace import TracedImage
+    from ..scene import Scene
 
 
 @app.command("trace", short_help="Compute the camera image of a scene by ray tracing.")
@@ -78,6 +80,14 @@ def trace_command(
             "first reflection and from the last reflection to the lens.",
         ),
     ] = True,
+    wavelengths_nm: Annotated[
+        str | None,
+        typer.Option(
+            help="Trace at these wavelengths, nm, for example '450, 550, 650', instead of the "
+            "laser's; for materials whose albedo depends on the wavelength. Give --n-rays, not "
+            "--tol or --max-seconds."
+        ),
+    ] = None,
     debug: Debug = False,
 ) -> None:
     """Compute the camera image of a scene by ray tracing, with the standard error of every pixel.
@@ -85,7 +95,8 @@ def trace_command(
     The light takes any number of reflections between wall, object and room, without diffraction.
     Rooms that scatter light and walls that fold back, which waves cannot model, can be traced. The
     output folder gets pictures (PNG), all pixels (image.npz) and result.json with the power
-    balance. An existing folder is replaced only if an earlier command wrote it.
+    balance. With --wavelengths-nm, there are such files for each wavelength, 450nm_image.npz for
+    example. An existing folder is replaced only if an earlier command wrote it.
     """
     with errors_told(debug):
         start = time.perf_counter()
@@ -96,19 +107,24 @@ def trace_command(
         check_target(folder)
         drawn = can_draw()
         with progress_bar() as progress:
-            image = raytrace.trace_image(
-                scene,
-                n_rays=n_rays,
-                tol=tol,
-                max_seconds=max_seconds,
-                max_bounces=max_bounces,
-                t_start=t_start,
-                delta_t=delta_t,
-                n_bins=n_bins,
-                outer_legs=outer_legs,
-                seed=seed,
-                progress=progress,
-            )
+            options: dict[str, Any] = {
+                "max_bounces": max_bounces,
+                "t_start": t_start,
+                "delta_t": delta_t,
+                "n_bins": n_bins,
+                "outer_legs": outer_legs,
+                "seed": seed,
+                "progress": progress,
+            }
+            if wavelengths_nm is None:
+                images = {
+                    "": raytrace.trace_image(
+                        scene, n_rays=n_rays, tol=tol, max_seconds=max_seconds, **options
+                    )
+                }
+            else:
+                images = _colours(scene, wavelengths_nm, n_rays, tol, max_seconds, options)
+            image = next(iter(images.values()))
             progress("writing", 1.0)
             report = _report(image) | {
                 "command_line": typed(context),
@@ -116,13 +132,44 @@ def trace_command(
                 "scene_file": scene_file.name,
                 "scene_sha256": scene_hash(scene),
             }
+            if wavelengths_nm is not None:
+                report["figures_by_wavelength"] = {
+                    name[:-1]: _report(one)["figures"] for name, one in images.items()
+                }
             with whole_folder(folder) as new:
-                _write_image(image, new, drawn)
+                for name, one in images.items():
+                    _write_image(one, new, drawn, name)
                 report["seconds"]["total"] = time.perf_counter() - start
                 write_record(report, new)
         for text in image.paths.unreached:
             typer.echo(f"nlosoptics: rays find by chance only {text}", err=True)
-        _print_image(image, report, folder)
+        for name, one in images.items():
+            _print_image(one, report, folder, name[:-1])
+
+
+def _colours(
+    scene: Scene,
+    wavelengths_nm: str,
+    n_rays: int | None,
+    tol: float | None,
+    max_seconds: float | None,
+    options: dict[str, Any],
+) -> dict[str, TracedImage]:
+    """Return the image at each wavelength, by the beginning of its file names, such as 450nm_."""
+    from ..raytrace import trace_colours
+
+    for option, value in (("--tol", tol), ("--max-seconds", max_seconds)):
+        if value is not None:
+            raise typer.BadParameter(
+                f"{option} {value:g} does not go with --wavelengths-nm, whose images need equally "
+                "many rays; give --n-rays",
+                param_hint=option,
+            )
+    given = numbers("--wavelengths-nm", wavelengths_nm)
+    if n_rays is not None:
+        options = options | {"n_rays": n_rays}
+    traced = trace_colours(scene, [nm / 1e9 for nm in given], **options)
+    return {f"{nm:g}nm_": image for nm, image in zip(given, traced.each, strict=True)}
 
 
 def _report(image: TracedImage) -> dict[str, Any]:
@@ -167,28 +214,32 @@ def _value(power: float, error: float) -> dict[str, float | None]:
     return {"watts": power, "standard_error": error if math.isfinite(error) else None}
 
 
-def _write_image(image: TracedImage, folder: Path, drawn: bool) -> None:
-    """Write the pixels and the histogram, and pictures of them."""
+def _write_image(image: TracedImage, folder: Path, drawn: bool, prefix: str) -> None:
+    """Write the pixels and the histogram, and pictures of them; file names begin with a prefix."""
     from dataclasses import fields
 
     import numpy as np
 
     parts = {f.name: getattr(image, f.name) for f in fields(image) if f.name != "paths"}
-    np.savez(folder / "image.npz", **arrays({k: v for k, v in parts.items() if v is not None}))
+    np.savez(
+        folder / f"{prefix}image.npz", **arrays({k: v for k, v in parts.items() if v is not None})
+    )
     if not drawn:
         return
     from .. import views
 
-    views.save(views.traced_image(image), folder / "image.png")
-    views.save(views.traced_image(image, quantity="power"), folder / "object.png")
+    views.save(views.traced_image(image), folder / f"{prefix}image.png")
+    views.save(views.traced_image(image, quantity="power"), folder / f"{prefix}object.png")
     if image.histogram is not None:
-        views.save(views.path_lengths(image.histogram), folder / "path_lengths.png")
+        views.save(views.path_lengths(image.histogram), folder / f"{prefix}path_lengths.png")
 
 
-def _print_image(image: TracedImage, report: dict[str, Any], folder: Path) -> None:
+def _print_image(image: TracedImage, report: dict[str, Any], folder: Path, colour: str) -> None:
     table = Figures()
     paths = image.paths
     ny, nx = image.expected.shape
+    if colour:
+        table.add("wavelength", colour)
     table.add("image", f"{nx} x {ny} pixels of {1e6 * image.pitch:.3g} um")
     table.add(
         "electrons per pixel",

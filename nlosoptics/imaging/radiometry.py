@@ -265,7 +265,7 @@ def _reflected(
         Weights of the nodes along each axis.
     normals, views : ndarray, (3, rows, columns)
         Unit normal of the wall and unit vector to the lens at each pixel's wall point.
-    lobes : ndarray, (n, 4)
+    lobes : ndarray, (n, 7)
         Table of the lobes.
     """
     from ..kernels import brdf

@@ -147,7 +147,8 @@ def ward(mu_i, mu_o, cos_between, albedo, alpha, kind):
 def lobe(lobes, j, mu_i, mu_o, cos_between):
     """Return f_r of lobe ``j``, 1/sr.
 
-    Columns of ``lobes`` (n, 4): kind, strength, slope rms (alpha for Ward), constant factor.
+    Columns of ``lobes`` (n, 7): kind, strength, slope rms (alpha for Ward), constant factor, the
+    strength by which samples choose a lobe, and refractive index n and k, 0 if unknown.
     """
     kind, strength, slope, factor = int(lobes[j, 0]), lobes[j, 1], lobes[j, 2], lobes[j, 3]
     if kind == LAMBERT:
@@ -176,7 +177,7 @@ def evaluate(lobes: Any, mu_i: Any, mu_o: Any, cos_between: Any, out: Any) -> No
     Lobes are added one by one, so that only the families that occur are compiled.
     """
     out[:] = 0.0
-    for kind, strength, slope, factor in lobes:
+    for kind, strength, slope, factor in lobes[:, :4]:
         if kind == LAMBERT:
             out += factor * np.where((mu_i >= 0.0) & (mu_o >= 0.0), strength / math.pi, 0.0)
         elif kind in (BECKMANN, GGX):
@@ -343,10 +344,10 @@ def sample_lobe(lobes, j, ix, iy, iz, u, v):
 
 @njit(cache=True)
 def total_strength(lobes):
-    """Return the sum of the strengths of all lobes, each with its factor."""
+    """Return the sum of the strengths by which samples choose a lobe."""
     total = 0.0
     for j in range(lobes.shape[0]):
-        total += lobes[j, 1] * lobes[j, 3]
+        total += lobes[j, 4]
     return total
 
 
@@ -358,7 +359,7 @@ def material_pdf(lobes, mu_i, mu_o, cos_between):
         return lobe_pdf(lobes, 0, mu_i, mu_o, cos_between)
     density = 0.0
     for j in range(lobes.shape[0]):
-        share = lobes[j, 1] * lobes[j, 3] / total
+        share = lobes[j, 4] / total
         density += share * lobe_pdf(lobes, j, mu_i, mu_o, cos_between)
     return density
 
@@ -367,14 +368,14 @@ def material_pdf(lobes, mu_i, mu_o, cos_between):
 def sample_material(lobes, ix, iy, iz, u, v, w):
     """Draw an exitant direction (x, y, z) from a material; return it and its weight f cos/pdf.
 
-    ``w`` chooses a lobe in proportion to its strength; ``u`` and ``v`` choose the direction.
+    ``w`` chooses a lobe in proportion to column 4; ``u`` and ``v`` choose the direction.
     """
     total = total_strength(lobes)
     if total <= 0.0:
         return sample_lobe(lobes, 0, ix, iy, iz, u, v)
     chosen, left = -1, w * total
     for j in range(lobes.shape[0]):
-        strength = lobes[j, 1] * lobes[j, 3]
+        strength = lobes[j, 4]
         if strength > 0.0 and (chosen < 0 or left >= 0.0):
             chosen = j
         left -= strength
@@ -387,7 +388,7 @@ def sample_material(lobes, ix, iy, iz, u, v, w):
         # a density of 0 comes from rounding in a narrow lobe, which is then weighted by itself
         if lobes.shape[0] > 1 and density > 0.0:
             return x, y, z, material(lobes, iz, z, between) * z / density
-    return x, y, z, weight * total / (lobes[chosen, 1] * lobes[chosen, 3])
+    return x, y, z, weight * total / lobes[chosen, 4]
 
 
 @njit(cache=True)

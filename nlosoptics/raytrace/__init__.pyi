@@ -1,5 +1,12 @@
 from .fans.paths import RayPaths as RayPaths
 from .fans.pupil_fans import pupil_rays as pupil_rays
+from .images.trace_colours import ColourTraces as ColourTraces
+from .images.trace_colours import trace_colours as trace_colours
+from .images.trace_image import PathHistogram as PathHistogram
+from .images.trace_image import TracedImage as TracedImage
+from .images.trace_image import trace_image as trace_image
+from .images.trace_polarised import PolarisedImage as PolarisedImage
+from .images.trace_polarised import trace_polarised as trace_polarised
 from .intersection.intersections import BEHIND as BEHIND
 from .intersection.intersections import HIT as HIT
 from .intersection.intersections import MISS as MISS
@@ -17,9 +24,6 @@ from .light.irradiance import wall_irradiance as wall_irradiance
 from .light.surroundings import RayPlan as RayPlan
 from .light.surroundings import ray_plan as ray_plan
 from .light.trace import trace as trace
-from .light.trace_image import PathHistogram as PathHistogram
-from .light.trace_image import TracedImage as TracedImage
-from .light.trace_image import trace_image as trace_image
 from .light.trace_lasers import LaserTraces as LaserTraces
 from .light.trace_lasers import trace_lasers as trace_lasers
 from .light.trace_point import PointTrace as PointTrace

@@ -7,6 +7,7 @@ from .parts.laser import Laser
 from .parts.library import MaterialValue, NamedMaterial, material_library, named_material
 from .parts.materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
 from .parts.occluders import Occluder
+from .parts.spectrum import Spectrum
 from .parts.transient_scan import TransientScan
 from .scene import Scene
 from .walls.analytic import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
@@ -36,6 +37,7 @@ __all__ = [
     "OrenNayar",
     "PlanarObject",
     "Scene",
+    "Spectrum",
     "SpecularMicrofacet",
     "SumMaterial",
     "SumWall",

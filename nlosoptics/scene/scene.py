@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +31,7 @@ from .walls.roughness import WallRoughness
 if TYPE_CHECKING:
     import trimesh
 
+T = TypeVar("T")
 #: Matt white paint with a faint gloss: without a mirror-like lobe the wall transfers no letter.
 PAINT = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 0.0))
 
@@ -125,6 +126,7 @@ class Scene(Noun, Shown):
                 "WallRoughness"
             )
         object.__setattr__(self, "occluders", checked_occluders(self.occluders))
+        self._evaluate_colours()
         if self.laser.aim[2] != 0.0:
             raise SceneError(
                 f"laser.aim has z = {self.laser.aim[2]:g} m; give a point of the plane z = 0"
@@ -135,6 +137,34 @@ class Scene(Noun, Shown):
             if self.wall_roughness is not None:
                 self.wall_roughness.check_wall(self.wall)
             self.check_in_front(meshes=False)
+
+    def _evaluate_colours(self) -> None:
+        """Evaluate all materials at the laser's wavelength."""
+
+        def at(name: str, material: Material) -> Material:
+            try:
+                return material.at(self.laser.wavelength)
+            except SceneError as error:
+                raise SceneError(f"{name}: {error}") from None
+
+        def coloured(name: str, part: T) -> T:
+            """Return a part, or a copy of it whose material is evaluated."""
+            material = getattr(part, "material", None)
+            if not isinstance(material, Material) or not material.is_coloured:
+                return part
+            found = at(f"{name}.material", material)
+            return part if found is material else replace(part, material=found)  # type: ignore[type-var]
+
+        occluders = tuple(coloured(f"occluder[{k}]", o) for k, o in enumerate(self.occluders))
+        object.__setattr__(self, "wall_material", at("wall_material", self.wall_material))
+        object.__setattr__(self, "hidden", coloured("hidden", self.hidden))
+        object.__setattr__(self, "occluders", occluders)
+
+    @property
+    def is_coloured(self) -> bool:
+        """Whether the albedo of any material depends on the wavelength."""
+        materials = (self.wall_material, self.hidden.material, *self.room_materials)
+        return any(material.is_coloured for material in materials)
 
     def __getstate__(self) -> dict[str, Any]:
         return super().__getstate__() | {"occluders": tuple(map(bare_mesh, self.occluders))}

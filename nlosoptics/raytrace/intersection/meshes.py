@@ -25,8 +25,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Array = NDArray[np.float64]
-CHUNK: Final = 1 << 17  # sorted rays processed at once: the more, the more alike are neighbours
-UNSORTED: Final = 1 << 13  # unsorted rays processed at once, so that their data stay in the cache
+#: Rays processed at once. The more, the more alike are sorted neighbours, and the less often Embree
+#: and the kernels displace each other's data of the mesh from the processor's caches.
+CHUNK: Final = 1 << 17
+SHARE: Final = 1 << 13  # rays for which another thread is worth its start
 OFFSET: Final = 1e-9  # hits nearer than this to an end of a path count as on it; in half extents
 
 
@@ -177,7 +179,7 @@ def _first(
         hits = (distance[part], points[part], normals[part], triangle[part])
         facets.first(o[part], d[part], nearest, farthest[part], hits=hits)
 
-    _in_parts(work, count, facets, origins, directions)
+    _in_parts(work, count, origins, directions)
     if placed:
         points, normals = points.reshape(*shape, 3), normals.reshape(*shape, 3)
     return distance.reshape(shape), points, normals, triangle.reshape(shape)
@@ -277,7 +279,7 @@ def all_hits(
         return facets.all(o[part], d[part], nearest)
 
     # handles zero rays: np.concatenate needs at least one part
-    parts = _in_parts(work, len(o), facets, origins, directions) or [work(slice(0, 0))]
+    parts = _in_parts(work, len(o), origins, directions) or [work(slice(0, 0))]
     counts, distance, points, triangle = (np.concatenate(a) for a in zip(*parts, strict=True))
     return AllHits(np.repeat(np.arange(len(o)), counts), distance, points, triangle)
 
@@ -344,18 +346,14 @@ def blocked(facets: Facets, origins: Array, paths: Array) -> NDArray[np.bool_]:
 
 
 def _in_parts(
-    work: Callable[[slice], T],
-    count: int,
-    facets: Facets,
-    origins: ArrayLike,
-    directions: ArrayLike,
+    work: Callable[[slice], T], count: int, origins: ArrayLike, directions: ArrayLike
 ) -> list[T]:
     """Return the results of ``work`` for consecutive slices of the rays, computed on all cores.
 
-    ``count`` is the number of rays at the mesh ``facets``. ``origins`` and ``directions``, (n, 3),
-    are only used for an error that names an invalid ray.
+    ``count`` is the number of rays. ``origins`` and ``directions``, (n, 3), are only used for an
+    error that names an invalid ray.
     """
-    pieces = -(-count // (CHUNK if facets.sorts else min(CHUNK, UNSORTED)))
+    pieces = max(-(-count // CHUNK), min(threads(), -(-count // SHARE)))
     ends = [count * k // max(pieces, 1) for k in range(pieces + 1)]
     parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
     try:

@@ -68,7 +68,7 @@ def sums_of(path_sums, first, i):
 
 @njit(cache=True, inline="always")
 def lobes_of(world, kind):
-    """Return the table of lobes (n, 4) of a surface that reflects light; see `reflects`."""
+    """Return the table of lobes (n, 7) of a surface that reflects light; see `reflects`."""
     if kind == WALL:
         return world.wall
     return world.thing if kind == OBJECT else world.room[kind - ROOM]

@@ -35,18 +35,18 @@ def tangents(n):
 def lobe_chance(lobes, j, total, eye):
     """Return the probability of drawing lobe ``j`` of a table of lobes.
 
-    ``total`` is the sum of their strengths. Light paths (``eye`` False) draw lobes in proportion to
+    ``total`` is their `total_strength`. Light paths (``eye`` False) draw lobes in proportion to
     their strength, to follow the power. Eye paths do so for one half and choose uniformly for the
     other, since a faint mirror can form the whole image.
     """
-    strength = lobes[j, 1] * lobes[j, 3]
+    strength = lobes[j, 4]
     if strength <= 0.0:
         return 0.0
     if not eye:
         return strength / total
     some = 0
     for k in range(lobes.shape[0]):
-        some += 1 if lobes[k, 1] * lobes[k, 3] > 0.0 else 0
+        some += 1 if lobes[k, 4] > 0.0 else 0
     return 0.5 * strength / total + 0.5 / some
 
 

@@ -31,9 +31,9 @@ class World(NamedTuple):
 
     Attributes
     ----------
-    wall, thing : ndarray, (n, 4)
+    wall, thing : ndarray, (n, 7)
         Lobes of the wall and of the hidden object.
-    room : ndarray, (m, k, 4)
+    room : ndarray, (m, k, 7)
         Lobes of the m materials of occluders that reflect light; rows without a lobe are 0.
     kinds : ndarray of int16, (f,)
         Kinds of hit of the triangles of occluders and wall.

@@ -183,3 +183,15 @@ def _meets_object(scene: Scene, spread: float, *, mirrored: bool) -> bool:
         return True
     angle = math.acos(float(np.clip(beam @ away / distance, -1.0, 1.0)))
     return angle <= math.asin(radius / distance) + spread
+
+
+def left_to_chance(chains: Chains) -> Chains:
+    """Return the chains of a tracer that does not solve for their reflection points."""
+    if not chains.surfaces:
+        return chains
+    why = (
+        "light that narrow lobes of wall and object reflect one after the other, or that one of "
+        "them sends to the lens from where another or the laser brought it, since this method does "
+        "not solve for reflection points"
+    )
+    return replace(chains, surfaces=0, both=False, unreached=(*chains.unreached, (2, why)))

@@ -39,7 +39,7 @@ class Task:
     image_box, gloss_box : ndarray, (4,)
         Rectangles of the wall, m, in which the lens sees the point mirrored by smooth mirrors, and
         by glossy mirror-like lobes up to three slope rms; all zero without such lobes.
-    matt : ndarray, (n, 4)
+    matt : ndarray, (n, 7)
         Lobes of the wall that are not mirror-like.
     mirror_image : bool
         Whether to include the mirror image of the point.

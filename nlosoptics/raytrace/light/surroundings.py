@@ -30,7 +30,7 @@ from ..intersection.kept_meshes import (
     kept_mesh,
 )
 from ..intersection.meshes import blocked, first_triangles, intersect_mesh
-from .chains import Chains, joint_chains, mirror_chains
+from .chains import Chains, joint_chains, left_to_chance, mirror_chains
 
 if TYPE_CHECKING:
     from ._surround_kernels import World
@@ -224,15 +224,24 @@ class Surroundings:
         Whether no rays are aimed at the object, so that directions follow the lobes alone.
     lasers : tuple of Laser
         Lasers to trace instead of the scene's own; `World.laser` is the first of them.
+    chained : bool
+        Whether chains of mirror-like reflections are solved for.
     """
 
     def __init__(
-        self, scene: Scene, *, analog: bool = False, lasers: tuple[Laser, ...] = ()
+        self,
+        scene: Scene,
+        *,
+        analog: bool = False,
+        lasers: tuple[Laser, ...] = (),
+        chained: bool = True,
     ) -> None:
         self.plan = ray_plan(scene)
         scenes = [replace(scene, laser=laser) for laser in lasers] or [scene]
         between = self.plan.wall_to_wall
         self.chains = joint_chains([mirror_chains(s, wall_to_wall=between) for s in scenes])
+        if not chained:
+            self.chains = left_to_chance(self.chains)
         hidden = scene.hidden
         thing = hidden if isinstance(hidden, PlanarObject) else kept_mesh(hidden.surface)
         self.world = _world(scenes, self.plan, self.chains, analog, thing)
@@ -428,7 +437,7 @@ def _room(scene: Scene) -> tuple[Array, NDArray[np.int16]]:
         kinds.append(np.full(len(mesh.faces), kind, dtype=np.int16))
     if (triangles := scene.wall.true_triangles) is not None:
         kinds.append(np.full(len(triangles.faces), WALL, dtype=np.int16))
-    room = np.zeros((len(tables), max((len(table) for table in tables), default=1), 4))
+    room = np.zeros((len(tables), max((len(table) for table in tables), default=1), 7))
     for lobes, table in zip(room, tables, strict=True):
         lobes[: len(table)] = table
     return room, np.concatenate(kinds)

@@ -242,10 +242,12 @@ def job_of(
     analog: bool = False,
     keep_paths: bool = False,
     lasers: tuple[Laser, ...] = (),
+    chained: bool = True,
 ) -> Job:
     """Check the options common to all tracers, and return the prepared scene with its relief.
 
-    ``lasers`` are those to trace instead of the scene's own.
+    ``lasers`` are those to trace instead of the scene's own, and ``chained`` tells whether chains
+    of mirror-like reflections are solved for.
     """
     from .blocks import Job
 
@@ -262,7 +264,7 @@ def job_of(
         columns, shifts = columns[:, :0], shifts[:, :0]
     return Job(
         scene=scene,
-        around=Surroundings(scene, analog=analog, lasers=lasers),
+        around=Surroundings(scene, analog=analog, lasers=lasers, chained=chained),
         sampler=(np.uint64(seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts)),
         max_bounces=max_bounces,
         analog=analog,
@@ -330,7 +332,7 @@ def mean_of(sums: Array, rays: int) -> tuple[float, float]:
     mean = math.fsum(sums) / rays
     if groups < 4:
         return mean, math.inf
-    spread = math.fsum((_group_means(sums, rays) - mean) ** 2) / (groups * (groups - 3))
+    spread = math.fsum((group_means(sums, rays) - mean) ** 2) / (groups * (groups - 3))
     excess = max(0.0, skewness_of(sums, rays) ** 2 - SKEWED**2)
     return mean, math.sqrt(spread * (1.0 + WIDER * excess))
 
@@ -340,7 +342,7 @@ def skewness_of(sums: Array, rays: int) -> float:
 
     The arguments are those of `mean_of`.
     """
-    means = _group_means(sums, rays)
+    means = group_means(sums, rays)
     deviations = means - math.fsum(means) / len(means)
     largest = float(np.abs(deviations).max())
     if len(means) < 4 or largest <= 1e-14 * float(np.abs(means).max()):
@@ -349,7 +351,7 @@ def skewness_of(sums: Array, rays: int) -> float:
     return float((deviations**3).mean() / (deviations**2).mean() ** 1.5)
 
 
-def _group_means(sums: Array, rays: int) -> Array:
+def group_means(sums: Array, rays: int) -> Array:
     """Return the means over the groups; their sizes differ by at most one ray."""
     groups = min(rays, len(sums))
     return sums[:groups] * (groups / rays)

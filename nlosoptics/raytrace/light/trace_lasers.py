@@ -6,7 +6,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -88,7 +88,8 @@ def trace_lasers(
     Raises
     ------
     SceneError
-        If an option is out of range, no laser is given, or a part of the scene is behind the wall.
+        If an option is out of range, no laser is given, a part of the scene is behind the wall, or
+        lasers of several wavelengths are given and a material's albedo depends on the wavelength.
     MemoryLimitError
         If the sums would not fit in memory.
 
@@ -119,6 +120,8 @@ def trace_lasers(
     True
     """
     lasers = _checked(lasers)
+    if isinstance(scene, Scene) and scene.is_coloured:
+        scene = _at_one_wavelength(scene, lasers)
     whole("n_rays", n_rays, 1, MOST)
     job = job_of(scene, max_bounces, sampler, seed, lasers=lasers)
     shape = (len(lasers), GROUPS, job.columns)
@@ -164,3 +167,15 @@ def _checked(lasers: Sequence[Laser]) -> tuple[Laser, ...]:
                 f"lasers[{index}].aim has z = {laser.aim[2]:g} m; give a point of the plane z = 0"
             )
     return tuple(lasers)
+
+
+def _at_one_wavelength(scene: Scene, lasers: tuple[Laser, ...]) -> Scene:
+    """Return the scene with its materials evaluated at the wavelength that all lasers have."""
+    for index, laser in enumerate(lasers):
+        if laser.wavelength != lasers[0].wavelength:
+            raise SceneError(
+                f"lasers[{index}].wavelength = {1e9 * laser.wavelength:.6g} nm differs from "
+                f"{1e9 * lasers[0].wavelength:.6g} nm of lasers[0], but the albedo of a material "
+                "depends on the wavelength; trace each wavelength by trace_colours"
+            )
+    return replace(scene, laser=lasers[0])

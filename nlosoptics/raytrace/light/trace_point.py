@@ -226,7 +226,7 @@ def trace_point(
         whole=_whole(alone),
         image_box=image_box,
         gloss_box=gloss_box,
-        matt=np.zeros((0, 4)) if matt is None else matt.lobe_table(),
+        matt=np.zeros((0, 7)) if matt is None else matt.lobe_table(),
         mirror_image=mirror_image,
         window=(first[0] - pitch / 2, first[1] - pitch / 2, pitch, nx),
         rows=ny,

@@ -25,6 +25,7 @@ from ..parts.laser import Laser
 from ..parts.library import LOBE_CLASSES
 from ..parts.materials import Material, SumMaterial
 from ..parts.occluders import Occluder
+from ..parts.spectrum import Spectrum
 from ..parts.transient_scan import TransientScan
 from ..walls.analytic import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 from ..walls.height_maps import HeightMapWall
@@ -412,8 +413,15 @@ def _material(name: str, table: Any) -> Material:
 
 def _lobe(place: str, table: Any) -> Material:
     """Return the material of one lobe table; errors are prefixed with ``place``."""
+    values = _given(table, "lobe")
+    if "index" in values:
+        values["index"] = complex(*values["index"])
+    for key, value in values.items():
+        if isinstance(value, _file_tables.SpectrumTable):
+            with located(f"{place}{key}."):
+                values[key] = Spectrum(**_given(value))
     with located(place):
-        return LOBE_CLASSES[table.lobe](**_given(table, "lobe"))
+        return LOBE_CLASSES[table.lobe](**values)
 
 
 def _camera_values(

@@ -11,6 +11,7 @@ from ..parts.hidden import MeshObject, PlanarObject
 from ..parts.laser import Laser
 from ..parts.materials import Lambert, OrenNayar, SpecularMicrofacet, Ward
 from ..parts.occluders import Occluder
+from ..parts.spectrum import Spectrum
 from ..parts.transient_scan import TransientScan
 from ..walls.analytic import ConcaveWall, FlatWall, SumWall, WavyWall
 from ..walls.height_maps import HeightMapWall
@@ -56,6 +57,7 @@ def scene_schema() -> dict[str, Any]:
         "OccluderTable": Occluder,
         "CameraTable": Camera,
         "TransientTable": TransientScan,
+        "SpectrumTable": Spectrum,
         "LambertTable": Lambert,
         "OrenNayarTable": OrenNayar,
         "SpecularTable": SpecularMicrofacet,

@@ -8,24 +8,27 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Discriminator,
     Field,
-    PlainSerializer,
     PlainValidator,
     Tag,
     TypeAdapter,
     WithJsonSchema,
 )
 
-from ..._checks import Vector as Triple
-from ..._checks import counted
 from ...errors import SceneError
 from ..parts.library import lobe_tables, material_library
-from .units import ANGLE, LENGTH, POWER, RATE, TIME, Kind, parse, written
-
-Pair = tuple[float, float]
+from .quantities import (
+    AngleText,
+    LengthText,
+    PowerText,
+    RateText,
+    SizeText,
+    Table,
+    TimeText,
+    VectorText,
+    key,
+)
 
 #: A valid value of each key, shown by errors and editors.
 EXAMPLES: dict[str, Any] = {
@@ -67,6 +70,8 @@ EXAMPLES: dict[str, Any] = {
     "material": "whiteboard",
     "lobe": "lambert",
     "albedo": 0.7,
+    "wavelengths": ["450 nm", "650 nm"],
+    "values": [0.2, 0.6],
     "slope_rms": "0.3 rad",
     "model": "full",
     "normalised": True,
@@ -74,6 +79,7 @@ EXAMPLES: dict[str, Any] = {
     "variant": "bounded",
     "reflectance": 0.05,
     "distribution": "ggx",
+    "index": [1.5, 0.0],
     "image": "../objects/F.png",
     "yaw": "10 deg",
     "pitch": "10 deg",
@@ -136,92 +142,34 @@ SHAPES = {
 ROUGHNESSES = {name: f"roughness:{name}" for name in ("facets", "gaussian", "height_map")}
 
 
-def _string(kind: Kind) -> dict[str, Any]:
-    """Return the JSON schema of a quantity with its unit."""
-    return {
-        "type": "string",
-        "pattern": r"^\s*[+-]?(\d[\d_]*\.?\d*|\.\d+)([eE][+-]?\d+)?\s*[^\d\s].*$",
-        "description": f"{kind.name} with its unit, such as {kind.example}",
-    }
+class SpectrumTable(Table):
+    """Albedo or reflectance that depends on the wavelength."""
+
+    wavelengths: list[LengthText]
+    values: list[float]
 
 
-def _quantity(kind: Kind) -> Any:
-    """Return the pydantic annotations of a quantity: validator, serializer and schema."""
-    return (
-        PlainValidator(lambda text: parse(text, kind)),
-        PlainSerializer(lambda value: written(value, kind)),
-        WithJsonSchema(_string(kind)),
-    )
-
-
-def _several(text: object, count: int) -> tuple[float, ...]:
-    """Return a list of ``count`` lengths in m."""
-    if not isinstance(text, list):
-        raise ValueError("is not a list")
-    if len(text) != count:
-        raise ValueError(f"has {counted(len(text), 'component')}, must have {count}")
-    return tuple(parse(component, LENGTH) for component in text)
-
-
-def _parse_size(text: object) -> Any:
-    """Return one length, or a pair of them, in m."""
-    return _several(text, 2) if isinstance(text, list) else parse(text, LENGTH)
-
-
-def _write_lengths(value: Any) -> Any:
-    """Return one length, or a list of them, as text."""
-    if isinstance(value, float):
-        return written(value, LENGTH)
-    return [written(component, LENGTH) for component in value]
-
-
-def _array(count: int) -> dict[str, Any]:
-    """Return the JSON schema of a list of ``count`` lengths."""
-    return {"type": "array", "items": _string(LENGTH), "minItems": count, "maxItems": count}
-
-
-LengthText = Annotated[float, *_quantity(LENGTH)]
-TimeText = Annotated[float, *_quantity(TIME)]
-RateText = Annotated[float, *_quantity(RATE)]
-PowerText = Annotated[float, *_quantity(POWER)]
-AngleText = Annotated[float, *_quantity(ANGLE)]
-VectorText = Annotated[
-    Triple,
-    PlainValidator(lambda text: _several(text, 3)),
-    PlainSerializer(_write_lengths),
-    WithJsonSchema(_array(3)),
+#: An albedo is one number, or a table of them.
+AlbedoTable = Annotated[
+    Annotated[float, Tag("albedo:one")] | Annotated[SpectrumTable, Tag("albedo:spectrum")],
+    Discriminator(
+        lambda v: "albedo:spectrum" if isinstance(v, dict | SpectrumTable) else "albedo:one"
+    ),
 ]
-SizeText = Annotated[
-    Pair | float,
-    PlainValidator(_parse_size),
-    PlainSerializer(_write_lengths),
-    WithJsonSchema({"anyOf": [_string(LENGTH), _array(2)]}),
-]
-
-
-class Table(BaseModel):
-    """Base class of tables: unknown keys are errors, and strings are not read as numbers."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-def _key(description: str) -> Any:
-    """Return an optional key with a description for editors."""
-    return Field(None, description=description)
 
 
 class LambertTable(Table):
     """Ideal diffuse reflection."""
 
     lobe: Literal["lambert"]
-    albedo: float
+    albedo: AlbedoTable
 
 
 class OrenNayarTable(Table):
     """Diffuse reflection of a rough surface (Oren and Nayar)."""
 
     lobe: Literal["oren_nayar"]
-    albedo: float
+    albedo: AlbedoTable
     slope_rms: AngleText
     model: Literal["fit", "full"] | None = None
     normalised: bool | None = None
@@ -231,16 +179,22 @@ class SpecularTable(Table):
     """Glossy or mirror-like reflection by microfacets."""
 
     lobe: Literal["specular"]
-    reflectance: float
+    reflectance: AlbedoTable
     slope_rms: AngleText
     distribution: Literal["beckmann", "ggx"] | None = None
+    index: list[float] | None = Field(
+        None,
+        min_length=2,
+        max_length=2,
+        description="Refractive index [n, k], for the polarisation of reflected light.",
+    )
 
 
 class WardTable(Table):
     """Glossy reflection after Ward, centred on the mirror direction."""
 
     lobe: Literal["ward"]
-    albedo: float
+    albedo: AlbedoTable
     alpha: float
     variant: Literal["1992", "duer", "bounded"] | None = None
 
@@ -301,13 +255,13 @@ class LaserTable(Table):
     beam_diameter: LengthText
     aim: VectorText | None = None
     position: VectorText | None = None
-    distance: LengthText | None = _key(
+    distance: LengthText | None = key(
         "Distance from aim to the start of the beam. With incidence it replaces position."
     )
-    incidence: AngleText | None = _key(
+    incidence: AngleText | None = key(
         "Angle between beam and normal of the plane z = 0. With distance it replaces position."
     )
-    azimuth: AngleText | None = _key(
+    azimuth: AngleText | None = key(
         "Direction from aim to the laser in the plane z = 0, from +x toward +y; by default 0."
     )
     independent_patterns: int | None = None
@@ -334,7 +288,7 @@ class GaussianTable(_RoughnessTable):
     model: Literal["gaussian"]
     correlation_length: LengthText
     height_rms: LengthText | None = None
-    slope_rms: AngleText | None = _key(
+    slope_rms: AngleText | None = key(
         "Rms slope along each axis, sqrt(2) height_rms / correlation_length; replaces height_rms."
     )
 
@@ -503,18 +457,18 @@ HiddenTable = Annotated[
 class CameraTable(Table):
     """Camera. Its keys override those of the table [camera] in the given file, if any."""
 
-    file: str | None = _key("Path of a file with a table [camera], whose keys are the defaults.")
+    file: str | None = key("Path of a file with a table [camera], whose keys are the defaults.")
     position: VectorText | None = None
     aim: VectorText | None = None
     focal_length: LengthText | None = None
-    field_of_view: AngleText | None = _key(
+    field_of_view: AngleText | None = key(
         "Full angle that the lens sees across the width sensor_width; replaces focal_length."
     )
-    sensor_width: LengthText | None = _key(
+    sensor_width: LengthText | None = key(
         "Width on the sensor to which field_of_view refers; by default pixels[0] * pixel_pitch."
     )
     stop_diameter: LengthText | None = None
-    f_number: float | None = _key(
+    f_number: float | None = key(
         "F-number of the lens, focal_length / stop_diameter. It replaces stop_diameter."
     )
     pixel_pitch: LengthText | None = None
@@ -573,6 +527,7 @@ OWNERS: dict[str, type[Table]] = {
     "camera": CameraTable,
     "occluder": OccluderTable,
     "transient": TransientTable,
+    "albedo:spectrum": SpectrumTable,
     "lobe:lambert": LambertTable,
     "lobe:oren_nayar": OrenNayarTable,
     "lobe:specular": SpecularTable,
@@ -592,7 +547,7 @@ OWNERS: dict[str, type[Table]] = {
     "hidden:mesh": MeshObjectTable,
 }
 #: Elements of a pydantic error location that are not keys.
-TAGS = {*OWNERS, "material:one", "material:sum", "material:named"} - {
+TAGS = {*OWNERS, "albedo:one", "material:one", "material:sum", "material:named"} - {
     "laser",
     "camera",
     "occluder",

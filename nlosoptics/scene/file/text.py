@@ -125,21 +125,35 @@ def _material_table(material: Material) -> Any:
     """Return the table of a material; a list of tables for a sum."""
     if isinstance(material, SumMaterial):
         return [_material_table(part) for part in material.parts]
+    spectrum: Any = material.spectrum and _file_tables.SpectrumTable.model_construct(
+        wavelengths=list(material.spectrum.wavelengths), values=list(material.spectrum.values)
+    )
     if isinstance(material, Lambert):
-        return _file_tables.LambertTable.model_construct(lobe="lambert", albedo=material.rho)
+        return _file_tables.LambertTable.model_construct(
+            lobe="lambert", albedo=spectrum or material.rho
+        )
     if isinstance(material, OrenNayar):
         return _file_tables.OrenNayarTable.model_construct(
             lobe="oren_nayar",
-            albedo=material.rho,
+            albedo=spectrum or material.rho,
             slope_rms=material.slope_rms,
             model=material.model,
             normalised=material.normalised,
         )
     if isinstance(material, SpecularMicrofacet):
-        return _file_tables.SpecularTable.model_construct(lobe="specular", **vars(material))
+        return _file_tables.SpecularTable.model_construct(
+            lobe="specular",
+            reflectance=spectrum or material.reflectance,
+            slope_rms=material.slope_rms,
+            distribution=material.distribution,
+            index=None if material.index is None else [material.index.real, material.index.imag],
+        )
     if isinstance(material, Ward):
         return _file_tables.WardTable.model_construct(
-            lobe="ward", albedo=material.rho, alpha=material.alpha, variant=material.variant
+            lobe="ward",
+            albedo=spectrum or material.rho,
+            alpha=material.alpha,
+            variant=material.variant,
         )
     raise SceneError(
         f"{type(material).__name__} cannot be written in a scene file; use a material made of lobes"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._vectors import dot
 from ...errors import SceneError
+from .spectrum import Spectrum, strength
 
 Array = NDArray[np.float64]
 #: Largest rms slope, rad, of a lobe that counts as mirror-like and forms an image.
@@ -34,13 +36,56 @@ class Material:
 
         Returns
         -------
-        ndarray, (n, 4)
+        ndarray, (n, 7)
             One row per lobe. Columns: code of the kind of lobe (a constant of `kernels.codes`);
             albedo or reflectance; rms slope or alpha, rad; factor by which the lobe's reflectance
-            is multiplied. The factor is 1, except for an `OrenNayar` lobe with ``normalised=True``
-            that would reflect more light than it receives.
+            is multiplied; strength by which samples choose a lobe; real and imaginary part of the
+            refractive index, 0 where none is given. The factor is 1, except for an
+            `OrenNayar` lobe with ``normalised=True`` that would reflect more light than it
+            receives. The strength is albedo times factor or, for a `Spectrum`, the mean of its
+            values, so that samples are the same at all wavelengths.
         """
         raise NotImplementedError
+
+    spectrum: Spectrum | None = None
+
+    def _set_strength(self, field: str, name: str, given: float | Spectrum) -> None:
+        """Store an albedo or reflectance as ``field``, and its table; messages call it ``name``."""
+        value, spectrum = strength(name, given)
+        object.__setattr__(self, field, value)
+        object.__setattr__(self, "spectrum", spectrum)
+
+    def _lobe(
+        self, kind: int, value: float, width: float, factor: float = 1.0, index: complex = 0.0
+    ) -> Array:
+        """Return the table of one lobe; see `lobe_table`."""
+        chosen = value * factor if self.spectrum is None else self.spectrum.mean
+        return np.array([[kind, value, width, factor, chosen, index.real, index.imag]])
+
+    def at(self, wavelength: float) -> Material:
+        """Return the material at a wavelength; `Scene` calls this for its laser.
+
+        Parameters
+        ----------
+        wavelength : float
+            Vacuum wavelength, m. It has no effect on values that do not depend on the wavelength.
+
+        Raises
+        ------
+        SceneError
+            If a `Spectrum` of the material does not include the wavelength.
+        """
+        if self.spectrum is None or self.spectrum.wavelength == wavelength:
+            return self
+        coloured = copy(self)
+        field = "reflectance" if hasattr(self, "reflectance") else "rho"
+        coloured._set_strength(field, field, self.spectrum.at(wavelength))
+        return coloured
+
+    @property
+    def is_coloured(self) -> bool:
+        """Whether the material's albedo depends on the wavelength."""
+        return self.spectrum is not None
 
     @property
     def is_black(self) -> bool:

@@ -6,7 +6,7 @@ Incident and exitant directions are both unit vectors that point away from the s
 from __future__ import annotations
 
 import math
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from functools import cache
 from typing import Any
 
@@ -27,6 +27,7 @@ from ...kernels.codes import (
 )
 from ._albedo import directional_albedo, over_exitant_angles, over_slopes
 from ._material import MIRROR_SLOPE, Array, Material, MirrorLobe, check_angle
+from .spectrum import Spectrum
 
 __all__ = [
     "LAMBERT",
@@ -49,19 +50,33 @@ def _largest_albedo(rho: float, slope_rms: float, model: str) -> float:
     return float(OrenNayar(rho, slope_rms, model=model).albedo(math.pi / 2))
 
 
+def _index(value: complex) -> complex:
+    """Return a checked refractive index n + ik."""
+    if not isinstance(value, int | float | complex | np.number) or isinstance(value, bool):
+        raise SceneError(f"index is {value!r}; give a refractive index n + ik, such as 1.5")
+    index = complex(value)
+    n = in_range("index, its real part,", index.real, 0.01, 100.0)
+    k = in_range("index, its imaginary part,", index.imag, 0.0, 100.0)
+    if n == 1.0 and k == 0.0:
+        raise SceneError("index is 1, at which nothing is reflected; give that of the surface")
+    return complex(n, k)
+
+
 @dataclass(frozen=True, init=False)
 class Lambert(Material):
     """Ideal diffuse (Lambertian) reflector of bidirectional reflectance albedo/pi.
 
     Parameters
     ----------
-    albedo : float
+    albedo : float or Spectrum
         Reflected fraction of the incident power, 0 to 1.
 
     Attributes
     ----------
     rho : float
-        The given albedo.
+        The given albedo, that at the wavelength of the spectrum if it depends on the wavelength.
+    spectrum : Spectrum or None
+        The given table of albedos; None if the albedo does not depend on the wavelength.
 
     Raises
     ------
@@ -75,13 +90,14 @@ class Lambert(Material):
     """
 
     rho: float
+    spectrum: Spectrum | None = field(default=None, repr=False)
 
-    def __init__(self, albedo: float) -> None:
-        object.__setattr__(self, "rho", in_range("albedo", albedo, 0.0, 1.0))
+    def __init__(self, albedo: float | Spectrum) -> None:
+        self._set_strength("rho", "albedo", albedo)
 
     def lobe_table(self) -> Array:
         """Return the parameters of the lobe for the compiled code, see `Material.lobe_table`."""
-        return np.array([[LAMBERT, self.rho, 0.0, 1.0]])
+        return self._lobe(LAMBERT, self.rho, 0.0)
 
     def albedo(self, theta: ArrayLike) -> Array:
         """Return the fraction of the incident power that is reflected.
@@ -97,7 +113,7 @@ class OrenNayar(Material):
 
     Parameters
     ----------
-    albedo : float
+    albedo : float or Spectrum
         Diffuse albedo of the facets, 0 to 1.
     slope_rms : float
         Standard deviation of the facet tilt, rad, 0 to 1; 0 gives a Lambertian surface.
@@ -112,7 +128,9 @@ class OrenNayar(Material):
     Attributes
     ----------
     rho : float
-        The given albedo.
+        The given albedo, that at the wavelength of the spectrum if it depends on the wavelength.
+    spectrum : Spectrum or None
+        The given table of albedos; None if the albedo does not depend on the wavelength.
 
     Raises
     ------
@@ -136,11 +154,17 @@ class OrenNayar(Material):
     _: KW_ONLY
     model: str = "fit"
     normalised: bool = False
+    spectrum: Spectrum | None = field(default=None, repr=False)
 
     def __init__(
-        self, albedo: float, slope_rms: float, *, model: str = "fit", normalised: bool = False
+        self,
+        albedo: float | Spectrum,
+        slope_rms: float,
+        *,
+        model: str = "fit",
+        normalised: bool = False,
     ) -> None:
-        object.__setattr__(self, "rho", in_range("albedo", albedo, 0.0, 1.0))
+        self._set_strength("rho", "albedo", albedo)
         object.__setattr__(
             self, "slope_rms", in_range("slope_rms", slope_rms, 0.0, 1.0, unit="rad")
         )
@@ -150,7 +174,7 @@ class OrenNayar(Material):
     def lobe_table(self) -> Array:
         """Return the parameters of the lobe for the compiled code, see `Material.lobe_table`."""
         kind = OREN_NAYAR if self.model == "fit" else OREN_NAYAR_FULL
-        return np.array([[kind, self.rho, self.slope_rms, 1.0 / self._excess()]])
+        return self._lobe(kind, self.rho, self.slope_rms, 1.0 / self._excess())
 
     def _excess(self) -> float:
         """Return the divisor of f_r: 1, or the largest albedo if ``normalised`` and above 1."""
@@ -176,13 +200,13 @@ class OrenNayar(Material):
         return np.asarray(total / self._excess())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class SpecularMicrofacet(MirrorLobe):
     """Glossy or mirror-like reflection by microfacets, with separable Smith shadowing.
 
     Parameters
     ----------
-    reflectance : float
+    reflectance : float or Spectrum
         Fresnel reflectance of a facet, taken as independent of the angle, 0 to 1.
     slope_rms : float
         Standard deviation of the facets' slope along each axis, rad, 1e-6 to 0.7, or 0 for a smooth
@@ -191,6 +215,13 @@ class SpecularMicrofacet(MirrorLobe):
         counts as mirror-like and forms an image; above that it counts as diffuse.
     distribution : {"beckmann", "ggx"}
         Distribution of the facet normals: Gaussian slopes, or GGX with longer tails.
+    index : complex, optional
+        Refractive index n + ik of the surface at the wavelength used, such as 1.5 for paint. It
+        determines the polarisation of reflected light in `nlosoptics.raytrace.trace_polarised`,
+        and nothing else: for unpolarised light the reflectance is always ``reflectance``.
+    spectrum : Spectrum, optional
+        Table of reflectances whose value is ``reflectance``, as `dataclasses.replace` passes it;
+        otherwise give it as ``reflectance``.
 
     Raises
     ------
@@ -212,22 +243,39 @@ class SpecularMicrofacet(MirrorLobe):
     slope_rms: float
     _: KW_ONLY
     distribution: str = "beckmann"
+    index: complex | None = field(default=None, repr=False)
+    spectrum: Spectrum | None = field(default=None, repr=False)
 
-    def __post_init__(self) -> None:
-        for name, high, unit in (("reflectance", 1.0, ""), ("slope_rms", 0.7, "rad")):
-            value = in_range(name, getattr(self, name), 0.0, high, unit=unit)
-            object.__setattr__(self, name, value)
+    def __init__(
+        self,
+        reflectance: float | Spectrum,
+        slope_rms: float,
+        *,
+        distribution: str = "beckmann",
+        index: complex | None = None,
+        spectrum: Spectrum | None = None,
+    ) -> None:
+        # `dataclasses.replace` gives a table and its value, unless another reflectance was asked
+        if spectrum is not None and reflectance == spectrum.value:
+            reflectance = spectrum
+        self._set_strength("reflectance", "reflectance", reflectance)
+        slope = in_range("slope_rms", slope_rms, 0.0, 0.7, unit="rad")
+        object.__setattr__(self, "slope_rms", slope)
         if 0.0 < self.slope_rms < _LEAST_SLOPE:
             raise SceneError(
                 f"slope_rms = {self.slope_rms:g} rad is out of range, must be 0 or at least "
                 f"{_LEAST_SLOPE:g} rad; give 0 for a smooth mirror"
             )
-        one_of("distribution", self.distribution, _DISTRIBUTIONS)
+        if index is not None:
+            index = _index(index)
+        object.__setattr__(self, "index", index)
+        known = one_of("distribution", distribution, _DISTRIBUTIONS)
+        object.__setattr__(self, "distribution", known)
 
     def lobe_table(self) -> Array:
         """Return the parameters of the lobe for the compiled code, see `Material.lobe_table`."""
         kind = _DISTRIBUTIONS[self.distribution]
-        return np.array([[kind, self.reflectance, self.slope_rms, 1.0]])
+        return self._lobe(kind, self.reflectance, self.slope_rms, index=self.index or 0.0)
 
     @property
     def specular_reflectance(self) -> float:
@@ -249,7 +297,7 @@ class Ward(MirrorLobe):
 
     Parameters
     ----------
-    albedo : float
+    albedo : float or Spectrum
         Specular albedo of Ward's model, 0 to 1. The reflected fraction of the incident power is
         close to this value only for small alpha and, except for the variant "bounded", away from
         grazing incidence.
@@ -265,7 +313,9 @@ class Ward(MirrorLobe):
     Attributes
     ----------
     rho : float
-        The given albedo.
+        The given albedo, that at the wavelength of the spectrum if it depends on the wavelength.
+    spectrum : Spectrum or None
+        The given table of albedos; None if the albedo does not depend on the wavelength.
 
     Raises
     ------
@@ -310,9 +360,10 @@ class Ward(MirrorLobe):
     alpha: float
     _: KW_ONLY
     variant: str = "1992"
+    spectrum: Spectrum | None = field(default=None, repr=False)
 
-    def __init__(self, albedo: float, alpha: float, *, variant: str = "1992") -> None:
-        object.__setattr__(self, "rho", in_range("albedo", albedo, 0.0, 1.0))
+    def __init__(self, albedo: float | Spectrum, alpha: float, *, variant: str = "1992") -> None:
+        self._set_strength("rho", "albedo", albedo)
         object.__setattr__(self, "alpha", in_range("alpha", alpha, _LEAST_SLOPE, 1.0))
         object.__setattr__(self, "variant", one_of("variant", variant, _WARDS))
 
@@ -323,7 +374,7 @@ class Ward(MirrorLobe):
 
     def lobe_table(self) -> Array:
         """Return the parameters of the lobe for the compiled code, see `Material.lobe_table`."""
-        return np.array([[_WARDS[self.variant], self.rho, self.alpha, 1.0]])
+        return self._lobe(_WARDS[self.variant], self.rho, self.alpha)
 
     @property
     def specular_reflectance(self) -> float:
@@ -387,8 +438,19 @@ class SumMaterial(Material):
             )
 
     def lobe_table(self) -> Array:
-        """Return the parameters of all lobes as an array, (n, 4); see `Material.lobe_table`."""
+        """Return the parameters of all lobes as an array, (n, 7); see `Material.lobe_table`."""
         return np.concatenate([part.lobe_table() for part in self.parts])
+
+    def at(self, wavelength: float) -> SumMaterial:
+        """Return the sum of all parts at a wavelength, m; see `Material.at`."""
+        if not self.is_coloured:
+            return self
+        return SumMaterial(*(part.at(wavelength) for part in self.parts))
+
+    @property
+    def is_coloured(self) -> bool:
+        """Whether the albedo of any part depends on the wavelength."""
+        return any(part.is_coloured for part in self.parts)
 
     @property
     def specular_reflectance(self) -> float:

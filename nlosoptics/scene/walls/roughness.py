@@ -215,7 +215,7 @@ class WallRoughness(Noun):
         if isinstance(material, SpecularMicrofacet):
             return replace(material, slope_rms=slope, distribution="beckmann")
         # a Ward lobe has no limit of slope zero of its own: it is a mirror of the same albedo
-        return SpecularMicrofacet(float(material.lobe_table()[0, 1]), slope)
+        return SpecularMicrofacet(material.spectrum or float(material.lobe_table()[0, 1]), slope)
 
 
 def _mirrors(material: Material) -> Iterator[MirrorLobe]:

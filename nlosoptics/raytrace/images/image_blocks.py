@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...kernels.codes import GROUPS, UNIT
+from ..light import _light_kernels as kernels
+from ..light.blocks import Job, Rays, Traced, follow
+from ..light.trace import in_blocks
 from . import _image_kernels as image_kernels
-from . import _light_kernels as kernels
-from .blocks import Job, Rays, Traced, follow
-from .trace import in_blocks
 
 Array = NDArray[np.float64]
 #: Cells of the image, cells of the histogram, and powers of detected paths.

@@ -1,0 +1,1 @@
+"""Images of traced light: pixels, path lengths, colours, polarisation."""

@@ -1,0 +1,216 @@
+"""Light of several wavelengths: by the same rays, with albedos that depend on the wavelength."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pytest import approx
+
+from nlosoptics.errors import SceneError
+from nlosoptics.raytrace import trace, trace_colours, trace_image, trace_lasers
+from nlosoptics.scene import (
+    Camera,
+    FacetWall,
+    FlatWall,
+    Lambert,
+    Laser,
+    Occluder,
+    PlanarObject,
+    Scene,
+    Spectrum,
+    SpecularMicrofacet,
+    SumMaterial,
+    WallRoughness,
+    Ward,
+)
+
+BLUE, GREEN, RED = 450e-9, 550e-9, 650e-9
+PAINT, SKIN = Spectrum((BLUE, RED), (0.2, 0.6)), Spectrum((BLUE, GREEN, RED), (0.1, 0.3, 0.8))
+PAINTED = SumMaterial(Lambert(PAINT), SpecularMicrofacet(0.1, 0.08))
+
+
+def room(**changes):
+    scene = Scene(
+        Laser(wavelength=GREEN, power=2.0, beam_diameter=0.02, position=(-0.1, 0.5, 0.9)),
+        FlatWall(size=(1.6, 1.2)),
+        PlanarObject(np.eye(3), 0.5, position=(0.35, 0.0, 0.6), material=Lambert(SKIN)),
+        Camera(
+            position=(-0.3, 0.1, 1.0),
+            aim=(0.0, -0.1, 0.0),
+            focal_length=0.1,
+            stop_diameter=0.1,
+            pixel_pitch=1e-3,
+            pixels=(16, 16),
+            binning=1,
+            focus_distance=1.5,
+        ),
+        wall_material=Lambert(PAINT),
+    )
+    return replace(scene, **changes)
+
+
+def plain(scene, wavelength):
+    """Return the scene with numbers as albedos, those at a wavelength."""
+    at = {BLUE: (0.2, 0.1), GREEN: (0.4, 0.3), RED: (0.6, 0.8)}[wavelength]
+    wall = Lambert(at[0])
+    if isinstance(scene.wall_material, SumMaterial):
+        wall = SumMaterial(wall, SpecularMicrofacet(0.1, 0.08))
+    hidden = replace(scene.hidden, material=Lambert(at[1]))
+    laser = replace(scene.laser, wavelength=wavelength)
+    return replace(scene, laser=laser, hidden=hidden, wall_material=wall)
+
+
+def test_a_scene_has_the_albedos_at_its_wavelength():
+    scene = room()
+    assert scene.wall_material.rho == approx(0.4, rel=1e-15)
+    assert scene.hidden.material.rho == 0.3
+    red = replace(scene, laser=replace(scene.laser, wavelength=RED))
+    assert (red.wall_material.rho, red.hidden.material.rho) == (0.6, 0.8)
+    assert red.is_coloured
+    assert not plain(red, RED).is_coloured
+
+
+def test_three_matt_reflections_have_the_ratio_of_the_albedos():
+    """Wall twice and object once: the power is proportional to rho_w^2 rho_h."""
+    found = trace_colours(room(), (BLUE, GREEN, RED), n_rays=2000, max_bounces=3, seed=4)
+    assert found.wavelengths == (BLUE, GREEN, RED)
+    for index, expected in ((1, 4 * 3), (2, 9 * 8)):
+        ratio, error = found.ratio(index)
+        # rounding of sums of some 2000 terms
+        assert ratio == approx(expected, rel=1e-12)
+        assert error < 1e-12 * expected
+        power = found.each[index].paths.by_bounce[3] / found.each[0].paths.by_bounce[3]
+        assert power == approx(expected, rel=1e-12)
+
+
+def test_each_image_has_the_bits_of_its_own_trace():
+    scene = room(wall_material=PAINTED)
+    found = trace_colours(scene, (BLUE, RED), n_rays=1000, seed=2)
+    red = replace(scene, laser=replace(scene.laser, wavelength=RED))
+    alone = trace_image(red, n_rays=1000, seed=2)
+    assert np.array_equal(found.each[1].power, alone.power)
+    assert np.array_equal(found.each[1].expected, alone.expected)
+
+
+@pytest.mark.parametrize("wavelength", [BLUE, RED])
+@pytest.mark.parametrize("analog", [False, True])
+def test_choice_of_lobes_changes_no_result(wavelength, analog):
+    """Samples choose lobes by the mean over wavelengths, and without colour by their albedo."""
+    scene = room(wall_material=PAINTED)
+    scene = replace(scene, laser=replace(scene.laser, wavelength=wavelength))
+    options = {"n_rays": 1 << 20 if analog else 1 << 15, "analog": analog, "max_bounces": 4}
+    mine = trace(scene, seed=5, **options)
+    other = trace(plain(scene, wavelength), seed=6, **options)
+    for name, error in (("flux", "standard_error"), ("stray", "stray_error")):
+        spread = np.hypot(getattr(mine, error), getattr(other, error))
+        # four standard errors of independent seeds
+        assert abs(getattr(mine, name) - getattr(other, name)) < 4 * spread
+        assert getattr(mine, name) > 0.0
+
+
+def test_ratios_of_glossy_walls_have_smaller_errors_than_powers():
+    scene = room(wall_material=PAINTED)
+    found = trace_colours(scene, (BLUE, RED), n_rays=4096, max_bounces=3, seed=1)
+    ratio, error = found.ratio(1)
+    apart = np.hypot(*(one.paths.standard_error / one.paths.flux for one in found.each))
+    assert error / ratio < 0.6 * apart
+    many = trace_colours(scene, (BLUE, RED), n_rays=1 << 16, max_bounces=3, seed=2)
+    exact, rest = many.ratio(1)
+    assert abs(ratio - exact) < 4 * np.hypot(error, rest)
+
+
+def test_rays_take_the_same_paths_at_all_wavelengths():
+    """Also on a wall with two lobes, whose shares depend on the wavelength."""
+    scene = room(wall_material=PAINTED)
+    found = []
+    for wavelength in (BLUE, RED):
+        one = replace(scene, laser=replace(scene.laser, wavelength=wavelength))
+        found.append(trace(one, n_rays=1000, max_bounces=4, keep_paths=True, seed=8))
+    assert len(found[0].points) > 1000
+    assert np.array_equal(found[0].points, found[1].points, equal_nan=True)
+    assert (found[0].weight < found[1].weight).all()
+
+
+def test_samples_of_a_coloured_sum_have_its_albedo():
+    """The mean weight is the albedo, although the lobes are not chosen by their strengths."""
+    draws = np.random.default_rng(0).random((200_000, 3))
+    up = (0.0, 0.0, 1.0)
+    tint = Spectrum((BLUE, RED), (0.0, 0.9))
+    for wavelength in (BLUE, GREEN, RED):
+        material = SumMaterial(Lambert(tint), Ward(0.1, 0.2, variant="bounded")).at(wavelength)
+        _, weight = material.sample(up, up, draws)
+        error = weight.std() / np.sqrt(len(draws))
+        assert weight.mean() == approx(float(material.albedo(0.0)), abs=4 * error)
+
+
+def test_roughness_and_rooms_keep_the_colours():
+    rough = WallRoughness(FacetWall(cell=5e-3, slope_rms=0.01))
+    gloss = SumMaterial(Lambert(0.2), SpecularMicrofacet(PAINT, 0.01))
+    scene = room(wall_material=gloss, wall_roughness=rough).with_relief()
+    for wavelength, expected in ((BLUE, 0.2), (RED, 0.6)):
+        coloured = replace(scene, laser=replace(scene.laser, wavelength=wavelength))
+        assert coloured.wall_material.specular_reflectance == expected
+    import trimesh
+
+    box = Occluder(
+        trimesh.creation.box((0.1, 0.1, 0.1)), position=(0.0, 0.3, 0.5), material=Lambert(SKIN)
+    )
+    scene = room(occluders=(box,), laser=replace(room().laser, wavelength=RED))
+    assert scene.room_materials[0].rho == 0.8
+
+
+def test_a_file_restores_the_table(tmp_path):
+    wall = SumMaterial(Lambert(PAINT), SpecularMicrofacet(SKIN, 0.02), Ward(0.1, 0.3))
+    scene = room(wall_material=Lambert(0.1))
+    scene = replace(scene, wall_material=replace_parts(wall))
+    scene.save(tmp_path / "room.toml")
+    assert Scene.load(tmp_path / "room.toml") == scene
+    red = Scene.load(tmp_path / "room.toml", {"laser.wavelength": "650 nm"})
+    assert red.hidden.material.rho == 0.8
+    table = {"wavelengths": ["0.6 um", "0.7 um"], "values": [0.5, 0.7]}
+    other = {"hidden.material": {"lobe": "lambert", "albedo": table}}
+    loaded = Scene.load(tmp_path / "room.toml", {"laser.wavelength": "650 nm", **other})
+    assert loaded.hidden.material.rho == approx(0.6, rel=1e-12)
+    with pytest.raises(SceneError, match=r"hidden\.material.*albedo at the wavelength 550 nm"):
+        Scene.load(tmp_path / "room.toml", other)
+    table["values"] = [0.5, 1.7]
+    with pytest.raises(SceneError, match=r"hidden\.material\.albedo\.values\[1\] = 1\.7"):
+        Scene.load(tmp_path / "room.toml", other)
+
+
+def replace_parts(wall):
+    """Return a sum whose albedos add up to less than 1 at all wavelengths."""
+    return SumMaterial(*wall.parts[:1], SpecularMicrofacet(0.1, 0.02), wall.parts[2])
+
+
+def test_what_cannot_be_evaluated_is_refused():
+    with pytest.raises(SceneError, match=r"wavelengths\[1\]: .*700 nm is unknown, .*450 to 650 nm"):
+        trace_colours(room(), (BLUE, 700e-9), n_rays=100)
+    with pytest.raises(SceneError, match="wavelengths is 5e-07; give a list"):
+        trace_colours(room(), 500e-9)
+    with pytest.raises(SceneError, match="limit 1"):
+        room(
+            wall_material=SumMaterial(Lambert(SKIN), Lambert(Spectrum((BLUE, RED), (0.2, 0.9)))),
+            laser=replace(room().laser, wavelength=RED),
+        )
+    lasers = [room().laser, replace(room().laser, wavelength=RED)]
+    with pytest.raises(SceneError, match=r"lasers\[1\]\.wavelength = 650 nm differs"):
+        trace_lasers(room(), lasers, n_rays=100)
+    for wavelengths, values, told in (
+        ((BLUE, BLUE), (0.1, 0.2), "is not above"),
+        ((BLUE,), (0.1,), "at least 2"),
+        ((BLUE, RED), (0.1,), "equally many"),
+        ((BLUE, RED), (0.1, 1.2), "out of range"),
+        (BLUE, (0.1, 0.2), "give a list"),
+    ):
+        with pytest.raises(SceneError, match=told):
+            Spectrum(wavelengths, values)
+
+
+def test_lasers_of_one_wavelength_see_its_colours():
+    lasers = [replace(room().laser, wavelength=RED)]
+    found = trace_lasers(room(), lasers, n_rays=1000, seed=3).each[0]
+    red = replace(room(), laser=lasers[0])
+    assert found.flux == trace(red, n_rays=1000, seed=3).flux
