@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..imaging import ForwardModel, Shadows, cast_shadows, diffuse_background
 from ..imaging.geometry import picture_coordinates
 from ..imaging.images import mirror_image
+from ..inverse.data.measurement import measurement
 from ..inverse.data.signs import block_means
 from ..inverse.known.total_variation import sharpest
 from ..scene import PlanarObject, Scene
@@ -117,14 +118,15 @@ def fitted_veil(
     for _ in range(ROUNDS):
         if _standard_errors(error, noise) < TOLERATED:
             break
-        object_, strength = sharpest(
+        data = measurement(
             seen,
             blur,
-            (ITERATIONS, TOLERANCE),
             noise_sigma=np.hypot(noise, error),
             background=background,
+            fit_background=True,
             background_shape=mine * ratio,
         )
+        object_, strength, _ = sharpest(data, blur, (ITERATIONS, TOLERANCE))
         picture = cells.picture(np.asarray(object_))
         if not picture.any():
             break

@@ -27,15 +27,16 @@ _GATHER = Stage(iterations=200, kappa=1.0, first=30.0, last=3.0, share=0.9, wave
 _GATHER_SLOWLY = Stage(iterations=500, kappa=1.0, first=60.0, last=3.0, share=0.9, wave_rate=0.016)
 _SETTLE = Stage(iterations=250, kappa=0.5, first=3.0, last=1.0, share=0.5, wave_rate=0.01)
 _FINISH = Stage(iterations=250, kappa=0.5, first=1.5, last=1.0, share=0.3, wave_rate=0.006)
-#: Decrease of the energy per generation below which the search ends.
-_STANDSTILL = 5.0
 
 # One image. Answers are compared at 1.5 times the noise. Errors of the model (higher modes, change
 # over the field) then penalise the truth less than fitting the noise favours a wave without blur.
 _TRIVIAL = Stage(iterations=400, kappa=0.5, first=3.0, last=1.5, share=0.3, wave_rate=0.008)
-_REFINE = Stage(iterations=200, kappa=1.0, first=4.0, last=1.5, share=0.8, wave_rate=0.008)
+_RELEASE = Stage(iterations=200, kappa=0.5, first=3.0, last=1.5, share=0.5, wave_rate=0.01)
 _COMPARE = Stage(iterations=250, kappa=0.5, first=5.0, last=1.5, share=0.6, wave_rate=0.01)
 _FREE = Stage(iterations=200, kappa=0.5, first=2.0, last=1.5, share=0.3, wave_rate=0.005)
+#: Noise assumed at the beginning of a round relative to the actual one, round by round. A strong
+#: one makes the basin of most objects broad, but hides thin strokes.
+_NOISES = (30.0, 10.0, 60.0, 20.0)
 
 # Given coefficients with a known error: the object first, then both, then the best start alone.
 _NEAR = (
@@ -45,88 +46,83 @@ _NEAR = (
 )
 _NEAR_STARTS = 4
 
-# Proposed walls, at the norms that were proposed.
-_PROPOSED = Stage(iterations=200, kappa=1.0, first=6.0, last=1.5, share=0.8, wave_rate=0.01)
-_PROPOSALS = 32
-
 #: Norm of the coefficients of a wall without noticeable blur, waves rms.
 _SHARP = 0.01
 #: Ratio of FFT grid to image, so that light leaving at one edge does not re-enter at the other. A
-#: narrow grid is sufficient for the search with one image.
+#: narrow grid is sufficient until an answer for one image is compared with no blur.
 _PADDING, _NARROW = 1.5, 1.125
 #: Norms of the coefficients of initial walls, waves rms. They are rather too large than too small.
 _STRENGTHS = (0.3, 0.6, 1.0)
 #: Norms of initial walls relative to a known rms of the wave.
 _AROUND = (0.9, 1.1, 1.4)
+#: Norms of initial walls for one image relative to the expected one, between these limits.
+_LENGTHS = (0.9, 1.5)
 _STARTS = 32
-#: Largest number of generations near the best walls: with several images, and with one.
-_NEIGHBOURS = (4, 6)
-#: Smallest norm of the coefficients relative to the fixed norm of the search.
-_LEAST_LENGTH = 0.7
+#: Walls of one image that are fitted further.
+_KEPT = 20
+#: Smallest norm of the coefficients for one image relative to the expected one: walls of less
+#: approach no blur.
+_LEAST_LENGTH = 0.6
 #: Largest Noll indices, those of complete orders, up to which modes are added.
 _TOPS = (21, 36, 45)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Island:
-    """Settings of one search for a single image.
+class Neighbourhood:
+    """Settings of the generations near the best walls.
 
     Parameters
     ----------
-    radius : float
-        Fixed norm of the coefficients, waves rms. Without it they would drift to a wave without
-        blur.
-    kappa : float
-        Strength of the object's prior.
-    first : float
-        Initial ratio of the assumed noise to the actual one.
-    wave_rate : float
-        Largest step of a coefficient, waves.
-    population : int
-        Number of walls kept after each generation.
+    generations : int
+        Largest number of generations.
     litter : int
-        Number of children per generation.
-    generations : (int, int)
-        Number of generations with strong and with weak assumed noise.
+        Number of children of each.
+    breeding : Breeding
+        Random changes.
+    least : float
+        Least factor of the coefficients' norm.
     """
 
-    radius: float
-    kappa: float = 1.5
-    first: float = 10.0
-    wave_rate: float = 0.016
-    population: int = 24
-    litter: int = 32
-    generations: tuple[int, int] = (5, 4)
+    generations: int
+    litter: int
+    breeding: Breeding
+    least: float
 
 
-#: Settings of the search for one image, round by round.
-_ISLANDS = (
-    Island(radius=0.6),
-    Island(radius=0.35, kappa=1.0),
-    Island(radius=0.6, first=20.0, wave_rate=0.032),
-    Island(radius=0.9, kappa=1.0, first=20.0),
+#: Of several images, and of one.
+_NEAR_SEVERAL = Neighbourhood(
+    generations=4, litter=12, breeding=Breeding(flips=0.03, noise=0.25), least=0.95
 )
+_NEAR_ONE = Neighbourhood(
+    generations=10, litter=16, breeding=Breeding(flips=0.06, noise=0.3), least=0.9
+)
+#: Relative distance of point spreads beyond which two walls are different answers. In tests, that
+#: of equal answers was below 0.2, and that of different ones above 0.34.
+_OTHER = 0.3
+#: Decrease of the energy per generation below which these end. Those of one image also end if they
+#: remain worse than the best answer so far by more than the second number.
+_STANDSTILL, _HOPELESS = 5.0, 40.0
 #: Default number of rounds with several images, and with one.
-ROUNDS = (2, len(_ISLANDS))
+ROUNDS = (2, 8)
+#: Number of rounds with one image after which the search ends if it found no different wall.
+_ENOUGH = 2
 #: Texts of all steps, in their order.
 _TEXTS = {
     "reference": "no blur",
     "near": "about the given wall",
     "given": "about the given wall",
     "gather": "random walls",
-    "coarse": "random walls",
-    "breed": "walls and their children",
-    "harden": "walls and their children",
-    "rear": "walls and their children",
     "settle": "best walls",
     "neighbours": "near the best walls",
     "finish": "best walls",
     "widen": "more modes",
-    "propose": "proposed walls",
     "end": "done",
 }
 _STEPS = tuple(_TEXTS)
-_DRAWING = len(_STEPS) - 1  # all but the end draw random numbers
+#: Number of each step's stream of random numbers among those of a round, and how many these are.
+_STREAMS = {name: number for number, name in enumerate(_STEPS[:4])}
+_STREAMS |= {name: number for number, name in enumerate(_STEPS[4:8], start=8)}
+_ROUND = 13
 _HISTORY = ("objective", "residual", "change")
 
 
@@ -144,6 +140,9 @@ class Place:
         Free energies of the fits that start without blur and that have no blur; NaN if not needed.
     held : float
         Energy that the prior of the coefficients would add to the former.
+    rival : float
+        For one image the least free energy of walls of another point spread, minus that of the best
+        answer; NaN before the end of the first round.
     modes : tuple of int
         Noll indices of ``best``.
     pool : Starts
@@ -160,6 +159,7 @@ class Place:
     floor: float = math.nan
     sharp: float = math.nan
     held: float = math.nan
+    rival: float = math.nan
     modes: tuple[int, ...]
     pool: Starts
     best: Starts
@@ -169,7 +169,7 @@ class Place:
         """Return all that a resumed search needs, as arrays."""
         numbers = [self.turn, self.count, _STEPS.index(self.step)]
         found: dict[str, Any] = {
-            "place": [*numbers, self.floor, self.sharp, self.held],
+            "place": [*numbers, self.floor, self.sharp, self.held, self.rival],
             "modes": self.modes,
             **{f"history_{name}": values for name, values in self.history.items()},
         }
@@ -213,6 +213,7 @@ class Place:
             floor=numbers[3],
             sharp=numbers[4],
             held=numbers[5],
+            rival=numbers[6],
             modes=found,
             pool=Starts(**arrays["pool"]),
             best=Starts(**arrays["best"]),
@@ -282,7 +283,10 @@ class Search:
     @property
     def faults(self) -> tuple[str, ...]:
         """Reason against the best answer; empty if it passes all tests."""
-        return self._verdict.faults(self.place.best, self.margins, self.place.held, self._error)
+        place = self.place
+        return self._verdict.faults(
+            place.best, self.margins, place.rival, held=place.held, start_error=self._error
+        )
 
     @property
     def margins(self) -> tuple[float, float]:
@@ -325,7 +329,7 @@ class Search:
         self._offer(self._energy.descend(pool.best(1).held(np.inf), _last(self._frames)))
 
     def _random(self, step: str, count: int) -> Generator:
-        stream = _DRAWING * (self.place.turn + 1) + _STEPS.index(step)
+        stream = _ROUND * (self.place.turn + 1) + _STREAMS[step]
         return generator(self._seed, 100 * stream + count)
 
     def _reference(self, random: Generator) -> str:
@@ -351,12 +355,7 @@ class Search:
             return "near"
         if self._first.any():
             return "given"
-        return self._begin()
-
-    def _begin(self) -> str:
-        """Return the first step after those about given coefficients."""
-        sure = self._proposals is not None and self._proposals.sure
-        return "propose" if sure else self._next()
+        return self._next()
 
     def _near(self, random: Generator) -> str:
         """Fit from given coefficients of known error."""
@@ -375,74 +374,37 @@ class Search:
 
     def _given(self, _: Generator) -> str:
         """Fit from given coefficients of unknown error, one start among others."""
-        settle, finish = _ranking(self._frames), _last(self._frames)
+        settle = _SETTLE if self._frames else _COMPARE
         pool = self._energy.starts(self._first[None], _NEAR[0].first)
         pool = self._energy.descend(self._energy.descend(pool, _NEAR[0]), settle)
-        self._offer(self._energy.descend(pool, finish))
-        return "widen" if self._frames else self._begin()
-
-    def _propose(self, random: Generator) -> str:
-        """Fit the proposed walls of one image, whose norms are kept at first."""
-        assert self._proposals is not None  # the step exists only then
-        walls = self._proposals.walls(_PROPOSALS, random)
-        if self._strength is not None:
-            walls *= self._strength / np.linalg.norm(walls, axis=1, keepdims=True)
-        narrow = self._energies(_NARROW, self._energy.modes)
-        starts = narrow.starts(walls, _PROPOSED.first, np.linalg.norm(walls, axis=1))
-        self.place.pool = narrow.descend(starts, _PROPOSED).best(_STARTS // 4)
-        return "settle"
+        self._offer(self._energy.descend(pool, _last(self._frames)))
+        return "widen" if self._frames else self._next()
 
     def _gather(self, random: Generator) -> str:
-        """Fit random walls to images that a wave without blur cannot explain."""
-        slow = self.place.turn > 0
-        stage = _GATHER_SLOWLY if slow else _GATHER
-        strengths = np.array(self._strengths()) * (1.3 if slow else 1.0)
-        size = len(self._energy.modes)
-        many = self._energy.size // size
-        lengths = np.repeat(np.resize(strengths, _STARTS), many)
-        walls = random_walls(_STARTS * many, size, lengths, random).reshape(_STARTS, -1)
-        starts = self._energy.starts(walls, stage.first)
-        self.place.pool = self._energy.descend(starts, stage).best(_STARTS // 4)
-        return "settle"
-
-    def _coarse(self, random: Generator) -> str:
-        """Fit walls of fixed norm to one image: random ones, and as many proposed ones."""
-        island = self._island()
-        narrow, stage = self._energies(_NARROW, self._energy.modes), _coarse_stage(island)
-        walls = random_walls(4 * island.population, narrow.size, np.array([island.radius]), random)
+        """Fit random walls, and for one image as many proposed ones."""
+        modes = len(self._energy.modes)
+        many = self._energy.size // modes
+        if self._frames:
+            slow = self.place.turn > 0
+            stage = _GATHER_SLOWLY if slow else _GATHER
+            lengths = np.array(self._strengths()) * (1.3 if slow else 1.0)
+        else:
+            stage = replace(_GATHER, first=_NOISES[self.place.turn % len(_NOISES)])
+            lengths = np.resize(self._strengths(), _STARTS) * random.uniform(*_LENGTHS, _STARTS)
+        lengths = np.repeat(np.resize(lengths, _STARTS), many)
+        walls = random_walls(_STARTS * many, modes, lengths, random).reshape(_STARTS, -1)
         if self._proposals is not None:
-            proposed = self._proposals.walls(len(walls) // 2, random)
-            lengths = np.linalg.norm(proposed, axis=1, keepdims=True)
-            walls[::2] = proposed * (island.radius / lengths)
-        pool = narrow.descend(narrow.starts(walls, stage.first, island.radius), stage)
-        self.place.pool = pool.best(island.population)
-        return "breed"
-
-    def _breed(self, random: Generator) -> str:
-        self._generation(random, _coarse_stage(self._island()), Breeding(flips=0.12, noise=0.35))
-        return "breed" if self.place.count + 1 < self._island().generations[0] else "harden"
-
-    def _harden(self, _: Generator) -> str:
-        narrow = self._energies(_NARROW, self._energy.modes)
-        self.place.pool = narrow.descend(self.place.pool, _REFINE).best(self._island().population)
-        return "rear"
-
-    def _rear(self, random: Generator) -> str:
-        self._generation(random, _REFINE, Breeding(flips=0.06, noise=0.25))
-        return "rear" if self.place.count + 1 < self._island().generations[1] else "settle"
-
-    def _generation(self, random: Generator, stage: Stage, breeding: Breeding) -> None:
-        """Fit children of the best walls at a fixed norm of the coefficients."""
-        island, pool = self._island(), self.place.pool
-        narrow = self._energies(_NARROW, self._energy.modes)
-        walls = children(pool[:12], island.litter, narrow.twin, breeding, random)
-        young = narrow.descend(narrow.starts(walls, stage.first, island.radius), stage)
-        self.place.pool = joined([pool, young]).best(island.population)
+            proposed = self._proposals.walls(_STARTS // 2, random)
+            proposed /= np.linalg.norm(proposed, axis=1, keepdims=True)
+            walls[::2] = proposed * lengths[::2, None]
+        energy = self._searched()
+        self.place.pool = energy.descend(energy.starts(walls, stage.first), stage)
+        return "settle"
 
     def _settle(self, _: Generator) -> str:
         """Fit the best walls with the prior that ranks answers."""
-        pool = self.place.pool.best(8).held(np.inf)
-        self.place.pool = self._energy.descend(pool, _ranking(self._frames)).best(8)
+        count, stage = (8, _SETTLE) if self._frames else (_KEPT, _RELEASE)
+        self.place.pool = self._searched().descend(self.place.pool.best(count), stage).best(8)
         return "neighbours"
 
     def _neighbours(self, random: Generator) -> str:
@@ -450,31 +412,40 @@ class Search:
 
         The descent alone can stop in a local minimum whose object is right within a few per cent.
         """
-        pool, frames, turn = self.place.pool, self._frames, self.place.count
-        if self._verdict.well(pool, self.place.floor) or turn == _NEIGHBOURS[not frames]:
+        pool, frames, energy = self.place.pool, self._frames, self._searched()
+        near = _NEAR_SEVERAL if frames else _NEAR_ONE
+        if self.place.count == near.generations or (frames and self._verdict.well(pool)):
             return "finish"
-        twin = np.ones(self._energy.size) if frames else self._energy.twin
-        walls = children(pool[:4], 12, twin, Breeding(flips=0.03, noise=0.25), random)
-        # the assumed norm is usually too large, so the first generations also try smaller ones
-        least = 0.8 if turn < 2 and not frames else 0.95
-        walls *= random.uniform(least, 1.05, size=(len(walls), 1))
-        stage = _ranking(frames)
-        young = self._energy.descend(self._energy.starts(walls, stage.first), stage)
-        both = joined([pool, young])
-        before = float(pool.energy[0])
+        twin = np.ones(energy.size) if frames else energy.twin
+        walls = children(pool[:4], near.litter, twin, near.breeding, random)
+        walls *= random.uniform(near.least, 1.05, size=(len(walls), 1))
+        stage = _SETTLE if frames else _COMPARE
+        both = joined([pool, energy.descend(energy.starts(walls, stage.first), stage)])
         if not frames:
-            # walls below a least norm approach no blur
-            long = np.linalg.norm(both.coefficients, axis=1) >= self._least_length(pool)
+            least = _LEAST_LENGTH * min(self._strengths())
+            long = np.linalg.norm(both.coefficients, axis=1) >= least
             both = both[long] if long.any() else pool
         self.place.pool = both.best(8)
-        quick = frames or self.place.turn < 0  # the rounds of one image search longer
-        if quick and before - float(self.place.pool.energy[0]) < _STANDSTILL:
+        before, now = float(pool.energy[0]), float(self.place.pool.energy[0])
+        if before - now < _STANDSTILL:
             return "finish"
-        return "neighbours"
+        # on the narrow grid the best answer so far has another energy
+        hopeless = not frames and now > energy.descend(self.place.best, _FREE).energy[0] + _HOPELESS
+        return "finish" if hopeless else "neighbours"
 
     def _finish(self, _: Generator) -> str:
-        self._offer(self._energy.descend(self.place.pool.best(2), _last(self._frames)))
-        return "widen" if self._frames else self._next()
+        place, before = self.place, self.place.best
+        self._offer(self._energy.descend(place.pool.best(2), _last(self._frames)))
+        if self._frames:
+            return "widen"
+        # energies of the narrow grid are compared among themselves
+        energy = self._searched()
+        walls = joined([place.pool, energy.descend(joined([before, place.best]), _FREE)])
+        other = energy.apart(walls, place.best.coefficients) > _OTHER
+        found = walls.energy[other].min(initial=math.inf) - walls.energy[-1]
+        lowered = float(before.energy[0] - place.best.energy[0])
+        place.rival = float(np.fmin(place.rival + lowered, found))
+        return self._next()
 
     def _widen(self, _: Generator) -> str:
         """Add modes while the residual has structure and they lower the energy."""
@@ -496,10 +467,13 @@ class Search:
 
     def _next(self) -> str:
         """Return the first step of the next round, or the end."""
-        self.place.turn += 1
-        if self.place.turn == self._rounds or (len(self.place.best) and not self.faults):
+        place = self.place
+        place.turn += 1
+        if place.turn == self._rounds or (len(place.best) and not self.faults):
             return "end"
-        return "gather" if self._frames else "coarse"
+        if place.turn == _ENOUGH and self._verdict.alone(place.rival):
+            return "end"
+        return "gather"
 
     def _offer(self, found: Starts, modes: tuple[int, ...] | None = None) -> None:
         """Keep the start of least energy, and record it in the history."""
@@ -516,41 +490,16 @@ class Search:
     def _wider(self, modes: tuple[int, ...]) -> FreeEnergy:
         return self._energy if modes == self._energy.modes else self._energies(_PADDING, modes)
 
-    def _least_length(self, pool: Starts) -> float:
-        """Return the least norm of walls that one image is fitted by, waves rms."""
-        if self.place.turn < 0:  # proposed walls have no common norm
-            return 0.9 * float(np.linalg.norm(pool.coefficients[0]))
-        return _LEAST_LENGTH * self._island().radius
-
-    def _island(self) -> Island:
-        island = _ISLANDS[self.place.turn % len(_ISLANDS)]
-        if self._strength is None:
-            return island
-        around = self._strengths()
-        return replace(island, radius=around[(self.place.turn + 1) % len(around)])
+    def _searched(self) -> FreeEnergy:
+        """Return the energy that a round descends."""
+        return self._energy if self._frames else self._energies(_NARROW, self._energy.modes)
 
     def _strengths(self) -> tuple[float, ...]:
         """Return the norms of initial walls, used in turn, waves rms."""
-        if self._strength is None:
-            return _STRENGTHS
-        return tuple(self._strength * factor for factor in _AROUND)
-
-
-def _coarse_stage(island: Island) -> Stage:
-    """Return the first stage of a search with one image."""
-    return Stage(
-        iterations=200,
-        kappa=island.kappa,
-        first=island.first,
-        last=2.0,
-        share=0.9,
-        wave_rate=island.wave_rate,
-    )
-
-
-def _ranking(frames: bool) -> Stage:
-    """Return the stage that ranks answers."""
-    return _SETTLE if frames else _COMPARE
+        if self._strength is not None:
+            known = self._strength
+            return tuple(known * factor for factor in _AROUND) if self._frames else (known,)
+        return _STRENGTHS if self._proposals is None else (self._proposals.length,)
 
 
 def _last(frames: bool) -> Stage:

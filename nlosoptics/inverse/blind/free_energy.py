@@ -225,6 +225,16 @@ class FreeEnergy:
         found: Floats = np.maximum(spread.astype(np.float64), 0.0)
         return found
 
+    def apart(self, starts: Starts, wall: Floats) -> Floats:
+        """Return the distances (B,) of the point spreads from that of a wall (1, M), relative."""
+        each, one = (
+            np.fft.irfft2(self._transfer(self._array(walls))[0] * self._pixel, s=self.grid)
+            for walls in (starts.coefficients, wall)
+        )
+        squares = np.square([each - one, one + 0.0 * each]).sum(axis=(2, 3, 4))
+        distances: Floats = np.sqrt(squares[0] / squares[1])
+        return distances
+
     def about(self, first: Floats, error: float) -> Self:
         """Return this energy with a Gaussian prior of the coefficients about ``first`` (M,).
 

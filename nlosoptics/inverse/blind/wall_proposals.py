@@ -7,6 +7,7 @@ about their light or surrounded by black.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -40,9 +41,6 @@ _PERIOD = 192
 _MEETINGS = 5
 #: Standard deviations in this mean relative to the proposed ones, so that the looks meet.
 _WIDER = 2.0
-#: Least share of the waves' expected power in the mean for which a search of its own is worth its
-#: time. An error of two thirds of the wave leaves a share of 0.56.
-_SURE = 0.4
 #: Standard deviations of the drawn walls relative to the proposed ones, in turn.
 _SPREADS = (1.0, 0.5)
 Turn = Callable[[Tensor], Tensor]
@@ -64,8 +62,8 @@ class WallProposals:
     ----------
     mean : ndarray, (M,)
         Most likely coefficients of `wall_network.MODES`, waves rms; their twin is as likely.
-    share : float
-        Part of the wave's expected power, 0 to 1, that is in the mean.
+    length : float
+        Expected norm of the coefficients, waves rms.
     """
 
     def __init__(self, image: Tensor, noise: float, network: WallNetwork) -> None:
@@ -81,7 +79,7 @@ class WallProposals:
         parts = (weights, means, deviations)
         self._parts: list[Floats] = [one.double().numpy() for one in parts]
         self.mean = self._meeting()
-        self.share = self._known_share()
+        self.length = self._expected_length()
 
     def walls(self, count: int, random: Generator) -> Floats:
         """Return coefficients (count, M), waves rms: the mean, and draws from the density."""
@@ -115,18 +113,10 @@ class WallProposals:
         best: Floats = at[int(np.logaddexp.reduce(chances(at), axis=1).argmax())]
         return best
 
-    def _known_share(self) -> float:
-        """Return the fraction of power that the mean explains, 0 to 1.
-
-        It is the sum of squares of the mean's coefficients, divided by this sum plus their expected
-        squared error.
-        """
+    def _expected_length(self) -> float:
         weights, means, deviations = self._parts
-        twin = means * twin_signs().double().numpy()
-        offset = np.minimum(*(np.square(one - self.mean).sum(axis=1) for one in (means, twin)))
-        error = float(weights @ (offset + np.square(deviations).sum(axis=1)))
-        power = float(np.square(self.mean).sum())
-        return power / (power + error)
+        squares = (np.square(means) + np.square(deviations)).sum(axis=1)
+        return math.sqrt(float(weights @ squares / weights.sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,9 +138,9 @@ class Proposals:
     pupil_psf: PupilPSF
 
     @property
-    def sure(self) -> bool:
-        """Whether the proposals are near enough to the truth for a search about them."""
-        return self.density.share > _SURE
+    def length(self) -> float:
+        """Expected norm of the coefficients, waves rms."""
+        return self.density.length
 
     def walls(self, count: int, random: Generator) -> Floats:
         """Return proposed coefficients of the fit, (count, M) waves rms, the mean first.

@@ -173,8 +173,8 @@ def reconstructed(
     )
     if data.is_background(None if shape else model):
         return without_object(data, model=model, gain=gain, started=started)
-    on_processor = data.template is None or data.template.device.type == "cpu"
-    answer = {"model": model, **solve(data if in_numpy and on_processor else data.in_torch())}
+    ready = data if in_numpy and data.on_processor else data.in_torch()
+    answer = {"model": model, **solve(ready)}
     finish = concluded if "ending" in answer else assemble
     return finish(data, gain=gain, started=started, **answer)
 

@@ -77,6 +77,11 @@ class Measurement:
     background_shape: Values | None
     template: Values | None
 
+    @property
+    def on_processor(self) -> bool:
+        """Whether the given image is not on a GPU."""
+        return self.template is None or self.template.device.type == "cpu"
+
     def in_torch(self) -> Measurement:
         """Return the measurement with tensors, on the device of the given image."""
         import torch

@@ -22,7 +22,7 @@ from ..data.arrays import (
     rfft2,
 )
 from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
-from ..data.measurement import Measurement, measurement
+from ..data.measurement import Measurement
 from ..data.models import AnyModel, mean_transfer, model_like
 from ..data.reconstruction import Reconstruction
 from ..data.status import MOST_RESIDUAL, Ending
@@ -40,6 +40,7 @@ _ADAPT_EVERY = 10
 _ADAPT_UNTIL = 100
 # Weight of the residual mismatch in the stopping criterion.
 _RESIDUAL_SHARE = 0.05
+_RULE = (700, 5e-4)  # default number of iterations and tolerance
 
 
 def tv_deconvolve(
@@ -52,8 +53,8 @@ def tv_deconvolve(
     fit_background: bool = True,
     background_shape: Any = None,
     gain: float | None = None,
-    max_iterations: int = 700,
-    tolerance: float = 5e-4,
+    max_iterations: int = _RULE[0],
+    tolerance: float = _RULE[1],
     start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
@@ -172,16 +173,17 @@ def tv_deconvolve(
 
 
 def sharpest(
-    image: Any, model: AnyModel, rule: tuple[int, float], **known: Any
-) -> tuple[Values, float]:
-    """Return object and background of `tv_deconvolve`, not judged; no object if none is seen."""
-    data = measurement(image, model, fit_background=True, **known)
+    data: Measurement, model: AnyModel, rule: tuple[int, float] = _RULE, tv_weight: Any = None
+) -> tuple[Values, float, float]:
+    """Return object, background and weight of `tv_deconvolve`, not judged; 0 if none is seen."""
+    data = data.in_numpy() if data.on_processor else data.in_torch()
     if data.is_background(model):
-        return 0.0 * data.data, float(data.background_strength(data.data))
-    solver = _Splitting(data, model, rule, None)
+        return 0.0 * data.data, float(data.background_strength(data.data)), 0.0
+    solver = _Splitting(data, model, rule, tv_weight)
     found = run(solver)
     level = solver.level(found.state)
-    return level, float(solver.answer(found, level)["background"])
+    answer = solver.answer(found, level)
+    return level, answer["background"], answer["tv_weight"]
 
 
 @dataclass(eq=False, kw_only=True)

@@ -23,7 +23,7 @@ from ..data.measurement import Measurement
 from ..data.reconstruction import Reconstruction, beside
 from ..data.scaled_images import ScaledImage, total_variation
 from ..data.status import MOST_RESIDUAL, Ending
-from ..known.total_variation import tv_deconvolve
+from ..known.total_variation import sharpest
 from ..known.wiener import wiener
 from .unet import UNetObject
 
@@ -210,10 +210,11 @@ def _guide(
         found = wiener(data.data, model, max_iterations=100, tolerance=1e-3, **known)
         picture, gain = found.object, found.physical_parameters["gain"]
     if kind == "tv" or tv_weight is None:
-        sharp = tv_deconvolve(data.data, model, tv_weight=tv_weight or None, **known)
-        tv_weight = sharp.physical_parameters["tv_weight"] if tv_weight is None else tv_weight
+        level, _, found_weight = sharpest(data, model, tv_weight=tv_weight or None)
+        tv_weight = found_weight if tv_weight is None else tv_weight
         if kind == "tv":
-            picture, gain = sharp.object, sharp.physical_parameters["gain"]
+            gain = float(level.max()) or 1.0
+            picture = torch.as_tensor(level, device=data.data.device) / gain
     return picture, gain, float(tv_weight)
 
 

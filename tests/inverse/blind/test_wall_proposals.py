@@ -122,20 +122,16 @@ def test_a_network_of_shuffled_weights_is_no_better_than_chance(cases):
     assert nearer(shuffled.eval(), cases) < 0.5
 
 
-def test_the_share_of_the_mean_tells_how_sure_the_network_is(cases):
-    density = proposals.WallProposals(
-        *proposals.at_nyquist(cases[0][0], 0.01, 1.0), proposals.trained_network()
-    )
-    assert 0.0 < density.share < 1.0
-    weights, means, _ = density._parts
-    twins = np.tile(density.mean, (len(means), 1))
-    density._parts = [weights, twins * TWIN, np.full(means.shape, 1e-9)]
-    assert density._known_share() == pytest.approx(1.0)
-    density._parts = [weights, twins, np.full(means.shape, np.linalg.norm(density.mean) / 18**0.5)]
-    assert density._known_share() == pytest.approx(0.5)
-    for share, sure in ((0.39, False), (0.41, True)):
-        density.share = share
-        assert proposals.Proposals(density, None, None).sure is sure
+def test_the_expected_length_is_that_of_draws_and_near_the_truth(cases):
+    densities = [
+        proposals.WallProposals(*proposals.at_nyquist(data, 0.01, 1.0), proposals.trained_network())
+        for data, _ in cases
+    ]
+    # the cases' walls have 0.5 waves
+    assert np.median([one.length for one in densities]) == pytest.approx(0.5, rel=0.3)
+    drawn = densities[0].walls(4001, np.random.default_rng(0))[2::2]  # with the full spread
+    expected = np.sqrt(np.square(drawn).sum(axis=1).mean())
+    assert densities[0].length == pytest.approx(expected, rel=0.03)
 
 
 def test_weights_are_small_and_proposals_repeat(cases):
@@ -251,7 +247,7 @@ def test_bad_files_are_refused_in_one_line(tmp_path):
 
 
 def search(data, point_spread, state=None, strength=None):
-    """A search of one image at its step of proposed walls."""
+    """A search of one image before its first round."""
     usual = {"defocus": None, "walls": None, "noise_sigma": None, "background": 0.0}
     usual |= {"fit_background": True, "background_shape": None}
     frames = frames_of(data, point_spread, **usual)
@@ -271,12 +267,12 @@ def search(data, point_spread, state=None, strength=None):
         state=state,
     )
     if state is None:
-        found.place.step = "propose"
+        found.place.step, found.place.turn = "gather", 0
     return found
 
 
 def fitted(found):
-    """The proposed walls after their fit."""
+    """Random and proposed walls after their first fit."""
     with single_thread():
         found.run(lambda text, done: found.place.step == "settle")
     return found.place.pool
@@ -296,14 +292,19 @@ def test_proposed_walls_are_fitted_alike_by_any_threads_and_after_resuming():
         again = fitted(resumed)
     finally:
         numba.set_num_threads(threads)
-    assert len(pool) == 8
+    assert len(pool) == 32
     assert np.array_equal(pool.coefficients, again.coefficients)
     assert np.array_equal(pool.energy, again.energy)
 
 
-def test_a_known_strength_is_that_of_the_proposed_walls():
+@pytest.mark.parametrize("strength", [None, 0.25])
+def test_initial_walls_have_the_expected_or_the_known_strength(strength, monkeypatch):
     data, point_spread = image(picture(5, 32), walls(1, 0.3, seed=6)[0]), pupil(shape=32)
-    assert fitted(search(data, point_spread, strength=0.25)).radius == pytest.approx(0.25)
+    monkeypatch.setattr(FreeEnergy, "descend", lambda self, starts, stage: starts)
+    found = search(data, point_spread, strength=strength)
+    lengths = np.linalg.norm(fitted(found).coefficients, axis=1)
+    lengths /= found._proposals.length if strength is None else strength
+    assert 0.9 <= lengths.min() < 1.0 < 1.4 < lengths.max() <= 1.5
 
 
 @pytest.fixture
