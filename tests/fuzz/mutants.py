@@ -113,7 +113,7 @@ class Bench:
         source = (self._base / "nlosoptics" / change.file).read_text()
         stale, compiled = reach(change.file, self._users), -1
         told: Row = {"outcome": "survived", "by": "", "seconds": 0.0, "tests": 0}
-        likeliest = self._likeliest(change)
+        likeliest = self._likeliest(change, stale)
         if likeliest:
             compiled = self._apply(change, stale)
             limit = len(likeliest) * (SLOWER * most + ALLOWANCE) + COMPILING
@@ -167,20 +167,24 @@ class Bench:
                 (self._base / "nlosoptics" / there.parent).mkdir(exist_ok=True)
                 shutil.copy2(file, self._base / "nlosoptics" / there)
 
-    def _likeliest(self, change: Change) -> list[str]:
-        """Return test files of a folder without a record: those that name the module most."""
-        stem, folder = Path(change.file).stem, Path(change.file).parent
-        imports = re.compile(rf"^(?:from|import) .*\b{stem}\b", re.MULTILINE)
-        names = re.compile(r"\b(" + "|".join(self._names({change.file})) + r")\b")
+    def _likeliest(self, change: Change, users: set[str]) -> list[str]:
+        """Return test files of a folder without a record: those that name the module most.
+
+        For a kernel, those that name the modules of its users count as well.
+        """
+        folder = Path(change.file).parent
+        files = users if is_kernel(change.file) else {change.file}
+        stems = {Path(file).stem for file in files if Path(file).parent == folder}
+        imports = re.compile(rf"^(?:from|import) .*\b(?:{'|'.join(stems)})\b", re.MULTILINE)
+        names = re.compile(r"\b(" + "|".join(self._names(files)) + r")\b")
         counts = {}
         for file in sorted((self._base / "tests" / folder).rglob("test_*.py")):
-            text = file.read_text()
-            called = len(names.findall(text))
-            counts[file] = (stem.strip("_") in file.stem, len(imports.findall(text)), called)
-        files = sorted(counts, key=lambda one: counts[one], reverse=True)[:FIRST]
+            text, named = file.read_text(), any(stem.strip("_") in file.stem for stem in stems)
+            counts[file] = (named, len(imports.findall(text)), len({*names.findall(text)}))
+        best = sorted(counts, key=lambda one: counts[one], reverse=True)[:FIRST]
         return [
             str(file.relative_to(self._base))
-            for file in files
+            for file in best
             if any(counts[file]) and not self._kept(file)
         ]
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+import torch
 
 from nlosoptics import inverse
 from nlosoptics.errors import SceneError
 from nlosoptics.imaging import ForwardModel
+from nlosoptics.inverse.known.inverse_filter import _noise_guard
 
 
 @pytest.fixture
@@ -85,3 +89,22 @@ def test_objective_is_of_the_pixels_that_count():
     # rounding
     expected = 0.5 * (left[:12] ** 2).sum()
     assert found.history["objective"][-1] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(24, 40), (40, 24), (9, 15)])
+@pytest.mark.parametrize("share", [1e-3, 0.1, 0.9])
+def test_frequencies_below_the_guard_carry_the_power_of_the_noise(shape, share):
+    """By Parseval over the whole plane of frequencies; one frequency more is too much."""
+    rng = np.random.default_rng(1)
+    image, kernel = rng.normal(size=shape), rng.random(shape)
+    half = shape[1] // 2 + 1
+    power = np.abs(np.fft.fft2(image)) ** 2 / image.size
+    size = np.abs(np.fft.fft2(kernel))
+    size /= size.max()
+    allowed = share * power.sum()
+    spectrum = torch.fft.rfft2(torch.from_numpy(image))
+    limit = SimpleNamespace(noise_power=lambda: allowed)
+    guard = _noise_guard(limit, spectrum, torch.from_numpy(size[:, :half]), shape)
+    # pairs of conjugate frequencies agree to rounding
+    assert power[size < guard * (1 - 1e-9)].sum() <= allowed * (1 + 1e-9)
+    assert power[size < guard * (1 + 1e-9)].sum() > allowed * (1 - 1e-9)

@@ -141,6 +141,8 @@ def test_image_by_a_field(scene):
         ledger = image.ledger
         parts = ledger["signal"] + ledger["beyond_window"] + ledger["beyond_detector"]
         assert parts == approx(ledger["ideal"], rel=1e-9)
+    dark = replace(scene, hidden=replace(scene.hidden, image=np.zeros((8, 8))))
+    assert not imaging.form_image(dark, coarse).signal.any()
 
 
 def test_isoplanatic_radius_shrinks_with_the_tolerance(scene):
