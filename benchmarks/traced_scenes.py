@@ -51,7 +51,7 @@ def description(scene):
     along /= math.sqrt(along @ along)
     hit = raytrace.intersect(wall, laser.position, along)
     cosine = -float(hit.normals @ along)
-    ((_, strength, slope, _),) = scene.wall_material.lobe_table()
+    ((_, strength, slope, *_),) = scene.wall_material.lobe_table()
     matt = isinstance(scene.wall_material, Lambert)
     solid = scene.hidden.surface
     black = [

@@ -322,7 +322,7 @@ def _lobes(number: int, material: Any) -> Array:
 def _narrowest(rows: Array) -> float:
     """Return the least alpha of the reflecting lobes, at most 1, which counts as wide."""
     alphas = [1.0]
-    for kind, strength, slope, _ in rows:
+    for kind, strength, slope in rows[:, :3]:
         if kind > OREN_NAYAR_FULL and strength > 0.0 and slope > 0.0:
             alphas.append(float(slope) * (math.sqrt(2.0) if kind in (BECKMANN, GGX) else 1.0))
     return min(alphas)

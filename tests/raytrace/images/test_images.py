@@ -18,7 +18,7 @@ from nlosoptics.imaging.radiometry import laser_spot, spot_power_through_lens
 from nlosoptics.imaging.stray import spot_image
 from nlosoptics.psf.pupil.exit_pupil import working_f_number
 from nlosoptics.raytrace import trace, trace_image
-from nlosoptics.raytrace.light import image_blocks
+from nlosoptics.raytrace.images import image_blocks
 from nlosoptics.raytrace.light import trace as tracing
 from nlosoptics.scene import (
     Camera,
