@@ -25,13 +25,13 @@ _WELL = 0.6
 _SURE_MARGIN = 70.0
 #: Margin per pixel relative to the fit that takes the image for the object: its value at a noise of
 #: `_SHARP_NOISE` of the image's maximum or more, and the increase per factor e of less noise. The
-#: margin of wrong answers was at most 0.082 at 1 % noise (0.086 for 32 x 32 pixels) and 0.130 at
-#: 0.3 %; most right answers exceeded it.
+#: margin of most wrong answers was at most 0.082 at 1 % noise (0.086 for 32 x 32 pixels) and 0.130
+#: at 0.3 %; most right answers exceeded it. `_LEAST_RIVAL` is for the other wrong ones.
 _SHARP_MARGIN = (0.092, 0.045)
 _SHARP_NOISE = 0.01
-#: By this the free energy of different walls must then exceed the answer's. Of right answers the
-#: search found no different wall. Wrong ones, of half a wave and with a margin per pixel of up to
-#: 0.11, had different walls within 76 after one round, and within 10 after a thorough one.
+#: By this the free energy of different walls must then exceed the answer's. For most right answers
+#: the search found no different wall. Two wrong ones, of half a wave and with margins per pixel of
+#: 0.095 and 0.112, had different walls within 76 and 53 after one round.
 _LEAST_RIVAL = 100.0
 #: Criteria for one image and a wall of known error. The free energy is below that of the no-blur
 #: fit by at least NEAR_MARGIN. Or the prior of the coefficients puts the no-blur fit above the
