@@ -85,7 +85,9 @@ def load_for_drawing() -> None:
     artist.kwdoc = lambda artist: ""
     drawing_classes()
     axis: Any = Axis  # typed without private methods
-    update, found = axis._update_ticks, WeakKeyDictionary[Any, tuple[Any, Any]]()
+    update, found = getattr(axis, "_update_ticks", None), WeakKeyDictionary[Any, tuple[Any, Any]]()
+    if update is None:  # a later matplotlib, which draws the same in more time
+        return
 
     def ticks(self: Any) -> list[Any]:
         parts = [(part.locator, part.formatter) for part in (self.major, self.minor)]
