@@ -69,7 +69,7 @@ SECTIONS = (
         "of the object that exceed the noise. Their number by `limits.feasibility` is compared "
         "with a count of singular values of the full matrix from object to image (brute force). "
         "The random scenes have a matt wall, every third one with a wide mirror-like lobe too.",
-        "python benchmarks/relay_modes.py --scenes 6 --json {file}",
+        "python benchmarks/relay_modes.py --scenes 56 --json {file}",
         table={
             "occluder": "{kind}",
             "scenes": "{count}",

@@ -21,6 +21,7 @@ from .spectra import (
     cosines_within,
     expected_signal,
     half_weights,
+    noise_share,
     object_power,
     passed_power,
     periodic_power,
@@ -446,7 +447,8 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
 
     If fewer than 500 frequencies are found, the result by second differences is returned. For n
     frequencies the relative standard error is 1/sqrt(2 n). Differences between opposite edges of
-    the image are removed first, because they would spread over all frequencies [3]_.
+    the image are removed first, because they would spread over all frequencies [3]_. The noise's
+    share in these differences, about 2/N of its power in N x N pixels, is added again.
 
     References
     ----------
@@ -502,12 +504,14 @@ def _noise_beyond(image: NDArray[np.float64], model: AnyModel, sigma: float) -> 
     power = periodic_power(image)
     passed = passed_power(model)
     twice = half_weights(image.shape)
+    share = noise_share(image.shape)
     found = sigma
     for _ in range(3):  # the frequencies depend on the noise; three rounds change it below 1 %
         signal = expected_signal(power, passed, found**2, image.shape)
         beyond = beyond_optics(signal, found**2)
         count = float(twice[beyond].sum())
-        variance = float((twice * (power - signal))[beyond].sum()) / max(count, 1.0)
+        kept = float((twice * share)[beyond].sum())
+        variance = float((twice * (power - signal))[beyond].sum()) / max(kept, 1.0)
         if count < _LEAST_BEYOND or variance <= 0.0:
             return sigma
         found = math.sqrt(variance)

@@ -95,6 +95,21 @@ def periodic_power(image: Array) -> Array:
     return _squared(rfft2(image) - smooth) / image.size
 
 
+def noise_share(shape: tuple[int, ...]) -> Array:
+    """Return the expected `periodic_power` of white noise of variance 1.
+
+    Above the lowest frequencies it is about 1 - 2/N in a frame of N x N pixels: the noise of the
+    edges is taken for jumps. The noise that the four corners share is left out, a part of 1/N^2.
+    """
+    rows, columns = shape
+    y, x = _angles(rows, columns)
+    down, across = 2.0 - 2.0 * np.cos(y), 2.0 - 2.0 * np.cos(x)
+    both = down + across
+    both[0, 0] = 1.0  # the mean keeps its power
+    jumps = down / rows + across / columns
+    return 1.0 - 2.0 * jumps / both + 2.0 * jumps / both**2
+
+
 def object_power(shape: tuple[int, ...]) -> Array:
     """Return the power spectrum 1/(f^2 + f_0^2) of an object, f_0 one cycle per frame; mean 0."""
     y, x = _angles(*shape)
