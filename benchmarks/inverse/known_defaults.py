@@ -1,6 +1,6 @@
 """Known point spread, default settings: random objects and noise, beside deepinv and scikit-image.
 
-    PEER/bin/python benchmarks/inverse/known_defaults.py [--cases 60] [--first 0] [--json FILE]
+    PEER/bin/python benchmarks/inverse/known_defaults.py [--cases 24] [--first 0] [--json FILE]
 
 Needs an interpreter with this package, deepinv and scikit-image. Each case draws an object (letters
 of several fonts, strokes, grey shapes, dots, clouds; `pictures.fine_picture`), a wall of
@@ -88,7 +88,7 @@ def compared(deepinv, number):
 def main():
     """Compare all cases and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=int, default=60)
+    parser.add_argument("--cases", type=int, default=24)
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
     parser.add_argument("--json", type=Path, help="finished cases, a line each")
     options = parser.parse_args()

@@ -112,7 +112,7 @@ SECTIONS = (
         '"noise known" with the one whose residual is closest to the true noise. deepinv minimises '
         "with FISTA and total variation. The columns are median correlations with the true object, "
         "the last one is the largest lead of the best other result over ours in any case.",
-        "PEER/bin/python benchmarks/inverse/known_defaults.py --cases 40 --json {file}",
+        "PEER/bin/python benchmarks/inverse/known_defaults.py --cases 24 --json {file}",
         table={
             "object": "{kind}",
             "blur": "{wall}",
