@@ -159,7 +159,8 @@ def simulated(workers, store, folder, slow=1.0):
     seconds = slow * plan.seconds / plan.points
     count = min(ROUNDS * workers * plan.block, MOST_POINTS)
     study, clock = made(count), Clock()
-    original, running._engine = running._engine, lambda *given: Simulated(workers, seconds)
+    original = running._engine
+    running._engine = lambda *given, **options: Simulated(workers, seconds)
     try:
         with tempfile.TemporaryDirectory(dir=folder) as place:
             results = run_study(study, f"{place}/s.zarr", workers=workers, progress=clock)

@@ -89,8 +89,8 @@ class ForwardModel(Noun):
     >>> import numpy as np
     >>> from nlosoptics.imaging import ForwardModel
     >>> model = ForwardModel(np.array([[0.25, 0.5, 0.25]]), shape=(1, 4))
-    >>> model.forward(np.array([[0.0, 1.0, 0.0, 0.0]])).round(6)
-    array([[0.25, 0.5 , 0.25, 0.  ]])
+    >>> model.forward(np.array([[0.0, 1.0, 2.0, 0.0]])).round(6)
+    array([[0.25, 1.  , 1.25, 0.5 ]])
     """
 
     point_spread: InitVar[Any]

@@ -26,7 +26,7 @@ def material_slope(scene: Scene) -> float:
             "scene.wall_material has no lobe with a slope; use a material such as Ward, OrenNayar "
             "or SpecularMicrofacet with slope_rms above 0"
         )
-    kind, _, width, _ = rough[np.argmax(rough[:, 1])]
+    kind, _, width = rough[np.argmax(rough[:, 1]), :3]
     # a Ward lobe stores alpha = sqrt(2) slope_rms
     alpha = kind in (WARD_1992, WARD_DUER, WARD_BOUNDED)
     return float(width / math.sqrt(2.0) if alpha else width)
