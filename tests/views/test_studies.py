@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from nlosoptics import psf, views
 from nlosoptics.errors import SceneError
 from nlosoptics.study import Fraction, Optimum, Results, Sensitivity, Study
 
+xr = pytest.importorskip("xarray")  # of the extra "study"
 SCENE = Path(__file__).parents[2] / "examples" / "scenes" / "letter_concave.toml"
 
 
