@@ -9,9 +9,10 @@ import pytest
 
 from nlosoptics import psf, views
 from nlosoptics.errors import SceneError
-from nlosoptics.study import Fraction, Optimum, Results, Sensitivity, Study
 
 xr = pytest.importorskip("xarray")  # of the extra "study"
+from nlosoptics.study import Fraction, Optimum, Results, Sensitivity, Study  # noqa: E402
+
 SCENE = Path(__file__).parents[2] / "examples" / "scenes" / "letter_concave.toml"
 
 
