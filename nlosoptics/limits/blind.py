@@ -13,7 +13,7 @@ import numpy as np
 #: frame and 36 with two per strength, noise of 1 % of the brightest pixel. Those of one frame at 1
 #: wave are six.
 STRENGTHS = (0.25, 0.5, 1.0)
-ONE_FRAME = (14 / 15, 9 / 15, 0.0)
+ONE_FRAME = (15 / 15, 9 / 15, 0.0)
 TWO_FRAMES = (36 / 36, 36 / 36, 35 / 36)
 WEAK = 1 / 14  # waves rms below which a wave is diffraction-limited (Marechal)
 NOISY = 0.02  # largest noise over brightest pixel to which the tests apply

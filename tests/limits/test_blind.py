@@ -29,7 +29,7 @@ def test_shares_are_those_of_the_committed_results(name: str, frames: int) -> No
 
 def test_forecast_is_interpolated_between_tested_walls() -> None:
     found = blind_forecast(0.375, 0.01, 0.0, TOLD)
-    assert found.one_frame == approx((14 / 15 + 9 / 15) / 2)
+    assert found.one_frame == approx((ONE_FRAME[0] + ONE_FRAME[1]) / 2)
     assert found.two_frames == 1.0
     assert "0.38 waves" in found.text
     assert blind_forecast(1.0, 0.01, 0.0, TOLD).one_frame == 0.0
