@@ -163,8 +163,16 @@ class Scene(Noun, Shown):
     @property
     def is_coloured(self) -> bool:
         """Whether the albedo of any material depends on the wavelength."""
-        materials = (self.wall_material, self.hidden.material, *self.room_materials)
-        return any(material.is_coloured for material in materials)
+        return any(material.is_coloured for material in self.materials.values())
+
+    @property
+    def materials(self) -> dict[str, Material]:
+        """Materials of all surfaces, black ones too, by the name that errors give them."""
+        found = {"wall_material": self.wall_material, "hidden.material": self.hidden.material}
+        for index, occluder in enumerate(self.occluders):
+            if isinstance(occluder, Occluder):
+                found[f"occluder[{index}].material"] = occluder.material
+        return found
 
     def __getstate__(self) -> dict[str, Any]:
         return super().__getstate__() | {"occluders": tuple(map(bare_mesh, self.occluders))}

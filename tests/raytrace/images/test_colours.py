@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from pytest import approx
 
 from nlosoptics.errors import SceneError
@@ -152,7 +153,6 @@ def test_roughness_and_rooms_keep_the_colours():
     for wavelength, expected in ((BLUE, 0.2), (RED, 0.6)):
         coloured = replace(scene, laser=replace(scene.laser, wavelength=wavelength))
         assert coloured.wall_material.specular_reflectance == expected
-    import trimesh
 
     box = Occluder(
         trimesh.creation.box((0.1, 0.1, 0.1)), position=(0.0, 0.3, 0.5), material=Lambert(SKIN)
@@ -214,3 +214,19 @@ def test_lasers_of_one_wavelength_see_its_colours():
     found = trace_lasers(room(), lasers, n_rays=1000, seed=3).each[0]
     red = replace(room(), laser=lasers[0])
     assert found.flux == trace(red, n_rays=1000, seed=3).flux
+
+
+def test_a_part_that_is_black_at_one_wavelength_is_coloured():
+    shade = trimesh.creation.box((0.1, 0.1, 0.01)).apply_translation((0.0, 0.3, 0.5))
+    orange = Lambert(Spectrum((BLUE, RED), (0.0, 0.9)))
+    scene = room(
+        laser=replace(room().laser, wavelength=BLUE),
+        hidden=replace(room().hidden, material=Lambert(0.3)),
+        occluders=(Occluder(shade, material=orange),),
+        wall_material=Lambert(0.4),
+    )
+    assert scene.room_materials == ()
+    assert scene.is_coloured
+    lasers = (scene.laser, replace(scene.laser, wavelength=RED))
+    with pytest.raises(SceneError, match=r"lasers\[1\].wavelength = 650 nm differs"):
+        trace_lasers(scene, lasers, n_rays=64)
