@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,11 @@ from ..light.trace import in_blocks
 from . import _image_kernels as image_kernels
 
 Array = NDArray[np.float64]
+Cells = NDArray[np.int64]
+Bins = tuple[float, float, int, bool]
+NO_CELLS: Cells = np.zeros(0, dtype=np.int64)
 #: Cells of the image, cells of the histogram, and powers of detected paths.
-Landed = tuple[NDArray[np.int64], NDArray[np.int64], Array]
+Landed = tuple[Cells, Cells, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +50,7 @@ class Film:
 
     job: Job
     shape: tuple[int, int]
-    bins: tuple[float, float, int, bool]
+    bins: Bins
     image: Array = field(init=False)
     histogram: Array = field(init=False)
 
@@ -70,62 +74,90 @@ class Film:
 
 def _imaged(film: Film, first: int, end: int) -> tuple[Traced, Landed]:
     """Trace the rays ``first`` to ``end - 1`` and return their results and their detected light."""
-    block = ImagedRays(film, first, end - first)
+    block = ImagedRays(film.job, film.shape, film.bins, first, end - first)
     found = follow(block)
-    none = np.zeros(0, dtype=np.int64)
-    cells, slots, powers, rays = (
-        np.concatenate(parts)
-        for parts in zip((none, none, np.zeros(0), none), *block.landed, strict=True)
-    )
+    return found, in_order(block.landed, NO_CELLS, NO_CELLS, np.zeros(0), NO_CELLS)
+
+
+def in_order(landed: Sequence[tuple[Array | Cells, ...]], *none: Array | Cells) -> Any:
+    """Return the landed light of all calls, in units of `UNIT` rays, without the rays' numbers.
+
+    ``landed`` has the arrays of each call, the last of them the numbers of the rays; ``none`` are
+    those of a call in which no light landed.
+    """
+    *parts, rays = (np.concatenate(part) for part in zip(none, *landed, strict=True))
     order = np.argsort(rays // UNIT, kind="stable")
-    return found, (cells[order], slots[order], powers[order])
+    return tuple(part[order] for part in parts)
 
 
-class ImagedRays(Rays):
-    """Block of rays that sorts its detected light.
+def met_object(vertices: list[Array]) -> NDArray[np.bool_]:
+    """Return which rays' paths met the hidden object."""
+    return np.asarray(np.any([vertex[:, kernels.MET] > 0.0 for vertex in vertices], axis=0))
+
+
+class FilmRays(Rays):
+    """Block of rays that finds the pixels of its detected light.
 
     Parameters
     ----------
-    film : Film
-        Pixels and bins.
+    job : Job
+        Scene and options.
+    shape, bins : tuple
+        As in `Film`.
     first : int
         Number of the first ray.
     n : int
         Number of rays.
     """
 
-    def __init__(self, film: Film, first: int, n: int) -> None:
-        super().__init__(film.job, first, n)
+    def __init__(self, job: Job, shape: tuple[int, int], bins: Bins, first: int, n: int) -> None:
+        super().__init__(job, first, n)
         self.watched = True
-        self.film = film
-        self.landed: list[tuple[*Landed, NDArray[np.int64]]] = []
+        self.shape, self.bins = shape, bins
+        self.landed: list[tuple[Array | Cells, ...]] = []
+
+    def sorted(
+        self,
+        layers: tuple[Cells, int],
+        power: Array,
+        length: Array,
+        vertices: list[Array],
+        ends: Array,
+    ) -> tuple[Cells, Cells, Array, Cells]:
+        """Return cell of the image, cell of the histogram, power and ray of the light that landed.
+
+        ``layers`` are the layer of every ray and their number; `Rays.take_detected` describes the
+        other arguments.
+        """
+        cells, slots, rays = np.empty((3, self.n), dtype=np.int64)
+        powers = np.empty(self.n)
+        count = image_kernels.sort_light(
+            self.around.world.camera,
+            self.first,
+            layers,
+            power,
+            # of one layout in memory, so that the kernel is compiled once
+            np.ascontiguousarray(length),
+            vertices[0][:, kernels.LENGTH],
+            vertices[-1],
+            np.ascontiguousarray(ends),
+            self.shape,
+            self.bins,
+            cells,
+            slots,
+            powers,
+            rays,
+        )
+        return cells[:count], slots[:count], powers[:count], rays[:count]
+
+
+class ImagedRays(FilmRays):
+    """Block of rays that sorts its detected light by pixel and by path length."""
 
     def take_detected(
         self, power: Array, length: Array, vertices: list[Array], ends: Array, bounce: int
     ) -> None:
         """Find pixel and bin of detected light; `Rays.take_detected` describes the arguments."""
         super().take_detected(power, length, vertices, ends, bounce)
-        met = np.zeros(self.n, dtype=bool)
-        for vertex in vertices:
-            met |= vertex[:, kernels.MET] > 0.0
-        cells, slots, rays = np.empty((3, self.n), dtype=np.int64)
-        powers = np.empty(self.n)
-        # of one layout in memory, so that the kernel is compiled once
-        length, ends = np.ascontiguousarray(length), np.ascontiguousarray(ends)
-        count = image_kernels.sort_light(
-            self.around.world.camera,
-            self.first,
-            (np.where(met, bounce, 0), self.job.max_bounces + 1),
-            power,
-            length,
-            vertices[0][:, kernels.LENGTH],
-            vertices[-1],
-            ends,
-            self.film.shape,
-            self.film.bins,
-            cells,
-            slots,
-            powers,
-            rays,
-        )
-        self.landed.append((cells[:count], slots[:count], powers[:count], rays[:count]))
+        layers = np.where(met_object(vertices), bounce, 0), self.job.max_bounces + 1
+        self.landed.append(self.sorted(layers, power, length, vertices, ends))

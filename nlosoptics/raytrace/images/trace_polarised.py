@@ -14,16 +14,16 @@ from ..._checks import Vector, fits_memory, real, vector, whole
 from ..._nouns import Noun
 from ..._progress import Progress
 from ...errors import SceneError
-from ...kernels.codes import BECKMANN, GROUPS, UNIT
-from ...scene import Material, Scene
+from ...kernels.codes import BECKMANN, GROUPS
+from ...scene import Scene
 from ..fans.paths import RayPaths
 from ..light import _light_kernels as kernels
-from ..light.blocks import Job, Rays, Traced, follow
+from ..light.blocks import Job, Traced, follow
 from ..light.trace import MOST, in_blocks, job_of, mean_map, until_done
 from . import _image_kernels as image_kernels
+from .image_blocks import NO_CELLS, Cells, FilmRays, in_order, met_object
 
 Array = NDArray[np.float64]
-Cells = NDArray[np.int64]
 NO_BINS = (0.0, 1.0, 0, True)
 
 
@@ -198,16 +198,7 @@ def trace_polarised(
 
 def _refuse_unknown(scene: Scene) -> None:
     """Raise `SceneError` if the polarisation of the light that a lobe reflects is unknown."""
-    materials: list[tuple[str, Material]] = [
-        ("wall_material", scene.wall_material),
-        ("hidden.material", scene.hidden.material),
-    ]
-    materials += [
-        (f"occluder[{k}].material", o.material)
-        for k, o in enumerate(scene.occluders)
-        if hasattr(o, "material")
-    ]
-    for name, material in materials:
+    for name, material in scene.materials.items():
         for lobe in material.lobe_table():
             if lobe[0] >= BECKMANN and lobe[1] > 0.0 and lobe[5] == 0.0:
                 raise SceneError(
@@ -266,33 +257,18 @@ def _polarised(film: StokesFilm, first: int, end: int) -> tuple[Traced, tuple[Ce
     """Trace the rays ``first`` to ``end - 1`` and return their results and their detected light."""
     block = PolarisedRays(film, first, end - first)
     found = follow(block)
-    none = np.zeros(0, dtype=np.int64)
-    cells, stokes, rays = (
-        np.concatenate(parts)
-        for parts in zip((none, np.zeros((0, 4)), none), *block.landed, strict=True)
-    )
-    order = np.argsort(rays // UNIT, kind="stable")
-    return found, (cells[order], stokes[order])
+    return found, in_order(block.landed, NO_CELLS, np.zeros((0, 4)), NO_CELLS)
 
 
-class PolarisedRays(Rays):
+class PolarisedRays(FilmRays):
     """Block of rays that adds up the Stokes parameters of its detected light.
 
-    Parameters
-    ----------
-    film : StokesFilm
-        Pixels, and polarisation of the laser.
-    first : int
-        Number of the first ray.
-    n : int
-        Number of rays.
+    ``film`` has the pixels and the polarisation of the laser.
     """
 
     def __init__(self, film: StokesFilm, first: int, n: int) -> None:
-        super().__init__(film.job, first, n)
-        self.watched = True
+        super().__init__(film.job, film.shape, NO_BINS, first, n)
         self.film = film
-        self.landed: list[tuple[Cells, Array, Cells]] = []
 
     def take_detected(
         self, power: Array, length: Array, vertices: list[Array], ends: Array, bounce: int
@@ -303,28 +279,10 @@ class PolarisedRays(Rays):
         mirrored = np.zeros(self.n, dtype=bool)
         if vertices is self.walked:
             np.greater_equal(self.leave[:, kernels.MIRROR], 0.0, out=mirrored)
-        met = np.zeros(self.n, dtype=np.int64)
-        for vertex in vertices:
-            met |= vertex[:, kernels.MET] > 0.0
+        met = met_object(vertices).astype(np.int64)
         ends = np.ascontiguousarray(ends)
-        cells, slots, rays = np.empty((3, self.n), dtype=np.int64)
-        powers, stokes = np.empty(self.n), np.empty((self.n, 4))
-        count = image_kernels.sort_light(
-            self.around.world.camera,
-            self.first,
-            (met, 2),
-            power,
-            np.ascontiguousarray(length),
-            vertices[0][:, kernels.LENGTH],
-            vertices[-1],
-            ends,
-            film.shape,
-            NO_BINS,
-            cells,
-            slots,
-            powers,
-            rays,
-        )
+        cells, _, powers, rays = self.sorted((met, 2), power, length, vertices, ends)
+        stokes = np.empty((self.n, 4))
         image_kernels.path_stokes(
             self.around.world,
             np.ascontiguousarray(power),
@@ -336,5 +294,4 @@ class PolarisedRays(Rays):
             film.axis,
             stokes,
         )
-        rays = rays[:count]
-        self.landed.append((cells[:count], stokes[rays] * powers[:count, None], rays))
+        self.landed.append((cells, stokes[rays] * powers[:, None], rays))
