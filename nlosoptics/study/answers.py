@@ -18,6 +18,8 @@ from .results import FAST, Results
 
 RESAMPLES = 999  # of a bootstrap
 LIMITS = 200  # of a yield curve
+RUNS = 16  # runs of consecutive Sobol draws, whose shares are compared
+FEW = 80  # Sobol draws that meet a specification, or do not, below which runs are not compared
 #: Figures of merit that are better if they are smaller.
 SMALLEST_IS_BEST = ("aberration_rms", "spot_rms", "encircled_energy_radius")
 
@@ -186,8 +188,7 @@ def fraction_within(
     at_least, at_most : float, optional
         Limits of the figure of merit, in its unit. Give one or both.
     confidence : float
-        Confidence level of the interval, 0.01 to 0.9999. It holds for independent draws (method
-        "random"); for the other methods the interval is usually wider than needed.
+        Confidence level of the interval, 0.01 to 0.9999.
     incomplete : bool
         Whether to accept results in which points are still to be computed. These are not counted.
 
@@ -208,6 +209,13 @@ def fraction_within(
 
     Notes
     -----
+    The interval is that of Clopper and Pearson for independent draws (method "random"). It is wider
+    than needed for Latin hypercubes. Draws of the method "sobol" fill the space more evenly, and
+    their yield is more precise: the interval then follows from the yields of 16 runs of consecutive
+    draws, by Student's distribution. The runs complement each other, so that this interval is wide
+    enough for any figure of merit. If fewer than 80 draws meet the specification, or fail it, or
+    the study is incomplete, it is that of independent draws.
+
     A study whose draws have ``tier = "fast"`` computes all of them approximately. Some of them, the
     checked draws, are computed in full as well. The yield is then f + a - b. Here f is the fraction
     of all draws that meet the specification when computed approximately. The fractions a and b
@@ -230,6 +238,7 @@ def fraction_within(
     low = -np.inf if at_least is None else real("at_least", at_least)
     high = np.inf if at_most is None else real("at_most", at_most)
     values = results.values(figure, incomplete=incomplete)
+    sobol = results.study.definition["draws"].get("method", "sobol") == "sobol"
     status = results.dataset["status"].values.ravel()
     known = status != "pending"
     if not known.any():
@@ -243,12 +252,12 @@ def fraction_within(
         fast = (low <= values) & (values <= high)
         failed = int((~np.isfinite(full[checked])).sum())
         return controlled_fraction(
-            fast, fast[checked], passed[checked], failed=failed, confidence=confidence
+            fast, fast[checked], passed[checked], failed=failed, confidence=confidence, sobol=sobol
         )
-    values = values[known]
+    values, sobol = values[known], sobol and bool(known.all())
     good = np.isfinite(values) & (low <= values) & (values <= high)
     met, count = int(good.sum()), len(values)
-    share, ends = met / count, _exact(met, count, confidence)
+    share, ends = met / count, interval(good, confidence, sobol=sobol)
     return Fraction(
         value=share,
         low=ends[0],
@@ -266,6 +275,7 @@ def controlled_fraction(
     *,
     failed: int,
     confidence: float,
+    sobol: bool = False,
 ) -> Fraction:
     """Return the yield of a fast study, see the notes of `fraction_within`.
 
@@ -279,6 +289,8 @@ def controlled_fraction(
         Number of checked draws that failed in full.
     confidence : float
         Confidence of the interval.
+    sobol : bool
+        Whether ``fast`` are Sobol draws, in their order.
     """
     met, count, checked = int(fast.sum()), len(fast), len(passed)
     gained, lost = int((passed & ~fast_checked).sum()), int((~passed & fast_checked).sum())
@@ -291,8 +303,8 @@ def controlled_fraction(
         told += "; the yield is that of the checked draws alone"
     else:
         value = share + a - b
-        ends = (_exact(k, n, confidence) for k, n in ((met, count), (gained, checked)))
-        (f_low, f_high), (a_low, a_high) = ends
+        f_low, f_high = interval(fast, confidence, sobol=sobol)
+        a_low, a_high = _exact(gained, checked, confidence)
         b_low, b_high = _exact(lost, checked, confidence)
         low = value - math.hypot(share - f_low, a - a_low, b_high - b)
         high = value + math.hypot(f_high - share, a_high - a, b - b_low)
@@ -309,6 +321,29 @@ def controlled_fraction(
         lost=lost,
         note=told,
     )
+
+
+def interval(
+    good: NDArray[np.bool_], confidence: float, *, sobol: bool = False
+) -> tuple[float, float]:
+    """Return the confidence interval of the share of draws that are good.
+
+    Parameters
+    ----------
+    good : (n,) ndarray of bool
+        Which draws meet a specification.
+    confidence : float
+        Confidence level, 0 to 1.
+    sobol : bool
+        Whether they are Sobol draws, in their order; see the notes of `fraction_within`.
+    """
+    met, count = int(good.sum()), len(good)
+    if not sobol or min(met, count - met) < FEW:
+        return _exact(met, count, confidence)
+    runs = good.reshape(RUNS, -1).mean(axis=1)
+    half = -float(scipy.special.stdtrit(RUNS - 1, (1.0 - confidence) / 2))
+    half *= float(runs.std(ddof=1)) / math.sqrt(RUNS)
+    return max(met / count - half, 0.0), min(met / count + half, 1.0)
 
 
 def _exact(met: int, count: int, confidence: float) -> tuple[float, float]:

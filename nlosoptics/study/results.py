@@ -98,13 +98,7 @@ class Results(Noun):
         SceneError
             If the folder has no results of a study.
         """
-        path = path_of("path", path)
-        with reading(path):
-            store = Store.open(path)
-            if store is None:
-                raise SceneError(f"{path} has no results of a study; run the study first")
-            study = study_of(store)
-            return cls(path=path, study=study, dataset=_dataset(study, store))
+        return results_at(path_of("path", path))
 
     def scene(self, index: int) -> Scene:
         """Return the scene of a point of the study.
@@ -237,6 +231,18 @@ class Results(Noun):
                 )
         lines += [f"{count} x {text}" for text, count in self.failures().items()]
         return "\n".join(line.rstrip() for line in lines)
+
+
+def results_at(path: Path, study: Study | None = None) -> Results:
+    """Return what `Results.load` reads; ``study`` is not built again if it is the stored one."""
+    with reading(path):
+        store = Store.open(path)
+        if store is None:
+            raise SceneError(f"{path} has no results of a study; run the study first")
+        known = study is not None and about_study(study).items() <= store.about.items()
+        if study is None or study.variables or not known:
+            study = study_of(store)
+        return Results(path=path, study=study, dataset=_dataset(study, store))
 
 
 def about_study(study: Study, figures: tuple[Figure, ...] | None = None) -> dict[str, Any]:

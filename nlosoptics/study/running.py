@@ -17,7 +17,7 @@ from .design.base import unpacked_at
 from .design.study import Study
 from .engine import Cluster, Engine, InProcess, Processes, computed
 from .fast import fill_fast
-from .results import Results
+from .results import Results, results_at
 from .searching import Trials
 from .store import Store, only_writer, reading
 from .worker import Block
@@ -132,7 +132,7 @@ def run_study(
                 engine = _engine(study, min(count, len(blocks)), scheduler)
                 ending.callback(engine.close)
             _fill(store, engine, blocks, tell, stop)
-    return Results.load(given)
+    return results_at(given, study)
 
 
 def _engine(study: Study, workers: int, scheduler: str | None, *, ahead: bool = False) -> Engine:

@@ -8,14 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from pytest import approx
+from scipy import stats
 
 from nlosoptics import psf
 from nlosoptics.errors import SceneError
 from nlosoptics.psf.walls.lobe_psf import lobe_transfer, lobes_of
 from nlosoptics.scene import SpecularMicrofacet
 from nlosoptics.study import Results, Study, fast, fraction_within, plan_study, run_study
-from nlosoptics.study.answers import controlled_fraction
+from nlosoptics.study.answers import controlled_fraction, interval
 from nlosoptics.study.expansion import PRECISE, Expansion
 from nlosoptics.study.fast import fast_values
 from nlosoptics.study.fast_figures import MtfFigure, fast_figure
@@ -265,6 +267,38 @@ def test_intervals_cover_the_true_yield() -> None:
             covered += found.low <= share - lost + gained <= found.high
         # 0.95, less three standard errors of a share of 500
         assert covered >= studies * (0.95 - 3 * math.sqrt(0.95 * 0.05 / studies))
+
+
+def _ball(z: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return (z**2).sum(axis=1) < 2.366  # 0.5 of three normal values
+
+
+def _waves(z: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return np.sin(30.0 * z.sum(axis=1)) > 0.0  # even draws do not help
+
+
+@pytest.mark.parametrize(("good", "narrow"), [(_ball, 0.5), (_waves, 1.5)])
+def test_intervals_of_sobol_draws_cover_the_true_yield_and_are_narrow(good, narrow) -> None:
+    """Against independent draws, for yields that an even filling helps and does not help."""
+    studies, count, covered = 300, 2048, 0
+    halves = []
+    for seed in range(studies):
+        draws = stats.qmc.Sobol(3, rng=np.random.default_rng(seed)).random(count)
+        low, high = interval(good(stats.norm.ppf(draws)), 0.95, sobol=True)
+        covered += low <= 0.5 <= high
+        halves.append((high - low) / 2)
+    assert covered >= studies * (0.95 - 3 * math.sqrt(0.95 * 0.05 / studies))
+    assert np.mean(halves) < narrow * 1.96 * 0.5 / math.sqrt(count)
+
+
+def test_few_sobol_draws_have_the_interval_of_independent_ones() -> None:
+    good = np.arange(4096) < 79
+    assert interval(good, 0.9, sobol=True) == interval(good, 0.9)
+    assert interval(~good, 0.9, sobol=True) == interval(~good, 0.9)
+    # all in the first run: its share differs from the others', which are 0
+    low, high = interval(np.arange(4096) < 80, 0.9, sobol=True)
+    share = 80 / 4096
+    assert (low, high) == (0.0, approx(share + share * stats.t.ppf(0.95, 15), rel=1e-12))
 
 
 @pytest.mark.parametrize(

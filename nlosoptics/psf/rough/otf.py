@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import ducc0
@@ -25,6 +26,8 @@ ComplexArray = NDArray[np.complex128]
 CELLS = 512
 #: Least number of cells for a given error.
 FEW_CELLS = 128
+#: Cells of a polar wave up to which their places and areas are kept for further waves.
+KEPT = 256
 #: Largest step of the aberration between neighbouring cells, waves.
 STEP = 0.08
 #: Peak memory per cell, bytes.
@@ -99,17 +102,17 @@ def transfer(residual: Residual, cells: int = 0) -> Transfer:
         flat = residual.wavenumber * float(np.abs(residual.aberration).max()) < 1e-12
         if residual.is_uniform and flat:
             return Transfer(lambda du, dv: clear(du, dv).astype(np.complex128), 2 * radius, 1e-14)
-        pupil, weights, pitch = _on_grid(residual, cells or cells_across(residual))
+        pupil, ratios, pitch = _on_grid(residual, cells or cells_across(residual))
         jump = residual.rays.slope * pitch / wave.wavelength
         edge = 2 * radius
     else:
         amplitude = wave.amplitude * wave.weights
         pupil = amplitude * np.exp(1j * residual.wavenumber * residual.aberration)
-        weights, pitch, jump = amplitude, wave.pupil_pitch, residual.grid_jump()[0]
+        ratios, pitch, jump = LatticeRatio(amplitude), wave.pupil_pitch, residual.grid_jump()[0]
         lit = np.hypot(wave.u, wave.v)[amplitude > 0].max()
         edge = 2 * (float(lit) + pitch)
         reference = _cells(amplitude, float(np.sum(amplitude * wave.amplitude)) * pitch**2, pitch)
-    ratio = LatticeRatio(weights, pitch).of(pupil)
+    ratio = ratios.of(pupil, pitch)
     centre = float(ratio(np.zeros(1), np.zeros(1))[0].real)
     n = 2 * wave.pupil_radius / pitch
     # The spline's error for a phase step of jump waves per cell; the cells' rounded cusp at 0.
@@ -159,21 +162,33 @@ def cells_across(residual: Residual, error: float | None = None) -> int:
     return math.ceil(max(float(FEW_CELLS), waves / step, rim, slope))
 
 
-def _on_grid(residual: Residual, n: int) -> tuple[ComplexArray, Array, float]:
-    """Return the pupil function of a polar wave on n or n + 1 cells across, their areas and pitch.
+def _on_grid(residual: Residual, n: int) -> tuple[ComplexArray, LatticeRatio, float]:
+    """Return the pupil function of a polar wave on n or n + 1 cells across, its ratio and pitch, m.
 
-    The pupil function includes the areas.
+    The pupil function includes the areas of the cells, in squares of the pupil's radius.
     """
     wave = residual.wavefront
     fits_memory(f"the transfer function of {n} x {n} cells", CELL_BYTES * n * n, "use a larger tol")
-    u, v, weights = grid_nodes(wave.pupil_radius, n + 1 - n % 2, wave.obscuration)
+    disc = _kept_disc if n <= KEPT else _disc
+    u, v, weights, ratio = disc(n + 1 - n % 2, wave.obscuration)
     lit = weights > 0
-    path, size = values_at(*residual.polar_series, u[lit], v[lit], 1e-10)
+    path, size = values_at(
+        *residual.polar_series, wave.pupil_radius * u[lit], wave.pupil_radius * v[lit], 1e-10
+    )
     pupil = np.zeros(u.shape, dtype=np.complex128)
     pupil[lit] = weights[lit] * np.exp(1j * residual.wavenumber * path)
     if size is not None:
         pupil[lit] *= size
-    return pupil, weights, float(u[0, 1] - u[0, 0])
+    return pupil, ratio, wave.pupil_radius * float(u[0, 1] - u[0, 0])
+
+
+def _disc(n: int, obscuration: float) -> tuple[Array, Array, Array, LatticeRatio]:
+    """Return places and areas (n, n) of the cells of a pupil of radius 1, and their ratio."""
+    u, v, weights = grid_nodes(1.0, n, obscuration)
+    return u, v, weights, LatticeRatio(weights)
+
+
+_kept_disc = lru_cache(maxsize=4)(_disc)
 
 
 def _correlation(values: NDArray[np.complex128] | Array) -> ComplexArray:
@@ -198,31 +213,30 @@ class LatticeRatio:
     Parameters
     ----------
     weights : ndarray, (n, n)
-        Weights of the cells. They are negative only at a softened rim.
-    pitch : float
-        Cell pitch, m.
+        Weights of the cells, in any unit. They are negative only at a softened rim.
     """
 
-    def __init__(self, weights: Array, pitch: float) -> None:
+    def __init__(self, weights: Array) -> None:
         self.plain = _correlation(weights).real
-        self.centre, self.pitch = weights.shape[0], pitch
+        self.centre = weights.shape[0]
         self.seen = self.plain > 1e-5 * self.plain[self.centre, self.centre]
 
-    def of(self, pupil: ComplexArray) -> Callable[[Array, Array], ComplexArray]:
+    def of(self, pupil: ComplexArray, pitch: float) -> Callable[[Array, Array], ComplexArray]:
         """Return the ratio for a pupil function (n, n), as a function of separations (du, dv), m.
 
-        It is 0 where the autocorrelation of the weights is negligible.
+        ``pupil`` includes the weights, in their unit, and ``pitch`` is that of the cells, m. The
+        ratio is 0 where the autocorrelation of the weights is negligible.
         """
-        from scipy import ndimage
-
-        from ._spline_kernels import spline_values
+        from ._spline_kernels import spline_filter, spline_values
 
         table = np.zeros(self.plain.shape, dtype=np.complex128)
         np.divide(_correlation(pupil), self.plain, out=table, where=self.seen)
-        spline = ndimage.spline_filter(table, ORDER, output=np.complex128)
+        spline_filter(table.view(np.float64))
+        spline = np.ascontiguousarray(table.T)
+        spline_filter(spline.view(np.float64))
 
         def at(du: Array, dv: Array) -> ComplexArray:
-            row, column = (np.ravel(d) / self.pitch + self.centre for d in (dv, du))
+            row, column = (np.ravel(d) / pitch + self.centre for d in (du, dv))
             found = np.empty(row.shape, dtype=np.complex128)
             spline_values(spline, row, column, found)
             return found.reshape(du.shape)

@@ -26,7 +26,8 @@ ComplexArray = NDArray[np.complex128]
 
 #: Relative value below which the diffuse transfer function is cut off.
 CUT: Final = 1e-13
-#: Largest refinement of the nodes relative to the rule of thumb.
+#: First and largest refinement of the nodes relative to the rule of thumb, made for small errors.
+FIRST: Final = 0.7
 FINEST: Final = 7.0
 #: Relative accuracy of the non-uniform transform.
 EPSILON: Final = 1e-12
@@ -162,7 +163,7 @@ class Halo:
         at: Callable[[Array, Array], ComplexArray],
         coherent: Array,
         tol: float,
-        fineness: float = 1.0,
+        fineness: float = FIRST,
     ) -> tuple[Array, Separations, ComplexArray, float]:
         """Compute the scattered intensity with nodes refined until it has converged.
 

@@ -329,8 +329,8 @@ class _Walls:
         polar = wave.layout == "polar"
         # The clear pupil is computed, since a softened rim can be negative and has no modulus.
         plain = pupil_grid_from_polar(flat, seen.pitch) if polar else pupil_grid(flat)
-        clear, ratios = transfer(flat), LatticeRatio(plain.values.real, seen.pitch)
-        ratio = ratios.of(seen.values)
+        clear, ratios = transfer(flat), LatticeRatio(plain.values.real)
+        ratio = ratios.of(seen.values, seen.pitch)
         spread = self.residual.rays.reach + self.long.halo(wave)
         halo = Halo(
             self.residual, self.short, self.window, self.pixel_integrated, clear.reach, spread
@@ -382,5 +382,5 @@ class _Scattering:
 
     def image(self, seen: PupilGrid) -> Array:
         """Return the halo (ny, nx) of a pupil function, energy per sample."""
-        ratio = self.ratios.of(seen.values)
+        ratio = self.ratios.of(seen.values, seen.pitch)
         return self.halo.image(self.nodes, self.clear * ratio(self.nodes.du, self.nodes.dv))

@@ -13,6 +13,7 @@ from ..pupil.wall_wavefront import AUTO_GRID_SAMPLES
 from ..rough.mean import NO_CORE
 from ..rough.otf import CELL_BYTES
 from ..rough.scattered_light import (
+    FIRST,
     NODE_BYTES,
     PIXEL_BYTES,
     Halo,
@@ -189,7 +190,7 @@ def _scattered_cost(
     half = next(inner_halves(residual, view, window, tol), None)
     inner = window if half is None else inner_window(window, half)[0]
     halo = Halo(residual, view, inner, True, edge)
-    nodes = [sum(runs) * n for runs, n in (halo.counts(f) for f in (0.7, 1.0))]
+    nodes = [sum(runs) * n for runs, n in (halo.counts(f) for f in (0.7 * FIRST, FIRST))]
     points = math.prod(inner.shape)
     lattices = across**2 * (1.25 if polar else 2.0)
     again = nodes[0] + nodes[1] * (2.0 if polar else 1.0)

@@ -145,17 +145,14 @@ class PolarSpectrum:
         """
         return values_at(self, None, u, v, epsilon)[0]
 
+    @cached_property
     def disc_series(self) -> ComplexArray:
-        """Return the function as a Fourier series in two angles, for a non-uniform FFT.
+        """The function as a Fourier series in two angles, for a non-uniform FFT.
 
         One angle is that of the point in the pupil. The other, psi, replaces the radius:
-        ``r = middle + half cos(psi)``, with the two lengths of `span`.
-
-        Returns
-        -------
-        ndarray, (4 n_r, 2 n_m)
-            Complex coefficients of psi (rows) and the angle (columns), with n_m the number of
-            angular orders; most negative orders first.
+        ``r = middle + half cos(psi)``, with the two lengths of `span`. The complex coefficients
+        (4 n_r, 2 n_m) are those of psi (rows) and the angle (columns), with n_m the number of
+        angular orders; most negative orders first.
         """
         n = 2 * self.n_r
         middle, half = self.span()
@@ -260,7 +257,7 @@ def values_at(
         return image
 
     pair = [first] if second is None else [first, second]
-    values = transform([s.disc_series() for s in pair], coord.reshape(-1, 2)).reshape(u.shape)
+    values = transform([s.disc_series for s in pair], coord.reshape(-1, 2)).reshape(u.shape)
     for rim, outside in ((1.0, r > radius), (first.obscuration, r < inner)):
         if np.any(outside):
             slope = transform([s.rim_series(rim) for s in pair], angle[outside][:, None])

@@ -92,6 +92,10 @@ def _kind_of(quantity: Any) -> str:
 
 def measured(text: object) -> tuple[float, Kind] | None:
     """Return the value in SI units of a text with a unit, and its dimension; else None."""
+    match = _NUMBER_AND_UNIT.fullmatch(text) if isinstance(text, str) else None
+    usual = None if match is None else _USUAL.get(match[2])
+    if match is not None and usual is not None and math.isfinite(float(match[1])):
+        return float(Decimal(match[1]) * usual[1]), usual[0]
     for kind in (LENGTH, TIME, RATE, POWER, ANGLE):
         with suppress(ValueError):
             return parse(text, kind), kind

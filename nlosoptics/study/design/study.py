@@ -8,6 +8,7 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -290,7 +291,10 @@ class Study(Noun):
 
         The order of the values does not matter.
         """
-        return tuple(point_id(self.seed, self.delta(index)) for index in range(len(self)))
+        steps = product(*(dimension.deltas for dimension in self.dimensions))
+        return tuple(
+            point_id(self.seed, {a: v for part in step for a, v in part.items()}) for step in steps
+        )
 
     @property
     def fast(self) -> bool:
