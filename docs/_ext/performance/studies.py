@@ -102,9 +102,9 @@ SECTIONS = (
         "Tolerance draws by expanded waves",
         'The yield is the share of random draws that meet a limit. With `tier = "fast"`, the wave '
         "of each draw is computed from a Taylor series of second order in the drawn values, and "
-        'the yield is corrected by 400 draws that are computed in full. The columns "in full" and '
-        '"fast" are yields of the same 2,000 draws. The last columns are the corrected yield of '
-        "all 10,000 draws and its 95 % interval.",
+        'the yield is corrected by 500 draws that are computed in full. The columns "in full" and '
+        '"fast" are yields of the same 2,048 draws. The last columns are the corrected yield of '
+        "all 16,384 draws and its 95 % interval.",
         "python benchmarks/studies.py --fast --json {file}",
         table={
             "figure of merit": "{kind}",
@@ -118,8 +118,8 @@ SECTIONS = (
         rows=lambda found: found[1:],
         note=lambda found: fill(
             "A draw in full takes {in full, of a draw:time} of CPU time, all {draws:,} fast ones "
-            "together {fast, of all draws:time}. The whole study takes {whole study:time}, most of "
-            "it for the draws in full.",
+            "together {fast, of all draws:time}. The whole study takes {whole study:time} of CPU "
+            "time, most of it for the draws in full, and {whole study, wall:time} by two workers.",
             found[0],
         ),
     ),
