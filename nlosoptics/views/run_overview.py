@@ -77,6 +77,16 @@ def overview(result: Result) -> tuple[Axes, ...]:
     return axes[:used]
 
 
+def overview_panels(result: Result) -> dict[str, Sequence[Axes]]:
+    """Draw the overview of a result; return the axes of its files, see `saving.panel_files`."""
+    axes = overview(result)
+    pupil = "wavefront" if result.pupil_field is None else "pupil_phase"
+    panels: dict[str, Sequence[Axes]] = {"overview": axes, pupil: axes[1:2], "image": axes[3:FIT]}
+    if result.reconstruction is not None:
+        panels["reconstruction"] = axes[FIT:]
+    return panels
+
+
 def ground_truth(result: Result) -> NDArray[np.float64] | None:
     """Return the image without blur and noise, largest value 1; None if it is dark."""
     ideal = result.image.ideal
