@@ -68,26 +68,22 @@ class Painters:
 
 
 @contextmanager
-def painters(scene: Scene) -> Iterator[Painters]:
+def painters() -> Iterator[Painters]:
     """Start two processes that draw figures; end them if the block fails.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene of the run.
 
     Yields
     ------
     Painters
         The processes. There are none where the system cannot fork, has one core, or lacks
-        matplotlib.
+        matplotlib. They expect the scene, the point spread with its wave, the result without its
+        reconstruction, and finally the reconstruction and the folder.
     """
     if not can_help() or importlib.util.find_spec("matplotlib") is None:
         yield Painters()
         return
     pipes = [Pipe() for _ in range(2)]
     with tempfile.TemporaryFile() as held:
-        first = forked(_first, scene, pipes, held.fileno())
+        first = forked(_first, pipes, held.fileno())
         group = first.pid or 0
         _group(group)
         for _, theirs in pipes:
@@ -120,9 +116,8 @@ def write_figures(result: Result, folder: Path, drawing: Painters | None = None)
     folder : Path
         Folder that receives the files.
     drawing : Painters, optional
-        Processes of `painters`, which were sent the point spread with its wave, the result, and
-        then the reconstruction and the folder.
-        Without them, this process draws all figures.
+        Processes of `painters`, which were sent all that they expect. Without them, this process
+        draws all figures.
     """
     missing = {**_of_scene(result.scene), **_of_wave(result), **_of_run(result)}
     for end in drawing.ends if drawing else ():
@@ -171,7 +166,7 @@ def _write(folder: Path, files: dict[str, bytes]) -> None:
         (folder / f"{name}.png").write_bytes(content)
 
 
-def _first(scene: Scene, pipes: list[tuple[Connection, Connection]], held: int) -> None:
+def _first(pipes: list[tuple[Connection, Connection]], held: int) -> None:
     """Load matplotlib, start the second process, draw the scene and the point spread."""
     _group(0)  # also done by the parent, whichever comes first
     # While one of these processes holds the run's own ends, the other would never see them closed.
@@ -181,9 +176,10 @@ def _first(scene: Scene, pipes: list[tuple[Connection, Connection]], held: int) 
     _load()
     forked(_second, here, there, held)
     there.close()
-    ready = {name: _drawn(draw) for name, draw in _of_scene(scene).items()}
-    (wave,) = _received(here, held)
-    ready |= {name: _drawn(draw) for name, draw in _of_wave(wave).items()}
+    ready: dict[str, dict[str, bytes]] = {}
+    for figures in (_of_scene, _of_wave):
+        (known,) = _received(here, held)
+        ready |= {name: _drawn(draw) for name, draw in figures(known).items()}
     _received(here, held)
     _, folder = _received(here, held)
     _report(here, folder, ready)
@@ -192,6 +188,7 @@ def _first(scene: Scene, pipes: list[tuple[Connection, Connection]], held: int) 
 def _second(other: Connection, own: Connection, held: int) -> None:
     """Draw the overview."""
     other.close()
+    _received(own, held)
     _received(own, held)
     (result,) = _received(own, held)
     complete = _awaiting(result)

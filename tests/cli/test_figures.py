@@ -46,7 +46,8 @@ def drawn_by(tmp_path, monkeypatch, flat_scene):
         monkeypatch.setattr(figures.os, "cpu_count", lambda: cores)
         plan = Plan(stages=(), skipped=(), tol=1e-3, waves=0.0, exit_pupil=None, budget=None)
         result = SimpleNamespace(scene=flat_scene, plan=plan)
-        with figures.painters(flat_scene) as beside:
+        with figures.painters() as beside:
+            beside.send(flat_scene)
             beside.send(None)
             beside.send(result)
             beside.send(None, tmp_path)
@@ -158,7 +159,8 @@ def test_other_processes_draw_the_same_figures(flat_scene, tmp_path, monkeypatch
     for folder in folders:
         folder.mkdir()
     figures.write_figures(result, folders[0])
-    with figures.painters(flat_scene) as beside:
+    with figures.painters() as beside:
+        beside.send(flat_scene)
         wave = {name: getattr(result, name) for name in ScenePointSpread.__dataclass_fields__}
         beside.send(ScenePointSpread(**wave))
         beside.send(replace(result, reconstruction=None))
@@ -173,11 +175,11 @@ def test_other_processes_draw_the_same_figures(flat_scene, tmp_path, monkeypatch
 
 
 @forks
-def test_processes_end_with_a_run_that_fails(drawn_by, flat_scene, monkeypatch):
+def test_processes_end_with_a_run_that_fails(monkeypatch):
     monkeypatch.setattr(figures.os, "cpu_count", lambda: 2)
     ends = []
     monkeypatch.setattr(figures.os, "killpg", lambda *call: (ends.append(call), kill(*call)))
-    with pytest.raises(KeyboardInterrupt), figures.painters(flat_scene):
+    with pytest.raises(KeyboardInterrupt), figures.painters():
         raise KeyboardInterrupt
     assert_gone(ends[0][0])
 
