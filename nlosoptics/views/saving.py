@@ -227,6 +227,7 @@ def awaited_files(
     figure: Any = shown.get_figure(root=True)
     figure.canvas.draw()
     boxes = _boxes(panels)
+    ready = {name: _png(figure, boxes.pop(name)) for name in [*boxes] if shown not in panels[name]}
     renderer = figure.canvas.get_renderer()
     box: Any = shown.get_tightbbox(renderer)
     box = box.padded(MARGIN)
@@ -246,7 +247,8 @@ def awaited_files(
         empty.draw(renderer)
         shown.images[0].set_data(values[:, ::-1])
         shown.draw(renderer)
-        return {whole: _png(figure), **{name: _png(figure, box) for name, box in boxes.items()}}
+        late = {name: _png(figure, part) for name, part in boxes.items()}
+        return {whole: _png(figure), **ready, **late}
 
     return files
 
