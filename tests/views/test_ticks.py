@@ -1,4 +1,4 @@
-"""Tick labels of x axes: they never overlap, whatever the size of the axes and the labels."""
+"""Labels of figures: they never overlap and none is cut off, whatever the size of axes and labels."""
 
 from __future__ import annotations
 
