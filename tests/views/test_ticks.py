@@ -1,4 +1,4 @@
-"""Labels of figures: they never overlap and none is cut off, whatever the size of axes and labels."""
+"""Labels of figures: none overlaps another or is cut off, at any size of axes and labels."""
 
 from __future__ import annotations
 
