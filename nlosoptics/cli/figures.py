@@ -1,9 +1,8 @@
 """Figures of a run, drawn by two other processes where the system can fork.
 
-They load matplotlib and draw the scene while the run computes. They get the point spread with its
-wave, then the result before its reconstruction, draw the rest meanwhile, and complete it when the
-reconstruction is known. One draws
-the overview, the other all single figures. This process draws whatever they do not report.
+They load matplotlib while the run computes. One draws the scene, and the point spread as soon as it
+is known. The other draws the overview before the reconstruction is known, completes it then, and
+cuts the other figures out of it. This process draws whatever they do not report.
 """
 
 from __future__ import annotations
@@ -28,9 +27,10 @@ if TYPE_CHECKING:
     from ..psf import ScenePointSpread
     from ..runs.results import Result
     from ..scene import Scene
+    from ..views.saving import Panels
 
-#: Function that draws a figure; called only where it is drawn.
-Figures = dict[str, Callable[[], Any]]
+#: Functions that draw figures and return the axes of their files; called only where they are drawn.
+Figures = dict[str, Callable[[], "Panels"]]
 #: Longest time for one figure, s. A process that takes longer is ended.
 LONGEST: Final = 30.0
 #: Time within which processes end after their last figure, s.
@@ -68,26 +68,22 @@ class Painters:
 
 
 @contextmanager
-def painters(scene: Scene) -> Iterator[Painters]:
+def painters() -> Iterator[Painters]:
     """Start two processes that draw figures; end them if the block fails.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene of the run.
 
     Yields
     ------
     Painters
         The processes. There are none where the system cannot fork, has one core, or lacks
-        matplotlib.
+        matplotlib. They expect the scene, the point spread with its wave, the result without its
+        reconstruction, and finally the reconstruction and the folder.
     """
     if not can_help() or importlib.util.find_spec("matplotlib") is None:
         yield Painters()
         return
     pipes = [Pipe() for _ in range(2)]
     with tempfile.TemporaryFile() as held:
-        first = forked(_first, scene, pipes, held.fileno())
+        first = forked(_first, pipes, held.fileno())
         group = first.pid or 0
         _group(group)
         for _, theirs in pipes:
@@ -120,81 +116,58 @@ def write_figures(result: Result, folder: Path, drawing: Painters | None = None)
     folder : Path
         Folder that receives the files.
     drawing : Painters, optional
-        Processes of `painters`, which were sent the point spread with its wave, the result, and
-        then the reconstruction and the folder.
-        Without them, this process draws all figures.
+        Processes of `painters`, which were sent all that they expect. Without them, this process
+        draws all figures.
     """
-    missing = {**_of_scene(result.scene), **_of_wave(result), **_of_image(result)}
-    missing |= {**_of_fit(result), **_of_run(result)}
+    missing = {**_of_scene(result.scene), **_of_wave(result), **_of_run(result)}
     for end in drawing.ends if drawing else ():
         with suppress(EOFError, OSError):
             while end.poll(LONGEST) and (name := end.recv()) is not None:
                 del missing[name]
-    for name, draw in missing.items():
-        _write(folder, name, _drawn(draw))
+    for draw in missing.values():
+        _write(folder, _drawn(draw))
 
 
 def _of_scene(scene: Scene) -> Figures:
     """Return the figure that needs no result."""
     from .. import views
 
-    return {"scene": lambda: views.scene_sketch(scene)}
+    return {"scene": lambda: {"scene": views.scene_sketch(scene)}}
+
+
+def _of_wave(found: ScenePointSpread | Result) -> Figures:
+    """Return the figures of the point spread and its wave that are no part of the overview."""
+    from .. import views
+
+    drawn: Figures = {
+        "point_spread": lambda: {"point_spread": [views.point_spread(found.point_spread)]}
+    }
+    if found.pupil_field is not None:
+        drawn["wavefront"] = lambda: {"wavefront": [views.wavefront(found.wavefront)]}
+    return drawn
 
 
 def _of_run(result: Result) -> Figures:
     """Return the figure of the whole run."""
-    from .. import views
+    from ..views.run_overview import overview_panels
 
-    return {"overview": lambda: views.overview(result)}
-
-
-def _of_wave(found: ScenePointSpread | Result) -> Figures:
-    """Return the figures of the point spread and of the wave that forms it."""
-    from .. import views
-
-    drawn: Figures = {
-        "wavefront": lambda: views.wavefront(found.wavefront),
-        "point_spread": lambda: views.point_spread(found.point_spread),
-    }
-    if (field := found.pupil_field) is not None:
-        drawn["pupil_phase"] = lambda: views.pupil_field(field)
-    return drawn
+    return {"overview": lambda: overview_panels(result)}
 
 
-def _of_image(result: Result) -> Figures:
-    """Return the figure of the camera image."""
-    from .. import limits, views
+def _drawn(draw: Callable[[], Panels]) -> dict[str, bytes]:
+    """Draw a figure; return its PNG files by their names."""
+    from ..views.saving import panel_files
 
-    scale = limits.object_scale(result.scene)
-    return {"image": lambda: views.image(result.image, object_scale=scale)}
-
-
-def _of_fit(result: Result) -> Figures:
-    """Return the figure of the reconstruction, if there is one."""
-    from .. import limits, views
-    from ..views.run_overview import ground_truth
-
-    fit = result.reconstruction
-    if fit is None:
-        return {}
-    truth = ground_truth(result)
-    pitch = limits.object_scale(result.scene) * result.image.pitch
-    return {"reconstruction": lambda: views.reconstruction(fit, truth, pitch=pitch)}
+    return panel_files(draw())
 
 
-def _drawn(draw: Callable[[], Any]) -> bytes:
-    """Draw a figure; return it as a PNG file."""
-    from ..views.saving import figure_file
-
-    return figure_file(draw(), ".png")
+def _write(folder: Path, files: dict[str, bytes]) -> None:
+    for name, content in files.items():
+        (folder / f"{name}.png").write_bytes(content)
 
 
-def _write(folder: Path, name: str, content: bytes) -> None:
-    (folder / f"{name}.png").write_bytes(content)
-
-
-def _first(scene: Scene, pipes: list[tuple[Connection, Connection]], held: int) -> None:
-    """Load matplotlib, start the second process, draw the scene and then the single results."""
+def _first(pipes: list[tuple[Connection, Connection]], held: int) -> None:
+    """Load matplotlib, start the second process, draw the scene and the point spread."""
     _group(0)  # also done by the parent, whichever comes first
     # While one of these processes holds the run's own ends, the other would never see them closed.
     for ours, _ in pipes:
@@ -203,16 +176,24 @@ def _first(scene: Scene, pipes: list[tuple[Connection, Connection]], held: int) 
     _load()
     forked(_second, here, there, held)
     there.close()
-    ready = {name: _drawn(draw) for name, draw in _of_scene(scene).items()}
-    _serve(here, held, ready, (_of_wave, _of_image, _of_fit), place=-1)
+    ready: dict[str, dict[str, bytes]] = {}
+    for figures in (_of_scene, _of_wave):
+        (known,) = _received(here, held)
+        ready |= {name: _drawn(draw) for name, draw in figures(known).items()}
+    _received(here, held)
+    _, folder = _received(here, held)
+    _report(here, folder, ready)
 
 
 def _second(other: Connection, own: Connection, held: int) -> None:
     """Draw the overview."""
-    from ..views.run_overview import FIT
-
     other.close()
-    _serve(own, held, {}, (lambda _: {}, lambda _: {}, _of_run), place=FIT)
+    _received(own, held)
+    _received(own, held)
+    (result,) = _received(own, held)
+    complete = _awaiting(result)
+    fit, folder = _received(own, held)
+    _report(own, folder, complete(fit))
 
 
 def _load() -> None:
@@ -225,68 +206,31 @@ def _load() -> None:
     _ = inverse.Reconstruction, limits.object_scale
 
 
-def _serve(
-    end: Connection,
-    held: int,
-    ready: dict[str, bytes],
-    kinds: tuple[Callable[[Any], Figures], ...],
-    *,
-    place: int,
-) -> None:
-    """Draw figures; write and report all of them when the run is finished, and then report None.
-
-    Parameters
-    ----------
-    end : Connection
-        Connection to the run.
-    held : int
-        File descriptor of the shared file.
-    ready : dict of str to bytes
-        Figures that need no result.
-    kinds : three callables
-        Return the figures of the point spread with its wave, those of the result that do not show
-        the reconstruction, and those that do.
-    place : int
-        Index of the reconstruction among the axes of a late figure.
-    """
-    *known, late = kinds
-    for figures in known:
-        (result,) = _received(end, held)
-        ready |= {name: _drawn(draw) for name, draw in figures(result).items()}
-    complete = _awaiting(result, late, place)
-    fit, folder = _received(end, held)
-    for name, content in ready.items():
-        _write(folder, name, content)
-        end.send(name)
-    for name, content in complete(fit).items():
-        _write(folder, name, content)
-        end.send(name)
-    end.send(None)
-
-
 def _received(end: Connection, held: int) -> Any:
     """Wait for the next values of `Painters.send`; they come from this run alone."""
     start, count = end.recv()
     return pickle.loads(os.pread(held, count, start))
 
 
-def _awaiting(
-    result: Result, late: Callable[[Result], Figures], place: int
-) -> Callable[[Reconstruction | None], dict[str, bytes]]:
-    """Draw what is known of late figures; return a function that completes their files."""
-    from ..views.saving import awaited_file
+def _report(end: Connection, folder: Path, ready: dict[str, dict[str, bytes]]) -> None:
+    """Write the files of figures and report the name of each figure, then None."""
+    for name, files in ready.items():
+        _write(folder, files)
+        end.send(name)
+    end.send(None)
+
+
+def _awaiting(result: Result) -> Callable[[Any], dict[str, dict[str, bytes]]]:
+    """Draw what is known of the overview; return a function that completes its files."""
+    from ..views.run_overview import FIT
+    from ..views.saving import awaited_files
 
     if not result.plan.runs("reconstruction"):
-        files = {name: _drawn(draw) for name, draw in late(result).items()}
-        return lambda _: files
+        ready = {name: _drawn(draw) for name, draw in _of_run(result).items()}
+        return lambda _: ready
 
-    def drawn(name: str) -> Callable[[Reconstruction], Any]:
-        return lambda fit: late(replace(result, reconstruction=fit))[name]()
+    def overview(fit: Reconstruction) -> Panels:
+        return _of_run(replace(result, reconstruction=fit))["overview"]()
 
-    any_fit: Any = object()  # decides which figures there are
-    shape = result.image.electrons.shape
-    complete: dict[str, Callable[[Any], bytes]] = {
-        name: awaited_file(drawn(name), place, shape)
-        for name in late(replace(result, reconstruction=any_fit))
-    }
-    return lambda fit: {name: file(fit) for name, file in complete.items()}
+    complete = awaited_files(overview, FIT, result.image.electrons.shape)
+    return lambda fit: {"overview": complete(fit)}

@@ -92,9 +92,10 @@ def run_command(
         from .first_run import compiled_ahead
 
         seed = checked_seed(seed)
-        scene = load(scene_file, size, changes)
-        loaded = time.perf_counter()
-        with compiled_ahead(), figures.painters(scene) as beside:
+        with compiled_ahead(), figures.painters() as beside:
+            scene = load(scene_file, size, changes)
+            beside.send(scene)
+            loaded = time.perf_counter()
             planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
             check_target(folder)
             ready = time.perf_counter()

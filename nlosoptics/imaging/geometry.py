@@ -126,15 +126,16 @@ def wall_visibility(scene: Scene, rays: ChiefRays) -> Array:
     if scene.wall.size is None:
         return visible
     d, n = rays.directions[seen], rays.normals[seen]
+    along, across = dot(d, n), [dot(n, e) for e in camera.frame[:2]]
     # the cone shrinks linearly from the lens to the point in focus
     part = rays.distance[seen] * rays.cos_axis[seen] / scene.focus_distance
-    scale = camera.stop_diameter / 2 * np.abs(1.0 - part) / dot(d, n)
+    scale = camera.stop_diameter / 2 * np.abs(1.0 - part) / along
     for i, half in enumerate((scene.wall.size[0] / 2, scene.wall.size[1] / 2)):
         reach = np.zeros(part.shape)
-        for e in camera.frame[:2]:
-            reach += (e[i] * dot(d, n) - d[:, i] * dot(n, e)) ** 2
+        for e, turned in zip(camera.frame[:2], across, strict=True):
+            reach += (e[i] * along - d[:, i] * turned) ** 2
         reach = np.maximum(np.abs(scale) * np.sqrt(reach), 1e-15)
-        at = rays.points[seen][:, i]
+        at = rays.points[..., i][seen]
         inside = _disc_part((half - at) / reach) + _disc_part((half + at) / reach) - 1.0
         visible[seen] *= np.maximum(inside, 0.0)
     return visible
@@ -142,8 +143,11 @@ def wall_visibility(scene: Scene, rays: ChiefRays) -> Array:
 
 def _disc_part(chord: Array) -> Array:
     """Fraction of the unit disc's area below a chord at a signed distance from the centre."""
-    c = np.clip(chord, -1.0, 1.0)
-    return np.asarray(1.0 - (np.arccos(c) - c * np.sqrt(1.0 - c * c)) / np.pi)
+    part = (chord > 0.0).astype(np.float64)
+    cut = abs(chord) < 1.0
+    c = chord[cut]
+    part[cut] = 1.0 - (np.arccos(c) - c * np.sqrt(1.0 - c * c)) / np.pi
+    return part
 
 
 def picture_coordinates(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, Array]:

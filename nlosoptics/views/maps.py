@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import one_of, positive
-from .canvas import SKY, new_axes, round_step, set_title, space_ticks
+from .canvas import SKY, new_axes, power_of_ten, round_step, set_title, space_ticks
 from .reliefs import relief, spread_norm
 
 if TYPE_CHECKING:
@@ -504,8 +504,17 @@ def reconstruction(
 
 def colour_bar(axes: Axes, drawn: Any, label: str) -> None:
     """Add a colour bar to the right of axes, as high as their map."""
+    from matplotlib.colors import LogNorm
+
     figure: Any = axes.get_figure(root=True)
-    figure.colorbar(drawn, cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)), label=label)
+    low, high = drawn.get_clim()
+    decades = isinstance(drawn.norm, LogNorm) and high >= 100.0 * low
+    figure.colorbar(
+        drawn,
+        cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)),
+        label=label,
+        format=power_of_ten if decades else None,
+    )
 
 
 def irradiance(irradiance: WallIrradiance, *, axes: Axes | None = None) -> Axes:

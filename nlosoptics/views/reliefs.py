@@ -88,6 +88,7 @@ def _new_axes_3d() -> Any:
     (flat,) = new_axes(1, width=7.2, height=4.8)
     figure: Any = flat.get_figure()
     flat.remove()
+    figure.set_layout_engine("constrained")  # labels of 3-D axes lie inside and outside of them
     return figure.add_subplot(projection="3d")
 
 

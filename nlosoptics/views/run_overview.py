@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,8 +57,6 @@ def overview(result: Result) -> tuple[Axes, ...]:
     from ..limits import object_scale  # loads scipy; views alone is light
 
     axes = new_axes(6, width=16.5, height=9.6, columns=3)
-    figure: Any = axes[0].get_figure(root=True)
-    figure.get_layout_engine().set(w_pad=0.15, h_pad=0.1)
     scale = object_scale(result.scene)
     room_from_above(result.scene, axes[0])
     axes[0].legend(fontsize="small", loc="best")
@@ -77,6 +75,16 @@ def overview(result: Result) -> tuple[Axes, ...]:
     for spare in axes[used:]:
         spare.remove()
     return axes[:used]
+
+
+def overview_panels(result: Result) -> dict[str, Sequence[Axes]]:
+    """Draw the overview of a result; return the axes of its files, see `saving.panel_files`."""
+    axes = overview(result)
+    pupil = "wavefront" if result.pupil_field is None else "pupil_phase"
+    panels: dict[str, Sequence[Axes]] = {"overview": axes, pupil: axes[1:2], "image": axes[3:FIT]}
+    if result.reconstruction is not None:
+        panels["reconstruction"] = axes[FIT:]
+    return panels
 
 
 def ground_truth(result: Result) -> NDArray[np.float64] | None:

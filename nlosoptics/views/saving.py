@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 
     from ..inverse import Reconstruction
 
+    #: Axes of each file that shows a figure, the first one, or a part of it.
+    Panels = Mapping[str, Sequence[Axes]]
+
 #: Metadata of files: without program name, date and random identifiers, equal figures give equal
 #: bytes.
 METADATA: dict[str, dict[str, Any]] = {
@@ -29,7 +33,8 @@ METADATA: dict[str, dict[str, Any]] = {
     ".pdf": {"CreationDate": None},
     ".svg": {"Date": None},
 }
-MARGIN = 4.0  # pixels around axes that are drawn again; other axes are farther away
+COMPRESSION = 3  # of PNG files: half of the time of the usual level 6, and files as small
+MARGIN = 8.0  # pixels around the labels of axes that are cut out or drawn again
 
 
 def save(
@@ -102,23 +107,64 @@ def _checked_suffix(path: Path, what: str, known: tuple[str, ...]) -> None:
 
 def figure_file(picture: Any, suffix: str) -> bytes:
     """Return the figure of axes as the bytes of a file."""
-    parts = [picture] if hasattr(picture, "get_figure") else list(picture)
+    from matplotlib import rc_context
+
+    figure = _figure_of([picture] if hasattr(picture, "get_figure") else list(picture))
+    if suffix == ".png" and _drawn_once(figure):
+        figure.canvas.draw()
+        return _png(figure)
+    content = BytesIO()
+    with rc_context({"svg.hashsalt": "nlosoptics"}):
+        figure.savefig(content, format=suffix[1:], metadata=METADATA[suffix])
+    return content.getvalue()
+
+
+def _figure_of(parts: Iterable[Any]) -> Any:
+    """Return the figure to which all of several axes belong."""
     figures = {part.get_figure(root=True) for part in parts}  # a figure is its own root
     if len(figures) != 1:
         raise SceneError(
             f"picture has axes of {counted(len(figures), 'figure')}, one file holds one; save each "
             "figure by itself"
         )
-    from matplotlib import rc_context
+    return figures.pop()
 
-    (figure,) = figures
-    content = BytesIO()
-    with rc_context({"svg.hashsalt": "nlosoptics"}):
-        if suffix == ".png" and _drawn_once(figure):
-            figure.canvas.draw()
-            return _png(figure)
-        figure.savefig(content, format=suffix[1:], metadata=METADATA[suffix])
-    return content.getvalue()
+
+def panel_files(panels: Panels) -> dict[str, bytes]:
+    """Draw a figure once; return it and some of its axes, with their labels, as PNG files.
+
+    Parameters
+    ----------
+    panels : mapping of str to sequence of Axes
+        Axes of each file. The first file shows the whole figure.
+
+    Returns
+    -------
+    dict of str to bytes
+        Files by the same names.
+    """
+    whole, *_ = panels
+    content = figure_file(panels[whole], ".png")
+    figure = _figure_of(panels[whole])
+    if len(panels) > 1 and not _drawn_once(figure):
+        figure.canvas.draw()
+    return {whole: content, **{name: _png(figure, box) for name, box in _boxes(panels).items()}}
+
+
+def _boxes(panels: Panels) -> dict[str, tuple[slice, slice]]:
+    """Return rows and columns of the pixels of all panels but the first."""
+    from matplotlib.transforms import Bbox
+
+    found = {}
+    for name, axes in list(panels.items())[1:]:
+        figure = _figure_of(axes)
+        labelled: list[Any] = [each.get_tightbbox() for each in axes]
+        box = Bbox.union(labelled).padded(MARGIN)
+        wide, high = figure.canvas.get_width_height()
+        rows = slice(max(int(high - box.y1), 0), min(math.ceil(high - box.y0), high))
+        columns = slice(max(int(box.x0), 0), min(math.ceil(box.x1), wide))
+        found[name] = rows, columns
+    return found
 
 
 def _drawn_once(figure: Any) -> bool:
@@ -138,57 +184,59 @@ def _drawn_once(figure: Any) -> bool:
     )
 
 
-def _png(figure: Any) -> bytes:
-    """Return the pixels that the canvas of a figure has drawn as a PNG file."""
-    from matplotlib.image import imsave
+def _png(figure: Any, part: Any = ...) -> bytes:
+    """Return pixels that the canvas of a figure has drawn as a PNG file, by default all."""
+    from PIL import Image
 
+    pixels = np.asarray(figure.canvas.buffer_rgba())[part]
+    if (pixels[..., 3] == 255).all():
+        pixels = pixels[..., :3]
     content = BytesIO()
-    imsave(
-        content,
-        figure.canvas.buffer_rgba(),
-        format="png",
-        origin="upper",
-        dpi=figure.dpi,
-        metadata=METADATA[".png"],
+    Image.fromarray(np.ascontiguousarray(pixels)).save(
+        content, format="png", dpi=(figure.dpi, figure.dpi), compress_level=COMPRESSION
     )
     return content.getvalue()
 
 
-def awaited_file(
-    draw: Callable[[Reconstruction], Sequence[Axes]], place: int, shape: tuple[int, int]
-) -> Callable[[Reconstruction], bytes]:
+def awaited_files(
+    draw: Callable[[Reconstruction], Panels], place: int, shape: tuple[int, int]
+) -> Callable[[Reconstruction], dict[str, bytes]]:
     """Draw a figure with a reconstruction before the reconstruction is known.
 
     Parameters
     ----------
     draw : callable
-        Draws the figure for a reconstruction and returns its axes.
+        Draws the figure for a reconstruction and returns the axes of its files, see `panel_files`.
     place : int
-        Index of the axes with the reconstruction.
+        Index of the axes with the reconstruction in the figure.
     shape : (int, int)
         Shape of the reconstruction, pixels.
 
     Returns
     -------
     callable
-        Takes the reconstruction and returns the figure as a PNG file. If the fit has converged and
-        its values span 0 to 1, all but its image is drawn already; otherwise it is drawn anew.
+        Takes the reconstruction and returns the files of `panel_files`. If the fit has converged
+        and its values span 0 to 1, all but its image is drawn already; otherwise the figure is
+        drawn anew.
     """
     expected: Any = SimpleNamespace(object=np.zeros(shape), status="converged")
     expected.object[0, 0] = 1.0
-    axes = draw(expected)
-    shown = axes[place]
+    panels = draw(expected)
+    whole, *_ = panels
+    shown = panels[whole][place]
     figure: Any = shown.get_figure(root=True)
     figure.canvas.draw()
+    boxes = _boxes(panels)
+    ready = {name: _png(figure, boxes.pop(name)) for name in [*boxes] if shown not in panels[name]}
     renderer = figure.canvas.get_renderer()
     box: Any = shown.get_tightbbox(renderer)
     box = box.padded(MARGIN)
 
-    def file(found: Reconstruction) -> bytes:
+    def files(found: Reconstruction) -> dict[str, bytes]:
         values = np.asarray(found.object)
         known = found.status, values.shape, values.min(), values.max()
         if known != (expected.status, shape, 0.0, 1.0) or not _drawn_once(figure):
-            return figure_file(draw(found), ".png")
+            return panel_files(draw(found))
         from matplotlib.patches import Rectangle
         from matplotlib.transforms import IdentityTransform
 
@@ -199,9 +247,10 @@ def awaited_file(
         empty.draw(renderer)
         shown.images[0].set_data(values[:, ::-1])
         shown.draw(renderer)
-        return _png(figure)
+        late = {name: _png(figure, part) for name, part in boxes.items()}
+        return {whole: _png(figure), **ready, **late}
 
-    return file
+    return files
 
 
 def _plotter_file(plotter: Any, suffix: str) -> bytes:

@@ -80,7 +80,7 @@ def scene_sketch(
     if axes is None:
         figure: Any = top.get_figure(root=True)
         figure.legend(
-            *side.get_legend_handles_labels(), loc="outside lower center", ncols=2 if stacked else 4
+            *side.get_legend_handles_labels(), loc="lower center", ncols=2 if stacked else 4
         )
     else:
         side.legend()

@@ -155,8 +155,7 @@ def study_panels(
     values = np.asarray(chosen[figure].values, dtype=np.float64)
     good = values[np.isfinite(values)]
     span = (float(good.min()), float(good.max())) if len(good) else None
-    columns = min(count, PANELS)
-    rows = -(-count // columns)
+    rows, columns = -(-count // PANELS), min(count, PANELS)
     made = new_axes(count, width=3.1 * columns + 0.9, height=3.0 * rows + 0.4, columns=columns)
     for unused in made[count:]:
         unused.remove()
@@ -170,6 +169,7 @@ def study_panels(
             panel.set(ylabel="", yticklabels=[])
         panel.tick_params(axis="x", rotation=45)
     parent: Any = made[0].get_figure()
+    parent.set_layout_engine("constrained")  # one colour bar for all rows and columns
     parent.colorbar(drawn, ax=list(made[:count]), label=_name(dataset, figure))
     return made[:count]
 

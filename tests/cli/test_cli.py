@@ -476,8 +476,8 @@ def test_plan_and_run_load_nothing_heavy(command: str, scene_file: Path) -> None
     Other processes load matplotlib for a run.
     """
     code = (
-        "import sys\nfrom nlosoptics.cli import main\n"
-        "try: main()\nfinally: print(*sys.modules, file=sys.stderr)"
+        "import atexit, sys\nfrom nlosoptics.cli import main\n"
+        "atexit.register(lambda: print(*sys.modules, file=sys.stderr))\nmain()"
     )
     environment = {k: v for k, v in os.environ.items() if k != "EAGER_IMPORT"}
     answer = subprocess.run(
@@ -491,7 +491,24 @@ def test_plan_and_run_load_nothing_heavy(command: str, scene_file: Path) -> None
     heavy = {"torch", "pyvista", "trimesh", "rich.console", "scipy.fft", "scipy.special"}
     if command == "plan":  # on one core, a run draws by itself
         heavy.add("matplotlib")
-    assert heavy & set(answer.stderr.split()) == set()
+    loaded = set(answer.stderr.split())
+    assert "nlosoptics.runs.plan" in loaded
+    assert heavy & loaded == set()
+
+
+@pytest.mark.parametrize(("word", "code"), [("--version", 0), ("--nonsense", 2)])
+def test_a_process_ends_with_its_code_and_all_that_it_registered(word: str, code: int) -> None:
+    """Also into a pipe, whose text is written only when it is flushed."""
+    program = (
+        "import atexit, sys; atexit.register(print, 'registered'); sys.argv[1:] = [{!r}]\n"
+        "from nlosoptics.cli import main; main(); print('goes on')"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", program.format(word)], capture_output=True, text=True, check=False
+    )
+    assert answer.returncode == code
+    assert answer.stdout.splitlines()[-1] == "registered"
+    assert answer.stderr.startswith("nlosoptics: No such option") == (code == 2)
 
 
 def test_set_changes_values_of_the_scene(run, scene_file):

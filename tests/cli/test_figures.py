@@ -5,17 +5,20 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import replace
+from io import BytesIO
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from nlosoptics import simulate
 from nlosoptics.cli import figures
 from nlosoptics.psf import ScenePointSpread
 from nlosoptics.runs.plan import Plan
 from nlosoptics.views import saving
-from nlosoptics.views.run_overview import FIT
-from nlosoptics.views.saving import figure_file
+from nlosoptics.views.run_overview import overview_panels
+from nlosoptics.views.saving import panel_files
 
 HERE = os.getpid()
 forks = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
@@ -29,19 +32,22 @@ def drawn_by(tmp_path, monkeypatch, flat_scene):
     """
 
     def run(cores=2, **before):
-        def named(*names):
-            return lambda _: {name: before.get(name, lambda: None) for name in names}
+        def named(name):
+            def draw():
+                before.get(name, lambda: None)()
+                return {name: str(os.getpid()).encode()}
+
+            return lambda _: {name: draw}
 
         monkeypatch.setattr(figures, "_of_scene", named("scene"))
+        monkeypatch.setattr(figures, "_of_wave", named("point_spread"))
         monkeypatch.setattr(figures, "_of_run", named("overview"))
-        monkeypatch.setattr(figures, "_of_wave", named("wavefront"))
-        monkeypatch.setattr(figures, "_of_image", named("image"))
-        monkeypatch.setattr(figures, "_of_fit", named("reconstruction"))
-        monkeypatch.setattr(figures, "_drawn", lambda draw: draw() or str(os.getpid()).encode())
+        monkeypatch.setattr(figures, "_drawn", lambda draw: draw())
         monkeypatch.setattr(figures.os, "cpu_count", lambda: cores)
         plan = Plan(stages=(), skipped=(), tol=1e-3, waves=0.0, exit_pupil=None, budget=None)
         result = SimpleNamespace(scene=flat_scene, plan=plan)
-        with figures.painters(flat_scene) as beside:
+        with figures.painters() as beside:
+            beside.send(flat_scene)
             beside.send(None)
             beside.send(result)
             beside.send(None, tmp_path)
@@ -63,16 +69,15 @@ def fail():
 @forks
 def test_two_other_processes_draw(drawn_by):
     found = drawn_by()
-    assert found["scene"] == found["wavefront"] == found["image"] == found["reconstruction"]
-    assert len({HERE, found["image"], found["overview"]}) == 3
+    assert found["scene"] == found["point_spread"]
+    assert len({HERE, found["scene"], found["overview"]}) == 3
 
 
 def test_one_core_draws_all_here(drawn_by):
-    names = "scene", "wavefront", "image", "reconstruction", "overview"
-    assert drawn_by(cores=1) == dict.fromkeys(names, HERE)
+    assert drawn_by(cores=1) == dict.fromkeys(("scene", "point_spread", "overview"), HERE)
 
 
-@pytest.mark.parametrize("name", ["scene", "overview", "wavefront", "image", "reconstruction"])
+@pytest.mark.parametrize("name", ["scene", "point_spread", "overview"])
 def test_figures_of_a_process_that_fails_are_drawn_here(drawn_by, capfd, name):
     assert drawn_by(**{name: elsewhere(fail)})[name] == HERE
     assert capfd.readouterr().err == ""
@@ -83,7 +88,7 @@ def test_an_error_reaches_the_caller(drawn_by):
         raise ValueError("no such colour")
 
     with pytest.raises(ValueError, match="no such colour"):
-        drawn_by(image=broken)
+        drawn_by(overview=broken)
 
 
 @forks
@@ -109,17 +114,10 @@ def test_what_cannot_be_sent_is_drawn_here(drawn_by, monkeypatch):
     assert set(drawn_by().values()) == {HERE}
 
 
-@pytest.mark.parametrize(
-    ("late", "name", "place"),
-    [("_of_run", "overview", FIT), ("_of_fit", "reconstruction", -1)],
-)
-def test_a_figure_completed_late_is_the_figure_drawn_at_once(
-    flat_scene, monkeypatch, late, name, place
-):
+def test_an_overview_completed_late_is_the_one_drawn_at_once(flat_scene, monkeypatch):
     """To the last byte, whether the fit is as expected, so that only its image is drawn, or not."""
     result = simulate(flat_scene.resized(32), tol=1e-2, reconstruct=True)
-    early = replace(result, reconstruction=None)
-    complete = figures._awaiting(early, getattr(figures, late), place)
+    complete = figures._awaiting(replace(result, reconstruction=None))
     fit = result.reconstruction
     assert (fit.status, fit.object.min(), fit.object.max()) == ("converged", 0.0, 1.0)
     others = (
@@ -128,12 +126,28 @@ def test_a_figure_completed_late_is_the_figure_drawn_at_once(
         replace(fit, object=2.0 * fit.object),
     )
     wanted = [
-        figure_file(getattr(figures, late)(replace(result, reconstruction=each))[name](), ".png")
+        panel_files(overview_panels(replace(result, reconstruction=each)))
         for each in (fit, *others)
     ]
-    assert [complete(each)[name] for each in (*others, fit)] == [*wanted[1:], wanted[0]]
-    monkeypatch.setattr(saving, "figure_file", None)  # not needed for what is expected
-    assert complete(fit)[name] == wanted[0]
+    assert set(wanted[0]) == {"overview", "wavefront", "image", "reconstruction"}
+    assert [complete(each)["overview"] for each in (*others, fit)] == [*wanted[1:], wanted[0]]
+    monkeypatch.setattr(saving, "panel_files", None)  # not needed for what is expected
+    assert complete(fit)["overview"] == wanted[0]
+
+
+def test_panels_are_cut_out_with_all_their_labels(flat_scene):
+    """The outline of a panel is blank, so that no label is cut, and the rest of it is not."""
+    result = simulate(flat_scene.resized(32), tol=1e-2, reconstruct=True)
+    whole, *panels = (
+        np.asarray(Image.open(BytesIO(content)).convert("L"))
+        for content in panel_files(overview_panels(result)).values()
+    )
+    for panel in panels:
+        blank = panel == 255
+        assert blank[[0, -1]].all()
+        assert blank[:, [0, -1]].all()
+        assert not blank[10:-10, 10:-10].all(axis=0).all()
+        assert panel.shape[0] < whole.shape[0] / 2
 
 
 @forks
@@ -145,7 +159,8 @@ def test_other_processes_draw_the_same_figures(flat_scene, tmp_path, monkeypatch
     for folder in folders:
         folder.mkdir()
     figures.write_figures(result, folders[0])
-    with figures.painters(flat_scene) as beside:
+    with figures.painters() as beside:
+        beside.send(flat_scene)
         wave = {name: getattr(result, name) for name in ScenePointSpread.__dataclass_fields__}
         beside.send(ScenePointSpread(**wave))
         beside.send(replace(result, reconstruction=None))
@@ -160,11 +175,11 @@ def test_other_processes_draw_the_same_figures(flat_scene, tmp_path, monkeypatch
 
 
 @forks
-def test_processes_end_with_a_run_that_fails(drawn_by, flat_scene, monkeypatch):
+def test_processes_end_with_a_run_that_fails(monkeypatch):
     monkeypatch.setattr(figures.os, "cpu_count", lambda: 2)
     ends = []
     monkeypatch.setattr(figures.os, "killpg", lambda *call: (ends.append(call), kill(*call)))
-    with pytest.raises(KeyboardInterrupt), figures.painters(flat_scene):
+    with pytest.raises(KeyboardInterrupt), figures.painters():
         raise KeyboardInterrupt
     assert_gone(ends[0][0])
 

@@ -1,4 +1,4 @@
-"""Tick labels of x axes: they never overlap, whatever the size of the axes and the labels."""
+"""Labels of figures: none overlaps another or is cut off, at any size of axes and labels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytest.importorskip("matplotlib")
 def gaps(axes):
     """Distances between neighbouring tick labels of x, pixels."""
     figure = axes.get_figure(root=True)
-    figure.canvas.draw()
+    figure.draw_without_rendering()  # a figure that was pickled has no canvas that draws
     low, high = sorted(axes.get_xlim())
     labels = [
         tick.label1.get_window_extent()
@@ -64,3 +64,32 @@ def test_ticks_follow_a_new_size_and_survive_pickling():
     small = again.axes[0]
     assert min(gaps(small), default=1.0) > 0.0
     assert len(small.get_xticks()) < many
+
+
+def grey(shape, largest, pitch):
+    return SimpleNamespace(
+        electrons=np.linspace(0.0, largest, np.prod(shape)).reshape(shape), pitch=pitch
+    )
+
+
+@pytest.mark.parametrize("size", [(4.0, 3.5), (5.6, 4.6), (9.0, 3.0)])
+@pytest.mark.parametrize("largest", [1.0, 1e3, 123_456.0, 9.87e7, 2e-5])
+@pytest.mark.parametrize("pitch", [1e-7, 1.234e-4])
+def test_no_label_of_a_map_is_cut_off(size, largest, pitch):
+    axes = views.image(grey((24, 24), largest, pitch))
+    figure = axes.get_figure()
+    figure.set_size_inches(size)
+    figure.draw_without_rendering()
+    box = axes.get_tightbbox()
+    assert min(box.x0, box.y0) >= 0.0
+    assert figure.bbox.x1 - box.x1 >= 0.0
+    assert figure.bbox.y1 - box.y1 >= 0.0
+
+
+@pytest.mark.parametrize("largest", [1.0, 9.87e7])
+def test_labels_of_neighbours_do_not_touch(largest):
+    found = SimpleNamespace(object=largest * np.eye(4), status="converged")
+    left, right = views.reconstruction(found, np.eye(4), pitch=1.234e-3)
+    left.get_figure().draw_without_rendering()
+    assert left.get_tightbbox().x1 < right.get_tightbbox().x0
+    assert right.get_tightbbox().x1 <= left.get_figure().bbox.x1
