@@ -391,7 +391,10 @@ class _Splitting(Solver[_Split]):
         own = data.in_torch() if is_tensor(self.data.data) else data
         rule = self.max_iterations, _COARSER * self._tolerance
         again = _Splitting(own, model, rule, None)
-        return again.level(run(again, replace(state, count=0, measure=math.inf)).state)
+        begun = replace(state, count=0, measure=math.inf)
+        if state.free is not None:  # the last step's image is that of this fit's model
+            begun.free, begun.seen = self._dark + 0.0, self._dark + 0.0
+        return again.level(run(again, begun).state)
 
     def _factors(self, state: _Split) -> tuple[Values, Values, Values]:
         """Return the half spectra of R, of the preconditioner and of the data filter.
