@@ -4,7 +4,7 @@ Each sign alone is also seen in right fits, so that no limit of its own would se
 weights are those of a logistic regression that tells answers of `tv_deconvolve` with a correlation
 below 0.85 from those above 0.93; the offset lets the sum exceed 0 in 5 % of the latter. These are
 mostly answers with a correlation of up to 0.96 whose model is wrong; of the fits with a right model
-2 % are among them. In a cross-validation, 4 % of the wrong answers were called right at this share.
+2 % are among them. In a cross-validation, 5 % of the wrong answers were called right at this share.
 The constants were fitted by ``benchmarks/inverse/mismatches.py --fit``.
 
 The sign "unsteady" is a parametric bootstrap: the fitted object is imaged with new noise by a point
