@@ -136,10 +136,11 @@ SECTIONS = (
         'many of these results have the status "converged": below 0.85 few should have it, above '
         "0.93 most. Images have 64 x 64 pixels and 0.5 to 10 % noise. None of them was used to "
         "set the limits of the tests.",
-        "python benchmarks/inverse/mismatches.py --json {file} --first 950000 --cases 220; python "
-        "benchmarks/inverse/mismatches.py --json {file} --first 960000 --cases 200 --kinds "
+        "python benchmarks/inverse/mismatches.py --json {file} --first 1000000 --cases 220; python "
+        "benchmarks/inverse/mismatches.py --json {file} --first 1001000 --cases 200 --kinds "
         "white_noise exponential_noise photon_noise unblurred_picture blobs other_speckle "
-        "other_wall; the same with --first 970000 and --first 975000",
+        "other_wall; python benchmarks/inverse/mismatches.py --json {file} --first 1002000 "
+        "--cases 220",
         table={
             "mismatch": lambda group: MISMATCHES[group["kind"]],
             "cases": "{count}",

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import numpy as np
+
 from ..._checks import counted
+from ..._fourier import irfft2, rfft2
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from .arrays import Values, as_double, is_tensor, library
@@ -69,3 +72,28 @@ def mean_transfer(model: AnyModel) -> Values:
         return model.transfer
     shares = model.weights.mean((-2, -1))
     return (shares[:, None, None] * model.transfer).sum(0)
+
+
+def widened(model: AnyModel, factor: float) -> ForwardModel:
+    """Return the image model, in numpy, of a point spread that is ``factor`` > 1 times as wide.
+
+    The kernel is interpolated linearly on the model's grid. The mean transfer function keeps its
+    largest modulus.
+    """
+    own = numpy_model(model)
+    kernel = np.fft.fftshift(irfft2(own.transfer, own.grid[1]), axes=(-2, -1))
+    for axis in (-2, -1):
+        middle = kernel.shape[axis] // 2
+        at = middle + (np.arange(kernel.shape[axis]) - middle) / factor
+        low = at.astype(np.intp)
+        part = (at - low).reshape(-1, *(1,) * (-1 - axis))
+        lower, upper = (np.take(kernel, low + step, axis) for step in (0, 1))
+        kernel = (1.0 - part) * lower + part * upper
+    twin = ForwardModel.__new__(ForwardModel)
+    transfer = rfft2(np.fft.ifftshift(kernel, axes=(-2, -1)))
+    for name, value in {**vars(own), "kernel": kernel, "transfer": transfer}.items():
+        object.__setattr__(twin, name, value)
+    scale = abs(mean_transfer(own)).max() / abs(mean_transfer(twin)).max()
+    kernel *= scale
+    transfer *= scale
+    return twin

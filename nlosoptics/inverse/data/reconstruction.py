@@ -113,13 +113,15 @@ def assemble(
     history: Mapping[str, Sequence[float]],
     started: float,
     reasons: tuple[str, ...] = (),
+    error: NDArray[np.float64] | None = None,
     **parameters: Any,
 ) -> Reconstruction:
     """Return the `Reconstruction` for an object in image units.
 
     ``level`` (H, W) is the object times the gain and ``background`` the fitted strength of the
     unknown background, image units. If ``gain`` is None, the object's maximum becomes 1.
-    ``reasons`` speak against "converged". ``started`` is ``time.perf_counter()`` at the start, and
+    ``reasons`` speak against "converged". ``error`` (H, W) is that of the object, image units, and
+    becomes the parameter ``object_error``. ``started`` is ``time.perf_counter()`` at the start, and
     ``parameters`` are further entries of ``physical_parameters``.
     """
     level = as_double(level)
@@ -128,6 +130,8 @@ def assemble(
     if gain is None:
         brightest = float(level.max())
         gain = brightest if brightest > 0.0 else 1.0
+    if error is not None:
+        parameters["object_error"] = data.like_input(error / gain)
     return Reconstruction(
         object=data.like_input(level / gain),
         physical_parameters={
@@ -159,17 +163,20 @@ def concluded(
 
     Parameters as in `assemble`, with how the solver ended in place of status and history.
     """
-    status, reasons = judged(data, level, background, model, ending)
+    found = judged(data, level, background, model, ending)
+    if found.expected_correlation is not None:
+        parameters["expected_correlation"] = found.expected_correlation
     return assemble(
         data,
         level,
         model=model,
         background=background,
         gain=gain,
-        status=status,
+        status=found.status,
         history=ending.history,
         started=started,
-        reasons=reasons,
+        reasons=found.reasons,
+        error=found.error,
         **parameters,
     )
 

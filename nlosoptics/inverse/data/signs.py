@@ -4,11 +4,13 @@ Each sign alone is also seen in right fits, so that no limit of its own would se
 weights are those of a logistic regression that tells answers of `tv_deconvolve` with a correlation
 below 0.85 from those above 0.93; the offset lets the sum exceed 0 in 5 % of the latter. These are
 mostly answers with a correlation of up to 0.96 whose model is wrong; of the fits with a right model
-2 % are among them. In a cross-validation, 3 % of the wrong answers were called right at this share,
-and 1 % at a share of 10 %. The constants were fitted by ``benchmarks/inverse/mismatches.py --fit``.
+2 % are among them. In a cross-validation, 5 % of the wrong answers were called right at this share.
+The constants were fitted by ``benchmarks/inverse/mismatches.py --fit``.
 
-The sign "unsteady" is a parametric bootstrap: the fitted object is imaged by the model with new
-noise and fitted again. Detail that noise made, or hides, differs between the two objects.
+The sign "unsteady" is a parametric bootstrap: the fitted object is imaged with new noise by a point
+spread that is wider than the model's, and fitted again. A fit to the model's own image would only
+show what the noise changes. What blur and noise have hidden is missing from the object already; the
+wider point spread takes about as much from what is left.
 """
 
 from __future__ import annotations
@@ -26,23 +28,29 @@ Array = NDArray[np.float64]
 
 _BORDER = 1 / 32  # width of the frame's edge, relative to the shorter side
 _MOST_BORDER = 1.5  # brightness at the edge that counts fully, relative to the mean
-# The residual's power over the noise's that right fits may leave; the range of the rest, relative
-# to the power of the image's detail.
-_EXCESS, _LEAST_REST = 1.1, 1e-3
+# The residual's power over the noise's that right fits may leave; least power of the image's detail
+# with which the rest is compared.
+_EXCESS, _LEAST_EXCESS = 1.1, 1e-3
 # Largest number of pixels a side, and reach, of the object in which halos are sought.
 _HALO_PIXELS, _HALO_REACH = 64, 8
 # Brightness below which pixels are dim, relative to the brightest; quantile of the brightest.
 _DIM, _BRIGHTEST = 0.25, 0.997
-_LEAST_LOSS = 1e-3  # correlation lost in a repetition that counts as none
-# Steps of the object, relative to its brightness, that do not count as soft, as -log.
-_LEAST_SOFT = 1.4
-_HALO_OFFSET = 1.02  # the rest besides a halo counts by its logarithm, above this minus 1
+# Steps of the object, relative to its brightness, that do not count as soft.
+_MOST_STEPS = 0.25
+#: Width of the point spread of the second fit, relative to the model's.
+WIDER = math.sqrt(2.0)
+#: Correlation with the truth that an answer lacks, relative to what the second fit lacks of it.
+LACK = 0.75
 _HALO_RIDGE = 0.01  # of the bright parts' power, for a stable fit
 
 
 @dataclass(frozen=True)
 class _Sign:
-    """Weight of a sign, its mean over right fits, and the value that 95 % of them do not exceed."""
+    """Weight of a sign, its mean over right fits, and the value that 95 % of them do not exceed.
+
+    The sign "unexplained" adds nothing to the others and has no weight; 99 % of the right fits do
+    not exceed its value.
+    """
 
     weight: float
     mean: float
@@ -50,58 +58,58 @@ class _Sign:
     words: str
 
 
-_OFFSET = -4.134
+_OFFSET = -3.224
 # Sum for which half of the answers in the regression were wrong.
-_EVEN = 0.729
+_EVEN = 0.739
 SIGNS = {
     "grain": _Sign(
-        1.280,
-        -2.334,
-        -1.546,
+        10.336,
+        0.109,
+        0.198,
         "the object is grainy: {0:.2f} on a scale from 0 (few edges) to 0.79 (noise), usually "
         "below {1:.2f}",
     ),
     "soft": _Sign(
-        7.613,
-        1.418,
-        1.549,
+        28.279,
+        -0.244,
+        -0.204,
         "the object has soft edges: its steps are {0:.2f} of its brightness, usually more than "
         "{1:.2f}; the true point spread may be wider than the model's",
     ),
     "border": _Sign(
-        4.331,
-        0.170,
-        0.558,
+        3.299,
+        0.147,
+        0.549,
         "the object is {0:.2f} times as bright at the frame's edge as on average, usually below "
         "{1:.2f}: there is a veil (give background_shape) or light from outside the frame",
     ),
     "halo": _Sign(
-        4.106,
-        0.456,
-        0.888,
+        7.026,
+        0.385,
+        0.608,
         "{0:.2f} of the power of the dim parts is one halo around all bright parts, usually below "
         "{1:.2f}: the true point spread has light that the model lacks",
     ),
     "dim": _Sign(
-        0.566,
-        -3.952,
-        -2.493,
+        6.869,
+        0.029,
+        0.086,
         "dim parts hold {0:.2g} of the object's power, usually below {1:.2g}",
     ),
     "unexplained": _Sign(
-        0.459,
-        -2.984,
-        -3.000,
+        0.000,
+        0.001,
+        0.010,
         "the fit does not explain {0:.2g} of the power of the image's detail, usually below "
         "{1:.2g}: the point spread, the camera's response or the background differs",
     ),
     "unsteady": _Sign(
-        1.397,
-        -4.805,
-        -3.168,
-        "a fit to the object's own image with other noise gives an object whose correlation with "
-        "this one is lower by {0:.2g}, usually below {1:.2g}: the noise hides detail (expose "
-        "longer), or the point spread is another one",
+        16.470,
+        0.151,
+        0.287,
+        "a fit to the object's own image, with other noise and a wider point spread, gives another "
+        "object: their distance is {0:.2f} (0 if equal, 1 if unrelated), usually below {1:.2f}; "
+        "the noise hides detail (expose longer), or the point spread is another one",
     ),
 }
 
@@ -128,10 +136,10 @@ def told(values: Mapping[str, float]) -> Iterator[str]:
     """Yield a sentence for each unusual sign, or for the strongest one, the heaviest first."""
     weights = {name: SIGNS[name].weight * (v - SIGNS[name].mean) for name, v in values.items()}
     order = sorted(weights, key=lambda name: -weights[name])
-    unusual = [name for name in order if weights[name] > 0.0 and values[name] > SIGNS[name].usual]
+    unusual = [name for name in order if values[name] > SIGNS[name].usual]
     for name in unusual or order[:1]:
         sign = SIGNS[name]
-        yield sign.words.format(*(_plain(name, v) for v in (values[name], sign.usual)))
+        yield sign.words.format(abs(values[name]), abs(sign.usual))
 
 
 def signs(level: Array, again: Array, *, residual: float, excess: float) -> dict[str, float]:
@@ -142,7 +150,7 @@ def signs(level: Array, again: Array, *, residual: float, excess: float) -> dict
     level : ndarray, (H, W)
         Fitted object, any unit, non-negative and not all zero.
     again : ndarray, (H, W)
-        Object of the same fit to an image of ``level`` with other noise.
+        Object of a fit to an image of ``level`` with other noise and a wider point spread.
     residual : float
         Rms residual over the noise.
     excess : float
@@ -151,13 +159,12 @@ def signs(level: Array, again: Array, *, residual: float, excess: float) -> dict
     Returns
     -------
     dict of str to float
-        ``grain``: logarithm of (mean |grad|)^2 / mean |grad|^2. ``soft``: minus the logarithm of
-        the mean |grad|, weighted by itself, over the brightness, at least 1.4. ``border``:
-        brightness at the frame's edge over the mean. ``halo``: minus the logarithm of the share of
-        the dim parts' power that one halo around all bright parts does not explain, plus 0.02.
-        ``dim``: logarithm of the dim parts' share of the object's power. ``unexplained``: decimal
-        logarithm of the residual's power above the noise over ``excess``. ``unsteady``: logarithm
-        of one minus the correlation of both objects.
+        ``grain``: (mean |grad|)^2 / mean |grad|^2. ``soft``: minus the mean |grad|, weighted by
+        itself, over the brightness, at least -0.25. ``border``: brightness at the frame's edge over
+        the mean. ``halo``: share of the dim parts' power that one halo around all bright parts
+        explains. ``dim``: the dim parts' share of the object's power. ``unexplained``: the
+        residual's power above the noise over ``excess``. ``unsteady``: square root of one minus the
+        correlation of both objects, their distance.
     """
     steps = np.hypot(level - np.roll(level, 1, 0), level - np.roll(level, 1, 1))
     width = max(1, round(_BORDER * min(level.shape)))
@@ -166,16 +173,24 @@ def signs(level: Array, again: Array, *, residual: float, excess: float) -> dict
     side = -(-max(level.shape) // _HALO_PIXELS)
     halo, dim = _halo(block_means(level, side))
     total, square = (max(float(part.mean()), 1e-300) for part in (steps, steps**2))
-    rest = max(residual**2 - _EXCESS, 0.0) / max(excess, _LEAST_REST)
     return {
-        "grain": 2.0 * math.log(total) - math.log(square),
-        "soft": max(math.log(total / square * _brightness(level)), _LEAST_SOFT),
+        "grain": total**2 / square,
+        "soft": -min(square / total / _brightness(level), _MOST_STEPS),
         "border": min(float(edge), _MOST_BORDER),
-        "halo": -math.log(_HALO_OFFSET - halo),
-        "dim": math.log(dim + 1e-3),
-        "unexplained": math.log10(max(rest, _LEAST_REST)),
-        "unsteady": math.log(max(1.0 - _correlation(level, again), _LEAST_LOSS)),
+        "halo": halo,
+        "dim": dim,
+        "unexplained": min(max(residual**2 - _EXCESS, 0.0) / max(excess, _LEAST_EXCESS), 1.0),
+        "unsteady": math.sqrt(max(1.0 - _correlation(level, again), 0.0)),
     }
+
+
+def expected_correlation(values: Mapping[str, float]) -> float:
+    """Return the correlation with the truth that the signs of an answer let expect.
+
+    It holds if the model is right. The fit to a wider point spread lacks more of the object than
+    the object lacks of the truth, by a factor that scatters by 1.7.
+    """
+    return 1.0 - LACK * values["unsteady"] ** 2
 
 
 def _brightness(object_: Array) -> float:
@@ -224,14 +239,3 @@ def block_means(values: Array, side: int) -> Array:
     rows, columns = values.shape[0] // high, values.shape[1] // wide
     whole = values[: rows * high, : columns * wide]
     return np.asarray(whole.reshape(rows, high, columns, wide).mean(axis=(1, 3)))
-
-
-def _plain(name: str, value: float) -> float:
-    """Return the quantity of a sign without its logarithm."""
-    if name == "unexplained":
-        return float(10.0**value)
-    if name == "halo":
-        return _HALO_OFFSET - math.exp(-value)
-    if name == "soft":
-        return math.exp(-value)
-    return value if name == "border" else math.exp(value)

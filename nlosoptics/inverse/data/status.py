@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from .arrays import Values, as_double, as_numpy
 from .measurement import Measurement
-from .models import AnyModel, image_of
-from .signs import as_if_steady, doubt, risk, signs, told
+from .models import AnyModel, image_of, widened
+from .signs import WIDER, as_if_steady, doubt, expected_correlation, risk, signs, told
 from .spectra import (
     beyond_optics,
     expected_signal,
@@ -74,8 +74,8 @@ _BORDER = 1 / 32  # width of the edge, relative to the shorter side
 # Least expected correlation of object and Wiener estimate. A sharp fit restores edges that a filter
 # does not, but half of the power of a typical object's detail must exceed the noise.
 _LEAST_SHARE, _LEAST_SHARP_SHARE = 0.73, math.sqrt(0.5)
-# Largest loss of correlation in a second fit with other noise.
-_MOST_LOST = 0.1
+# Least correlation with the truth that a sharp fit must let expect.
+_LEAST_EXPECTED = 0.92
 # Largest share of a linear estimate's power in negative pixels, apart from that of the noise.
 _MOST_NEGATIVE = 0.03
 # Largest ratio of measured and stated noise beyond the optics, or of two parts of that noise.
@@ -105,7 +105,7 @@ class Ending:
     converged: bool
     history: Mapping[str, Sequence[float]]
     most_residual: float | None = None
-    again: Callable[[Measurement], Values] | None = None
+    again: Callable[[Measurement, AnyModel], Values] | None = None
 
     def settled(self) -> bool:
         """Return whether more iterations would hardly change the object.
@@ -127,9 +127,32 @@ class Ending:
         return abs(earlier - residuals[-1]) <= _MOST_DRIFT * residuals[-1]
 
 
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """Status of a fit, the reasons against "converged", and the estimated error of a sharp fit.
+
+    Parameters
+    ----------
+    status : {"converged", "unconverged", "too_few_photons", "does_not_fit"}
+        "does_not_fit" if a test of the model failed; otherwise "too_few_photons" if the noise
+        hides most of the object.
+    reasons : tuple of str
+        A sentence for each failed test, with the value, the limit and a likely cause.
+    expected_correlation : float or None
+        Correlation with the truth to expect if the model is right; None without a second fit.
+    error : ndarray or None, (H, W)
+        Estimated error of each pixel of the object, image units; None without a second fit.
+    """
+
+    status: Status
+    reasons: tuple[str, ...]
+    expected_correlation: float | None = None
+    error: Array | None = None
+
+
 def judged(
     data: Measurement, level: Values, strength: float, model: AnyModel, ending: Ending
-) -> tuple[Status, tuple[str, ...]]:
+) -> Judgement:
     """Return the status of a fit with a known point spread, and the reasons against "converged".
 
     Parameters
@@ -145,26 +168,18 @@ def judged(
     ending : Ending
         How the solver ended.
 
-    Returns
-    -------
-    status : {"converged", "unconverged", "too_few_photons", "does_not_fit"}
-        "does_not_fit" if a test of the model failed; otherwise "too_few_photons" if the noise
-        hides most of the object.
-    reasons : tuple of str
-        A sentence for each failed test, with the value, the limit and a likely cause.
-
     Notes
     -----
     The stated noise must be that of the frequencies beyond the optics' cut-off.
 
     A sharp fit does not fit the scene if the sum of its signs, `signs.doubt`, is positive: of such
-    answers at least 33 % had a correlation below 0.85 with the truth in tests with equally many
+    answers at least a third had a correlation below 0.85 with the truth in tests with equally many
     right and wrong answers. The last reason states this probability. One of the signs needs a
-    second fit, to the model's image of the object with other noise. If the sum is positive only
-    because this fit gives another object, and noise alone can explain this, the image has too few
-    photons. It also has too few if the correlation of both objects is below 0.9, or if the Wiener
-    filter would recover too little of an object with the spectrum 1/f^2: a second fit does not show
-    the loss of detail that the first one has lost already.
+    second fit, to the image of the object by a wider point spread with other noise. If the sum is
+    positive only because this fit gives another object, and noise alone can explain this, the image
+    has too few photons. It also has too few if the `expected_correlation` is low, or if the Wiener
+    filter would recover too little of an object with the spectrum 1/f^2: of an object that the
+    noise hides from both fits, the second one shows no loss.
 
     For other fits
 
@@ -181,19 +196,39 @@ def judged(
     """
     data, level = data.in_numpy(), as_double(as_numpy(level))
     if not level.any():
-        return "too_few_photons", ("the fit explains the image without an object; expose longer",)
+        return Judgement(
+            "too_few_photons", ("the fit explains the image without an object; expose longer",)
+        )
     spectrum = Spectra(data, level, strength, model)
-    settled, share = ending.settled(), spectrum.share()
+    settled, again = ending.settled(), None
+    # a fit that still changes cannot converge, so that a second one would tell nothing
+    if settled and ending.again is not None:
+        wider = widened(model, WIDER)
+        again = as_double(as_numpy(ending.again(spectrum.repetition(wider), wider)))
+    values = None if ending.again is None else spectrum.signs(level if again is None else again)
+    status, reasons = _status(spectrum, level, values, model, ending, settled)
+    if values is None or again is None:
+        return Judgement(status, reasons)
+    return Judgement(status, reasons, expected_correlation(values), np.abs(again - level))
+
+
+def _status(
+    spectrum: Spectra,
+    level: Array,
+    values: Mapping[str, float] | None,
+    model: AnyModel,
+    ending: Ending,
+    settled: bool,
+) -> tuple[Status, tuple[str, ...]]:
+    """Return status and reasons; ``values`` are the signs of a sharp fit."""
+    share = spectrum.share()
     if settled or ending.stalled():
-        faults = list(spectrum.stated_noise_faults(explained=ending.again is not None))
-        if ending.again is not None:
-            # a fit that still changes cannot converge, so that a second one would tell nothing
-            again = ending.again(spectrum.repetition()) if settled else level
-            values = spectrum.signs(as_double(as_numpy(again)))
+        faults = list(spectrum.stated_noise_faults(explained=values is not None))
+        if values is not None:
+            expected = expected_correlation(values)
             # The noise can hide no more than what a linear estimate would miss.
-            lost = math.exp(values["unsteady"])
-            noisy = lost <= 1.0 - share and doubt(as_if_steady(values)) <= 0.0 < doubt(values)
-            if not faults and (noisy or (doubt(values) <= 0.0 and lost > _MOST_LOST)):
+            noisy = expected >= share and doubt(as_if_steady(values)) <= 0.0 < doubt(values)
+            if not faults and (noisy or (doubt(values) <= 0.0 and expected < _LEAST_EXPECTED)):
                 return "too_few_photons", tuple(told({"unsteady": values["unsteady"]}))
             if doubt(values) > 0.0:
                 faults += [*told(values), *spectrum.colour_faults()]
@@ -222,7 +257,7 @@ def judged(
             f"{100 * _MOST_NEGATIVE:g} %; the object is mostly noise: expose longer, or use "
             "tv_deconvolve",
         )
-    least = _LEAST_SHARE if ending.again is None else _LEAST_SHARP_SHARE
+    least = _LEAST_SHARE if values is None else _LEAST_SHARP_SHARE
     if share < least:
         return "too_few_photons", (
             f"the noise hides most of the object: expected correlation {share:.2f} of a linear "
@@ -245,9 +280,10 @@ class Spectra:
         signal = expected_signal(image_power, passed, variance, self._shape)
         self._ratio = signal / variance
         self._beyond = beyond_optics(signal, variance)
-        self._explained = image_of(model, level) + data.background(strength)
-        residual = (data.data - self._explained) / data.sigma
-        self._rms = data.score(self._explained)
+        self._background = data.background(strength)
+        explained = image_of(model, level) + self._background
+        residual = (data.data - explained) / data.sigma
+        self._rms = data.score(explained)
         if data.weights is not None:
             residual = residual * np.sqrt(data.weights)
         self._left = power(residual) * (residual.size / data.counted)
@@ -258,13 +294,13 @@ class Spectra:
         self._mean_variance = data.noise_power() / self._level.size
         self._noise = self._left if masked else (image_power - signal) / self._mean_variance
 
-    def repetition(self) -> Measurement:
-        """Return the model's image of the fitted object with other noise of the same strength."""
+    def repetition(self, model: AnyModel) -> Measurement:
+        """Return a model's image of the fitted object with other noise of the same strength."""
         noise = np.random.default_rng(_OTHER_NOISE).normal(size=self._shape) * self._data.sigma
         if self._data.weights is not None:
             root = np.sqrt(self._data.weights)
             noise = np.divide(noise, root, out=np.zeros(self._shape), where=root > 0.0)
-        return replace(self._data, data=self._explained + noise)
+        return replace(self._data, data=image_of(model, self._level) + self._background + noise)
 
     def signs(self, again: Array) -> dict[str, float]:
         """Return the signs of a wrong model in a sharp fit, with its object of `repetition`."""

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from nlosoptics.inverse.data.signs import SIGNS, block_means, doubt, risk, signs, told
+from nlosoptics.inverse.data.signs import (
+    SIGNS,
+    block_means,
+    doubt,
+    expected_correlation,
+    risk,
+    signs,
+    told,
+)
 
 SIDE = 64
 
@@ -22,21 +30,20 @@ def square(background=0.0):
     ("residual", "excess", "rest"),
     [
         (2.0, 10.0, 2.9 / 10.0),  # the power above 1.1 times the noise's, over the detail's
-        (2.0, 1e-9, 2.9 / 1e-3),  # of an image without detail
-        (1.04, 10.0, 1e-3),  # a residual of the noise's power leaves nothing
+        (2.0, 1e-9, 1.0),  # of an image without detail, at most all
+        (1.04, 10.0, 0.0),  # a residual of the noise's power leaves nothing
     ],
 )
 def test_unexplained_power_is_that_above_the_noise(residual, excess, rest):
     found = signs(square(), square(), residual=residual, excess=excess)
-    assert found["unexplained"] == pytest.approx(np.log10(rest), rel=1e-12)
+    assert found["unexplained"] == pytest.approx(rest, rel=1e-12)
 
 
 def test_grain_is_the_share_of_pixels_with_an_edge():
     """All steps are 1 but for the corner with a step along both axes, of sqrt(2)."""
     found = signs(square(), square(), residual=1.0, excess=10.0)
     total, squares = 62.0 + np.sqrt(2.0), 64.0
-    expected = np.log(total**2 / squares / SIDE**2)
-    assert found["grain"] == pytest.approx(expected, rel=1e-12)
+    assert found["grain"] == pytest.approx(total**2 / squares / SIDE**2, rel=1e-12)
 
 
 def test_border_is_the_brightness_of_the_outermost_pixels():
@@ -50,47 +57,48 @@ def test_border_is_the_brightness_of_the_outermost_pixels():
     assert signs(frame, frame, residual=1.0, excess=10.0)["border"] == 1.5
 
 
-def test_unsteady_is_the_correlation_that_is_lost():
+def test_unsteady_is_the_distance_of_both_objects():
     level, rng = square(), np.random.default_rng(0)
     again = level + 0.3 * rng.random(level.shape)
     lost = 1.0 - np.corrcoef(level.ravel(), again.ravel())[0, 1]
     found = signs(level, again, residual=1.0, excess=10.0)
-    assert found["unsteady"] == pytest.approx(np.log(lost), rel=1e-9)
+    assert found["unsteady"] == pytest.approx(np.sqrt(lost), rel=1e-9)
+    assert expected_correlation(found) == pytest.approx(1.0 - 0.75 * lost, rel=1e-9)
     same = signs(level, 2.0 * level + 1.0, residual=1.0, excess=10.0)
-    assert same["unsteady"] == pytest.approx(np.log(1e-3))
+    assert same["unsteady"] == pytest.approx(0.0, abs=1e-7)
     # a uniform object has no correlation with another one
     uniform = signs(level, np.ones_like(level), residual=1.0, excess=10.0)
-    assert uniform["unsteady"] == 0.0
+    assert uniform["unsteady"] == 1.0
 
 
 def test_dim_parts_have_less_than_a_quarter_of_the_brightness():
-    """By their power; the offset of 1e-3 keeps the logarithm finite without any."""
+    """By their power."""
     level = square()
     level[4:8, 4:20] = 0.2
     level[56:60, 4:20] = 0.3
     found = signs(level, level, residual=1.0, excess=10.0)
     dim, rest = 64 * 0.2**2, 256 * 1.0 + 64 * 0.3**2
-    assert found["dim"] == pytest.approx(np.log(dim / (dim + rest) + 1e-3), rel=1e-12)
-    assert signs(square(), square(), residual=1.0, excess=10.0)["dim"] == np.log(1e-3)
+    assert found["dim"] == pytest.approx(dim / (dim + rest), rel=1e-12)
+    assert signs(square(), square(), residual=1.0, excess=10.0)["dim"] == 0.0
 
 
 def test_unusual_signs_are_said_with_the_heaviest_first():
-    """Without an unusual one, the one that weighs most is said; numbers are not logarithms."""
+    """Without an unusual one, the one that weighs most is said."""
     usual = {name: sign.mean for name, sign in SIGNS.items()}
-    said = [*told({**usual, "border": 0.6, "halo": -np.log(1.02 - 0.9), "grain": -1.5})]
+    said = [*told({**usual, "border": 0.6, "halo": 0.9, "grain": 0.22})]
     assert ["halo" in said[0], "frame's edge" in said[1], "grainy" in said[2]] == [True] * 3
     assert "0.90 of the power" in said[0]
     assert "0.60 times as bright" in said[1]
-    assert f"{np.exp(-1.5):.2f} on a scale" in said[2]
-    assert len([*told({**usual, "dim": SIGNS["dim"].mean + 0.1})]) == 1
-    assert "dim parts hold" in next(told({**usual, "dim": SIGNS["dim"].mean + 0.1}))
+    assert "0.22 on a scale" in said[2]
+    assert len([*told({**usual, "dim": SIGNS["dim"].mean + 1e-3})]) == 1
+    assert "dim parts hold" in next(told({**usual, "dim": SIGNS["dim"].mean + 1e-3}))
 
 
 def test_risk_is_the_probability_of_the_regression():
-    """Logistic in the sum of the signs; 33 % at the limit, half at 0.729."""
+    """Logistic in the sum of the signs; 33 % at the limit, half at 0.739."""
     object_ = np.random.default_rng(0).random((SIDE, SIDE))
     values = signs(object_, object_, residual=1.0, excess=10.0)
-    for wanted, expected in ((0.0, 0.325), (0.729, 0.5), (-700.0, 0.0)):
+    for wanted, expected in ((0.0, 0.323), (0.739, 0.5), (-700.0, 0.0)):
         border = (wanted - doubt(values)) / SIGNS["border"].weight + values["border"]
         assert risk({**values, "border": border}) == pytest.approx(expected, abs=1e-3)
 
@@ -114,7 +122,7 @@ def test_soft_edges_are_measured_by_the_steps_of_the_object():
         3.0 * np.minimum(1.0, np.minimum(np.arange(40), np.arange(40)[::-1]) / 10)[:, None]
     )
     softness = [signs(o, o, residual=1.0, excess=10.0)["soft"] for o in (sharp, ramp)]
-    assert softness == pytest.approx([1.4, np.log(10.0)], abs=1e-9)
+    assert softness == pytest.approx([-0.25, -0.1], abs=1e-9)
 
 
 def test_one_halo_is_told_from_other_dim_parts():
@@ -128,6 +136,6 @@ def test_one_halo_is_told_from_other_dim_parts():
         signs(dots + 2.0 * dim, dots, residual=1.0, excess=10.0) for dim in (spots, others)
     )
     # not all, since the spots' brightest parts count as bright
-    assert near["halo"] > -np.log(1.02 - 0.7)
-    assert elsewhere["halo"] < -np.log(1.02 - 0.4)
-    assert near["dim"] == pytest.approx(elsewhere["dim"], abs=0.5)
+    assert near["halo"] > 0.7
+    assert elsewhere["halo"] < 0.4
+    assert near["dim"] == pytest.approx(elsewhere["dim"], rel=0.5)

@@ -11,6 +11,7 @@ import torch
 from nlosoptics import inverse
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse.data.measurement import measurement
+from nlosoptics.inverse.data.models import widened
 from nlosoptics.inverse.data.status import Ending, Spectra
 
 SOLVERS = [
@@ -159,8 +160,8 @@ def test_detail_that_a_linear_filter_would_miss_is_no_reason(drawn):
     assert inverse.wiener(case.image, model).status == "too_few_photons"
 
 
-@pytest.mark.parametrize(("lost", "share"), [(0.12, 0.95), (0.02, 0.65)])
-def test_noise_that_hides_the_object_is_named(monkeypatch, lost, share):
+@pytest.mark.parametrize(("distance", "share"), [(0.35, 0.9), (0.1, 0.65)])
+def test_noise_that_hides_the_object_is_named(monkeypatch, distance, share):
     """Each limit alone: the object of a second fit, and the detail above the noise."""
     model, truth = lobe(2.0), np.zeros((SIDE, SIDE))
     truth[20:44, 22:30] = 1.0
@@ -169,7 +170,7 @@ def test_noise_that_hides_the_object_is_named(monkeypatch, lost, share):
     found = Spectra.signs
     monkeypatch.setattr(Spectra, "share", lambda self: share)
     monkeypatch.setattr(
-        Spectra, "signs", lambda self, again: found(self, again) | {"unsteady": np.log(lost)}
+        Spectra, "signs", lambda self, again: found(self, again) | {"unsteady": distance}
     )
     assert inverse.tv_deconvolve(image, model).status == "too_few_photons"
 
@@ -189,7 +190,7 @@ def test_a_repetition_has_the_noise_of_the_image():
         fit_background=True,
         background_shape=None,
     )
-    again = Spectra(data, truth, 3.0, model).repetition()
+    again = Spectra(data, truth, 3.0, model).repetition(model)
     excluded = np.isinf(noise)
     change = again.data - model.forward(truth) - 3.0
     assert np.abs(change[excluded]).max() < 1e-12
@@ -324,3 +325,44 @@ def test_status_is_the_same_for_a_tensor(drawn):
         inverse.tv_deconvolve(image, model) for image in (case.image, torch.tensor(case.image))
     )
     assert array.reasons == tensor.reasons
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.06])
+def test_the_expected_error_is_that_found(drawn, noise):
+    """Correlation and rms error of the pixels, each within a factor of two, over six walls."""
+    lacks, errors = [], []
+    for seed in range(6):
+        case, model = drawn("none", seed=seed, wall="lobe", noise=noise)
+        found = inverse.tv_deconvolve(case.image, model)
+        told = found.physical_parameters
+        expected = 1.0 - told["expected_correlation"]
+        lacks.append((1.0 - inverse.registered_correlation(found, case.truth)) / expected)
+        # the brightness that fits the truth best
+        scale = (found.object * case.truth).sum() / (case.truth**2).sum()
+        true = np.sqrt(np.mean((found.object - scale * case.truth) ** 2))
+        errors.append(true / np.sqrt(np.mean(told["object_error"] ** 2)))
+    assert 0.5 < np.exp(np.mean(np.log(lacks))) < 2.0
+    assert 0.5 < np.exp(np.mean(np.log(errors))) < 2.0
+
+
+def test_errors_are_larger_where_the_object_has_edges(drawn):
+    case, model = drawn("none", seed=4, wall="lobe", subject="glyph", noise=0.01)
+    found = inverse.tv_deconvolve(case.image, model)
+    error = np.abs(found.object - case.truth / case.truth.max())
+    worst = found.physical_parameters["object_error"] > np.quantile(
+        found.physical_parameters["object_error"], 0.9
+    )
+    assert error[worst].mean() > 3.0 * error[~worst].mean()
+
+
+def test_a_wider_model_keeps_its_brightness_and_the_given_model():
+    """The variance of a Gaussian doubles."""
+    model = lobe(2.0)
+    before, point = model.transfer.copy(), np.zeros((SIDE, SIDE))
+    point[32, 32] = 1.0
+    wide = widened(model, np.sqrt(2.0))
+    np.testing.assert_array_equal(model.transfer, before)
+    x = np.arange(SIDE) - 32.0
+    spread = wide.forward(point)
+    assert spread.sum() == pytest.approx(1.0, abs=1e-3)
+    assert (x**2 * spread).sum() / spread.sum() == pytest.approx(8.0, rel=0.05)
