@@ -122,7 +122,7 @@ def evidence_fit(
         Rms aberration of the wall, waves, if known. None: several values are tried.
     max_iterations : int, optional
         Maximum number of search rounds. The default is 2 if a known object or a defocused image
-        excludes the answer without blur, otherwise 8. A round starts from 32 random walls, and
+        excludes the answer without blur, otherwise 5. A round starts from 32 random walls, and
         continues with random variations of the best.
     max_seconds : float, optional
         Time, s, after which the search begins no further step, once it has found a first result.

@@ -103,7 +103,7 @@ _OTHER = 0.3
 #: remain worse than the best answer so far by more than the second number.
 _STANDSTILL, _HOPELESS = 5.0, 40.0
 #: Default number of rounds with several images, and with one.
-ROUNDS = (2, 8)
+ROUNDS = (2, 5)
 #: Number of rounds with one image after which the search ends if it found no different wall.
 _ENOUGH = 2
 #: Texts of all steps, in their order.
