@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from . import records
 from .chromium import page
 
 __all__ = ["page"]
@@ -24,6 +25,18 @@ os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 os.environ["NUMBA_NUM_THREADS"] = "2"
 
 FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``--record`` writes the results of tests that compare with a record."""
+    parser.addoption("--record", action="store_true", help="write results on record anew")
+
+
+@pytest.fixture
+def on_record(request: pytest.FixtureRequest) -> Callable[[Any], None]:
+    """``on_record(result)``: the result of a test is that in the test file's record."""
+    file, write = request.path.with_suffix(".json"), bool(request.config.getoption("record"))
+    return lambda result: records.check(file, request.node.name, result, write=write)
 
 
 @pytest.fixture(scope="session", autouse=True)
