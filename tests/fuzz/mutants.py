@@ -274,7 +274,8 @@ class Bench:
         if run.failure:
             print(f"fails without any change, or takes over {most:.0f} s: {run.failure}")
         called = {f"nlosoptics/{file}" for file, *_ in run.lines}
-        prints = {one: self._print(one) for one in (name, *called)}
+        results = str(Path(name).with_suffix(".json"))  # with which its tests may compare
+        prints = {one: self._print(one) for one in (name, results, *called)}
         told = {"tests": run.tests, "lines": run.lines, "new": run.seconds, "prints": prints}
         self._known[name] = told
         self._record.write_text(json.dumps(self._known))
