@@ -33,10 +33,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 @pytest.fixture
-def on_record(request: pytest.FixtureRequest) -> Callable[[Any], None]:
-    """``on_record(result)``: the result of a test is that in the test file's record."""
+def on_record(request: pytest.FixtureRequest) -> Callable[..., None]:
+    """``on_record(result, tolerance)``: a test's result is that in the record of its file."""
     file, write = request.path.with_suffix(".json"), bool(request.config.getoption("record"))
-    return lambda result: records.check(file, request.node.name, result, write=write)
+
+    def check(result: Any, tolerance: float = records.TOLERANCE) -> None:
+        records.check(file, request.node.name, result, tolerance, write=write)
+
+    return check
 
 
 @pytest.fixture(scope="session", autouse=True)

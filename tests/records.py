@@ -71,23 +71,24 @@ def _short(value: float) -> float:
     return float(f"{value:.9g}")
 
 
-def differing(found: Mapping[str, Any], known: Mapping[str, Any]) -> list[str]:
+def differing(found: Mapping[str, Any], known: Mapping[str, Any], tolerance: float) -> list[str]:
     """Return a line for each number that is not the one on record."""
     names = [*dict.fromkeys([*known, *found])]
     pairs = [(name, found.get(name, "nothing"), known.get(name, "nothing")) for name in names]
-    return [f"{name}: {new}, on record {old}" for name, new, old in pairs if not _same(new, old)]
+    wrong = [(name, *pair) for name, *pair in pairs if not _same(*pair, tolerance)]
+    return [f"{name}: {new}, on record {old}" for name, new, old in wrong]
 
 
-def _same(new: Any, old: Any) -> bool:
+def _same(new: Any, old: Any, tolerance: float) -> bool:
     if isinstance(new, list) and isinstance(old, list):
         near = len(new) == len(old) and new[:-3] == old[:-3]
-        return near and np.allclose(new[-3:], old[-3:], rtol=0, atol=TOLERANCE * old[-1])
+        return near and np.allclose(new[-3:], old[-3:], rtol=0, atol=tolerance * old[-1])
     if isinstance(new, float) and isinstance(old, float):
-        return math.isclose(new, old, rel_tol=TOLERANCE, abs_tol=1e-14)
+        return math.isclose(new, old, rel_tol=tolerance, abs_tol=1e-14)
     return bool(new == old)
 
 
-def check(file: Path, name: str, result: Any, *, write: bool) -> None:
+def check(file: Path, name: str, result: Any, tolerance: float, *, write: bool) -> None:
     """Compare a result with the one of this name in a file, or write it there."""
     known = json.loads(file.read_text()) if file.is_file() else {}
     found = digest(result)
@@ -96,7 +97,7 @@ def check(file: Path, name: str, result: Any, *, write: bool) -> None:
         lines = [f"{json.dumps(key)}: {json.dumps(rows[key])}" for key in sorted(rows)]
         file.write_text("{\n" + ",\n".join(lines) + "\n}\n")
         return
-    wrong = differing(found, known[name])
+    wrong = differing(found, known[name], tolerance)
     assert not wrong, "\n".join(wrong[:10])
 
 
