@@ -33,14 +33,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 @pytest.fixture
-def on_record(request: pytest.FixtureRequest) -> Callable[..., None]:
-    """``on_record(result, tolerance)``: a test's result is that in the record of its file."""
+def on_record(request: pytest.FixtureRequest) -> Iterator[Callable[..., None]]:
+    """``on_record(result, tolerance)``: a test's result is that in the record of its file.
+
+    The limits do not depend on the machine.
+    """
+    from nlosoptics._checks import Budget, within
+
     file, write = request.path.with_suffix(".json"), bool(request.config.getoption("record"))
 
     def check(result: Any, tolerance: float = records.TOLERANCE) -> None:
         records.check(file, request.node.name, result, tolerance, write=write)
 
-    return check
+    with within(Budget(memory=2.0**33, seconds=60.0)):
+        yield check
 
 
 @pytest.fixture(scope="session", autouse=True)

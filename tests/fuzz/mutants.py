@@ -330,7 +330,7 @@ def main() -> int:
             row = kept | row
         else:
             bench = bench or Bench(ROOT, options.folder.resolve())
-            row |= bench.run(change, options.seconds)
+            row |= bench.run(change, options.seconds) | {"seed": options.seed}
             print(f"{row['outcome']}: {row['file']}:{row['line']} {row['after']}", flush=True)
         rows.append(row)
         if options.results:
