@@ -36,16 +36,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def on_record(request: pytest.FixtureRequest) -> Iterator[Callable[..., None]]:
     """``on_record(result, tolerance)``: a test's result is that in the record of its file.
 
-    The limits do not depend on the machine.
+    So is the memory that its calls state to need. The limits do not depend on the machine.
     """
     from nlosoptics._checks import Budget, within
 
     file, write = request.path.with_suffix(".json"), bool(request.config.getoption("record"))
+    limit = _Limit(2.0**33)
 
     def check(result: Any, tolerance: float = records.TOLERANCE) -> None:
-        records.check(file, request.node.name, result, tolerance, write=write)
+        found = {"result": result, "bytes": limit.seen}
+        records.check(file, request.node.name, found, tolerance, write=write)
 
-    with within(Budget(memory=2.0**33, seconds=60.0)):
+    if write:
+        records.clear_caches()
+    with within(Budget(memory=limit, seconds=60.0)):
         yield check
 
 
@@ -73,18 +77,14 @@ def on_threads() -> Callable[[int, Callable[[], Any]], Any]:
 
 
 class _Limit(float):
-    """An infinite limit that keeps what is compared with it."""
+    """A limit that keeps what is compared with it."""
 
-    def __new__(cls) -> _Limit:
-        found = super().__new__(cls, math.inf)
-        found.seen = []
-        return found
-
-    seen: list[float]
+    def __init__(self, _: float) -> None:
+        self.seen: list[float] = []
 
     def __lt__(self, need: float) -> bool:
-        self.seen.append(need)
-        return False
+        self.seen.append(float(need))
+        return float(self) < need
 
 
 @pytest.fixture
@@ -97,7 +97,7 @@ def memory_of() -> Callable[[Callable[[], Any]], tuple[float, float]]:
 
     def measured(call: Callable[[], Any]) -> tuple[float, float]:
         call()  # imports, compiles, and fills caches
-        limit = _Limit()
+        limit = _Limit(math.inf)
         tracemalloc.start()
         try:
             with within(Budget(memory=limit, seconds=math.inf)):
