@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from nlosoptics import psf
+from nlosoptics.psf.pupil.paraxial import change_over_object
 from nlosoptics.raytrace import pupil_rays
 
 from ...records import attempt
@@ -15,16 +16,26 @@ def test_a_scene(number, on_record):
     scene = random_case(number, wild=number % 3 == 2).scene
     pupil = attempt(psf.exit_pupil, scene)
     paths = attempt(pupil_rays, scene, n_rays=256)
-    known = not isinstance(pupil, Exception) and not isinstance(paths, Exception)
+    known = not isinstance(paths, Exception)
     hidden = scene.hidden
     point = (*(c + 0.02 for c in hidden.position[:2]), hidden.position[2])
     on_record(
-        {
+        [pupil]
+        if isinstance(pupil, Exception)
+        else {
             "pupil": pupil,
             "view": attempt(psf.wall_view, scene, point),
             "wave": attempt(psf.wavefront, scene, point, samples=(12, 24)),
             "grid": attempt(psf.wavefront, scene, nodes="grid", samples=24),
             "automatic": attempt(psf.wavefront, scene),
+            "change": attempt(change_over_object, scene, pupil),
+            "beyond": attempt(
+                psf.path_difference,
+                scene.wall,
+                hidden.position,
+                np.array(scene.camera.position) * (-1.0, 1.0, -0.7),
+                0.1,
+            ),
             "paths": paths,
             "rays": known
             and attempt(psf.wavefront_from_rays, paths, pupil, scene.laser.wavelength),
