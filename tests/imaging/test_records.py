@@ -76,6 +76,25 @@ def test_shadows(wall, flat_scene, on_record):
     on_record([shadows, attempt(imaging.form_image, scene, blur(scene))])
 
 
+@pytest.mark.parametrize("beam", [1e-3, 2e-2])
+@pytest.mark.parametrize("focus", [None, 3.0])
+def test_the_image_of_the_spot(beam, focus, flat_scene, on_record):
+    laser = replace(flat_scene.laser, beam_diameter=beam)
+    camera = replace(flat_scene.camera, binning=128, aim=(0.05, 0.02, 0.0), focus_distance=focus)
+    scene = replace(flat_scene, laser=laser, camera=camera)
+    distances = np.linspace(0.0, 3.2, 30)
+    areas = [stray.common_area(distances, *radii) for radii in ((1.0, 2.0), (0.0, 1.5), (1.0, 1.0))]
+    on_record([stray.spot_image(scene, radiometry.laser_spot(scene)), areas])
+
+
+@pytest.mark.parametrize("wall", [None, 2])
+def test_the_image_of_the_object(wall, flat_scene, on_record):
+    camera = replace(flat_scene.camera, binning=256)
+    own = flat_scene.wall if wall is None else random_case(wall).scene.wall
+    scene = replace(flat_scene, camera=camera, wall=own)
+    on_record(attempt(imaging.image_field, scene, tol=0.1, most_nodes=4))
+
+
 def test_coherence(flat_scene, on_record):
     points = np.array([[0.38, 0.01, 1.0], [0.3801, 0.0, 1.0]])
     on_record(attempt(imaging.spot_coherence, flat_scene, points))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from nlosoptics import inverse
 from nlosoptics.imaging import ForwardModel
@@ -64,6 +65,13 @@ def test_other_borders(solver, measured, point_spread_field, on_record):
     if solver is not inverse.inverse_filter:
         asked["max_iterations"] = 8
     on_record([seen(attempt(solver, image, one, **asked)) for one in (periodic, varying)])
+
+
+def test_tensors(measured, on_record):
+    image, model = measured
+    asked = {"noise_sigma": torch.tensor(noise_map()), "max_iterations": 8}
+    found = inverse.tv_deconvolve(torch.from_numpy(image), model, **asked)
+    on_record(seen(found))
 
 
 def test_scores_and_noise(measured, on_record):

@@ -51,5 +51,6 @@ def test_fits(picture, on_record):
         inverse.deep_image_prior(image, model, **small),
         inverse.deep_image_prior(image, model, guide="noise", tv_weight=0.01, **small),
         inverse.wu2024_fit(image, pupil, **small),
+        inverse.wu2024_fit(image, pupil, alternate=1, seed=3, **small),
     ]
     on_record([[one.object, dict(one.physical_parameters)] for one in found], SINGLE)

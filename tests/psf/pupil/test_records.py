@@ -43,6 +43,18 @@ def test_a_scene(number, on_record):
     )
 
 
+@pytest.mark.parametrize("number", [0, 2, 4, 6])
+def test_slopes_of_a_wall(number, on_record):
+    scene = random_case(number).scene
+    steps = np.linspace(-0.05, 0.05, 5)
+    x, y = np.meshgrid(steps, steps)
+    view = attempt(psf.wall_view, scene)
+    places = np.stack([x, y, 0 * x], axis=-1) + getattr(view, "point", np.zeros(3))
+    slopes = 1e-3 * np.stack([x + 20 * y**2, 0.4 * y - x], axis=-1) / 0.05
+    nodes = 1e-4 * np.array([[0.0, 0.0], [3.0, -2.0], [-5.0, 1.0]])
+    on_record(attempt(psf.pupil_slopes, scene, slopes, places, nodes))
+
+
 @pytest.mark.parametrize("mask", ["whole", "annulus"])
 def test_slopes(mask, on_record):
     rng = np.random.default_rng(2)
