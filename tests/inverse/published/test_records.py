@@ -24,9 +24,9 @@ def test_phase_retrieval(method, picture, on_record):
     image = ForwardModel(kernel / kernel.sum(), shape=picture.shape).forward(picture) + 0.1
     power = np.abs(np.fft.fft2(picture, (2 * SIDE - 1,) * 2)) ** 2
     lags = np.fft.fftshift(np.fft.ifft2(power).real)
-    asked = {"method": method, "restarts": 4, "max_iterations": 6, "object_size": (8, 6)}
+    asked = {"method": method, "restarts": 4, "max_iterations": 6}
     found = [
-        inverse.phase_retrieval(image, seed=1, **asked),
+        inverse.phase_retrieval(image, seed=1, object_size=(8, 6), **asked),
         inverse.object_from_autocorrelation(lags, **asked),
     ]
     on_record([[one.object, one.score, dict(one.history)] for one in found], SINGLE)

@@ -42,6 +42,7 @@ def test_a_sample(rough, propagation, on_record):
     on_record(
         [
             attempt(psf.sample_point_spread, wave, wall, **asked, independent_patterns=2),
+            attempt(psf.sample_point_spread, wave, wall, **asked | {"seed": None}),
             isinstance(wall, psf.Roughness)
             and attempt(psf.two_scale_point_spread, wave, wall, **asked, tol=0.05),
             attempt(psf.mean_point_spread, wave, wall, **view, tol=1e-2, pitch=2e-6, shape=20),
