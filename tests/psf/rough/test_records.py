@@ -26,9 +26,9 @@ WALLS = {
 
 @pytest.fixture(params=WALLS)
 def rough(request):
-    wave = psf.Wavefront.from_zernike(
-        {5: 5e-8}, wavelength=6e-7, pupil_radius=4e-3, image_distance=0.06, nodes="grid", samples=64
-    )
+    system = {"wavelength": 6e-7, "pupil_radius": 4e-3, "image_distance": 0.06, "nodes": "grid"}
+    samples = 384 if request.param == "facets" else 128
+    wave = psf.Wavefront.from_zernike({5: 5e-8}, obscuration=0.3, samples=samples, **system)
     view = {"footprint": np.diag([0.5, 0.6]), "cos_sum": 1.8}
     return wave, WALLS[request.param], view
 
@@ -37,8 +37,7 @@ def rough(request):
 def test_a_sample(rough, propagation, on_record):
     wave, wall, view = rough
     asked = view | {"propagation": propagation, "pitch": 2e-6, "shape": 20, "seed": 3}
-    if propagation == "fresnel":
-        asked["effective_distance"] = 0.4
+    asked["effective_distance"] = 0.4
     on_record(
         [
             attempt(psf.sample_point_spread, wave, wall, **asked, independent_patterns=2),
