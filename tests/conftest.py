@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from . import records
 from .chromium import page
 
 __all__ = ["page"]
@@ -24,6 +25,32 @@ os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 os.environ["NUMBA_NUM_THREADS"] = "2"
 
 FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``--record`` writes the results of tests that compare with a record."""
+    parser.addoption("--record", action="store_true", help="write results on record anew")
+
+
+@pytest.fixture
+def on_record(request: pytest.FixtureRequest) -> Iterator[Callable[..., None]]:
+    """``on_record(result, tolerance)``: a test's result is that in the record of its file.
+
+    So is the memory that its calls state to need. The limits do not depend on the machine.
+    """
+    from nlosoptics._checks import Budget, within
+
+    file, write = request.path.with_suffix(".json"), bool(request.config.getoption("record"))
+    limit = _Limit(2.0**33)
+
+    def check(result: Any, tolerance: float = records.TOLERANCE) -> None:
+        found = {"result": result, "bytes": limit.seen}
+        records.check(file, request.node.name, found, tolerance, write=write)
+
+    if write:
+        records.clear_caches()
+    with within(Budget(memory=limit, seconds=60.0)):
+        yield check
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -50,18 +77,14 @@ def on_threads() -> Callable[[int, Callable[[], Any]], Any]:
 
 
 class _Limit(float):
-    """An infinite limit that keeps what is compared with it."""
+    """A limit that keeps what is compared with it."""
 
-    def __new__(cls) -> _Limit:
-        found = super().__new__(cls, math.inf)
-        found.seen = []
-        return found
-
-    seen: list[float]
+    def __init__(self, _: float) -> None:
+        self.seen: list[float] = []
 
     def __lt__(self, need: float) -> bool:
-        self.seen.append(need)
-        return False
+        self.seen.append(float(need))
+        return float(self) < need
 
 
 @pytest.fixture
@@ -74,7 +97,7 @@ def memory_of() -> Callable[[Callable[[], Any]], tuple[float, float]]:
 
     def measured(call: Callable[[], Any]) -> tuple[float, float]:
         call()  # imports, compiles, and fills caches
-        limit = _Limit()
+        limit = _Limit(math.inf)
         tracemalloc.start()
         try:
             with within(Budget(memory=limit, seconds=math.inf)):

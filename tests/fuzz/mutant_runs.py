@@ -8,8 +8,10 @@ of the file in which a function is written, although callees of other files are 
 from __future__ import annotations
 
 import ast
+import gc
 import hashlib
 import importlib
+import inspect
 import json
 import os
 import resource
@@ -27,7 +29,7 @@ from typing import Any, NamedTuple
 
 #: Libraries that take long to load. The package itself is loaded by each run from its copy.
 LIBRARIES = ("numba", "scipy.optimize", "scipy.signal", "h5py", "trimesh", "pydantic", "pint")
-LIBRARIES += ("torch", "matplotlib.pyplot", "mpmath", "pytest")  # no plugin of pytest
+LIBRARIES += ("torch", "matplotlib.pyplot", "mpmath", "zarr", "pytest", "hypothesis.stateful")
 #: Before numba is loaded, as in `tests/conftest.py`.
 SETTINGS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 SETTINGS |= {"NUMBA_NUM_THREADS": "2", "PYTHONHASHSEED": "0", "PYTHONDONTWRITEBYTECODE": "1"}
@@ -40,15 +42,16 @@ NONE_FOUND = 5  # a folder without tests
 class Run(NamedTuple):
     """End of a run: "passed", "failed" or "timed out", the first failure, processor time, s.
 
-    If the calls were recorded, ``tests`` holds the processor time of each test, s, and ``calls``
-    holds file and line of each function of the package with the numbers of the tests that call it.
+    ``tests`` holds the processor time of each test that passed, s. If the lines were recorded,
+    ``lines`` holds file and number of each line of the package with the numbers of the tests that
+    execute it.
     """
 
     kind: str
     failure: str
     seconds: float
     tests: Mapping[str, float] = MappingProxyType({})
-    calls: Sequence[tuple[str, int, list[int]]] = ()
+    lines: Sequence[tuple[str, int, list[int]]] = ()
 
 
 def load_libraries() -> None:
@@ -61,6 +64,7 @@ def load_libraries() -> None:
     import numba
 
     numba.njit(lambda x: x + 1)(1.0)  # the first compilation of a process loads much more
+    gc.freeze()  # collections of a run pass over what is loaded here
 
 
 def copied(root: Path, folder: Path) -> None:
@@ -144,8 +148,8 @@ def forget_compiled(package: Path, files: set[str]) -> int:
     return len(kept)
 
 
-def run_tests(folder: Path, tests: Sequence[str], *, seconds: float, record: bool = False) -> Run:
-    """Run tests of a checkout until the first failure.
+def run_tests(folder: Path, tests: Sequence[str], *, seconds: float, longest: float = 0.0) -> Run:
+    """Run tests of a checkout until the first failure, or record which lines all of them execute.
 
     Parameters
     ----------
@@ -156,8 +160,9 @@ def run_tests(folder: Path, tests: Sequence[str], *, seconds: float, record: boo
         list, only these are run.
     seconds : float
         Limit of processor time, s.
-    record : bool
-        Whether the functions of the package that each test calls are recorded.
+    longest : float
+        If above 0, the lines of the package that each test executes are recorded, failures do not
+        end the run, and a test that takes more processor time than this, s, is stopped and fails.
 
     Returns
     -------
@@ -175,7 +180,7 @@ def run_tests(folder: Path, tests: Sequence[str], *, seconds: float, record: boo
             with log.open("w") as file:
                 os.dup2(file.fileno(), 1)
                 os.dup2(file.fileno(), 2)
-            code = _tested(folder, tests, seconds, told, record=record)
+            code = _tested(folder, tests, seconds, told, longest)
         except BaseException:
             traceback.print_exc()
         finally:
@@ -199,10 +204,10 @@ def run_tests(folder: Path, tests: Sequence[str], *, seconds: float, record: boo
         sys.exit(f"pytest ended with {code}; see {log}")
     found = json.loads(told.read_text())
     kind = "failed" if code in FAILED else "passed"
-    return Run(kind, found["failure"], used, found["tests"], found["calls"])
+    return Run(kind, found["failure"], used, found["tests"], found["lines"])
 
 
-def _tested(folder: Path, tests: Sequence[str], seconds: float, told: Path, *, record: bool) -> int:
+def _tested(folder: Path, tests: Sequence[str], seconds: float, told: Path, longest: float) -> int:
     """Run pytest in this process, which ends with it."""
     import pytest
 
@@ -216,46 +221,59 @@ def _tested(folder: Path, tests: Sequence[str], seconds: float, told: Path, *, r
     for name in [*sys.modules]:  # of this program, which is not the copy's
         if name.split(".")[0] in ("tests", "nlosoptics"):
             del sys.modules[name]
-    watch = _Watch(folder / "nlosoptics", {test for test in tests if "::" in test}, record=record)
+    watch = _Watch(folder / "nlosoptics", {test for test in tests if "::" in test}, longest)
     files = [*dict.fromkeys(test.split("::")[0] for test in tests)]
-    options = ["-q", "-x", "-n0", "-p", "no:cacheprovider", "--tb=line", "--hypothesis-seed=0"]
-    if record:
+    options = ["-q", "-n0", "-p", "no:cacheprovider", "--tb=line", "--hypothesis-seed=0"]
+    options.append("--assert=plain")  # rewriting takes longer than most tests
+    if longest:
+        signal.signal(signal.SIGVTALRM, _stop)
         threading.settrace(watch.called)
-        sys.settrace(watch.called)
+    else:
+        options.append("-x")
     code = int(pytest.main([*options, *files], plugins=[watch]))
     sys.settrace(None)
     package = sys.modules.get("nlosoptics")
     if package is not None and not str(package.__file__).startswith(str(folder)):
         return 71
-    found = {"failure": watch.failure, "tests": watch.tests, "calls": watch.calls}
+    found = {"failure": watch.failure, "tests": watch.passed, "lines": watch.lines}
     told.write_text(json.dumps(found))
     return code
 
 
-class _Watch:
-    """A plugin of pytest that selects tests, and keeps the first failure, times and calls.
+def _stop(*_: Any) -> None:
+    raise TimeoutError("a test took longer than a record allows")
 
-    A call while a shared fixture is set up counts for all tests that use the fixture. Caches are
-    cleared before each test, so that no test relies on the calls of an earlier one.
+
+class _Watch:
+    """A plugin of pytest that selects tests, and keeps the first failure, times and lines.
+
+    A line that runs while a shared fixture is set up counts for all tests that use the fixture.
+    Caches are cleared before each test, so that no test relies on the calls of an earlier one.
     """
 
-    def __init__(self, package: Path, wanted: set[str], *, record: bool) -> None:
+    def __init__(self, package: Path, wanted: set[str], longest: float) -> None:
         self.failure = ""
-        self.tests: dict[str, float] = {}
-        self._calls: dict[str, set[tuple[str, int]]] = {"": set()}
+        self._tests: dict[str, float] = {}
+        self._failed: set[str] = set()
+        self._lines: dict[str, dict[str, set[int]]] = {}
         self._uses: dict[str, list[str]] = {}
         self._now = ""  # test or fixture
-        self._start, self._record = f"{package}/", record
+        self._start, self._longest = f"{package}/", longest
         self._wanted, self._files = wanted, {test.split("::")[0] for test in wanted}
         self._begun = 0.0
 
     @property
-    def calls(self) -> list[tuple[str, int, list[int]]]:
-        """File and line of each function, with the numbers of the tests that call it."""
+    def passed(self) -> dict[str, float]:
+        """Processor time of each test that passed."""
+        return {test: used for test, used in self._tests.items() if test not in self._failed}
+
+    @property
+    def lines(self) -> list[tuple[str, int, list[int]]]:
+        """File and number of each line, with the numbers of the passed tests that execute it."""
         found: dict[tuple[str, int], list[int]] = {}
-        for number, test in enumerate(self.tests):
-            names = [test, *self._uses[test]]
-            for place in set().union(*(self._calls.get(name, ()) for name in names)):
+        for number, test in enumerate(self.passed):
+            held = [self._lines.get(name, {}) for name in (test, *self._uses[test])]
+            for place in {(file, line) for one in held for file in one for line in one[file]}:
                 found.setdefault(place, []).append(number)
         return [(*place, numbers) for place, numbers in sorted(found.items())]
 
@@ -269,41 +287,54 @@ class _Watch:
 
     def pytest_runtest_protocol(self, item: Any) -> None:
         """Start the clock of a test."""
-        if self._record:
-            _clear_caches(self._start)
         self._now = item.nodeid
-        self._calls[self._now], self._uses[self._now] = set(), getattr(item, "fixturenames", [])
-        self.tests[self._now], self._begun = 0.0, time.process_time()
+        self._uses[self._now] = getattr(item, "fixturenames", [])
+        if self._longest:
+            _clear_caches(self._start)
+            signal.setitimer(signal.ITIMER_VIRTUAL, self._longest)
+            sys.settrace(self.called)  # ended by an exception in it, as when a test was stopped
+        self._tests[self._now], self._begun = 0.0, time.process_time()
 
     def pytest_runtest_logfinish(self, nodeid: str) -> None:
         """Keep the processor time of a test."""
-        self.tests[nodeid] = round(time.process_time() - self._begun, 3)
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        self._tests[nodeid] = round(time.process_time() - self._begun, 3)
 
     def pytest_fixture_setup(self, fixturedef: Any) -> None:
-        """Keep the calls of a shared fixture apart from those of its first test."""
+        """Keep the lines of a shared fixture apart from those of its first test."""
         if fixturedef.scope != "function":
             self._now = fixturedef.argname
-            self._calls.setdefault(self._now, set())
 
     def pytest_runtest_call(self, item: Any) -> None:
-        """Go on with the calls of a test after its fixtures."""
+        """Go on with the lines of a test after its fixtures."""
         self._now = item.nodeid
 
     def pytest_runtest_logreport(self, report: Any) -> None:
-        """Keep the address of the first test that failed."""
-        if report.failed and not self.failure:
-            self.failure = report.nodeid
+        """Keep the addresses of the tests that failed."""
+        if report.failed:
+            self.failure = self.failure or report.nodeid
+        if not report.passed:
+            self._failed.add(report.nodeid)
 
     def pytest_collectreport(self, report: Any) -> None:
         """Keep the address of a module that could not be imported."""
         if report.failed and not self.failure:
             self.failure = report.nodeid
 
-    def called(self, frame: Any, *_: Any) -> None:
-        """Record a function of the package as it is called."""
+    def called(self, frame: Any, *_: Any) -> Any:
+        """Record the lines of a function of the package that is called."""
         code = frame.f_code
-        if code.co_filename.startswith(self._start):
-            self._calls[self._now].add((code.co_filename[len(self._start) :], code.co_firstlineno))
+        inside = code.co_filename.startswith(self._start)
+        if not inside or not code.co_flags & inspect.CO_OPTIMIZED:  # no import, no class
+            return None
+        file = code.co_filename[len(self._start) :]
+        lines = self._lines.setdefault(self._now, {}).setdefault(file, set())
+
+        def executed(frame: Any, *_: Any) -> Any:
+            lines.add(frame.f_lineno)
+            return executed
+
+        return executed(frame)
 
 
 def _clear_caches(start: str) -> None:

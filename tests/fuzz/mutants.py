@@ -3,15 +3,17 @@
 python -m tests.fuzz.mutants [--number 100] [--seed 0] [--rooms NAME ...] [--seconds 60]
                              [--results FILE] [--again]
 
-The changes are drawn in turn from the rooms, each change of a room with equal probability. A change
-is tested first by the files of its folder that name the changed module's functions most. If they
-pass, test files are run once without any change, to record which functions their tests call and
-how long they take; a record holds until the test file or a file that it calls is edited. Then the
-change is tested by its file's doctests and by the tests of its room that call its function, those
-of its folder first and of these the quickest ones, until `--seconds` of their processor time are
-reached. A change of a kernel is tested by those that call its users, but first by those that
-call kernels alone, in files that name its module: they compile least. A run that takes over three
-times as long as undisturbed tests has timed out, and counts as killed.
+The changes are drawn in turn from the rooms, each change of a room with equal probability. Test
+files are run once without any change, to record which lines their tests execute and how long they
+take; a record holds until the test file or a file that it calls is edited. A change is tested first
+by tests on record that execute its line. If they pass, it is tested by the files of its folder that
+have no record and name the changed module's functions most. If these pass too, the other files are
+recorded, and the change is tested by its file's doctests and by the tests of its room that execute
+its line, those of its folder first and of these the quickest ones, until `--seconds` of their
+processor time are reached. A change of a kernel is tested by those that execute a call of its
+function, but first by those that call kernels alone, in files that name its module: they compile
+least. A test that fails without a change counts for nothing. A run that takes over three times as
+long as undisturbed tests has timed out, and counts as killed.
 
 The table counts killed and surviving changes. Changes of `equivalent_mutants.toml` alter no result,
 for the reason given there, and are not run. `--results` names a file that keeps the outcomes: its
@@ -24,6 +26,7 @@ from __future__ import annotations
 import argparse
 import ast
 import json
+import os
 import re
 import shutil
 import sys
@@ -45,6 +48,7 @@ from .mutant_runs import (
     reach,
     run_tests,
 )
+from .reaching_lines import reaching_lines
 from .readers import ROOT
 from .source_changes import Change, changes
 
@@ -109,30 +113,27 @@ class Bench:
         copied(self._base, self._changed)
 
     def run(self, change: Change, most: float) -> Row:
-        """Run the tests that call a changed piece of code, and tell what happened."""
+        """Run the tests that reach a changed piece of code, and tell what happened."""
         source = (self._base / "nlosoptics" / change.file).read_text()
-        stale, compiled = reach(change.file, self._users), -1
+        stale, compiled, spent = reach(change.file, self._users), -1, 0.0
         told: Row = {"outcome": "survived", "by": "", "seconds": 0.0, "tests": 0}
-        likeliest = self._likeliest(change, stale)
-        if likeliest:
-            compiled = self._apply(change, stale)
-            limit = len(likeliest) * (SLOWER * most + ALLOWANCE) + COMPILING
-            run = run_tests(self._changed, likeliest, seconds=limit)
-            self._keep_compiled(stale)
-            told["seconds"], told["tests"] = round(run.seconds, 1), len(run.tests)
-            if run.kind != "passed":
-                return told | {"outcome": OUTCOMES[run.kind], "by": run.failure}
-        spent = 0.0
-        for where in ("alone", "near", "far"):
-            planned = spent
-            doctests = where == "near" and ">>> " in source
-            chosen = [f"nlosoptics/{change.file}"] if doctests else []
-            callers = self._callers(change, stale, most, where)
-            for name, seconds in sorted(callers, key=lambda one: one[1]):
-                if chosen and planned + seconds > most:
-                    break
-                chosen.append(name)
-                planned += seconds
+        ran: set[str] = set()
+        for where in ("known", "likeliest", "alone", "near", "far"):
+            planned = spent if where in ("near", "far") else 0.0
+            if where == "likeliest":
+                chosen = self._likeliest(change, stale)
+                planned = len(chosen) * (most + ALLOWANCE / SLOWER)
+            else:
+                doctests = where == "near" and ">>> " in source
+                chosen = [f"nlosoptics/{change.file}"] if doctests else []
+                callers = {*self._callers(change, stale, most, where)}
+                for name, seconds in sorted(callers, key=lambda one: one[::-1]):
+                    if name in ran:
+                        continue
+                    if chosen and planned + seconds > most:
+                        break
+                    chosen.append(name)
+                    planned += seconds
             if not chosen:
                 continue
             if compiled < 0:  # after the records, by which kernels were compiled
@@ -140,19 +141,27 @@ class Bench:
             limit = SLOWER * planned + ALLOWANCE + COMPILING * bool(compiled)
             run = run_tests(self._changed, chosen, seconds=limit)
             self._keep_compiled(stale)
-            told["outcome"] = OUTCOMES[run.kind]
-            spent += run.seconds
-            told["by"], told["seconds"] = run.failure, round(told["seconds"] + run.seconds, 1)
+            spent += run.seconds * (where in ("near", "far"))
+            ran |= {*chosen}
+            told["seconds"] = round(told["seconds"] + run.seconds, 1)
             told["tests"] += len(chosen)
-            if run.kind != "passed":
-                break
+            if run.kind != "passed" and self._passes(run.failure):
+                return told | {"outcome": OUTCOMES[run.kind], "by": run.failure}
         return told
 
+    def _passes(self, test: str) -> bool:
+        """Whether a test, if there is one, passes without any change."""
+        return ".py" not in test or run_tests(self._base, [test], seconds=LONGEST).kind == "passed"
+
     def _apply(self, change: Change, stale: set[str]) -> int:
-        """Apply a change to a fresh copy, and return how many compiled functions it makes stale."""
+        """Apply a change to a fresh copy, and return how many compiled functions it makes stale.
+
+        Its other files are links to those of the undisturbed copy. No run writes into a file that
+        is there: numba replaces it.
+        """
         package = self._changed / "nlosoptics"
         shutil.rmtree(package)
-        shutil.copytree(self._base / "nlosoptics", package)
+        shutil.copytree(self._base / "nlosoptics", package, copy_function=os.link)
         source = (package / change.file).read_text()
         (package / change.file).unlink()
         (package / change.file).write_text(change.applied(source))
@@ -163,8 +172,10 @@ class Bench:
         changed = {Path(file).with_suffix("") for file in stale}
         for file in (self._changed / "nlosoptics").rglob("*.nb[ic]"):
             there = file.relative_to(self._changed / "nlosoptics")
-            if there.parents[1] / there.name.split(".")[0] not in changed:
+            new = file.stat().st_nlink == 1
+            if new and there.parents[1] / there.name.split(".")[0] not in changed:
                 (self._base / "nlosoptics" / there.parent).mkdir(exist_ok=True)
+                (self._base / "nlosoptics" / there).unlink(missing_ok=True)
                 shutil.copy2(file, self._base / "nlosoptics" / there)
 
     def _likeliest(self, change: Change, users: set[str]) -> list[str]:
@@ -191,20 +202,20 @@ class Bench:
     def _callers(
         self, change: Change, users: set[str], most: float, where: str
     ) -> Iterator[tuple[str, float]]:
-        """Yield tests that call the changed code and their time.
+        """Yield tests that reach the changed code and their time.
 
-        ``where`` is "alone" for tests that call no users but name the module of a kernel, "near"
-        for others of the folder, and "far" for those of other folders. Records of the last are made
-        until they have taken ``most`` seconds, the likeliest files first.
+        ``where`` is "known" for tests on record, "alone" for tests that call no users but name the
+        module of a kernel, "near" for others of the folder, and "far" for those of other folders.
+        Records of the last are made until they have taken ``most`` seconds, the likeliest files
+        first.
         """
         alone, stem = where == "alone", Path(change.file).stem
         if alone and not is_kernel(change.file):
             return
         room, *_ = folder = change.file.split("/")[:-1]
         source = (self._base / "nlosoptics" / change.file).read_text()
-        lines = _functions(source, change.line(source))
-        if is_kernel(change.file):
-            lines = set()  # no call of compiled code is recorded, only those of its users
+        package = self._base / "nlosoptics"
+        lines = reaching_lines(package, change.file, change.line(source), users)
         here = self._base / "tests" / "/".join(folder)
         words = re.compile(r"\b(" + "|".join(self._names(users)) + r")\b")
 
@@ -214,19 +225,19 @@ class Bench:
         files = sorted((self._base / "tests" / room).rglob("test_*.py"))
         spent = 0.0
         for file in sorted(files, key=mentions):
-            held = (
-                stem in file.read_text()
-                if alone
-                else file.is_relative_to(here) == (where == "near")
-            )
+            held = file.is_relative_to(here) == (where == "near")
+            if where == "known":
+                held = self._kept(file) is not None
+            elif alone:
+                held = stem in file.read_text()
             if not held or (spent > most and where == "far"):
                 continue
-            told = self._kept(file) or self._recorded(file)
+            told = self._kept(file) or self._recorded(file, most)
             spent += told["new"]
             told["new"] = 0.0
             names, found = [*told["tests"]], set()
-            for called, line, tests in told["calls"]:
-                if (called == change.file and line in lines) if lines else called in users:
+            for executed, line, tests in told["lines"]:
+                if executed in users if alone else line in lines.get(executed, ()):
                     found |= {*tests}
             if alone:
                 found = {*range(len(names))} - found
@@ -251,28 +262,24 @@ class Bench:
             self._prints[name] = fingerprint(self._base / name)
         return self._prints[name]
 
-    def _recorded(self, file: Path) -> Row:
-        """Run a test file, and return the times and calls of its tests."""
-        name = str(file.relative_to(self._base))
-        run = run_tests(self._base, [name], seconds=LONGEST, record=True)
-        if run.kind != "passed":
-            print(f"left out, since it fails without any change: {run.failure or name}")
-        passed = run.kind == "passed"
-        calls, tests = (run.calls, run.tests) if passed else ([], {})
-        prints = {one: self._print(one) for one in (name, *(f"nlosoptics/{c[0]}" for c in calls))}
-        told = {"tests": tests, "calls": calls, "new": run.seconds, "prints": prints}
+    def _recorded(self, file: Path, most: float) -> Row:
+        """Run a test file, and return the times and lines of its tests.
+
+        Tests that fail or take longer than ``most`` seconds without any change are left out.
+        """
+        name, compiled = str(file.relative_to(self._base)), -1
+        while compiled != len(found := [*self._base.rglob("*.nbc")]):  # not to time compilation
+            compiled = len(found)
+            run = run_tests(self._base, [name], seconds=LONGEST, longest=most)
+        if run.failure:
+            print(f"fails without any change, or takes over {most:.0f} s: {run.failure}")
+        called = {f"nlosoptics/{file}" for file, *_ in run.lines}
+        results = str(Path(name).with_suffix(".json"))  # with which its tests may compare
+        prints = {one: self._print(one) for one in (name, results, *called)}
+        told = {"tests": run.tests, "lines": run.lines, "new": run.seconds, "prints": prints}
         self._known[name] = told
         self._record.write_text(json.dumps(self._known))
         return told
-
-
-def _functions(source: str, line: int) -> set[int]:
-    """Return the first line of the innermost function around a line, or nothing."""
-    found: list[int] = []
-    for node in ast.walk(ast.parse(source)):  # outer functions come before inner ones
-        if isinstance(node, ast.FunctionDef) and node.body[0].lineno <= line <= node.end_lineno:
-            found.append(min([node.lineno, *(one.lineno for one in node.decorator_list)]))
-    return {*found[-1:]}
 
 
 def table(rows: list[Row]) -> str:
@@ -323,7 +330,7 @@ def main() -> int:
             row = kept | row
         else:
             bench = bench or Bench(ROOT, options.folder.resolve())
-            row |= bench.run(change, options.seconds)
+            row |= bench.run(change, options.seconds) | {"seed": options.seed}
             print(f"{row['outcome']}: {row['file']}:{row['line']} {row['after']}", flush=True)
         rows.append(row)
         if options.results:

@@ -171,7 +171,7 @@ if "stale" in wanted:
     mutants.forget_compiled = lambda package, files: 1
 bench = mutants.Bench(root, root.parent / "work")
 tests = root.parent / "work/base/tests/psf/test_shell.py"
-bench._recorded(tests)  # compiles the kernels without any change
+bench._recorded(tests, 60.0)  # compiles the kernels without any change
 for change in mutants.sample(root, ["psf"], 0, 1000):
     after = change.lines((root / "nlosoptics" / change.file).read_text())[1]
     place = f"{Path(change.file).stem}: {after}"

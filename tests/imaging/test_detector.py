@@ -88,6 +88,9 @@ def test_speckles_per_pixel_limits():
     pixel = 1e-3
     many = np.pi / 4 * (pixel / (wavelength * f_number)) ** 2
     assert speckles_per_pixel(pixel, wavelength, f_number) == pytest.approx(many, rel=5e-3)
+    # wider than the number of intervals that follow every oscillation
+    many = np.pi / 4 * (1.0 / (wavelength * f_number)) ** 2
+    assert speckles_per_pixel(1.0, wavelength, f_number) == pytest.approx(many, rel=1e-3)
     # a lens at F/2 focused at 2 m, 9 um pixels
     assert speckles_per_pixel(9e-6, wavelength, 2.05) == pytest.approx(45, abs=0.5)
 

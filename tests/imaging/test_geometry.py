@@ -12,6 +12,7 @@ from nlosoptics.imaging.geometry import (
     area_average,
     chief_rays,
     picture_coordinates,
+    picture_positions,
     pixel_centres,
     pixel_edges,
     wall_visibility,
@@ -299,3 +300,24 @@ def test_pixel_grids_straddle_the_axis(flat_scene):
     assert xc[32] == pytest.approx(camera.image_pitch / 2)
     assert (len(yc), len(ye)) == (64, 65)
     assert isinstance(flat_scene.hidden, PlanarObject)
+
+
+@pytest.mark.parametrize("dented", range(4))
+@pytest.mark.parametrize("place", [(1.2, 2.3), (3.4, 0.7), (0.4, -0.9), (-0.9, 2.2), (4.6, 5.7)])
+def test_a_dented_footprint_shows_the_texel_at_its_centre(dented, place):
+    picture = np.random.default_rng(1).random((5, 6)) + 0.1
+    corners = 2.4 * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    corners[dented] = 0.8 * corners[dented - 2] + 0.2 * corners[dented]  # beyond the diagonal
+    row, column = (corners[:, ::-1] - corners.mean(axis=0)[::-1] + np.array(place)).T
+    grids = [one[[[0, 1], [3, 2]]] for one in (column, row)]
+    down, along = (int(np.floor(c)) for c in place)
+    inside = 0 <= down < 5 and 0 <= along < 6
+    expected = picture[down, along] if inside else 0.0
+    assert area_average(picture, *grids) == pytest.approx(np.array([[expected]]))
+
+
+def test_a_pixel_that_sees_no_picture_is_at_its_centre(flat_scene):
+    rays = chief_rays(flat_scene, *pixel_centres(flat_scene.camera))
+    lost = replace(rays, reflected=np.full_like(rays.reflected, np.nan))
+    for places in picture_positions(flat_scene.hidden, lost):
+        np.testing.assert_array_equal(places, np.zeros(flat_scene.camera.shape))

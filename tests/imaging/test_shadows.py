@@ -69,6 +69,14 @@ def test_an_occluder_out_of_the_way_changes_no_bit(flat_scene, wall, mesh):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
+def test_no_occluder_casts_no_shadow(flat_scene):
+    scene = finer(flat_scene, binning=512)
+    found = cast_shadows(scene)
+    for part in (found.image, found.view, found.veil):
+        np.testing.assert_array_equal(part, np.ones(scene.camera.shape))
+    assert found.spot == 1.0
+
+
 def test_an_occluder_before_the_whole_object_leaves_no_light_of_it(flat_scene):
     scene = replace(flat_scene, occluders=(WHOLE,))
     image = form_image(scene, spread(scene))

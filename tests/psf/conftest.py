@@ -8,6 +8,8 @@ import types
 import warnings
 from collections.abc import Callable
 from importlib.metadata import distribution
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -28,3 +30,12 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], types.ModuleType]:
             return pytest.importorskip(name)
 
     return load
+
+
+@pytest.fixture
+def draw(root: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """``draw(seed, index, max_seconds, kind)``: a wave of the benchmark and what is asked of it."""
+    monkeypatch.syspath_prepend(root / "benchmarks")
+    import psf_study
+
+    return psf_study.draw

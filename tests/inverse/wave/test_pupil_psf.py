@@ -10,6 +10,7 @@ from nlosoptics._checks import Budget, within
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import PupilPSF
+from nlosoptics.inverse.wave.frames import known_defoci
 from nlosoptics.psf import Wavefront, point_spread, zernike
 
 WAVELENGTH = 632.8e-9
@@ -324,6 +325,13 @@ def test_defocus_in_waves_or_words_is_refused(defocus, words):
         assert "\n" not in str(caught.value)
     with pytest.raises(SceneError, match="object_image of type ndarray is not a tensor"):
         module.image(np.zeros((8, 8)))
+
+
+def test_the_largest_defocus_is_a_millimetre():
+    for sign in (1.0, -1.0):
+        assert known_defoci([0.0, sign * 1e-3], 2)[1] == sign * 1e-3
+        with pytest.raises(SceneError, match="limit 0.001"):
+            known_defoci([0.0, sign * np.nextafter(1e-3, 1.0)], 2)
 
 
 def test_modes_beyond_the_memory_are_refused_before_they_are_computed():

@@ -1,0 +1,65 @@
+"""Point spreads of rough walls, and what is predicted of them, on record."""
+
+import numpy as np
+import pytest
+
+from nlosoptics import psf
+from nlosoptics.scene import FacetWall
+
+from ...records import attempt
+
+
+@pytest.mark.parametrize("index", range(7))
+def test_a_mean(index, draw, on_record):
+    case = draw(23, index, 0.4, "rough")
+    asked = case.options | {"tol": max(case.options["tol"], 1e-4)}
+    view = case.rough["view"]
+    on_record(attempt(psf.mean_point_spread, case.front, case.rough["roughness"], **view, **asked))
+
+
+WALLS = {
+    "gaussian": psf.Roughness(3e-8, 1e-3),
+    "exponential": psf.Roughness(6e-8, 5e-4, "exponential"),
+    "facets": FacetWall(4e-4, 2e-3, seed=4),
+}
+
+
+@pytest.fixture(params=WALLS)
+def rough(request):
+    system = {"wavelength": 6e-7, "pupil_radius": 4e-3, "image_distance": 0.06, "nodes": "grid"}
+    samples = 384 if request.param == "facets" else 128
+    wave = psf.Wavefront.from_zernike({5: 5e-8}, obscuration=0.3, samples=samples, **system)
+    view = {"footprint": np.diag([0.5, 0.6]), "cos_sum": 1.8}
+    return wave, WALLS[request.param], view
+
+
+@pytest.mark.parametrize("propagation", ["geometric", "fresnel"])
+def test_a_sample(rough, propagation, on_record):
+    wave, wall, view = rough
+    asked = view | {"propagation": propagation, "pitch": 2e-6, "shape": 20, "seed": 3}
+    asked["effective_distance"] = 0.4
+    on_record(
+        [
+            attempt(psf.sample_point_spread, wave, wall, **asked, independent_patterns=2),
+            attempt(psf.sample_point_spread, wave, wall, **asked | {"seed": None}),
+            isinstance(wall, psf.Roughness)
+            and attempt(psf.two_scale_point_spread, wave, wall, **asked, tol=0.05),
+            attempt(psf.mean_point_spread, wave, wall, **view, tol=1e-2, pitch=2e-6, shape=20),
+        ]
+    )
+
+
+@pytest.mark.parametrize("name", ["gaussian", "exponential"])
+def test_statistics(name, on_record):
+    rough, lags = WALLS[name], np.array([0.0, 1e-5, 3e-4, 2e-3])
+    long, short = rough.split(1e-3)
+    figures = [
+        [
+            attempt(lambda one=one: one.slope_rms),
+            one.correlation(lags),
+            one.structure(lags),
+            one.reach(0.01),
+        ]
+        for one in (rough, long, short)
+    ]
+    on_record([figures, attempt(rough.lag_of, 1e-16), psf.split_scale(6e-7, 0.5)])
