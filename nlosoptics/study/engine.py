@@ -10,9 +10,11 @@ import uuid
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, Protocol
 
 from ..errors import MissingExtraError, SceneError
+from .design.study import Study
 from .worker import Answers, Block, evaluate, forget, lost, prepare
 
 WINDOW = 3  # blocks in flight per worker
@@ -29,6 +31,11 @@ class Engine(Protocol):
 
     def close(self) -> None:
         """Release the study."""
+
+
+def _packed(study: Study) -> bytes:
+    """Pickle what workers need of a study; the values of its points come with the blocks."""
+    return pickle.dumps(replace(study, dimensions=()))
 
 
 class _Here(Executor):
@@ -48,9 +55,9 @@ class InProcess:
 
     workers = 1
 
-    def __init__(self, study: Any) -> None:
+    def __init__(self, study: Study) -> None:
         self.key = uuid.uuid4().hex
-        self._packed = pickle.dumps(study)
+        self._packed = _packed(study)
 
     def start(self) -> Executor:
         """Return the executor."""
@@ -68,9 +75,9 @@ class Processes:
     With ``ahead`` they start at once, otherwise with the first blocks.
     """
 
-    def __init__(self, study: Any, workers: int, *, ahead: bool = False) -> None:
+    def __init__(self, study: Study, workers: int, *, ahead: bool = False) -> None:
         self.key, self.workers = uuid.uuid4().hex, workers
-        self._packed = pickle.dumps(study)
+        self._packed = _packed(study)
         self._waiting = self._pool() if ahead else None
         if self._waiting:
             for _ in range(workers):
@@ -98,7 +105,7 @@ class Processes:
 class Cluster:
     """Engine of the workers of a dask scheduler."""
 
-    def __init__(self, study: Any, address: str) -> None:
+    def __init__(self, study: Study, address: str) -> None:
         try:
             import distributed
         except ModuleNotFoundError:
@@ -116,7 +123,7 @@ class Cluster:
             ) from None
         from .dask_plugin import Preparation
 
-        self._client.register_plugin(Preparation(self.key, pickle.dumps(study)), name=self.key)
+        self._client.register_plugin(Preparation(self.key, _packed(study)), name=self.key)
         threads: dict[str, int] = self._client.nthreads()
         if not threads:
             raise SceneError(f"scheduler {address!r} has no workers; start some with dask worker")

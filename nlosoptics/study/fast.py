@@ -5,14 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._progress import Progress
 from ..errors import NlosError, SceneError
 from ..psf import SceneOptics
 from ..psf.pupil.scene_optics import PointOptics
@@ -40,16 +39,20 @@ def fast_key(study: Study, figure: Figure) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def fill_fast(study: Study, store: Store, progress: Progress) -> None:
-    """Compute the figures of all draws of a fast study that the store lacks."""
+def fast_lacking(study: Study, store: Store) -> list[Figure]:
+    """Return the figures of a fast study that its store lacks; none of another study."""
     if not study.fast:
-        return
+        return []
     with reading(store.path):
-        lacking = [f for f in study.figures if store.fast(f.name, fast_key(study, f)) is None]
-    found = fast_values(study, lacking, progress) if lacking else {}
-    for figure in lacking:
-        key, about = fast_key(study, figure), (expanded_meaning(figure), figure.unit)
-        store.set_fast(figure.name, key, found[figure.name], *about)
+        return [f for f in study.figures if store.fast(f.name, fast_key(study, f)) is None]
+
+
+def keep_fast(study: Study, store: Store, found: Mapping[str, Array]) -> None:
+    """Store values of `fast_values`, by figure."""
+    for name, values in found.items():
+        figure = study.figure(name)
+        about = expanded_meaning(figure), figure.unit
+        store.set_fast(name, fast_key(study, figure), values, *about)
 
 
 def expanded_meaning(figure: Figure) -> str:
@@ -57,9 +60,7 @@ def expanded_meaning(figure: Figure) -> str:
     return f"{figure.meaning}, expanded to second order in the drawn values"
 
 
-def fast_values(
-    study: Study, figures: Sequence[Figure], progress: Progress | None = None
-) -> dict[str, Array]:
+def fast_values(study: Study, figures: Sequence[Figure]) -> dict[str, Array]:
     """Return figures of a fast study for all its draws, from expanded waves.
 
     Parameters
@@ -68,8 +69,6 @@ def fast_values(
         Study whose draws have ``tier = "fast"``.
     figures : sequence of Figure
         Figures to compute.
-    progress : callable(str, float), optional
-        Called with a text and the completed fraction, 0 to 1.
 
     Returns
     -------
@@ -91,9 +90,7 @@ def fast_values(
     waves = _Waves(study)
     coordinates = waves.coordinates()
     found = {}
-    for i, figure in enumerate(figures):
-        if progress is not None:
-            progress(f"expansion of {figure.name}", i / len(figures))
+    for figure in figures:
         if figure.source == "value":
             found[figure.name] = _given(study, str(figure.options["address"]))
         else:

@@ -312,7 +312,7 @@ def _dataset(study: Study, store: Store) -> xr.Dataset:
     if study.fast:
         _replace_by_fast(study, store, arrays)
     texts = shaped(store.column("message"), "")
-    told_texts = [_joined(str(text)) for text in texts.ravel()]
+    told_texts = [_joined(str(text)) if text else "" for text in texts.ravel()]
     arrays["message"] = (dims, np.array(told_texts, dtype=object).reshape(shape))
     arrays["seconds"] = (dims, shaped(store.column("seconds"), np.nan), {"units": "s"})
     coordinates: dict[str, Any] = {}
@@ -338,7 +338,7 @@ def _replace_by_fast(study: Study, store: Store, arrays: dict[str, Any]) -> None
 def _joined(text: str) -> str:
     """Return the messages of a point's figures in one line, equal ones once."""
     figures: dict[str, list[str]] = {}
-    for name, told in json.loads(text or "{}").items():
+    for name, told in json.loads(text).items():
         figures.setdefault(told, []).append(name)
     return "; ".join(f"{', '.join(names)}: {told}" for told, names in figures.items())
 

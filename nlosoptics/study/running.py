@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from .blocks import open_blocks, prepared
 from .design.base import unpacked_at
 from .design.study import Study
 from .engine import Cluster, Engine, InProcess, Processes, computed
-from .fast import fill_fast
+from .fast import fast_lacking, fast_values, keep_fast
 from .results import Results, results_at
 from .searching import Trials
 from .store import Store, only_writer, reading
@@ -117,7 +118,6 @@ def run_study(
         with reading(path):
             store, study = prepared(study, path)
             blocks = open_blocks(study, store, again)
-        fill_fast(study, store, tell)
         if study.variables:
             if again:
                 raise SceneError(
@@ -127,11 +127,11 @@ def run_study(
             engine = _engine(study, count, scheduler)
             with Trials(study, store, engine, tell, stop) as trials:
                 trials.run(blocks)
-        elif blocks:
-            if engine is None:
+        else:
+            if blocks and engine is None:
                 engine = _engine(study, min(count, len(blocks)), scheduler)
                 ending.callback(engine.close)
-            _fill(store, engine, blocks, tell, stop)
+            _fill(study, store, engine, blocks, tell, stop)
     return results_at(given, study)
 
 
@@ -142,18 +142,29 @@ def _engine(study: Study, workers: int, scheduler: str | None, *, ahead: bool = 
 
 
 def _fill(
+    study: Study,
     store: Store,
-    engine: Engine,
+    engine: Engine | None,
     blocks: list[Block],
     progress: Progress,
     interrupted: Callable[[], bool],
 ) -> None:
-    """Compute blocks and write them as they are finished."""
+    """Compute blocks and write them as they are finished, and what the fast tier lacks meanwhile.
+
+    The engine may be None if there are no blocks.
+    """
     start, done, total = time.perf_counter(), 0, sum(len(block.ids) for block in blocks)
-    progress(f"0 of {total} points", 0.0)
-    for block, answers in computed(engine, iter(blocks), interrupted):
-        store.write(block, answers)
-        done += len(block.ids)
-        rate = done / (time.perf_counter() - start)
-        left = (total - done) / rate
-        progress(f"{done} of {total} points, {rate:.3g}/s, {left:.0f} s left", done / total)
+    lacking = fast_lacking(study, store)
+    with ThreadPoolExecutor(1) as beside:
+        expanded = beside.submit(fast_values, study, lacking) if lacking else None
+        progress(f"0 of {total} points", 0.0)
+        for block, answers in computed(engine, iter(blocks), interrupted) if engine else ():
+            store.write(block, answers)
+            done += len(block.ids)
+            if expanded is not None and expanded.done():
+                expanded.result()  # ends the study if it failed
+            rate = done / (time.perf_counter() - start)
+            left = (total - done) / rate
+            progress(f"{done} of {total} points, {rate:.3g}/s, {left:.0f} s left", done / total)
+        if expanded is not None:
+            keep_fast(study, store, expanded.result())

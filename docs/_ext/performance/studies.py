@@ -102,7 +102,7 @@ SECTIONS = (
         "Tolerance draws by expanded waves",
         'The yield is the share of random draws that meet a limit. With `tier = "fast"`, the wave '
         "of each draw is computed from a Taylor series of second order in the drawn values, and "
-        'the yield is corrected by 500 draws that are computed in full. The columns "in full" and '
+        'the yield is corrected by 440 draws that are computed in full. The columns "in full" and '
         '"fast" are yields of the same 2,048 draws. The last columns are the corrected yield of '
         "all 16,384 draws and its 95 % interval.",
         "python benchmarks/studies.py --fast --json {file}",
