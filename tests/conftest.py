@@ -29,7 +29,8 @@ FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """``--record`` writes the results of tests that compare with a record."""
-    parser.addoption("--record", action="store_true", help="write results on record anew")
+    choices, told = ("new", "common"), "write results on record: new ones, or strike out others"
+    parser.addoption("--record", choices=choices, help=told)
 
 
 @pytest.fixture
@@ -40,14 +41,14 @@ def on_record(request: pytest.FixtureRequest) -> Iterator[Callable[..., None]]:
     """
     from nlosoptics._checks import Budget, within
 
-    file, write = request.path.with_suffix(".json"), bool(request.config.getoption("record"))
+    file, record = request.path.with_suffix(".json"), request.config.getoption("record")
     limit = _Limit(2.0**33)
 
     def check(result: Any, tolerance: float = records.TOLERANCE) -> None:
-        found = {"result": result, "bytes": limit.seen}
-        records.check(file, request.node.name, found, tolerance, write=write)
+        options = {"tolerance": tolerance, "record": record}
+        records.check(file, request.node.name, result, limit.seen, **options)
 
-    if write:
+    if record:
         records.clear_caches()
     with within(Budget(memory=limit, seconds=60.0)):
         yield check
