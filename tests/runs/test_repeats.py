@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
 import sys
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 
@@ -31,7 +33,7 @@ def repeats(root: Path) -> ModuleType:
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is read from /proc")
 @pytest.mark.parametrize("name", ["simulate", "point_spread", "trace", "render"])
 def test_memory_does_not_grow(name: str, repeats: ModuleType) -> None:
-    found = repeats.repeated(repeats.stages()[name], 50)
+    found = repeats.repeated(repeats.stages()[name], 80)
     assert not found["bytes"].grows, found
     assert found["objects"].slope - 3.0 * found["objects"].error < SPECIALISED, found
 
@@ -39,10 +41,11 @@ def test_memory_does_not_grow(name: str, repeats: ModuleType) -> None:
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is read from /proc")
 def test_what_is_kept_for_each_call_is_seen(repeats: ModuleType) -> None:
     kept = []
+    with suppress(AttributeError):  # of glibc alone: memory that earlier tests freed is not used
+        ctypes.CDLL(None).malloc_trim(0)
     found = repeats.repeated(lambda number: kept.append(np.full(500_000, number)), 50)
     assert found["bytes"].grows
-    # 8 B each; memory that earlier tests freed may serve for much of the 200 MB
-    assert 1_000_000 < found["bytes"].slope < 5_000_000
+    assert found["bytes"].slope == pytest.approx(4_000_000, rel=0.5)  # 8 B each
     lists = []
     found = repeats.repeated(lambda number: lists.append([[] for _ in range(20)]), 50)
     assert found["objects"].grows
