@@ -45,8 +45,8 @@ def on_record(request: pytest.FixtureRequest) -> Iterator[Callable[..., None]]:
     limit = _Limit(2.0**33)
 
     def check(result: Any, tolerance: float = records.TOLERANCE) -> None:
-        options = {"tolerance": tolerance, "record": record}
-        records.check(file, request.node.name, result, limit.seen, **options)
+        name = request.node.name
+        records.check(file, name, result, limit.seen, tolerance=tolerance, record=record)
 
     if record:
         records.clear_caches()

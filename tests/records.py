@@ -105,7 +105,15 @@ def clear_caches() -> None:
                     value.cache_clear()
 
 
-def check(file: Path, name: str, result: Any, bytes_: Sequence[float], **options: Any) -> None:
+def check(
+    file: Path,
+    name: str,
+    result: Any,
+    need: Sequence[float],
+    *,
+    tolerance: float,
+    record: str | None,
+) -> None:
     """Compare a test's result, and the memory that it states to need, with those on record.
 
     Each stated number of bytes must be on record; a cache may keep some from being stated.
@@ -118,19 +126,20 @@ def check(file: Path, name: str, result: Any, bytes_: Sequence[float], **options
         Name of the test.
     result : object
         Anything that `digest` takes.
-    bytes_ : sequence of float
-        Stated memory.
-    **options
-        ``tolerance``, see `differing`, and ``record``, the value of the option or None.
+    need : sequence of float
+        Stated memory, bytes.
+    tolerance : float
+        Largest relative difference, see `TOLERANCE`.
+    record : {"new", "common"} or None
+        Whether numbers are written: new ones, or strokes for those that differ.
     """
-    tolerance, record = options["tolerance"], options["record"]
     known = json.loads(file.read_text()) if file.is_file() else {}
     before = dict(known.get(name, {}))
     held = {*before.pop("bytes", "").split()}
-    found, stated = digest(result), {f"{need:.6g}" for need in bytes_}
+    found, stated = digest(result), {f"{one:.6g}" for one in need}
     if record is None:
         wrong = differing(found, before, tolerance)
-        wrong += [f"bytes: {need} is not on record" for need in stated - held]
+        wrong += [f"bytes: {one} is not on record" for one in stated - held]
         assert not wrong, "\n".join(wrong[:10])
         return
     struck = {key for key, old in before.items() if old == ANY}

@@ -93,9 +93,10 @@ def _kind_of(quantity: Any) -> str:
 def measured(text: object) -> tuple[float, Kind] | None:
     """Return the value in SI units of a text with a unit, and its dimension; else None."""
     match = _NUMBER_AND_UNIT.fullmatch(text) if isinstance(text, str) else None
-    usual = None if match is None else _USUAL.get(match[2])
-    if match is not None and usual is not None and math.isfinite(float(match[1])):
-        return float(Decimal(match[1]) * usual[1]), usual[0]
+    if match is not None and math.isfinite(float(match[1])):
+        usual = _usual(*match.groups())
+        if usual is not None:
+            return usual
     for kind in (LENGTH, TIME, RATE, POWER, ANGLE):
         with suppress(ValueError):
             return parse(text, kind), kind
@@ -121,11 +122,11 @@ def parse(text: object, kind: Kind) -> float:
         raise ValueError(f"has no unit, must be {kind.name}")
     if not math.isfinite(float(number)):
         raise ValueError("is not finite")
-    usual = _USUAL.get(re.sub(r"^/\s+", "/", unit))
+    usual = _usual(number, unit)
     if usual is not None:
-        if usual[0] != kind:
-            raise ValueError(f"is {usual[0].name}, must be {kind.name}")
-        return float(Decimal(number) * usual[1])
+        if usual[1] != kind:
+            raise ValueError(f"is {usual[1].name}, must be {kind.name}")
+        return usual[0]
     registry = _registry()  # outside of `try`: a pint that does not load is no unknown unit
     try:
         # a leading slash marks a rate, such as "0.1 / s"
@@ -135,6 +136,12 @@ def parse(text: object, kind: Kind) -> float:
     if not quantity.is_compatible_with(kind.unit):
         raise ValueError(f"is {_kind_of(quantity)}, must be {kind.name}")
     return float(quantity.to(kind.unit).magnitude)
+
+
+def _usual(number: str, unit: str) -> tuple[float, Kind] | None:
+    """Return the value in SI units of a finite number with a usual unit, and its dimension."""
+    known = _USUAL.get(re.sub(r"^/\s+", "/", unit))
+    return None if known is None else (float(Decimal(number) * known[1]), known[0])
 
 
 def written(value: float, kind: Kind) -> str:

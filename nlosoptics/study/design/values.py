@@ -9,9 +9,9 @@ from ...scene.file import units
 from ...scene.file.units import written
 
 PREFIXED = ("m", "s", "W", "rad")
+PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 #: Value and dimension of a text; those of draws are read several times.
 measured = lru_cache(1 << 16)(units.measured)
-PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
 
 def canonical(value: Any) -> Any:
