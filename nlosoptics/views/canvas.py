@@ -246,7 +246,8 @@ def _extents(figure: Any) -> Array:
 def _place_axes(figure: Any, space: Array) -> None:
     """Leave a space around the axes of a figure and above its legends."""
     _, n_rows, n_columns = _grid(figure)
-    below = sum(legend.get_window_extent().height for legend in figure.legends) / figure.dpi
+    tops = [legend.get_window_extent().y1 for legend in figure.legends]
+    below = max(tops, default=0.0) / figure.dpi
     wide, high = figure.get_size_inches()
     across = space[[0, 1, 4]] / wide
     down = (space[[2, 3, 5]] + (below, 0.0, 0.0)) / high
