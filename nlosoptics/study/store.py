@@ -44,6 +44,7 @@ class Store:
 
     def __init__(self, path: Path, group: zarr.Group) -> None:
         self.path, self._group = path, group
+        self._columns: dict[str, Any] = {}  # opening an array takes as long as writing a block
 
     @classmethod
     def create(
@@ -191,6 +192,7 @@ class Store:
     ) -> None:
         """Keep the values of a figure in all draws of the fast tier; the key is written last."""
         with writing(self.path):
+            self._columns.pop(f"fast/{figure}", None)
             array: Any = self._group.require_group("fast").create_array(
                 figure, data=values, chunks=(len(values),), overwrite=True
             )
@@ -336,7 +338,10 @@ class Store:
         return int(self._at("id").shape[0])
 
     def _at(self, name: str) -> Any:
-        return self._group[name]
+        """Return an array of the group."""
+        if name not in self._columns:
+            self._columns[name] = self._group[name]
+        return self._columns[name]
 
     def _array(
         self,
