@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ..psf import ScenePointSpread
     from ..runs.results import Result
     from ..scene import Scene
+    from ..views.run_overview import AwaitedOverview
     from ..views.saving import Panels
 
 #: Functions that draw figures and return the axes of their files; called only where they are drawn.
@@ -152,11 +153,11 @@ def _of_run(result: Result) -> Figures:
     return {"overview": lambda: overview_panels(result)}
 
 
-def _overview(scene: Scene, found: ScenePointSpread) -> Callable[[Result], Any]:
-    """Draw what is known of the overview; return a function that goes on, see `AwaitedOverview`."""
+def _overview(scene: Scene) -> AwaitedOverview:
+    """Begin the overview."""
     from ..views.run_overview import AwaitedOverview
 
-    return AwaitedOverview(scene, found).awaiting
+    return AwaitedOverview(scene)
 
 
 def _drawn(draw: Callable[[], Panels]) -> dict[str, bytes]:
@@ -193,11 +194,9 @@ def _first(pipes: list[tuple[Connection, Connection]], held: int) -> None:
 def _second(other: Connection, own: Connection, held: int) -> None:
     """Draw the overview."""
     other.close()
-    (scene,) = _received(own, held)
-    (found,) = _received(own, held)
-    awaited = _overview(scene, found)
-    (result,) = _received(own, held)
-    complete = awaited(result)
+    overview = _overview(*_received(own, held))
+    overview.draw_optics(*_received(own, held))
+    complete = overview.awaiting(*_received(own, held))
     fit, folder = _received(own, held)
     _report(own, folder, {"overview": complete(fit)})
 

@@ -61,7 +61,8 @@ def overview(result: Result) -> tuple[Axes, ...]:
     ['top view', 'wave aberration', 'point spread function', 'camera image']
     """
     axes = _empty()
-    _draw_optics(axes, result.scene, result)
+    _draw_room(axes, result.scene)
+    _draw_optics(axes, result)
     return _draw_images(axes, result)
 
 
@@ -70,10 +71,13 @@ def _empty() -> tuple[Axes, ...]:
     return new_axes(6, width=16.5, height=9.6, columns=3)
 
 
-def _draw_optics(axes: tuple[Axes, ...], scene: Scene, found: ScenePointSpread | Result) -> None:
-    """Draw the upper row of an overview."""
+def _draw_room(axes: tuple[Axes, ...], scene: Scene) -> None:
     room_from_above(scene, axes[0])
     axes[0].legend(fontsize="small", loc="best")
+
+
+def _draw_optics(axes: tuple[Axes, ...], found: ScenePointSpread | Result) -> None:
+    """Draw the rest of the upper row of an overview."""
     if found.pupil_field is None:
         wavefront(found.wavefront, axes=axes[1])
     else:
@@ -122,15 +126,18 @@ class AwaitedOverview:
     ----------
     scene : Scene
         Scene of the run.
-    found : ScenePointSpread
-        Its wave and point spread.
     """
 
-    def __init__(self, scene: Scene, found: ScenePointSpread) -> None:
+    def __init__(self, scene: Scene) -> None:
         self._axes = _empty()
         self._figure = GrowingFigure(self._axes)
-        _draw_optics(self._axes, scene, found)
-        self._figure.draw(self._axes[:IMAGE])
+        _draw_room(self._axes, scene)
+        self._figure.draw(self._axes[:1])
+
+    def draw_optics(self, found: ScenePointSpread) -> None:
+        """Draw the wave and the point spread."""
+        _draw_optics(self._axes, found)
+        self._figure.draw(self._axes[1:IMAGE])
 
     def awaiting(self, result: Result) -> Callable[[Reconstruction | None], dict[str, bytes]]:
         """Draw the images of a result without its reconstruction.

@@ -43,7 +43,8 @@ def drawn_by(tmp_path, monkeypatch, flat_scene):
         monkeypatch.setattr(figures, "_of_wave", named("point_spread"))
         monkeypatch.setattr(figures, "_of_run", named("overview"))
         late = named("overview")(None)["overview"]
-        monkeypatch.setattr(figures, "_overview", lambda *_: lambda _: lambda _: late())
+        awaited = SimpleNamespace(draw_optics=id, awaiting=lambda _: lambda _: late())
+        monkeypatch.setattr(figures, "_overview", lambda _: awaited)
         monkeypatch.setattr(figures, "_drawn", lambda draw: draw())
         monkeypatch.setattr(figures.os, "cpu_count", lambda: cores)
         plan = Plan(stages=(), skipped=(), tol=1e-3, waves=0.0, exit_pupil=None, budget=None)
@@ -62,6 +63,13 @@ def drawn_by(tmp_path, monkeypatch, flat_scene):
 def elsewhere(action):
     """Return a function that does something in other processes than this one."""
     return lambda: action() if os.getpid() != HERE else None
+
+
+def awaited(result):
+    """Return the function that completes the overview of a result without reconstruction."""
+    overview = AwaitedOverview(result.scene)
+    overview.draw_optics(result)
+    return overview.awaiting(result)
 
 
 def fail():
@@ -131,7 +139,7 @@ def test_an_awaited_overview_is_the_one_drawn_at_once(flat_scene, monkeypatch, r
         ]
     wanted = [panel_files(overview_panels(replace(result, reconstruction=each))) for each in fits]
     assert set(wanted[0]) == {"overview", "wavefront", "image", *["reconstruction"] * reconstruct}
-    complete = AwaitedOverview(result.scene, result).awaiting(replace(result, reconstruction=None))
+    complete = awaited(replace(result, reconstruction=None))
     assert [complete(each) for each in fits[1:]] == wanted[1:]
     monkeypatch.setattr(run_overview, "panel_files", None)  # not needed for what is expected
     assert complete(fits[0]) == wanted[0]
@@ -141,7 +149,7 @@ def test_an_awaited_overview_with_longer_labels_is_drawn_anew(flat_scene, monkey
     """Its labels do not fit the places that a layout tries first."""
     result = simulate(flat_scene.resized(32), tol=1e-2)
     monkeypatch.setitem(maps.MEANING, result.point_spread.normalisation, "energy\n" * 6)
-    complete = AwaitedOverview(result.scene, result).awaiting(result)
+    complete = awaited(result)
     assert complete(None) == panel_files(overview_panels(result))
 
 
