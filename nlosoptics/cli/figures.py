@@ -34,6 +34,8 @@ Figures = dict[str, Callable[[], "Panels"]]
 LONGEST: Final = 30.0
 #: Time within which processes end after their last figure, s.
 ENDING: Final = 5.0
+#: Niceness of the process with less to draw: the run and the other one have the cores first.
+NICE: Final = 5
 
 
 class Painters:
@@ -182,6 +184,7 @@ def _first(pipes: list[tuple[Connection, Connection]], held: int) -> None:
     _load()
     forked(_second, here, there, held)
     there.close()
+    os.nice(NICE)
     ready: dict[str, dict[str, bytes]] = {}
     for figures in (_of_scene, _of_wave):
         (known,) = _received(here, held)
