@@ -15,6 +15,7 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from copy import copy
 from typing import Annotated, Any
 
 import typer
@@ -66,7 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         words = tuple(sys.argv[1:] if arguments is None else arguments)
         with _interrupts_kept():
-            code = app(args=words, prog_name="nlosoptics", standalone_mode=False, obj=words)
+            program = _program(words)
+            code = program(args=words, prog_name="nlosoptics", standalone_mode=False, obj=words)
         if code == INTERRUPTED:  # while the words were read
             code = tell(KeyboardInterrupt())
     except (Exception, KeyboardInterrupt) as error:
@@ -77,6 +79,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if arguments is None:
         _end(code or DONE)
     sys.exit(code or DONE)
+
+
+def _program(words: Sequence[str]) -> typer.Typer:
+    """Return the program with the command that the words call alone, or else with all commands.
+
+    typer evaluates the annotations of all commands that a program has, whichever is called.
+    """
+    chosen = copy(app)
+    called = [command for command in app.registered_commands if command.name in words[:1]]
+    chosen.registered_commands = called or app.registered_commands
+    return chosen
 
 
 def _end(code: int) -> None:

@@ -1,8 +1,8 @@
 """Figures of a run, drawn by two other processes where the system can fork.
 
-They load matplotlib while the run computes. One draws the scene, and the point spread as soon as it
-is known. The other draws the overview before the reconstruction is known, completes it then, and
-cuts the other figures out of it. This process draws whatever they do not report.
+They load matplotlib while the run loads its kernels and computes. One draws the scene, and the
+point spread as soon as it is known. The other draws each part of the overview as soon as it is
+known, and cuts the other figures out of it. This process draws whatever they do not report.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import signal
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -23,10 +22,10 @@ from typing import IO, TYPE_CHECKING, Any, Final
 from .processes import can_help, forked
 
 if TYPE_CHECKING:
-    from ..inverse import Reconstruction
     from ..psf import ScenePointSpread
     from ..runs.results import Result
     from ..scene import Scene
+    from ..views.run_overview import AwaitedOverview
     from ..views.saving import Panels
 
 #: Functions that draw figures and return the axes of their files; called only where they are drawn.
@@ -35,6 +34,8 @@ Figures = dict[str, Callable[[], "Panels"]]
 LONGEST: Final = 30.0
 #: Time within which processes end after their last figure, s.
 ENDING: Final = 5.0
+#: Niceness of the process with less to draw: the run and the other one have the cores first.
+NICE: Final = 5
 
 
 class Painters:
@@ -154,6 +155,13 @@ def _of_run(result: Result) -> Figures:
     return {"overview": lambda: overview_panels(result)}
 
 
+def _overview(scene: Scene) -> AwaitedOverview:
+    """Begin the overview."""
+    from ..views.run_overview import AwaitedOverview
+
+    return AwaitedOverview(scene)
+
+
 def _drawn(draw: Callable[[], Panels]) -> dict[str, bytes]:
     """Draw a figure; return its PNG files by their names."""
     from ..views.saving import panel_files
@@ -176,6 +184,7 @@ def _first(pipes: list[tuple[Connection, Connection]], held: int) -> None:
     _load()
     forked(_second, here, there, held)
     there.close()
+    os.nice(NICE)
     ready: dict[str, dict[str, bytes]] = {}
     for figures in (_of_scene, _of_wave):
         (known,) = _received(here, held)
@@ -188,12 +197,11 @@ def _first(pipes: list[tuple[Connection, Connection]], held: int) -> None:
 def _second(other: Connection, own: Connection, held: int) -> None:
     """Draw the overview."""
     other.close()
-    _received(own, held)
-    _received(own, held)
-    (result,) = _received(own, held)
-    complete = _awaiting(result)
+    overview = _overview(*_received(own, held))
+    overview.draw_optics(*_received(own, held))
+    complete = overview.awaiting(*_received(own, held))
     fit, folder = _received(own, held)
-    _report(own, folder, complete(fit))
+    _report(own, folder, {"overview": complete(fit)})
 
 
 def _load() -> None:
@@ -218,19 +226,3 @@ def _report(end: Connection, folder: Path, ready: dict[str, dict[str, bytes]]) -
         _write(folder, files)
         end.send(name)
     end.send(None)
-
-
-def _awaiting(result: Result) -> Callable[[Any], dict[str, dict[str, bytes]]]:
-    """Draw what is known of the overview; return a function that completes its files."""
-    from ..views.run_overview import FIT
-    from ..views.saving import awaited_files
-
-    if not result.plan.runs("reconstruction"):
-        ready = {name: _drawn(draw) for name, draw in _of_run(result).items()}
-        return lambda _: ready
-
-    def overview(fit: Reconstruction) -> Panels:
-        return _of_run(replace(result, reconstruction=fit))["overview"]()
-
-    complete = awaited_files(overview, FIT, result.image.electrons.shape)
-    return lambda fit: {"overview": complete(fit)}

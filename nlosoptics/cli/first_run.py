@@ -33,6 +33,8 @@ def compiled_ahead() -> Iterator[None]:
     if not can_help() or _mark().exists():
         yield
         return
+    import numba  # noqa: F401  (once for both processes)
+
     process = forked(_compile)
     try:
         yield

@@ -87,12 +87,14 @@ def run_command(
         from ..runs.plan import looked_at
         from ..runs.record import write_record
         from ..runs.results import write_result
-        from ..runs.simulate import carried_out
         from . import figures
         from .first_run import compiled_ahead
 
         seed = checked_seed(seed)
-        with compiled_ahead(), figures.painters() as beside:
+        with figures.painters() as beside, compiled_ahead():
+            # late, since it loads numba, which the processes that draw do without
+            from ..runs.simulate import carried_out
+
             scene = load(scene_file, size, changes)
             beside.send(scene)
             loaded = time.perf_counter()

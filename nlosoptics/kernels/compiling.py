@@ -83,11 +83,17 @@ def njit(
     if function is None:
         return lambda given: njit(given, cache=cache, shared=shared, **options)
     compiled = numba.njit(function, no_cfunc_wrapper=True, **options)
+    # numba would read the metadata of all installed packages for extensions of its types
+    compiled._compilation_chain_init_hook = _no_extensions
     if cache and hasattr(compiled, "_cache"):  # NUMBA_DISABLE_JIT leaves the function as it is
         compiled._cache = _Cache(function)
         if not shared and options.get("inline") != "always":
             _set_inner(compiled, function, options)
     return compiled
+
+
+def _no_extensions() -> None:
+    """Add nothing to the types of arguments: kernels take numbers and numpy's arrays."""
 
 
 def _set_inner(compiled: Any, function: Callable[..., Any], options: dict[str, Any]) -> None:

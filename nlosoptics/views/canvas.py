@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakKeyDictionary
@@ -189,20 +190,29 @@ def _engine_class() -> Any:
 
     class LabelSpace(LayoutEngine):
         _adjust_compatible, _colorbar_gridspec = True, True
-        space: Array | None = None
+        space: Any = None
+
+        def begin(self, bars: bool) -> None:
+            """Take the space that labels need as a rule, with colour bars or without."""
+            bar = BAR if bars else 0.0
+            self.space = np.array(SPACE) + np.array([0.0, bar, 0.0, 0.0, bar, 0.0])
+
+        def misfit(self, fig: Any, boxes: Mapping[Any, Any]) -> Array | None:
+            """Return a space for labels in ``boxes``, by axes; None if they fit the present one."""
+            least = _extents(fig, boxes) + FREE
+            wrong = (self.space < least) | (self.space > least + MORE_FREE)
+            return np.where(wrong, least, self.space) if wrong.any() else None
 
         def execute(self, fig: Any) -> None:
             if self.space is None:
-                bar = BAR if any(axes.child_axes for axes in fig.axes) else 0.0
-                self.space = np.array(SPACE) + np.array([0.0, bar, 0.0, 0.0, bar, 0.0])
+                self.begin(any(axes.child_axes for axes in fig.axes))
             for _ in range(2):
-                _place_axes(fig, self.space)
-                least = _extents(fig) + FREE
-                wrong = (self.space < least) | (self.space > least + MORE_FREE)
-                if not wrong.any():
+                place_axes(fig, self.space)
+                found = self.misfit(fig, {axes: label_box(axes) for axes, _ in _grid(fig)[0]})
+                if found is None:
                     return
-                self.space = np.where(wrong, least, self.space)
-            _place_axes(fig, self.space)
+                self.space = found
+            place_axes(fig, self.space)
 
         def __reduce__(self) -> Any:
             # a class defined in a function cannot be pickled by name, and figures should be
@@ -218,16 +228,22 @@ def _grid(figure: Any) -> tuple[list[tuple[Any, Any]], int, int]:
     return cells, *(cells[0][1].get_gridspec().get_geometry() if cells else (1, 1))
 
 
-def _extents(figure: Any) -> Array:
+def label_box(axes: Any) -> Any:
+    """Return the box around axes and the labels for which a layout leaves space."""
+    return axes.get_tightbbox(for_layout_only=True)
+
+
+def _extents(figure: Any, boxes: Mapping[Any, Any]) -> Array:
     """Return the largest extents of labels: left, right, below, above, and in gaps, inches.
 
-    That of a gap is NaN where the figure has a single column or row.
+    ``boxes`` holds the `label_box` of each of the axes. The extent of a gap is NaN where the figure
+    has a single column or row.
     """
     cells, n_rows, n_columns = _grid(figure)
     left, right = np.zeros((2, n_columns))
     above, below = np.zeros((2, n_rows))
     for axes, cell in cells:
-        outer, inner = axes.get_tightbbox(for_layout_only=True), axes.bbox
+        outer, inner = boxes[axes], axes.bbox
         if outer is None:  # not visible
             continue
         rows, columns = cell.rowspan, cell.colspan
@@ -243,8 +259,8 @@ def _extents(figure: Any) -> Array:
     return np.array([left[0], right[-1], below[-1], above[0], across, down]) / float(figure.dpi)
 
 
-def _place_axes(figure: Any, space: Array) -> None:
-    """Leave a space around the axes of a figure and above its legends."""
+def place_axes(figure: Any, space: Array) -> None:
+    """Leave a space, see `SPACE`, around the axes of a figure and above its legends."""
     _, n_rows, n_columns = _grid(figure)
     tops = [legend.get_window_extent().y1 for legend in figure.legends]
     below = max(tops, default=0.0) / figure.dpi

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +13,19 @@ from numpy.typing import NDArray
 from ..errors import SceneError
 from .canvas import new_axes
 from .maps import image, point_spread, pupil_field, reconstruction, wavefront
+from .saving import GrowingFigure, panel_files
 from .sketch import room_from_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from ..inverse import Reconstruction
+    from ..psf import ScenePointSpread
     from ..runs.results import Result
+    from ..scene import Scene
     from ..study import Results
 
-FIT = 4  # index of the reconstruction among the axes of `overview`
+IMAGE, FIT = 3, 4  # indices of camera image and reconstruction among the axes of `overview`
 
 
 def overview(result: Result) -> tuple[Axes, ...]:
@@ -54,22 +60,41 @@ def overview(result: Result) -> tuple[Axes, ...]:
     >>> [axes.get_title().split(",")[0] for axes in views.overview(result)]
     ['top view', 'wave aberration', 'point spread function', 'camera image']
     """
+    axes = _empty()
+    _draw_room(axes, result.scene)
+    _draw_optics(axes, result)
+    return _draw_images(axes, result)
+
+
+def _empty() -> tuple[Axes, ...]:
+    """Return the empty axes of an overview."""
+    return new_axes(6, width=16.5, height=9.6, columns=3)
+
+
+def _draw_room(axes: tuple[Axes, ...], scene: Scene) -> None:
+    room_from_above(scene, axes[0])
+    axes[0].legend(fontsize="small", loc="best")
+
+
+def _draw_optics(axes: tuple[Axes, ...], found: ScenePointSpread | Result) -> None:
+    """Draw the rest of the upper row of an overview."""
+    if found.pupil_field is None:
+        wavefront(found.wavefront, axes=axes[1])
+    else:
+        pupil_field(found.pupil_field, axes=axes[1])
+    point_spread(found.point_spread, scale="linear", axes=axes[2])
+
+
+def _draw_images(axes: tuple[Axes, ...], result: Result) -> tuple[Axes, ...]:
+    """Draw the lower row of an overview; return the axes that are used, and remove the others."""
     from ..limits import object_scale  # loads scipy; views alone is light
 
-    axes = new_axes(6, width=16.5, height=9.6, columns=3)
     scale = object_scale(result.scene)
-    room_from_above(result.scene, axes[0])
-    axes[0].legend(fontsize="small", loc="best")
-    if result.pupil_field is None:
-        wavefront(result.wavefront, axes=axes[1])
-    else:
-        pupil_field(result.pupil_field, axes=axes[1])
-    point_spread(result.point_spread, scale="linear", axes=axes[2])
-    image(result.image, object_scale=scale, axes=axes[3])
-    used = 4
+    image(result.image, object_scale=scale, axes=axes[IMAGE])
+    used = FIT
     if result.reconstruction is not None:
         truth = ground_truth(result)
-        used = FIT + (1 if truth is None else 2)
+        used += 1 if truth is None else 2
         free = axes[used - 1 : FIT - 1 : -1]  # the truth comes first, and is drawn on the right
         reconstruction(result.reconstruction, truth, pitch=scale * result.image.pitch, axes=free)
     for spare in axes[used:]:
@@ -79,12 +104,80 @@ def overview(result: Result) -> tuple[Axes, ...]:
 
 def overview_panels(result: Result) -> dict[str, Sequence[Axes]]:
     """Draw the overview of a result; return the axes of its files, see `saving.panel_files`."""
-    axes = overview(result)
+    return _panels(overview(result), result)
+
+
+def _panels(axes: tuple[Axes, ...], result: Result) -> dict[str, Sequence[Axes]]:
     pupil = "wavefront" if result.pupil_field is None else "pupil_phase"
-    panels: dict[str, Sequence[Axes]] = {"overview": axes, pupil: axes[1:2], "image": axes[3:FIT]}
+    panels: dict[str, Sequence[Axes]] = {
+        "overview": axes,
+        pupil: axes[1:2],
+        "image": axes[IMAGE:FIT],
+    }
     if result.reconstruction is not None:
         panels["reconstruction"] = axes[FIT:]
     return panels
+
+
+class AwaitedOverview:
+    """Overview of a run that is drawn while the run computes.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of the run.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._axes = _empty()
+        self._figure = GrowingFigure(self._axes)
+        _draw_room(self._axes, scene)
+        self._figure.draw(self._axes[:1])
+
+    def draw_optics(self, found: ScenePointSpread) -> None:
+        """Draw the wave and the point spread."""
+        _draw_optics(self._axes, found)
+        self._figure.draw(self._axes[1:IMAGE])
+
+    def awaiting(self, result: Result) -> Callable[[Reconstruction | None], dict[str, bytes]]:
+        """Draw the images of a result without its reconstruction.
+
+        Returns
+        -------
+        callable
+            Takes the reconstruction and returns the files of `overview_panels`; it may be called
+            once. If the fit has converged and its values span 0 to 1, all but its image is prepared
+            already; otherwise the figure is drawn anew.
+        """
+        stand_in: Any = None
+        if result.plan.runs("reconstruction"):
+            stand_in = SimpleNamespace(
+                object=np.zeros(result.image.electrons.shape), status="converged"
+            )
+            stand_in.object[0, 0] = 1.0
+        expected = replace(result, reconstruction=stand_in)
+        axes = _draw_images(self._axes, expected)
+        late = axes[FIT] if stand_in else None
+        self._figure.draw(each for each in axes[IMAGE:] if each is not late)
+        complete = self._figure.awaiting(_panels(axes, expected), late)
+
+        def files(fit: Reconstruction | None) -> dict[str, bytes]:
+            found = None
+            if _looks(fit) == _looks(stand_in):
+                if fit is not None:
+                    axes[FIT].images[0].set_data(np.asarray(fit.object)[:, ::-1])
+                found = complete()
+            return found or panel_files(overview_panels(replace(result, reconstruction=fit)))
+
+        return files
+
+
+def _looks(fit: Any) -> Any:
+    """Return all that decides on the titles and scales of a reconstruction."""
+    if fit is None:
+        return None
+    values = np.asarray(fit.object)
+    return fit.status, values.shape, values.min(), values.max()
 
 
 def ground_truth(result: Result) -> NDArray[np.float64] | None:

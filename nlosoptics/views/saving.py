@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import struct
+import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,14 +15,13 @@ import numpy as np
 from .._checks import counted, path_of
 from .._whole_files import write_whole
 from ..errors import SceneError
+from .canvas import label_box, place_axes
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from pyvista import Plotter
-
-    from ..inverse import Reconstruction
 
     #: Axes of each file that shows a figure, the first one, or a part of it.
     Panels = Mapping[str, Sequence[Axes]]
@@ -34,7 +34,9 @@ METADATA: dict[str, dict[str, Any]] = {
     ".svg": {"Date": None},
 }
 COMPRESSION = 3  # of PNG files: half of the time of the usual level 6, and files as small
-MARGIN = 8.0  # pixels around the labels of axes that are cut out or drawn again
+ABOVE = 2  # PNG's number of the filter that subtracts the row above
+COLOURS = {3: 2, 4: 6}  # PNG's kinds of pixels by their bytes: red, green, blue; also opacity
+MARGIN = 8.0  # pixels around the labels of axes that are cut out
 
 
 def save(
@@ -185,72 +187,93 @@ def _drawn_once(figure: Any) -> bool:
 
 
 def _png(figure: Any, part: Any = ...) -> bytes:
-    """Return pixels that the canvas of a figure has drawn as a PNG file, by default all."""
-    from PIL import Image
+    """Return pixels that the canvas of a figure has drawn as a PNG file, by default all.
 
+    Each row is stored as its difference from the row above. For figures this is as small as the
+    best of five such filters for each row, and Pillow takes longer to try them than to compress.
+    """
     pixels = np.asarray(figure.canvas.buffer_rgba())[part]
-    if (pixels[..., 3] == 255).all():
-        pixels = pixels[..., :3]
-    content = BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels)).save(
-        content, format="png", dpi=(figure.dpi, figure.dpi), compress_level=COMPRESSION
+    high, wide, _ = pixels.shape
+    depth = 3 if (pixels[..., 3] == 255).all() else 4
+    change = pixels.copy()
+    change[1:] -= pixels[:-1]
+    rows = np.empty((high, 1 + wide * depth), dtype=np.uint8)
+    rows[:, 0] = ABOVE
+    for colour in range(depth):
+        rows[:, 1 + colour :: depth] = change[..., colour]
+    per_metre = round(figure.dpi / 0.0254)
+    chunks = {
+        b"IHDR": struct.pack(">IIBBBBB", wide, high, 8, COLOURS[depth], 0, 0, 0),
+        b"pHYs": struct.pack(">IIB", per_metre, per_metre, 1),
+        b"IDAT": zlib.compress(rows.data, COMPRESSION),
+        b"IEND": b"",
+    }
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in chunks.items()
     )
-    return content.getvalue()
 
 
-def awaited_files(
-    draw: Callable[[Reconstruction], Panels], place: int, shape: tuple[int, int]
-) -> Callable[[Reconstruction], dict[str, bytes]]:
-    """Draw a figure with a reconstruction before the reconstruction is known.
+class GrowingFigure:
+    """Figure whose axes are drawn one after the other, each as soon as its contents are known.
+
+    The axes have the places that a layout tries first where there are colour bars. The files have
+    the same bytes as those of `panel_files`.
 
     Parameters
     ----------
-    draw : callable
-        Draws the figure for a reconstruction and returns the axes of its files, see `panel_files`.
-    place : int
-        Index of the axes with the reconstruction in the figure.
-    shape : (int, int)
-        Shape of the reconstruction, pixels.
-
-    Returns
-    -------
-    callable
-        Takes the reconstruction and returns the files of `panel_files`. If the fit has converged
-        and its values span 0 to 1, all but its image is drawn already; otherwise the figure is
-        drawn anew.
+    axes : sequence of Axes
+        All axes of the figure, empty.
     """
-    expected: Any = SimpleNamespace(object=np.zeros(shape), status="converged")
-    expected.object[0, 0] = 1.0
-    panels = draw(expected)
-    whole, *_ = panels
-    shown = panels[whole][place]
-    figure: Any = shown.get_figure(root=True)
-    figure.canvas.draw()
-    boxes = _boxes(panels)
-    ready = {name: _png(figure, boxes.pop(name)) for name in [*boxes] if shown not in panels[name]}
-    renderer = figure.canvas.get_renderer()
-    box: Any = shown.get_tightbbox(renderer)
-    box = box.padded(MARGIN)
 
-    def files(found: Reconstruction) -> dict[str, bytes]:
-        values = np.asarray(found.object)
-        known = found.status, values.shape, values.min(), values.max()
-        if known != (expected.status, shape, 0.0, 1.0) or not _drawn_once(figure):
-            return panel_files(draw(found))
-        from matplotlib.patches import Rectangle
-        from matplotlib.transforms import IdentityTransform
+    def __init__(self, axes: Sequence[Axes]) -> None:
+        self._figure: Any = _figure_of(axes)
+        self._layout = self._figure.get_layout_engine()
+        self._layout.begin(bars=True)
+        place_axes(self._figure, self._layout.space)
+        self._renderer = self._figure.canvas.get_renderer()
+        self._figure.patch.draw(self._renderer)
+        self._measured: dict[Any, Any] = {}
 
-        empty = Rectangle(
-            box.p0, box.width, box.height, facecolor=figure.get_facecolor(), linewidth=0.0
-        )
-        empty.set_transform(IdentityTransform())
-        empty.draw(renderer)
-        shown.images[0].set_data(values[:, ::-1])
-        shown.draw(renderer)
-        late = {name: _png(figure, part) for name, part in boxes.items()}
-        return {whole: _png(figure), **ready, **late}
+    def draw(self, axes: Iterable[Axes]) -> None:
+        """Draw axes, once."""
+        for each in axes:
+            self._measured[each] = label_box(each)
+            each.draw(self._renderer)
 
-    return files
+    def awaiting(self, panels: Panels, late: Axes | None) -> Callable[[], dict[str, bytes] | None]:
+        """Prepare files while the contents of the last axes are awaited.
+
+        Parameters
+        ----------
+        panels : mapping of str to sequence of Axes
+            Axes of each file, see `panel_files`.
+        late : Axes, optional
+            Axes that are not drawn yet. Their labels will take as much space as now.
+
+        Returns
+        -------
+        callable
+            Draws the last axes and returns the files; None if labels do not fit their places.
+        """
+        if late is not None:
+            self._measured[late] = label_box(late)
+        figure, (whole, *_) = self._figure, panels
+        fit = self._layout.misfit(figure, self._measured) is None and _drawn_once(figure)
+        boxes = _boxes(panels)
+        early = {
+            name: _png(figure, boxes.pop(name)) for name in [*boxes] if late not in panels[name]
+        }
+
+        def files() -> dict[str, bytes] | None:
+            if not fit:
+                return None
+            if late is not None:
+                late.draw(self._renderer)
+            parts = {name: _png(figure, box) for name, box in boxes.items()}
+            return {whole: _png(figure), **early, **parts}
+
+        return files
 
 
 def _plotter_file(plotter: Any, suffix: str) -> bytes:

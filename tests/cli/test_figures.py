@@ -16,8 +16,8 @@ from nlosoptics import simulate
 from nlosoptics.cli import figures
 from nlosoptics.psf import ScenePointSpread
 from nlosoptics.runs.plan import Plan
-from nlosoptics.views import saving
-from nlosoptics.views.run_overview import overview_panels
+from nlosoptics.views import maps, run_overview
+from nlosoptics.views.run_overview import AwaitedOverview, overview_panels
 from nlosoptics.views.saving import panel_files
 
 HERE = os.getpid()
@@ -42,6 +42,9 @@ def drawn_by(tmp_path, monkeypatch, flat_scene):
         monkeypatch.setattr(figures, "_of_scene", named("scene"))
         monkeypatch.setattr(figures, "_of_wave", named("point_spread"))
         monkeypatch.setattr(figures, "_of_run", named("overview"))
+        late = named("overview")(None)["overview"]
+        awaited = SimpleNamespace(draw_optics=id, awaiting=lambda _: lambda _: late())
+        monkeypatch.setattr(figures, "_overview", lambda _: awaited)
         monkeypatch.setattr(figures, "_drawn", lambda draw: draw())
         monkeypatch.setattr(figures.os, "cpu_count", lambda: cores)
         plan = Plan(stages=(), skipped=(), tol=1e-3, waves=0.0, exit_pupil=None, budget=None)
@@ -60,6 +63,13 @@ def drawn_by(tmp_path, monkeypatch, flat_scene):
 def elsewhere(action):
     """Return a function that does something in other processes than this one."""
     return lambda: action() if os.getpid() != HERE else None
+
+
+def awaited(result):
+    """Return the function that completes the overview of a result without reconstruction."""
+    overview = AwaitedOverview(result.scene)
+    overview.draw_optics(result)
+    return overview.awaiting(result)
 
 
 def fail():
@@ -114,25 +124,33 @@ def test_what_cannot_be_sent_is_drawn_here(drawn_by, monkeypatch):
     assert set(drawn_by().values()) == {HERE}
 
 
-def test_an_overview_completed_late_is_the_one_drawn_at_once(flat_scene, monkeypatch):
+@pytest.mark.parametrize("reconstruct", [True, False])
+def test_an_awaited_overview_is_the_one_drawn_at_once(flat_scene, monkeypatch, reconstruct):
     """To the last byte, whether the fit is as expected, so that only its image is drawn, or not."""
-    result = simulate(flat_scene.resized(32), tol=1e-2, reconstruct=True)
-    complete = figures._awaiting(replace(result, reconstruction=None))
-    fit = result.reconstruction
-    assert (fit.status, fit.object.min(), fit.object.max()) == ("converged", 0.0, 1.0)
-    others = (
-        replace(fit, status="not_converged"),
-        replace(fit, object=fit.object + 1.0),
-        replace(fit, object=2.0 * fit.object),
-    )
-    wanted = [
-        panel_files(overview_panels(replace(result, reconstruction=each)))
-        for each in (fit, *others)
-    ]
-    assert set(wanted[0]) == {"overview", "wavefront", "image", "reconstruction"}
-    assert [complete(each)["overview"] for each in (*others, fit)] == [*wanted[1:], wanted[0]]
-    monkeypatch.setattr(saving, "panel_files", None)  # not needed for what is expected
-    assert complete(fit)["overview"] == wanted[0]
+    result = simulate(flat_scene.resized(32), tol=1e-2, reconstruct=reconstruct)
+    fits = [result.reconstruction]
+    if reconstruct:
+        fit = result.reconstruction
+        assert (fit.status, fit.object.min(), fit.object.max()) == ("converged", 0.0, 1.0)
+        fits += [
+            replace(fit, status="not_converged"),
+            replace(fit, object=fit.object + 1.0),
+            replace(fit, object=2.0 * fit.object),
+        ]
+    wanted = [panel_files(overview_panels(replace(result, reconstruction=each))) for each in fits]
+    assert set(wanted[0]) == {"overview", "wavefront", "image", *["reconstruction"] * reconstruct}
+    complete = awaited(replace(result, reconstruction=None))
+    assert [complete(each) for each in fits[1:]] == wanted[1:]
+    monkeypatch.setattr(run_overview, "panel_files", None)  # not needed for what is expected
+    assert complete(fits[0]) == wanted[0]
+
+
+def test_an_awaited_overview_with_longer_labels_is_drawn_anew(flat_scene, monkeypatch):
+    """Its labels do not fit the places that a layout tries first."""
+    result = simulate(flat_scene.resized(32), tol=1e-2)
+    monkeypatch.setitem(maps.MEANING, result.point_spread.normalisation, "energy\n" * 6)
+    complete = awaited(result)
+    assert complete(None) == panel_files(overview_panels(result))
 
 
 def test_panels_are_cut_out_with_all_their_labels(flat_scene):

@@ -59,6 +59,27 @@ def test_the_list_names_the_kernels_of_a_run():
     assert sorted(named) == sorted(json.loads(found.stdout))
 
 
+WARM = """
+import sys
+from nlosoptics import Scene, simulate
+
+scene = Scene.load("examples/scenes/letter_flat.toml")
+simulate(scene.resized(128), reconstruct=True)
+from numba.core import entrypoints
+
+print("numba.np.arrayobj" in sys.modules, entrypoints._already_initialized)
+"""
+
+
+def test_a_warm_run_loads_no_compiler_for_arrays_and_no_extension():
+    """Importing numba's arrays, or searching all installed packages, takes time for nothing."""
+    for _ in range(2):  # the first one may compile
+        found = subprocess.run(
+            [sys.executable, "-c", WARM], capture_output=True, text=True, check=True
+        )
+    assert found.stdout == "False False\n"
+
+
 @forks
 def test_another_process_compiles_once(tmp_path, monkeypatch, mark, capfd):
     (tmp_path / "kernel_of_a_run.py").write_text(MODULE)

@@ -1,4 +1,7 @@
-"""Compiled kernels of grids with soft rims or spread nodes: pupil, folding, error bounds."""
+"""Compiled kernels of grids with soft rims or spread nodes: pupil, folding, error bounds.
+
+Kernels that most runs need allocate no arrays: to load them, numba would import its own arrays.
+"""
 
 from __future__ import annotations
 
@@ -62,20 +65,17 @@ def _cut(y, lows, highs, steps, tables, size):
 
 
 @njit(cache=True, nogil=True)
-def soft_pupil(coefficients, amplitudes, step, lows, highs, steps, tables, centre, out):
+def soft_pupil(coefficients, amplitudes, step, lows, highs, steps, tables, centre, work, out):
     """Add a pupil with softened rims to ``out`` (rows, columns), periodically wrapped.
 
     The phase in turns is ``sum coefficients[i, j] u^i v^j``, with u and v counted from the cell
     ``centre`` in steps of ``step`` per cell. ``amplitudes`` are coefficients of the same form, or
     of size 0 for an amplitude of 1. ``tables`` (1 or 2, n) hold the outer and the inner softened
-    rim, see `_profile`. Returns the sum of the amplitude.
+    rim, see `_profile`. ``work`` (6, 2 centre + 1 or more) is overwritten; its rows are not shorter
+    than the coefficients'. Returns the sum of the amplitude.
     """
     rows, columns = out.shape
-    n = 2 * centre + 1
-    degree = coefficients.shape[0] - 1
-    turns, rim, size = np.empty(n), np.empty(n), np.empty(n)
-    real, imaginary = np.empty(n), np.empty(n)
-    across = np.empty(max(degree + 1, amplitudes.shape[0]))
+    turns, rim, size, across, real, imaginary = work[0], work[1], work[2], work[3], work[4], work[5]
     total = 0.0
     for line in range(2 * centre + 1):
         y = (line + 1) // 2 * (2 * (line % 2) - 1)  # 0, 1, -1, 2, -2, ...
@@ -268,10 +268,12 @@ def split_squares(even, odd, scale, above, below):
 
 
 @njit(cache=True, nogil=True)
-def densest(x, y, energy, reach, side):
-    """Return the largest energy in a bin of ``side``, for bins that cover -reach to reach."""
-    n = int(2.0 * reach / side + 0.5) + 2
-    bins = np.zeros((n, n))
+def densest(x, y, energy, reach, side, bins):
+    """Return the largest energy in a bin of ``side``.
+
+    The ``bins`` (n, n), zeros, cover -reach to reach.
+    """
+    n = bins.shape[0]
     for i in range(x.size):
         bins[int((y[i] + reach) / side + 0.5), int((x[i] + reach) / side + 0.5)] += energy[i]
     most = 0.0
@@ -314,13 +316,12 @@ def rim_errors(distance, period, reach, edges, zones, landing, width, out):
 
 
 @njit(cache=True, nogil=True)
-def least_period(least, widest, light, goal, distance, reach, edges, zones, landing, width):
+def least_period(least, widest, light, goal, error, distance, reach, edges, zones, landing, width):
     """Find the smallest period, within 1 %, whose `rim_errors` change the intensity by < ``goal``.
 
     ``light`` is the field's envelope at the distances. The search runs from ``least`` to
-    ``widest``, which is returned if no period suffices.
+    ``widest``, which is returned if no period suffices. ``error`` (n,) is overwritten.
     """
-    error = np.empty_like(distance)
     low, high, period = least, widest, least
     while True:
         rim_errors(distance, period, reach, edges, zones, landing, width, error)
@@ -337,15 +338,14 @@ def least_period(least, widest, light, goal, distance, reach, edges, zones, land
 
 
 @njit(cache=True, nogil=True)
-def block_maxima(intensity, first, pitch, strongest, far):
+def block_maxima(intensity, first, pitch, line, strongest, far):
     """Fill ``strongest`` (blocks, blocks) with the largest intensity in each block of an image.
 
     ``far`` (blocks, blocks) is the largest distance of a block's samples from the origin, where
-    ``first`` (x, y) is the position of the sample [0, 0].
+    ``first`` (x, y) is the position of the sample [0, 0]. ``line`` (columns,) is overwritten.
     """
     ny, nx = intensity.shape
     down, along = strongest.shape
-    line = np.empty(nx)
     for i in range(down):
         top, bottom = (i * ny + down - 1) // down, ((i + 1) * ny - 1) // down
         y = max(abs(first[1] + top * pitch), abs(first[1] + bottom * pitch))

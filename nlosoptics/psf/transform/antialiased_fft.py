@@ -353,6 +353,7 @@ def _fill(
     for axis, place in (((1, 0), 0), ((0, 1), 1)):
         first = samples.first[place] + origin[1 - place] * samples.pitch
         turns[axis] -= per_length * (first - residual.shift[place])
+    work = np.empty((6, max(2 * grid.centre + 1, len(turns), len(wave.amplitude))))
     return float(
         _antialiased_kernels.soft_pupil(
             np.ascontiguousarray(turns.T),
@@ -363,6 +364,7 @@ def _fill(
             float(STEPS),
             tables,
             grid.centre,
+            work,
             values,
         )
     )

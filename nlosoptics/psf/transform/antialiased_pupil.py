@@ -118,7 +118,9 @@ def period_of(residual: Residual, rim: Rim, samples: Window, tol: float) -> floa
     least = (max(samples.reach_from(residual.shift)) * 2 + samples.pitch) / unit
     widest = 6 * (least + reach) + 400
     goal = AIM * tol * peak
-    return float(_antialiased_kernels.least_period(least, widest, light, goal, far, *rim))
+    return float(
+        _antialiased_kernels.least_period(least, widest, light, goal, np.empty_like(far), far, *rim)
+    )
 
 
 def predicted_peak(residual: Residual) -> float:
@@ -134,7 +136,9 @@ def _densest(residual: Residual) -> float:
     rays, unit = residual.rays, residual.airy_unit
     side = max(rays.reach / 10, 1.25 * unit)
     x, y, energy = rays.x.ravel(), rays.y.ravel(), rays.energy.ravel()
-    return float(_antialiased_kernels.densest(x, y, energy, rays.reach, side)) / side**2
+    n = int(2.0 * rays.reach / side + 0.5) + 2
+    bins = np.zeros((n, n))
+    return float(_antialiased_kernels.densest(x, y, energy, rays.reach, side, bins)) / side**2
 
 
 def rim_of(residual: Residual, wave: SoftWave) -> Rim:
@@ -214,5 +218,5 @@ def block_maxima(
     strongest = np.empty((min(ny, BLOCKS), min(nx, BLOCKS)))
     far = np.empty_like(strongest)
     first = tuple(a - b for a, b in zip(window.first, residual.shift, strict=True))
-    _antialiased_kernels.block_maxima(intensity, first, window.pitch, strongest, far)
+    _antialiased_kernels.block_maxima(intensity, first, window.pitch, np.empty(nx), strongest, far)
     return strongest, far + math.sqrt(2) * half

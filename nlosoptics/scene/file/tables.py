@@ -13,7 +13,6 @@ from pydantic import (
     PlainValidator,
     Tag,
     TypeAdapter,
-    WithJsonSchema,
 )
 
 from ...errors import SceneError
@@ -228,6 +227,13 @@ def _from_library(name: str) -> list[Any]:
         raise ValueError(str(error).removeprefix(f"{name!r} ")) from None
 
 
+class _LibraryNames:
+    """JSON schema of the library's names, read when a schema is printed."""
+
+    def __get_pydantic_json_schema__(self, *_: Any) -> dict[str, Any]:
+        return {"type": "string", "enum": list(material_library())}
+
+
 def _material_tag(value: object) -> str:
     kind = "sum" if isinstance(value, list) else "named" if isinstance(value, str) else "one"
     return f"material:{kind}"
@@ -240,7 +246,7 @@ MaterialTable = Annotated[
     | Annotated[
         list[Any],
         PlainValidator(_from_library),
-        WithJsonSchema({"type": "string", "enum": list(material_library())}),
+        _LibraryNames(),
         Tag("material:named"),
     ],
     Discriminator(_material_tag),

@@ -181,7 +181,7 @@ def test_blocks_know_their_strongest_and_their_farthest(shape):
     first, pitch = (-1.3, 0.4), 0.01
     strongest = np.empty(tuple(min(n, 8) for n in shape))
     far = np.empty_like(strongest)
-    _antialiased_kernels.block_maxima(image, first, pitch, strongest, far)
+    _antialiased_kernels.block_maxima(image, first, pitch, np.empty(image.shape[1]), strongest, far)
     y, x = np.indices(shape) * pitch + np.array(first[::-1])[:, None, None]
     rows, columns = (np.arange(n) * m // n for n, m in zip(shape, strongest.shape, strict=True))
     for i, j in np.ndindex(strongest.shape):
