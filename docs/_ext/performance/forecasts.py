@@ -49,7 +49,7 @@ SECTIONS = (
         "were reconstructed by `tv_deconvolve` with the point spread known. The second table has "
         "the differences between the predicted correlation and that of the fit. No forecast can be "
         "much nearer to two fits than they are to each other: with other noise, the verdict of the "
-        "fit itself changes in 7 of the 200 scenes.",
+        "fit itself changes in 2 of the 200 scenes.",
         "python benchmarks/inverse/feasibility.py --json {file}",
         table={
             "predicted": lambda g: "recoverable" if g["predicted"] else "not recoverable",
