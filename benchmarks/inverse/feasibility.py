@@ -1,7 +1,7 @@
 """How often `feasibility` tells beforehand what a fit with a known point spread will do.
 
-python benchmarks/inverse/feasibility.py [--scenes 200] [--tune] [--occluders] [--jobs 2]
-    [--json FILE]
+python benchmarks/inverse/feasibility.py [--first 0] [--scenes 200] [--tune] [--occluders]
+    [--jobs 2] [--json FILE]
 
 Each scene is drawn at random: object, slope of the wall's mirror-like lobe, exposure, read noise,
 distance and size of the object, stop of the camera, speckle. `simulate` makes an image of 64 x 64
@@ -9,9 +9,9 @@ pixels and reconstructs it by `tv_deconvolve`, and the result is correlated with
 done again with other noise, since no forecast is nearer to two fits than they are to each other. A
 line of JSON is added for each finished scene, and those in the file are not done again. `--tune`
 takes other scenes, on which the constants of `limits.modulation` were fitted. `--occluders` puts a
-disc, a rectangle or a ball into each scene, between the wall and the object. They are drawn until
-none cuts the laser's beam or the light from the object's corners via the wall to the lens, which
-`simulate` refuses.
+disc, a rectangle or a ball into each scene, between the wall and the object, also into the light of
+the image. They are drawn until `plan` accepts the scene, which refuses those that cut the laser's
+beam, or hide a part of the lens from an object point whose point spread is computed.
 """
 
 from __future__ import annotations
@@ -86,6 +86,7 @@ def with_occluder(scene, rng):
     import trimesh
 
     import nlosoptics as nlos
+    from nlosoptics.errors import SceneError
 
     shapes = {
         "disc": lambda size: trimesh.creation.cylinder(size[0], THICKNESS),
@@ -102,10 +103,10 @@ def with_occluder(scene, rng):
         at = on_wall + rng.uniform(0.2, 0.95) * (on_object - on_wall)
         turn = trimesh.transformations.random_rotation_matrix(rng.random(3))
         mesh = shapes[kind](size).apply_transform(turn)
-        found = replace(scene, occluders=(mesh.apply_translation(at),))
         try:
+            found = replace(scene, occluders=(mesh.apply_translation(at),))
             nlos.plan(found, TOL)
-        except nlos.SceneError:
+        except SceneError:
             continue
         drawn = {"occluder": kind, "extent": size.tolist(), "at": at.tolist(), "tries": tries}
         return found, drawn
@@ -231,7 +232,8 @@ def summary(lines):
 def main():
     """Run the scenes that the file lacks, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="number of the first scene")
+    parser.add_argument("--scenes", type=int, default=200, help="number of scenes")
     parser.add_argument("--tune", action="store_true", help="the scenes that the rule was set on")
     parser.add_argument("--occluders", action="store_true", help="an occluder in each scene")
     parser.add_argument("--jobs", type=int, default=1)
@@ -239,18 +241,20 @@ def main():
     options = parser.parse_args()
     asked = options.tune, options.occluders
 
+    chosen = range(options.first, options.first + options.scenes)
+
     def finished():
-        lines = read_lines(options.json)
+        lines = [line for line in read_lines(options.json) if line["scene"] in chosen]
         return [line for line in lines if (line["tune"], line["occluders"]) == asked]
 
     done = {line["scene"] for line in finished()}
-    tasks = [(i, *asked) for i in range(options.scenes) if i not in done]
+    tasks = [(i, *asked) for i in chosen if i not in done]
     options.json.parent.mkdir(parents=True, exist_ok=True)
     with options.json.open("a") as file, ProcessPoolExecutor(options.jobs) as pool:
         for line in pool.map(compared, tasks):
             file.write(json.dumps(line) + "\n")
             file.flush()
-    lines = sorted(finished(), key=lambda line: line["scene"])[: options.scenes]
+    lines = sorted(finished(), key=lambda line: line["scene"])
     for line in lines:
         right = line["predicted"] == (line["correlation"] > GOOD)
         print(
