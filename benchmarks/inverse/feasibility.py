@@ -1,13 +1,17 @@
 """How often `feasibility` tells beforehand what a fit with a known point spread will do.
 
-python benchmarks/inverse/feasibility.py [--scenes 200] [--tune] [--jobs 2] [--json FILE]
+python benchmarks/inverse/feasibility.py [--first 0] [--scenes 200] [--tune] [--occluders]
+    [--jobs 2] [--json FILE]
 
 Each scene is drawn at random: object, slope of the wall's mirror-like lobe, exposure, read noise,
 distance and size of the object, stop of the camera, speckle. `simulate` makes an image of 64 x 64
 pixels and reconstructs it by `tv_deconvolve`, and the result is correlated with the truth. This is
 done again with other noise, since no forecast is nearer to two fits than they are to each other. A
 line of JSON is added for each finished scene, and those in the file are not done again. `--tune`
-takes other scenes, on which the constants of `limits.modulation` were fitted.
+takes other scenes, on which the constants of `limits.modulation` were fitted. `--occluders` puts a
+disc, a rectangle or a ball into each scene, between the wall and the object, also into the light of
+the image. They are drawn until `plan` accepts the scene, which refuses those that cut the laser's
+beam, or hide a part of the lens from an object point whose point spread is computed.
 """
 
 from __future__ import annotations
@@ -30,7 +34,10 @@ KINDS = ("example", "strokes", "shapes", "dots", "grey")
 GOOD = 0.9
 SIDE = 128  # texels of a drawn picture
 PIXELS = 64
+TUNE, JUDGE = 7, 13  # first words of the seeds of the scenes
 OTHER_NOISE = 10000  # added to the seed of a scene
+TOL = 1e-2  # of the simulation
+TRIES, THICKNESS = 100, 1e-3  # draws of an occluder; thickness of discs and rectangles, m
 
 
 def drawn_picture(kind, rng):
@@ -74,11 +81,43 @@ def drawn_picture(kind, rng):
     return picture
 
 
-def drawn_scene(index, *, tune=False):
+def with_occluder(scene, rng):
+    """Scene with an occluder that `simulate` accepts, and what was drawn for it."""
+    import trimesh
+
+    import nlosoptics as nlos
+    from nlosoptics.errors import SceneError
+
+    shapes = {
+        "disc": lambda size: trimesh.creation.cylinder(size[0], THICKNESS),
+        "rectangle": lambda size: trimesh.creation.box((*(2 * size), THICKNESS)),
+        "ball": lambda size: trimesh.creation.icosphere(2, size[0]),
+    }
+    hidden = scene.hidden
+    for tries in range(1, TRIES + 1):
+        kind, size = str(rng.choice(list(shapes))), rng.uniform(0.02, 0.15, 2)
+        on_wall = np.array([rng.uniform(-0.3, 0.9), rng.uniform(-0.3, 0.3), 0.0])
+        on_object = (
+            hidden.position + rng.uniform(-0.5, 0.5, 2) * np.array(hidden.size) @ hidden.axes[:2]
+        )
+        at = on_wall + rng.uniform(0.2, 0.95) * (on_object - on_wall)
+        turn = trimesh.transformations.random_rotation_matrix(rng.random(3))
+        mesh = shapes[kind](size).apply_transform(turn)
+        try:
+            found = replace(scene, occluders=(mesh.apply_translation(at),))
+            nlos.plan(found, TOL)
+        except SceneError:
+            continue
+        drawn = {"occluder": kind, "extent": size.tolist(), "at": at.tolist(), "tries": tries}
+        return found, drawn
+    raise RuntimeError(f"no occluder of {TRIES} can be simulated")
+
+
+def drawn_scene(index, *, tune=False, occluders=False):
     """Scene number ``index`` of the set, and what was drawn for it."""
     from nlosoptics.scene import Lambert, PlanarObject, Scene, SpecularMicrofacet, SumMaterial
 
-    rng = np.random.default_rng([7 if tune else 11, index])
+    rng = np.random.default_rng([TUNE if tune else JUDGE, index])
 
     def between(low, high):
         return float(np.exp(rng.uniform(math.log(low), math.log(high))))
@@ -108,6 +147,9 @@ def drawn_scene(index, *, tune=False):
     material = SumMaterial(Lambert(0.75), SpecularMicrofacet(0.05, drawn["slope_rms"]))
     laser = replace(base.laser, independent_patterns=drawn["patterns"])
     scene = replace(base, camera=camera, hidden=hidden, wall_material=material, laser=laser)
+    if occluders:
+        scene, occluder = with_occluder(scene, rng)
+        drawn |= occluder
     return scene, drawn
 
 
@@ -117,19 +159,20 @@ def compared(task):
     from nlosoptics import inverse
     from nlosoptics.limits import feasibility
 
-    index, tune = task
-    scene, drawn = drawn_scene(index, tune=tune)
+    index, tune, occluders = task
+    scene, drawn = drawn_scene(index, tune=tune, occluders=occluders)
     started = time.process_time()
     told = feasibility(scene)
     asked = time.process_time() - started
-    result = nlos.simulate(scene, 1e-2, seed=index, reconstruct=True)
+    result = nlos.simulate(scene, TOL, seed=index, reconstruct=True)
     found = result.reconstruction
     correlation = inverse.registered_correlation(found, result.image.ideal)
     seconds = time.process_time() - started
-    again = nlos.simulate(scene, 1e-2, seed=index + OTHER_NOISE, reconstruct=True)
+    again = nlos.simulate(scene, TOL, seed=index + OTHER_NOISE, reconstruct=True)
     return {
         "scene": index,
         "tune": tune,
+        "occluders": occluders,
         "drawn": drawn,
         "predicted": told.recoverable,
         "score": told.score,
@@ -189,20 +232,29 @@ def summary(lines):
 def main():
     """Run the scenes that the file lacks, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="number of the first scene")
+    parser.add_argument("--scenes", type=int, default=200, help="number of scenes")
     parser.add_argument("--tune", action="store_true", help="the scenes that the rule was set on")
+    parser.add_argument("--occluders", action="store_true", help="an occluder in each scene")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--json", type=Path, default=RESULTS, help="file of finished scenes")
     options = parser.parse_args()
-    finished = {line["scene"] for line in read_lines(options.json) if line["tune"] == options.tune}
-    tasks = [(i, options.tune) for i in range(options.scenes) if i not in finished]
+    asked = options.tune, options.occluders
+
+    chosen = range(options.first, options.first + options.scenes)
+
+    def finished():
+        lines = [line for line in read_lines(options.json) if line["scene"] in chosen]
+        return [line for line in lines if (line["tune"], line["occluders"]) == asked]
+
+    done = {line["scene"] for line in finished()}
+    tasks = [(i, *asked) for i in chosen if i not in done]
     options.json.parent.mkdir(parents=True, exist_ok=True)
     with options.json.open("a") as file, ProcessPoolExecutor(options.jobs) as pool:
         for line in pool.map(compared, tasks):
             file.write(json.dumps(line) + "\n")
             file.flush()
-    lines = [line for line in read_lines(options.json) if line["tune"] == options.tune]
-    lines = sorted(lines, key=lambda line: line["scene"])[: options.scenes]
+    lines = sorted(finished(), key=lambda line: line["scene"])
     for line in lines:
         right = line["predicted"] == (line["correlation"] > GOOD)
         print(

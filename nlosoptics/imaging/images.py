@@ -32,13 +32,14 @@ from .geometry import (
     pixel_edges,
     wall_visibility,
 )
-from .objects import mesh_hits, object_patches
+from .objects import mesh_hits
 from .radiometry import (
     LaserSpot,
     background_radiance,
     electrons_per_joule,
     electrons_per_radiance,
     laser_spot,
+    lit_patches,
     object_radiance,
     spot_power_through_lens,
 )
@@ -214,7 +215,7 @@ def light_levels(
     spot, rays, visible, gain = _view(scene, exposure)
     shadows = _shadows(scene, shadows)
     ideal = gain * _mirrored_radiance(scene, spot, rays, visible > 0)
-    patches = object_patches(scene.hidden)
+    patches = lit_patches(scene, spot)
     diffuse = gain * background_radiance(scene, spot, patches, rays, visible > 0)
     direct = spot_power_through_lens(scene, spot) * exposure * electrons_per_joule(scene)
     if shadows is not None:
@@ -417,7 +418,7 @@ def diffuse_background(
         scene = _with_picture(scene, object_image)
         shadows = None if shadows is None else repainted(shadows, scene)
     spot, rays, visible, gain = _view(scene, exposure)
-    patches = object_patches(scene.hidden)
+    patches = lit_patches(scene, spot)
     diffuse = gain * background_radiance(scene, spot, patches, rays, visible > 0)
     shadows = _shadows(scene, shadows)
     if shadows is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MAX_PATCHES = 4096
+MOST_SAMPLES = 512  # of the irradiance along each side of a picture
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -39,13 +41,29 @@ class Patches:
     areas: Array
 
 
-def object_patches(hidden: PlanarObject | MeshObject) -> Patches:
+def object_patches(
+    hidden: PlanarObject | MeshObject,
+    irradiance: Callable[[Array], Array] | None = None,
+    step: float = math.inf,
+) -> Patches:
     """Represent the hidden object by patches, for its diffuse illumination of the wall.
 
     A picture gets about 50 size/distance patches along each side, at least 8 and at most 64. Each
     is placed at its centre of reflectance, which leaves an error of order (patch/distance)^2, below
     1e-3 of the light. Dark patches are dropped. The triangles of a mesh are subdivided or sampled
     by area; parts of a mesh that hide one another are not detected.
+
+    Parameters
+    ----------
+    hidden : PlanarObject or MeshObject
+        Object.
+    irradiance : callable, optional
+        Irradiance (n,) at points (n, 3) of the picture's plane. If given, a patch is placed at the
+        centre of its light, and its area is that which reflects this light with the irradiance
+        there. Needed if the irradiance varies within a patch.
+    step : float
+        Largest distance between samples of the irradiance, m; at most `MOST_SAMPLES` are taken
+        along each side.
     """
     if isinstance(hidden, MeshObject):
         return _mesh_patches(hidden.surface)
@@ -56,21 +74,30 @@ def object_patches(hidden: PlanarObject | MeshObject) -> Patches:
     edges: list[NDArray[np.intp]] = []
     for texels, extent in zip(picture.shape, hidden.size[::-1], strict=True):
         count = min(max(math.ceil(50 * extent / nearest), 8), 64)
-        repeat = max(1, math.ceil(count / texels))
+        samples = max(count, min(extent / step, MOST_SAMPLES))
+        repeat = max(1, math.ceil(samples / texels))
         picture = np.repeat(picture, repeat, axis=len(edges))
         edges.append(np.linspace(0, texels * repeat, count + 1).astype(np.intp))
+    rows, columns = (np.arange(n, dtype=np.float64) + 0.5 for n in picture.shape)
+
+    def places(column: Array, row: Array) -> Array:
+        across = (column / picture.shape[1] - 0.5) * hidden.size[0]
+        upward = (0.5 - row / picture.shape[0]) * hidden.size[1]
+        return np.asarray(hidden.position + across[:, None] * right + upward[:, None] * up)
+
+    if irradiance is not None:
+        lines = [irradiance(places(columns, np.full_like(columns, row))) for row in rows]
+        picture = picture * np.array(lines)
     light = _block_sums(picture, edges)
-    rows, columns = (np.arange(n) + 0.5 for n in picture.shape)
     lit = light > 0.0
     row = _block_sums(picture * rows[:, None], edges)[lit] / light[lit]
     column = _block_sums(picture * columns, edges)[lit] / light[lit]
-    across = (column / picture.shape[1] - 0.5) * hidden.size[0]
-    upward = (0.5 - row / picture.shape[0]) * hidden.size[1]
-    points = hidden.position + across[:, None] * right + upward[:, None] * up
-    texel = hidden.size[0] * hidden.size[1] / picture.size
-    return Patches(
-        points=points, normals=np.broadcast_to(normal, points.shape), areas=light[lit] * texel
-    )
+    points = places(column, row)
+    areas = light[lit] * (hidden.size[0] * hidden.size[1] / picture.size)
+    if irradiance is not None:
+        there = irradiance(points)
+        areas = np.divide(areas, there, out=np.zeros_like(areas), where=there > 0.0)
+    return Patches(points=points, normals=np.broadcast_to(normal, points.shape), areas=areas)
 
 
 def _block_sums(picture: Array, edges: list[NDArray[np.intp]]) -> Array:

@@ -21,9 +21,9 @@ from ..kernels.codes import BECKMANN, LAMBERT
 from ..psf.pupil.exit_pupil import working_f_number
 from ..raytrace import intersect
 from ..raytrace.intersection.meshes import worker_pool
-from ..scene import Material, Scene
+from ..scene import Material, PlanarObject, Scene
 from .geometry import ChiefRays, pixel_centres
-from .objects import Patches
+from .objects import Patches, object_patches
 
 Array = NDArray[np.float64]
 
@@ -164,6 +164,30 @@ def object_radiance(
     """
     irradiance, incident = spot_irradiance(scene, spot, points, normals)
     return scene.hidden.material.evaluate(incident, toward, normals) * irradiance
+
+
+def has_highlight(scene: Scene) -> bool:
+    """Return whether a mirror-like lobe with slopes throws a highlight onto the object."""
+    return any(scene.mirror_slopes)
+
+
+def lit_patches(scene: Scene, spot: LaserSpot) -> Patches:
+    """Represent the hidden object by patches, see `object_patches`.
+
+    The highlight of a mirror-like lobe may be narrower than a patch. Its irradiance is sampled at
+    steps of its rms radius.
+    """
+    hidden = scene.hidden
+    if not (has_highlight(scene) and isinstance(hidden, PlanarObject)):
+        return object_patches(hidden)
+    normal = hidden.axes[2]
+
+    def irradiance(points: Array) -> Array:
+        return spot_irradiance(scene, spot, points, normal)[0]
+
+    slope = min(slope for slope in scene.mirror_slopes if slope > 0.0)
+    distance = float(np.linalg.norm(scene.object_point - spot.point))
+    return object_patches(hidden, irradiance, 2.0 * slope * distance)
 
 
 def spot_power_through_lens(scene: Scene, spot: LaserSpot) -> float:

@@ -16,14 +16,15 @@ from .relay import CELLS, CONTRAST
 Array = NDArray[np.float64]
 
 RINGS = 64  # rings over which the object's power spectrum is averaged
-#: Noise variance, relative to the true one and per power of the object's grain, with which a Wiener
-#: filter reaches the correlation of `inverse.tv_deconvolve`; and the variance of the image over
-#: that of the noise below which that fit smooths more. Fitted to the scenes of
+#: A total-variation fit, as a filter: variance against which it weighs the signal and variance that
+#: it leaves, in units of the true noise times grain^GRAIN_POWER/sqrt(fill); and the variance of the
+#: image over that of the noise below which both grow. Fitted to the scenes of
 #: `benchmarks/inverse/feasibility.py --tune`.
-NOISE_SHARE, GRAIN_POWER, WEAK_LIGHT = 1.45, 0.81, 0.0164
+SMOOTHED, LEFT, GRAIN_POWER, WEAK_LIGHT = 5.7, 1.3, 1.5, 0.024
+PRIOR_POWER = 3.0  # of the frequency, by which the power spectrum of such a fit falls
 #: Scatter of these fits about the prediction c: over sqrt(1 - c^2), always, and in weak light; and
 #: the variance of the image over that of the noise at which half of the last is added.
-SPREAD, LEAST_SPREAD, WEAK_SPREAD, WEAK_EXCESS = 0.07, 0.008, 0.05, 0.03
+SPREAD, LEAST_SPREAD, WEAK_SPREAD, WEAK_EXCESS = 0.06, 0.006, 0.04, 0.03
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +87,8 @@ class Picture:
         Noise of an image pixel.
     grain : float
         (mean |grad|)^2 / mean |grad|^2 of the unblurred image: small for few sharp edges.
+    fill : float
+        (mean)^2 / mean square of the unblurred image: small for few bright pixels.
     """
 
     power: Array
@@ -96,6 +99,7 @@ class Picture:
     samples: int
     noise: Noise
     grain: float
+    fill: float
 
     @property
     def excess(self) -> float:
@@ -108,21 +112,33 @@ class Picture:
     def score(self) -> float:
         """Return the predicted correlation between a fit and the true object.
 
-        It is that of a Wiener filter, ``c^2 = sum P w/sum P`` over all frequencies, with the
-        object's power P, ``w = S/(S + N)``, signal power S, and a noise power N that is
-        ``NOISE_SHARE grain^GRAIN_POWER (1 + WEAK_LIGHT/excess)`` times the true one: the fewer
-        edges an object has, the better total variation tells it from noise.
+        A fit of least total variation acts like a Wiener filter that does not know the object's
+        power P, but expects one Q that falls as a power of the frequency and has the same gradients
+        in the blurred image. With the signal's power S = H^2 Q, transfer H and a noise power N, it
+        passes ``w = S/(S + N)``. With the noise power M that is left, the correlation is
+        ``c = sum P w/sqrt(sum P sum w^2 (P + M/H^2))`` over all frequencies. N and M are the true
+        noise times `SMOOTHED` or `LEFT`, and ``grain^GRAIN_POWER/sqrt(fill) (1 +
+        WEAK_LIGHT/excess)``: the fewer edges an object has, the better total variation tells it
+        from noise.
         """
-        power = self.power * self.twice
-        total = float(power.sum())
+        total = float((self.power * self.twice).sum())
         if total <= 0.0:
             return 0.0
-        signal = self.transfer**2 * self.power
+        passed = self.transfer**2
+        # one cycle in the frame, of which the grid is twice as wide
+        lowest = 2.0 * float(self.frequency[0, 1])
+        expected = (self.frequency**2 + lowest**2) ** (-PRIOR_POWER / 2)
+        slopes = passed * self.frequency**2 * self.twice
+        scale = float((slopes * self.power).sum()) / max(float((slopes * expected).sum()), 1e-300)
         # by Parseval, white noise has this power at each frequency of an unnormalised FFT
-        noise = NOISE_SHARE * self.grain**GRAIN_POWER * self.noise.variance * self.samples
-        noise *= 1.0 + WEAK_LIGHT / max(self.excess, 1e-30)
-        passed = power * signal / np.maximum(signal + noise, 1e-300)
-        return math.sqrt(float(passed.sum()) / total)
+        noise = self.noise.variance * self.samples * (1.0 + WEAK_LIGHT / max(self.excess, 1e-30))
+        noise *= self.grain**GRAIN_POWER / math.sqrt(self.fill)
+        signal = passed * scale * expected
+        weight = signal / np.maximum(signal + SMOOTHED * noise, 1e-300)
+        kept = float((self.power * weight * self.twice).sum())
+        left = LEFT * noise * weight**2 / np.maximum(passed, 1e-300)
+        power = float(((weight**2 * self.power + left) * self.twice).sum())
+        return kept / math.sqrt(total * power) if power > 0.0 else 0.0
 
     def spread(self) -> float:
         """Return the expected error of `score`: at least 68 % of fits are within it."""
@@ -225,6 +241,7 @@ def spectra(ideal: Array, transfer: Array, pitch: float, noise: Noise) -> Pictur
         samples=ideal.size,
         noise=noise,
         grain=_grain(ideal),
+        fill=float(ideal.mean()) ** 2 / max(float((ideal**2).mean()), 1e-300),
     )
 
 

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..imaging import ForwardModel, Shadows, cast_shadows, diffuse_background
-from ..imaging.geometry import picture_coordinates
+from ..imaging.geometry import picture_coordinates, picture_points
 from ..imaging.images import mirror_image
+from ..imaging.radiometry import has_highlight, laser_spot, spot_irradiance
 from ..inverse.data.measurement import measurement
 from ..inverse.data.signs import block_means
 from ..inverse.known.total_variation import sharpest
@@ -45,11 +46,14 @@ def veil_shape(scene: Scene, shadows: Shadows | None = None) -> Array:
     """
     stand_in = None
     if isinstance(scene.hidden, PlanarObject):
-        # four bright points, near those of Gauss's rule, represent a white object
-        stand_in = np.zeros((7, 7))
-        stand_in[1::4, 1::4] = 1.0
-        # shadows need the whole plate
-        stand_in = np.ones((7, 7)) if scene.occluders else _points(stand_in)
+        if scene.occluders:  # shadows need the whole plate
+            stand_in = np.ones((7, 7))
+        elif has_highlight(scene):
+            stand_in = _points(scene, scene.hidden, np.ones((CELLS, CELLS)))
+        else:  # four bright points, near those of Gauss's rule, represent a white object
+            stand_in = np.zeros((7, 7))
+            stand_in[1::4, 1::4] = 1.0
+            stand_in = _points(scene, scene.hidden, stand_in)
     return diffuse_background(scene, stand_in, shadows=shadows)
 
 
@@ -130,7 +134,7 @@ def fitted_veil(
         picture = cells.picture(np.asarray(object_))
         if not picture.any():
             break
-        picture = picture if scene.occluders else _points(picture)
+        picture = picture if scene.occluders else _points(scene, scene.hidden, picture)
         found = diffuse_background(coarse, picture, shadows=coarse_shadows)
         before, ratio = ratio, _ratio(found, first, fewer)
         ratio = ratio / (mine * ratio).mean()
@@ -140,13 +144,31 @@ def fitted_veil(
     return np.asarray(shape / shape.mean())
 
 
-def _points(picture: Array) -> Array:
-    """Return a picture whose light comes from the middle of each pixel, which is one patch.
+def _points(scene: Scene, hidden: PlanarObject, picture: Array) -> Array:
+    """Return a picture whose light comes from one part of each pixel, which is one patch.
 
-    The wall's light changes by the order of (side/distance)^2 of a pixel.
+    It is the middle one, or the one at the centre of the light if there is a highlight, and as
+    bright as all together. The wall's light changes by the order of (side/distance)^2 of a pixel.
     """
-    points = np.zeros([FINER * n for n in picture.shape])
-    points[FINER // 2 :: FINER, FINER // 2 :: FINER] = picture
+    rows, columns = picture.shape
+    parts = np.ones((rows, FINER, columns, FINER))
+    if has_highlight(scene):
+        down, across = (
+            (np.arange(n * FINER) + 0.5) * (texels / (n * FINER))
+            for n, texels in zip(picture.shape, hidden.reflectance.shape, strict=True)
+        )
+        column, row = np.meshgrid(across, down)
+        places = picture_points(hidden, column.ravel(), row.ravel())
+        irradiance, _ = spot_irradiance(scene, laser_spot(scene), places, hidden.axes[2])
+        parts = irradiance.reshape(parts.shape)
+    light = np.maximum(parts.sum(axis=(1, 3)), 1e-300)
+    step = np.arange(FINER)
+    y = np.rint(np.einsum("iyjx,y->ij", parts, step) / light).astype(np.intp)
+    x = np.rint(np.einsum("iyjx,x->ij", parts, step) / light).astype(np.intp)
+    i, j = np.indices(picture.shape)
+    bright = picture * (light / FINER**2) / np.maximum(parts[i, y, j, x], 1e-300)
+    points = np.zeros((rows * FINER, columns * FINER))
+    points[i * FINER + y, j * FINER + x] = bright / max(float(bright.max()), 1.0)
     return points
 
 

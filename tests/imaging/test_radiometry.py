@@ -10,13 +10,14 @@ import pytest
 import trimesh
 
 from nlosoptics.errors import SceneError
-from nlosoptics.imaging.geometry import chief_rays, pixel_centres
+from nlosoptics.imaging.geometry import chief_rays, picture_points, pixel_centres
 from nlosoptics.imaging.objects import mesh_hits, object_patches
 from nlosoptics.imaging.radiometry import (
     background_radiance,
     electrons_per_joule,
     electrons_per_radiance,
     laser_spot,
+    lit_patches,
     object_radiance,
     photon_rate,
     radiant_intensity,
@@ -248,6 +249,31 @@ def test_patches_hold_the_area_and_centre_of_the_picture():
     mean = (patches.points * patches.areas[:, None]).sum(0) / patches.areas.sum()
     np.testing.assert_allclose(mean, centre, rtol=0, atol=1e-13)
     np.testing.assert_array_equal(patches.normals[0], normal)
+
+
+@pytest.mark.parametrize("slope", [0.004, 0.02])
+def test_patches_of_a_highlight_reflect_all_of_its_light(flat_scene, slope):
+    """The lobe's highlight is narrower than a patch; one sample per patch may miss it."""
+    material = SumMaterial(Lambert(0.75), SpecularMicrofacet(0.05, slope))
+    spot = laser_spot(flat_scene)
+    along = spot.incident * (1.0, 1.0, -1.0)
+    hidden = replace(
+        flat_scene.hidden,
+        image=np.random.default_rng(3).random((16, 16)),
+        size=0.6,
+        position=tuple(spot.point + 0.8 / along[2] * along + (0.1, 0.05, 0.0)),
+    )
+    scene = replace(flat_scene, wall_material=material, hidden=hidden)
+    side = 16 * 75
+    row, column = (np.mgrid[:side, :side] + 0.5).reshape(2, -1) / 75
+    points = picture_points(hidden, column, row)
+    light = spot_irradiance(scene, spot, points, hidden.axes[2])[0]
+    light *= hidden.reflectance[row.astype(int), column.astype(int)] * (0.6 / side) ** 2
+    patches = lit_patches(scene, spot)
+    found = patches.areas * spot_irradiance(scene, spot, patches.points, hidden.axes[2])[0]
+    assert found.sum() == pytest.approx(light.sum(), rel=1e-3)
+    centre = (found @ patches.points) / found.sum()
+    np.testing.assert_allclose(centre, light @ points / light.sum(), rtol=0, atol=1e-3)
 
 
 def test_patches_of_a_tilted_picture_suit_its_nearest_corner():

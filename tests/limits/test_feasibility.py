@@ -18,7 +18,7 @@ import nlosoptics
 from nlosoptics import limits
 from nlosoptics.errors import SceneError
 from nlosoptics.imaging.images import light_levels
-from nlosoptics.limits import frequency_table
+from nlosoptics.limits import frequency_table, modulation
 from nlosoptics.limits.modulation import Noise, padded, spectra, stroke_width
 from nlosoptics.limits.reports import first_crossing
 from nlosoptics.scene import (
@@ -294,6 +294,30 @@ def test_strokes_of_bars_are_their_width() -> None:
 def test_noise_falls_as_exposure_rises() -> None:
     noise = Noise(photons=8.0, readout=16.0, speckle=3.0).exposed(4.0)
     assert (noise.photons, noise.readout, noise.speckle) == (2.0, 1.0, 3.0)
+
+
+@pytest.mark.parametrize("falls", [0.0, modulation.PRIOR_POWER])
+def test_score_is_that_of_a_filter_for_its_own_prior(
+    monkeypatch: pytest.MonkeyPatch, falls: float
+) -> None:
+    """With one noise it is the Wiener filter's for the expected spectrum, and lower for others."""
+    monkeypatch.setattr(modulation, "LEFT", modulation.SMOOTHED)
+    noise = Noise(photons=3.0, readout=1.0, speckle=0.0)
+    image = np.random.default_rng(5).random((32, 32))
+    picture = spectra(image, np.ones((64, 33)), 1.0, noise)
+    lowest = 2.0 * picture.frequency[0, 1]
+    power = 1e4 * (picture.frequency**2 + lowest**2) ** (-falls / 2)
+    transfer = np.exp(-((picture.frequency / 0.2) ** 2))
+    picture = replace(picture, power=power, transfer=transfer)
+    share = picture.grain**modulation.GRAIN_POWER / math.sqrt(picture.fill)
+    weak = 1.0 + modulation.WEAK_LIGHT / picture.excess
+    white = modulation.SMOOTHED * share * weak * noise.variance * image.size
+    passed = power * transfer**2 / (power * transfer**2 + white)
+    wiener = math.sqrt((picture.twice * power * passed).sum() / (picture.twice * power).sum())
+    if falls:
+        assert picture.score() == approx(wiener, rel=1e-12)
+    else:
+        assert 0.5 * wiener < picture.score() < 0.99 * wiener
 
 
 def test_score_grows_steadily_with_light(scene: Scene) -> None:

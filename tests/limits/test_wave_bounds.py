@@ -47,6 +47,7 @@ def point() -> Picture:
         samples=SIZE**2,
         noise=Noise(photons=0.0, readout=VARIANCE, speckle=0.0),
         grain=1.0,
+        fill=1.0,
     )
 
 
