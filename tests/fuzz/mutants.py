@@ -14,7 +14,8 @@ too, the other files are recorded, and the change is tested by its file's doctes
 of its room that execute its line, those of its folder first and of these the quickest ones, until
 `--seconds` of their processor time are reached. A change of a kernel is tested by those that
 execute a call of its function, but first by those that call kernels alone, in files that name its
-module: they compile least. A test that fails without a change counts for nothing. A run that takes
+module: they compile least. A default value is also tested by the file that has these on record. A
+test that fails without a change counts for nothing. A run that takes
 over three times as long as undisturbed tests has timed out, and counts as killed.
 
 The table counts killed and surviving changes. Changes of `equivalent_mutants.toml` alter no result,
@@ -50,11 +51,12 @@ from .mutant_runs import (
     reach,
     run_tests,
 )
-from .reaching_lines import reaching_lines
+from .reaching_lines import of_default, reaching_lines
 from .readers import ROOT
 from .source_changes import Change, changes
 
 ROOMS = ("psf", "raytrace", "transient", "inverse", "imaging")
+DEFAULTS = "tests/test_defaults.py"  # reads them, and executes no line
 EQUIVALENT = Path(__file__).with_name("equivalent_mutants.toml")
 OUTCOMES = {"passed": "survived", "failed": "killed", "timed out": "timed out"}
 LONGEST = 1200.0  # limit of a test file that is undisturbed, s
@@ -146,6 +148,10 @@ class Bench:
             else:
                 doctests = where == "near" and ">>> " in source
                 chosen = [f"nlosoptics/{change.file}"] if doctests else []
+                if where == "known" and of_default(
+                    self._base / "nlosoptics", change.file, change.line(source)
+                ):
+                    chosen = [name for name in (DEFAULTS,) if (self._base / name).is_file()]
                 callers = {*self._callers(change, stale, most, where)}
                 for name, seconds in sorted(callers, key=lambda one: one[::-1]):
                     if name in ran:
