@@ -18,10 +18,11 @@ module: they compile least. A default value is also tested by the file that has 
 test that fails without a change counts for nothing. A run that takes
 over three times as long as undisturbed tests has timed out, and counts as killed.
 
-The table counts killed and surviving changes. Changes of `equivalent_mutants.toml` alter no result,
-for the reason given there, and are not run. `--results` names a file that keeps the outcomes: its
-changes are drawn first, as far as their lines still exist, and are not run again, except for the
-survivors if `--again` is given. Changes in the files that `--fresh` names are not drawn.
+The table counts killed and surviving changes, with the 95 % interval of their rate. Changes of
+`equivalent_mutants.toml` alter no result, for the reason given there, and are not run. `--results`
+names a file that keeps the outcomes: its changes are drawn first, as far as their lines still
+exist, and are not run again, except for the survivors if `--again` is given. Changes in the files
+that `--fresh` names are not drawn.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.stats
 
 from .mutant_runs import (
     copied,
@@ -313,20 +315,30 @@ def table(rows: list[Row]) -> str:
     """Return the counts of each room and of all, then survivors and equivalent changes."""
     rooms = [*dict.fromkeys(row["file"].split("/")[0] for row in rows), ""]
     kinds = ("killed", "timed out", "survived", "equivalent")
-    told = [f"{'room':10}" + "".join(f"{kind:>12}" for kind in kinds) + f"{'kill rate':>12}"]
+    heads = (*kinds, "kill rate", "95 %")
+    told = [f"{'room':10}" + "".join(f"{head:>12}" for head in heads)]
     for room in rooms:
         found = [row for row in rows if not room or row["file"].startswith(f"{room}/")]
         count = Counter(row["outcome"] for row in found)
         counted = len(found) - count["equivalent"]
-        rate = f"{(counted - count['survived']) / counted:.0%}" if counted else "-"
+        seen = counted - count["survived"]
+        rate = f"{seen / counted:.0%}" if counted else "-"
+        low, high = interval(seen, counted)
         numbers = "".join(f"{count[kind]:12d}" for kind in kinds)
-        told.append(f"{room or 'all':10}{numbers}{rate:>12}")
+        told.append(f"{room or 'all':10}{numbers}{rate:>12}{f'{low:.0%}-{high:.0%}':>12}")
     for row in rows:
         if row["outcome"] in ("survived", "equivalent"):
             place = f"{row['outcome']}: {row['file']}:{row['line']} ({row['kind']})"
             told += [place, f"  - {row['before']}", f"  + {row['after']}"]
             told += [f"  {row['reason']}"] if "reason" in row else []
     return "\n".join(told)
+
+
+def interval(seen: int, of: int) -> tuple[float, float]:
+    """Return the 95 % interval of a share, by Clopper and Pearson."""
+    low = scipy.stats.beta.ppf(0.025, seen, of - seen + 1) if seen else 0.0
+    high = scipy.stats.beta.ppf(0.975, seen + 1, of - seen) if seen < of else 1.0
+    return float(low), float(high)
 
 
 def main() -> int:
