@@ -459,12 +459,13 @@ CASES = [(folder, name) for folder, rows in TABLE.items() for name in rows]
 
 
 @pytest.mark.parametrize(("folder", "name"), CASES, ids=["-".join(case) for case in CASES])
-def test_refused_in_one_line(folder, name, flat_scene):
+def test_refused_in_one_line(folder, name, flat_scene, on_record):
     call, words = TABLE[folder][name]
     with pytest.raises(NlosError) as caught:
         call(flat_scene)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+    on_record(caught.value)  # with the values of all remedies
 
 
 TURNED = np.arange(8) * 2.4

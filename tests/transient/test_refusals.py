@@ -230,12 +230,23 @@ CASES = [(part, name) for part, rows in TABLE.items() for name in rows]
 
 
 @pytest.mark.parametrize(("part", "name"), CASES, ids=["-".join(case) for case in CASES])
-def test_refused_in_one_line(part, name):
+def test_refused_in_one_line(part, name, on_record):
     call, words = TABLE[part][name]
     with pytest.raises(NlosError) as caught:
         call()
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+    on_record(caught.value)  # with the values of all remedies
+
+
+@pytest.mark.parametrize("axes", [(0, 1, 2), (2, 1, 0)])
+def test_a_list_of_points_in_either_order(axes):
+    """(laser, sensor, t), and the reverse, of a fixed sensor."""
+    light = np.random.default_rng(1).random((5, 1, 7))
+    found = foreign_files.read_phasor_field_2019(
+        {"dataset": LIST | {"data": light.transpose(axes)}}
+    )
+    assert np.array_equal(found.H, light[:, 0].T)
 
 
 LAST = {

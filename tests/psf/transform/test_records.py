@@ -1,9 +1,10 @@
 """Point spreads of random waves by every transform, and what is predicted of them, on record."""
 
+import numpy as np
 import pytest
 
 from nlosoptics import psf
-from nlosoptics.psf.transform import selection
+from nlosoptics.psf.transform import huygens, selection
 from nlosoptics.psf.transform.point_spread import METHODS
 from nlosoptics.psf.transform.runners import Task
 from nlosoptics.psf.walls.scene_costs import smooth_cost
@@ -50,3 +51,28 @@ def test_a_named_method(kind, model, method, draw, on_record):
     if model == "scalar":
         del asked["polarisation"]
     on_record([attempt(psf.point_spread, case.front, **asked, pixel_integrated=b) for b in (0, 1)])
+
+
+@pytest.mark.parametrize("index", range(8))
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_ruled_out(kind, index, draw, on_record):
+    """No transform reaches so small a tolerance, and each says what it expects to err."""
+    case, found = draw(SEED, index, 0.4, kind), []
+    for tol in (1e-14, 1e-9):
+        task = task_of(case.front, case.options | {"tol": tol})
+        found += attempt(selection.candidates, task, regime(task.residual, task.pitch))
+    on_record([[one.method, one.ruled_out] for one in found])
+
+
+@pytest.mark.parametrize("f_number", [0.8, 6.0])
+def test_steepness(f_number, on_record):
+    """Toward one point each, to all sides."""
+    radius = 4e-3
+    system = {"wavelength": 6e-7, "pupil_radius": radius, "image_distance": 2 * radius * f_number}
+    waves = [psf.Wavefront.from_zernike({2: w, 3: -w}, **system) for w in (0.0, 6e-7)]
+    turns = np.arange(9.0)
+    points = np.stack([np.cos(turns), np.sin(turns), 0.1 * turns - 0.3], axis=1) * 2e-4
+    points[:, 2] += system["image_distance"]
+    on_record(
+        [huygens.steepness(split(wave), points[i : i + 1]) for wave in waves for i in range(9)]
+    )
