@@ -4,7 +4,18 @@ import numpy as np
 import pytest
 
 from nlosoptics import psf
-from nlosoptics.psf.transform import huygens, selection
+from nlosoptics.psf.transform import (
+    airy,
+    antialiased_pupil,
+    geometric,
+    high_aperture,
+    huygens,
+    models,
+    nufft,
+    quadrature,
+    runners,
+    selection,
+)
 from nlosoptics.psf.transform.point_spread import METHODS
 from nlosoptics.psf.transform.runners import Task
 from nlosoptics.psf.walls.scene_costs import smooth_cost
@@ -75,4 +86,58 @@ def test_steepness(f_number, on_record):
     points[:, 2] += system["image_distance"]
     on_record(
         [huygens.steepness(split(wave), points[i : i + 1]) for wave in waves for i in range(9)]
+    )
+
+
+@pytest.mark.parametrize("index", range(6))
+@pytest.mark.parametrize("kind", KINDS)
+def test_figures_on_the_way(kind, index, draw, on_record):
+    """Counts of nodes and rays, bounds, and predicted errors and times."""
+    case = draw(SEED, index, 0.4, kind)
+    task = task_of(case.front, case.options)
+    residual, seen, pitch = task.residual, task.samples, task.pitch
+    spectral = kind in ("polar", "cells")
+    axis = np.linspace(-3.0, 3.0, 4) * residual.airy_unit
+    points = np.stack([axis, axis**2 / residual.airy_unit, 0 * axis], axis=1)
+    points[:, 2] += case.front.image_distance
+    rays = {"polar": geometric.ray_counts, "cells": geometric.patch_rays}
+    rays = rays.get(kind, geometric.most_cells)
+    on_record(
+        {
+            "task": [task.pixels, seen, attempt(getattr, task, "level"), task.pixel],
+            "rays": [attempt(rays, residual, seen, share) for share in (1.0, 0.5)],
+            "density": attempt(geometric.density, residual, seen),
+            "least": geometric.least_error(residual, pitch),
+            "model": [
+                models.predicted_model_error(residual, pitch),
+                attempt(models.plane_levels, residual),
+                attempt(models.axial_share, residual),
+                models.speckle_model_error(residual, "unit-sum"),
+                [models.wide_pixel_error(residual, share) for share in (0.0, 0.4)],
+                [models.in_normalisation(residual, 0.1, n) for n in ("flux", "ideal-peak")],
+            ],
+            "wide": [
+                high_aperture.largest_sine(residual),
+                attempt(high_aperture.node_counts, residual, seen),
+                attempt(high_aperture.predicted_seconds, task, "unpolarised"),
+            ],
+            "sums": spectral
+            and [
+                quadrature.node_counts(residual, seen),
+                quadrature.epsilon(residual, seen, task.tol),
+                quadrature.n_bytes(residual, seen),
+                runners.polar_size(task) if kind == "polar" else 0,
+            ],
+            "nodes": [nufft.epsilon(9000, seen, tol) for tol in (1e-3, 1e-11)],
+            "room": nufft.n_bytes(9000, seen),
+            "airy": airy.error_bound(residual),
+            "soft": kind == "polar"
+            and [attempt(antialiased_pupil.soft_wave, residual, t) for t in (1e-2, 1e-6)],
+            "peak": attempt(antialiased_pupil.predicted_peak, residual) if spectral else 0.0,
+            "surface": [
+                attempt(huygens.node_counts, residual, points) if spectral else 0,
+                attempt(huygens.seconds, residual, points),
+                attempt(huygens.surface_field, residual, points),
+            ],
+        }
     )

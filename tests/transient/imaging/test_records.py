@@ -2,6 +2,7 @@
 
 import itertools
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -103,6 +104,13 @@ def test_phasor_images(camera, pairing, on_record):
     calls += [asked | {"method": method} for method in METHODS]
     light = capture(pairing)
     on_record([[seen(attempt(phasor_image, light, VOLUME, **one)) for one in calls], told])
+
+
+def test_a_dark_capture(on_record):
+    dark = replace(capture("confocal"), H=np.zeros((90, 8, 8)))
+    calls = (fk_migration, lct, backprojection)
+    found = [seen(attempt(one, dark, VOLUME)) for one in calls]
+    on_record([found, seen(attempt(phasor_image, dark, VOLUME, wl_mean=0.2))])
 
 
 def test_depths(on_record):
