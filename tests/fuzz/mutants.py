@@ -1,24 +1,28 @@
 """Random small changes of the package, each tested by the tests that call the changed code.
 
-python -m tests.fuzz.mutants [--number 100] [--seed 0] [--rooms NAME ...] [--seconds 60]
-                             [--results FILE] [--again]
+python -m tests.fuzz.mutants [--number 100] [--seed 0] [--rooms NAME ...] [--by-lines]
+                             [--seconds 60] [--record] [--results FILE] [--again] [--fresh FILE ...]
 
-The changes are drawn in turn from the rooms, each change of a room with equal probability. Test
-files are run once without any change, to record which lines their tests execute and how long they
-take; a record holds until the test file or a file that it calls is edited. A change is tested first
-by tests on record that execute its line. If they pass, it is tested by the files of its folder that
-have no record and name the changed module's functions most. If these pass too, the other files are
-recorded, and the change is tested by its file's doctests and by the tests of its room that execute
-its line, those of its folder first and of these the quickest ones, until `--seconds` of their
-processor time are reached. A change of a kernel is tested by those that execute a call of its
-function, but first by those that call kernels alone, in files that name its module: they compile
-least. A test that fails without a change counts for nothing. A run that takes over three times as
-long as undisturbed tests has timed out, and counts as killed.
+The changes are drawn in turn from the rooms, or with `--by-lines` as often as a room has lines,
+each change of a room with equal probability. Test files are run once without any change, to record
+which lines their tests execute and how long they take; a record holds until the test file or a file
+that it calls is edited. `--record` puts all files of the rooms on record before the first change.
 
-The table counts killed and surviving changes. Changes of `equivalent_mutants.toml` alter no result,
-for the reason given there, and are not run. `--results` names a file that keeps the outcomes: its
-changes are drawn first, as far as their lines still exist, and are not run again, except for the
-survivors if `--again` is given.
+A change is tested first by tests on record that execute its line. If they pass, it is tested by the
+files of its folder that have no record and name the changed module's functions most. If these pass
+too, the other files are recorded, and the change is tested by its file's doctests and by the tests
+of its room that execute its line, those of its folder first and of these the quickest ones, until
+`--seconds` of their processor time are reached. A change of a kernel is tested by those that
+execute a call of its function, but first by those that call kernels alone, in files that name its
+module: they compile least. A default value is also tested by the file that has these on record. A
+test that fails without a change counts for nothing. A run that takes
+over three times as long as undisturbed tests has timed out, and counts as killed.
+
+The table counts killed and surviving changes, with the 95 % interval of their rate. Changes of
+`equivalent_mutants.toml` alter no result, for the reason given there, and are not run. `--results`
+names a file that keeps the outcomes: its changes are drawn first, as far as their lines still
+exist, and are not run again, except for the survivors if `--again` is given. Changes in the files
+that `--fresh` names are not drawn.
 """
 
 from __future__ import annotations
@@ -37,6 +41,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.stats
 
 from .mutant_runs import (
     copied,
@@ -48,11 +53,12 @@ from .mutant_runs import (
     reach,
     run_tests,
 )
-from .reaching_lines import reaching_lines
+from .reaching_lines import of_default, reaching_lines
 from .readers import ROOT
 from .source_changes import Change, changes
 
 ROOMS = ("psf", "raytrace", "transient", "inverse", "imaging")
+DEFAULTS = "tests/test_defaults.py"  # reads them, and executes no line
 EQUIVALENT = Path(__file__).with_name("equivalent_mutants.toml")
 OUTCOMES = {"passed": "survived", "failed": "killed", "timed out": "timed out"}
 LONGEST = 1200.0  # limit of a test file that is undisturbed, s
@@ -63,28 +69,39 @@ Row = dict[str, Any]
 
 
 def sample(
-    root: Path, rooms: list[str], seed: int, number: int, known: Container[tuple[str, ...]] = ()
+    root: Path,
+    rooms: list[str],
+    seed: int,
+    number: int,
+    known: Container[tuple[str, ...]] = (),
+    *,
+    without: Container[tuple[str, ...]] = (),
+    by_lines: bool = False,
 ) -> list[Change]:
     """Return random changes, drawn in turn from each room; more of them begin with the same.
 
+    If ``by_lines``, rooms have their turns as often as they have lines.
+
     Changes whose identity is in ``known`` come before the others of their room. An edit of a source
     draws others, so without this the outcomes of earlier draws would be lost. Of changes with the
-    same identity, the first in the source is drawn.
+    same identity, the first in the source is drawn. Those in ``without`` are not drawn.
     """
     drawn = []
-    for room in rooms:
+    for turn, room in enumerate(rooms):
+        size = 0
         found: dict[tuple[str, ...], Change] = {}
         for file in sorted((root / "nlosoptics" / room).rglob("*.py")):
             if file.name != "__init__.py":
                 source = file.read_text()
+                size += source.count("\n") if by_lines else 0
                 for one in changes(str(file.relative_to(root / "nlosoptics")), source):
                     found.setdefault(identity(described(one, source)), one)
-        names = [*found]
+        names = [name for name in found if name not in without]
         order = np.random.default_rng([seed, *room.encode()]).permutation(len(names))
         shuffled = [names[i] for i in order]
-        drawn.append([found[name] for name in sorted(shuffled, key=lambda one: one not in known)])
-    turns = -(-number // len(rooms))
-    return [one[turn] for turn in range(turns) for one in drawn if turn < len(one)][:number]
+        for i, name in enumerate(sorted(shuffled, key=lambda one: one not in known)):
+            drawn.append(((i + 0.5) / max(size, 1), turn, found[name]))
+    return [change for *_, change in sorted(drawn)][:number]
 
 
 def described(change: Change, source: str) -> Row:
@@ -112,6 +129,13 @@ class Bench:
         self._known: dict[str, Row] = {key: told | {"new": 0.0} for key, told in known.items()}
         copied(self._base, self._changed)
 
+    def record(self, rooms: list[str], most: float) -> None:
+        """Put all test files of rooms on record, without tests of over ``most`` seconds."""
+        for room in rooms:
+            for file in sorted((self._base / "tests" / room).rglob("test_*.py")):
+                if self._kept(file) is None:
+                    self._recorded(file, most)
+
     def run(self, change: Change, most: float) -> Row:
         """Run the tests that reach a changed piece of code, and tell what happened."""
         source = (self._base / "nlosoptics" / change.file).read_text()
@@ -126,6 +150,10 @@ class Bench:
             else:
                 doctests = where == "near" and ">>> " in source
                 chosen = [f"nlosoptics/{change.file}"] if doctests else []
+                if where == "known" and of_default(
+                    self._base / "nlosoptics", change.file, change.line(source)
+                ):
+                    chosen = [name for name in (DEFAULTS,) if (self._base / name).is_file()]
                 callers = {*self._callers(change, stale, most, where)}
                 for name, seconds in sorted(callers, key=lambda one: one[::-1]):
                     if name in ran:
@@ -204,10 +232,10 @@ class Bench:
     ) -> Iterator[tuple[str, float]]:
         """Yield tests that reach the changed code and their time.
 
-        ``where`` is "known" for tests on record, "alone" for tests that call no users but name the
-        module of a kernel, "near" for others of the folder, and "far" for those of other folders.
-        Records of the last are made until they have taken ``most`` seconds, the likeliest files
-        first.
+        ``where`` is "known" for tests on record, also of other rooms, "alone" for tests that call
+        no users but name the module of a kernel, "near" for others of the folder, and "far" for
+        those of other folders. Records of the last are made until they have taken ``most`` seconds,
+        the likeliest files first.
         """
         alone, stem = where == "alone", Path(change.file).stem
         if alone and not is_kernel(change.file):
@@ -222,7 +250,8 @@ class Bench:
         def mentions(file: Path) -> int:
             return -len({*words.findall(file.read_text())})
 
-        files = sorted((self._base / "tests" / room).rglob("test_*.py"))
+        searched = self._base / "tests" / ("" if where == "known" else room)
+        files = sorted(searched.rglob("test_*.py"))
         spent = 0.0
         for file in sorted(files, key=mentions):
             held = file.is_relative_to(here) == (where == "near")
@@ -286,14 +315,17 @@ def table(rows: list[Row]) -> str:
     """Return the counts of each room and of all, then survivors and equivalent changes."""
     rooms = [*dict.fromkeys(row["file"].split("/")[0] for row in rows), ""]
     kinds = ("killed", "timed out", "survived", "equivalent")
-    told = [f"{'room':10}" + "".join(f"{kind:>12}" for kind in kinds) + f"{'kill rate':>12}"]
+    heads = (*kinds, "kill rate", "95 %")
+    told = [f"{'room':10}" + "".join(f"{head:>12}" for head in heads)]
     for room in rooms:
         found = [row for row in rows if not room or row["file"].startswith(f"{room}/")]
         count = Counter(row["outcome"] for row in found)
         counted = len(found) - count["equivalent"]
-        rate = f"{(counted - count['survived']) / counted:.0%}" if counted else "-"
+        seen = counted - count["survived"]
+        rate = f"{seen / counted:.0%}" if counted else "-"
+        low, high = interval(seen, counted)
         numbers = "".join(f"{count[kind]:12d}" for kind in kinds)
-        told.append(f"{room or 'all':10}{numbers}{rate:>12}")
+        told.append(f"{room or 'all':10}{numbers}{rate:>12}{f'{low:.0%}-{high:.0%}':>12}")
     for row in rows:
         if row["outcome"] in ("survived", "equivalent"):
             place = f"{row['outcome']}: {row['file']}:{row['line']} ({row['kind']})"
@@ -302,26 +334,44 @@ def table(rows: list[Row]) -> str:
     return "\n".join(told)
 
 
+def interval(seen: int, of: int) -> tuple[float, float]:
+    """Return the 95 % interval of a share, by Clopper and Pearson."""
+    low = scipy.stats.beta.ppf(0.025, seen, of - seen + 1) if seen else 0.0
+    high = scipy.stats.beta.ppf(0.975, seen + 1, of - seen) if seen < of else 1.0
+    return float(low), float(high)
+
+
 def main() -> int:
     """Test random changes and print what happened; return 1 if one survived."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--number", type=int, default=100, help="number of changes")
     parser.add_argument("--seed", type=int, default=0, help="seed of the draw")
     parser.add_argument("--rooms", nargs="*", choices=ROOMS, default=list(ROOMS))
+    parser.add_argument("--by-lines", action="store_true", help="rooms by their numbers of lines")
     parser.add_argument("--seconds", type=float, default=60.0, help="time of a change's tests, s")
+    parser.add_argument("--record", action="store_true", help="record all test files before")
     parser.add_argument("--results", type=Path, help="JSON lines that keep the outcomes")
     parser.add_argument("--again", action="store_true", help="test survivors of the file again")
+    parser.add_argument("--fresh", type=Path, nargs="*", default=[], help="outcomes to leave out")
     parser.add_argument("--folder", type=Path, default=ROOT / "out" / "mutants")
     options = parser.parse_args()
-    lines = options.results.read_text().splitlines() if _is_file(options.results) else []
-    known = {identity(row): row for row in map(json.loads, lines)}
+    known = _outcomes(options.results) if options.results else {}
+    old = {name for file in options.fresh for name in _outcomes(file)}
     entries = tomllib.loads(EQUIVALENT.read_text()).get("mutant", [])
     reasons = {identity(entry): entry["reason"] for entry in entries}
     load_libraries()
     options.folder.mkdir(parents=True, exist_ok=True)
     done = {"killed", "timed out"} if options.again else {"killed", "timed out", "survived"}
     bench, rows = None, []
-    for change in sample(ROOT, options.rooms, options.seed, options.number, {*known}):
+    if options.record:
+        bench = Bench(ROOT, options.folder.resolve())
+        bench.record(options.rooms, options.seconds)
+    drawn = sample(
+        *(ROOT, options.rooms, options.seed, options.number, {*known}),
+        without=old,
+        by_lines=options.by_lines,
+    )
+    for change in drawn:
         row = described(change, (ROOT / "nlosoptics" / change.file).read_text())
         kept = known.get(identity(row), {"outcome": ""})
         if identity(row) in reasons:
@@ -340,8 +390,9 @@ def main() -> int:
     return 1 if any(row["outcome"] == "survived" for row in rows) else 0
 
 
-def _is_file(path: Path | None) -> bool:
-    return path is not None and path.is_file()
+def _outcomes(file: Path) -> dict[tuple[str, ...], Row]:
+    lines = file.read_text().splitlines() if file.is_file() else []
+    return {identity(row): row for row in map(json.loads, lines)}
 
 
 if __name__ == "__main__":

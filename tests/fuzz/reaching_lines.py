@@ -43,6 +43,19 @@ def reaching_lines(
     }
 
 
+def of_default(package: Path, file: str, line: int) -> bool:
+    """Whether a line gives the default value of a parameter or of a class's field."""
+    around = [
+        node
+        for node in ast.walk(ast.parse((package / file).read_text()))
+        if isinstance(node, ast.stmt) and _holds(node, line)
+    ]
+    held = len(around) > 1 and isinstance(around[-2], ast.ClassDef)
+    field = held and isinstance(around[-1], ast.AnnAssign)
+    function = isinstance(around[-1], ast.FunctionDef) and line < around[-1].body[0].lineno
+    return field or function
+
+
 def _holds(node: ast.stmt, line: int) -> bool:
     first = min([node.lineno, *(one.lineno for one in getattr(node, "decorator_list", []))])
     return first <= line <= (node.end_lineno or node.lineno)

@@ -10,11 +10,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from scipy import stats
 
 from . import mutants
+from .reaching_lines import of_default
 from .source_changes import changes
 
 ROOT = Path(__file__).parents[2]
+DEFAULTS = """TOL = 1.0
+class Size:
+    tol: float = 1.0
+    def grow(self, by: float = 2.0):
+        self.tol = by + 3.0
+def shrink(by=4.0):
+    return by / 5.0"""
 SOURCE = '''
 """A docstring with 1 < 2."""
 
@@ -227,4 +236,50 @@ def test_the_kill_rate_leaves_equivalent_changes_out() -> None:
     row = {"file": "psf/a.py", "line": 1, "kind": "constant", "before": "1", "after": "2"}
     kinds = ["killed"] * 7 + ["timed out"] * 2 + ["survived"] + ["equivalent"] * 10
     told = mutants.table([row | {"outcome": kind, "reason": "why"} for kind in kinds])
-    assert told.splitlines()[2].split() == ["all", "7", "2", "1", "10", "90%"]
+    assert told.splitlines()[2].split() == ["all", "7", "2", "1", "10", "90%", "55%-100%"]
+
+
+def test_intervals_of_shares() -> None:
+    """Both bounds are where the tails of the binomial law hold 2.5 %."""
+    low, high = mutants.interval(44, 56)
+    assert stats.binom.sf(43, 56, low) == pytest.approx(0.025)
+    assert stats.binom.cdf(44, 56, high) == pytest.approx(0.025)
+    assert mutants.interval(0, 9)[0] == 0.0
+    assert mutants.interval(9, 9)[1] == 1.0
+
+
+def test_rooms_by_lines_and_without_known_changes() -> None:
+    rooms = ["limits", "imaging"]
+    sizes = [
+        sum(
+            file.read_text().count("\n")
+            for file in (ROOT / "nlosoptics" / room).rglob("*.py")
+            if file.name != "__init__.py"
+        )
+        for room in rooms
+    ]
+    drawn = mutants.sample(ROOT, rooms, 3, 40, by_lines=True)
+    few = sum(one.file.startswith("imaging/") for one in drawn)
+    assert few == pytest.approx(40 * sizes[1] / sum(sizes), abs=1)
+    names = {
+        mutants.identity(mutants.described(one, (ROOT / "nlosoptics" / one.file).read_text()))
+        for one in drawn
+    }
+    assert not {*drawn} & {*mutants.sample(ROOT, rooms, 3, 40, without=names)}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("TOL = 1.0", False),
+        ("    tol: float = 1.0", True),
+        ("    def grow(self, by: float = 2.0):", True),
+        ("        self.tol = by + 3.0", False),
+        ("def shrink(by=4.0):", True),
+        ("    return by / 5.0", False),
+    ],
+)
+def test_default_values_are_recognised(text: str, expected: bool, tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text(f"{DEFAULTS}\n")
+    line = DEFAULTS.splitlines().index(text) + 1
+    assert of_default(tmp_path, "a.py", line) == expected

@@ -86,6 +86,19 @@ def test_full_and_dead_pixels_do_not_count(tmp_path: Path) -> None:
     assert camera_image(image, full=250).masked.sum() == 2
 
 
+def test_half_of_the_pixels_may_be_lost(tmp_path: Path) -> None:
+    """The limit itself is allowed, for full pixels and for dead ones."""
+    half = np.arange(16) < 8
+    full = np.where(half, 65535, COUNTS).astype(np.uint16)
+    image = saved(tmp_path / "i.npy", full)
+    assert camera_image(image).saturated_fraction == 0.5
+    assert camera_image(image, full=65535.0).masked.sum() == 96
+    flat = saved(tmp_path / "f.npy", np.where(half, 0.1, 100.0) * np.ones((12, 1)))
+    found = camera_image(saved(tmp_path / "j.npy", COUNTS), flat=flat)
+    assert np.array_equal(found.masked, half * np.ones((12, 1), bool))
+    assert found.values[:, :8] == approx(COUNTS[:, 8:].mean() * 0.50050, rel=1e-12)
+
+
 def test_whole_frames_are_summed_to_image_pixels(tmp_path: Path) -> None:
     """Sums over square groups; a full pixel spoils its group."""
     values = COUNTS.astype(np.uint8)
@@ -99,7 +112,15 @@ def test_whole_frames_are_summed_to_image_pixels(tmp_path: Path) -> None:
 
 FULL = np.full((12, 16), 65535, np.uint16)
 FULL[:5] = 9
+HALF = np.where(np.arange(16) < 8, 1.0, 100.0) * np.ones((12, 1))
+SPOILT = np.where(np.arange(192).reshape(12, 16) % 16 == 8, 65535, COUNTS).astype(np.uint16)
 BAD = {
+    "dead and full": (
+        SPOILT,
+        {"flat": HALF},
+        ["56.2 % of the pixels are saturated, or dead", "limit 50 %", "another flat field"],
+    ),
+    "even": (HALF * 3.0, {"flat": HALF}, ["reads 151.5 in every good pixel", "check the file"]),
     "constant": (np.full((12, 16), 7.0), {}, ["reads 7 in every pixel"]),
     "black": (np.zeros((12, 16)), {}, ["reads 0 in every pixel"]),
     "NaN": (np.where(COUNTS > 190, np.nan, COUNTS), {}, ["not finite"]),

@@ -182,6 +182,19 @@ def field_of_three():
     )
 
 
+def test_places_belong_to_a_field_and_to_the_frame():
+    at = (np.zeros((8, 9)), np.zeros((8, 9)))
+    with pytest.raises(SamplingError, match="at is given, but the point spread is not a field"):
+        ForwardModel(np.ones((3, 3)), shape=(8, 9), at=at)
+    for wrong in ((at[0], at[1].T), (at[0].T, at[1])):
+        with pytest.raises(SamplingError, match=r"must be the model's \(8, 9\); give the picture"):
+            ForwardModel(field_of_three(), shape=(8, 9), at=wrong)
+    model = ForwardModel(field_of_three(), shape=(8, 9), at=at)
+    assert "transfer" not in repr(model)
+    assert "kernel" not in repr(model)
+    assert len(repr(model)) < 200
+
+
 @pytest.mark.parametrize("boundary", ["padded", "circular"])
 def test_each_point_of_a_field_has_its_own_kernel(boundary):
     """The image of a point is the sum of the modes about it, times their weights there."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nlosoptics.imaging import ForwardModel
-from nlosoptics.inverse.data import scores, signs, spectra
+from nlosoptics.inverse.data import measurement, scores, signs, spectra
 
 SHAPE = (21, 26)
 
@@ -48,4 +48,51 @@ def test_signs(veil, picture, on_record):
             "blocks": signs.block_means(picture, 4),
             "scores": scores.registered_scores(picture + veil, again),
         }
+    )
+
+
+NOISES = {"even": 0.05, "map": np.linspace(0.03, 0.09, SHAPE[1]) * np.ones(SHAPE)}
+NOISES["lost"] = np.where(np.hypot(*np.mgrid[:21, :26]) < 5, np.inf, 0.05)
+
+
+@pytest.mark.parametrize("fit", [True, False])
+@pytest.mark.parametrize("noise", NOISES)
+def test_a_measurement(noise, fit, picture, on_record):
+    kernel = np.outer([1.0, 3.0, 2.0], [1.0, 2.0, 4.0, 1.0, 0.5])
+    model = ForwardModel(kernel / kernel.sum(), shape=SHAPE)
+    data = measurement.measurement(
+        picture,
+        model,
+        noise_sigma=NOISES[noise],
+        background=0.02,
+        fit_background=fit,
+        background_shape=np.linspace(0.5, 1.5, SHAPE[0])[:, None] * np.ones(SHAPE) if fit else None,
+    )
+    other, guess = 0.9 * data.data, model.forward(picture)
+    on_record(
+        {
+            "powers": [data.counted, data.noise_power(), data.weighted(other)],
+            "means": [data.weighted_mean(other), data.background_strength(other)],
+            "levels": [data.background(0.3), data.border_strength(), data.span()],
+            "score": [data.score(other), data.in_numpy().score(guess)],
+            "doubts": [data.is_background(), data.is_background(model)],
+            "energies": data.in_numpy().energies(model),
+            "near": [data.in_numpy().is_noise_about(one * guess) for one in (1.0, 0.99, 0.5)],
+        }
+    )
+
+
+def test_chances(on_record):
+    """Of weighted sums of power, below and above what noise has."""
+    shares = np.random.default_rng(2).exponential(size=(21, 14))
+    low = np.exp(-np.hypot(*np.mgrid[:21, :14]) / 4)
+    on_record(
+        [
+            measurement._chance(scale * shares * (1 + more * low), weights, SHAPE, own)
+            for scale in (0.8, 1.0, 1.1)
+            for more in (0.0, 1.0)
+            for weights in (low, 1 - 0.3 * low, np.ones(low.shape))
+            for own in (False, True)
+        ]
+        + [measurement._chance(0.0 * shares, low, SHAPE, True)]
     )

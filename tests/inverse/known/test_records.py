@@ -49,10 +49,11 @@ OPTIONS = {
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: solver.__name__)
 def test_a_reconstruction(solver, options, measured, on_record):
     image, model = measured
-    asked = dict(OPTIONS[options])
+    asked, told = dict(OPTIONS[options]), []
+    asked["progress"] = lambda *step: told.append(step)
     if solver is not inverse.inverse_filter:
         asked["max_iterations"] = 12
-    on_record([seen(attempt(solver, image, model, **asked))])
+    on_record([seen(attempt(solver, image, model, **asked)), len(told), told[-1:]])
 
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: solver.__name__)

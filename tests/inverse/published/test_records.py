@@ -37,7 +37,21 @@ def test_training_pairs(waves, examples, on_record):
     from nlosoptics import Scene
 
     scene = Scene.load(examples / "scenes" / "letter_flat.toml")
-    on_record(inverse.training_pairs(scene, 3, size=32, waves=waves, seed=2), SINGLE)
+    told = []
+    asked = {"size": 32, "waves": waves, "progress": lambda *step: told.append(step)}
+    on_record([inverse.training_pairs(scene, 3, seed=2, **asked), told], SINGLE)
+
+
+def test_training(examples, on_record):
+    """The texts' numbers are rounded to what single precision can repeat."""
+    from nlosoptics import Scene
+
+    scene = Scene.load(examples / "scenes" / "letter_flat.toml")
+    pairs, told = inverse.training_pairs(scene, 6, size=32, waves=0.3, seed=1), []
+    asked = {"base": 8, "depth": 2, "epochs": 3, "batch": 2, "validation": 0.4, "seed": 2}
+    found = inverse.train_cnn(pairs, progress=lambda *step: told.append(step), **asked)
+    steps = [[text.split(",")[0].split(" 0.")[0], share] for text, share in told]
+    on_record([found, steps, len(told)], SINGLE)
 
 
 def test_fits(picture, on_record):

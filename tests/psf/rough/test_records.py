@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 from nlosoptics import psf
+from nlosoptics.psf.rough import otf, phase_screens, sample, scattered_light
+from nlosoptics.psf.rough.source import rough_source
+from nlosoptics.psf.walls import lobe_psf
 from nlosoptics.scene import FacetWall
 
 from ...records import attempt
@@ -63,3 +66,40 @@ def test_statistics(name, on_record):
         for one in (rough, long, short)
     ]
     on_record([figures, attempt(rough.lag_of, 1e-16), psf.split_scale(6e-7, 0.5)])
+
+
+def test_views_and_screens(rough, on_record):
+    """Fractions, halos, lags and pitches, and the transfer functions of pupil and wall."""
+    wave, wall, view = rough
+    source = rough_source(wave, wall, view["footprint"], view["cos_sum"], 0.4)
+    seen, residual = source.view, source.residual
+    x = np.array([0.0, 2e-5, 3e-4, -2e-3])
+    names = ("length", "has_tails", "coherent_fraction", "scattered_fraction")
+    on_record(
+        {
+            "figures": [getattr(seen, name) for name in names],
+            "lags": [attempt(seen.last_lag, cut) for cut in (0.5, 1e-2, 1e-6)],
+            "halo": seen.halo(wave),
+            "transfer": attempt(seen.scattered_transfer, x, 0.4 * x),
+            "cells": [
+                attempt(scattered_light.first_cells, residual, seen, 2e-6, tol)
+                for tol in (1e-1, 1e-3)
+            ],
+            "across": [otf.cells_across(residual, error) for error in (None, 1e-2, 1e-5)],
+            "overlap": [otf.annulus_overlap(x, 1e-3, inner) for inner in (0.0, 4e-4)],
+            "pitches": isinstance(wall, psf.Roughness)
+            and [
+                phase_screens.widest_pitch(seen),
+                phase_screens.spreading_matrix(seen),
+                phase_screens.throw(seen, 1e-3),
+                [phase_screens.stride(seen, pitch) for pitch in (3e-5, 1e-4)],
+                sample.finest_pitch(seen, wave.wavelength),
+                sample.grid_pitch(wave, 2e-5, 1e-3),
+            ],
+        }
+    )
+
+
+@pytest.mark.parametrize("distribution", ["beckmann", "ggx"])
+def test_transfer_of_lobes(distribution, on_record):
+    on_record(lobe_psf.lobe_transfer(distribution, np.array([-2.0, 0.0, 1e-14, 0.3, 1.0, 20.0])))

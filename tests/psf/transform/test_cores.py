@@ -10,7 +10,7 @@ from pytest import approx
 
 from nlosoptics import psf
 from nlosoptics.errors import SceneError
-from nlosoptics.psf.transform.wide_pixels import tail_pixels, wide_point_spread
+from nlosoptics.psf.transform.wide_pixels import binned, tail_pixels, wide_point_spread
 
 WAVELENGTH, UNIT = 632.8e-9, 2 * 632.8e-9  # lambda N
 SYSTEM = {"wavelength": WAVELENGTH, "pupil_radius": 12.5e-3, "image_distance": 50e-3}
@@ -79,3 +79,20 @@ def test_options_are_those_of_point_spread():
             wide_point_spread(wave, **(good | {name: value}))
     with pytest.raises(SceneError, match="^tol = -1 "):
         wide_point_spread(wave, **(good | {"tol": -1}))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (5, 4), (12, 9)])
+@pytest.mark.parametrize(("n", "parts"), [(9, 3), (11, 3), (15, 5), (21, 3), (7, 9)])
+def test_fine_samples_are_summed_about_their_middle(n, parts, shape):
+    """Sample by sample, in windows that are narrower and wider than the samples."""
+    fine = np.random.default_rng(n).random((n, n))
+    expected = np.zeros(shape)
+    middle = [size // 2 for size in shape]
+    for i, j in np.ndindex(n, n):
+        row, column = (
+            m + math.floor((k - n // 2 + parts // 2) / parts)
+            for m, k in zip(middle, (i, j), strict=True)
+        )
+        if 0 <= row < shape[0] and 0 <= column < shape[1]:
+            expected[row, column] += fine[i, j]
+    assert binned(fine, parts, shape) == approx(expected, rel=1e-12)

@@ -43,11 +43,13 @@ def test_a_scene(number, rough, on_record):
 def test_a_field(number, on_record):
     scene = random_case(number).scene
     pitch = 2 * scene.camera.image_pitch
-    field = attempt(psf.point_spread_field, scene, 2, tol=0.05, pitch=pitch, checks=1)
+    told = []
+    asked = {"pitch": pitch, "checks": 1, "progress": lambda *step: told.append(step)}
+    field = attempt(psf.point_spread_field, scene, 2, tol=0.05, **asked)
     if isinstance(field, Exception):
         return on_record(field)
     at = np.array([-0.7, 0.4]), np.array([0.2, 0.9])
-    on_record([field, field.at(*at), field.mean, field.deviation, field.compressed(0.02)])
+    on_record([field, field.at(*at), field.mean, field.deviation, field.compressed(0.02), told])
     return None
 
 

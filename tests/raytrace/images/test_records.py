@@ -32,9 +32,12 @@ def test_an_image(number, on_record):
 def test_colours_and_polarisation(number, on_record):
     scene = few_pixels(number)
     lines = [scene.laser.wavelength, 1.1 * scene.laser.wavelength]
+    told = []
+    asked = {"n_rays": 256, "progress": lambda *step: told.append(step)}
     on_record(
         [
-            attempt(raytrace.trace_colours, scene, lines, n_rays=256),
+            attempt(raytrace.trace_colours, scene, lines, **asked),
             attempt(raytrace.trace_polarised, scene, n_rays=256),
+            told,
         ]
     )

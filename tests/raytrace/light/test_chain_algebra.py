@@ -8,7 +8,8 @@ from pytest import approx
 
 from nlosoptics.raytrace.intersection.intersections import compiled_wall
 from nlosoptics.raytrace.light import _chain_kernels as chains
-from nlosoptics.raytrace.light._surround_kernels import OBJECT, WALL
+from nlosoptics.raytrace.light import _light_kernels
+from nlosoptics.raytrace.light._surround_kernels import OBJECT, OCCLUDER, WALL
 from nlosoptics.scene import ConcaveWall, FlatWall, SumWall, WavyWall
 
 WORLD = np.array([0.0, 0.0, 0.0, *np.eye(3).ravel()])
@@ -125,3 +126,10 @@ def test_surfaces_end_at_their_edges():
         assert chains._inside(walls, WALL, False, bounds, u, v) == within
         inside += (seen, plate, within)
     assert (inside > 100).all()
+
+
+@pytest.mark.parametrize("bits", range(4))
+def test_chains_at_the_wall_and_at_other_surfaces_are_told_apart(bits):
+    """One bit for the wall, one for the object; occluders have none."""
+    found = [bool(_light_kernels.chained_at(bits, kind)) for kind in (WALL, OBJECT, OCCLUDER)]
+    assert found == [bits in (1, 3), bits in (2, 3), False]

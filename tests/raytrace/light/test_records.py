@@ -26,10 +26,10 @@ def test_a_scene(number, on_record):
 @pytest.mark.parametrize("emission", ["lambertian", "isotropic"])
 @pytest.mark.parametrize("number", [0, 2, 3, 7, 9, 11])
 def test_a_point(number, emission, on_record):
-    scene = random_case(number).scene
+    scene, told = random_case(number).scene, []
     asked = {"emission": emission, "n_rays": 512, "max_bounces": 2, "shape": (8, 6)}
-    asked["pitch"] = 20 * scene.camera.image_pitch
-    on_record(attempt(raytrace.trace_point, scene, **asked))
+    asked |= {"pitch": 20 * scene.camera.image_pitch, "progress": lambda *step: told.append(step)}
+    on_record([attempt(raytrace.trace_point, scene, **asked), told])
 
 
 @pytest.mark.parametrize("source", ["laser", "object"])
@@ -41,4 +41,24 @@ def test_irradiance(number, source, on_record):
 
 
 def test_lasers(flat_scene, on_record):
-    on_record(attempt(raytrace.trace_lasers, flat_scene, [flat_scene.laser] * 2, n_rays=512))
+    told = []
+    asked = {"n_rays": 512, "progress": lambda *step: told.append(step)}
+    on_record([attempt(raytrace.trace_lasers, flat_scene, [flat_scene.laser] * 2, **asked), told])
+
+
+LIMITS = {
+    "rays": {"n_rays": 40_000},
+    "tol": {"tol": 0.02},
+    "few bounces": {"n_rays": 1024, "max_bounces": 1},
+    "no bounce": {"n_rays": 1024, "max_bounces": 0},
+    "scrambled": {"n_rays": 1024, "seed": 7},
+}
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+def test_steps_of_a_trace(limit, flat_scene, on_record):
+    told = []
+    found = attempt(
+        raytrace.trace, flat_scene, **LIMITS[limit], progress=lambda *step: told.append(step)
+    )
+    on_record([found, told])

@@ -2,6 +2,7 @@
 
 import itertools
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -61,17 +62,19 @@ FALLOFFS = ("none", "matched", "diffuse", "retroreflective")
 @pytest.mark.parametrize("pairing", ["confocal", "all"])
 @pytest.mark.parametrize(("filter_", "falloff"), [*itertools.product(FILTERS, FALLOFFS)])
 def test_backprojection(filter_, falloff, pairing, on_record):
-    asked = {"filter": filter_, "falloff": falloff}
+    told = []
+    asked = {"filter": filter_, "falloff": falloff, "progress": lambda *step: told.append(step)}
     if filter_ == "second_derivative":
         asked["width"] = 0.1
     volume = VOLUME if falloff == "none" else None
-    on_record(seen(attempt(backprojection, capture(pairing), volume, **asked)))
+    on_record([seen(attempt(backprojection, capture(pairing), volume, **asked)), told])
 
 
 @pytest.mark.parametrize("target", ["diffuse", "retroreflective"])
 @pytest.mark.parametrize("volume", [None, VOLUME], ids=["own", "given"])
 def test_confocal_transforms(target, volume, on_record):
-    light, double = capture("confocal"), {"dtype": "float64"}
+    light, told = capture("confocal"), []
+    double = {"dtype": "float64", "progress": lambda *step: told.append(step)}
     on_record(
         [
             seen(attempt(fk_migration, light, volume, target=target, **double)),
@@ -80,6 +83,7 @@ def test_confocal_transforms(target, volume, on_record):
             seen(
                 attempt(lct, light, volume, target=target, penalty="curvature", snr=3.0, **double)
             ),
+            told,
         ]
     )
 
@@ -91,13 +95,22 @@ METHODS = ("auto", "paths", "planes", "fft", "sum", "direct")
 @pytest.mark.parametrize("pairing", ["confocal", "all"])
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_phasor_images(camera, pairing, on_record):
+    told = []
     asked = {"camera": camera, "wl_mean": 0.2, "tol": 1e-2}
+    asked["progress"] = lambda *step: told.append(step)
     timed = asked | {"times": [0.0, 0.2]}
     focused = asked | {"projector_focus": (0.0, 0.1, 0.7), "aperture": 0.5}
     calls = [asked, timed, focused, asked | {"laser": (0,), "wl_sigma": 0.3}]
     calls += [asked | {"method": method} for method in METHODS]
     light = capture(pairing)
-    on_record([seen(attempt(phasor_image, light, VOLUME, **one)) for one in calls])
+    on_record([[seen(attempt(phasor_image, light, VOLUME, **one)) for one in calls], told])
+
+
+def test_a_dark_capture(on_record):
+    dark = replace(capture("confocal"), H=np.zeros((90, 8, 8)))
+    calls = (fk_migration, lct, backprojection)
+    found = [seen(attempt(one, dark, VOLUME)) for one in calls]
+    on_record([found, seen(attempt(phasor_image, dark, VOLUME, wl_mean=0.2))])
 
 
 def test_depths(on_record):

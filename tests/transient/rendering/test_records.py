@@ -30,7 +30,9 @@ def thing(kind, material=None):
 def test_three_bounces(kinds, material, on_record):
     paint = {"matt": Lambert(0.8), "rough": OrenNayar(0.7, 0.3), "gloss": GLOSS}[material]
     surfaces = [thing(kind, paint) for kind in kinds]
+    told = []
     asked = {"sensor_points": POINTS, "max_bounces": 3, **BINS, "tol": 1e-2}
+    asked["progress"] = lambda *step: told.append(step)
     lamps = {"laser_origin": (0.5, 0.2, 1.0), "sensor_origin": (-0.4, 0.1, 1.2)}
     on_record(
         [
@@ -47,6 +49,7 @@ def test_three_bounces(kinds, material, on_record):
                 keep_laser_cosine=True,
                 wall_albedo=0.5,
             ),
+            told,
         ]
     )
 
@@ -55,7 +58,9 @@ def test_three_bounces(kinds, material, on_record):
 def test_more_bounces(kinds, on_record):
     surfaces = [thing(kind) for kind in kinds]
     asked = {"laser_points": POINTS[2], "sensor_points": POINTS, **BINS, "tol": 0.3, "seed": 2}
-    on_record(attempt(render, surfaces, min_bounces=1, max_bounces=4, **asked))
+    told = []
+    asked["progress"] = lambda *step: told.append(step)
+    on_record([attempt(render, surfaces, min_bounces=1, max_bounces=4, **asked), told])
 
 
 @pytest.mark.parametrize("number", range(5))
