@@ -405,7 +405,7 @@ def test_broken_run_leaves_the_old_folder(
 
 def test_ctrl_c_while_words_are_read_is_told(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Typer ends with 130 and no word where the command has not begun."""
-    monkeypatch.setattr(cli, "app", lambda **_: 130)
+    monkeypatch.setattr(cli, "_program", lambda _: lambda **_: 130)
     answer = run("schema")
     assert (answer.code, answer.err) == (
         1,
