@@ -254,10 +254,9 @@ def _dots(draw: np.random.Generator) -> np.ndarray:
 
 def _cloud(draw: np.random.Generator) -> np.ndarray:
     """A patch of filtered noise, grey or black and white."""
-    x, y = _axes()
-    across = np.fft.fftfreq(len(x))
-    frequency = np.hypot(*np.meshgrid(across, across)) + 1.0 / len(x)
-    noise = np.fft.fft2(draw.normal(size=x.shape)) * frequency ** -draw.uniform(1.2, 2.0)
+    across = np.fft.fftfreq(SIDE * _FINE)
+    frequency = np.hypot(*np.meshgrid(across, across)) + 1.0 / len(across)
+    noise = np.fft.fft2(draw.normal(size=frequency.shape)) * frequency ** -draw.uniform(1.2, 2.0)
     texture = np.fft.ifft2(noise).real
     texture = (texture - texture.min()) / np.ptp(texture)
     if draw.random() < 0.4:

@@ -14,7 +14,7 @@ from ..._random import generator
 from ...errors import SamplingError, SceneError
 from .free_energy import Floats, FreeEnergy, Stage, Starts, joined
 from .random_walls import Breeding, children, random_walls
-from .verdict import Verdict
+from .verdict import LEAST_LENGTH, Verdict
 from .wall_proposals import Proposals
 
 #: Callback with a text and the completed fraction; returns whether the search is to end.
@@ -68,9 +68,6 @@ _STARTS = 32
 _KEPT = 20
 #: Proposed walls of a round with one image.
 _PROPOSALS = 24
-#: Smallest norm of the coefficients for one image relative to the expected one: walls of less
-#: approach no blur.
-_LEAST_LENGTH = 0.6
 #: Largest Noll indices, those of complete orders, up to which modes are added.
 _TOPS = (21, 36, 45)
 
@@ -292,9 +289,16 @@ class Search:
     @property
     def faults(self) -> tuple[str, ...]:
         """Reason against the best answer; empty if it passes all tests."""
-        place = self.place
+        place, expected = self.place, self._strength
+        if expected is None:
+            expected = math.nan if self._proposals is None else self._proposals.length
         return self._verdict.faults(
-            place.best, self.margins, place.rival, held=place.held, start_error=self._error
+            place.best,
+            self.margins,
+            place.rival,
+            expected=expected,
+            held=place.held,
+            start_error=self._error,
         )
 
     @property
@@ -418,7 +422,7 @@ class Search:
 
     def _long(self, pool: Starts) -> Starts:
         """Return the starts for one image that do not approach no blur; all if none is left."""
-        least = _LEAST_LENGTH * min(self._strengths())
+        least = LEAST_LENGTH * min(self._strengths())
         long = np.linalg.norm(pool.coefficients, axis=1) >= least
         return pool[long] if long.any() else pool
 
