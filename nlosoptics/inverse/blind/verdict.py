@@ -34,8 +34,8 @@ _SHARP_NOISE = 0.01
 #: 0.095 and 0.112, had different walls within 76 and 53 after one round.
 _LEAST_RIVAL = 100.0
 #: Smallest norm of the coefficients for one image relative to the expected one: walls of less
-#: approach no blur. Such an answer, of less energy than all walls that the search found, was wrong
-#: for many walls of one wave, at 0.23 to 0.3 of the expected norm; right ones have 0.7 to 1.2 of it.
+#: approach no blur. For walls of one wave such answers, at 0.23 to 0.3 of the expected norm, have
+#: less energy than all others that the search finds, and are wrong.
 LEAST_LENGTH = 0.6
 #: Criteria for one image and a wall of known error. The free energy is below that of the no-blur
 #: fit by at least NEAR_MARGIN. Or the prior of the coefficients puts the no-blur fit above the
@@ -154,12 +154,10 @@ class Verdict:
                 return sharply
             length = float(np.linalg.norm(best.coefficients[0]))
             if not length >= LEAST_LENGTH * expected:
-                stronger = (
-                    f"of {expected:.2g} waves rms" if expected > 0.0 else "of unknown strength"
-                )
+                known = f"{expected:.2g} waves rms" if expected > 0.0 else "unknown strength"
                 return (
-                    f"a wave {stronger} is expected, and the answer's of {length:.2g} waves rms may "
-                    f"do as well without being right; give a second image with a known defocus",
+                    f"a wave of {known} is expected, that of the answer has {length:.2g} waves "
+                    f"rms, as wrong answers have; give a second image with a known defocus",
                 )
             if not self.alone(rival):
                 return (

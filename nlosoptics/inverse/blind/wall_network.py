@@ -175,4 +175,5 @@ class _Attention(nn.Module):
         seen = nn.functional.scaled_dot_product_attention(query, key, value)
         places = places + self.mixed(seen.transpose(1, 2).flatten(2))
         places = places + self.layer(self.between(places))
-        return places.transpose(1, 2).unflatten(2, given.shape[2:])
+        found: Tensor = places.transpose(1, 2).unflatten(2, given.shape[2:])
+        return found
