@@ -20,7 +20,6 @@ import math
 import multiprocessing
 import time
 from collections import deque
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -53,18 +52,18 @@ class Pictures:
     def __init__(self, count: int, seed: int, processes: int, device: torch.device) -> None:
         self.seed, self.drawn = seed, 0
         self.stack = torch.empty(count, FINE, FINE, dtype=torch.uint8, device=device)
-        self.pool = ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"))
+        self.pool = multiprocessing.get_context("spawn").Pool(processes)
         self.asked = deque(self.asking(block) for block in range(2 * processes))
 
     def asking(self, block: int):
         """Order one more block."""
-        return self.pool.submit(drawn_block, [self.seed, block])
+        return self.pool.apply_async(drawn_block, [[self.seed, block]])
 
     def held(self) -> torch.Tensor:
         """All that are there; waits for the first block."""
-        while self.asked[0].done() or not self.drawn:
+        while self.asked[0].ready() or not self.drawn:
             place = self.drawn * BLOCK % len(self.stack)
-            found = torch.from_numpy(self.asked.popleft().result())
+            found = torch.from_numpy(self.asked.popleft().get())
             self.stack[place : place + BLOCK] = found.to(self.stack.device)
             self.drawn += 1
             self.asked.append(self.asking(self.drawn + len(self.asked)))
@@ -260,7 +259,7 @@ def main() -> None:
             reports = now // EVERY
             if options.weights is not None:
                 options.weights.write_bytes(saved_network(mean))
-    held.pool.shutdown(cancel_futures=True)
+    held.pool.terminate()
 
 
 if __name__ == "__main__":
