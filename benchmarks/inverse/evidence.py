@@ -1,7 +1,7 @@
 """Walls found from random starts: objects x walls x strengths, one or two frames, one line a case.
 
     python benchmarks/inverse/evidence.py --frames 2 --rms 0.25 0.5 1.0 --json results.jsonl
-    python benchmarks/inverse/evidence.py --frames 1 --rms 0.25 0.5 --jobs 2 --json results.jsonl
+    python benchmarks/inverse/evidence.py --frames 1 --jobs 2 --json results.jsonl
 
 Data are those of cases.py, not of the fitted model. The second frame has a known defocus of half a
 wave, of one wave for walls of a wave and more. The wall's strength is not told. A case that the

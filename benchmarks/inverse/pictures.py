@@ -1,16 +1,17 @@
-"""Random pictures of 64 x 64 pixels for training: glyphs, pairs, strokes, shapes, dots, clouds.
+"""Random pictures for training: glyphs, characters, script, strokes, shapes, dots, clouds, leaves.
 
     from pictures import pictures
     stack = pictures(200, seed=0)
 
 The glyphs are those of the fonts that matplotlib ships, without the capital F and without arrows,
-which tests use. Nothing is drawn from examples/objects.
+which tests use. Nothing is drawn from examples/objects, from handwriting or from photographs.
 """
 
 from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -18,6 +19,19 @@ from scipy import ndimage
 SIDE = 64
 _FINE = 4  # samples per pixel
 _SYMBOLS = "0123456789&?!@#%+=*$"
+#: Ranges of symbols and scripts of the first font.
+_SIGNS = (
+    (0x531, 0x557),
+    (0x5D0, 0x5EB),
+    (0x10D0, 0x10F7),
+    (0x14D0, 0x1540),
+    (0x2200, 0x22FF),
+    (0x2500, 0x25FF),
+    (0x2600, 0x2650),
+    (0x2701, 0x2768),
+    (0x2D30, 0x2D66),
+    (0x4DC0, 0x4E00),
+)
 _FONTS = (
     "DejaVuSans.ttf",
     "DejaVuSans-Bold.ttf",
@@ -30,19 +44,20 @@ _FONTS = (
 )
 
 
-def pictures(count: int, seed: int) -> np.ndarray:
-    """Pictures (count, SIDE, SIDE), 0 to 1; a larger count extends those of a smaller one."""
-    found = np.empty((count, SIDE, SIDE), dtype=np.float32)
+def pictures(count: int, seed: int, side: int = SIDE) -> np.ndarray:
+    """Pictures (count, side, side), 0 to 1; a larger count extends those of a smaller one."""
+    found = np.empty((count, side, side), dtype=np.float32)
     for number in range(count):
         _kind, fine = fine_picture(seed, number)
-        cells = fine.reshape(SIDE, _FINE, SIDE, _FINE).mean(axis=(1, 3))
+        cells = fine.reshape(side, len(fine) // side, side, -1).mean(axis=(1, 3))
         found[number] = cells / max(float(cells.max()), 1e-6)
     return found
 
 
 def fine_picture(seed: int, number: int) -> tuple[str, np.ndarray]:
     """Kind of one of the pictures, and the picture at _FINE samples per pixel."""
-    kinds = (_glyph, _glyph, _glyph, _pair, _strokes, _strokes, _shapes, _dots, _cloud)
+    kinds = (_glyph, _glyph, _sign, _pair, _character, _script)
+    kinds += (_strokes, _strokes, _shapes, _dots, _cloud, _leaves)
     draw = np.random.default_rng([seed, number])
     kind = kinds[draw.integers(len(kinds))]
     return kind.__name__[1:], kind(draw)
@@ -65,14 +80,17 @@ def _font(name: str, size: int):
     return ImageFont.truetype(str(folder / name), size)
 
 
-def _written(text: str, height: float, draw: np.random.Generator) -> np.ndarray:
+def _written(
+    text: str, height: float, draw: np.random.Generator, name: str | None = None
+) -> np.ndarray:
     """A text of given height relative to the frame, turned a little."""
-    from PIL import Image, ImageDraw
+    from PIL import Image
 
     wide = SIDE * _FINE
-    image = Image.new("L", (wide, wide))
-    font = _font(str(draw.choice(_FONTS)), max(8, int(round(height * wide / 4.0) * 4)))
-    ImageDraw.Draw(image).text((wide / 2, wide / 2), text, 255, font, anchor="mm")
+    image, pen = _drawn()
+    name = str(draw.choice(_FONTS)) if name is None else name
+    font = _font(name, max(8, int(round(height * wide / 4.0) * 4)))
+    pen.text((wide / 2, wide / 2), text, 255, font, anchor="mm")
     turned = image.rotate(float(draw.normal(0.0, 12.0)), Image.Resampling.BILINEAR)
     return np.asarray(turned, dtype=float) / 255.0
 
@@ -80,6 +98,76 @@ def _written(text: str, height: float, draw: np.random.Generator) -> np.ndarray:
 def _glyph(draw: np.random.Generator) -> np.ndarray:
     letters = _letters()
     return _written(letters[draw.integers(len(letters))], draw.uniform(0.35, 0.85), draw)
+
+
+def _sign(draw: np.random.Generator) -> np.ndarray:
+    """A symbol; some are dark on a bright card."""
+    first, end = _SIGNS[draw.integers(len(_SIGNS))]
+    sign = chr(draw.integers(first, end))
+    height = draw.uniform(0.4, 0.9)
+    picture = _written(sign, height, draw, _FONTS[0])
+    if draw.random() < 0.3:
+        x, y = _axes()
+        sides = height * draw.uniform(0.5, 0.9, size=2)
+        picture = np.where((np.abs(x) < sides[0]) & (np.abs(y) < sides[1]), 1.0 - picture, 0.0)
+    return picture
+
+
+def _drawn() -> tuple[Any, Any]:
+    """An empty image, and what draws on it."""
+    from PIL import Image, ImageDraw
+
+    image = Image.new("L", (SIDE * _FINE, SIDE * _FINE))
+    return image, ImageDraw.Draw(image)
+
+
+def _character(draw: np.random.Generator) -> np.ndarray:
+    """One to four parts of horizontal, upright and sloping strokes and boxes."""
+    image, pen = _drawn()
+    wide, half = SIDE * _FINE, draw.uniform(0.2, 0.42)
+    width = max(2, int(wide * half * draw.uniform(0.06, 0.16)))
+    columns, rows = draw.integers(1, 3, size=2)
+    for part in range(columns * rows):
+        cell = 2.0 * half / np.array([columns, rows])
+        corner = 0.5 - half + cell * [part % columns, part // columns]
+        lines = (draw.integers(0, 5, size=(draw.integers(2, 6), 4)) / 4.0).reshape(-1, 2, 2)
+        for line, kind in zip(lines, draw.integers(5, size=len(lines)), strict=True):
+            if kind < 3:  # horizontal or upright
+                line[1, kind % 2] = line[0, kind % 2]
+            ends = wide * (corner + cell * (0.05 + 0.9 * line))
+            if kind == 3:
+                pen.rectangle([*ends.min(axis=0), *ends.max(axis=0)], outline=255, width=width)
+            else:
+                pen.line([tuple(end) for end in ends], 255, width)
+    return np.asarray(image, dtype=float) / 255.0
+
+
+def _script(draw: np.random.Generator) -> np.ndarray:
+    """Smooth curves, as of a pen that goes along lines and loops."""
+    image, pen = _drawn()
+    wide, time = SIDE * _FINE, np.linspace(0.0, 1.0, 200)[:, None]
+    width = int(wide * draw.uniform(0.015, 0.07))
+    for _ in range(draw.integers(1, 4)):
+        start, run = draw.uniform(0.2, 0.6, size=2), [draw.uniform(0.0, 0.5), 0.0]
+        path = start + run * time
+        for turns in range(1, draw.integers(2, 6)):
+            size = draw.normal(0.0, 0.25, size=2) / turns**0.8
+            path = path + size * np.sin(2.0 * np.pi * (turns * time + draw.random(2)))
+        path = 0.5 + (path - path.mean(axis=0)) * draw.uniform(0.5, 1.0)
+        pen.line([tuple(point) for point in wide * path], 255, width, joint="curve")
+    return np.asarray(image, dtype=float) / 255.0
+
+
+def _leaves(draw: np.random.Generator) -> np.ndarray:
+    """Grey shapes of many sizes that hide one another, as in a photograph, within a patch."""
+    image, pen = _drawn()
+    wide = SIDE * _FINE
+    for size in wide * draw.uniform(0.04, 0.7, size=draw.integers(15, 80)) ** 2 + 2.0:
+        box = np.add.outer([-0.5, 0.5], draw.uniform(0.0, wide, size=2) / size) * size
+        box = box + np.outer([-0.5, 0.5], size * draw.uniform(-0.3, 0.7, size=2))
+        shape = pen.ellipse if draw.random() < 0.6 else pen.rectangle
+        shape([*box.min(axis=0), *box.max(axis=0)], fill=int(255 * draw.random() ** 1.5))
+    return np.asarray(image, dtype=float) / 255.0 * _patch(draw)
 
 
 def _pair(draw: np.random.Generator) -> np.ndarray:
@@ -90,7 +178,8 @@ def _pair(draw: np.random.Generator) -> np.ndarray:
     return _written(text, draw.uniform(0.2, 0.4), draw)
 
 
-def _axes(draw: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+@cache
+def _axes() -> tuple[np.ndarray, np.ndarray]:
     axis = (np.arange(SIDE * _FINE) + 0.5) / (SIDE * _FINE) * 2.0 - 1.0
     return np.meshgrid(axis, axis)
 
@@ -105,7 +194,7 @@ def _segment(x, y, start, end, width):
 
 def _strokes(draw: np.random.Generator) -> np.ndarray:
     """Lines, upright ones more often than others, and arcs, of one width."""
-    x, y = _axes(draw)
+    x, y = _axes()
     picture = np.zeros_like(x)
     reach, width = draw.uniform(0.3, 0.65), draw.uniform(0.025, 0.09)
     upright = draw.random() < 0.5
@@ -133,7 +222,7 @@ def _strokes(draw: np.random.Generator) -> np.ndarray:
 
 def _shapes(draw: np.random.Generator) -> np.ndarray:
     """Bars, discs and rings, many of them grey."""
-    x, y = _axes(draw)
+    x, y = _axes()
     picture = np.zeros_like(x)
     for _ in range(draw.integers(1, 7)):
         centre, angle = draw.uniform(-0.45, 0.45, size=2), draw.uniform(0.0, np.pi)
@@ -153,7 +242,7 @@ def _shapes(draw: np.random.Generator) -> np.ndarray:
 
 def _dots(draw: np.random.Generator) -> np.ndarray:
     """Discs of several sizes."""
-    x, y = _axes(draw)
+    x, y = _axes()
     picture = np.zeros_like(x)
     largest, reach = draw.uniform(0.04, 0.15), draw.uniform(0.3, 0.7)
     for _ in range(draw.integers(3, 25)):
@@ -165,17 +254,22 @@ def _dots(draw: np.random.Generator) -> np.ndarray:
 
 def _cloud(draw: np.random.Generator) -> np.ndarray:
     """A patch of filtered noise, grey or black and white."""
-    x, y = _axes(draw)
-    across = np.fft.fftfreq(len(x))
-    frequency = np.hypot(*np.meshgrid(across, across)) + 1.0 / len(x)
-    noise = np.fft.fft2(draw.normal(size=x.shape)) * frequency ** -draw.uniform(1.2, 2.0)
+    across = np.fft.fftfreq(SIDE * _FINE)
+    frequency = np.hypot(*np.meshgrid(across, across)) + 1.0 / len(across)
+    noise = np.fft.fft2(draw.normal(size=frequency.shape)) * frequency ** -draw.uniform(1.2, 2.0)
     texture = np.fft.ifft2(noise).real
     texture = (texture - texture.min()) / np.ptp(texture)
     if draw.random() < 0.4:
         texture = (texture > np.quantile(texture, draw.uniform(0.4, 0.8))).astype(float)
+    return texture * _patch(draw)
+
+
+def _patch(draw: np.random.Generator) -> np.ndarray:
+    """An ellipse or a rectangle with soft or hard edges."""
+    x, y = _axes()
     sides = draw.uniform(0.25, 0.75, size=2)
     if draw.random() < 0.5:
         inside = np.hypot(x / sides[0], y / sides[1]) < 1.0
     else:
         inside = (np.abs(x) < sides[0]) & (np.abs(y) < sides[1])
-    return texture * ndimage.gaussian_filter(inside.astype(float), draw.uniform(0.0, 8.0))
+    return ndimage.gaussian_filter(inside.astype(float), draw.uniform(0.0, 8.0))

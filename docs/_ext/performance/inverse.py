@@ -206,8 +206,8 @@ SECTIONS = (
         "Wall unknown, one frame",
         "`evidence_fit` for a single image (frame), otherwise as for two; five walls and three "
         "objects for each rms aberration.",
-        "python benchmarks/inverse/evidence.py --frames 1 --rms 0.25 0.5 --walls 113 117 --json "
-        "{file}",
+        "python benchmarks/inverse/evidence.py --frames 1 --rms 0.25 0.5 1.0 --walls 113 117 "
+        "--json {file}",
         table={"rms aberration, waves": "{rms}"} | FITS,
         rows=by_strength,
     ),

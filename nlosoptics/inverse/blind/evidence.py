@@ -183,9 +183,9 @@ def evidence_fit(
     with the Noll modes 4 to 21. The free energy accepts or rejects them like all other starts. The
     network is used if the pixels are at most as wide as the Nyquist pitch, which is lambda N/2 with
     the wavelength lambda and the F-number N; if the image is 24 to 96 Nyquist pitches wide and
-    high; and if the pupil has no known wave or transmission. Half of the starts of each round are
-    then its proposals. Their rms aberration, 0.9 to 1.5 times the one that the network expects, is
-    also that of the random starts.
+    high; and if the pupil has no known wave or transmission. Every other
+    round, the first included, then starts from its proposals, the others from random walls of 0.9
+    to 1.5 times the rms aberration that the network expects.
 
     **Residual.** For the status "converged" the result must explain the images: ``model_error``
     must be at most ``sqrt(a^2 + 3 s^2 sqrt(2/n))``. For several images a is ``0.004 + 0.003 w``,
@@ -207,6 +207,8 @@ def evidence_fit(
       that starts without blur sometimes finds the wall as well; ``margin`` is then close to 0. The
       free energies of all different walls that the search found must exceed the result's by 100.
       Walls are different if the rms difference of their PSFs is above 0.3 of the result's rms.
+      The result's rms aberration must be at least 0.6 of ``strength``, or of the one that the
+      network expects: if both are unknown, this condition is not met.
 
     With ``start_error``, ``margin`` must be below -50, or three conditions must be met:
 

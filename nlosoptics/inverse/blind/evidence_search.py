@@ -14,7 +14,7 @@ from ..._random import generator
 from ...errors import SamplingError, SceneError
 from .free_energy import Floats, FreeEnergy, Stage, Starts, joined
 from .random_walls import Breeding, children, random_walls
-from .verdict import Verdict
+from .verdict import LEAST_LENGTH, Verdict
 from .wall_proposals import Proposals
 
 #: Callback with a text and the completed fraction; returns whether the search is to end.
@@ -38,6 +38,12 @@ _FREE = Stage(iterations=200, kappa=0.5, first=2.0, last=1.5, share=0.3, wave_ra
 #: one makes the basin of most objects broad, but hides thin strokes.
 _NOISES = (30.0, 10.0, 60.0, 20.0)
 
+# Proposed walls for one image: the object first, then both.
+_PROPOSED = (
+    Stage(iterations=150, kappa=0.5, first=5.0, last=5.0, share=1.0, wave_rate=0.0),
+    Stage(iterations=400, kappa=0.5, first=5.0, last=1.5, share=0.7, wave_rate=0.01),
+)
+
 # Given coefficients with a known error: the object first, then both, then the best start alone.
 _NEAR = (
     Stage(iterations=200, kappa=0.5, first=5.0, last=5.0, share=1.0, wave_rate=0.0),
@@ -60,9 +66,8 @@ _LENGTHS = (0.9, 1.5)
 _STARTS = 32
 #: Walls of one image that are fitted further.
 _KEPT = 20
-#: Smallest norm of the coefficients for one image relative to the expected one: walls of less
-#: approach no blur.
-_LEAST_LENGTH = 0.6
+#: Proposed walls of a round with one image.
+_PROPOSALS = 24
 #: Largest Noll indices, those of complete orders, up to which modes are added.
 _TOPS = (21, 36, 45)
 
@@ -116,12 +121,13 @@ _TEXTS = {
     "neighbours": "near the best walls",
     "finish": "best walls",
     "widen": "more modes",
+    "propose": "proposed walls",
     "end": "done",
 }
 _STEPS = tuple(_TEXTS)
 #: Number of each step's stream of random numbers among those of a round, and how many these are.
 _STREAMS = {name: number for number, name in enumerate(_STEPS[:4])}
-_STREAMS |= {name: number for number, name in enumerate(_STEPS[4:8], start=8)}
+_STREAMS |= {name: number for number, name in enumerate(_STEPS[4:9], start=8)}
 _ROUND = 13
 _HISTORY = ("objective", "residual", "change")
 
@@ -283,9 +289,16 @@ class Search:
     @property
     def faults(self) -> tuple[str, ...]:
         """Reason against the best answer; empty if it passes all tests."""
-        place = self.place
+        place, expected = self.place, self._strength
+        if expected is None:
+            expected = math.nan if self._proposals is None else self._proposals.length
         return self._verdict.faults(
-            place.best, self.margins, place.rival, held=place.held, start_error=self._error
+            place.best,
+            self.margins,
+            place.rival,
+            expected=expected,
+            held=place.held,
+            start_error=self._error,
         )
 
     @property
@@ -381,7 +394,7 @@ class Search:
         return "widen" if self._frames else self._next()
 
     def _gather(self, random: Generator) -> str:
-        """Fit random walls, and for one image as many proposed ones."""
+        """Fit random walls."""
         modes = len(self._energy.modes)
         many = self._energy.size // modes
         if self._frames:
@@ -393,13 +406,25 @@ class Search:
             lengths = np.resize(self._strengths(), _STARTS) * random.uniform(*_LENGTHS, _STARTS)
         lengths = np.repeat(np.resize(lengths, _STARTS), many)
         walls = random_walls(_STARTS * many, modes, lengths, random).reshape(_STARTS, -1)
-        if self._proposals is not None:
-            proposed = self._proposals.walls(_STARTS // 2, random)
-            proposed /= np.linalg.norm(proposed, axis=1, keepdims=True)
-            walls[::2] = proposed * lengths[::2, None]
         energy = self._searched()
         self.place.pool = energy.descend(energy.starts(walls, stage.first), stage)
         return "settle"
+
+    def _propose(self, random: Generator) -> str:
+        """Fit proposed walls, with objects of their own."""
+        assert self._proposals is not None  # the step exists only then
+        energy, walls = self._searched(), self._proposals.walls(_PROPOSALS, random)
+        pool = energy.starts(walls, _PROPOSED[0].first)
+        for stage in _PROPOSED:
+            pool = energy.descend(pool, stage)
+        self.place.pool = self._long(pool).best(8)
+        return "neighbours"
+
+    def _long(self, pool: Starts) -> Starts:
+        """Return the starts for one image that do not approach no blur; all if none is left."""
+        least = LEAST_LENGTH * min(self._strengths())
+        long = np.linalg.norm(pool.coefficients, axis=1) >= least
+        return pool[long] if long.any() else pool
 
     def _settle(self, _: Generator) -> str:
         """Fit the best walls with the prior that ranks answers."""
@@ -422,9 +447,7 @@ class Search:
         stage = _SETTLE if frames else _COMPARE
         both = joined([pool, energy.descend(energy.starts(walls, stage.first), stage)])
         if not frames:
-            least = _LEAST_LENGTH * min(self._strengths())
-            long = np.linalg.norm(both.coefficients, axis=1) >= least
-            both = both[long] if long.any() else pool
+            both = self._long(both)
         self.place.pool = both.best(8)
         before, now = float(pool.energy[0]), float(self.place.pool.energy[0])
         if before - now < _STANDSTILL:
@@ -473,7 +496,7 @@ class Search:
             return "end"
         if place.turn == _ENOUGH and self._verdict.alone(place.rival):
             return "end"
-        return "gather"
+        return "gather" if self._proposals is None or place.turn % 2 else "propose"
 
     def _offer(self, found: Starts, modes: tuple[int, ...] | None = None) -> None:
         """Keep the start of least energy, and record it in the history."""

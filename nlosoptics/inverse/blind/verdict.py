@@ -33,6 +33,10 @@ _SHARP_NOISE = 0.01
 #: the search found no different wall. Two wrong ones, of half a wave and with margins per pixel of
 #: 0.095 and 0.112, had different walls within 76 and 53 after one round.
 _LEAST_RIVAL = 100.0
+#: Smallest norm of the coefficients for one image relative to the expected one: walls of less
+#: approach no blur. For walls of one wave such answers, at 0.23 to 0.3 of the expected norm, have
+#: less energy than all others that the search finds, and are wrong.
+LEAST_LENGTH = 0.6
 #: Criteria for one image and a wall of known error. The free energy is below that of the no-blur
 #: fit by at least NEAR_MARGIN. Or the prior of the coefficients puts the no-blur fit above the
 #: answer by at least BY_PRIOR; then the answer's own energy may be higher, by at most LITTLE_ABOVE
@@ -105,6 +109,7 @@ class Verdict:
         margins: tuple[float, float],
         rival: float,
         *,
+        expected: float,
         held: float,
         start_error: float | None,
     ) -> tuple[str, ...]:
@@ -119,6 +124,8 @@ class Verdict:
         rival : float
             For one image the least free energy of a different wall minus that of the answer; NaN if
             none was searched for.
+        expected : float
+            Expected norm of the coefficients, waves rms; NaN if unknown.
         held : float
             Energy that the prior of the coefficients would add to the former.
         start_error : float or None
@@ -143,12 +150,21 @@ class Verdict:
             limit = self.pixels * (_SHARP_MARGIN[0] + _SHARP_MARGIN[1] * finer)
             if margin < -_SURE_MARGIN:
                 return ()
-            if sharp < -limit and not self.alone(rival):
+            if sharp >= -limit:
+                return sharply
+            length = float(np.linalg.norm(best.coefficients[0]))
+            if not length >= LEAST_LENGTH * expected:
+                known = f"{expected:.2g} waves rms" if expected > 0.0 else "unknown strength"
+                return (
+                    f"a wave of {known} is expected, that of the answer has {length:.2g} waves "
+                    f"rms, as wrong answers have; give a second image with a known defocus",
+                )
+            if not self.alone(rival):
                 return (
                     f"another wall explains the image nearly as well: its free energy is above the "
                     f"answer's by {rival:.3g} only; give a second image with a known defocus",
                 )
-            return () if sharp < -limit else sharply
+            return ()
         fitted_noise = math.sqrt(float(best.chi_square[0, 0])) < _OVERFITTED
         by_prior = margin - held < -_BY_PRIOR and margin * noise < _LITTLE_ABOVE
         sure = margin < -_NEAR_MARGIN or (by_prior and not fitted_noise)

@@ -17,8 +17,8 @@ MODES = tuple(range(4, 22))
 #: Pixels of the network's image along each side, at Nyquist's pitch.
 SIDE = 64
 #: Number of Gaussians.
-PARTS = 4
-_FOLD = 4  # pixels along each side that become channels of one node
+PARTS = 16
+_FOLD = 2  # pixels along each side that become channels of one node
 _TAPER = 4  # pixels at each edge over which the image falls to 0
 #: Least standard deviation of a proposed coefficient, waves.
 _LEAST = 0.01
@@ -46,7 +46,8 @@ class Mixture(NamedTuple):
         A wave W(x) and its twin -W(-x) have the same point spread, so that an image cannot tell
         which of them made it.
         """
-        pair = torch.stack([coefficients, coefficients * twin_signs()], dim=1)[:, :, None]
+        twin = coefficients * twin_signs().to(coefficients.device)
+        pair = torch.stack([coefficients, twin], dim=1)[:, :, None]
         offset = (pair - self.means[:, None]) / self.deviations[:, None]
         each = -0.5 * offset.square() - self.deviations.log()[:, None]
         density = each.sum(dim=3) + self.weights[:, None]
@@ -54,19 +55,29 @@ class Mixture(NamedTuple):
 
 
 class WallNetwork(nn.Module):
-    """Convolutional network from images to `Mixture`; about 1.1 million weights."""
+    """Network of convolutions and attention from images to `Mixture`; 2.5 million weights."""
 
     def __init__(self) -> None:
         super().__init__()
+        side = SIDE // (2 * _FOLD)
         self.layers = nn.Sequential(
             nn.PixelUnshuffle(_FOLD),
-            _convolution(4 * _FOLD**2, 64),
-            _convolution(64, 96, stride=2),
-            _convolution(96, 96),
-            _convolution(96, 128, stride=2),
-            _convolution(128, 128),
+            nn.Conv2d(4 * _FOLD**2, 64, 3, padding=1),
+            _Residual(64),
+            _Residual(64),
+            nn.Conv2d(64, 128, 3, stride=2, padding=1),
+            _Places(128, side),
+            _Residual(128),
+            _Residual(128),
+            _Residual(128),
+            nn.Conv2d(128, 192, 3, stride=2, padding=1),
+            _Attention(192, 6),
+            _Attention(192, 6),
+            nn.GroupNorm(8, 192),
+            nn.SiLU(),
+            nn.Conv2d(192, 64, 3, stride=2, padding=1),
             nn.Flatten(),
-            nn.Linear(128 * (SIDE // (4 * _FOLD)) ** 2, 256),
+            nn.Linear(64 * (side // 4) ** 2, 256),
             nn.SiLU(),
             nn.Linear(256, PARTS * (2 * len(MODES) + 1)),
         )
@@ -76,7 +87,7 @@ class WallNetwork(nn.Module):
 
         ``noise`` (B,) is the standard deviation of their noise, in the images' unit.
         """
-        found = self.layers(channels(images, noise)).unflatten(1, (PARTS, -1))
+        found = self.layers(channels(images, noise)).float().unflatten(1, (PARTS, -1))
         weights, means, spreads = found.split([1, len(MODES), len(MODES)], dim=2)
         deviations = _LEAST + (spreads - 2.0).clamp(max=_MOST_LOG).exp()
         return Mixture(weights[..., 0].log_softmax(dim=1), means, deviations)
@@ -90,7 +101,7 @@ def channels(images: Tensor, noise: Tensor) -> Tensor:
     """
     bright = images.amax(dim=(1, 2), keepdim=True).clamp(min=1e-12)
     scaled, level = images / bright, noise.view(-1, 1, 1) / bright
-    spectrum = torch.fft.fft2(scaled * _taper())
+    spectrum = torch.fft.fft2(scaled * _taper().to(images.device))
     size = spectrum.real.square() + spectrum.imag.square()
     power = size / (level * SIDE).square()
     logarithm = torch.log1p(power)
@@ -115,6 +126,54 @@ def _taper() -> Tensor:
     return torch.from_numpy(np.outer(window, window).astype(np.float32))
 
 
-def _convolution(given: int, made: int, stride: int = 1) -> nn.Sequential:
-    """Return a 3 x 3 convolution with normalisation."""
-    return nn.Sequential(nn.Conv2d(given, made, 3, stride, 1), nn.GroupNorm(8, made), nn.SiLU())
+class _Residual(nn.Module):
+    """Two 3 x 3 convolutions, whose result is added to what they are given."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.GroupNorm(8, width),
+            nn.SiLU(),
+            nn.Conv2d(width, width, 3, padding=1),
+            nn.GroupNorm(8, width),
+            nn.SiLU(),
+            nn.Conv2d(width, width, 3, padding=1),
+        )
+
+    def forward(self, given: Tensor) -> Tensor:
+        added: Tensor = self.layers(given)
+        return given + added
+
+
+class _Places(nn.Module):
+    """Trained values of each place, since frequencies and lags differ in what they tell."""
+
+    def __init__(self, width: int, side: int) -> None:
+        super().__init__()
+        self.values = nn.Parameter(torch.zeros(width, side, side))
+
+    def forward(self, given: Tensor) -> Tensor:
+        return given + self.values
+
+
+class _Attention(nn.Module):
+    """Attention among all places, then two layers on each place."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.before, self.between = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.three, self.mixed = nn.Linear(width, 3 * width), nn.Linear(width, width)
+        self.layer = nn.Sequential(
+            nn.Linear(width, 2 * width), nn.SiLU(), nn.Linear(2 * width, width)
+        )
+
+    def forward(self, given: Tensor) -> Tensor:
+        places = given.flatten(2).transpose(1, 2)
+        three = self.three(self.before(places)).unflatten(2, (3, self.heads, -1))
+        query, key, value = three.permute(2, 0, 3, 1, 4)
+        seen = nn.functional.scaled_dot_product_attention(query, key, value)
+        places = places + self.mixed(seen.transpose(1, 2).flatten(2))
+        places = places + self.layer(self.between(places))
+        found: Tensor = places.transpose(1, 2).unflatten(2, given.shape[2:])
+        return found

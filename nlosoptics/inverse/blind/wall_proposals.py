@@ -42,7 +42,7 @@ _MEETINGS = 5
 #: Standard deviations in this mean relative to the proposed ones, so that the looks meet.
 _WIDER = 2.0
 #: Standard deviations of the drawn walls relative to the proposed ones, in turn.
-_SPREADS = (1.0, 0.5)
+_SPREADS = (0.0, 0.5)
 Turn = Callable[[Tensor], Tensor]
 
 

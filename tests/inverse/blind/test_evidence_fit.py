@@ -291,22 +291,26 @@ def test_distances_of_walls_are_those_of_their_point_spreads(pupil):
 
 
 @pytest.mark.parametrize(
-    ("margin", "rival", "reason"),
+    ("margin", "rival", "expected", "reason"),
     [
-        (-80.0, 0.0, None),
-        (0.0, np.inf, None),
-        (0.0, 99.0, "another wall"),
-        (0.0, np.nan, "another wall"),
+        (-80.0, 0.0, np.nan, None),
+        (0.0, np.inf, 0.3, None),
+        (0.0, 99.0, 0.3, "another wall"),
+        (0.0, np.nan, 0.3, "another wall"),
+        (0.0, np.inf, 0.4, "a wave of 0.4 waves rms"),
+        (0.0, np.inf, np.nan, "a wave of unknown strength"),
     ],
 )
-def test_a_small_margin_needs_an_answer_without_a_rival(pupil, margin, rival, reason):
+def test_a_small_margin_needs_the_expected_wave_without_a_rival(
+    pupil, margin, rival, expected, reason
+):
     data, sigma = images(32, wall(0.2), defocus=np.zeros(1))
     frames = framed(data, pupil, sigma)
     energy = FreeEnergy(frames, pupil, grid=(48, 48))
     best = replace(energy.starts(wall(0.2)[None], 1.0), chi_square=np.ones((1, 1)))
     sharp = -0.2 * data.size
     faults = Verdict(frames, MODES, several=False).faults(
-        best, (margin, sharp), rival, held=np.nan, start_error=None
+        best, (margin, sharp), rival, expected=expected, held=np.nan, start_error=None
     )
     assert faults == () if reason is None else faults[0].startswith(reason)
 
