@@ -1,6 +1,7 @@
 """Free energies of two frames, verdicts, steps of fits, and the network's view, on record."""
 
 import itertools
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -73,8 +74,9 @@ def test_what_the_network_sees(on_record):
 
 
 STATUS = ("converged", "trivial", "unconverged")
-SAYS = ("", "wall and ", "a wave wi", "another w")
+SAYS = ("", "wall and ", "a wave wi", "another w", "a wave of")
 MARGINS = (0.0, -45.0, -55.0, -65.0, -75.0, -120.0)
+EXPECTED = (math.nan, 0.2, 1.16, 1.18)  # of which 0.6 are 0.12, 0.696 and 0.708
 
 
 def answer(squares, waves):
@@ -86,7 +88,7 @@ def answer(squares, waves):
 
 @pytest.mark.parametrize("several", [False, True])
 def test_verdicts(several, on_record):
-    """Around every limit: residuals, margins, rivals, the prior, and the length of the wall."""
+    """Around every limit: residuals, margins, rivals, the prior, and lengths of the wall."""
     told = {}
     for sigma in (3e-3, 0.02):
         frames = SimpleNamespace(
@@ -98,11 +100,16 @@ def test_verdicts(several, on_record):
             errors = [verdict.model_error(best), verdict.structured(best), verdict.well(best)]
             errors += [verdict.model_limit(best, whole) for whole in (False, True)]
             said = []
-            for margin, share, rival in itertools.product(MARGINS, (0.09, 0.3), (99.0, 101.0)):
+            cases = itertools.product(MARGINS, (0.09, 0.3), (99.0, 101.0))
+            for margin, share, rival in cases:
                 given = (margin, -share * 4000), rival
                 found = [
-                    verdict.faults(best, *given, held=held, start_error=error)
-                    for held, error in ((0.0, None), (0.0, 0.1), (150.0, 0.1), (90.0, 0.1))
+                    verdict.faults(best, *given, expected=length, held=0.0, start_error=None)
+                    for length in EXPECTED
+                ]
+                found += [
+                    verdict.faults(best, *given, expected=math.nan, held=held, start_error=0.1)
+                    for held in (0.0, 150.0, 90.0)
                 ]
                 said += [SAYS.index(" ".join(one)[:9]) for one in found]
                 said += [STATUS.index(verdict.status(best, margin, one)) for one in found]
