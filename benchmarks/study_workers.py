@@ -1,11 +1,12 @@
 """Two workers against one and against a plain loop; what a study adds to points of little work.
 
-python benchmarks/study_workers.py [--points N] [--loop N] [--light N] [--json FILE]
+python benchmarks/study_workers.py [--points N] [--loop N] [--light N] [--repeats N] [--json FILE]
 
 Row "heavy": Wu's scene with random focus distances, Strehl ratio and modulation at 60 cycles/m from
 a point spread of each. `one` and `two` are seconds on the wall of a study with one and two workers,
-`loop` those of `simulate` called for the first `--loop` points, scaled to all points. All three
-start without the point spreads of the others.
+medians of `--repeats` runs in turn, `ratios` those of each pair of runs. `loop` are the seconds of
+`simulate` called for the first `--loop` points, scaled to all points. All start without the point
+spreads of the others.
 
 Row "light": laser powers and exposures, whose Strehl ratio comes from one point spread.
 
@@ -21,6 +22,7 @@ import argparse
 import json
 import math
 import resource
+import statistics
 import tempfile
 import time
 from pathlib import Path
@@ -61,16 +63,20 @@ def with_one_worker(kind, study, store):
     return row | {"share": client / (client + worker), "block": block, "grown": grown}, results
 
 
-def heavy(points, looped):
+def heavy(points, looped, repeats):
     """Row of points with a point spread each; also with two workers, and in a plain loop."""
     draws = {"count": points, "method": "random", "of": FOCUS}
     study = Study.from_tables({"scene": SCENE, "figures": FIGURES, "draws": draws})
     with tempfile.TemporaryDirectory() as folder:
-        row, results = with_one_worker("heavy", study, f"{folder}/one.zarr")
-        begun = time.perf_counter()
-        again = run_study(study, f"{folder}/two.zarr", workers=2)
-        row["two"] = time.perf_counter() - begun
-        assert again.counts["done"] == points
+        pairs = []
+        for number in range(repeats):
+            row, results = with_one_worker("heavy", study, f"{folder}/one{number}.zarr")
+            begun = time.perf_counter()
+            again = run_study(study, f"{folder}/two{number}.zarr", workers=2)
+            pairs.append((row["one"], time.perf_counter() - begun))
+            assert again.counts["done"] == points
+        row["one"], row["two"] = map(statistics.median, zip(*pairs, strict=True))
+        row["ratios"] = [round(one / two, 3) for one, two in pairs]
         scenes = [results.scene(i) for i in range(looped)]
     nlos.simulate(scenes[0])  # imports
     begun = time.perf_counter()
@@ -103,10 +109,11 @@ def main():
     parser.add_argument("--points", type=int, default=1000)
     parser.add_argument("--loop", type=int, default=30, help="points of the plain loop")
     parser.add_argument("--light", type=int, default=100_000)
+    parser.add_argument("--repeats", type=int, default=3, help="pairs of runs of the row heavy")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     rows = []
-    for row in (light(options.light), heavy(options.points, options.loop)):
+    for row in (light(options.light), heavy(options.points, options.loop, options.repeats)):
         rows.append(row)
         print({k: f"{v:.3g}" if isinstance(v, float) else v for k, v in row.items()}, flush=True)
     if options.json:

@@ -25,8 +25,8 @@ import numpy as np
 SUCCESS = 0.9
 
 
-def solved(key: dict[str, Any]) -> dict[str, Any]:
-    """One case, solved."""
+def solved(key: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+    """One case, solved; its object is a picture of a folder, if there is one."""
     from cases import MODES, WAVELENGTH, case
 
     from nlosoptics import inverse
@@ -34,7 +34,7 @@ def solved(key: dict[str, Any]) -> dict[str, Any]:
     extra = 1.0 if key["rms"] >= 1.0 else 0.5
     defocus = (0.0, extra * WAVELENGTH)[: key["frames"]]
     data = case(
-        key["object"],
+        str(folder / f"{key['object']}.png") if folder else key["object"],
         key["wall"],
         rms_waves=key["rms"],
         size=key["size"],
@@ -131,6 +131,7 @@ def main() -> None:
     parser.add_argument("--rms", type=float, nargs="+", default=[0.25, 0.5, 1.0], help="waves")
     parser.add_argument("--walls", type=int, nargs=2, default=(101, 112), help="first and last")
     parser.add_argument("--objects", nargs="+", default=["F", "arrow", "hanzi_zhong"])
+    parser.add_argument("--folder", type=Path, help="of the objects' PNG files, see cases.py")
     parser.add_argument("--noise", type=float, default=0.01, help="over the image's maximum")
     parser.add_argument("--size", type=int, default=64)
     parser.add_argument("--kind", choices=("smooth", "diffuser"), default="smooth")
@@ -145,7 +146,7 @@ def main() -> None:
     left = [key for key in wanted if json.dumps(key) not in held]
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     with ProcessPoolExecutor(options.jobs) as pool:
-        for task in as_completed([pool.submit(solved, key) for key in left]):
+        for task in as_completed([pool.submit(solved, key, options.folder) for key in left]):
             rows.append(task.result())
             print(report(rows[-1]), flush=True)
             if options.json is not None:

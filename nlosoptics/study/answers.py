@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy  # its parts are loaded lazily, on first use
-import xarray as xr
 from numpy.typing import NDArray
 
 from .._checks import in_range, real
 from ..errors import SceneError
 from .design.figures import Figure
 from .results import FAST, Results
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 RESAMPLES = 999  # of a bootstrap
 LIMITS = 200  # of a yield curve
@@ -464,6 +466,8 @@ def sobol_indices(results: Results, figure: str, *, confidence: float = 0.95) ->
     for i, name in enumerate(("first", "total")):
         for part, found in (("", best), ("_low", interval.low), ("_high", interval.high)):
             data[f"{name}{part}"] = ("address", np.asarray(found)[i])
+    import xarray as xr  # here, so that a script's workers load without
+
     return xr.Dataset(data, {"address": list(addresses)})
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from .._checks import counted, path_of
@@ -27,6 +26,8 @@ from .fast import expanded_meaning, fast_key
 from .store import STATUSES, Store, reading
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from ..psf import ScenePointSpread
     from ..scene import Scene
 
@@ -319,6 +320,8 @@ def _dataset(study: Study, store: Store) -> xr.Dataset:
     for dimension in study.dimensions:
         coordinates |= _coordinates(dimension)
     told = {"search": store.ended or RUNNING} if study.variables else {}
+    import xarray as xr  # here, so that a script's workers load without
+
     return xr.Dataset(arrays, coordinates, told)
 
 

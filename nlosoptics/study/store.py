@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import zarr
 from numpy.typing import NDArray
 
 from .._checks import reason
@@ -23,6 +22,8 @@ from ..errors import NlosError, SceneError
 from .worker import Answers, Block
 
 if TYPE_CHECKING:
+    import zarr
+
     from .design.figures import Figure
 
 FORMAT = 1
@@ -63,6 +64,8 @@ class Store:
         files : mapping of str to bytes
             Files of the base scene.
         """
+        import zarr  # here, so that a script's workers, which import what it does, load without
+
         with writing(path):
             group = zarr.open_group(path, mode="w", zarr_format=3)
             store = cls(path, group)
@@ -82,6 +85,8 @@ class Store:
         """Open a store; None if there is none, or one whose creation was interrupted."""
         if not path.exists():
             return None
+        import zarr
+
         try:
             group = zarr.open_group(path, mode="r+" if write else "r", zarr_format=3)
         except (OSError, ValueError, KeyError) as error:

@@ -212,6 +212,18 @@ SECTIONS = (
         rows=by_strength,
     ),
     Section(
+        "evidence_outside.jsonl",
+        "Wall unknown, one frame, objects of other kinds",
+        "As above for photographs, a coast, printed and written text and medical images, of which "
+        "the network of wall proposals has seen none in training; two walls for each.",
+        "python benchmarks/inverse/outside_objects.py FOLDER; "
+        "python benchmarks/inverse/evidence.py --frames 1 --rms 0.5 --walls 305 306 "
+        "--folder FOLDER --objects cat coast coins head horse phantom portrait print retina "
+        "writing --json {file}",
+        table={"object": "{object}"} | FITS,
+        rows=by("object"),
+    ),
+    Section(
         "known_start.jsonl",
         "Wall roughly known, or several walls",
         "`evidence_fit` with additional knowledge. The groups are: near10 and near25, one image, "
