@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
-import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
@@ -34,8 +32,6 @@ METADATA: dict[str, dict[str, Any]] = {
     ".svg": {"Date": None},
 }
 COMPRESSION = 3  # of PNG files: half of the time of the usual level 6, and files as small
-ABOVE = 2  # PNG's number of the filter that subtracts the row above
-COLOURS = {3: 2, 4: 6}  # PNG's kinds of pixels by their bytes: red, green, blue; also opacity
 MARGIN = 8.0  # pixels around the labels of axes that are cut out
 
 
@@ -187,31 +183,17 @@ def _drawn_once(figure: Any) -> bool:
 
 
 def _png(figure: Any, part: Any = ...) -> bytes:
-    """Return pixels that the canvas of a figure has drawn as a PNG file, by default all.
+    """Return pixels that the canvas of a figure has drawn as a PNG file, by default all."""
+    from PIL import Image
 
-    Each row is stored as its difference from the row above. For figures this is as small as the
-    best of five such filters for each row, and Pillow takes longer to try them than to compress.
-    """
     pixels = np.asarray(figure.canvas.buffer_rgba())[part]
-    high, wide, _ = pixels.shape
-    depth = 3 if (pixels[..., 3] == 255).all() else 4
-    change = pixels.copy()
-    change[1:] -= pixels[:-1]
-    rows = np.empty((high, 1 + wide * depth), dtype=np.uint8)
-    rows[:, 0] = ABOVE
-    for colour in range(depth):
-        rows[:, 1 + colour :: depth] = change[..., colour]
-    per_metre = round(figure.dpi / 0.0254)
-    chunks = {
-        b"IHDR": struct.pack(">IIBBBBB", wide, high, 8, COLOURS[depth], 0, 0, 0),
-        b"pHYs": struct.pack(">IIB", per_metre, per_metre, 1),
-        b"IDAT": zlib.compress(rows.data, COMPRESSION),
-        b"IEND": b"",
-    }
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
-        for name, data in chunks.items()
+    if (pixels[..., 3] == 255).all():
+        pixels = pixels[..., :3]
+    content = BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(
+        content, format="png", dpi=(figure.dpi, figure.dpi), compress_level=COMPRESSION
     )
+    return content.getvalue()
 
 
 class GrowingFigure:
