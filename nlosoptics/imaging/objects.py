@@ -78,21 +78,20 @@ def object_patches(
         repeat = max(1, math.ceil(samples / texels))
         picture = np.repeat(picture, repeat, axis=len(edges))
         edges.append(np.linspace(0, texels * repeat, count + 1).astype(np.intp))
-    rows, columns = (np.arange(n, dtype=np.float64) + 0.5 for n in picture.shape)
-
-    def places(column: Array, row: Array) -> Array:
-        across = (column / picture.shape[1] - 0.5) * hidden.size[0]
-        upward = (0.5 - row / picture.shape[0]) * hidden.size[1]
-        return np.asarray(hidden.position + across[:, None] * right + upward[:, None] * up)
-
+    rows, columns = (
+        (np.arange(n) + 0.5) * (texels / n)
+        for n, texels in zip(picture.shape, hidden.reflectance.shape, strict=True)
+    )
     if irradiance is not None:
-        lines = [irradiance(places(columns, np.full_like(columns, row))) for row in rows]
+        lines = [
+            irradiance(picture_points(hidden, columns, np.full_like(columns, row))) for row in rows
+        ]
         picture = picture * np.array(lines)
     light = _block_sums(picture, edges)
     lit = light > 0.0
     row = _block_sums(picture * rows[:, None], edges)[lit] / light[lit]
     column = _block_sums(picture * columns, edges)[lit] / light[lit]
-    points = places(column, row)
+    points = picture_points(hidden, column, row)
     areas = light[lit] * (hidden.size[0] * hidden.size[1] / picture.size)
     if irradiance is not None:
         there = irradiance(points)

@@ -63,8 +63,22 @@ VERDICTS = {
     "of the fit": "{seconds:median time}",
 }
 
+
+def verdicts(file: str, title: str, text: str, options: str = "") -> Section:
+    """Section of verdicts that were compared with fits."""
+    return Section(
+        file,
+        title,
+        text,
+        f"python benchmarks/inverse/feasibility.py --json {{file}}{options}",
+        table=VERDICTS,
+        rows=by("predicted", order=lambda g: not g["predicted"]),
+        note=of_verdicts,
+    )
+
+
 SECTIONS = (
-    Section(
+    verdicts(
         "feasibility.jsonl",
         "Verdicts before the fit",
         "Does `limits.feasibility` predict correctly whether an object can be reconstructed? "
@@ -73,22 +87,14 @@ SECTIONS = (
         "the differences between the predicted correlation and that of the fit. No forecast can be "
         "much nearer to two fits than they are to each other: with other noise, the verdict of the "
         "fit itself changes in 2 of the 200 scenes.",
-        "python benchmarks/inverse/feasibility.py --json {file}",
-        table=VERDICTS,
-        rows=by("predicted", order=lambda g: not g["predicted"]),
-        note=of_verdicts,
     ),
-    Section(
+    verdicts(
         "feasibility_occluders.jsonl",
         "Verdicts before the fit, with occluders",
-        "The same for some of these scenes, each with a disc, a rectangle or a ball of 4 to 30 cm "
-        "between the wall and the object. It casts shadows on the object and on the wall, and into "
-        "the image. No object was recoverable from the diffuse light alone.",
-        "python benchmarks/inverse/feasibility.py --json {file} --occluders --scenes 71; python "
-        "benchmarks/inverse/feasibility.py --json {file} --occluders --first 100 --scenes 31",
-        table=VERDICTS,
-        rows=by("predicted", order=lambda g: not g["predicted"]),
-        note=of_verdicts,
+        "The same for these scenes, each with a disc, a rectangle or a ball of 4 to 30 cm between "
+        "the wall and the object. It casts shadows on the object and on the wall, and into the "
+        "image.",
+        " --occluders",
     ),
     Section(
         "relay_modes.jsonl",

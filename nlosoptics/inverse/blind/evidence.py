@@ -183,9 +183,9 @@ def evidence_fit(
     with the Noll modes 4 to 21. The free energy accepts or rejects them like all other starts. The
     network is used if the pixels are at most as wide as the Nyquist pitch, which is lambda N/2 with
     the wavelength lambda and the F-number N; if the image is 24 to 96 Nyquist pitches wide and
-    high; and if the pupil has no known wave or transmission. Every other
-    round, the first included, then starts from its proposals, the others from random walls of 0.9
-    to 1.5 times the rms aberration that the network expects.
+    high; and if the pupil has no known wave or transmission. Every other round, the first included,
+    then starts from its proposals, the others from random walls of 0.9 to 1.5 times the rms
+    aberration that the network expects.
 
     **Residual.** For the status "converged" the result must explain the images: ``model_error``
     must be at most ``sqrt(a^2 + 3 s^2 sqrt(2/n))``. For several images a is ``0.004 + 0.003 w``,
