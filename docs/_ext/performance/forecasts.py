@@ -59,8 +59,6 @@ VERDICTS = {
     "predicted": lambda g: "recoverable" if g["predicted"] else "not recoverable",
     "correlation of the fit above 0.9": lambda g: sum(c > 0.9 for c in g["correlation"]),
     "below 0.9": lambda g: sum(c <= 0.9 for c in g["correlation"]),
-    "median time of the verdict": "{feasibility_seconds:median time}",
-    "of the fit": "{seconds:median time}",
 }
 
 
