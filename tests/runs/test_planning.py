@@ -231,6 +231,29 @@ for a in (r.wavefront.aberration, r.point_spread.intensity, r.image.electrons, r
 """
 
 
+PLAN = """
+import sys
+from nlosoptics.cli import main
+
+try:
+    main(["plan", sys.argv[1]])
+finally:
+    print(sorted({"numba", "scipy", "torch"} & set(sys.modules)))
+"""
+
+
+@pytest.mark.parametrize("name", ["letter_flat", "letter_posed", "letter_tilted"])
+def test_a_plan_of_a_flat_wall_in_focus_loads_no_compiler(name):
+    """Importing numba takes longer than all that such a plan computes."""
+    run = subprocess.run(
+        [sys.executable, "-c", PLAN, f"examples/scenes/{name}.toml"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stdout.splitlines()[-1] == "[]"
+
+
 def test_same_bits_for_any_number_of_threads():
     def digests(threads):
         names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

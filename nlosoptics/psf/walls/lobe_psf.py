@@ -9,7 +9,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-import scipy  # loads scipy.special on first use
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import in_range, positive
@@ -56,9 +55,11 @@ def lobe_roughness(lobe: MirrorLobe, rayleigh_parameter: float, height_rms: floa
         return Roughness(height_rms, length)
 
     def correlation(lags: Array) -> Array:
+        from scipy.special import k1e
+
         # alpha = sqrt(2) slope_rms, and s/height_rms is the wave number times both cosines
         x = np.maximum(2 * rayleigh_parameter * np.asarray(lags) / length, 1e-12)
-        fall = np.log(x * scipy.special.k1e(x)) - x
+        fall = np.log(x * k1e(x)) - x
         return np.where(np.asarray(lags) == 0, 1.0, np.maximum(1 + fall / rayleigh_parameter**2, 0))
 
     return Roughness(height_rms, length, correlation)
@@ -81,8 +82,10 @@ def lobe_transfer(distribution: str, phase_rms: Array) -> Array:
     """
     if distribution == "beckmann":
         return np.asarray(np.exp(-(phase_rms**2) / 2))
+    from scipy.special import k1
+
     x = np.maximum(math.sqrt(2) * np.abs(phase_rms), 1e-12)  # alpha = sqrt(2) slope_rms
-    return np.asarray(x * scipy.special.k1(x))
+    return np.asarray(x * k1(x))
 
 
 def halo_radius(lobe: MirrorLobe, view: WallView, wave: Wavefront, tol: float) -> float:

@@ -1,4 +1,4 @@
-"""Compiled loops over sampled waves: phasors, polar fits, slopes and moments.
+"""Compiled loops over sampled waves: phasors, polynomials, slopes and moments.
 
 Kernels that a plan needs allocate no arrays: to load them, numba would import its own arrays.
 """
@@ -133,46 +133,6 @@ def extended_polynomial(powers, u, v, inner, out):
 
 
 @njit(cache=True)
-def polar_fit(values, waves, turned, along, modes, work, heights):
-    """Add the fit coefficients of ``values`` (rings, spokes) to ``heights`` (terms, orders), zeros.
-
-    ``waves`` (orders, spokes) are the modes' angular parts, and ``turned`` their transpose;
-    ``modes`` (orders, terms, rings) are the radial parts, and ``along`` (rings, terms, orders) the
-    radial projection onto them. ``work`` holds orders + spokes values. Returns the largest absolute
-    misfit and the largest absolute value.
-    """
-    rings, spokes = values.shape
-    terms, orders = heights.shape
-    # The order is the last axis, so that the inner loops are vectorised.
-    share, line = work[:orders], work[orders:]
-    most = 0.0
-    for i in range(rings):
-        for m in range(orders):
-            share[m] = 0.0
-        for j in range(spokes):
-            value = values[i, j]
-            most = max(most, abs(value))
-            for m in range(orders):
-                share[m] += turned[j, m] * value
-        for k in range(terms):
-            for m in range(orders):
-                heights[k, m] += along[i, k, m] * share[m]
-    misfit = 0.0
-    for i in range(rings):
-        for j in range(spokes):
-            line[j] = values[i, j]
-        for m in range(orders):
-            part = 0.0
-            for k in range(terms):
-                part += heights[k, m] * modes[m, k, i]
-            for j in range(spokes):
-                line[j] -= part * waves[m, j]
-        for j in range(spokes):
-            misfit = max(misfit, abs(line[j]))
-    return misfit, most
-
-
-@njit(cache=True)
 def polynomial(powers, rho, cosine, sine, out):
     """Fill ``out`` (radii, angles) with the polynomial ``sum powers[i, j] u^i v^j``."""
     n = powers.shape[0]
@@ -234,17 +194,6 @@ def moments(path, share):
 
 
 @njit(cache=True)
-def landing(du, dv, distance, x, y):
-    """Fill ``x``, ``y`` with slopes times the distance; return the largest slope and coordinate."""
-    steepest = farthest = 0.0
-    for i in range(du.shape[0]):
-        steepest = max(steepest, du[i] * du[i] + dv[i] * dv[i])
-        x[i], y[i] = du[i] * distance, dv[i] * distance
-        farthest = max(farthest, abs(x[i]), abs(y[i]))
-    return math.sqrt(steepest), farthest
-
-
-@njit(cache=True)
 def jacobian_extremes(x, y, r, apart):
     """Return the extremes of the signed ratio of image area to pupil area on a polar grid.
 
@@ -298,19 +247,6 @@ def patch_gradient(by_s, by_t, u_of_s, u_of_t, v_of_s, v_of_t, du, dv):
     for i in range(du.shape[0]):
         du[i] = by_s[i] * u_of_s[i] + by_t[i] * u_of_t[i]
         dv[i] = by_s[i] * v_of_s[i] + by_t[i] * v_of_t[i]
-
-
-@njit(cache=True)
-def turned_gradient(d_r, d_theta, cosine, sine, du, dv):
-    """Fill ``du`` and ``dv`` (rings, spokes), the Cartesian gradient, from polar components.
-
-    ``d_r`` and ``d_theta`` (rings, spokes) are the radial and azimuthal slopes, and ``cosine`` and
-    ``sine`` (spokes,) those of the azimuths.
-    """
-    for i in range(d_r.shape[0]):
-        for j in range(d_r.shape[1]):
-            du[i, j] = cosine[j] * d_r[i, j] - sine[j] * d_theta[i, j]
-            dv[i, j] = sine[j] * d_r[i, j] + cosine[j] * d_theta[i, j]
 
 
 @njit(cache=True)

@@ -5,6 +5,7 @@ The tilt is an exact shift of the image, so only the residual aberration must be
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -162,19 +163,23 @@ class Residual:
     @cached_property
     def heights(self) -> Heights:
         """Extremes, mean and rms of the residual aberration over the lit pupil."""
+        if self.is_plane:  # a plan of a flat wall in focus imports no numba
+            return Heights(0.0, 0.0, 0.0, 0.0)
         from . import _wave_kernels
 
-        if self.is_flat:
-            return Heights(0.0, 0.0, 0.0, 0.0)
         wave = self.wavefront
         share = (wave.amplitude * wave.weights).ravel()
         return Heights(*_wave_kernels.moments(read_only(self.aberration.ravel()), share))
 
+    @property
+    def is_plane(self) -> bool:
+        """Whether the residual is exactly 0."""
+        return not self.aberration.any()
+
     @cached_property
     def is_flat(self) -> bool:
         """Whether a polar wavefront has uniform amplitude and a residual of exactly 0."""
-        even = self.wavefront.layout == "polar" and self.is_uniform
-        return even and not self.aberration.any()
+        return self.wavefront.layout == "polar" and self.is_uniform and self.is_plane
 
     @cached_property
     def series(self) -> PolarSpectrum | CellSpectrum:
@@ -286,7 +291,7 @@ class Residual:
         if self.is_flat:  # all rays land in one point
             return Rays(np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)), 0.0, 0.0)
         counts = tuple(max(pair) for pair in zip(counts, wave.u.shape, strict=True))
-        if self.low is None:
+        if self.is_plane or self.low is None:
             du, dv, energy = self.series.slopes(*counts)
         else:
             ring = ring_of(counts[0], counts[1], wave.obscuration)
@@ -300,12 +305,10 @@ class Residual:
 
     def _landing(self, du: Array, dv: Array, energy: Array) -> Rays:
         """Return the rays of given slopes, with their energies normalised to sum 1."""
-        from . import _wave_kernels
-
-        x, y = np.empty(du.shape), np.empty(dv.shape)
-        d = self.wavefront.image_distance
-        steepest, reach = _wave_kernels.landing(du.ravel(), dv.ravel(), d, x.ravel(), y.ravel())
-        return Rays(x, y, energy / energy.sum(), steepest, reach)
+        slope = math.sqrt(np.max(du * du + dv * dv))
+        x, y = du * self.wavefront.image_distance, dv * self.wavefront.image_distance
+        reach = float(max(np.abs(x).max(), np.abs(y).max()))
+        return Rays(x, y, energy / energy.sum(), slope, reach)
 
     @cached_property
     def _grid_cells(self) -> tuple[NDArray[np.int64], float]:

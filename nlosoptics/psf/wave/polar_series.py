@@ -110,8 +110,6 @@ class PolarSpectrum:
             Fraction of the pupil's area that each point represents, (n_r + 1, n_theta), of sum 1;
             0 on the rim.
         """
-        from . import _wave_kernels
-
         # Drop coefficients at rounding level: slopes of high-degree polynomials amplify them.
         n_k, n_m = (n + 1 for n in self.degrees(1e-14 * float(self._sizes.max())))
         ring = ring_of(n_r, n_theta, self.obscuration)
@@ -123,8 +121,8 @@ class PolarSpectrum:
         value[:, ::2] /= ring.rho
         value *= 1j * np.arange(n_m)
         d_r, d_theta = self._synthesis(np.stack([per_r, value]) / self.radius, n_theta)
-        du, dv = np.empty_like(d_r), np.empty_like(d_r)
-        _wave_kernels.turned_gradient(d_r, d_theta, ring.cosine, ring.sine, du, dv)
+        du = ring.cosine * d_r - ring.sine * d_theta
+        dv = ring.sine * d_r + ring.cosine * d_theta
         return du, dv, ring.share
 
     def at(self, u: Array, v: Array, epsilon: float) -> Array:

@@ -1,7 +1,7 @@
 """Polynomials in u and v fitted to the samples of a polar wave.
 
 `fitted` takes any degree; its cost is nodes times terms. `low_polynomial` fits degrees up to `LOW`
-in one pass over the nodes, order by order in angle, and is much cheaper than a series.
+order by order in angle, and is much cheaper than a series.
 """
 
 from __future__ import annotations
@@ -92,19 +92,17 @@ def low_polynomial(values: Array, radius: float, obscuration: float) -> LowPolyn
     ``values`` (n_r, n_theta) are in m, ``radius`` is the pupil's, m. Returns None if no polynomial
     up to degree `LOW` fits, or if there are too few nodes to tell.
     """
-    from . import _wave_kernels
-
     if values.shape[0] < LOW or values.shape[1] < 2 * LOW + 2:
         return None
     orders = _orders(*values.shape, obscuration)
-    found, work = np.zeros(orders.along.shape[1:]), np.empty(sum(orders.waves.shape))
-    misfit, largest = _wave_kernels.polar_fit(
-        read_only(values), orders.waves, orders.turned, orders.along, orders.modes, work, found
-    )
-    heights = np.ascontiguousarray(found.T)
+    # einsum does not call BLAS, so results are bit-identical for any thread count.
+    share = np.einsum("ij,jm->im", values, orders.turned)
+    heights = np.einsum("ikm,im->mk", orders.along, share)
+    parts = np.einsum("mk,mki->mi", heights, orders.modes)
+    left = values - np.einsum("mi,mj->ij", parts, orders.waves)
+    misfit, largest = float(np.abs(left).max()), float(np.abs(values).max())
     if misfit > 1e-14 * largest:
         return None
-    # einsum does not call BLAS, so results are bit-identical for any thread count.
     powers = np.einsum("mk,mkij->ij", heights, orders.powers)
     lit = np.abs(heights) > 1e-15 * largest
     degree = int(np.max(orders.degrees, where=lit, initial=1))

@@ -92,7 +92,7 @@ def regime(residual: Residual, pitch: float, *, rayleigh_parameter: float = 0.0)
     wave = residual.wavefront
     rays = residual.rays
     low, high, _, rms = residual.heights
-    if wave.layout == "polar" and not residual.is_flat:
+    if wave.layout == "polar" and not residual.is_plane:
         low, high = _with_rims(residual, low, high)
     per_sample = None
     if not wave.is_spectral:

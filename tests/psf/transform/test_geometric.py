@@ -94,8 +94,10 @@ def test_rays_of_spherical_aberration_pile_up_without_bound(layout):
     assert psf.encircled_energy(spread, radii) == approx((radii / widest) ** (2 / 3), abs=0.015)
 
 
-def test_rays_of_a_flat_wave_land_in_one_pixel():
-    spread = rays(zernike_wave(), 20 * UNIT, 9)
+@pytest.mark.parametrize("uneven", [0.0, 0.5])
+def test_rays_of_a_flat_wave_land_in_one_pixel(uneven):
+    wave = zernike_wave()
+    spread = rays(replace(wave, amplitude=1 + uneven * wave.u / RADIUS), 20 * UNIT, 9)
     expected = np.zeros((9, 9))
     expected[4, 4] = 1.0
     assert spread.intensity == approx(expected, abs=1e-12)  # sums of parts round
