@@ -65,7 +65,7 @@ def scene(flat_scene):
     picture[0] = 0.0
     hidden = PlanarObject(picture, (0.3, 0.2), position=(0.35, 0.03, 0.9), yaw=0.3, pitch=0.1)
     camera = replace(
-        flat_scene.camera, pixels=(13, 10), binning=1, pixel_pitch=2e-4, focus_distance=1.7
+        flat_scene.camera, pixels=(26, 20), binning=2, pixel_pitch=1e-4, focus_distance=1.7
     )
     return replace(flat_scene, hidden=hidden, camera=camera)
 
@@ -191,6 +191,32 @@ def test_light_of_the_object(wall, scene, on_record):
     on_record(found, 1e-8)
 
 
+def test_spots_in_and_out_of_focus(scene, monkeypatch, on_record):
+    """Exactly in focus, where the blur is 0, and with few cells computed at a time."""
+    monkeypatch.setattr(stray, "CELLS", 300)
+    spot = radiometry.laser_spot(replace(scene, laser=replace(scene.laser, aim=(0.0, 0.0, 0.0))))
+    found = []
+    for focus, place in ((1.0, 0.0), (1.5, 0.003), (0.8, -0.014), (0.8, 9.0)):
+        camera = replace(
+            scene.camera,
+            position=(place, 0.0, 1.0),
+            aim=(place, 0.0, 0.0),
+            focal_length=0.5,
+            focus_distance=focus,
+            stop_diameter=0.05,
+            pixel_pitch=1.5e-3,
+        )
+        found.append(stray.spot_image(replace(scene, camera=camera), spot))
+    light = drawn(False, 10, 900, 4, 5)
+    noise = [
+        images.reading_noise(
+            replace(scene, camera=replace(scene.camera, dark_current=7.0, **other)), light
+        )
+        for other in ({}, {"binning": 1, "exposure": 0.3})
+    ]
+    on_record([found, noise], 1e-8)
+
+
 def test_interpolation_and_bands(on_record):
     """Chebyshev nodes, equal values, and radiance of more rows than are computed at a time."""
     draw, found = np.random.default_rng(5), []
@@ -224,7 +250,9 @@ def test_interpolation_and_bands(on_record):
 def test_paths_past_occluders(mesh, scene, on_record):
     box = trimesh.creation.box((0.1, 0.08, 0.02)).apply_translation((0.12, 0.02, 0.3))
     lower = trimesh.creation.box((0.02, 0.09, 0.01)).apply_translation((-0.05, 0.01, 0.15))
-    one = replace(scene, occluders=(Occluder(box), Occluder(lower)), wall=FlatWall(size=(0.3, 0.2)))
+    camera = replace(scene.camera, pixel_pitch=4e-4)  # sees beyond the picture's edges
+    one = replace(scene, camera=camera, wall=FlatWall(size=(0.4, 0.3)), wall_material=GLOSS)
+    one = replace(one, occluders=(Occluder(box), Occluder(lower)))
     if mesh:
         one = replace(one, hidden=MeshObject(mesh=BALL, position=(0.3, 0.0, 0.9)))
     spot, centres = radiometry.laser_spot(one), geometry.pixel_centres(one.camera)
@@ -324,7 +352,10 @@ def test_points_and_spreads_that_are_refused(scene, on_record):
         {
             "points": [attempt(coherence._points, "points", one) for one in points],
             "reference": attempt(imaging.spot_coherence, scene, [0.3, 0.0, 1.0], np.ones((2, 3))),
-            "nodes": coherence._spot_nodes(scene, incident, 3, 5),
+            "nodes": [
+                coherence._spot_nodes(scene, np.array(way), 3, 5)
+                for way in ((0.6, 0.0, 0.8), (-0.48, 0.36, 0.8), (0.36, -0.48, 0.8))
+            ],
             "missed": attempt(
                 coherence._spot_nodes, replace(wide, wall=FlatWall(size=0.04)), incident, 3, 5
             ),
@@ -358,10 +389,21 @@ def test_spots_at_their_limits(limit, side, scene, on_record):
     on_record(attempt(radiometry.laser_spot, one))
 
 
-def test_counts_of_files(on_record):
+def test_counts_of_files(tmp_path, monkeypatch, on_record):
     """Dark frames, flat fields, groups of pixels and shares that are masked, by their functions."""
     draw = np.random.default_rng(9)
     values = draw.uniform(10, 90, (6, 9))
+    monkeypatch.chdir(tmp_path)
+    frames = {"dark": 0.1 * values[::-1], "flat": 50.0 + values[:, ::-1], "other": values[1:]}
+    frames |= {"bright": 2.0 * values, "dim": 0.02 * values}
+    for name, frame in frames.items():
+        np.save(f"{name}.npy", frame)
+    pairs = [(None, None), ("dark", "flat"), ("other", None), (None, "other"), ("dark", "other")]
+    pairs += [("bright", None), ("dark", "dim"), (None, "dim"), ("dark", "dark")]
+    corrected = [
+        attempt(camera_files._corrected, values, "file", *(n and f"{n}.npy" for n in pair))
+        for pair in pairs
+    ]
     saturated, dead = draw.random((2, 6, 9)) < 0.1
     groups = [
         attempt(camera_files._grouped, "file", values, saturated, dead, shape)
@@ -376,7 +418,7 @@ def test_counts_of_files(on_record):
         checked.append(attempt(camera_files._checked, "file", even, none, none))
     image = camera_files._checked("file", values, saturated, dead)
     shapes = [attempt(camera_files._whole_shape, one) for one in ((2, 3), (2,), (0, 1), (1, 0))]
-    on_record([groups, checked, shapes, image.noise(0.3), camera_files.DEAD], 1e-8)
+    on_record([corrected, groups, checked, shapes, image.noise(0.3), camera_files.DEAD], 1e-8)
 
 
 def test_hits_that_a_wall_continues(scene):
