@@ -19,6 +19,7 @@ WALLS = {
     "wave": WAVE,
     "waves": SumWall(WavyWall(0.03, 0.15, direction=0.4), WavyWall(0.005, 0.2, direction=2.0)),
     "bowl": ConcaveWall(0.8, size=(1.2, 0.9)),
+    "dish": ConcaveWall(1.7, size=(1.1, 0.9)),
     "ball": ConvexWall(0.8, size=(1.0, 1.1)),
     "trough": ConcaveWall(0.6, shape="cylinder", axis="x", size=(1.3, 1.0)),
     "pillar": ConvexWall(0.6, shape="cylinder", axis="y", size=(1.1, 1.5)),
