@@ -348,8 +348,10 @@ def test_points_and_spreads_that_are_refused(scene, on_record):
     ]
     incident = np.array([0.6, 0.0, 0.8])
     wide = replace(scene, laser=replace(scene.laser, beam_diameter=0.05))
+    gloss = Occluder(BALL, position=(0.0, 0.0, 0.5), material=GLOSS)
     on_record(
         {
+            "gloss": attempt(radiometry.laser_spot, replace(scene, occluders=(gloss,))),
             "points": [attempt(coherence._points, "points", one) for one in points],
             "reference": attempt(imaging.spot_coherence, scene, [0.3, 0.0, 1.0], np.ones((2, 3))),
             "nodes": [
