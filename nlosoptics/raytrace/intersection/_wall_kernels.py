@@ -302,12 +302,10 @@ def _unit(d):
 def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
     """Return distance (m), status and the wall's slopes dh/dx, dh/dy at the first hit of one ray.
 
-    If the wall is a single sphere or cylinder, ``grid_bounds`` may be None, and ``tables`` without
-    grids and reliefs. Then numba does not compile the march, or the search of facets, which takes
-    seconds.
+    ``grid_bounds`` is None for a single sphere or cylinder, and ``tables`` without grids and
+    reliefs. Then numba does not compile the march, or the search of facets, which takes seconds.
     """
-    conic = terms.shape[0] == 1 and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER)
-    if grid_bounds is None or conic:
+    if grid_bounds is None:
         t, condition = conic_hit(terms[0], box, o, d)
     else:
         low, high, bound, scale, missed = search(terms, grid_bounds, box, slab, rim, o, d)

@@ -133,3 +133,11 @@ def test_chains_at_the_wall_and_at_other_surfaces_are_told_apart(bits):
     """One bit for the wall, one for the object; occluders have none."""
     found = [bool(_light_kernels.chained_at(bits, kind)) for kind in (WALL, OBJECT, OCCLUDER)]
     assert found == [bits in (1, 3), bits in (2, 3), False]
+
+
+def test_normal_of_a_facet_is_across_its_tangents():
+    """On a frame without symmetry, whose normal and axes all have three components."""
+    own, slopes = frame((0.1, 0.2, 0.3), (0.4, -0.5, 0.7), 0.8), (0.3, -0.6)
+    tangents = [chains._tangent(own, k, slopes[k]) for k in range(2)]
+    across = np.cross(*tangents)
+    assert chains._normal(own, slopes) == approx(across / np.linalg.norm(across), abs=1e-14)
