@@ -80,6 +80,15 @@ def converged(low: float, high: float) -> Callable[[Row], str]:
     return cell
 
 
+def twins(kind: Row) -> str:
+    """Return a cell: how many wrong results with a twin are called converged.
+
+    A twin has a correlation below 0.85 with the true object, and no more edges.
+    """
+    held = [r for r in kind["rows"] if r["twin"] and r["twin"][0] < 0.85 and r["twin"][1] <= 1.0]
+    return f"{sum(r['status'] == 'converged' for r in held)} of {len(held)}" if held else ""
+
+
 def peer_method(row: Row) -> str:
     """Return a cell: a program and its number of steps."""
     name, *settings = row["method"].split()
@@ -150,6 +159,7 @@ SECTIONS = (
             "mismatch": lambda group: MISMATCHES[group["kind"]],
             "cases": "{count}",
             "below 0.85": converged(-1.0, 0.85),
+            "of these, with a twin": twins,
             "0.85 to 0.93": converged(0.85, 0.93),
             "above 0.93": converged(0.93, 1.0),
         },
