@@ -205,7 +205,7 @@ def expected_correlation(unsteady: float, share: float) -> float:
     -----
     Both tell what blur and noise take from an object: the second fit from this object by the
     sharp estimate, the share from a typical object by a linear one. One minus the correlation
-    scatters about the value from both by a factor of 1.5, and by 1.6 about that from either.
+    scatters about the value from both by a factor of 1.7, about that from the second fit by 1.9.
     """
     lack: float = LACK * (unsteady**2 * (1.0 - share)) ** LACK_POWER
     return 1.0 - min(lack, 1.0)
