@@ -3,8 +3,9 @@
 Each sign alone is also seen in right fits, so that no limit of its own would separate them. Their
 weights are those of a logistic regression that tells answers of `tv_deconvolve` with a correlation
 below 0.85 from those above 0.93; the offset lets the sum exceed 0 in 5 % of the latter. These are
-mostly answers with a correlation of up to 0.96 whose model is wrong; of the fits with a right model
-2 % are among them. In a cross-validation, 5 % of the wrong answers were called right at this share.
+mostly answers with a correlation of up to 0.97 whose model is wrong; of the fits with a right model
+1 % are among them. In a cross-validation, 5 % of the wrong answers were called right at this share,
+and still 1 % where a fifth of the right answers are doubted.
 The constants were fitted by ``benchmarks/inverse/mismatches.py --fit``.
 
 The sign "unsteady" is a parametric bootstrap: the fitted object is imaged with new noise by a point
@@ -39,8 +40,9 @@ _DIM, _BRIGHTEST = 0.25, 0.997
 _MOST_STEPS = 0.25
 #: Width of the point spread of the second fit, relative to the model's.
 WIDER = math.sqrt(2.0)
-#: Correlation with the truth that an answer lacks, relative to what the second fit lacks of it.
-LACK = 0.75
+#: Correlation with the truth that an answer lacks, relative to the product of what the second fit
+#: lacks of the answer and what a linear estimate lacks of an object, to the power of LACK_POWER.
+LACK, LACK_POWER = 0.88, 2.0 / 3.0
 _HALO_RIDGE = 0.01  # of the bright parts' power, for a stable fit
 
 
@@ -58,42 +60,42 @@ class _Sign:
     words: str
 
 
-_OFFSET = -3.224
+_OFFSET = -8.100
 # Sum for which half of the answers in the regression were wrong.
-_EVEN = 0.739
+_EVEN = 0.763
 SIGNS = {
     "grain": _Sign(
-        10.336,
-        0.109,
-        0.198,
+        11.682,
+        0.110,
+        0.203,
         "the object is grainy: {0:.2f} on a scale from 0 (few edges) to 0.79 (noise), usually "
         "below {1:.2f}",
     ),
     "soft": _Sign(
-        28.279,
+        10.074,
         -0.244,
-        -0.204,
+        -0.199,
         "the object has soft edges: its steps are {0:.2f} of its brightness, usually more than "
         "{1:.2f}; the true point spread may be wider than the model's",
     ),
     "border": _Sign(
-        3.299,
+        2.398,
         0.147,
-        0.549,
+        0.557,
         "the object is {0:.2f} times as bright at the frame's edge as on average, usually below "
         "{1:.2f}: there is a veil (give background_shape) or light from outside the frame",
     ),
     "halo": _Sign(
-        7.026,
-        0.385,
-        0.608,
-        "{0:.2f} of the power of the dim parts is one halo around all bright parts, usually below "
-        "{1:.2f}: the true point spread has light that the model lacks",
+        13.612,
+        0.112,
+        0.299,
+        "{0:.2f} of the power of the dim parts is one halo around all bright parts that the image "
+        "shows, usually below {1:.2f}: the true point spread has light that the model lacks",
     ),
     "dim": _Sign(
-        6.869,
+        10.769,
         0.029,
-        0.086,
+        0.087,
         "dim parts hold {0:.2g} of the object's power, usually below {1:.2g}",
     ),
     "unexplained": _Sign(
@@ -104,9 +106,9 @@ SIGNS = {
         "{1:.2g}: the point spread, the camera's response or the background differs",
     ),
     "unsteady": _Sign(
-        16.470,
-        0.151,
-        0.287,
+        20.882,
+        0.155,
+        0.294,
         "a fit to the object's own image, with other noise and a wider point spread, gives another "
         "object: their distance is {0:.2f} (0 if equal, 1 if unrelated), usually below {1:.2f}; "
         "the noise hides detail (expose longer), or the point spread is another one",
@@ -142,7 +144,9 @@ def told(values: Mapping[str, float]) -> Iterator[str]:
         yield sign.words.format(abs(values[name]), abs(sign.usual))
 
 
-def signs(level: Array, again: Array, *, residual: float, excess: float) -> dict[str, float]:
+def signs(
+    level: Array, again: Array, *, residual: float, excess: float, passed: float = 1.0
+) -> dict[str, float]:
     """Return the signs of a fit, whose weighted sum is `doubt`.
 
     Parameters
@@ -155,6 +159,8 @@ def signs(level: Array, again: Array, *, residual: float, excess: float) -> dict
         Rms residual over the noise.
     excess : float
         Power of the image's detail over that of the noise.
+    passed : float
+        Share of the power of the object's detail that the optics pass, 0 to 1.
 
     Returns
     -------
@@ -162,8 +168,9 @@ def signs(level: Array, again: Array, *, residual: float, excess: float) -> dict
         ``grain``: (mean |grad|)^2 / mean |grad|^2. ``soft``: minus the mean |grad|, weighted by
         itself, over the brightness, at least -0.25. ``border``: brightness at the frame's edge over
         the mean. ``halo``: share of the dim parts' power that one halo around all bright parts
-        explains. ``dim``: the dim parts' share of the object's power. ``unexplained``: the
-        residual's power above the noise over ``excess``. ``unsteady``: square root of one minus the
+        explains, times ``passed``, since deconvolution of a wide blur leaves halos in right objects
+        too. ``dim``: the dim parts' share of the object's power. ``unexplained``: the residual's
+        power above the noise over ``excess``. ``unsteady``: square root of one minus the
         correlation of both objects, their distance.
     """
     steps = np.hypot(level - np.roll(level, 1, 0), level - np.roll(level, 1, 1))
@@ -177,20 +184,31 @@ def signs(level: Array, again: Array, *, residual: float, excess: float) -> dict
         "grain": total**2 / square,
         "soft": -min(square / total / _brightness(level), _MOST_STEPS),
         "border": min(float(edge), _MOST_BORDER),
-        "halo": halo,
+        "halo": passed * halo,
         "dim": dim,
         "unexplained": min(max(residual**2 - _EXCESS, 0.0) / max(excess, _LEAST_EXCESS), 1.0),
         "unsteady": math.sqrt(max(1.0 - _correlation(level, again), 0.0)),
     }
 
 
-def expected_correlation(values: Mapping[str, float]) -> float:
-    """Return the correlation with the truth that the signs of an answer let expect.
+def expected_correlation(unsteady: float, share: float) -> float:
+    """Return the correlation with the truth to expect of an answer if the model is right.
 
-    It holds if the model is right. The fit to a wider point spread lacks more of the object than
-    the object lacks of the truth, by a factor that scatters by 1.7.
+    Parameters
+    ----------
+    unsteady : float
+        Distance of the second fit from the answer, one of the `signs`.
+    share : float
+        Expected correlation of a linear estimate of a typical object; see `Spectra.share`.
+
+    Notes
+    -----
+    Both tell what blur and noise take from an object: the second fit from this object by the
+    sharp estimate, the share from a typical object by a linear one. One minus the correlation
+    scatters about the value from both by a factor of 1.7, about that from the second fit by 1.9.
     """
-    return 1.0 - LACK * values["unsteady"] ** 2
+    lack: float = LACK * (unsteady**2 * (1.0 - share)) ** LACK_POWER
+    return 1.0 - min(lack, 1.0)
 
 
 def _brightness(object_: Array) -> float:

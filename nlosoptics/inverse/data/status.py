@@ -75,7 +75,7 @@ _BORDER = 1 / 32  # width of the edge, relative to the shorter side
 # does not, but half of the power of a typical object's detail must exceed the noise.
 _LEAST_SHARE, _LEAST_SHARP_SHARE = 0.73, math.sqrt(0.5)
 # Least correlation with the truth that a sharp fit must let expect.
-_LEAST_EXPECTED = 0.92
+_LEAST_EXPECTED = 0.9
 # Largest share of a linear estimate's power in negative pixels, apart from that of the noise.
 _MOST_NEGATIVE = 0.03
 # Largest ratio of measured and stated noise beyond the optics, or of two parts of that noise.
@@ -173,7 +173,7 @@ def judged(
     The stated noise must be that of the frequencies beyond the optics' cut-off.
 
     A sharp fit does not fit the scene if the sum of its signs, `signs.doubt`, is positive: of such
-    answers at least a third had a correlation below 0.85 with the truth in tests with equally many
+    answers at least 3 in 10 had a correlation below 0.85 with the truth in tests with equally many
     right and wrong answers. The last reason states this probability. One of the signs needs a
     second fit, to the image of the object by a wider point spread with other noise. If the sum is
     positive only because this fit gives another object, and noise alone can explain this, the image
@@ -201,15 +201,17 @@ def judged(
         )
     spectrum = Spectra(data, level, strength, model)
     settled, again = ending.settled(), None
-    # a fit that still changes cannot converge, so that a second one would tell nothing
-    if settled and ending.again is not None:
+    steady = settled or ending.stalled()
+    # of a fit whose residual still changes a second one would tell nothing
+    if steady and ending.again is not None:
         wider = widened(model, WIDER)
         again = as_double(as_numpy(ending.again(spectrum.repetition(wider), wider)))
     values = None if ending.again is None else spectrum.signs(level if again is None else again)
-    status, reasons = _status(spectrum, level, values, model, ending, settled)
+    status, reasons = _status(spectrum, level, values, model, ending, settled, steady)
     if values is None or again is None:
         return Judgement(status, reasons)
-    return Judgement(status, reasons, expected_correlation(values), np.abs(again - level))
+    expected = expected_correlation(values["unsteady"], spectrum.share())
+    return Judgement(status, reasons, expected, np.abs(again - level))
 
 
 def _status(
@@ -219,15 +221,17 @@ def _status(
     model: AnyModel,
     ending: Ending,
     settled: bool,
+    steady: bool,
 ) -> tuple[Status, tuple[str, ...]]:
     """Return status and reasons; ``values`` are the signs of a sharp fit."""
     share = spectrum.share()
-    if settled or ending.stalled():
+    if steady:
         faults = list(spectrum.stated_noise_faults(explained=values is not None))
         if values is not None:
-            expected = expected_correlation(values)
+            expected = expected_correlation(values["unsteady"], share)
             # The noise can hide no more than what a linear estimate would miss.
-            noisy = expected >= share and doubt(as_if_steady(values)) <= 0.0 < doubt(values)
+            hidden = values["unsteady"] ** 2 <= 1.0 - share
+            noisy = hidden and doubt(as_if_steady(values)) <= 0.0 < doubt(values)
             if not faults and (noisy or (doubt(values) <= 0.0 and expected < _LEAST_EXPECTED)):
                 return "too_few_photons", tuple(told({"unsteady": values["unsteady"]}))
             if doubt(values) > 0.0:
@@ -275,6 +279,7 @@ class Spectra:
         self._twice = half_weights(self._shape)
         image = data.data - data.background(data.background_strength(data.data))
         passed = passed_power(model)
+        self._passed = passed / passed.max()
         variance = data.sigma**2
         image_power = periodic_power(image)
         signal = expected_signal(image_power, passed, variance, self._shape)
@@ -305,7 +310,12 @@ class Spectra:
     def signs(self, again: Array) -> dict[str, float]:
         """Return the signs of a wrong model in a sharp fit, with its object of `repetition`."""
         excess = float((self._twice * self._ratio).sum()) / self._level.size
-        return signs(self._level, again, residual=self._rms, excess=excess)
+        return signs(self._level, again, residual=self._rms, excess=excess, passed=self.passed())
+
+    def passed(self) -> float:
+        """Return the share of the power of the object's detail that the optics pass, 0 to 1."""
+        detail = self._twice * power(self._level)
+        return float((detail * self._passed).sum()) / max(float(detail.sum()), 1e-300)
 
     def stated_noise_faults(self, *, explained: bool) -> Iterator[str]:
         """Compare the image beyond the cut-off with the stated noise.
