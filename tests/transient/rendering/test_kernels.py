@@ -249,6 +249,22 @@ def test_pairs_of_points(told, on_record):
     on_record([seen, out, report], TIGHT)
 
 
+def test_sights_of_a_solid(on_record):
+    """Where nothing is on the side of the point, no shadow is cut out."""
+    rows = ROWS[:4]
+    boxes = np.array([[-1.0, -1.0, 0.0, 1.0, 1.0, 2.0]])
+    mates = neighbours(hidden()[:4])
+    mesh = rows, boxes, MESH[2], mates, np.zeros(5, np.int64), np.empty((0, 4))
+    clear = shadows.clear_sides(rows, MESH[2])
+    assert clear.any(axis=1).all()
+    found = [clear]
+    for sides in (clear, ~clear, np.zeros((4, 2), bool)):
+        known, ends = np.full((3, 4), bounces.PART, dtype=np.int8), np.zeros((3, 5), np.int32)
+        bounces.sights(mesh, sides, POINTS, known, ends, np.empty((0, 32)), np.empty(0, np.int64))
+        found += [known, ends]
+    on_record(found, TIGHT)
+
+
 def test_passes_end(on_record):
     """A pass that needs too many parts is given up, and the last whole one is kept."""
     p, q = POINTS[:2]
