@@ -71,10 +71,9 @@ def _logarithms(value: Any) -> list[float]:
     if value is None or isinstance(value, bool | int | float | np.number):
         return [float(np.arcsinh(float(value or 0.0) / LEAST))]
     if is_dataclass(value) and not isinstance(value, type):
-        names = [one.name for one in fields(value) if one.name not in records.TIMES]
-        value = [getattr(value, name, None) for name in names]
+        value = {one.name: getattr(value, one.name, None) for one in fields(value)}
     if isinstance(value, Mapping):
-        value = [*value.values()]
+        value = [one for name, one in value.items() if name not in records.TIMES]
     if not isinstance(value, list | tuple):
         return []
     return [number for one in value for number in _logarithms(one)]
