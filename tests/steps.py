@@ -26,7 +26,7 @@ PACKAGE = str(Path(nlosoptics.__file__).parent)
 #: Below this, in SI units or as a share, a number may be a rounding error.
 LEAST = 1e-11
 #: Records compare sums, to which each number contributes its logarithm.
-NEAR = 1e-6
+NEAR = 1e-5
 
 
 def steps(call: Callable[[], Any], *folders: str) -> dict[str, Any]:

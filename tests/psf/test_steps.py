@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from nlosoptics import psf
+from nlosoptics.psf.batch import point_spreads
 from nlosoptics.psf.walls.scene_costs import point_cost
 from nlosoptics.psf.walls.scene_psf import point_window
 from nlosoptics.raytrace import pupil_rays
@@ -140,7 +141,8 @@ def test_a_rough_wall(wall, obscuration, on_record):
 
 
 @pytest.mark.parametrize("obscuration", [0.0, 0.4])
-def test_a_batch(obscuration, on_record):
+def test_a_batch(obscuration, monkeypatch, on_record):
+    monkeypatch.setattr(point_spreads, "threads", lambda: 2)  # whatever machine this is
     wave = psf.Wavefront.from_zernike({6: 2e-7}, obscuration=obscuration, **SYSTEM)
     modes = np.stack([psf.zernike(j, wave.u / 4e-3, wave.v / 4e-3) for j in (4, 5, 7)])
     bend = np.tensordot(np.random.default_rng(5).normal(size=(3, 3)) * 3e-7, modes, 1)
