@@ -7,6 +7,7 @@ is seen.
 
 from __future__ import annotations
 
+import inspect
 import math
 import sys
 import zlib
@@ -44,7 +45,9 @@ def steps(call: Callable[[], Any], *folders: str) -> dict[str, Any]:
 
     def returned(frame: FrameType, event: str, value: Any) -> None:
         code = frame.f_code
-        if event == "return" and code.co_filename.startswith(starts) and code.co_name[0] != "<":
+        # neither a class nor a compiled kernel
+        named = code.co_name[0] != "<" and code.co_flags & inspect.CO_OPTIMIZED
+        if event == "return" and named and code.co_filename.startswith(starts):
             name = f"{Path(code.co_filename).stem}.{code.co_qualname}"
             sys.setprofile(None)
             found.setdefault(name, []).extend(_logarithms(value))
