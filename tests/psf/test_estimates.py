@@ -261,11 +261,12 @@ def test_pitches_of_speckle():
 
 def test_change_over_a_picture(flat_scene, on_record):
     """By phase, by the tail within a pixel, or by moved energy, whichever bounds it best."""
-    pupil, found = psf.SceneOptics(flat_scene).exit_pupil, []
+    near = replace(flat_scene, camera=replace(flat_scene.camera, focus_distance=1.3))
+    pupil, found = psf.SceneOptics(near).exit_pupil, []
     for wall, size in itertools.product((FlatWall(), ConcaveWall(30.0, size=3.0)), (0.01, 0.3)):
         hidden = replace(flat_scene.hidden, size=(size, 0.5 * size))
-        scene = replace(flat_scene, wall=wall, hidden=hidden)
-        for share in (0.02, 0.3, 4.0):
+        scene = replace(near, wall=wall, hidden=hidden)
+        for share in (0.02, 0.3, 4.0, 60.0):
             seen = replace(pupil, radius=share * pupil.radius)
             found.append(paraxial.change_over_object(scene, seen))
     on_record(found)
