@@ -9,16 +9,17 @@ import pytest
 from pytest import approx
 
 from nlosoptics import psf
+from nlosoptics.errors import SceneError
 from nlosoptics.psf.pupil import paraxial
 from nlosoptics.psf.rough import aberration, relief_rays, sample
 from nlosoptics.psf.rough.source import rough_source
 from nlosoptics.psf.transform import costs, geometric, huygens, runners, selection, wide_pixels
-from nlosoptics.psf.walls import scene_costs
+from nlosoptics.psf.walls import rough_wall, scene_costs
 from nlosoptics.psf.wave.detilted import split
 from nlosoptics.psf.wave.regime import regime
 from nlosoptics.psf.window import antialiased_disc, grids, rim_tails, window
 from nlosoptics.psf.window.pixels import pixel_rule
-from nlosoptics.scene import ConcaveWall, FacetWall, FlatWall, GaussianWall
+from nlosoptics.scene import ConcaveWall, FacetWall, FlatWall, GaussianWall, WallRoughness
 
 from ..records import attempt
 
@@ -270,3 +271,43 @@ def test_change_over_a_picture(flat_scene, on_record):
             seen = replace(pupil, radius=share * pupil.radius)
             found.append(paraxial.change_over_object(scene, seen))
     on_record(found)
+
+
+@pytest.mark.parametrize("size", [None, 0.02], ids=["whole", "cut"])
+def test_cost_of_a_mean_over_walls(flat_scene, size, on_record):
+    """The mean itself is costed by its parts; a wall that cuts the cone gives a grid of nodes."""
+    rough = WallRoughness(GaussianWall(5e-8, 2e-3), "mean")
+    scene = replace(flat_scene, wall=FlatWall(size=size), wall_roughness=rough)
+    if size:
+        middle = replace(scene.hidden, position=(0.6, 0.0, 0.8))
+        camera = replace(scene.camera, aim=(0.0, 0.0, 0.0))
+        scene = replace(scene, hidden=middle, camera=camera)
+    seen = psf.SceneOptics(scene).at()
+    pitch = scene.camera.image_pitch
+    choice = rough_wall.rough_choice(seen, pitch, (20, 24), 1e-3)
+    assert (choice.regime, choice.seconds, choice.n_bytes) == ("mean", 0.0, 0.0)
+    assert choice.error == 1e-3
+    on_record(
+        [
+            attempt(scene_costs.point_cost, seen, share * pitch, (20, 24), tol, cells)
+            for share, tol, cells in itertools.product((0.1, 1.0), (1e-2, 1e-5), (0, 300))
+        ]
+    )
+
+
+def test_largest_windows():
+    """A side is below 2^31, since transforms count samples by 32 bits."""
+    assert window.shape_of(2**31 - 1) == (2**31 - 1, 2**31 - 1)
+    assert window.shape_of((1, 2**31 - 1)) == (1, 2**31 - 1)
+    for shape in (2**31, (2**31, 1), (1, 0)):
+        with pytest.raises(SceneError, match="shape"):
+            window.shape_of(shape)
+
+
+def test_nodes_of_as_many_patches_as_there_are():
+    front = wave("cells")
+    n = len(front.u)
+    assert front.nodes(n, 3, 4)[0].shape == (n, 3, 4)
+    for other in (n - 1, n + 1):
+        with pytest.raises(SceneError, match="number of patches"):
+            front.nodes(other, 3, 4)
