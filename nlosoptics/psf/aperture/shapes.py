@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 #: Points along s, and along t, of every patch that test cells for overlap.
 LOOKS: Final = 64
-#: Distance, relative to a radius, within which circles touch rather than cross.
+#: Distance, relative to a radius, within which circles and sides touch rather than cross.
 TOUCHING: Final = 1e-12
 
 
@@ -144,7 +144,7 @@ def _free_sides(corners: Array, centres: Array, radii: Array) -> list[Curve]:
             # Solve |a + t step - c| = r for t.
             square, half, rest = step @ step, (a - c) @ step, (a - c) @ (a - c) - r * r
             root = half * half - square * rest
-            if root <= 0:
+            if root <= 2 * TOUCHING * square * r * r:  # the line misses or touches the disc
                 high = -1.0
                 break
             low = max(low, (-half - math.sqrt(root)) / square)
@@ -193,7 +193,9 @@ def _free_arcs(
     for corner, along in sides:
         inward = np.array([-along[1], along[0]]) / math.hypot(*along)
         depth = float((centres[i] - corner) @ inward) / radii[i]
-        if abs(depth) < 1:
+        if depth <= TOUCHING - 1:
+            return []  # the side's line separates the circle from the polygon
+        if depth < 1 - TOUCHING:
             half, middle = math.acos(-depth), math.atan2(inward[1], inward[0])
             cuts += [middle - half, middle + half]
     cuts = sorted({c % (2 * math.pi) for c in cuts}) or [0.0]
@@ -202,25 +204,13 @@ def _free_arcs(
         middle = (low + high) / 2
         point = centres[i] + radii[i] * np.array([math.cos(middle), math.sin(middle)])
         inside = bool(np.all(np.hypot(*(point - centres).T) <= radii * (1 + TOUCHING)))
-        inside &= all(a[0] * (point - c)[1] >= a[1] * (point - c)[0] for c, a in sides)
+        inside &= all(
+            a[0] * (point - c)[1] - a[1] * (point - c)[0] >= -TOUCHING * radii[i] * math.hypot(*a)
+            for c, a in sides
+        )
         if high - low > 1e-9 and inside:
             found.append((low, high))
-    # Join neighbouring arcs: the cut between them removed nothing.
-    return _joined(found)
-
-
-def _joined(arcs: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Merge arcs that end where the next one starts."""
-    joined: list[tuple[float, float]] = []
-    for low, high in arcs:
-        if joined and joined[-1][1] == low:
-            joined[-1] = (joined[-1][0], high)
-        else:
-            joined.append((low, high))
-    if len(joined) > 1 and joined[0][0] + 2 * math.pi == joined[-1][1]:
-        low, _ = joined.pop()
-        joined[0] = (low, joined[0][1] + 2 * math.pi)
-    return joined
+    return found
 
 
 def drawn_in(sides: Sequence[Sides], share: float) -> Array:

@@ -261,11 +261,9 @@ def sampled(
     ``fill`` evaluates both on given nodes. Without ``samples``, the number of nodes is increased
     until the truncation error of both is negligible, or the largest number is reached.
     """
-    found: tuple[PupilNodes, Array, Array] | None = None
     for count in _trials(layout, samples, aperture):
         nodes = pupil_nodes(layout, count, radius, obscuration, aperture)
         path, amplitude = fill(nodes)
-        found = nodes, path, amplitude
         if layout == "grid" or samples is not None:
             break
         lack = 0.0
@@ -277,9 +275,7 @@ def sampled(
             lack = max(lack, scale * _truncation(values, radius, obscuration, aperture) / least)
         if lack <= 1:
             break
-    if found is None:  # for the type checker: there is always a trial
-        raise SamplingError("no nodes to try")
-    return found
+    return nodes, path, amplitude
 
 
 def _trials(

@@ -241,8 +241,6 @@ class Wavefront(Noun, Shown):
         orders = [zernike_order(index, ordering) for index in coefficients]
         degree = max((n for n, _ in orders), default=0)
         if nodes == "grid":
-            if isinstance(samples, tuple):
-                raise SceneError(f"samples = {samples}; a grid is square, give one whole number")
             cells = 512 if samples is None else whole("samples", samples, 2)
             u, v, weights = grid_nodes(pupil_radius, cells, obscuration)
         else:
