@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from pathlib import PurePosixPath
+from types import MappingProxyType
 
 import h5py
 import numpy as np
@@ -415,3 +417,31 @@ def test_pictures_stand_before_the_lasers_of_one_sensor_in_a_grid(tmp_path, monk
     with np.load("one/volume.npz") as kept:
         assert kept["intensity"].shape == (3, 4, 4)
         assert kept["x"] == pytest.approx(lasers[0, :, 0])
+
+
+def test_details_that_are_no_arrays_of_numbers_become_plain(tmp_path):
+    """Numbers and words of numpy, mappings, and, as text, whatever else."""
+    details = {"n": np.int64(3), "words": np.array(["a", "b"]), "map": MappingProxyType({"k": 1})}
+    made(details=details | {"path": PurePosixPath("a/b")}).save(tmp_path / "x.hdf5")
+    found = TransientCapture.load(tmp_path / "x.hdf5").details
+    assert found == {"n": 3, "words": ["a", "b"], "map": {"k": 1}, "path": "a/b"}
+
+
+def test_a_foreign_laser_point_keeps_its_normal(tmp_path):
+    path = foreign(tmp_path, laser_grid_normals=np.array([[[0.0, 0.6, 0.8]]]))
+    found = TransientCapture.load(path)
+    assert (found.laser_shape, found.laser_normals.tolist()) == ((), [0.0, 0.6, 0.8])
+
+
+@pytest.mark.parametrize("room", [100, 20000])
+def test_a_full_disk_leaves_no_file(tmp_path, room):
+    """A limit of the size of files stands for the disk; it stops the head or the bins."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
+    try:
+        with pytest.raises((OSError, SceneError), match="File too large"):
+            made(H=np.random.default_rng(0).random((2000, 2, 3))).save(tmp_path / "x.hdf5")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not [*tmp_path.iterdir()]

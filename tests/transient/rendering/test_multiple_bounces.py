@@ -517,3 +517,14 @@ def test_a_corridor_is_the_peers(data):
         # the way by one of them, where paths come as close as one likes and bring nothing
         shortest = {4: np.hypot(1.0625, 1.0625), 5: np.hypot(1.0625, 0.0625)}[order]
         assert int(shortest / 0.01) <= begins <= int(shortest / 0.01) + (1 if order == 4 else 10)
+
+
+def test_surfaces_that_a_sensor_sees_edge_on_are_dark():
+    """Two plates in a plane through the only wall point: no first vertex has any weight."""
+    plates = trimesh.Trimesh(
+        [[-1, 0, 1], [1, 0, 1], [0, 0, 2], [0, 0, 2.5]], [[0, 1, 2], [1, 2, 3]], process=False
+    )
+    hidden = hidden_surfaces([(plates, Lambert(0.5))])
+    found = multiple_bounces(hidden, np.zeros(3), np.zeros(3), delta_t=0.1, n_bins=90)
+    assert (found.details["stopped"], found.details["paths"]) == ("dark", 0)
+    assert not any(part.any() for part in found.by_bounce.values())
