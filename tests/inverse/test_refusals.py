@@ -12,6 +12,7 @@ import trimesh
 
 from nlosoptics import Scene, inverse
 from nlosoptics.errors import MissingExtraError, NlosError
+from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse.data.adam import take_up_adam
 from nlosoptics.inverse.wave.frames import known_defoci
 from nlosoptics.inverse.wave.pupil_psf import MOST_DEFOCUS
@@ -65,6 +66,20 @@ TABLE = {
     "one image": (
         lambda _: inverse.CnnBaseline(base=8, depth=2)(torch.zeros(8, 8)),
         "images has shape (8, 8), must be (B, H, W)",
+    ),
+    "modes twice": (
+        lambda _: inverse.PupilPSF.from_zernike([4, 6, 5, 6], **OPTICS),
+        "modes holds 6 more than once; give each index once",
+    ),
+    "pixels of a coarse pupil": (
+        lambda _: inverse.PupilPSF.from_zernike([4], **OPTICS | {"pitch": 1e-6}),
+        "samples the pupil every 0.00187 m, limit its radius, 0.001 m; use 30 pixels or more",
+    ),
+    "tolerance of nothing": (
+        lambda _: inverse.CnnBaseline(base=8, depth=2).reconstruct(
+            np.ones((8, 8)), ForwardModel(np.ones((1, 1)), shape=(8, 8)), tolerance=0.0
+        ),
+        "tolerance = 0 is out of range, must be above 0 to 0.5",
     ),
     "lags without power": (
         lambda _: inverse.object_from_autocorrelation(EDGE, object_size=(3, 3)),

@@ -558,3 +558,25 @@ def test_unreadable_files(tmp_path, what, words):
     with pytest.raises(SceneError) as caught, variables(unreadable(tmp_path, what)):
         pass
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("size", [4, 5])
+def test_a_tag_holds_up_to_four_bytes(tmp_path, size):
+    """An element inside the tag of a MATLAB v5 file, of an array that has no other."""
+    inner = struct.pack("<II", 6 | size << 16, 0)
+    head = b"MATLAB 5.0".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
+    (tmp_path / "a.mat").write_bytes(head + struct.pack("<II", 14, len(inner)) + inner)
+    words = "could not read bytes" if size == 4 else "element of type 6 and 5 bytes"
+    with pytest.raises(SceneError, match=words), variables(tmp_path / "a.mat"):
+        pass
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_grids_with_coordinates_first_or_last(tmp_path, turned):
+    """Other shapes, also of two axes, are refused."""
+    H, points = DRAW.random((8, 2, 3)), GRID if turned else np.moveaxis(GRID, -1, 0)
+    found = TransientCapture.load(znlos(tmp_path, H, LASERS[:1, :1], cameraGridPositions=points))
+    assert np.array_equal(found.sensor_points, GRID)
+    path = znlos(tmp_path, H, LASERS[:1, :1], cameraGridPositions=np.ones((2, 4, 5)))
+    with pytest.raises(SamplingError, match=r"has shape \(2, 4, 5\), must be \(3, a, b\) or"):
+        TransientCapture.load(path)

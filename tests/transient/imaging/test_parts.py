@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from nlosoptics.errors import NlosError
+from nlosoptics.errors import NlosError, SamplingError
 from nlosoptics.transient import TransientCapture, Volume, VolumeImage, wall_grid
 from nlosoptics.transient.imaging import (
     camera_setup,
@@ -35,10 +35,13 @@ def volume(x_step, y_step, shift=0.0):
 @pytest.mark.parametrize("flip", [(), (0,), (1,), (0, 1)])
 def test_grids_of_wall_and_planes(flip, on_record):
     """Equal steps, multiples and parts of them, whole shifts and others."""
-    points, found = np.flip(WALL, flip), []
+    points, found, planes = np.flip(WALL, flip), [], []
     spectra = np.random.default_rng(1).random((2, 3, 30)) + 0j
     for x_step, y_step, shift in itertools.product((1.0, 3.0, 0.5), (1.0, 2.0, 0.25), (0.0, 7.3)):
-        grid = plane_convolutions.lattice(points, volume(x_step, y_step, shift), 0.3)
+        planes.append(volume(x_step, y_step, shift))
+    planes.append(Volume([WALL[0, 3, 0]], [WALL[2, 0, 1]], [0.5]))
+    for one in planes:
+        grid = plane_convolutions.lattice(points, one, 0.3)
         found.append([grid.size, grid.flips, grid.depth])
         for axis in grid.axes:
             found.append([axis, axis.spans, axis.can_mirror, axis.kept.stop, axis.kept.step])
@@ -138,6 +141,26 @@ def test_bands_of_pulses(wl_mean, tol, on_record):
         found.append([band.numbers, band.step, band.weights, band.n_times, seen])
         found.append([band.bins.start, band.bins.stop])
     on_record(found, TIGHT)
+
+
+@pytest.mark.parametrize("late", [True, False])
+def test_a_pulse_needs_half_a_bin(late):
+    """The response at a time takes the bins within the pulse's reach of it."""
+    capture = TransientCapture(
+        H=np.ones((40, 4)),
+        laser_points=np.zeros(3),
+        sensor_points=WALL[0, :4],
+        delta_t=0.03,
+        t_start=4.0,
+    )
+    reach = 0.2 * math.sqrt(2.0 * math.log(4.0 / 0.01))
+    away = reach + 0.5 * 0.03
+    time = 5.2 + away if late else 4.0 - away
+    with pytest.raises(SamplingError, match="outside the capture's 4 to 5.2 m"):
+        virtual_pulse.pulse_band(capture, 0.3, 0.2, (time, time), tol=0.01)
+    time += -0.03 if late else 0.03
+    bins = virtual_pulse.pulse_band(capture, 0.3, 0.2, (time, time), tol=0.01).bins
+    assert (bins.start, bins.stop) == ((39, 40) if late else (0, 1))
 
 
 def test_details_of_an_image_are_its_own():
