@@ -161,6 +161,33 @@ def test_refused_in_one_line(name, scene):
     assert "\n" not in str(caught.value)
 
 
+SMALL = ForwardModel(np.ones((1, 1)), shape=(16, 16))
+SEEDED = {
+    "deep_image_prior": lambda seed: inverse.deep_image_prior(np.eye(16), SMALL, seed=seed),
+    "wu2024_fit": lambda seed: inverse.wu2024_fit(np.eye(16), zernike(), seed=seed),
+    "phase_retrieval": lambda seed: inverse.phase_retrieval(np.eye(16), seed=seed),
+    "lags": lambda seed: inverse.object_from_autocorrelation(TENT, seed=seed),
+    "evidence_fit": lambda seed: inverse.evidence_fit(np.eye(16), zernike(), seed=seed),
+    "pcin": lambda seed: inverse.pcin(np.eye(16), zernike(), seed=seed),
+    "train_cnn": lambda seed: inverse.train_cnn(
+        inverse.TrainingPairs(images=np.ones((2, 8, 8)), objects=np.ones((2, 8, 8))), seed=seed
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SEEDED)
+def test_seeds_are_whole_numbers_of_64_bits(name):
+    for seed in (-1, 2**64, 0.5):
+        with pytest.raises(NlosError, match="seed = "):
+            SEEDED[name](seed)
+
+
+def test_a_network_does_not_start_from_an_object():
+    bright = np.kron(np.eye(4), np.ones((4, 4)))
+    with pytest.raises(NlosError, match="start holds no "):
+        inverse.deep_image_prior(bright, SMALL, noise_sigma=0.01, start=bright)
+
+
 LAST = {
     "object of half the lags": lambda _: inverse.object_from_autocorrelation(
         TENT, object_size=(7, 3), restarts=2, max_iterations=2

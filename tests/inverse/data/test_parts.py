@@ -22,6 +22,7 @@ from nlosoptics.inverse.known.total_variation import sharpest
 SHAPE = (20, 24)
 KERNEL = np.outer([1.0, 3.0, 2.0], [1.0, 2.0, 4.0, 1.0, 0.5]) / 51.0
 MODEL = ForwardModel(KERNEL, shape=SHAPE)
+RISE = np.linspace(0.5, 1.5, SHAPE[0])[:, None] * np.ones(SHAPE)
 NOISE = np.random.default_rng(5).normal(size=SHAPE)
 
 
@@ -45,6 +46,66 @@ def test_even_light_is_an_object_at_one_chance_in_1000(errors, dark):
     image = 0.1 * (NOISE - NOISE.mean() + errors / math.sqrt(NOISE.size))
     assert measured(image, fit_background=False).is_background() is dark
     assert measured(image).is_background()
+
+
+def faintest(told, low, high):
+    """Return the strength from which on something is told, by bisection."""
+    assert not told(low)
+    assert told(high)
+    while high - low > 1e-9 * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if told(middle) else (middle, high)
+    return high
+
+
+MAP = np.where(np.arange(SHAPE[1]) < 8, 0.3, 0.1) * np.ones(SHAPE)
+MAP[3:6, 2:9] = np.inf
+DOUBTS = {
+    "known": {},
+    "estimated": {"noise_sigma": None},
+    "map": {"noise_sigma": MAP},
+    "shape": {"background_shape": RISE},
+    "no veil": {"fit_background": False},
+}
+
+
+@pytest.mark.parametrize("name", DOUBTS)
+def test_the_faintest_objects_that_are_told_from_noise(name, on_record):
+    """A dot, a stroke and an extended object, with and without the optics that passed them."""
+    things = np.zeros((3, *SHAPE))
+    things[0, 9, 11] = things[1, 5:15, 12] = 1.0
+    things[2, 4:16, 5:20] = np.hanning(17)[1:-1]
+    noise = NOISE * np.where(np.isfinite(MAP), MAP, 1.0) if name == "map" else 0.1 * NOISE
+
+    def limit(thing, model):
+        def told(strength):
+            image = 0.5 + noise + strength * MODEL.forward(thing)
+            return not measured(image, background=0.5, **DOUBTS[name]).is_background(model)
+
+        return faintest(told, 1e-3, 1e3)
+
+    on_record([limit(thing, model) for thing in things for model in (None, MODEL)], 1e-7)
+
+
+@pytest.mark.parametrize(("given", "errors"), [(0.1, 2.0), (None, 18.0)])
+def test_noise_is_left_up_to_three_errors_of_its_power(given, errors):
+    data = measured(0.1 * NOISE, noise_sigma=given)
+    limit = math.sqrt(1.0 + 3.0 * math.sqrt(errors / NOISE.size)) * data.sigma
+    left = limit / math.sqrt((data.data**2).mean())
+    assert data.is_noise_about((1.0 - 0.999 * left) * data.data)
+    assert not data.is_noise_about((1.0 - 1.001 * left) * data.data)
+
+
+@pytest.mark.parametrize("shape", [(64, 60), (61, 64), (24, 20)])
+def test_noise_beyond_the_optics(shape, on_record):
+    """A wide point spread leaves the noise alone at many frequencies, but in a small image."""
+    kernel = np.exp(-(np.hypot(*np.mgrid[-9:10, -9:10]) ** 2) / 18.0)
+    model = ForwardModel(kernel / kernel.sum(), shape=shape)
+    draw = np.random.default_rng(6)
+    truth = np.zeros(shape)
+    truth[6:15, 8:17] = 1.0 + draw.random((9, 9))
+    image = model.forward(truth) + 0.01 * draw.normal(size=shape)
+    on_record([inverse.estimate_noise(image, model), inverse.estimate_noise(image)], 1e-8)
 
 
 def test_without_noise_nothing_is_told_from_it():
