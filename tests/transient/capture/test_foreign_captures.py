@@ -260,6 +260,8 @@ def test_phasor_field_2020(tmp_path, version):
         ({"ts": 0.0048}, "ts = 0.0048 is no bin width in s"),
         ({"ts": None}, "give bin_width"),
         ({"SPAD_index": np.array([[3, 1]])}, "is no point of the 3 x 2 grid"),
+        ({"SPAD_index": np.array([[2, 2]])}, "is no point of the 3 x 2 grid"),
+        ({"SPAD_index": np.array([[-1, 1]])}, "is no point of the 3 x 2 grid"),
         ({"SPAD_index": np.array([[np.nan, 1.0]])}, "is no point of the 3 x 2 grid"),
         ({"SPAD_index": np.array([[1.5, 1.0]])}, "is no point of the 3 x 2 grid"),
         ({"SPAD_index": None}, "no laser points; give laser_point"),

@@ -137,7 +137,12 @@ def test_tol_bounds_the_pulse(tol):
     assert 1e-3 * tol < error < tol
 
 
-@pytest.mark.parametrize("capture", [SINGLE, CONFOCAL, EXHAUSTIVE], ids=["one", "pairs", "all"])
+TWO = noise_capture(np.array([[0.1, 0.0, 0.0], [-0.2, 0.3, 0.0]]))
+
+
+@pytest.mark.parametrize(
+    "capture", [SINGLE, TWO, CONFOCAL, EXHAUSTIVE], ids=["one", "two", "pairs", "all"]
+)
 @pytest.mark.parametrize("weight", ["unit", "inverse"])
 def test_transforms_and_sums_agree_in_both_precisions(capture, weight):
     volume = VOLUMES["between"]

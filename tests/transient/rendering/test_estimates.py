@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from nlosoptics.transient.rendering import multiple_bounces as many
+from nlosoptics.transient.rendering import three_bounces
 
 BATCHES = np.random.default_rng(1).gamma(2.0, size=(7, 3, 5))
 
@@ -54,3 +55,18 @@ def test_numbers_of_paths(on_record):
     shares = [many._share(missed) for missed in (0.0, 0.02, 0.0201, 0.3, 0.75, 0.9)]
     rows = [many._rows("all", 2, 3), many._rows("confocal", 3, 3)]
     on_record([affordable, sizes, shares, rows], 1e-9)
+
+
+def test_pairs_are_computed_alike_from_both_ends():
+    """The end that more pairs share is first, else the lower one, whichever end has the laser."""
+    draw = np.random.default_rng(4)
+    points = np.round(draw.random((6, 3)), 2)
+    one, other = points[draw.integers(0, 3, 40)], points[draw.integers(1, 6, 40)]
+    for lasers, sensors in ((one, other), (other, one), (one[:1], other[:1]), (one, one)):
+        first, second, lights, sight, turned = three_bounces._shared(lasers, sensors)
+        assert len(lights) == min(len(np.unique(side, axis=0)) for side in (lasers, sensors))
+        assert np.array_equal(lights[sight], first)
+        begun = np.where(turned[:, None], second, first)
+        back = three_bounces._shared(sensors, lasers)
+        assert np.array_equal(begun, np.where(back[4][:, None], back[1], back[0]))
+        assert np.array_equal(begun + np.where(turned[:, None], first, second), lasers + sensors)
