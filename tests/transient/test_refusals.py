@@ -17,6 +17,7 @@ from nlosoptics.transient import (
     backprojection,
     depth_error,
     depth_map,
+    distance_weighted,
     downsampled,
     fk_migration,
     gated,
@@ -117,6 +118,10 @@ CAPTURES = {
     "errors that a blur correlates": (
         lambda: smoothed(capture(standard_error=np.ones((40, 4, 4))), path=0.2),
         "the capture has standard errors, which a blur would correlate",
+    ),
+    "weight of no distance": (
+        lambda: distance_weighted(capture(t_start=-0.025), -1.0),
+        "bin 0 is at a path of 0 m, must be above 0; gate the capture with transient.gated first",
     ),
     "light along the wall alone": (
         lambda: fk_migration(
@@ -261,6 +266,12 @@ def image(**changes):
     return replace(backprojection(capture(), VOLUME), **changes)
 
 
+def shifted(x=0.0, y=0.0):
+    """The image's own depths, on cells that are shifted."""
+    found = depth_map(image())
+    return replace(found, x=found.x + x, y=found.y + y)
+
+
 def told(status):
     """What is said of three bounces of which the second pair was given up."""
     report = np.full((3, _three_bounce_kernels.STATUS + 1), float(_three_bounce_kernels.DONE))
@@ -302,6 +313,12 @@ DEPTHS = {
         lambda: depth_error(image(), replace(depth_map(image()), depth=np.full((4, 4), np.nan))),
         "the true depths are all NaN; give at least one finite depth",
     ),
+    "cells to the left": (
+        lambda: depth_error(image(), shifted(x=-1.01e-6)),
+        "shifted by up to 1.01e-06 m from the reconstructed ones, limit 1e-06 m; use one grid",
+    ),
+    "cells below": (lambda: depth_error(image(), shifted(y=-1.01e-6)), "by up to 1.01e-06 m from"),
+    "cells above": (lambda: depth_error(image(), shifted(y=1.01e-6)), "by up to 1.01e-06 m from"),
     "no mesh": (lambda: true_depths([], VOLUME), "no mesh was given; give at least one"),
     "no orders": (
         lambda: multiple_bounces([], GRID, GRID, delta_t=0.1, n_bins=9, orders=()),
@@ -340,6 +357,7 @@ LAST = {
     "one plane": lambda: Volume.facing(GRID, (0.5, 0.5, 0.1)),
     "short pulse": lambda: phasor_image(capture(), VOLUME, wl_mean=0.2, wl_sigma=0.0125),
     "light of nothing": lambda: Detector().expected(capture(H=np.zeros((40, 4, 4)))),
+    "cells within rounding": lambda: depth_error(image(), shifted(x=-0.99e-6, y=0.99e-6)),
     "last laser": lambda: lasers(2, laser=1),
     "square of four points": lambda: lasers(1, aperture=0.2501),
     "both tails": lambda: Detector(tail=0.2, tail_share=1e-9),
