@@ -71,6 +71,10 @@ TABLE = {
         lambda _: inverse.PupilPSF.from_zernike([4, 6, 5, 6], **OPTICS),
         "modes holds 6 more than once; give each index once",
     ),
+    "wavelength in mm": (
+        lambda _: inverse.PupilPSF.from_zernike([4], **OPTICS | {"wavelength": 1.01e-3}),
+        "wavelength = 0.00101 m is out of range, must be from 1e-08 to 0.001 m; give metres",
+    ),
     "pixels of a coarse pupil": (
         lambda _: inverse.PupilPSF.from_zernike([4], **OPTICS | {"pitch": 1e-6}),
         "samples the pupil every 0.00187 m, limit its radius, 0.001 m; use 30 pixels or more",

@@ -271,3 +271,10 @@ def test_frames_of_the_pupil_are_the_scenes(axis):
 def test_a_plane_wall_has_no_radius_to_change():
     found = height_by_radius(FlatWall(size=SIZE), 1.5, np.ones((4, 3)))
     assert found.tolist() == [0.0] * 4
+
+
+def test_axes_of_a_turned_object_are_the_scenes(speckle):
+    hidden = replace(speckle.hidden, yaw=0.3, pitch=-0.2, roll=0.5)
+    module = leaves_of(replace(speckle, hidden=hidden), ["object_tilt"])
+    right, up, _ = hidden.axes
+    np.testing.assert_allclose(module._object_axes().detach(), [right, up], atol=1e-14)
