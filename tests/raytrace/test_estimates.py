@@ -142,6 +142,10 @@ def test_crossed_analysers_pass_all_light_between_them():
     for angle in (0.0, 0.3, 1.2):
         pair = [mixed.through(angle + turn)[0] for turn in (0.0, math.pi / 2)]
         assert np.add(*pair) == pytest.approx(whole, rel=1e-12)
+    along = mean_map(0.5 * (draw[:, 1] @ [1.0, 1.0, 0.0, 0.0]) * (256 / GROUPS), 256)
+    power, error = mixed.through(0.0)
+    assert power == pytest.approx(along[0], rel=1e-12)
+    assert error**2 == pytest.approx(along[1], rel=1e-9)
     circular = draw * (np.arange(4) == 3)
     assert not replace(seen, groups=circular).through(0.4)[0].any()
 
