@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from nlosoptics.errors import NlosError
+from nlosoptics.scene import PlanarObject
 from nlosoptics.transient import (
     Detector,
     PhasorImage,
@@ -16,7 +17,9 @@ from nlosoptics.transient import (
     backprojection,
     depth_error,
     depth_map,
+    distance_weighted,
     downsampled,
+    fk_migration,
     gated,
     phasor_image,
     smoothed,
@@ -25,11 +28,14 @@ from nlosoptics.transient import (
 )
 from nlosoptics.transient.capture import foreign_files, layouts
 from nlosoptics.transient.capture.wall_points import points_on_wall
+from nlosoptics.transient.rendering import _three_bounce_kernels, three_bounces
 from nlosoptics.transient.rendering.multiple_bounces import multiple_bounces
+from nlosoptics.transient.rendering.scene import cut_out
 
 # The sampling is meant to be coarse.
 pytestmark = pytest.mark.filterwarnings("ignore::nlosoptics.errors.ValidityWarning")
 GRID = wall_grid(1.0, 4)
+ONES = np.ones((40, 4, 4))
 LIST = {"data": np.ones((5, 1, 7)), "laserPos": np.ones((5, 3)), "cameraPos": np.ones(3)}
 LIST |= {"t": 7, "deltat": 0.1}
 VOLUME = Volume.before(0.9, 4, np.linspace(0.4, 0.9, 4))
@@ -39,6 +45,15 @@ def capture(**changes):
     given = {"H": np.ones((40, 4, 4)), "laser_points": GRID, "sensor_points": GRID}
     given |= {"delta_t": 0.05, "t_start": 0.3, "pairing": "confocal"}
     return TransientCapture(**given | changes)
+
+
+def lasers(count, **options):
+    """The picture of a transient camera for a capture of so many laser points."""
+    spots = np.linspace(0.0, 0.1, count)[:, None] * np.array([1.0, 0.5, 0.0])
+    light = np.random.default_rng(2).random((40, count, 4, 4))
+    given = {"H": light, "laser_points": spots, "pairing": "all"} | options.pop("changes", {})
+    asked = {"camera": "transient", "times": [0.0], "wl_mean": 0.5} | options
+    return phasor_image(capture(**given), VOLUME, **asked)
 
 
 def moved(z):
@@ -104,6 +119,16 @@ CAPTURES = {
         lambda: smoothed(capture(standard_error=np.ones((40, 4, 4))), path=0.2),
         "the capture has standard errors, which a blur would correlate",
     ),
+    "weight of no distance": (
+        lambda: distance_weighted(capture(t_start=-0.025), -1.0),
+        "bin 0 is at a path of 0 m, must be above 0; gate the capture with transient.gated first",
+    ),
+    "light along the wall alone": (
+        lambda: fk_migration(
+            capture(t_start=0.0, H=1e-3 * (np.arange(40) < 2)[:, None, None] * ONES)
+        ),
+        "fk_migration: 1e+02 % of the capture is direct light",
+    ),
 }
 FILES = {
     "no structure": (
@@ -127,6 +152,12 @@ FILES = {
             {"dataset": LIST | {"laserPos": np.ones((5, 4))}}
         ),
         "laserPos has shape (5, 4), must be (n, 3); correct the file",
+    ),
+    "pitch of nothing": (
+        lambda: foreign_files.read_phasor_field_2020(
+            {"rect_data": ONES, "ts": 1e-11, "sampling_spacing": None}
+        ),
+        "sampling_spacing is empty, must be the pitch of the scan in m; correct the file",
     ),
     "two numbers": (
         lambda: layouts.number({"t": [1.0, 2.0]}, "t"),
@@ -202,6 +233,32 @@ VOLUMES = {
         lambda: phasor_image(capture(t_start=9.0), VOLUME, wl_mean=0.2),
         "outside the capture's 9 to 11 m; give another volume, or check t_start",
     ),
+    "laser not named": (lambda: lasers(2), "needs laser for a capture of 2 laser points"),
+    "laser after the last": (
+        lambda: lasers(2, laser=2),
+        "laser = 2 is out of range, must be from 0 to 1",
+    ),
+    "laser after the last of its axis": (lambda: lasers(2, laser=(2,)), "laser[0] = 2 is out of"),
+    "two indices": (
+        lambda: lasers(2, laser=(0, 1)),
+        "laser has 2 indices, must be 1 for laser points of shape (2,); give one index per axis",
+    ),
+    "mask of no point": (
+        lambda: lasers(1, aperture=np.zeros((4, 4), dtype=bool)),
+        "aperture contains no wall point; give a larger one",
+    ),
+    "square of no point": (
+        lambda: lasers(1, aperture=0.2499),
+        "aperture = 0.2499 m contains none of 16 wall points; give a larger one",
+    ),
+    "table of times": (lambda: lasers(1, times=[[0.1]]), "times have shape (1, 1), must be (n,)"),
+    "no times": (lambda: lasers(1, times=[]), "times have shape (0,), must be (n,)"),
+    "convolution of pairs apart": (
+        lambda: phasor_image(
+            capture(laser_points=GRID + 0.1 * np.eye(3)[0]), VOLUME, wl_mean=0.5, method="fft"
+        ),
+        "pairs with different laser and sensor points have no convolution; give method='direct'",
+    ),
 }
 
 
@@ -209,6 +266,44 @@ def image(**changes):
     return replace(backprojection(capture(), VOLUME), **changes)
 
 
+def shifted(x=0.0, y=0.0):
+    """The image's own depths, on cells that are shifted."""
+    found = depth_map(image())
+    return replace(found, x=found.x + x, y=found.y + y)
+
+
+def told(status):
+    """What is said of three bounces of which the second pair was given up."""
+    report = np.full((3, _three_bounce_kernels.STATUS + 1), float(_three_bounce_kernels.DONE))
+    report[1:, _three_bounce_kernels.STATUS] = status
+    points = GRID[:3, 0]
+    three_bounces._check_done(report, points, points[::-1].copy(), 0.01)
+
+
+def picture(pixels):
+    return PlanarObject(pixels, position=(0.0, 0.0, 1.0), size=(0.2, 0.2))
+
+
+THIN = np.zeros((256, 256))
+THIN[2, 2] = 1.0
+RENDERED = {
+    "shadows in parts": (
+        lambda: told(_three_bounce_kernels.TOO_FINE),
+        "wall points (-0.375, -0.125) m and (-0.375, -0.125) m: shadows cut one triangle into",
+    ),
+    "surface in parts": (
+        lambda: told(_three_bounce_kernels.TOO_MANY),
+        "wall points (-0.375, -0.125) m and (-0.375, -0.125) m: three bounces need more than",
+    ),
+    "picture of thin lines": (
+        lambda: cut_out(picture(THIN)),
+        "hidden.image has no white area; give an image with bright pixels",
+    ),
+    "starts without a number": (
+        lambda: multiple_bounces([], GRID, GRID, delta_t=0.1, n_bins=9, starts=np.nan),
+        "starts have values that are not finite; give finite numbers in m",
+    ),
+}
 DEPTHS = {
     "dark image": (
         lambda: depth_map(image(intensity=np.zeros((4, 4, 4)))),
@@ -218,6 +313,12 @@ DEPTHS = {
         lambda: depth_error(image(), replace(depth_map(image()), depth=np.full((4, 4), np.nan))),
         "the true depths are all NaN; give at least one finite depth",
     ),
+    "cells to the left": (
+        lambda: depth_error(image(), shifted(x=-1.01e-6)),
+        "shifted by up to 1.01e-06 m from the reconstructed ones, limit 1e-06 m; use one grid",
+    ),
+    "cells below": (lambda: depth_error(image(), shifted(y=-1.01e-6)), "by up to 1.01e-06 m from"),
+    "cells above": (lambda: depth_error(image(), shifted(y=1.01e-6)), "by up to 1.01e-06 m from"),
     "no mesh": (lambda: true_depths([], VOLUME), "no mesh was given; give at least one"),
     "no orders": (
         lambda: multiple_bounces([], GRID, GRID, delta_t=0.1, n_bins=9, orders=()),
@@ -225,7 +326,7 @@ DEPTHS = {
     ),
 }
 TABLE = {"capture": CAPTURES, "files": FILES, "detector": DETECTORS, "volume": VOLUMES}
-TABLE |= {"depth": DEPTHS}
+TABLE |= {"rendered": RENDERED, "depth": DEPTHS}
 CASES = [(part, name) for part, rows in TABLE.items() for name in rows]
 
 
@@ -256,6 +357,9 @@ LAST = {
     "one plane": lambda: Volume.facing(GRID, (0.5, 0.5, 0.1)),
     "short pulse": lambda: phasor_image(capture(), VOLUME, wl_mean=0.2, wl_sigma=0.0125),
     "light of nothing": lambda: Detector().expected(capture(H=np.zeros((40, 4, 4)))),
+    "cells within rounding": lambda: depth_error(image(), shifted(x=-0.99e-6, y=0.99e-6)),
+    "last laser": lambda: lasers(2, laser=1),
+    "square of four points": lambda: lasers(1, aperture=0.2501),
     "both tails": lambda: Detector(tail=0.2, tail_share=1e-9),
 }
 
@@ -263,3 +367,17 @@ LAST = {
 @pytest.mark.parametrize("name", LAST)
 def test_the_last_value_is_accepted(name):
     assert LAST[name]() is not None
+
+
+def test_a_laser_is_named_by_its_index_or_by_one_per_axis():
+    """The picture is that of a capture with this laser point alone."""
+    light = np.random.default_rng(3).random((40, 2, 3, 4, 4))
+    spots = 0.2 * GRID[:2, :3]
+    whole = {"H": light, "laser_points": spots}
+    for row, column in ((0, 0), (0, 2), (1, 1)):
+        alone = {"H": light[:, row, column], "laser_points": spots[row, column]}
+        wanted = lasers(1, changes=alone).field
+        for index in ((row, column), 3 * row + column):
+            found = lasers(6, changes=whole, laser=index).field
+            assert found == pytest.approx(wanted, rel=1e-12, abs=1e-12)
+    assert np.array_equal(lasers(1, changes=alone, laser=()).field, wanted)

@@ -60,16 +60,15 @@ def carry(
             "device needs torch; install nlosoptics[inverse], or omit device"
         ) from None
     try:
-        place = torch.device(device)
-        torch.empty(1, device=place)
+        torch.empty(1, device=device)
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise SceneError(f"device = {device!r} is not available: {reason}; omit device") from None
     with torch.inference_mode():
         if grid is None:
-            fields = _direct(torch, volume, legs, band, spectra, times, place, advance)
+            fields = _direct(torch, volume, legs, band, spectra, times, device, advance)
         else:
-            fields = _planes(torch, volume, legs, grid, band, spectra, times, place, advance)
+            fields = _planes(torch, volume, legs, grid, band, spectra, times, device, advance)
         return np.asarray(fields.cpu().numpy())
 
 
@@ -80,15 +79,15 @@ def _direct(
     band: Band,
     spectra: ComplexArray,
     times: Array,
-    place: Any,
+    device: str,
     advance: Advance,
 ) -> Any:
     """Sum every path: for each wave, multiply a matrix (voxels, near points) by the spectra."""
-    light = torch.as_tensor(spectra, device=place)
-    voxels = torch.as_tensor(volume.points.reshape(-1, 3), device=place)
-    near = torch.as_tensor(np.ascontiguousarray(legs.near), device=place)
-    far = torch.as_tensor(np.ascontiguousarray(legs.far), device=place)
-    fields = torch.zeros((len(times), len(voxels)), dtype=light.dtype, device=place)
+    light = torch.as_tensor(spectra, device=device)
+    voxels = torch.as_tensor(volume.points.reshape(-1, 3), device=device)
+    near = torch.as_tensor(np.ascontiguousarray(legs.near), device=device)
+    far = torch.as_tensor(np.ascontiguousarray(legs.far), device=device)
+    fields = torch.zeros((len(times), len(voxels)), dtype=light.dtype, device=device)
     for part in blocks(len(voxels), max(1, STEP // (len(near) + len(far)))):
         path = torch.cdist(voxels[part], near, compute_mode="donot_use_mm_for_euclid_dist")
         fall = 1.0 / path if legs.falls else torch.ones_like(path)
@@ -115,7 +114,7 @@ def _planes(
     band: Band,
     spectra: ComplexArray,
     times: Array,
-    place: Any,
+    device: str,
     advance: Advance,
 ) -> Any:
     """Convolve the wall spectra with the kernel of each plane, by FFT of the full kernel."""
@@ -124,14 +123,14 @@ def _planes(
     walls = grid.walls(spectra)
     padded = np.zeros((*walls.shape[:2], *shape), dtype=walls.dtype)
     padded[..., y.places(False)[:, None], x.places(False)] = walls
-    light = torch.fft.fft2(torch.as_tensor(padded, device=place))
-    up, across = (torch.as_tensor(axis.steps(False), device=place) for axis in grid.axes)
-    points = torch.as_tensor(volume.points, device=place)
-    far = torch.as_tensor(np.ascontiguousarray(legs.far), device=place)
-    fields = torch.zeros((len(times), *volume.shape), dtype=light.dtype, device=place)
+    light = torch.fft.fft2(torch.as_tensor(padded, device=device))
+    up, across = (torch.as_tensor(axis.steps(False), device=device) for axis in grid.axes)
+    points = torch.as_tensor(volume.points, device=device)
+    far = torch.as_tensor(np.ascontiguousarray(legs.far), device=device)
+    fields = torch.zeros((len(times), *volume.shape), dtype=light.dtype, device=device)
     n_far = walls.shape[1]
     for part in blocks(len(volume.z), max(1, STEP // (n_far * shape[0] * shape[1]))):
-        away = torch.as_tensor(volume.z[part] - grid.depth, device=place)
+        away = torch.as_tensor(volume.z[part] - grid.depth, device=device)
         ways = 2 if legs.twice else 1
         path = ways * torch.sqrt(away[:, None, None] ** 2 + up[:, None] ** 2 + across**2)
         fall = (ways / path) ** ways if legs.falls else 1.0

@@ -346,8 +346,6 @@ def apertures(
 def _square(points: Array, side: float) -> NDArray[np.bool_]:
     """Return a mask of the points within a square of ``side``, m, about their centre."""
     flat = points[:, :2]
-    if len(flat) == 1:
-        return np.ones(1, dtype=bool)
     middle = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
     inside = np.asarray((np.abs(flat - middle) <= 0.5 * side + 1e-9).all(axis=1))
     if not inside.any():

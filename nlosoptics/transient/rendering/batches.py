@@ -91,6 +91,8 @@ def add_batch(job: Job, number: int, total: Array, squares: Array) -> int:
     """Add a batch's bins and their squares to arrays (orders, pairs, n_bins); return its paths."""
     sampler = _sampler(job, number)
     paths = _walked(job, sampler, *_seen(job, sampler))
+    if not len(paths.first):  # no first vertex sends light to a sensor
+        return 0
     # process as many lasers at a time as the memory for their connections allows
     step = max(1, 4 * ROWS // (len(paths.first) * len(job.orders)))
     for start in range(0, len(job.lasers), step):

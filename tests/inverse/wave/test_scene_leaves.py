@@ -11,6 +11,7 @@ import torch
 from nlosoptics import Scene, psf
 from nlosoptics.errors import CausticError, SamplingError, SceneError
 from nlosoptics.inverse import SceneLeaves
+from nlosoptics.inverse.wave.scene_parameters import _frame
 from nlosoptics.inverse.wave.wall_paths import WallPaths, height_by_radius
 from nlosoptics.psf.pupil.aiming import pupil_points
 from nlosoptics.scene import (
@@ -20,6 +21,7 @@ from nlosoptics.scene import (
     SpecularMicrofacet,
     SumMaterial,
 )
+from nlosoptics.scene.parts.camera import pupil_frame
 
 SIZE = (1.4, 1.0)
 PATHS = ("wall_radius", "object_position", "object_tilt", "camera_position", "focus_distance")
@@ -257,3 +259,22 @@ def test_bad_fields_are_refused(speckle, field):
     leaves = leaves_of(speckle, ("object_position",))
     with pytest.raises(SceneError, match="field .*; give"):
         leaves(field)
+
+
+@pytest.mark.parametrize("axis", [(0.6, 0.0, -0.8), (0.48, -0.6, -0.64), (0, 1, 0), (0, -1, 0)])
+def test_frames_of_the_pupil_are_the_scenes(axis):
+    axis = np.array(axis, dtype=float)
+    found = _frame(torch.from_numpy(axis)).numpy()
+    np.testing.assert_allclose(found, pupil_frame(axis)[:2], atol=1e-15)
+
+
+def test_a_plane_wall_has_no_radius_to_change():
+    found = height_by_radius(FlatWall(size=SIZE), 1.5, np.ones((4, 3)))
+    assert found.tolist() == [0.0] * 4
+
+
+def test_axes_of_a_turned_object_are_the_scenes(speckle):
+    hidden = replace(speckle.hidden, yaw=0.3, pitch=-0.2, roll=0.5)
+    module = leaves_of(replace(speckle, hidden=hidden), ["object_tilt"])
+    right, up, _ = hidden.axes
+    np.testing.assert_allclose(module._object_axes().detach(), [right, up], atol=1e-14)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
+from contextlib import nullcontext
+from pathlib import Path, PurePosixPath
+from types import MappingProxyType
 
 import h5py
 import numpy as np
@@ -11,6 +15,7 @@ import pytest
 from nlosoptics import cli
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.transient import TransientCapture, wall_grid
+from nlosoptics.transient.capture import tal_files
 
 GRID = wall_grid(2.0, 3) * (1.0, 0.5, 1.0)
 LIST = np.array([[0.1, 0.2, 0.0], [0.3, -0.4, 0.0], [0.5, 0.6, 0.0], [-0.2, 0.1, 0.0]])
@@ -415,3 +420,35 @@ def test_pictures_stand_before_the_lasers_of_one_sensor_in_a_grid(tmp_path, monk
     with np.load("one/volume.npz") as kept:
         assert kept["intensity"].shape == (3, 4, 4)
         assert kept["x"] == pytest.approx(lasers[0, :, 0])
+
+
+def test_details_that_are_no_arrays_of_numbers_become_plain(tmp_path):
+    """Numbers and words of numpy, mappings, and, as text, whatever else."""
+    details = {"n": np.int64(3), "words": np.array(["a", "b"]), "map": MappingProxyType({"k": 1})}
+    made(details=details | {"path": PurePosixPath("a/b")}).save(tmp_path / "x.hdf5")
+    found = TransientCapture.load(tmp_path / "x.hdf5").details
+    assert found == {"n": 3, "words": ["a", "b"], "map": {"k": 1}, "path": "a/b"}
+
+
+def test_a_foreign_laser_point_keeps_its_normal(tmp_path):
+    path = foreign(tmp_path, laser_grid_normals=np.array([[[0.0, 0.6, 0.8]]]))
+    found = TransientCapture.load(path)
+    assert (found.laser_shape, found.laser_normals.tolist()) == ((), [0.0, 0.6, 0.8])
+
+
+FULL = Path("/dev/full")  # takes nothing
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="the system has no device that is always full")
+def test_the_first_error_of_a_disk_is_kept_and_raised_once(tmp_path, monkeypatch):
+    with tal_files._Disk(FULL, "w+") as disk:
+        assert disk.write(b"abc") == 3
+        first = disk.error
+        assert first.errno == errno.ENOSPC
+        assert disk.write(b"") == 0
+        assert disk.truncate(7) == 7  # a device has no size
+        assert disk.error is first
+
+    monkeypatch.setattr(tal_files, "whole_files", lambda _: nullcontext((FULL,)))
+    with pytest.raises(OSError, match="No space left on device"):
+        made().save(tmp_path / "x.hdf5")

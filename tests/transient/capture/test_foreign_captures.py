@@ -260,6 +260,8 @@ def test_phasor_field_2020(tmp_path, version):
         ({"ts": 0.0048}, "ts = 0.0048 is no bin width in s"),
         ({"ts": None}, "give bin_width"),
         ({"SPAD_index": np.array([[3, 1]])}, "is no point of the 3 x 2 grid"),
+        ({"SPAD_index": np.array([[2, 2]])}, "is no point of the 3 x 2 grid"),
+        ({"SPAD_index": np.array([[-1, 1]])}, "is no point of the 3 x 2 grid"),
         ({"SPAD_index": np.array([[np.nan, 1.0]])}, "is no point of the 3 x 2 grid"),
         ({"SPAD_index": np.array([[1.5, 1.0]])}, "is no point of the 3 x 2 grid"),
         ({"SPAD_index": None}, "no laser points; give laser_point"),
@@ -464,3 +466,119 @@ def test_a_heap_of_many_texts_is_read(tal_file):
         del file["unused"]
         file["scene_info"] = '{"text": "' + 100_000 * "y" + '"}'
     assert TransientCapture.load(tal_file).details["text"] == 100_000 * "y"
+
+
+def test_znlos_that_says_nothing_of_pairs_has_those_of_equal_grids(tmp_path):
+    H = DRAW.random((8, 2, 3))
+    assert TransientCapture.load(znlos(tmp_path, H, GRID, isConfocal=None)).is_confocal
+    single = TransientCapture.load(znlos(tmp_path, H, LASERS[:1, :1], isConfocal=None))
+    assert (single.pairing, single.laser_shape) == ("all", ())
+    many = znlos(tmp_path, DRAW.random((8, 2, 3, 2, 3)), GRID, isConfocal=None)
+    assert TransientCapture.load(many).pairing == "all"
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"laser_point": (0.0, 0.0, 0.0)}, "laser_point was given for confocal pairs"),
+        ({"outer_legs": "yes"}, "outer_legs = 'yes' must be True or False"),
+        ({"side": 1.0}, r"side = 1 m needs a square grid of points, the file has \(2, 3\)"),
+    ],
+)
+def test_arguments_that_do_not_fit_the_file(tmp_path, given, words):
+    path = znlos(tmp_path, DRAW.random((8, 2, 3)), GRID, isConfocal=np.array([[1]]))
+    with pytest.raises((SceneError, SamplingError), match=words):
+        TransientCapture.load(path, **given)
+
+
+def test_a_side_needs_rows_and_columns(tmp_path):
+    path = tmp_path / "p.mat"
+    savemat(path, {"dataset": dataset(DRAW.random((8, 6)))})
+    with pytest.raises(SamplingError, match=r"the file has \(6,\); omit side"):
+        TransientCapture.load(path, side=1.0)
+
+
+def nested(depth):
+    return {"in": nested(depth - 1)} if depth else np.ones((1, 1))
+
+
+def test_structures_are_nested_in_at_most_32_elements(tmp_path):
+    path = tmp_path / "deep.mat"
+    savemat(path, {"one": nested(31)})
+    with variables(path) as held:
+        assert list(held) == ["one"]
+    savemat(path, {"one": nested(32)})
+    with pytest.raises(SceneError, match="over 32 nested structures"), variables(path):
+        pass
+
+
+def test_an_array_of_structures_is_refused(tmp_path):
+    savemat(tmp_path / "two.mat", {"dataset": np.array([(1.0,), (2.0,)], dtype=[("t", "f8")])})
+    with (
+        variables(tmp_path / "two.mat") as held,
+        pytest.raises(SceneError, match="holds an array of 2 structures, must be one"),
+    ):
+        held["dataset"]
+
+
+def test_references_are_followed_and_matlabs_own_are_left_out(tmp_path):
+    path = written(tmp_path / "r.hdf5", light=np.arange(3.0))
+    with h5py.File(path, "a") as file:
+        file["#refs#/a"] = np.ones(2)
+        file.create_dataset("same", data=file["light"].ref, dtype=h5py.ref_dtype)
+        file["circle"] = file["light"].ref
+        file["circle"][()] = file["circle"].ref
+    with variables(path) as held:
+        assert sorted(held) == ["circle", "light", "same"]
+        assert np.array_equal(held["same"], [0.0, 1.0, 2.0])
+        with pytest.raises(SceneError, match="nested in more than 32 groups or in a circle"):
+            held["circle"]
+
+
+def unreadable(tmp_path, what):
+    path = tmp_path / "file"
+    if what == "a folder":
+        path.mkdir()
+    elif what == "a header alone":
+        path.write_bytes(b"\x89HDF" + bytes(200))
+    else:
+        layout = h5py.h5p.create(h5py.h5p.FILE_CREATE)
+        layout.set_sizes(4, 4)
+        h5py.File(h5py.h5f.create(bytes(path), fcpl=layout)).close()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("a folder", "cannot be read (Is a directory); check path and permissions"),
+        ("a header alone", "is a broken HDF5 file (its header cannot be read); copy it again"),
+        ("short lengths", "is a broken HDF5 file (lengths are not stored in 8 bytes)"),
+    ],
+)
+def test_unreadable_files(tmp_path, what, words):
+    with pytest.raises(SceneError) as caught, variables(unreadable(tmp_path, what)):
+        pass
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("size", [4, 5])
+def test_a_tag_holds_up_to_four_bytes(tmp_path, size):
+    """An element inside the tag of a MATLAB v5 file, of an array that has no other."""
+    inner = struct.pack("<II", 6 | size << 16, 0)
+    head = b"MATLAB 5.0".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
+    (tmp_path / "a.mat").write_bytes(head + struct.pack("<II", 14, len(inner)) + inner)
+    words = "could not read bytes" if size == 4 else "element of type 6 and 5 bytes"
+    with pytest.raises(SceneError, match=words), variables(tmp_path / "a.mat"):
+        pass
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_grids_with_coordinates_first_or_last(tmp_path, turned):
+    """Other shapes, also of two axes, are refused."""
+    H, points = DRAW.random((8, 2, 3)), GRID if turned else np.moveaxis(GRID, -1, 0)
+    found = TransientCapture.load(znlos(tmp_path, H, LASERS[:1, :1], cameraGridPositions=points))
+    assert np.array_equal(found.sensor_points, GRID)
+    path = znlos(tmp_path, H, LASERS[:1, :1], cameraGridPositions=np.ones((2, 4, 5)))
+    with pytest.raises(SamplingError, match=r"has shape \(2, 4, 5\), must be \(3, a, b\) or"):
+        TransientCapture.load(path)

@@ -139,3 +139,17 @@ def test_points_of_single_precision_have_even_volumes():
     assert Volume(line, [0.0], [1.0]).shape == (1, 1, 97)
     with pytest.raises(SamplingError, match="of their pitch off"):
         Volume.facing(points + 0.01 * points[..., [1, 0, 2]], (0.5, 0.8, 0.1))
+
+
+@pytest.mark.parametrize("lasers", [(0.0, 0.0, 0.0), GRID], ids=["one", "grid"])
+def test_a_capture_tells_its_shapes_and_times(lasers):
+    light = np.zeros((6, *np.shape(lasers)[:-1], 4, 4))
+    rows = capture(H=light, laser_points=lasers, outer_legs=len(lasers) == 4)._figures().rows
+    assert rows == {
+        "bins": "6 of 10 mm, 1 to 1.06 m",
+        "laser points": "4 x 4" if len(lasers) == 4 else "one point",
+        "sensor points": "4 x 4",
+        "pairing": "all",
+        "quantity": "irradiance",
+        "outer legs": "included in times" if len(lasers) == 4 else "not included in times",
+    }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import warnings
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from nlosoptics.errors import (
     MemoryLimitError,
+    MissingExtraError,
     PerformanceWarning,
     SamplingError,
     SceneError,
@@ -135,7 +137,12 @@ def test_tol_bounds_the_pulse(tol):
     assert 1e-3 * tol < error < tol
 
 
-@pytest.mark.parametrize("capture", [SINGLE, CONFOCAL, EXHAUSTIVE], ids=["one", "pairs", "all"])
+TWO = noise_capture(np.array([[0.1, 0.0, 0.0], [-0.2, 0.3, 0.0]]))
+
+
+@pytest.mark.parametrize(
+    "capture", [SINGLE, TWO, CONFOCAL, EXHAUSTIVE], ids=["one", "two", "pairs", "all"]
+)
 @pytest.mark.parametrize("weight", ["unit", "inverse"])
 def test_transforms_and_sums_agree_in_both_precisions(capture, weight):
     volume = VOLUMES["between"]
@@ -504,3 +511,9 @@ def test_what_does_not_fit_is_refused_before_it_is_made():
     axis = 0.1 + 1e-4 * np.arange(20000)
     with pytest.raises(MemoryLimitError, match="ask for fewer voxels or times"):
         quiet(SINGLE, Volume(axis, axis, axis), wl_mean=0.3)
+
+
+def test_a_device_needs_torch(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(MissingExtraError, match="device needs torch; install"):
+        quiet(noise_capture(), Volume([0.0], [0.0], [1.0]), wl_mean=0.2, device="cpu")

@@ -517,3 +517,28 @@ def test_a_corridor_is_the_peers(data):
         # the way by one of them, where paths come as close as one likes and bring nothing
         shortest = {4: np.hypot(1.0625, 1.0625), 5: np.hypot(1.0625, 0.0625)}[order]
         assert int(shortest / 0.01) <= begins <= int(shortest / 0.01) + (1 if order == 4 else 10)
+
+
+def test_surfaces_that_a_sensor_sees_edge_on_are_dark():
+    """Two plates in a plane through the only wall point: no first vertex has any weight."""
+    plates = trimesh.Trimesh(
+        [[-1, 0, 1], [1, 0, 1], [0, 0, 2], [0, 0, 2.5]], [[0, 1, 2], [1, 2, 3]], process=False
+    )
+    hidden = hidden_surfaces([(plates, Lambert(0.5))])
+    found = multiple_bounces(hidden, np.zeros(3), np.zeros(3), delta_t=0.1, n_bins=90)
+    assert (found.details["stopped"], found.details["paths"]) == ("dark", 0)
+    assert not any(part.any() for part in found.by_bounce.values())
+
+
+def test_lasers_at_a_time_do_not_alter_their_light(monkeypatch):
+    """The memory for connections decides how many lasers are joined to paths at a time."""
+    hidden = hidden_surfaces(CORRIDOR)
+    lasers = np.array([[0.0, 0.1, 0.0], [0.2, 0.0, 0.0], [-0.3, 0.2, 0.0]])
+    sensors = np.array([[0.1, -0.2, 0.0], [0.0, 0.3, 0.0], [0.4, 0.1, 0.0]])
+    asked = {"delta_t": 0.2, "n_bins": 40, "orders": (4,), "tol": None, "n_rays": 4096}
+    whole = multiple_bounces(hidden, lasers, sensors, **asked)
+    assert all(whole.by_bounce[4].sum(axis=0).ravel() > 0.0)
+    monkeypatch.setattr(batches, "ROWS", 1)
+    parts = multiple_bounces(hidden, lasers, sensors, **asked)
+    assert np.array_equal(parts.by_bounce[4], whole.by_bounce[4])
+    assert np.array_equal(parts.standard_error[4], whole.standard_error[4])

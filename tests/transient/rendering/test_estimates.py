@@ -1,0 +1,72 @@
+"""Errors, reasons to stop and sizes of batches of light that is reflected many times."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from nlosoptics.transient.rendering import multiple_bounces as many
+from nlosoptics.transient.rendering import three_bounces
+
+BATCHES = np.random.default_rng(1).gamma(2.0, size=(7, 3, 5))
+
+
+def test_the_variance_is_that_of_students_distribution():
+    """s^2/n times (n - 1)/(n - 3); rounding does not take it below 0."""
+    found = many._variance(BATCHES.sum(0), (BATCHES**2).sum(0), 7)
+    assert found == pytest.approx(BATCHES.var(0, ddof=1) / 7 * 6 / 4, rel=1e-12)
+    assert many._variance(np.array([3.0]), np.array([9.0 / 7 - 1e-16]), 7).tolist() == [0.0]
+
+
+def test_the_error_is_that_of_the_worst_lit_pair():
+    total, squares = BATCHES.sum(0), (BATCHES**2).sum(0)
+    each = np.sqrt(BATCHES.var(0, ddof=1) * 6 / 28).sum(1) / BATCHES.mean(0).sum(1)
+    worst = math.sqrt(2.0 / math.pi) * each.max()
+    assert many._l1(total, squares, 7) == pytest.approx(worst, rel=1e-12)
+    total[each.argmax()] = squares[each.argmax()] = 0.0
+    second = math.sqrt(2.0 / math.pi) * np.sort(each)[1]
+    assert many._l1(total, squares, 7) == pytest.approx(second, rel=1e-12)
+    assert many._l1(0.0 * total, 0.0 * squares, 7) == math.inf
+
+
+@pytest.mark.parametrize(
+    ("reached", "tol", "reason"),
+    [
+        ([0.01, 0.02], 0.02, "tol"),
+        ([0.01, 0.021], 0.02, "paths"),
+        ([0.01, 0.01], None, "paths"),
+        ([0.01, math.inf], 0.02, "dark"),
+        ([0.03, math.inf], 0.02, "paths"),
+        ([math.inf, math.inf], 0.02, "dark"),
+    ],
+)
+def test_reasons_to_stop(reached, tol, reason):
+    assert many._stopped(reached, tol) == reason
+
+
+def test_numbers_of_paths(on_record):
+    """From one pair of points to many, one order to 29, and any number of rays."""
+    rays = [many.LEAST * k for k in (1, 15, 16, 40, 1000, 10**6)]
+    pairs = [(1, 1), (1, 40), (15, 15), (16, 300), (1000, 10**6), (2**17, 2**17), (3 << 20, 9)]
+    affordable = [many._affordable(n, *pair) for n in (1, 2, 29) for pair in pairs]
+    sizes = [many._sizes(n, budget) for n, _ in pairs for budget in rays]
+    shares = [many._share(missed) for missed in (0.0, 0.02, 0.0201, 0.3, 0.75, 0.9)]
+    rows = [many._rows("all", 2, 3), many._rows("confocal", 3, 3)]
+    on_record([affordable, sizes, shares, rows], 1e-9)
+
+
+def test_pairs_are_computed_alike_from_both_ends():
+    """The end that more pairs share is first, else the lower one, whichever end has the laser."""
+    draw = np.random.default_rng(4)
+    points = np.round(draw.random((6, 3)), 2)
+    one, other = points[draw.integers(0, 3, 40)], points[draw.integers(1, 6, 40)]
+    for lasers, sensors in ((one, other), (other, one), (points[:1], points[1:2]), (one, one)):
+        first, second, lights, sight, turned = three_bounces._shared(lasers, sensors)
+        assert len(lights) == min(len(np.unique(side, axis=0)) for side in (lasers, sensors))
+        assert np.array_equal(lights[sight], first)
+        begun = np.where(turned[:, None], second, first)
+        back = three_bounces._shared(sensors, lasers)
+        assert np.array_equal(begun, np.where(back[4][:, None], back[1], back[0]))
+        assert np.array_equal(begun + np.where(turned[:, None], first, second), lasers + sensors)
