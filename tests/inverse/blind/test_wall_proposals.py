@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -294,19 +295,39 @@ def test_proposed_walls_are_fitted_alike_by_any_threads_and_after_resuming():
         again = fitted(resumed)
     finally:
         numba.set_num_threads(threads)
-    assert len(pool) == 8
+    assert len(pool) == 12
     assert np.array_equal(pool.coefficients, again.coefficients)
     assert np.array_equal(pool.energy, again.energy)
 
 
-@pytest.mark.parametrize("strength", [None, 0.25])
-def test_initial_walls_have_the_expected_or_the_known_strength(strength, monkeypatch):
+def test_initial_walls_have_the_known_strength(monkeypatch):
     data, point_spread = image(picture(5, 32), walls(1, 0.3, seed=6)[0]), pupil(shape=32)
     monkeypatch.setattr(FreeEnergy, "descend", lambda self, starts, stage: starts)
-    found = search(data, point_spread, "gather", strength=strength)
-    lengths = np.linalg.norm(fitted(found).coefficients, axis=1)
-    lengths /= found._proposals.length if strength is None else strength
+    found = search(data, point_spread, "gather", strength=0.25)
+    lengths = np.linalg.norm(fitted(found).coefficients, axis=1) / 0.25
     assert 0.9 <= lengths.min() < 1.0 < 1.4 < lengths.max() <= 1.5
+
+
+def test_waves_of_unexpectedly_sharp_point_spreads_rank_behind():
+    """By 0.2 per pixel and factor e of the mean square; expected ones rank by their energies."""
+    truth = walls(1, 0.6, seed=6)[0]
+    data, point_spread = image(picture(5, 32), truth), pupil(shape=32)
+    found = search(data, point_spread, "propose")
+    energy = found._energy
+    starts = energy.starts(np.stack([0.1 * truth, truth, 1.2 * truth]), 1.0)
+    starts = replace(starts, energy=np.array([0.0, 100.0, 90.0]))
+    scores = found._scores(starts)
+    assert scores[1:] == pytest.approx([100.0, 90.0])
+    ratio = energy.sharpness(starts.coefficients)[0] / found._sharpness
+    assert scores[0] == pytest.approx(0.2 * data.size * np.log(ratio), rel=1e-6)
+    assert list(found._ranked(starts, 2).energy) == [90.0, 100.0]
+
+
+def test_draws_hold_no_wall_twice():
+    """A Gaussian that is drawn again gives a wall beside its mean."""
+    data = image(picture(5), walls(1, 0.3, seed=6)[0])
+    drawn = proposed(data, pupil(), count=96)
+    assert len(np.unique(drawn.round(9), axis=0)) == 96
 
 
 @pytest.fixture
