@@ -130,7 +130,7 @@ def test_the_expected_length_is_that_of_draws_and_near_the_truth(cases, monkeypa
     ]
     # the cases' walls have 0.5 waves
     assert np.median([one.length for one in densities]) == pytest.approx(0.5, rel=0.3)
-    monkeypatch.setattr(proposals, "_SPREADS", (1.0,))
+    monkeypatch.setattr(proposals, "_SPREAD", 1.0)
     drawn = densities[0].walls(2001, np.random.default_rng(0))[1:]
     expected = np.sqrt(np.square(drawn).sum(axis=1).mean())
     assert densities[0].length == pytest.approx(expected, rel=0.03)
