@@ -111,8 +111,11 @@ _NEAR_ONE = Neighbourhood(
 #: of equal answers was below 0.2, and that of different ones above 0.34.
 _OTHER = 0.3
 #: Decrease of the score per generation below which these end. Those of one image go on unless they
-#: are better than the best answer so far by the second number.
+#: have the point spread of the best answer so far, or are better by the second number.
 _STANDSTILL, _AHEAD = 5.0, 50.0
+#: Largest number of repetitions of the last fit for one image. Answers, different walls and fits
+#: without blur are repeated alike, since the status compares their energies.
+_REPEATS = 5
 #: Default number of rounds with several images, with one, and with one and proposals.
 _ROUNDS = (2, 5, 1)
 #: Number of rounds with one image after which the search ends if it found no different wall.
@@ -370,11 +373,12 @@ class Search:
                 self.place.floor = float(found.energy[0])
             else:
                 found = self._energy.starts(walls, _TRIVIAL.first)
-                found = self._energy.descend(found, _TRIVIAL).best(1)
+                found = _settled(self._energy, self._energy.descend(found, _TRIVIAL).best(1))
                 flat = random_walls(1, self._energy.size, np.array([_SHARP]), random)
                 flat_starts = self._energy.starts(flat, _TRIVIAL.first, _SHARP)
                 self.place.floor = float(found.energy[0])
-                self.place.sharp = float(self._energy.descend(flat_starts, _TRIVIAL).energy[0])
+                flat_starts = self._energy.descend(flat_starts, _TRIVIAL)
+                self.place.sharp = float(_settled(self._energy, flat_starts).energy[0])
                 self._offer(found)
         if self._error is not None:
             return "near"
@@ -402,7 +406,7 @@ class Search:
         settle = _SETTLE if self._frames else _COMPARE
         pool = self._energy.starts(self._first[None], _NEAR[0].first)
         pool = self._energy.descend(self._energy.descend(pool, _NEAR[0]), settle)
-        self._offer(self._energy.descend(pool, _last(self._frames)))
+        self._offer(_settled(self._energy, pool, self._frames))
         return "widen" if self._frames else self._next()
 
     def _gather(self, random: Generator) -> str:
@@ -483,21 +487,24 @@ class Search:
         before, now = (float(self._scores(one[:1])[0]) for one in (pool, self.place.pool))
         if before - now >= _STANDSTILL:
             return "neighbours"
+        if frames:
+            return "finish"
         # on the narrow grid the best answer so far has another energy
-        ahead = frames or self.place.pool.energy[0] < (
-            energy.descend(self.place.best, _FREE).energy[0] - _AHEAD
-        )
-        return "finish" if ahead else "neighbours"
+        best, found = energy.descend(self.place.best, _FREE), self.place.pool[:1]
+        ahead = found.energy[0] < best.energy[0] - _AHEAD
+        same = energy.apart(found, best.coefficients)[0] < _OTHER
+        return "finish" if ahead or same else "neighbours"
 
     def _finish(self, _: Generator) -> str:
         place, before = self.place, self.place.best
-        self._offer(self._energy.descend(place.pool[:2], _last(self._frames)))
+        self._offer(_settled(self._energy, place.pool[:2], self._frames))
         if self._frames:
             return "widen"
         # energies of the narrow grid are compared among themselves
         energy = self._searched()
-        walls = joined([place.pool, energy.descend(joined([before, place.best]), _FREE)])
-        other = energy.apart(walls, place.best.coefficients) > _OTHER
+        other = energy.apart(place.pool, place.best.coefficients) > _OTHER
+        walls = _settled(energy, joined([place.pool[other].best(4), before, place.best]))
+        other = energy.apart(walls, walls[-1:].coefficients) > _OTHER
         found = walls.energy[other].min(initial=math.inf) - walls.energy[-1]
         lowered = float(before.energy[0] - place.best.energy[0])
         place.rival = float(np.fmin(place.rival + lowered, found))
@@ -556,6 +563,16 @@ class Search:
             known = self._strength
             return tuple(known * factor for factor in _AROUND) if self._frames else (known,)
         return _STRENGTHS
+
+
+def _settled(energy: FreeEnergy, starts: Starts, frames: bool = False) -> Starts:
+    """Fit answers a last time; those for one image until no energy decreases much."""
+    found = energy.descend(starts, _last(frames))
+    for _ in range(0 if frames else _REPEATS):
+        before, found = found.energy, energy.descend(found, _FREE)
+        if (before - found.energy).max() < _STANDSTILL:
+            break
+    return found
 
 
 def _last(frames: bool) -> Stage:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import torch
 
 from nlosoptics.errors import SceneError
 from nlosoptics.inverse import PupilPSF
+from nlosoptics.inverse.blind import evidence_search
 from nlosoptics.inverse.blind import wall_proposals as proposals
 from nlosoptics.inverse.blind.evidence_search import Search
 from nlosoptics.inverse.blind.free_energy import FreeEnergy
@@ -321,6 +323,33 @@ def test_waves_of_unexpectedly_sharp_point_spreads_rank_behind():
     ratio = energy.sharpness(starts.coefficients)[0] / found._sharpness
     assert scores[0] == pytest.approx(0.2 * data.size * np.log(ratio), rel=1e-6)
     assert list(found._ranked(starts, 2).energy) == [90.0, 100.0]
+
+
+@pytest.mark.parametrize(("factor", "following"), [(1.0, "finish"), (0.3, "neighbours")])
+def test_generations_end_at_the_wall_that_another_fit_found(factor, following, monkeypatch):
+    """None of them lowers the score here; the best answer so far has the same energy."""
+    truth = walls(1, 0.6, seed=6)
+    data, point_spread = image(picture(5, 32), truth[0]), pupil(shape=32)
+    found = search(data, point_spread, "neighbours")
+    monkeypatch.setattr(FreeEnergy, "descend", lambda self, starts, stage: starts)
+    settled = replace(found._energy.starts(truth, 1.0), energy=np.zeros(1))
+    found.place.best = replace(settled, coefficients=factor * truth)
+    found.place.pool = settled
+    with single_thread():
+        found.run(lambda text, done: found.place.count == 1 or found.place.step != "neighbours")
+    assert found.place.step == following
+
+
+def test_the_last_fit_of_one_image_goes_on_until_no_energy_decreases():
+    energies = [[100.0, 90.0], [60.0, 89.0], [59.0, 60.0], [58.0, 59.0], [0.0, 0.0]]
+    data, point_spread = image(picture(5, 32), walls(1, 0.6, seed=6)[0]), pupil(shape=32)
+    starts = search(data, point_spread, "finish")._energy.starts(walls(2, 0.6, seed=6), 1.0)
+    for frames, last in ((False, 3), (True, 0)):
+        left = iter(energies)
+        fake = SimpleNamespace(
+            descend=lambda starts, stage, left=left: replace(starts, energy=np.array(next(left)))
+        )
+        assert list(evidence_search._settled(fake, starts, frames).energy) == energies[last]
 
 
 def test_draws_hold_no_wall_twice():
