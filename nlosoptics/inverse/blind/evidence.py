@@ -188,11 +188,12 @@ def evidence_fit(
     all starts are random walls.
 
     **Sharp walls.** With one image, waves of little blur have a low free energy long before the
-    right one is found. The search therefore ranks walls by a score. It is the free energy plus
-    ``0.2 n ln(q/q_0)`` if the sum q of the squares of the PSF exceeds q_0. Of the walls that are
-    expected, 90 % exceed q_0, and n is the number of pixels. Expected are the network's proposals,
-    or random walls of ``strength`` (0.3 waves if it is unknown). With one image the answer is
-    the wall of least score. Its status depends on free energies alone.
+    right one is found. If ``strength`` or the network says that the wall has more than 0.35 waves,
+    the search therefore ranks walls by a score. It is the free energy plus ``0.2 n ln(q/q_0)`` if
+    the sum q of the squares of the PSF exceeds q_0. Of the walls that are expected, 90 % exceed
+    q_0, and n is the number of pixels. Expected are the network's proposals, or random walls of
+    ``strength``. The answer is then the wall of least score. Its status depends on free energies
+    alone.
 
     **Residual.** For the status "converged" the result must explain the images: ``model_error``
     must be at most ``sqrt(a^2 + 3 s^2 sqrt(2/n))``. For several images a is ``0.004 + 0.003 w``,

@@ -74,6 +74,8 @@ _EXPECTED, _SPREAD_OUT = 96, 0.1
 #: Penalty of a point spread that is sharper than this limit, per pixel and factor e of its sum
 #: of squares. Before they settle, right walls have up to 300 more energy than sharp wrong ones.
 _TOO_SHARP = 0.2
+#: Expected norm of the coefficients, waves rms, up to which sharp point spreads are right ones.
+_WEAK = 0.35
 #: Largest Noll indices, those of complete orders, up to which modes are added.
 _TOPS = (21, 36, 45)
 
@@ -292,7 +294,7 @@ class Search:
         self._rounds = _ROUNDS[usual] if rounds is None else rounds
         #: sum of squares of a point spread above which walls are penalised
         self._sharpness = math.inf
-        if not self._frames and start_error is None:
+        if not self._frames and start_error is None and self._expected_length() > _WEAK:
             self._sharpness = self._expected_sharpness()
         flat = self._energy.starts(np.zeros((1, self._energy.size)), _TRIVIAL.first)
         if state is None:
@@ -304,14 +306,12 @@ class Search:
     @property
     def faults(self) -> tuple[str, ...]:
         """Reason against the best answer; empty if it passes all tests."""
-        place, expected = self.place, self._strength
-        if expected is None:
-            expected = math.nan if self._proposals is None else self._proposals.length
+        place = self.place
         return self._verdict.faults(
             place.best,
             self.margins,
             place.rival,
-            expected=expected,
+            expected=self._expected_length(),
             held=place.held,
             start_error=self._error,
         )
@@ -435,6 +435,12 @@ class Search:
             pool = energy.descend(pool, stage)
         self.place.pool = self._ranked(pool, 12)
         return "neighbours"
+
+    def _expected_length(self) -> float:
+        """Return the norm of the coefficients that is told or proposed, waves rms; else NaN."""
+        if self._strength is not None:
+            return self._strength
+        return math.nan if self._proposals is None else self._proposals.length
 
     def _expected_sharpness(self) -> float:
         """Return the sum of squares that the point spreads of most expected walls exceed."""

@@ -323,6 +323,8 @@ def test_waves_of_unexpectedly_sharp_point_spreads_rank_behind():
     ratio = energy.sharpness(starts.coefficients)[0] / found._sharpness
     assert scores[0] == pytest.approx(0.2 * data.size * np.log(ratio), rel=1e-6)
     assert list(found._ranked(starts, 2).energy) == [90.0, 100.0]
+    weak = search(data, point_spread, "propose", strength=0.3)
+    assert list(weak._scores(starts)) == [0.0, 100.0, 90.0]
 
 
 @pytest.mark.parametrize(("factor", "following"), [(1.0, "finish"), (0.3, "neighbours")])
