@@ -206,9 +206,10 @@ SECTIONS = (
         "evidence_one_frame.jsonl",
         "Wall unknown, one frame",
         "`evidence_fit` for a single image (frame), otherwise as for two; five walls and three "
-        "objects for each rms aberration.",
+        "objects for each rms aberration, and three more walls at 1 wave.",
         "python benchmarks/inverse/evidence.py --frames 1 --rms 0.25 0.5 1.0 --walls 113 117 "
-        "--json {file}",
+        "--json {file}; "
+        "python benchmarks/inverse/evidence.py --frames 1 --rms 1.0 --walls 501 503 --json {file}",
         table={"rms aberration, waves": "{rms}"} | FITS_CPU,
         rows=by_strength,
     ),

@@ -27,7 +27,7 @@ from ..known.total_variation import sharpest
 from ..published.deep_image_prior import deep_image_prior
 from ..wave.frames import Frames, frames_of
 from ..wave.pupil_psf import PupilPSF
-from .evidence_search import ROUNDS, Search
+from .evidence_search import Search
 from .free_energy import Floats, FreeEnergy, Starts
 from .verdict import Verdict
 from .wall_proposals import wall_proposals
@@ -122,8 +122,9 @@ def evidence_fit(
         Rms aberration of the wall, waves, if known. None: several values are tried.
     max_iterations : int, optional
         Maximum number of search rounds. The default is 2 if a known object or a defocused image
-        excludes the answer without blur, otherwise 5. A round starts from 32 random walls, and
-        continues with random variations of the best.
+        excludes the answer without blur. It is 1 for one image with proposals of the network, see
+        the Notes, otherwise 5. A round starts from 24 proposals or 32 random walls, and continues
+        with random variations of the best.
     max_seconds : float, optional
         Time, s, after which the search begins no further step, once it has found a first result.
         With such a limit, the result depends on the speed of the machine. By default there is no
@@ -174,18 +175,25 @@ def evidence_fit(
 
     Notes
     -----
-    **Criterion.** Many walls are fitted, and the one with the least free energy is returned. The
-    free energy is a variational approximation of -log(evidence). The evidence of a wall is the
-    probability of the images for this wall, averaged over all objects. Comparing squared residuals
-    instead would prefer no blur to the truth if there is only one image.
+    **Criterion.** Many walls are fitted, and the one with the least free energy is returned; for
+    one image, see also "Sharp walls". The free energy is a variational approximation of
+    -log(evidence). The evidence of a wall is the probability of the images for this wall, averaged
+    over all objects. Comparing squared residuals instead would prefer no blur to the truth if there
+    is only one image.
 
-    **Network.** For one image without ``start_error``, a trained network proposes additional starts
-    with the Noll modes 4 to 21. The free energy accepts or rejects them like all other starts. The
-    network is used if the pixels are at most as wide as the Nyquist pitch, which is lambda N/2 with
-    the wavelength lambda and the F-number N; if the image is 24 to 96 Nyquist pitches wide and
-    high; and if the pupil has no known wave or transmission. Every other round, the first included,
-    then starts from its proposals, the others from random walls of 0.9 to 1.5 times the rms
-    aberration that the network expects.
+    **Network.** For one image without ``start_error``, a trained network proposes the starts, with
+    the Noll modes 4 to 21. The network is used if the pixels are at most as wide as the Nyquist
+    pitch, which is lambda N/2 with the wavelength lambda and the F-number N; if the image is 24 to
+    96 Nyquist pitches wide and high; and if the pupil has no known wave or transmission. Otherwise
+    all starts are random walls.
+
+    **Sharp walls.** With one image, waves of little blur have a low free energy long before the
+    right one is found. If ``strength`` or the network says that the wall has more than 0.35 waves,
+    the search therefore ranks walls by a score. It is the free energy plus ``0.2 n ln(q/q_0)`` if
+    the sum q of the squares of the PSF exceeds q_0. Of the walls that are expected, 90 % exceed
+    q_0, and n is the number of pixels. Expected are the network's proposals, or random walls of
+    ``strength``. The answer is then the wall of least score. Its status depends on free energies
+    alone.
 
     **Residual.** For the status "converged" the result must explain the images: ``model_error``
     must be at most ``sqrt(a^2 + 3 s^2 sqrt(2/n))``. For several images a is ``0.004 + 0.003 w``,
@@ -279,7 +287,7 @@ def evidence_fit(
         start_error=start_error,
         strength=strength,
         proposals=wall_proposals(frames, pupil_psf) if searched else None,
-        rounds=ROUNDS[not several] if rounds is None else rounds,
+        rounds=rounds,
         seed=seed,
         state=_search_state(start),
     )

@@ -14,7 +14,7 @@ from ..._random import generator
 from ...errors import SamplingError, SceneError
 from .free_energy import Floats, FreeEnergy, Stage, Starts, joined
 from .random_walls import Breeding, children, random_walls
-from .verdict import LEAST_LENGTH, Verdict
+from .verdict import Verdict
 from .wall_proposals import Proposals
 
 #: Callback with a text and the completed fraction; returns whether the search is to end.
@@ -32,7 +32,7 @@ _FINISH = Stage(iterations=250, kappa=0.5, first=1.5, last=1.0, share=0.3, wave_
 # over the field) then penalise the truth less than fitting the noise favours a wave without blur.
 _TRIVIAL = Stage(iterations=400, kappa=0.5, first=3.0, last=1.5, share=0.3, wave_rate=0.008)
 _RELEASE = Stage(iterations=200, kappa=0.5, first=3.0, last=1.5, share=0.5, wave_rate=0.01)
-_COMPARE = Stage(iterations=250, kappa=0.5, first=5.0, last=1.5, share=0.6, wave_rate=0.01)
+_COMPARE = Stage(iterations=150, kappa=0.5, first=5.0, last=1.5, share=0.6, wave_rate=0.015)
 _FREE = Stage(iterations=200, kappa=0.5, first=2.0, last=1.5, share=0.3, wave_rate=0.005)
 #: Noise assumed at the beginning of a round relative to the actual one, round by round. A strong
 #: one makes the basin of most objects broad, but hides thin strokes.
@@ -40,8 +40,8 @@ _NOISES = (30.0, 10.0, 60.0, 20.0)
 
 # Proposed walls for one image: the object first, then both.
 _PROPOSED = (
-    Stage(iterations=150, kappa=0.5, first=5.0, last=5.0, share=1.0, wave_rate=0.0),
-    Stage(iterations=400, kappa=0.5, first=5.0, last=1.5, share=0.7, wave_rate=0.01),
+    Stage(iterations=60, kappa=0.5, first=5.0, last=5.0, share=1.0, wave_rate=0.0),
+    Stage(iterations=250, kappa=0.5, first=5.0, last=1.5, share=0.7, wave_rate=0.015),
 )
 
 # Given coefficients with a known error: the object first, then both, then the best start alone.
@@ -61,13 +61,21 @@ _PADDING, _NARROW = 1.5, 1.125
 _STRENGTHS = (0.3, 0.6, 1.0)
 #: Norms of initial walls relative to a known rms of the wave.
 _AROUND = (0.9, 1.1, 1.4)
-#: Norms of initial walls for one image relative to the expected one, between these limits.
+#: Norms of initial walls for one image relative to the above, between these limits.
 _LENGTHS = (0.9, 1.5)
 _STARTS = 32
 #: Walls of one image that are fitted further.
 _KEPT = 20
 #: Proposed walls of a round with one image.
 _PROPOSALS = 24
+#: Number of walls that show which point spreads are expected for one image, and the share of them
+#: that is more spread out than the expected limit.
+_EXPECTED, _SPREAD_OUT = 96, 0.1
+#: Penalty of a point spread that is sharper than this limit, per pixel and factor e of its sum
+#: of squares. Before they settle, right walls have up to 300 more energy than sharp wrong ones.
+_TOO_SHARP = 0.2
+#: Expected norm of the coefficients, waves rms, up to which sharp point spreads are right ones.
+_WEAK = 0.35
 #: Largest Noll indices, those of complete orders, up to which modes are added.
 _TOPS = (21, 36, 45)
 
@@ -81,7 +89,7 @@ class Neighbourhood:
     generations : int
         Largest number of generations.
     litter : int
-        Number of children of each.
+        Number of children of each; they have a third as many parents.
     breeding : Breeding
         Random changes.
     least : float
@@ -99,16 +107,19 @@ _NEAR_SEVERAL = Neighbourhood(
     generations=4, litter=12, breeding=Breeding(flips=0.03, noise=0.25), least=0.95
 )
 _NEAR_ONE = Neighbourhood(
-    generations=10, litter=16, breeding=Breeding(flips=0.06, noise=0.3), least=0.9
+    generations=7, litter=24, breeding=Breeding(flips=0.06, noise=0.3), least=0.95
 )
 #: Relative distance of point spreads beyond which two walls are different answers. In tests, that
 #: of equal answers was below 0.2, and that of different ones above 0.34.
 _OTHER = 0.3
-#: Decrease of the energy per generation below which these end. Those of one image also end if they
-#: remain worse than the best answer so far by more than the second number.
-_STANDSTILL, _HOPELESS = 5.0, 40.0
-#: Default number of rounds with several images, and with one.
-ROUNDS = (2, 5)
+#: Decrease of the score per generation below which these end. Those of one image go on unless they
+#: have the point spread of the best answer so far, or are better by the second number.
+_STANDSTILL, _AHEAD = 5.0, 50.0
+#: Largest number of repetitions of the last fit for one image. Answers, different walls and fits
+#: without blur are repeated alike, since the status compares their energies.
+_REPEATS = 5
+#: Default number of rounds with several images, with one, and with one and proposals.
+_ROUNDS = (2, 5, 1)
 #: Number of rounds with one image after which the search ends if it found no different wall.
 _ENOUGH = 2
 #: Texts of all steps, in their order.
@@ -244,8 +255,8 @@ class Search:
         Known rms of the walls' waves, waves.
     proposals : Proposals or None
         Proposed walls for one image; None: there are none.
-    rounds : int
-        Largest number of rounds.
+    rounds : int or None
+        Largest number of rounds; None: the default.
     seed : int
         Seed of the random numbers.
     state : mapping, optional
@@ -266,19 +277,25 @@ class Search:
         start_error: float | None,
         strength: float | None,
         proposals: Proposals | None,
-        rounds: int,
+        rounds: int | None,
         seed: int,
         state: Mapping[str, Any] | None,
     ) -> None:
         self._energies, self._verdict = energies, verdict
         self._first, self._error, self._strength = first, start_error, strength
-        self._proposals, self._rounds, self._seed = proposals, rounds, seed
+        self._proposals, self._seed = proposals, seed
         modes = verdict.modes
         self._energy = energies(_PADDING, modes)
         self._prior = self._energy
         if start_error is not None:
             self._prior = self._energy.about(first, start_error)
         self._frames = verdict.several
+        usual = 0 if self._frames else 1 if proposals is None else 2
+        self._rounds = _ROUNDS[usual] if rounds is None else rounds
+        #: sum of squares of a point spread above which walls are penalised
+        self._sharpness = math.inf
+        if not self._frames and start_error is None and self._expected_length() > _WEAK:
+            self._sharpness = self._expected_sharpness()
         flat = self._energy.starts(np.zeros((1, self._energy.size)), _TRIVIAL.first)
         if state is None:
             history: dict[str, list[float]] = {name: [] for name in _HISTORY}
@@ -289,14 +306,12 @@ class Search:
     @property
     def faults(self) -> tuple[str, ...]:
         """Reason against the best answer; empty if it passes all tests."""
-        place, expected = self.place, self._strength
-        if expected is None:
-            expected = math.nan if self._proposals is None else self._proposals.length
+        place = self.place
         return self._verdict.faults(
             place.best,
             self.margins,
             place.rival,
-            expected=expected,
+            expected=self._expected_length(),
             held=place.held,
             start_error=self._error,
         )
@@ -358,11 +373,12 @@ class Search:
                 self.place.floor = float(found.energy[0])
             else:
                 found = self._energy.starts(walls, _TRIVIAL.first)
-                found = self._energy.descend(found, _TRIVIAL).best(1)
+                found = _settled(self._energy, self._energy.descend(found, _TRIVIAL).best(1))
                 flat = random_walls(1, self._energy.size, np.array([_SHARP]), random)
                 flat_starts = self._energy.starts(flat, _TRIVIAL.first, _SHARP)
                 self.place.floor = float(found.energy[0])
-                self.place.sharp = float(self._energy.descend(flat_starts, _TRIVIAL).energy[0])
+                flat_starts = self._energy.descend(flat_starts, _TRIVIAL)
+                self.place.sharp = float(_settled(self._energy, flat_starts).energy[0])
                 self._offer(found)
         if self._error is not None:
             return "near"
@@ -390,7 +406,7 @@ class Search:
         settle = _SETTLE if self._frames else _COMPARE
         pool = self._energy.starts(self._first[None], _NEAR[0].first)
         pool = self._energy.descend(self._energy.descend(pool, _NEAR[0]), settle)
-        self._offer(self._energy.descend(pool, _last(self._frames)))
+        self._offer(_settled(self._energy, pool, self._frames))
         return "widen" if self._frames else self._next()
 
     def _gather(self, random: Generator) -> str:
@@ -417,19 +433,46 @@ class Search:
         pool = energy.starts(walls, _PROPOSED[0].first)
         for stage in _PROPOSED:
             pool = energy.descend(pool, stage)
-        self.place.pool = self._long(pool).best(8)
+        self.place.pool = self._ranked(pool, 12)
         return "neighbours"
 
-    def _long(self, pool: Starts) -> Starts:
-        """Return the starts for one image that do not approach no blur; all if none is left."""
-        least = LEAST_LENGTH * min(self._strengths())
-        long = np.linalg.norm(pool.coefficients, axis=1) >= least
-        return pool[long] if long.any() else pool
+    def _expected_length(self) -> float:
+        """Return the norm of the coefficients that is told or proposed, waves rms; else NaN."""
+        if self._strength is not None:
+            return self._strength
+        return math.nan if self._proposals is None else self._proposals.length
+
+    def _expected_sharpness(self) -> float:
+        """Return the sum of squares that the point spreads of most expected walls exceed."""
+        random = generator(self._seed, _ROUND - 1)
+        if self._proposals is None:
+            lengths = np.array([min(self._strengths())])
+            walls = random_walls(_EXPECTED, self._energy.size, lengths, random)
+        else:
+            walls = self._proposals.walls(_EXPECTED, random)
+        return float(np.quantile(self._searched().sharpness(walls), _SPREAD_OUT))
+
+    def _scores(self, starts: Starts) -> Floats:
+        """Return the energies (B,), increased where the point spread is unexpectedly sharp.
+
+        Without this, one image draws the search to waves that approach no blur.
+        """
+        if self._sharpness == math.inf:
+            return starts.energy
+        excess = np.log(self._searched().sharpness(starts.coefficients) / self._sharpness)
+        penalty = _TOO_SHARP * self._verdict.pixels
+        scores: Floats = starts.energy + penalty * np.maximum(excess, 0.0)
+        return scores
+
+    def _ranked(self, starts: Starts, count: int) -> Starts:
+        """Return the ``count`` starts of least score, least first."""
+        return starts[np.argsort(self._scores(starts), kind="stable")[:count]]
 
     def _settle(self, _: Generator) -> str:
         """Fit the best walls with the prior that ranks answers."""
         count, stage = (8, _SETTLE) if self._frames else (_KEPT, _RELEASE)
-        self.place.pool = self._searched().descend(self.place.pool.best(count), stage).best(8)
+        pool = self._searched().descend(self.place.pool.best(count), stage)
+        self.place.pool = self._ranked(pool, 12)
         return "neighbours"
 
     def _neighbours(self, random: Generator) -> str:
@@ -442,29 +485,32 @@ class Search:
         if self.place.count == near.generations or (frames and self._verdict.well(pool)):
             return "finish"
         twin = np.ones(energy.size) if frames else energy.twin
-        walls = children(pool[:4], near.litter, twin, near.breeding, random)
+        walls = children(pool[: near.litter // 3], near.litter, twin, near.breeding, random)
         walls *= random.uniform(near.least, 1.05, size=(len(walls), 1))
         stage = _SETTLE if frames else _COMPARE
         both = joined([pool, energy.descend(energy.starts(walls, stage.first), stage)])
-        if not frames:
-            both = self._long(both)
-        self.place.pool = both.best(8)
-        before, now = float(pool.energy[0]), float(self.place.pool.energy[0])
-        if before - now < _STANDSTILL:
+        self.place.pool = self._ranked(both, 12)
+        before, now = (float(self._scores(one[:1])[0]) for one in (pool, self.place.pool))
+        if before - now >= _STANDSTILL:
+            return "neighbours"
+        if frames:
             return "finish"
         # on the narrow grid the best answer so far has another energy
-        hopeless = not frames and now > energy.descend(self.place.best, _FREE).energy[0] + _HOPELESS
-        return "finish" if hopeless else "neighbours"
+        best, found = energy.descend(self.place.best, _FREE), self.place.pool[:1]
+        ahead = found.energy[0] < best.energy[0] - _AHEAD
+        same = energy.apart(found, best.coefficients)[0] < _OTHER
+        return "finish" if ahead or same else "neighbours"
 
     def _finish(self, _: Generator) -> str:
         place, before = self.place, self.place.best
-        self._offer(self._energy.descend(place.pool.best(2), _last(self._frames)))
+        self._offer(_settled(self._energy, place.pool[:2], self._frames))
         if self._frames:
             return "widen"
         # energies of the narrow grid are compared among themselves
         energy = self._searched()
-        walls = joined([place.pool, energy.descend(joined([before, place.best]), _FREE)])
-        other = energy.apart(walls, place.best.coefficients) > _OTHER
+        other = energy.apart(place.pool, place.best.coefficients) > _OTHER
+        walls = _settled(energy, joined([place.pool[other].best(4), before, place.best]))
+        other = energy.apart(walls, walls[-1:].coefficients) > _OTHER
         found = walls.energy[other].min(initial=math.inf) - walls.energy[-1]
         lowered = float(before.energy[0] - place.best.energy[0])
         place.rival = float(np.fmin(place.rival + lowered, found))
@@ -496,12 +542,12 @@ class Search:
             return "end"
         if place.turn == _ENOUGH and self._verdict.alone(place.rival):
             return "end"
-        return "gather" if self._proposals is None or place.turn % 2 else "propose"
+        return "gather" if self._proposals is None else "propose"
 
     def _offer(self, found: Starts, modes: tuple[int, ...] | None = None) -> None:
-        """Keep the start of least energy, and record it in the history."""
-        place, best = self.place, found.best(1)
-        if not len(place.best) or best.energy[0] < place.best.energy[0]:
+        """Keep the start of least score, and record it in the history."""
+        place, best = self.place, self._ranked(found, 1)
+        if not len(place.best) or self._scores(best)[0] < self._scores(place.best)[0]:
             place.best, place.modes = best, self._energy.modes if modes is None else modes
         now, history = float(place.best.energy[0]), place.history
         before = history["objective"][-1] if history["objective"] else math.inf
@@ -522,7 +568,17 @@ class Search:
         if self._strength is not None:
             known = self._strength
             return tuple(known * factor for factor in _AROUND) if self._frames else (known,)
-        return _STRENGTHS if self._proposals is None else (self._proposals.length,)
+        return _STRENGTHS
+
+
+def _settled(energy: FreeEnergy, starts: Starts, frames: bool = False) -> Starts:
+    """Fit answers a last time; those for one image until no energy decreases much."""
+    found = energy.descend(starts, _last(frames))
+    for _ in range(0 if frames else _REPEATS):
+        before, found = found.energy, energy.descend(found, _FREE)
+        if (before - found.energy).max() < _STANDSTILL:
+            break
+    return found
 
 
 def _last(frames: bool) -> Stage:

@@ -235,6 +235,12 @@ class FreeEnergy:
         distances: Floats = np.sqrt(squares[0] / squares[1])
         return distances
 
+    def sharpness(self, walls: Floats) -> Floats:
+        """Return the sums of squares (B,) of the first image's point spreads, of walls (B, M)."""
+        transfer = self._transfer(self._array(walls))[0][:, 0] * self._pixel[0]
+        squares: Floats = np.square(np.fft.irfft2(transfer, s=self.grid)).sum(axis=(1, 2))
+        return squares
+
     def about(self, first: Floats, error: float) -> Self:
         """Return this energy with a Gaussian prior of the coefficients about ``first`` (M,).
 

@@ -36,7 +36,7 @@ _LEAST_RIVAL = 100.0
 #: Smallest norm of the coefficients for one image relative to the expected one: walls of less
 #: approach no blur. For walls of one wave such answers, at 0.23 to 0.3 of the expected norm, have
 #: less energy than all others that the search finds, and are wrong.
-LEAST_LENGTH = 0.6
+_LEAST_LENGTH = 0.6
 #: Criteria for one image and a wall of known error. The free energy is below that of the no-blur
 #: fit by at least NEAR_MARGIN. Or the prior of the coefficients puts the no-blur fit above the
 #: answer by at least BY_PRIOR; then the answer's own energy may be higher, by at most LITTLE_ABOVE
@@ -153,7 +153,7 @@ class Verdict:
             if sharp >= -limit:
                 return sharply
             length = float(np.linalg.norm(best.coefficients[0]))
-            if not length >= LEAST_LENGTH * expected:
+            if not length >= _LEAST_LENGTH * expected:
                 known = f"{expected:.2g} waves rms" if expected > 0.0 else "unknown strength"
                 return (
                     f"a wave of {known} is expected, that of the answer has {length:.2g} waves "

@@ -41,8 +41,8 @@ _PERIOD = 192
 _MEETINGS = 5
 #: Standard deviations in this mean relative to the proposed ones, so that the looks meet.
 _WIDER = 2.0
-#: Standard deviations of the drawn walls relative to the proposed ones, in turn.
-_SPREADS = (0.0, 0.5)
+#: Standard deviations of the drawn walls relative to the proposed ones.
+_SPREAD = 0.5
 Turn = Callable[[Tensor], Tensor]
 
 
@@ -82,10 +82,14 @@ class WallProposals:
         self.length = self._expected_length()
 
     def walls(self, count: int, random: Generator) -> Floats:
-        """Return coefficients (count, M), waves rms: the mean, and draws from the density."""
+        """Return coefficients (count, M), waves rms: the mean, and draws from the density.
+
+        Each Gaussian that is drawn gives its mean first, then draws with half its deviations.
+        """
         weights, means, deviations = self._parts
         rows = random.choice(len(weights), size=count, p=weights / weights.sum())
-        spread = np.resize(_SPREADS, count)[:, None] * deviations[rows]
+        spread = _SPREAD * deviations[rows]
+        spread[np.unique(rows, return_index=True)[1]] = 0.0
         walls: Floats = means[rows] + spread * random.normal(size=spread.shape)
         walls[0] = self.mean
         return walls

@@ -288,6 +288,8 @@ def test_distances_of_walls_are_those_of_their_point_spreads(pupil):
     # the amplitudes of rounding errors are clipped in the point spreads
     assert found == pytest.approx(expected, abs=1e-6)
     assert found[1] < 1e-6 < 0.3 < found[2]
+    squares = [np.square(spread).sum() for spread in spreads]
+    assert energy.sharpness(walls) == pytest.approx(squares, rel=1e-6)
 
 
 @pytest.mark.parametrize(

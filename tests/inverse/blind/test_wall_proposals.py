@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import torch
 
 from nlosoptics.errors import SceneError
 from nlosoptics.inverse import PupilPSF
+from nlosoptics.inverse.blind import evidence_search
 from nlosoptics.inverse.blind import wall_proposals as proposals
 from nlosoptics.inverse.blind.evidence_search import Search
 from nlosoptics.inverse.blind.free_energy import FreeEnergy
@@ -129,7 +132,7 @@ def test_the_expected_length_is_that_of_draws_and_near_the_truth(cases, monkeypa
     ]
     # the cases' walls have 0.5 waves
     assert np.median([one.length for one in densities]) == pytest.approx(0.5, rel=0.3)
-    monkeypatch.setattr(proposals, "_SPREADS", (1.0,))
+    monkeypatch.setattr(proposals, "_SPREAD", 1.0)
     drawn = densities[0].walls(2001, np.random.default_rng(0))[1:]
     expected = np.sqrt(np.square(drawn).sum(axis=1).mean())
     assert densities[0].length == pytest.approx(expected, rel=0.03)
@@ -294,19 +297,68 @@ def test_proposed_walls_are_fitted_alike_by_any_threads_and_after_resuming():
         again = fitted(resumed)
     finally:
         numba.set_num_threads(threads)
-    assert len(pool) == 8
+    assert len(pool) == 12
     assert np.array_equal(pool.coefficients, again.coefficients)
     assert np.array_equal(pool.energy, again.energy)
 
 
-@pytest.mark.parametrize("strength", [None, 0.25])
-def test_initial_walls_have_the_expected_or_the_known_strength(strength, monkeypatch):
+def test_initial_walls_have_the_known_strength(monkeypatch):
     data, point_spread = image(picture(5, 32), walls(1, 0.3, seed=6)[0]), pupil(shape=32)
     monkeypatch.setattr(FreeEnergy, "descend", lambda self, starts, stage: starts)
-    found = search(data, point_spread, "gather", strength=strength)
-    lengths = np.linalg.norm(fitted(found).coefficients, axis=1)
-    lengths /= found._proposals.length if strength is None else strength
+    found = search(data, point_spread, "gather", strength=0.25)
+    lengths = np.linalg.norm(fitted(found).coefficients, axis=1) / 0.25
     assert 0.9 <= lengths.min() < 1.0 < 1.4 < lengths.max() <= 1.5
+
+
+def test_waves_of_unexpectedly_sharp_point_spreads_rank_behind():
+    """By 0.2 per pixel and factor e of the mean square; expected ones rank by their energies."""
+    truth = walls(1, 0.6, seed=6)[0]
+    data, point_spread = image(picture(5, 32), truth), pupil(shape=32)
+    found = search(data, point_spread, "propose")
+    energy = found._energy
+    starts = energy.starts(np.stack([0.1 * truth, truth, 1.2 * truth]), 1.0)
+    starts = replace(starts, energy=np.array([0.0, 100.0, 90.0]))
+    scores = found._scores(starts)
+    assert scores[1:] == pytest.approx([100.0, 90.0])
+    ratio = energy.sharpness(starts.coefficients)[0] / found._sharpness
+    assert scores[0] == pytest.approx(0.2 * data.size * np.log(ratio), rel=1e-6)
+    assert list(found._ranked(starts, 2).energy) == [90.0, 100.0]
+    weak = search(data, point_spread, "propose", strength=0.3)
+    assert list(weak._scores(starts)) == [0.0, 100.0, 90.0]
+
+
+@pytest.mark.parametrize(("factor", "following"), [(1.0, "finish"), (0.3, "neighbours")])
+def test_generations_end_at_the_wall_that_another_fit_found(factor, following, monkeypatch):
+    """None of them lowers the score here; the best answer so far has the same energy."""
+    truth = walls(1, 0.6, seed=6)
+    data, point_spread = image(picture(5, 32), truth[0]), pupil(shape=32)
+    found = search(data, point_spread, "neighbours")
+    monkeypatch.setattr(FreeEnergy, "descend", lambda self, starts, stage: starts)
+    settled = replace(found._energy.starts(truth, 1.0), energy=np.zeros(1))
+    found.place.best = replace(settled, coefficients=factor * truth)
+    found.place.pool = settled
+    with single_thread():
+        found.run(lambda text, done: found.place.count == 1 or found.place.step != "neighbours")
+    assert found.place.step == following
+
+
+def test_the_last_fit_of_one_image_goes_on_until_no_energy_decreases():
+    energies = [[100.0, 90.0], [60.0, 89.0], [59.0, 60.0], [58.0, 59.0], [0.0, 0.0]]
+    data, point_spread = image(picture(5, 32), walls(1, 0.6, seed=6)[0]), pupil(shape=32)
+    starts = search(data, point_spread, "finish")._energy.starts(walls(2, 0.6, seed=6), 1.0)
+    for frames, last in ((False, 3), (True, 0)):
+        left = iter(energies)
+        fake = SimpleNamespace(
+            descend=lambda starts, stage, left=left: replace(starts, energy=np.array(next(left)))
+        )
+        assert list(evidence_search._settled(fake, starts, frames).energy) == energies[last]
+
+
+def test_draws_hold_no_wall_twice():
+    """A Gaussian that is drawn again gives a wall beside its mean."""
+    data = image(picture(5), walls(1, 0.3, seed=6)[0])
+    drawn = proposed(data, pupil(), count=96)
+    assert len(np.unique(drawn.round(9), axis=0)) == 96
 
 
 @pytest.fixture
