@@ -148,3 +148,9 @@ def test_one_halo_is_told_from_other_dim_parts():
     # a blur that passes half of the object's power leaves halos in right objects too
     hidden = signs(dots + 2.0 * spots, dots, residual=1.0, excess=10.0, passed=0.5)
     assert hidden["halo"] == pytest.approx(0.5 * near["halo"], rel=1e-12)
+    # of dim parts too faint to matter, a tenth of the light is a hundredth of the power
+    faint, fainter = (
+        signs(dots + x * spots, dots, residual=1.0, excess=10.0) for x in (0.02, 0.002)
+    )
+    assert fainter["dim"] < faint["dim"] < 5e-3
+    assert fainter["halo"] / faint["halo"] == pytest.approx(0.01, rel=0.2)

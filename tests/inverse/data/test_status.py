@@ -161,7 +161,7 @@ def test_detail_that_a_linear_filter_would_miss_is_no_reason(drawn):
     assert inverse.wiener(case.image, model).status == "too_few_photons"
 
 
-@pytest.mark.parametrize(("distance", "share"), [(0.35, 0.87), (0.1, 0.65)])
+@pytest.mark.parametrize(("distance", "share"), [(0.44, 0.72), (0.1, 0.65)])
 def test_noise_that_hides_the_object_is_named(monkeypatch, distance, share):
     """Each limit alone: the object of a second fit, and the detail above the noise."""
     model, truth = lobe(2.0), np.zeros((SIDE, SIDE))
