@@ -15,6 +15,22 @@ from typing import Any
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
+
+#: Tolerance relative to the numbers on record, which have nine digits.
+TIGHT = 1e-8
+
+
+def numbers(
+    *shape: int, low: float = -1.0, high: float = 1.0, seed: int = 0
+) -> NDArray[np.float64]:
+    """Return an array of uniformly distributed random numbers."""
+    return np.random.default_rng([*shape, seed]).uniform(low, high, shape)
+
+
+def complexes(*shape: int, seed: int = 0) -> NDArray[np.complex128]:
+    """Return an array whose real and imaginary parts are `numbers`."""
+    return numbers(*shape, seed=seed) + 1j * numbers(*shape, seed=seed + 1)
 
 
 @functools.cache

@@ -9,22 +9,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ..plain_kernels import after, plain
+from ..plain_kernels import TIGHT, after, complexes, numbers, plain
 
 evidence = plain("inverse.blind._evidence_kernels")
 splitting = plain("inverse.known._splitting_kernels")
-TIGHT = 1e-8  # relative to the numbers on record, which have nine digits
 STARTS, IMAGES, ROWS, COLUMNS = 2, 3, 4, 5  # of an image; the grid is larger
 HIGH, WIDE = 6, 8
 HALF = WIDE // 2 + 1
-
-
-def numbers(*shape, low=-1.0, high=1.0, seed=0):
-    return np.random.default_rng([*shape, seed]).uniform(low, high, shape)
-
-
-def complexes(*shape, seed=0):
-    return numbers(*shape, seed=seed) + 1j * numbers(*shape, seed=seed + 1)
 
 
 def positive(*shape, seed=0):

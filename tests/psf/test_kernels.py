@@ -14,7 +14,7 @@ import pytest
 
 from nlosoptics.scene import ConcaveWall, WavyWall
 
-from ..plain_kernels import after, plain
+from ..plain_kernels import TIGHT, after, complexes, numbers, plain
 
 soft = plain("psf.transform._antialiased_kernels")
 batch = plain("psf.batch._batch_kernels")
@@ -23,15 +23,6 @@ aiming = plain("psf.pupil._aiming_kernels")
 facets = plain("psf.rough._facet_kernels")
 splines = plain("psf.rough._spline_kernels")
 sums = plain("psf.transform._transform_kernels")
-TIGHT = 1e-8  # relative to the numbers on record, which have nine digits
-
-
-def numbers(*shape, low=-1.0, high=1.0, seed=0):
-    return np.random.default_rng([*shape, seed]).uniform(low, high, shape)
-
-
-def complexes(*shape, seed=0):
-    return numbers(*shape, seed=seed) + 1j * numbers(*shape, seed=seed + 1)
 
 
 def triangle(size, seed=0):

@@ -11,23 +11,14 @@ import pytest
 
 from nlosoptics.scene import Lambert, OrenNayar, SpecularMicrofacet, SumMaterial
 
-from ..plain_kernels import after, plain
+from ..plain_kernels import TIGHT, after, complexes, numbers, plain
 
 phasor = plain("transient.imaging._phasor_kernels")
 migration = plain("transient.imaging._migration_kernels")
 detector = plain("transient.capture._detector_kernels")
 bounces = plain("transient.rendering._bounce_kernels")
 sight = plain("transient.rendering._sight_kernels")
-TIGHT = 1e-8  # relative to the numbers on record, which have nine digits
 SAMPLER = (np.uint64(77), np.zeros((1, 0, 32), np.uint32), np.zeros((1, 0), np.uint32))
-
-
-def numbers(*shape, low=-1.0, high=1.0, seed=0):
-    return np.random.default_rng([*shape, seed]).uniform(low, high, shape)
-
-
-def complexes(*shape, seed=0):
-    return numbers(*shape, seed=seed) + 1j * numbers(*shape, seed=seed + 1)
 
 
 @pytest.mark.parametrize("falls", [True, False], ids=["falls", "stays"])

@@ -66,6 +66,8 @@ _LENGTHS = (0.9, 1.5)
 _STARTS = 32
 #: Walls of one image that are fitted further.
 _KEPT = 20
+#: Best walls that a step of the search passes to the next.
+_POOL = 12
 #: Proposed walls of a round with one image.
 _PROPOSALS = 24
 #: Number of walls that show which point spreads are expected for one image, and the share of them
@@ -433,7 +435,7 @@ class Search:
         pool = energy.starts(walls, _PROPOSED[0].first)
         for stage in _PROPOSED:
             pool = energy.descend(pool, stage)
-        self.place.pool = self._ranked(pool, 12)
+        self.place.pool = self._ranked(pool, _POOL)
         return "neighbours"
 
     def _expected_length(self) -> float:
@@ -446,7 +448,7 @@ class Search:
         """Return the sum of squares that the point spreads of most expected walls exceed."""
         random = generator(self._seed, _ROUND - 1)
         if self._proposals is None:
-            lengths = np.array([min(self._strengths())])
+            lengths = np.array([self._expected_length()])
             walls = random_walls(_EXPECTED, self._energy.size, lengths, random)
         else:
             walls = self._proposals.walls(_EXPECTED, random)
@@ -472,7 +474,7 @@ class Search:
         """Fit the best walls with the prior that ranks answers."""
         count, stage = (8, _SETTLE) if self._frames else (_KEPT, _RELEASE)
         pool = self._searched().descend(self.place.pool.best(count), stage)
-        self.place.pool = self._ranked(pool, 12)
+        self.place.pool = self._ranked(pool, _POOL)
         return "neighbours"
 
     def _neighbours(self, random: Generator) -> str:
@@ -489,7 +491,7 @@ class Search:
         walls *= random.uniform(near.least, 1.05, size=(len(walls), 1))
         stage = _SETTLE if frames else _COMPARE
         both = joined([pool, energy.descend(energy.starts(walls, stage.first), stage)])
-        self.place.pool = self._ranked(both, 12)
+        self.place.pool = self._ranked(both, _POOL)
         before, now = (float(self._scores(one[:1])[0]) for one in (pool, self.place.pool))
         if before - now >= _STANDSTILL:
             return "neighbours"

@@ -14,11 +14,10 @@ import pytest
 from nlosoptics.scene import Lambert, OrenNayar, SpecularMicrofacet, SumMaterial
 from nlosoptics.transient.rendering.surfaces import neighbours
 
-from ...plain_kernels import plain
+from ...plain_kernels import TIGHT, plain
 
 shadows = plain("transient.rendering._visibility_kernels")
 bounces = plain("transient.rendering._three_bounce_kernels")
-TIGHT = 1e-8  # relative to the numbers on record, which have nine digits
 POINTS = np.array([[-0.3, 0.2, 0.0], [0.4, -0.1, 0.0], [0.05, 0.6, 0.0]])
 START, DELTA = 1.3, 0.17
 ABOVE = np.array([0.0, 0.0, 0.6])
