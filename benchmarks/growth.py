@@ -62,7 +62,9 @@ def reconstruction(side):
     noise = np.random.default_rng(0).normal(0.0, 0.02, truth.shape)
     seen = model.forward(truth) + noise
     return (
-        lambda: inverse.tv_deconvolve(seen, model, noise_sigma=0.02, max_iterations=40),
+        lambda: inverse.tv_deconvolve(
+            inverse.Measurement(seen, noise_sigma=0.02), model, max_iterations=40
+        ),
         side**2,
     )
 

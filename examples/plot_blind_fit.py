@@ -55,7 +55,11 @@ pictures = seen + noise * random.normal(size=seen.shape)
 
 pupil = inverse.PupilPSF.from_zernike(modes, shape=size, **optics)
 found = inverse.evidence_fit(
-    pictures, pupil, defocus=defocus, noise_sigma=noise, max_iterations=1, seed=1
+    inverse.Measurement(pictures, noise_sigma=noise),
+    pupil,
+    defocus=defocus,
+    max_iterations=1,
+    seed=1,
 )
 fitted = found.physical_parameters["coefficients"]
 

@@ -10,8 +10,8 @@ scene = nlos.Scene.load(scene_file)
 print(nlos.limits.feasibility(scene).verdict)
 taken = imaging.camera_image(pictures, shape=scene.camera.shape)  # dark=, flat=
 model = reconstructing.known_model(scene)
-noise = taken.noise(inverse.estimate_noise(taken.values))
 veil = imaging.diffuse_background(scene)  # shape of the wall's diffuse light
-found = inverse.tv_deconvolve(taken.values, model, noise_sigma=noise, background_shape=veil)
+image = inverse.Measurement(taken.values, masked=taken.masked, background_shape=veil)
+found = inverse.tv_deconvolve(image, model)
 print(f"{found.status}, residual {found.score:.2f} of the noise")
 views.save(views.reconstruction(found), "object.png")

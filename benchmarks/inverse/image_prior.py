@@ -46,14 +46,10 @@ def main():
                         grey = picture(OBJECTS / f"{name}.png")
                         data = measured(grey, point_spread, noise=noise, seed=seed)
                         model = imaging.ForwardModel(data.kernel, shape=data.image.shape)
-                        known = {"noise_sigma": data.noise_sigma}
-                        start = inverse.tv_deconvolve(data.image, model, **known)
+                        image = inverse.Measurement(data.image, noise_sigma=data.noise_sigma)
+                        start = inverse.tv_deconvolve(image, model)
                         found = inverse.deep_image_prior(
-                            data.image,
-                            model,
-                            guide=guide,
-                            max_iterations=options.iterations,
-                            **known,
+                            image, model, guide=guide, max_iterations=options.iterations
                         )
                         line = json.dumps(
                             {

@@ -77,7 +77,9 @@ def compared(deepinv, number):
     answer = inverse.tv_deconvolve(data.image, model)
     row["ours"] = inverse.registered_correlation(answer, data.truth)
     row["status"] = answer.status
-    told = inverse.tv_deconvolve(data.image, model, noise_sigma=data.noise_sigma)
+    told = inverse.tv_deconvolve(
+        inverse.Measurement(data.image, noise_sigma=data.noise_sigma), model
+    )
     row["ours_told"] = inverse.registered_correlation(told, data.truth)
     row["deepinv_told"], row["deepinv_best"] = by_deepinv(deepinv, data, model)
     row["lucy_best"] = their_richardson_lucy(data)[0]

@@ -122,7 +122,8 @@ def ours(solver):
         from nlosoptics import imaging, inverse
 
         model = imaging.ForwardModel(data.kernel, shape=data.image.shape)
-        found = getattr(inverse, solver)(data.image, model, noise_sigma=data.noise_sigma)
+        image = inverse.Measurement(data.image, noise_sigma=data.noise_sigma)
+        found = getattr(inverse, solver)(image, model)
         return inverse.registered_correlation(found, data.truth), found.seconds
 
     return run

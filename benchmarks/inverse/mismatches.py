@@ -311,15 +311,14 @@ def disturbance(clean, kind, strength, rng):
 
 def signs_of(found, image, model):
     """Signs of a wrong model in a reconstruction, or None without an object or a second fit."""
-    from nlosoptics.inverse.data.measurement import measurement
+    from nlosoptics.inverse.data.noisy_image import noisy_image
     from nlosoptics.inverse.data.signs import LACK, LACK_POWER
     from nlosoptics.inverse.data.status import Spectra
 
     fitted = found.physical_parameters
     if "expected_correlation" not in fitted:
         return None
-    known = {"background": 0.0, "fit_background": True, "background_shape": None}
-    data = measurement(image, model, noise_sigma=None, **known)
+    data = noisy_image(image, model)
     level = found.object * fitted["gain"]
     spectra = Spectra(data, level, fitted["background"], model)
     lack = ((1.0 - fitted["expected_correlation"]) / LACK) ** (1.0 / LACK_POWER)
@@ -335,7 +334,9 @@ def twin(data, model):
     from nlosoptics import inverse
 
     noise = ALIKE * data.noise_sigma / PIXELS
-    found = inverse.tv_deconvolve(data.clean, model, noise_sigma=noise, max_iterations=1500)
+    found = inverse.tv_deconvolve(
+        inverse.Measurement(data.clean, noise_sigma=noise), model, max_iterations=1500
+    )
     level = found.object * found.physical_parameters["gain"]
     image = model.forward(level) + found.physical_parameters["background"]
     if not level.any() or np.linalg.norm(image - data.clean) > ALIKE * data.noise_sigma:
@@ -356,7 +357,7 @@ def solved(seed, name, kind=None, *, signs=False):
     model = imaging.ForwardModel(data.kernel, shape=data.image.shape)
     found = known = solver(data.image, model)
     if data.kind == "none":
-        known = solver(data.image, model, noise_sigma=data.noise_sigma)
+        known = solver(inverse.Measurement(data.image, noise_sigma=data.noise_sigma), model)
     row = {
         "seed": seed,
         "kind": data.kind,

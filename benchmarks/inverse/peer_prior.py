@@ -77,7 +77,9 @@ def main():
                 grey = picture(OBJECTS / f"{name}.png")
                 data = measured(grey, fine_point_spread(wall, 0), noise=noise, seed=0)
                 model = imaging.ForwardModel(data.kernel, shape=data.image.shape)
-                found = inverse.deep_image_prior(data.image, model, noise_sigma=data.noise_sigma)
+                found = inverse.deep_image_prior(
+                    inverse.Measurement(data.image, noise_sigma=data.noise_sigma), model
+                )
                 rows = [("ours", inverse.registered_correlation(found, data.truth), found.seconds)]
                 for channels in options.channels:
                     for count in options.iterations:

@@ -64,7 +64,7 @@ def one_wall(job):
     wall, rms, options, done = job
     from cases import case
 
-    from nlosoptics.inverse.published.wu2024 import wu2024_fit
+    from nlosoptics.inverse import Measurement, wu2024_fit
 
     rows, first = [], None
     for name in options.objects:
@@ -72,12 +72,13 @@ def one_wall(job):
         if name == options.objects[0]:
             wanted = ["cold"]
         data = case(name, wall, rms_waves=rms, size=options.size, noise=options.noise)
-        shared = {"noise_sigma": float(data.noise_sigma[0]), "seed": wall, "base": options.base}
+        measured = Measurement(data.images, noise_sigma=float(data.noise_sigma[0]))
+        shared = {"seed": wall, "base": options.base}
         for kind in wanted:
             steps = options.iterations if kind == "cold" else options.warm_iterations
             start = first if kind == "warm" else None
             found = wu2024_fit(
-                data.images, pupil(data, options.size), start=start, max_iterations=steps, **shared
+                measured, pupil(data, options.size), start=start, max_iterations=steps, **shared
             )
             first = found if first is None else first
             if (name, wall, rms, kind) not in done:
@@ -147,12 +148,12 @@ def of_scene(options):
     spread = model.kernel / model.kernel.sum()
     x = np.arange(spread.shape[1]) - spread.shape[1] // 2
     blur = float(np.sqrt(spread.sum(axis=0) @ x**2))
-    known = {"noise_sigma": sigma, "background_shape": veil}
+    measured = inverse.Measurement(image, noise_sigma=sigma, background_shape=veil)
     found = inverse.wu2024_fit(
-        image, facets, start_rms=blur, seed=options.first_wall,
-        base=options.base, max_iterations=options.iterations, **known,
+        measured, facets, start_rms=blur, seed=options.first_wall,
+        base=options.base, max_iterations=options.iterations,
     )  # fmt: skip
-    best = inverse.tv_deconvolve(image, model, **known)
+    best = inverse.tv_deconvolve(measured, model)
     return {
         "scene": options.scene.stem,
         "seed": options.first_wall,

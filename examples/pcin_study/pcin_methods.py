@@ -100,17 +100,18 @@ def _rounded(value: float) -> float | None:
 def _known(key: dict[str, Any], taken: data.Exposure) -> Any:
     place = place_of(key)
     solver = inverse.tv_deconvolve if key["method"] == "tv" else inverse.inverse_filter
-    known = {"noise_sigma": taken.noise, "background_shape": data.veil(place)}
+    veil = data.veil(place)
+    image = inverse.Measurement(taken.image, noise_sigma=taken.noise, background_shape=veil)
     # one division of spectra takes one point spread
     model = data.known_model(place, mean=key["method"] == "inverse_filter")
-    return solver(taken.image, model, **known), {}
+    return solver(image, model), {}
 
 
 def _phase_retrieval(key: dict[str, Any], taken: data.Exposure) -> Any:
     method = "alternating" if key["method"] == "phase_retrieval" else "hio"
     if key["scale"] != "rough":
         found = inverse.phase_retrieval(
-            taken.image, method=method, noise_sigma=taken.noise, seed=SEED
+            inverse.Measurement(taken.image, noise_sigma=taken.noise), method=method, seed=SEED
         )
         return found, {}
     # Speckle under an envelope: Katz 2014 divides by the mean of the neighbourhood as well.
@@ -123,7 +124,7 @@ def _cnn(key: dict[str, Any], taken: data.Exposure) -> Any:
     network, seconds = trained(key["scale"], key["size"], key["pairs"])
     # the image model only says how well the answer explains the image
     found = network.reconstruct(
-        taken.image, data.known_model(place_of(key)), noise_sigma=taken.noise
+        inverse.Measurement(taken.image, noise_sigma=taken.noise), data.known_model(place_of(key))
     )
     return found, {"training_seconds": round(seconds, 1), "iterations": 0}
 
@@ -171,10 +172,9 @@ def _wu2024_run(place: data.Place, milliseconds: int, seed: int, iterations: int
     taken = data.exposure_of(place, milliseconds, seed)
     cells = CELLS if place[0] == "rough" else 0
     return inverse.pcin(
-        taken.image,
+        inverse.Measurement(taken.image, noise_sigma=taken.noise),
         data.fitted_pupil(place[0], place[3], cells=cells),
         recipe="wu2024",
-        noise_sigma=taken.noise,
         max_iterations=iterations,
         seed=seed,
     )
@@ -192,10 +192,9 @@ def _wu2024_warm(key: dict[str, Any], taken: data.Exposure) -> Any:
     how = (key["exposure_ms"], key["seed"], asked)
     cold = _wu2024_run(place, *how)
     found = inverse.pcin(
-        taken.image,
+        inverse.Measurement(taken.image, noise_sigma=taken.noise),
         data.fitted_pupil(scale, key["size"], cells=CELLS if scale == "rough" else 0),
         recipe="wu2024",
-        noise_sigma=taken.noise,
         start=_wu2024_run((scale, WARM_FROM, *rest), *how),
         max_iterations=max(1, round(asked * WARM / COLD)),
         seed=key["seed"],
@@ -216,13 +215,15 @@ def _first_below(residuals: Any, goal: float) -> int | None:
 def _blind(key: dict[str, Any], taken: data.Exposure) -> Any:
     """The evidence of one frame, or of two of which the second has a known change of focus."""
     scale, size = key["scale"], key["size"]
-    images: Any = taken.image
-    options: dict[str, Any] = {"noise_sigma": taken.noise}
+    images = inverse.Measurement(taken.image, noise_sigma=taken.noise)
+    options: dict[str, Any] = {}
     if key["method"] == "evidence_2frames":
         second = data.exposure_of(place_of(key), key["exposure_ms"], key["seed"], second=True)
-        images = np.stack([taken.image, second.image])
+        images = inverse.Measurement(
+            np.stack([taken.image, second.image]), noise_sigma=[taken.noise, second.noise]
+        )
         extra = data.defocus_waves(scale, size) * taken.scene.laser.wavelength
-        options = {"defocus": [0.0, extra], "noise_sigma": [taken.noise, second.noise]}
+        options = {"defocus": [0.0, extra]}
     found = inverse.evidence_fit(
         images,
         data.fitted_pupil(scale, size),

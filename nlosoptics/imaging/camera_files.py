@@ -57,25 +57,6 @@ class CameraImage(Noun):
         self.values.flags.writeable = False
         self.masked.flags.writeable = False
 
-    def noise(self, sigma: float) -> float | Array:
-        """Return the rms noise of each pixel for a solver, infinite at masked pixels.
-
-        Solvers ignore pixels of infinite noise.
-
-        Parameters
-        ----------
-        sigma : float
-            Rms noise of the other pixels, counts.
-
-        Returns
-        -------
-        float or ndarray, (ny, nx)
-            Rms noise of each pixel, counts; the number ``sigma`` itself if no pixel is masked.
-        """
-        if not self.masked.any():
-            return sigma
-        return np.where(self.masked, np.inf, sigma)
-
 
 def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
     """Read the counts of one image file, without any correction.

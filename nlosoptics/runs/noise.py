@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from .._smoothing import gaussian_smoothed
 from ..imaging import CameraImage, ForwardModel
 from ..imaging.images import reading_noise
+from ..inverse.data.noisy_image import estimate_noise, surrounded
 from ..scene import Scene
 
 Array = NDArray[np.float64]
@@ -46,9 +47,7 @@ def camera_noise(scene: Scene, image: CameraImage, model: ForwardModel) -> Array
         Rms noise, counts, infinite at masked pixels. It is uniform if no number of electrons per
         count explains the image's mean noise, and None if the image has no noise.
     """
-    from ..inverse import estimate_noise
-
-    values = np.where(image.masked, _surroundings(image), image.values)
+    values = surrounded(image.values, image.masked)
     sigma = estimate_noise(values, model)
     if sigma == 0.0:
         return None
@@ -70,14 +69,6 @@ def camera_noise(scene: Scene, image: CameraImage, model: ForwardModel) -> Array
                 high = middle
         found = noise(math.exp(low))
     return np.where(image.masked, np.inf, found)
-
-
-def _surroundings(image: CameraImage) -> Array:
-    """Return the weighted mean of the valid pixels around each pixel, counts."""
-    valid = gaussian_smoothed((~image.masked).astype(np.float64), 1.5)
-    total = gaussian_smoothed(np.where(image.masked, 0.0, image.values), 1.5)
-    mean = float(image.values[~image.masked].mean())
-    return np.where(valid > 1e-3, total / np.maximum(valid, 1e-3), mean)
 
 
 def _local_mean(values: Array) -> Array:

@@ -252,11 +252,12 @@ def reconstructed(
     (image,) = task.images
     model = model or known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
     noise = camera_noise(task.scene, image, model)
-    offered = {"noise_sigma": noise, **_always(task, start, progress)}
-    if "background_shape" in inspect.signature(solver).parameters:
+    veil = None
+    if task.method != "phase_retrieval":  # which has no use for it
         veil = fitted_veil(task.scene, image.values, model, noise_sigma=noise)
-        offered["background_shape"] = veil
-    found: Reconstruction = solver(image.values, model, **_taken(solver, task.method, offered))
+    measured = inverse.Measurement(image.values, noise_sigma=noise, background_shape=veil)
+    offered = _taken(solver, task.method, _always(task, start, progress))
+    found: Reconstruction = solver(measured, model, **offered)
     return found
 
 
@@ -270,14 +271,11 @@ def _blind(
     frames = np.stack([image.values for image in task.images])
     offered = _always(task, start, progress)
     masked = np.stack([image.masked for image in task.images])
-    if masked.any():
-        if task.method == "wu2024":
-            raise SceneError(
-                f"{np.count_nonzero(masked)} pixels are saturated or dead, and wu2024 cannot mask "
-                "pixels; use evidence or tv"
-            )
-        sigmas = [inverse.estimate_noise(frame) for frame in frames]
-        offered["noise_sigma"] = np.where(masked, np.inf, np.reshape(sigmas, (-1, 1, 1)))
+    if masked.any() and task.method == "wu2024":
+        raise SceneError(
+            f"{np.count_nonzero(masked)} pixels are saturated or dead, and wu2024 cannot mask "
+            "pixels; use evidence or tv"
+        )
     pupil = inverse.PupilPSF.from_scene(
         scene,
         MODES,
@@ -287,7 +285,8 @@ def _blind(
     )
     if task.defocus:
         offered["defocus"] = np.array(task.defocus) * scene.laser.wavelength
-    return inverse.pcin(frames, pupil, recipe=task.method, **offered)
+    measured = inverse.Measurement(frames, masked=masked)
+    return inverse.pcin(measured, pupil, recipe=task.method, **offered)
 
 
 def _always(

@@ -314,6 +314,7 @@ def _reconstruct(
     veil = fitted_veil(
         scene, image.electrons, model, noise_sigma=noise, background=dark, shadows=shadows
     )
-    return inverse.tv_deconvolve(
-        image.electrons, model, noise_sigma=noise, background=dark, background_shape=veil
+    measured = inverse.Measurement(
+        image.electrons, noise_sigma=noise, background=dark, background_shape=veil
     )
+    return inverse.tv_deconvolve(measured, model)

@@ -18,7 +18,8 @@ from ..imaging import ForwardModel, Shadows, cast_shadows, diffuse_background
 from ..imaging.geometry import picture_coordinates, picture_points
 from ..imaging.images import mirror_image
 from ..imaging.radiometry import has_highlight, laser_spot, spot_irradiance
-from ..inverse.data.measurement import measurement
+from ..inverse.data.measurement import Measurement
+from ..inverse.data.noisy_image import noisy_image
 from ..inverse.data.signs import block_means
 from ..inverse.known.total_variation import sharpest
 from ..scene import PlanarObject, Scene
@@ -122,14 +123,13 @@ def fitted_veil(
     for _ in range(ROUNDS):
         if _standard_errors(error, noise) < TOLERATED:
             break
-        data = measurement(
+        given = Measurement(
             seen,
-            blur,
             noise_sigma=np.hypot(noise, error),
             background=background,
-            fit_background=True,
             background_shape=mine * ratio,
         )
+        data = noisy_image(given, blur)
         object_, strength, _ = sharpest(data, blur, (ITERATIONS, TOLERANCE))
         picture = cells.picture(np.asarray(object_))
         if not picture.any():

@@ -189,7 +189,7 @@ def test_seeds_are_whole_numbers_of_64_bits(name):
 def test_a_network_does_not_start_from_an_object():
     bright = np.kron(np.eye(4), np.ones((4, 4)))
     with pytest.raises(NlosError, match="start holds no "):
-        inverse.deep_image_prior(bright, SMALL, noise_sigma=0.01, start=bright)
+        inverse.deep_image_prior(inverse.Measurement(bright, noise_sigma=0.01), SMALL, start=bright)
 
 
 LAST = {

@@ -154,6 +154,9 @@ MADE: Mapping[str, Any] = {
     ),
     "Lambert": lambda: scene.Lambert(0.5),
     "Laser": lambda: room().laser,
+    "Measurement": lambda: importlib.import_module("nlosoptics.inverse").Measurement(
+        RNG.random((3, 4)), noise_sigma=RNG.random((3, 4)), masked=RNG.random((3, 4)) > 0.5
+    ),
     "LaserClass": lambda: limits.laser_class(room()),
     "MeshObject": lambda: scene.MeshObject(mesh(), position=(0.3, 0.0, 2.0), scale=0.1),
     "MeshWall": lambda: scene.MeshWall(mesh()),

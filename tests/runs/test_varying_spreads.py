@@ -80,9 +80,8 @@ def test_the_object_behind_varying_spots_is_found(scene: Scene) -> None:
     image = imaging.form_image(scene, spreads, seed=0)
     found, wrong = (
         inverse.tv_deconvolve(
-            image.electrons - image.background,
+            inverse.Measurement(image.electrons - image.background, noise_sigma=image.noise_sigma),
             image_model(scene, spreads, mean=mean),
-            noise_sigma=image.noise_sigma,
         )
         for mean in (False, True)
     )

@@ -53,7 +53,9 @@ def test_veil_of_a_bright_object_is_found(bright):
     assert error(found) < 0.05 * error(white)
     assert found.mean() == pytest.approx(1.0)
     fits = [
-        inverse.tv_deconvolve(image.electrons, model, **known, background_shape=shape)
+        inverse.tv_deconvolve(
+            inverse.Measurement(image.electrons, background_shape=shape, **known), model
+        )
         for shape in (found, white)
     ]
     # measured 0.99995 and 0.9625

@@ -20,7 +20,8 @@ from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
 from ..data.arrays import as_numpy
 from ..data.checkpoints import State, goes_on, state_of
-from ..data.measurement import Measurement
+from ..data.measurement import measured
+from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, frozen
 from ..data.status import Status
 from ..known.total_variation import sharpest
@@ -52,11 +53,6 @@ def evidence_fit(
     support: Any = None,
     object_model: str = "pixels",
     fit_gains: bool = False,
-    noise_sigma: Any = None,
-    background: Any = 0.0,
-    fit_background: bool = True,
-    background_shape: Any = None,
-    gain: float | None = None,
     strength: float | None = None,
     max_iterations: int | None = None,
     max_seconds: float | None = None,
@@ -75,10 +71,10 @@ def evidence_fit(
 
     Parameters
     ----------
-    images : ndarray or Tensor
-        K camera images, (K, H, W), or one, (H, W), in any unit, which is called the image unit
-        below. All show the same object: via one wall with K known defoci, or via several walls. The
-        object must lie inside the image.
+    images : Measurement, ndarray or Tensor
+        K camera images, (K, H, W), or one, (H, W), with their noise and backgrounds. All show the
+        same object: via one wall with K known defoci, or via several walls. The object must lie
+        inside the image.
     pupil_psf : PupilPSF
         Point spread function (PSF) of the wall and lens as a function of the M Zernike coefficients
         to fit, (M,) or (n_walls, M). Coefficients other than 0 are an additional start of the fit.
@@ -106,18 +102,6 @@ def evidence_fit(
         "unet": the solver is `deep_image_prior`, which takes longer and tolerates more noise.
     fit_gains : bool
         Whether to fit the relative brightness of the images.
-    noise_sigma : float or array_like, optional
-        Standard deviation of the noise: one number, (K,), (H, W) or (K, H, W), image units. Pixels
-        of infinite noise are ignored. By default it is estimated by `estimate_noise`.
-    background : float or array_like
-        Known background of the images: one number, (K,), (H, W) or (K, H, W), image units.
-    fit_background : bool
-        Whether to fit an additional background of unknown strength for each image.
-    background_shape : array_like or None
-        Distribution of the additional background over the image, (H, W), non-negative, in any unit.
-        None: it is uniform.
-    gain : float or None
-        Image units per unit of the object, if known. None: the object is scaled to a maximum of 1.
     strength : float or None
         Rms aberration of the wall, waves, if known. None: several values are tried.
     max_iterations : int, optional
@@ -232,7 +216,7 @@ def evidence_fit(
     """
     started = time.perf_counter()
     checked_seed(seed)
-    gain = None if gain is None else positive("gain", gain)
+    gain = measured(images).gain
     if strength is not None:
         strength = in_range("strength", strength, 0.0, 10.0, open_low=True, unit="waves")
     if start_error is not None:
@@ -243,16 +227,7 @@ def evidence_fit(
     one_of("object_model", object_model, ("pixels", "unet"))
     rounds = None if max_iterations is None else whole("max_iterations", max_iterations)
     seconds = math.inf if max_seconds is None else positive("max_seconds", max_seconds, unit="s")
-    frames = frames_of(
-        images,
-        pupil_psf,
-        defocus=defocus,
-        walls=walls,
-        noise_sigma=noise_sigma,
-        background=background,
-        fit_background=fit_background,
-        background_shape=background_shape,
-    )
+    frames = frames_of(images, pupil_psf, defocus=defocus, walls=walls)
     known = frames.picture("known_object", known_object)
     mask = frames.picture("support", support)
     several = known is not None or _diverse(frames, pupil_psf.wavelength)
@@ -372,17 +347,13 @@ def _refined(
     frames: Frames, energy: FreeEnergy, best: Starts, object_model: str, seed: int
 ) -> Starts:
     """Return the answer for one image with an object refined by a solver for known walls."""
-    data: Measurement = frames.measured[0]
+    data: NoisyImage = frames.measured[0]
     kernel = energy.point_spread(best)
     model = ForwardModel(kernel, shape=frames.shape)
     if object_model == "unet":
         found = deep_image_prior(
-            data.data,
+            replace(data.again(), gain=frames.scale),
             model,
-            noise_sigma=data.sigma if data.weights is None else data.sigma / data.weights.sqrt(),
-            fit_background=data.fit_background,
-            background_shape=data.background_shape,
-            gain=frames.scale,
             # the network's input already contains the total-variation solution
             tv_weight=0.0,
             guide_share=0.0,

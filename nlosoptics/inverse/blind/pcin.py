@@ -25,7 +25,6 @@ def pcin(
     *,
     defocus: Any = None,
     recipe: str = "evidence",
-    noise_sigma: Any = None,
     max_iterations: int | None = None,
     seed: int = 0,
     start: Any = None,
@@ -39,10 +38,10 @@ def pcin(
 
     Parameters
     ----------
-    images : ndarray or Tensor
-        K camera images, (K, H, W), or one, (H, W), in any unit, which is called the image unit
-        below. Two images of the same scene, the second with a known defocus of half a wave to one
-        wave rms, give a reliable result. One image is in general not sufficient.
+    images : Measurement, ndarray or Tensor
+        K camera images, (K, H, W), or one, (H, W), with their noise and backgrounds. Two images of
+        the same scene, the second with a known defocus of half a wave to one wave rms, give a
+        reliable result. One image is in general not sufficient.
     pupil_psf : PupilPSF
         Point spread function of wall and lens as a function of the unknown coefficients of the
         wave. Their values in ``pupil_psf`` are one of the starts of the fit.
@@ -54,9 +53,6 @@ def pcin(
         one with the largest Bayesian evidence (marginal likelihood: the probability of the images
         for a wall, averaged over all objects). "wu2024": `wu2024_fit`, which fits a neural network
         (U-net) and the coefficients in turn to one image. It is included for comparison.
-    noise_sigma : float or array_like, optional
-        Standard deviation of the noise: one number, (K,), (H, W) or (K, H, W), image units. By
-        default it is estimated by `estimate_noise`.
     max_iterations : int, optional
         Maximum number of iterations; by default that of the solver.
     seed : int
@@ -95,7 +91,6 @@ def pcin(
         images,
         pupil_psf,
         defocus=defocus,
-        noise_sigma=noise_sigma,
         seed=seed,
         start=start,
         progress=progress,

@@ -45,13 +45,13 @@ class Stop(Exception):
     --------
     >>> import numpy as np
     >>> from nlosoptics.imaging import ForwardModel
-    >>> from nlosoptics.inverse import Stop, tv_deconvolve
+    >>> from nlosoptics.inverse import Measurement, Stop, tv_deconvolve
     >>> model = ForwardModel(np.full((3, 3), 1 / 9), shape=(24, 24))
     >>> image = model.forward(np.eye(24)) + np.random.default_rng(0).normal(0.0, 0.01, (24, 24))
     >>> def stop_early(text, fraction):
     ...     if fraction > 0.1:
     ...         raise Stop
-    >>> tv_deconvolve(image, model, noise_sigma=0.01, progress=stop_early).status
+    >>> tv_deconvolve(Measurement(image, noise_sigma=0.01), model, progress=stop_early).status
     'unconverged'
     """
 

@@ -17,13 +17,14 @@ from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 
-from ..._checks import counted, in_range, positive, whole
+from ..._checks import counted, in_range, whole
 from ..._progress import Progress
 from ...errors import SamplingError, SceneError
-from .arrays import Values, is_tensor
+from .arrays import Values, is_tensor, real_array
 from .checkpoints import State, goes_on, started_from, state_of
-from .measurement import Measurement, measurement, real_array
+from .measurement import measured
 from .models import AnyModel
+from .noisy_image import NoisyImage, noisy_image
 from .reconstruction import Reconstruction, assemble, concluded, without_object
 from .status import Ending
 
@@ -70,7 +71,7 @@ class Solver(ABC, Generic[S]):
     every: int = 10  # iterations between two progress reports
     unit: str = "iteration"  # what one iteration is called in progress reports
     takes_object: bool = True  # whether a fit can start from an object alone
-    data: Measurement  # of solvers that can start from an object
+    data: NoisyImage  # of solvers that can start from an object
     max_iterations: int
 
     @abstractmethod
@@ -142,35 +143,22 @@ def solved(solver: Solver[S], start: Any, progress: Progress | None) -> dict[str
 
 
 def reconstructed(
-    solve: Callable[[Measurement], dict[str, Any]],
+    solve: Callable[[NoisyImage], dict[str, Any]],
     image: Any,
     model: AnyModel,
-    noise_sigma: Any,
-    background: Any,
-    fit_background: bool,
-    background_shape: Any,
-    gain: float | None,
     shape: tuple[int, int] | None = None,
     *,
     in_numpy: bool = False,
 ) -> Reconstruction:
-    """Check an image and its noise, and return what a method finds in it.
+    """Check an image, or a `Measurement` of one, and return what a method finds in it.
 
-    ``solve`` returns the arguments of `concluded` or `assemble` for a measurement in torch; it is
+    ``solve`` returns the arguments of `concluded` or `assemble` for a checked image in torch; it is
     not called if no object is detected. ``shape`` (H, W) is that of the image if the point spread
-    is unknown. With ``in_numpy`` the measurement of an image that is not on a GPU is in numpy. The
-    other arguments are those of the public solvers, for example `tv_deconvolve`.
+    is unknown. With ``in_numpy`` the checked image is in numpy, unless the given one is on a GPU.
     """
     started = time.perf_counter()
-    gain = None if gain is None else positive("gain", gain)
-    data = measurement(
-        image,
-        shape or model,
-        noise_sigma=noise_sigma,
-        background=background,
-        fit_background=fit_background,
-        background_shape=background_shape,
-    )
+    gain = measured(image).gain
+    data = noisy_image(image, shape or model)
     if data.is_background(None if shape else model):
         return without_object(data, model=model, gain=gain, started=started)
     ready = data if in_numpy and data.on_processor else data.in_torch()

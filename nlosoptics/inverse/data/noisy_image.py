@@ -1,4 +1,4 @@
-"""Checked image data with their noise, the input of every solver."""
+"""Image data that were checked against an image model, with their noise."""
 
 from __future__ import annotations
 
@@ -12,9 +12,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import positive, real
 from ..._fourier import cosines2
+from ..._smoothing import gaussian_smoothed
 from ..._special import upper_gamma_share
 from ...errors import SamplingError, SceneError
-from .arrays import Values, as_numpy, is_tensor, library, total, weighted
+from .arrays import (
+    Values,
+    as_numpy,
+    is_tensor,
+    library,
+    real_array,
+    shape_of,
+    total,
+    weighted,
+)
+from .measurement import Measurement, measured
 from .models import AnyModel, model_shape
 from .spectra import (
     beyond_optics,
@@ -43,10 +54,12 @@ _ROUNDING = 1e-9
 _MOST_ERRORS = 3.0
 # Share of images of noise alone in which an object is detected.
 _FALSE_ALARMS = 1e-3
+# Width of the window in which masked pixels get their value, pixels; least weight of valid ones.
+_AROUND, _LEAST_AROUND = 1.5, 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Measurement:
+class NoisyImage:
     """Image with its known background subtracted, and its noise.
 
     Its arrays are numpy's, or torch's after `in_torch`.
@@ -83,19 +96,19 @@ class Measurement:
         """Whether the given image is not on a GPU."""
         return self.template is None or self.template.device.type == "cpu"
 
-    def in_torch(self) -> Measurement:
-        """Return the measurement with tensors, on the device of the given image."""
+    def in_torch(self) -> NoisyImage:
+        """Return the image with tensors, on the device of the given image."""
         import torch
 
         device = torch.device("cpu") if self.template is None else self.template.device
         return self._mapped(lambda values: torch.as_tensor(values, device=device))
 
-    def in_numpy(self) -> Measurement:
-        """Return the measurement with numpy arrays."""
+    def in_numpy(self) -> NoisyImage:
+        """Return the image with numpy arrays."""
         return self._mapped(as_numpy)
 
-    def _mapped(self, change: Callable[[Values], Values]) -> Measurement:
-        """Return the measurement with all arrays changed."""
+    def _mapped(self, change: Callable[[Values], Values]) -> NoisyImage:
+        """Return the image with all arrays changed."""
         names = ("data", "weights", "background_shape")
         given = {name: getattr(self, name) for name in names}
         return replace(self, **{n: change(v) for n, v in given.items() if v is not None})
@@ -247,6 +260,19 @@ class Measurement:
         variance = (18.0 if self.sigma_estimated else 2.0) / self.counted
         return self.score(explained) ** 2 <= 1.0 + 3.0 * math.sqrt(variance)
 
+    def again(self) -> Measurement:
+        """Return the same image as input of another solver."""
+        sigmas: Any = self.sigma
+        if self.weights is not None:
+            with np.errstate(divide="ignore"):  # excluded pixels
+                sigmas = self.sigma / self.weights**0.5
+        return Measurement(
+            self.data,
+            noise_sigma=sigmas,
+            fit_background=self.fit_background,
+            background_shape=self.background_shape,
+        )
+
     def like_input(self, values: Values) -> Values:
         """Convert a result to the input's kind: array, or tensor of the same type and device."""
         if self.template is None:
@@ -286,38 +312,37 @@ def _chance(
     return upper_gamma_share(freedom, value)
 
 
-def measurement(
-    image: Any,
-    model: AnyModel | tuple[int, int],
-    *,
-    noise_sigma: Any,
-    background: Any,
-    fit_background: bool,
-    background_shape: Any,
-) -> Measurement:
-    """Check an image against a model, and return it with its noise.
+def noisy_image(image: Any, model: AnyModel | tuple[int, int]) -> NoisyImage:
+    """Check a `Measurement` of one image, or an image alone, against an image model.
 
     ``model`` may be the shape (H, W) if the point spread is unknown; the noise is then estimated
-    without it. The keyword arguments are those of the solvers, for example `tv_deconvolve`.
+    without it.
     """
+    given = measured(image)
     shape = model if isinstance(model, tuple) else model_shape(model)
-    template = image if is_tensor(image) else None
-    data = _picture("image", image, shape)
-    if not shape_of("background", background):
-        data = data - real("background", background)
+    masked = _mask(given.masked, shape)
+    data = _picture("image", given.image, shape, masked)
+    if not shape_of("background", given.background):
+        data = data - real("background", given.background)
     else:
-        data = data - _picture("background", background, shape)
-    weights = None
-    if noise_sigma is None:
-        sigma = estimate_noise(data, None if isinstance(model, tuple) else model)
-        if sigma == 0.0 and float(data.max()) > float(data.min()):
+        data = data - _picture("background", given.background, shape, masked)
+    if masked is not None:
+        data = surrounded(data, masked)
+    sigmas: Any = given.noise_sigma
+    if sigmas is None:
+        sigmas = estimate_noise(data, None if isinstance(model, tuple) else model)
+        if sigmas == 0.0 and float(data.max()) > float(data.min()):
             raise SceneError(
                 "the estimated noise of the image is 0 although it is not uniform; give noise_sigma"
             )
-    elif not shape_of("noise_sigma", noise_sigma):
-        sigma = _positive_sigma(noise_sigma)
+    elif shape_of("noise_sigma", sigmas):
+        sigmas = _picture("noise_sigma", sigmas, shape, masked, infinite=True)
     else:
-        sigmas = _picture("noise_sigma", noise_sigma, shape, infinite=True)
+        sigmas = _positive_sigma(sigmas)
+    if masked is not None and np.any(sigmas):
+        sigmas = np.where(masked, np.inf, sigmas)
+    weights = None
+    if np.ndim(sigmas):
         least = float(sigmas.min())
         if math.isinf(least):
             raise SceneError(
@@ -326,70 +351,28 @@ def measurement(
             )
         _positive_sigma(least)
         weights = sigmas**-2.0
-        sigma = (total(weights) / weights.size) ** -0.5
-        weights = weights * sigma**2
+        sigmas = (total(weights) / weights.size) ** -0.5
+        weights = weights * sigmas**2
         # an excluded pixel must not affect the range of the image
         data = np.where(weights > 0.0, data, total(weights * data) / weights.size)
-    return Measurement(
+    return NoisyImage(
         data=data,
-        sigma=sigma,
+        sigma=sigmas,
         weights=weights,
-        sigma_estimated=noise_sigma is None,
-        fit_background=fit_background,
-        background_shape=_background_shape(background_shape, shape),
-        template=template,
+        sigma_estimated=given.noise_sigma is None,
+        fit_background=given.fit_background,
+        background_shape=_background_shape(given.background_shape, shape),
+        template=given.image if is_tensor(given.image) else None,
     )
 
 
-def real_array(name: str, value: Any) -> NDArray[np.float64]:
-    """Return an array, a tensor or nested sequences as a float64 array.
-
-    Parameters
-    ----------
-    name : str
-        Name of the argument in error messages.
-    value : array_like or Tensor
-        Real numbers.
-
-    Raises
-    ------
-    SceneError
-        If values are not real numbers, or rows differ in length.
-    """
-    try:
-        values = as_numpy(value) if is_tensor(value) else np.asarray(value)
-        if np.iscomplexobj(values):
-            raise TypeError
-        return values.astype(np.float64, copy=False)
-    except (TypeError, ValueError):
-        raise SceneError(
-            f"{name} of type {type(value).__name__} is not an array of real numbers; "
-            "give an array or a tensor"
-        ) from None
-
-
-def shape_of(name: str, value: Any) -> tuple[int, ...]:
-    """Return the shape of a number, an array, a tensor or nested sequences.
-
-    Parameters
-    ----------
-    name : str
-        Name of the argument in error messages.
-    value : array_like or Tensor
-        Value to examine.
-
-    Raises
-    ------
-    SceneError
-        If rows differ in length.
-    """
-    try:
-        return tuple(np.shape(value))
-    except ValueError:
-        raise SceneError(
-            f"{name} of type {type(value).__name__} has rows that differ in shape; "
-            "give an array or a tensor"
-        ) from None
+def surrounded(values: NDArray[np.float64], masked: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return an image in which masked pixels hold the weighted mean of the others around them."""
+    valid = gaussian_smoothed((~masked).astype(np.float64), _AROUND)
+    sums = gaussian_smoothed(np.where(masked, 0.0, values), _AROUND)
+    mean = float(values[~masked].mean())
+    around = np.where(valid > _LEAST_AROUND, sums / np.maximum(valid, _LEAST_AROUND), mean)
+    return np.where(masked, around, values)
 
 
 def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> float:
@@ -540,8 +523,28 @@ def _positive_sigma(sigma: float) -> float:
     return positive("noise_sigma", sigma, remedy="give None to have it estimated")
 
 
+def _mask(value: Any, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
+    """Return the pixels to ignore; None if there are none."""
+    if value is None:
+        return None
+    masked = as_numpy(value)
+    if masked.shape != shape:
+        raise SamplingError(
+            f"masked has shape {masked.shape}, must be {shape} like the image; give one value for "
+            "each pixel"
+        )
+    if masked.all():
+        raise SceneError("masked is True in every pixel, so that none counts; leave some out")
+    return masked if masked.any() else None
+
+
 def _picture(
-    name: str, value: Any, shape: tuple[int, int], *, infinite: bool = False
+    name: str,
+    value: Any,
+    shape: tuple[int, int],
+    masked: NDArray[np.bool_] | None = None,
+    *,
+    infinite: bool = False,
 ) -> NDArray[np.float64]:
     picture = real_array(name, value)
     if picture.shape != shape:
@@ -552,10 +555,12 @@ def _picture(
     good = np.isfinite(picture)
     if infinite:
         good |= picture == np.inf
+    if masked is not None:
+        good |= masked
     n_bad = int(np.count_nonzero(~good))
     if n_bad:
         raise SceneError(
             f"{name} has {n_bad} of {picture.size} values that are not finite; "
-            "replace bad pixels by their neighbours"
+            "mark bad pixels by Measurement(..., masked=...)"
         )
     return picture

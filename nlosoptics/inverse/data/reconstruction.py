@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from ..._html import Figures, Shown
 from ..._nouns import Noun
 from .arrays import Values, as_double, is_tensor
-from .measurement import Measurement
 from .models import AnyModel, image_of
+from .noisy_image import NoisyImage
 from .status import Ending, Status, judged
 
 
@@ -103,7 +103,7 @@ def frozen(history: Mapping[str, Sequence[float]]) -> dict[str, NDArray[np.float
 
 
 def assemble(
-    data: Measurement,
+    data: NoisyImage,
     level: Values,
     *,
     model: AnyModel,
@@ -149,7 +149,7 @@ def assemble(
 
 
 def concluded(
-    data: Measurement,
+    data: NoisyImage,
     level: Values,
     *,
     model: AnyModel,
@@ -181,7 +181,7 @@ def concluded(
     )
 
 
-def beside(data: Measurement, level: Values, model: AnyModel) -> tuple[float, float]:
+def beside(data: NoisyImage, level: Values, model: AnyModel) -> tuple[float, float]:
     """Fit the unknown background for a given object.
 
     Returns its strength, image units, and the rms residual of object and background over the noise.
@@ -193,7 +193,7 @@ def beside(data: Measurement, level: Values, model: AnyModel) -> tuple[float, fl
 
 
 def without_object(
-    data: Measurement,
+    data: NoisyImage,
     *,
     model: AnyModel,
     gain: float | None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .measurement import Measurement
+from .noisy_image import NoisyImage
 
 _LEAST_CONTRAST = 0.1
 
@@ -15,7 +15,7 @@ class ScaledImage:
 
     Parameters
     ----------
-    data : Measurement
+    data : NoisyImage
         Image and noise.
     unit : float
         Value of the image that becomes 1.
@@ -28,7 +28,7 @@ class ScaledImage:
         Value of the image that became 1.
     """
 
-    def __init__(self, data: Measurement, unit: float) -> None:
+    def __init__(self, data: NoisyImage, unit: float) -> None:
         self.unit = unit
         self._per_counted = data.data.numel() / data.counted
         self._weights = None if data.weights is None else data.weights.float()

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .arrays import Values, as_double, as_numpy
-from .measurement import Measurement
 from .models import AnyModel, image_of, widened
+from .noisy_image import NoisyImage
 from .signs import WIDER, as_if_steady, doubt, expected_correlation, risk, signs, told
 from .spectra import (
     beyond_optics,
@@ -105,7 +105,7 @@ class Ending:
     converged: bool
     history: Mapping[str, Sequence[float]]
     most_residual: float | None = None
-    again: Callable[[Measurement, AnyModel], Values] | None = None
+    again: Callable[[NoisyImage, AnyModel], Values] | None = None
 
     def settled(self) -> bool:
         """Return whether more iterations would hardly change the object.
@@ -151,13 +151,13 @@ class Judgement:
 
 
 def judged(
-    data: Measurement, level: Values, strength: float, model: AnyModel, ending: Ending
+    data: NoisyImage, level: Values, strength: float, model: AnyModel, ending: Ending
 ) -> Judgement:
     """Return the status of a fit with a known point spread, and the reasons against "converged".
 
     Parameters
     ----------
-    data : Measurement
+    data : NoisyImage
         Image and noise.
     level : ndarray or Tensor, (H, W)
         Fitted object times gain, image units.
@@ -273,7 +273,7 @@ def _status(
 class Spectra:
     """Power spectra of the image, of the expected signal and of the residual, over the noise."""
 
-    def __init__(self, data: Measurement, level: Array, strength: float, model: AnyModel) -> None:
+    def __init__(self, data: NoisyImage, level: Array, strength: float, model: AnyModel) -> None:
         self._data, self._level = data, level
         self._shape = data.data.shape
         self._twice = half_weights(self._shape)
@@ -299,7 +299,7 @@ class Spectra:
         self._mean_variance = data.noise_power() / self._level.size
         self._noise = self._left if masked else (image_power - signal) / self._mean_variance
 
-    def repetition(self, model: AnyModel) -> Measurement:
+    def repetition(self, model: AnyModel) -> NoisyImage:
         """Return a model's image of the fitted object with other noise of the same strength."""
         noise = np.random.default_rng(_OTHER_NOISE).normal(size=self._shape) * self._data.sigma
         if self._data.weights is not None:

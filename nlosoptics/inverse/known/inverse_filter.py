@@ -14,8 +14,8 @@ from ..data._threads import single_thread
 from ..data.arrays import half_spectrum_weights
 from ..data.driver import reconstructed
 from ..data.forward import TorchForwardModel, torch_model
-from ..data.measurement import Measurement
 from ..data.models import one_kernel_shape
+from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from ..data.status import Ending
 
@@ -29,11 +29,6 @@ def inverse_filter(
     model: ForwardModel | TorchForwardModel,
     *,
     guard: float | None = None,
-    noise_sigma: Any = None,
-    background: Any = 0.0,
-    fit_background: bool = True,
-    background_shape: Any = None,
-    gain: float | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Reconstruct an object by dividing the image's spectrum by the transfer function.
@@ -42,8 +37,8 @@ def inverse_filter(
 
     Parameters
     ----------
-    image : ndarray or Tensor
-        Camera image, (H, W), in any unit, which is called the image unit below.
+    image : Measurement, ndarray or Tensor
+        Camera image, (H, W), with its noise and background.
     model : ForwardModel or TorchForwardModel
         Image model of shape (H, W): the convolution of an object with the known point spread
         function.
@@ -51,19 +46,6 @@ def inverse_filter(
         Least modulus of the transfer function relative to its maximum, 1e-13 to 1. Frequencies with
         a smaller modulus are left out. None: the largest value for which the residual does not
         exceed the noise.
-    noise_sigma : float, array_like or None
-        Standard deviation of the noise, one number or (H, W), image units. None: it is estimated
-        by `estimate_noise`.
-    background : float or array_like
-        Known background of the image, one number or (H, W), image units.
-    fit_background : bool
-        Whether to fit an additional background of unknown strength. It is first estimated from the
-        pixels at the image's border and then fitted to the residual.
-    background_shape : array_like or None
-        Distribution of the additional background over the image, (H, W), non-negative, in any unit.
-        None: it is uniform.
-    gain : float or None
-        Image units per unit of the object, if known. None: the object is scaled to a maximum of 1.
     progress : callable or None
         Function that is called once at the end, with a text and 1.
 
@@ -91,7 +73,8 @@ def inverse_filter(
     transfer function Phi [1]_. Frequencies beyond the cut-off of the pupil, at which Phi is zero
     but for rounding, are always left out. The automatic guard follows the discrepancy principle for
     a truncated spectrum [2]_. If the model has the boundary "padded", the object is assumed to be
-    dark outside the image.
+    dark outside the image. An additional background of the measurement is first estimated from the
+    pixels at the image's border and then fitted to the residual.
 
     References
     ----------
@@ -100,7 +83,7 @@ def inverse_filter(
     """
     guard = None if guard is None else in_range("guard", guard, _ROUNDING, 1.0)
 
-    def solve(data: Measurement) -> dict[str, Any]:
+    def solve(data: NoisyImage) -> dict[str, Any]:
         twin = torch_model(model, data.data.device, torch.float64)
         level, used = _divided(data, twin, guard)
         strength, score = beside(data, level, twin)
@@ -114,13 +97,12 @@ def inverse_filter(
             "guard": used,
         }
 
-    known = noise_sigma, background, fit_background, background_shape, gain
     one_kernel_shape(model)
-    return reconstructed(solve, image, model, *known)
+    return reconstructed(solve, image, model)
 
 
 def _divided(
-    data: Measurement, model: TorchForwardModel, guard: float | None
+    data: NoisyImage, model: TorchForwardModel, guard: float | None
 ) -> tuple[Tensor, float]:
     """Return the inverse-filtered object (H, W) in image units, and the guard that was used.
 
@@ -141,7 +123,7 @@ def _divided(
     return level[:rows, :columns], guard
 
 
-def _noise_guard(data: Measurement, spectrum: Tensor, size: Tensor, grid: tuple[int, int]) -> float:
+def _noise_guard(data: NoisyImage, spectrum: Tensor, size: Tensor, grid: tuple[int, int]) -> float:
     """Return the largest guard at which the omitted frequencies carry no more power than the noise.
 
     ``spectrum`` is the ``rfft2`` of the image on ``grid``, and ``size`` the transfer modulus

@@ -16,7 +16,7 @@ from ..data._threads import single_thread
 from ..data.arrays import norm, total, weighted
 from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
 from ..data.forward import TorchForwardModel, torch_model
-from ..data.measurement import Measurement
+from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 from ..data.status import MOST_RESIDUAL, Ending
 from .wiener import background_estimate
@@ -28,11 +28,6 @@ def richardson_lucy(
     model: ForwardModel | TorchForwardModel,
     *,
     accelerated: bool = True,
-    noise_sigma: Any = None,
-    background: Any = 0.0,
-    fit_background: bool = True,
-    background_shape: Any = None,
-    gain: float | None = None,
     max_iterations: int = 1000,
     tolerance: float = 1e-5,
     start: Any = None,
@@ -42,25 +37,13 @@ def richardson_lucy(
 
     Parameters
     ----------
-    image : ndarray or Tensor
-        Camera image, (H, W), in any unit, which is called the image unit below.
+    image : Measurement, ndarray or Tensor
+        Camera image, (H, W), with its noise and background.
     model : ForwardModel or TorchForwardModel
         Image model of shape (H, W): the convolution of an object with the known point spread
         function (PSF), which may vary over the object.
     accelerated : bool
         Whether to accelerate the convergence by extrapolation from the last two iterates.
-    noise_sigma : float, array_like or None
-        Standard deviation of the noise, one number or (H, W), image units. None: it is estimated
-        by `estimate_noise`.
-    background : float or array_like
-        Known background of the image, one number or (H, W), image units.
-    fit_background : bool
-        Whether to fit an additional background of unknown strength.
-    background_shape : array_like or None
-        Distribution of the additional background over the image, (H, W), non-negative, in any unit.
-        None: it is uniform.
-    gain : float or None
-        Image units per unit of the object, if known. None: the object is scaled to a maximum of 1.
     max_iterations : int
         Maximum number of iterations.
     tolerance : float
@@ -117,11 +100,10 @@ def richardson_lucy(
     """
     rule = stop_rule(max_iterations, tolerance)
 
-    def solve(data: Measurement) -> dict[str, Any]:
+    def solve(data: NoisyImage) -> dict[str, Any]:
         return solved(_Maximisation(data, model, rule, accelerated), start, progress)
 
-    known = noise_sigma, background, fit_background, background_shape, gain
-    return reconstructed(solve, image, model, *known)
+    return reconstructed(solve, image, model)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -151,7 +133,7 @@ class _Maximisation(Solver[_Estimate]):
 
     def __init__(
         self,
-        data: Measurement,
+        data: NoisyImage,
         model: ForwardModel | TorchForwardModel,
         rule: tuple[int, float],
         accelerated: bool,

@@ -22,8 +22,8 @@ from ..data.arrays import (
     rfft2,
 )
 from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
-from ..data.measurement import Measurement
 from ..data.models import AnyModel, mean_transfer, model_like
+from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 from ..data.status import MOST_RESIDUAL, Ending
 from .field_step import FieldStep
@@ -49,12 +49,7 @@ def tv_deconvolve(
     image: Any,
     model: AnyModel,
     *,
-    noise_sigma: Any = None,
     tv_weight: float | None = None,
-    background: Any = 0.0,
-    fit_background: bool = True,
-    background_shape: Any = None,
-    gain: float | None = None,
     max_iterations: int = _RULE[0],
     tolerance: float = _RULE[1],
     start: Any = None,
@@ -67,26 +62,14 @@ def tv_deconvolve(
 
     Parameters
     ----------
-    image : ndarray or Tensor
-        Camera image, (H, W), in any unit, which is called the image unit below.
+    image : Measurement, ndarray or Tensor
+        Camera image, (H, W), with its noise and background.
     model : ForwardModel or TorchForwardModel
         Image model of shape (H, W): the convolution of an object with the known point spread
         function.
-    noise_sigma : float, array_like or None
-        Standard deviation of the noise, one number or (H, W), image units. Pixels of infinite
-        noise are ignored, for example saturated ones. None: it is estimated by `estimate_noise`.
     tv_weight : float or None
         Weight of the total variation, dimensionless; larger values give a smoother object. None:
         the weight at which the residual equals the noise (discrepancy principle).
-    background : float or array_like
-        Known background of the image, one number or (H, W), image units.
-    fit_background : bool
-        Whether to fit an additional background of unknown strength.
-    background_shape : array_like or None
-        Distribution of the additional background over the image, (H, W), non-negative, in any unit.
-        None: it is uniform.
-    gain : float or None
-        Image units per unit of the object, if known. None: the object is scaled to a maximum of 1.
     max_iterations : int
         Maximum number of iterations.
     tolerance : float
@@ -160,27 +143,26 @@ def tv_deconvolve(
     --------
     >>> import numpy as np
     >>> from nlosoptics.imaging import ForwardModel
-    >>> from nlosoptics.inverse import registered_correlation, tv_deconvolve
+    >>> from nlosoptics.inverse import Measurement, registered_correlation, tv_deconvolve
     >>> truth = np.zeros((24, 24))
     >>> truth[6:18, 10:14] = 1.0
     >>> model = ForwardModel(np.full((3, 3), 1 / 9), shape=truth.shape)
     >>> image = model.forward(truth) + np.random.default_rng(0).normal(0.0, 0.01, truth.shape)
-    >>> found = tv_deconvolve(image, model, noise_sigma=0.01)
+    >>> found = tv_deconvolve(Measurement(image, noise_sigma=0.01), model)
     >>> found.status, registered_correlation(found, truth) > 0.99
     ('converged', True)
     """
     rule = stop_rule(max_iterations, tolerance)
     tv_weight = None if tv_weight is None else positive("tv_weight", tv_weight)
 
-    def solve(data: Measurement) -> dict[str, Any]:
+    def solve(data: NoisyImage) -> dict[str, Any]:
         return solved(_Splitting(data, model, rule, tv_weight), start, progress)
 
-    known = noise_sigma, background, fit_background, background_shape, gain
-    return reconstructed(solve, image, model, *known, in_numpy=True)
+    return reconstructed(solve, image, model, in_numpy=True)
 
 
 def sharpest(
-    data: Measurement, model: AnyModel, rule: tuple[int, float] = _RULE, tv_weight: Any = None
+    data: NoisyImage, model: AnyModel, rule: tuple[int, float] = _RULE, tv_weight: Any = None
 ) -> tuple[Values, float, float]:
     """Return object, background and weight of `tv_deconvolve`, not judged; 0 if none is seen."""
     data = data.in_numpy() if data.on_processor else data.in_torch()
@@ -239,7 +221,7 @@ class _Splitting(Solver[_Split]):
 
     def __init__(
         self,
-        data: Measurement,
+        data: NoisyImage,
         model: AnyModel,
         rule: tuple[int, float],
         tv_weight: float | None,
@@ -383,7 +365,7 @@ class _Splitting(Solver[_Split]):
         background = self._level + found.state.background * self._scale
         return {"background": background, "tv_weight": tv_weight, "ending": ending}
 
-    def _repeated(self, state: _Split, data: Measurement, model: AnyModel) -> Values:
+    def _repeated(self, state: _Split, data: NoisyImage, model: AnyModel) -> Values:
         """Return the object (H, W), image units, of a coarser fit to another image.
 
         It begins at a state of this fit.

@@ -15,8 +15,8 @@ from ..data._threads import single_thread
 from ..data.arrays import half_spectrum_weights, norm, total
 from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
 from ..data.forward import TorchForwardModel, torch_model
-from ..data.measurement import Measurement
 from ..data.models import mean_transfer
+from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from .conjugate_gradients import conjugate_direction
 
@@ -29,11 +29,6 @@ def wiener(
     image: Any,
     model: ForwardModel | TorchForwardModel,
     *,
-    noise_sigma: Any = None,
-    background: Any = 0.0,
-    fit_background: bool = True,
-    background_shape: Any = None,
-    gain: float | None = None,
     max_iterations: int = 300,
     tolerance: float = 1e-6,
     start: Any = None,
@@ -43,23 +38,11 @@ def wiener(
 
     Parameters
     ----------
-    image : ndarray or Tensor
-        Camera image, (H, W), in any unit, which is called the image unit below.
+    image : Measurement, ndarray or Tensor
+        Camera image, (H, W), with its noise and background.
     model : ForwardModel or TorchForwardModel
         Image model of shape (H, W): the convolution of an object with the known point spread
         function.
-    noise_sigma : float, array_like or None
-        Standard deviation of the noise, one number or (H, W), image units. Pixels of infinite
-        noise are ignored, for example saturated ones. None: it is estimated by `estimate_noise`.
-    background : float or array_like
-        Known background of the image, one number or (H, W), image units.
-    fit_background : bool
-        Whether to fit an additional background of unknown strength.
-    background_shape : array_like or None
-        Distribution of the additional background over the image, (H, W), non-negative, in any unit.
-        None: it is uniform.
-    gain : float or None
-        Image units per unit of the object, if known. None: the object is scaled to a maximum of 1.
     max_iterations : int
         Maximum number of iterations.
     tolerance : float
@@ -113,14 +96,13 @@ def wiener(
     """
     rule = stop_rule(max_iterations, tolerance)
 
-    def solve(data: Measurement) -> dict[str, Any]:
+    def solve(data: NoisyImage) -> dict[str, Any]:
         return solved(_NormalEquations(data, model, rule), start, progress)
 
-    known = noise_sigma, background, fit_background, background_shape, gain
-    return reconstructed(solve, image, model, *known)
+    return reconstructed(solve, image, model)
 
 
-def background_estimate(data: Measurement, model: ForwardModel | TorchForwardModel) -> float:
+def background_estimate(data: NoisyImage, model: ForwardModel | TorchForwardModel) -> float:
     """Return the fitted strength of the unknown background, image units; 0 if it is known.
 
     It is the background that explains what the image of the Wiener-filtered object leaves.
@@ -156,7 +138,7 @@ class _NormalEquations(Solver[_Gradients]):
     report = "Wiener filter: residual {left:.1e}"
 
     def __init__(
-        self, data: Measurement, model: ForwardModel | TorchForwardModel, rule: tuple[int, float]
+        self, data: NoisyImage, model: ForwardModel | TorchForwardModel, rule: tuple[int, float]
     ) -> None:
         self.max_iterations, self._tolerance = rule
         self.data = data

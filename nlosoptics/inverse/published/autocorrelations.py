@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from ...errors import SamplingError, SceneError
-from ..data.arrays import as_numpy
+from ..data.arrays import as_numpy, real_array
 from ..data.forward import TorchForwardModel
-from ..data.measurement import Measurement, real_array
+from ..data.noisy_image import NoisyImage
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class SpectrumModulus:
     object_size: tuple[int, int]
 
 
-def image_lags(data: Measurement, model: TorchForwardModel | None) -> Array:
+def image_lags(data: NoisyImage, model: TorchForwardModel | None) -> Array:
     """Return the autocorrelation of an image minus its mean, with the zero lag at the centre.
 
     Both sides are odd. Without a model each lag is the mean over all pairs of valid pixels. With a

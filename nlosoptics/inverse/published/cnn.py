@@ -27,7 +27,7 @@ from ..data._threads import gradients, single_thread
 from ..data.adam import descend
 from ..data.driver import reconstructed
 from ..data.forward import TorchForwardModel, torch_model
-from ..data.measurement import Measurement
+from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside, frozen
 from ..data.scaled_images import ScaledImage
 from ..data.status import MOST_RESIDUAL, Ending
@@ -81,11 +81,6 @@ class CnnBaseline(nn.Module):
         image: Any,
         model: ForwardModel | TorchForwardModel,
         *,
-        noise_sigma: Any = None,
-        background: Any = 0.0,
-        fit_background: bool = True,
-        background_shape: Any = None,
-        gain: float | None = None,
         tolerance: float = 0.1,
     ) -> Reconstruction:
         """Reconstruct the object of one image by the network.
@@ -95,24 +90,11 @@ class CnnBaseline(nn.Module):
 
         Parameters
         ----------
-        image : ndarray or Tensor
-            Camera image, (H, W), in any unit, which is called the image unit below.
+        image : Measurement, ndarray or Tensor
+            Camera image, (H, W), with its noise and background.
         model : ForwardModel or TorchForwardModel
             Image model of shape (H, W): the convolution of an object with the known point spread
             function.
-        noise_sigma : float, array_like or None
-            Standard deviation of the noise, one number or (H, W), image units. None: it is
-            estimated by `estimate_noise`.
-        background : float or array_like
-            Known background of the image, one number or (H, W), image units.
-        fit_background : bool
-            Whether to fit an additional background of unknown strength.
-        background_shape : array_like or None
-            Distribution of the additional background over the image, (H, W), non-negative, in any
-            unit. None: it is uniform.
-        gain : float or None
-            Image units per unit of the object, if known. None: the object is scaled to a maximum
-            of 1.
         tolerance : float
             The status is "converged" if the residual exceeds the noise by at most this fraction.
 
@@ -130,7 +112,7 @@ class CnnBaseline(nn.Module):
         """
         tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
 
-        def solve(data: Measurement) -> dict[str, Any]:
+        def solve(data: NoisyImage) -> dict[str, Any]:
             scaled = ScaledImage(data, data.sigma)
             blur = torch_model(model, data.data.device, torch.float32)
             with torch.no_grad():
@@ -148,8 +130,7 @@ class CnnBaseline(nn.Module):
                 ),
             }
 
-        known = noise_sigma, background, fit_background, background_shape, gain
-        return reconstructed(solve, image, model, *known)
+        return reconstructed(solve, image, model)
 
     def save(self, path: Path | str) -> None:
         """Save the network to a file in the safetensors format.

@@ -19,7 +19,7 @@ from ..data._threads import gradients, single_thread
 from ..data.adam import descend
 from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
 from ..data.forward import TorchForwardModel, torch_model
-from ..data.measurement import Measurement
+from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from ..data.scaled_images import ScaledImage, total_variation
 from ..data.status import MOST_RESIDUAL, Ending
@@ -48,17 +48,12 @@ def deep_image_prior(
     image: Any,
     model: ForwardModel | TorchForwardModel,
     *,
-    noise_sigma: Any = None,
     guide: Guide = "tv",
     guide_share: float | None = None,
     tv_weight: float | None = None,
     base: int = 8,
     depth: int = 4,
     learning_rate: float | None = None,
-    background: Any = 0.0,
-    fit_background: bool = True,
-    background_shape: Any = None,
-    gain: float | None = None,
     max_iterations: int = 200,
     tolerance: float = 0.1,
     seed: int = 0,
@@ -72,14 +67,11 @@ def deep_image_prior(
 
     Parameters
     ----------
-    image : ndarray or Tensor
-        Camera image, (H, W), in any unit, which is called the image unit below.
+    image : Measurement, ndarray or Tensor
+        Camera image, (H, W), with its noise and background.
     model : ForwardModel or TorchForwardModel
         Image model of shape (H, W): the convolution of an object with the known point spread
         function.
-    noise_sigma : float, array_like or None
-        Standard deviation of the noise, one number or (H, W), image units. None: it is estimated
-        by `estimate_noise`.
     guide : {"tv", "wiener", "noise"}
         Input of the network, called the guide: the object found by `tv_deconvolve` or by `wiener`,
         or random noise.
@@ -97,15 +89,6 @@ def deep_image_prior(
         Initial learning rate of the optimiser (Adam); it decreases along a cosine to a twentieth.
         None: 0.03, or 0.01 for the guide "noise", which converged to an empty image at higher
         rates.
-    background : float or array_like
-        Known background of the image, one number or (H, W), image units.
-    fit_background : bool
-        Whether to fit an additional background of unknown strength.
-    background_shape : array_like or None
-        Distribution of the additional background over the image, (H, W), non-negative, in any unit.
-        None: it is uniform.
-    gain : float or None
-        Image units per unit of the object, if known. None: the object is scaled to a maximum of 1.
     max_iterations : int
         Maximum number of Adam steps.
     tolerance : float
@@ -180,34 +163,28 @@ def deep_image_prior(
             'give guide="tv" or "wiener"'
         )
 
-    def solve(data: Measurement) -> dict[str, Any]:
+    def solve(data: NoisyImage) -> dict[str, Any]:
         picture, gain_of_guide, weight = _guide(guide, tv_weight, data, model, seed)
         network = UNetObject(picture.float(), base=base, depth=depth, seed=seed)
         known = (gain_of_guide * picture, guide_share) if guide_share > 0.0 else None
         return solved(_Fit(data, model, rule, network, weight, rate, known), start, progress)
 
-    known = noise_sigma, background, fit_background, background_shape, gain
-    return reconstructed(solve, image, model, *known)
+    return reconstructed(solve, image, model)
 
 
 def _guide(
     kind: Guide,
     tv_weight: float | None,
-    data: Measurement,
+    data: NoisyImage,
     model: ForwardModel | TorchForwardModel,
     seed: int,
 ) -> tuple[Tensor, float, float]:
     """Return the network's input, its gain (image units), and the total-variation weight."""
-    known: dict[str, Any] = {
-        "noise_sigma": data.sigma if data.weights is None else data.sigma / data.weights.sqrt(),
-        "fit_background": data.fit_background,
-        "background_shape": data.background_shape,
-    }
     shape = (_NOISE_CHANNELS, *data.data.shape)
     picture = torch.from_numpy(generator(seed, GUIDE).uniform(size=shape)).to(data.data.device)
     gain = 1.0
     if kind == "wiener":
-        found = wiener(data.data, model, max_iterations=100, tolerance=1e-3, **known)
+        found = wiener(data.again(), model, max_iterations=100, tolerance=1e-3)
         picture, gain = found.object, found.physical_parameters["gain"]
     if kind == "tv" or tv_weight is None:
         level, _, found_weight = sharpest(data, model, tv_weight=tv_weight or None)
@@ -241,7 +218,7 @@ class _Fit(Solver[_Weights]):
 
     def __init__(
         self,
-        data: Measurement,
+        data: NoisyImage,
         model: ForwardModel | TorchForwardModel,
         rule: tuple[int, float],
         network: UNetObject,

@@ -19,10 +19,12 @@ from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
+from ..data.arrays import shape_of
 from ..data.driver import Iterate, Solver, run
 from ..data.forward import TorchForwardModel, torch_model
-from ..data.measurement import measurement, shape_of
+from ..data.measurement import measured
 from ..data.models import one_kernel_shape
+from ..data.noisy_image import noisy_image
 from ..data.reconstruction import Reconstruction, frozen
 from ..data.scores import registered_correlation
 from ..data.status import Status
@@ -56,8 +58,6 @@ def phase_retrieval(
     method: Method = "alternating",
     object_size: tuple[int, int] | None = None,
     restarts: int = 12,
-    noise_sigma: Any = None,
-    background: Any = 0.0,
     max_iterations: int = 400,
     seed: int = 0,
     start: Mapping[str, Any] | None = None,
@@ -70,9 +70,10 @@ def phase_retrieval(
 
     Parameters
     ----------
-    image : ndarray or Tensor
-        Camera image, (H, W), in any unit, which is called the image unit below. A uniform
-        background has no effect.
+    image : Measurement, ndarray or Tensor
+        Camera image, (H, W), with its noise and background. A uniform background has no effect. The
+        measurement must have neither a ``gain`` nor a ``background_shape``, since the brightness of
+        the object is not found.
     model : ForwardModel or TorchForwardModel or None
         Image model, if the modulus of its transfer function is known. The image's power spectrum is
         divided by the squared modulus; the phase is not used. None: the wall is assumed to transmit
@@ -88,11 +89,6 @@ def phase_retrieval(
     restarts : int
         Number of runs, at least 2. They start from different random numbers; with "alternating",
         each run starts from a random half of the measured values.
-    noise_sigma : float, array_like or None
-        Standard deviation of the noise, one number or (H, W), image units. None: it is estimated
-        by `estimate_noise`.
-    background : float or array_like
-        Known background of the image, one number or (H, W), image units.
     max_iterations : int
         Maximum number of iterations of each run.
     seed : int
@@ -149,17 +145,16 @@ def phase_retrieval(
        (2013) 2796.
     """
     started = time.perf_counter()
-    shape = shape_of("image", image) if model is None else one_kernel_shape(model)
+    given = measured(image)
+    if given.gain is not None or given.background_shape is not None:
+        raise SceneError(
+            "gain or background_shape is given, but phase retrieval finds no brightness; give a "
+            "Measurement without them"
+        )
+    shape = shape_of("image", given.image) if model is None else one_kernel_shape(model)
     if len(shape) != 2:
         raise SamplingError(f"image has shape {shape}; give one image, (H, W)")
-    data = measurement(
-        image,
-        (shape[0], shape[1]),
-        noise_sigma=noise_sigma,
-        background=background,
-        fit_background=True,
-        background_shape=None,
-    )
+    data = noisy_image(given, (shape[0], shape[1]))
     options = _Options(method, object_size, restarts, max_iterations, seed)
     if data.is_background():
         status: Status = "too_few_photons"

@@ -19,8 +19,10 @@ from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
 from ..data.adam import descend, joined, spread
+from ..data.arrays import real_array
 from ..data.driver import Iterate, Run, Solver, reconstructed, solved
-from ..data.measurement import Measurement, real_array, shape_of
+from ..data.measurement import Measurement, measured
+from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from ..data.scaled_images import ScaledImage, total_variation
 from ..data.scores import registered_correlation
@@ -56,11 +58,6 @@ def wu2024_fit(
     network_input: NetworkInput = "image",
     learning_rate: float = 0.01,
     tv_weight: float = 1e-3,
-    noise_sigma: Any = None,
-    background: Any = 0.0,
-    fit_background: bool = True,
-    background_shape: Any = None,
-    gain: float | None = None,
     max_iterations: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -73,8 +70,8 @@ def wu2024_fit(
 
     Parameters
     ----------
-    images : ndarray or Tensor
-        Camera image, (H, W) or (1, H, W), in any unit, which is called the image unit below.
+    images : Measurement, ndarray or Tensor
+        Camera image, (H, W) or (1, H, W), with its noise and background.
     pupil_psf : PupilPSF or FacetPSF
         Point spread function (PSF) of shape (H, W) as a function of coefficients, which take the
         role of the angles. Use `PupilPSF`, the PSF of a continuous wave, if the pixels resolve the
@@ -106,18 +103,6 @@ def wu2024_fit(
     tv_weight : float
         Weight of the total variation in the minimised function (equation 9 of the paper), for an
         image with range 1.
-    noise_sigma : float, array_like or None
-        Standard deviation of the noise, one number, (H, W) or (1, H, W), image units. None: it is
-        estimated by `estimate_noise`.
-    background : float or array_like
-        Known background of the image, one number, (H, W) or (1, H, W), image units.
-    fit_background : bool
-        Whether to fit an additional background of unknown strength.
-    background_shape : array_like or None
-        Distribution of the additional background over the image, (H, W), non-negative, in any unit.
-        None: it is uniform.
-    gain : float or None
-        Image units per unit of the object, if known. None: the object is scaled to a maximum of 1.
     max_iterations : int or None
         Maximum number of steps for angles and network together. None: 4000 for a cold start, 1800
         for a warm start.
@@ -202,10 +187,10 @@ def wu2024_fit(
     tv_weight = in_range("tv_weight", tv_weight, 0.0)
     rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
     one_of("network_input", network_input, ("image", "reconstruction"))
-    image = _only(images, pupil_psf)
+    image = _only(measured(images), pupil_psf)
     optics = _Optics(pupil_psf, _only_defocus(defocus))
 
-    def solve(data: Measurement) -> dict[str, Any]:
+    def solve(data: NoisyImage) -> dict[str, Any]:
         scaled = ScaledImage(data, float(data.data.max() - data.data.min()))
         if isinstance(start, Reconstruction):
             angles, network = _from_earlier(start, pupil_psf, scaled.image)
@@ -227,9 +212,7 @@ def wu2024_fit(
         return solved(fit, None if isinstance(start, Reconstruction) else start, progress)
 
     model = optics.model(pupil_psf.coefficients)
-    noise, veil = _of_one("noise_sigma", noise_sigma), _of_one("background", background)
-    known = noise, veil, fit_background, background_shape, gain
-    return reconstructed(solve, image, model, *known, pupil_psf.shape)
+    return reconstructed(solve, image, model, pupil_psf.shape)
 
 
 @dataclass(frozen=True)
@@ -275,7 +258,7 @@ class _Pcin(Solver[_Turns]):
     A turn of ``every`` iterations fits first the angles, then the network.
     """
 
-    data: Measurement
+    data: NoisyImage
     image: ScaledImage
     optics: _Optics
     angles: nn.Parameter
@@ -368,28 +351,20 @@ def _seen(picture: Tensor, transfer: Tensor) -> Tensor:
     return seen
 
 
-def _only(images: Any, pupil_psf: AnyPSF) -> Any:
-    """Return the single image, (H, W), of an argument (H, W) or (1, H, W)."""
+def _only(images: Measurement, pupil_psf: AnyPSF) -> Measurement:
+    """Return the single image, (H, W), of a measurement (H, W) or (1, H, W)."""
     if not isinstance(pupil_psf, (PupilPSF, FacetPSF)):
         raise SceneError(
             f"pupil_psf of type {type(pupil_psf).__name__} is neither a PupilPSF nor a FacetPSF; "
             "build one with PupilPSF.from_zernike"
         )
-    shape = shape_of("images", images)
-    if len(shape) != 3:
-        return images
-    if shape[0] != 1:
+    one, *others = images.each()
+    if others:
         raise SamplingError(
-            f'images has {shape[0]} frames, recipe "wu2024" takes one; give one of them, or all of '
-            'them to recipe "evidence"'
+            f'images has {1 + len(others)} frames, recipe "wu2024" takes one; give one of them, or '
+            'all of them to recipe "evidence"'
         )
-    return images[0]
-
-
-def _of_one(name: str, value: Any) -> Any:
-    """Return the element of a value of shape (1,) or (1, H, W), and any other value itself."""
-    shape = shape_of(name, value)
-    return value[0] if len(shape) in (1, 3) and shape[0] == 1 else value
+    return one
 
 
 def _only_defocus(defocus: Any) -> list[float] | None:

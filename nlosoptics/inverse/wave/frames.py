@@ -12,7 +12,9 @@ from torch import Tensor
 
 from ..._checks import counted
 from ...errors import SamplingError, SceneError
-from ..data.measurement import Measurement, measurement, real_array, shape_of
+from ..data.arrays import real_array, shape_of
+from ..data.measurement import measured
+from ..data.noisy_image import NoisyImage, noisy_image
 from .pupil_psf import MOST_DEFOCUS, PupilPSF
 from .pupil_waves import ZernikeWaves
 
@@ -25,7 +27,7 @@ class Frames:
 
     Parameters
     ----------
-    measured : tuple of Measurement
+    measured : tuple of NoisyImage
         The images with their noise.
     images : ndarray, (K, H, W)
         Images minus their known background, divided by ``scale``, float64.
@@ -39,7 +41,7 @@ class Frames:
         Known additional defocus, m rms.
     """
 
-    measured: tuple[Measurement, ...]
+    measured: tuple[NoisyImage, ...]
     images: Array
     sigmas: Array
     scale: float
@@ -95,15 +97,7 @@ class Frames:
 
 
 def frames_of(
-    images: Any,
-    pupil_psf: PupilPSF,
-    *,
-    defocus: Any,
-    walls: Any,
-    noise_sigma: Any,
-    background: Any,
-    fit_background: bool,
-    background_shape: Any,
+    images: Any, pupil_psf: PupilPSF, *, defocus: Any = None, walls: Any = None
 ) -> Frames:
     """Check images and the information about them; the arguments are those of `evidence_fit`."""
     if not isinstance(pupil_psf, PupilPSF):
@@ -116,75 +110,29 @@ def frames_of(
             "pupil_psf has slopes instead of Zernike coefficients; build it by "
             "PupilPSF.from_zernike"
         )
-    stack = _stack(images)
-    count, shape = stack.shape[0], (int(stack.shape[1]), int(stack.shape[2]))
+    each = measured(images).each()
+    count, shape = len(each), each[0].image.shape
     own = pupil_psf.shape
     if own[0] < shape[0] or own[1] < shape[1]:
         raise SamplingError(
             f"pupil_psf has shape {own} and the images {shape}; give a point spread of the "
             "images' shape or larger"
         )
-    sigmas = _per_image("noise_sigma", noise_sigma, count, stack.ndim)
-    backgrounds = _per_image("background", background, count, stack.ndim)
-    measured = tuple(
-        measurement(
-            image,
-            shape,
-            noise_sigma=sigma,
-            background=known,
-            fit_background=fit_background,
-            background_shape=background_shape,
-        ).in_torch()
-        for image, sigma, known in zip(stack, sigmas, backgrounds, strict=True)
-    )
-    for number, one in enumerate(measured):
+    checked = tuple(noisy_image(one, tuple(shape)).in_torch() for one in each)
+    for number, one in enumerate(checked):
         if one.sigma == 0.0:
             raise SceneError(f"the estimated noise of image {number} is 0; give noise_sigma")
-    scale = max(float(one.data.max() - one.data.min()) for one in measured)
+    scale = max(float(one.data.max() - one.data.min()) for one in checked)
     if not scale > 0.0:
-        scale = max(one.sigma for one in measured)
+        scale = max(one.sigma for one in checked)
     return Frames(
-        measured=measured,
-        images=np.stack([(one.data / scale).double().cpu().numpy() for one in measured]),
-        sigmas=np.array([one.sigma for one in measured]) / scale,
+        measured=checked,
+        images=np.stack([(one.data / scale).double().cpu().numpy() for one in checked]),
+        sigmas=np.array([one.sigma for one in checked]) / scale,
         scale=scale,
         walls=_wall_numbers(walls, count),
         defocus=known_defoci(defocus, count).numpy(),
     )
-
-
-def _stack(images: Any) -> Any:
-    try:
-        stack = images if isinstance(images, Tensor) else np.asarray(images)
-    except ValueError:
-        raise SamplingError("images differ in shape; give one array (K, H, W)") from None
-    if stack.ndim == 2:
-        stack = stack[None]
-    if stack.ndim != 3 or 0 in stack.shape:
-        raise SamplingError(f"images have shape {tuple(stack.shape)}, must be (K, H, W) or (H, W)")
-    if stack.shape[2] in (3, 4) and min(stack.shape[:2]) > 4:
-        raise SamplingError(
-            f"images have shape {tuple(stack.shape)}, which looks like a colour picture, must be "
-            "(K, H, W) or (H, W); give the channel of the laser"
-        )
-    return stack
-
-
-def _per_image(name: str, value: Any, count: int, ndim: int) -> list[Any]:
-    """Return one value for each of ``count`` images.
-
-    ``value`` is common to all, a number or (H, W), or has one entry per image, (K,) or (K, H, W).
-    ``ndim`` is that of the stack of images.
-    """
-    dimensions = len(shape_of(name, value))
-    if dimensions in (0, ndim - 1):
-        return [value] * count
-    if len(value) != count:
-        raise SamplingError(
-            f"{name} has {counted(len(value), 'value')} for {counted(count, 'image')}; give one "
-            "for each"
-        )
-    return list(value)
 
 
 def _wall_numbers(walls: Any, count: int) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from nlosoptics.errors import SamplingError, SceneError
-from nlosoptics.inverse import PupilPSF, evidence_fit, pcin, registered_correlation
+from nlosoptics.inverse import Measurement, PupilPSF, evidence_fit, pcin, registered_correlation
 from nlosoptics.inverse.blind.evidence_search import Search
 from nlosoptics.inverse.blind.free_energy import FreeEnergy, Stage
 from nlosoptics.inverse.blind.random_walls import Breeding, children, random_walls
@@ -18,6 +18,8 @@ from nlosoptics.inverse.blind.verdict import Verdict
 from nlosoptics.inverse.wave.frames import frames_of
 from nlosoptics.inverse.wave.pupil_optics import PupilOptics
 from nlosoptics.inverse.wave.pupil_waves import ZernikeWaves, noll_mode
+
+from ..by_name import called
 
 WAVELENGTH = 632.8e-9
 OPTICS = {
@@ -64,14 +66,7 @@ def pupil():
 
 def framed(data, pupil, sigma, **options):
     """Frames of images, without anything else known of them."""
-    usual = {
-        "defocus": None,
-        "walls": None,
-        "background": 0.0,
-        "fit_background": True,
-        "background_shape": None,
-    }
-    return frames_of(data, pupil, noise_sigma=sigma, **{**usual, **options})
+    return called(frames_of, data, pupil, noise_sigma=sigma, **options)
 
 
 @pytest.fixture(scope="module")
@@ -253,10 +248,9 @@ def test_children_of_a_wall_and_its_twin_change_one_of_them():
 def test_two_frames_are_enough():
     data, sigma = images(32, wall(0.4))
     found = pcin(
-        data,
+        Measurement(data, noise_sigma=sigma),
         PupilPSF.from_zernike(MODES, shape=32, **OPTICS),
         defocus=DEFOCUS,
-        noise_sigma=sigma,
         max_iterations=1,
         seed=1,
     )
@@ -272,7 +266,9 @@ def test_a_wall_that_no_mode_holds_is_not_called_right(pupil):
     """Two different objects, one in each frame: no wall explains both."""
     data, sigma = images(32, wall(0.4))
     data[1] = data[1].T[::-1]
-    found = evidence_fit(data, pupil, defocus=DEFOCUS, noise_sigma=sigma, max_iterations=1)
+    found = evidence_fit(
+        Measurement(data, noise_sigma=sigma), pupil, defocus=DEFOCUS, max_iterations=1
+    )
     assert found.status == "unconverged"
     assert "beyond the noise" in found.reasons[0]
 
@@ -320,7 +316,9 @@ def test_a_small_margin_needs_the_expected_wave_without_a_rival(
 def test_no_blur_is_flagged(pupil):
     """One frame and no search: the answer is the image itself."""
     data, sigma = images(32, wall(0.3), defocus=np.zeros(1))
-    found = evidence_fit(data, pupil, noise_sigma=sigma, max_iterations=1, max_seconds=1e-9)
+    found = evidence_fit(
+        Measurement(data, noise_sigma=sigma), pupil, max_iterations=1, max_seconds=1e-9
+    )
     assert found.status == "trivial"
     assert "give a second image" in found.reasons[0]
     assert found.physical_parameters["margin"] == 0.0
@@ -329,7 +327,7 @@ def test_no_blur_is_flagged(pupil):
 def test_a_weak_wall_is_told_from_the_image_taken_as_sharp(pupil):
     """The descent from no blur ends at the wall, and the search finds no different one."""
     data, sigma = images(32, wall(0.2, seed=4), defocus=np.zeros(1))
-    found = evidence_fit(data, pupil, noise_sigma=sigma, max_iterations=1)
+    found = evidence_fit(Measurement(data, noise_sigma=sigma), pupil, max_iterations=1)
     settled = found.physical_parameters
     assert -10.0 < settled["margin"] <= 0.0
     assert found.status == "converged"
@@ -364,7 +362,7 @@ def test_modes_are_added_by_schwarz_s_criterion(energy, share, kept):
 
 def test_noise_alone_is_too_few_photons(pupil):
     data = np.random.default_rng(0).normal(size=(2, 32, 32))
-    found = evidence_fit(data, pupil, defocus=DEFOCUS, noise_sigma=1.0)
+    found = evidence_fit(Measurement(data, noise_sigma=1.0), pupil, defocus=DEFOCUS)
     assert found.status == "too_few_photons"
     assert not np.any(found.object)
 

@@ -14,12 +14,14 @@ import torch
 from nlosoptics import inverse
 from nlosoptics.errors import NlosError, SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
-from nlosoptics.inverse import PupilPSF, evidence_fit, pcin, registered_correlation
+from nlosoptics.inverse import Measurement, PupilPSF, evidence_fit, pcin, registered_correlation
 from nlosoptics.inverse.blind.free_energy import FreeEnergy, Stage
 from nlosoptics.inverse.wave.frames import frames_of
 from nlosoptics.inverse.wave.pupil_waves import noll_mode
 from nlosoptics.psf import Wavefront, point_spread
 from nlosoptics.scene import Scene
+
+from ..by_name import called
 
 # Walls that no schedule was tuned on.
 WALL = 31
@@ -98,16 +100,7 @@ def test_score_and_background_are_those_of_the_answer(near):
 def test_residuals_prefer_no_blur_and_free_energy_the_wall(near, cases):
     data = near[0]
     pupil = unknown(data, data.coefficients[0], cases.MODES)
-    frames = frames_of(
-        data.images,
-        pupil,
-        defocus=None,
-        walls=None,
-        noise_sigma=data.noise_sigma,
-        background=0.0,
-        fit_background=True,
-        background_shape=None,
-    )
+    frames = frames_of(Measurement(data.images, noise_sigma=data.noise_sigma), pupil)
     energy = FreeEnergy(frames, pupil, grid=(96, 96))
     held = Stage(iterations=300, kappa=0.5, first=1.0, last=1.0, share=1.0, wave_rate=0.0)
     both = np.stack([np.zeros(18), data.coefficients[0]])
@@ -221,8 +214,10 @@ def test_pixels_of_infinite_noise_have_no_say():
     hot = np.random.default_rng(4).random(images.shape) < 0.02
     noise[hot] = np.inf
     spoilt = [np.where(hot, value, images) for value in (0.0, 1e5)]
-    options = {"defocus": defocus, "noise_sigma": noise, **NEAR}
-    found, other = (evidence_fit(one, spread, **options) for one in spoilt)
+    options = {"defocus": defocus, **NEAR}
+    found, other = (
+        evidence_fit(Measurement(one, noise_sigma=noise), spread, **options) for one in spoilt
+    )
     assert np.array_equal(found.object, other.object)
     assert found.status == "converged"
     assert registered_correlation(found, truth) > 0.98
@@ -264,7 +259,7 @@ def test_progress_grows_to_the_end():
 def test_light_of_nothing_with_a_known_object_is_finite():
     _, spread, _, truth = made()
     noise = 5.0 + np.random.default_rng(1).normal(size=(32, 40))
-    found = evidence_fit(noise, spread, known_object=truth, noise_sigma=1.0, **NEAR)
+    found = evidence_fit(Measurement(noise, noise_sigma=1.0), spread, known_object=truth, **NEAR)
     assert found.status == "too_few_photons"
     assert not found.object.any()
     # 1 to four standard errors of an rms of 1280 values
@@ -299,14 +294,7 @@ def test_a_scene_s_known_wave_is_part_of_the_model(examples):
     spread = PupilPSF.from_scene(scene, [4, 5], shape=(32, 40), **optics)
     wide = PupilPSF.from_scene(scene, [4, 5], shape=(64, 80), **optics)
     frames = frames_of(
-        np.random.default_rng(0).normal(size=(32, 40)),
-        spread,
-        defocus=None,
-        walls=None,
-        noise_sigma=1.0,
-        background=0.0,
-        fit_background=True,
-        background_shape=None,
+        Measurement(np.random.default_rng(0).normal(size=(32, 40)), noise_sigma=1.0), spread
     )
     energy = FreeEnergy(frames, spread, grid=(64, 80), dtype=np.float64)
     given = spread.coefficients.detach().double().numpy()[None]
@@ -364,7 +352,7 @@ def test_bad_input_is_one_line(change, error, says):
     images, spread, _, _ = made()
     given = {"images": images, "pupil_psf": spread, **change}
     with pytest.raises(error, match=".") as caught:
-        pcin(given.pop("images"), given.pop("pupil_psf"), **given)
+        called(pcin, given.pop("images"), given.pop("pupil_psf"), **given)
     assert isinstance(caught.value, NlosError)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from nlosoptics.inverse import PupilPSF, evidence_fit, pcin
+from nlosoptics.inverse import Measurement, PupilPSF, evidence_fit, pcin
 from nlosoptics.inverse.blind.free_energy import FreeEnergy, Stage
 from nlosoptics.inverse.blind.random_walls import Breeding, children, random_walls
 from nlosoptics.inverse.blind.verdict import Verdict
@@ -30,14 +30,9 @@ def energy(request):
     if request.param == "pixels lost":
         noise[0, 3, 4:7], noise[1, :, :5] = np.inf, 0.1
     frames = frames_of(
-        data,
+        Measurement(data, noise_sigma=noise, background=0.1),
         pupil,
         defocus=None if count == 1 else [0.0, 3e-7],
-        walls=None,
-        noise_sigma=noise,
-        background=0.1,
-        fit_background=True,
-        background_shape=None,
     )
     gains = request.param == "pixels lost"
     return FreeEnergy(frames, pupil, grid=(28, 26), dtype=np.float64, fit_gains=gains)

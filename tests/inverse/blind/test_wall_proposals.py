@@ -29,6 +29,8 @@ from nlosoptics.inverse.blind.wall_network import (
 from nlosoptics.inverse.data._threads import single_thread
 from nlosoptics.inverse.wave.frames import frames_of
 
+from ..by_name import called
+
 WAVELENGTH = 632.8e-9
 OPTICS = {"wavelength": WAVELENGTH, "pupil_radius": 0.9e-3, "image_distance": 51.2e-3}
 NYQUIST = OPTICS["wavelength"] * OPTICS["image_distance"] / (4.0 * OPTICS["pupil_radius"])
@@ -73,11 +75,8 @@ def image(truth, wall, pitch=NYQUIST, noise=0.01, seed=0, **options):
 
 def proposed(data, point_spread, count=32, seed=0, **options):
     """Walls that the network proposes, or None."""
-    usual = {"defocus": None, "walls": None, "noise_sigma": None, "background": 0.0}
-    usual |= {"fit_background": True, "background_shape": None}
-    found = proposals.wall_proposals(
-        frames_of(data, point_spread, **(usual | options)), point_spread
-    )
+    frames = called(frames_of, data, point_spread, **options)
+    found = proposals.wall_proposals(frames, point_spread)
     return None if found is None else found.walls(count, np.random.default_rng(seed))
 
 
@@ -252,9 +251,7 @@ def test_bad_files_are_refused_in_one_line(tmp_path):
 
 def search(data, point_spread, step, state=None, strength=None):
     """A search of one image before a step of its first round."""
-    usual = {"defocus": None, "walls": None, "noise_sigma": None, "background": 0.0}
-    usual |= {"fit_background": True, "background_shape": None}
-    frames = frames_of(data, point_spread, **usual)
+    frames = frames_of(data, point_spread)
 
     def energies(padding, modes):
         return FreeEnergy(frames, point_spread, grid=(36, 36), modes=modes)

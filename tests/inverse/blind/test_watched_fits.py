@@ -47,17 +47,27 @@ def case() -> tuple[np.ndarray, np.ndarray, ForwardModel]:
     return np.stack([model.forward(UNIT * truth) for model in models]) + noise, truth, models[0]
 
 
+def measured(image):
+    return inverse.Measurement(image, noise_sigma=SIGMA)
+
+
 def image_prior(**watched):
     images, _, model = case()
-    options = {"noise_sigma": SIGMA, "tv_weight": 0.0, "guide": "wiener", "depth": 3}
-    return inverse.deep_image_prior(images[0], model, max_iterations=60, **options, **watched)
+    options = {"tv_weight": 0.0, "guide": "wiener", "depth": 3}
+    return inverse.deep_image_prior(
+        measured(images[0]), model, max_iterations=60, **options, **watched
+    )
 
 
 def wu2024(**watched):
     options = {"depth": 3, "alternate": 5, "network_input": "reconstruction"}
     images = case()[0][:1]
     return inverse.wu2024_fit(
-        images, pupil(), noise_sigma=SIGMA, max_iterations=40, **options, **watched
+        measured(images),
+        pupil(),
+        max_iterations=40,
+        **options,
+        **watched,
     )
 
 
@@ -71,33 +81,30 @@ def unknown() -> inverse.PupilPSF:
 
 
 def evidence(**watched):
-    options = {"defocus": DEFOCUS, "noise_sigma": SIGMA, "max_iterations": 1}
-    return inverse.pcin(case()[0], unknown(), **options, **watched)
+    options = {"defocus": DEFOCUS, "max_iterations": 1}
+    return inverse.pcin(measured(case()[0]), unknown(), **options, **watched)
 
 
 def evidence_near(**watched):
-    options = {"start_error": 0.1, "fit_gains": True, "noise_sigma": SIGMA, "max_iterations": 1}
-    return inverse.pcin(case()[0], pupil(), defocus=DEFOCUS, **options, **watched)
+    options = {"start_error": 0.1, "fit_gains": True, "max_iterations": 1}
+    return inverse.pcin(measured(case()[0]), pupil(), defocus=DEFOCUS, **options, **watched)
 
 
 def evidence_near_one(**watched):
-    options = {"start_error": 0.1, "noise_sigma": SIGMA}
-    return inverse.pcin(case()[0][0], pupil(), **options, **watched)
+    return inverse.pcin(measured(case()[0][0]), pupil(), start_error=0.1, **watched)
 
 
 def evidence_one(**watched):
-    options = {"noise_sigma": SIGMA, "max_iterations": 1}
-    return inverse.pcin(case()[0][0], unknown(), **options, **watched)
+    return inverse.pcin(measured(case()[0][0]), unknown(), max_iterations=1, **watched)
 
 
 def phases(method):
     def solver(**watched):
         return inverse.phase_retrieval(
-            case()[0][0],
+            measured(case()[0][0]),
             method=method,
             restarts=4,
             object_size=(16, 12),
-            noise_sigma=SIGMA,
             max_iterations=60,
             **watched,
         )

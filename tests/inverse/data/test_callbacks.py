@@ -13,6 +13,7 @@ from scipy import ndimage
 from nlosoptics import inverse
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
+from nlosoptics.inverse import Measurement
 from nlosoptics.inverse.data.checkpoints import goes_on, started_from, state_of
 
 SIGMA = 0.02
@@ -49,10 +50,16 @@ class Watch:
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_stopped_fit_returns_what_it_has_and_goes_on_to_the_same_object(solver) -> None:
     truth, model, image = case()
-    whole = solver(image, model, noise_sigma=SIGMA, tolerance=1e-5, max_iterations=2000)
+    whole = solver(
+        Measurement(image, noise_sigma=SIGMA), model, tolerance=1e-5, max_iterations=2000
+    )
     watch = Watch(last=2)
     part = solver(
-        image, model, noise_sigma=SIGMA, tolerance=1e-5, max_iterations=2000, progress=watch
+        Measurement(image, noise_sigma=SIGMA),
+        model,
+        tolerance=1e-5,
+        max_iterations=2000,
+        progress=watch,
     )
     assert part.status == "unconverged"
     assert len(part.history["residual"]) < len(whole.history["residual"])
@@ -61,9 +68,8 @@ def test_a_stopped_fit_returns_what_it_has_and_goes_on_to_the_same_object(solver
     # the last state is what is returned, over its gain
     assert part.object * gain == approx(kept, rel=1e-6, abs=1e-6)
     again = solver(
-        image,
+        Measurement(image, noise_sigma=SIGMA),
         model,
-        noise_sigma=SIGMA,
         tolerance=1e-5,
         max_iterations=2000,
         start=watch.states[-1],
@@ -75,7 +81,8 @@ def test_a_stopped_fit_returns_what_it_has_and_goes_on_to_the_same_object(solver
 
 def test_a_start_near_the_end_saves_iterations() -> None:
     _, model, image = case()
-    options = {"noise_sigma": SIGMA, "tolerance": 1e-4, "max_iterations": 2000}
+    image = inverse.Measurement(image, noise_sigma=SIGMA)
+    options = {"tolerance": 1e-4, "max_iterations": 2000}
     cold = inverse.wiener(image, model, **options)
     level = cold.object * cold.physical_parameters["gain"]
     warm = inverse.wiener(image, model, **options, start=level)
@@ -87,7 +94,8 @@ def test_a_start_near_the_end_saves_iterations() -> None:
 def test_an_object_alone_is_a_start_too() -> None:
     """Of another weight's fit: what comes out is the fit of this weight."""
     _, model, image = case()
-    options = {"noise_sigma": SIGMA, "tv_weight": 0.3, "tolerance": 1e-5, "max_iterations": 4000}
+    image = inverse.Measurement(image, noise_sigma=SIGMA)
+    options = {"tv_weight": 0.3, "tolerance": 1e-5, "max_iterations": 4000}
     cold = inverse.tv_deconvolve(image, model, **options)
     other = inverse.tv_deconvolve(image, model, **{**options, "tv_weight": 3.0})
     level = other.object * other.physical_parameters["gain"]
@@ -119,7 +127,9 @@ def test_an_object_alone_is_a_start_too() -> None:
 def test_text_tells_the_residual() -> None:
     _, model, image = case()
     watch = Watch()
-    found = inverse.tv_deconvolve(image, model, noise_sigma=SIGMA, progress=watch)
+    found = inverse.tv_deconvolve(
+        inverse.Measurement(image, noise_sigma=SIGMA), model, progress=watch
+    )
     fractions = [fraction for fraction, _ in watch.told]
     assert fractions[-1] == 1.0
     assert fractions == sorted(fractions)
@@ -131,7 +141,9 @@ def test_stop_may_come_from_the_call_itself() -> None:
         raise inverse.Stop
 
     _, model, image = case()
-    found = inverse.tv_deconvolve(image, model, noise_sigma=SIGMA, progress=ended)
+    found = inverse.tv_deconvolve(
+        inverse.Measurement(image, noise_sigma=SIGMA), model, progress=ended
+    )
     assert (found.status, len(found.history["residual"])) == ("unconverged", 10)
     assert goes_on(None, "", 0.0, lambda: {})
     with pytest.raises(KeyboardInterrupt):
@@ -151,7 +163,7 @@ def test_the_last_report_tells_the_whole(solver, count: int) -> None:
     _, model, image = case()
     watch = Watch()
     options = {} if solver is inverse.inverse_filter else {"max_iterations": count}
-    found = solver(image, model, noise_sigma=SIGMA, progress=watch, **options)
+    found = solver(Measurement(image, noise_sigma=SIGMA), model, progress=watch, **options)
     assert watch.told[-1][0] == 1.0
     assert isinstance(watch.told[-1][1], str)
     if options:
@@ -190,10 +202,10 @@ def test_pixels_of_infinite_noise_do_not_count(solver) -> None:
     results = []
     for wrong in (0.0, 3.0):
         spoilt = np.where(np.isinf(sigma), wrong, image)
-        results.append(solver(spoilt, model, noise_sigma=sigma, fit_background=False))
+        results.append(solver(Measurement(spoilt, noise_sigma=sigma, fit_background=False), model))
     assert np.array_equal(results[0].object, results[1].object)
     assert inverse.registered_correlation(results[1], truth) > 0.9
-    whole = solver(image, model, noise_sigma=SIGMA, fit_background=False)
+    whole = solver(Measurement(image, noise_sigma=SIGMA, fit_background=False), model)
     # ten pixels of 2304 less: the score moves by their noise, 10/2304/2 and what they had been
     assert results[0].score == approx(whole.score, abs=0.01)
 
@@ -201,6 +213,10 @@ def test_pixels_of_infinite_noise_do_not_count(solver) -> None:
 def test_no_pixel_left_is_refused() -> None:
     _, model, image = case()
     with pytest.raises(SceneError, match="infinite in every pixel"):
-        inverse.wiener(image, model, noise_sigma=np.full(image.shape, math.inf))
+        inverse.wiener(
+            inverse.Measurement(image, noise_sigma=np.full(image.shape, math.inf)), model
+        )
     with pytest.raises(SceneError, match="not finite"):
-        inverse.wiener(image, model, noise_sigma=np.full(image.shape, math.nan))
+        inverse.wiener(
+            inverse.Measurement(image, noise_sigma=np.full(image.shape, math.nan)), model
+        )

@@ -104,7 +104,7 @@ def test_their_solvers_run_and_agree_with_ours(deepinv, physics, scene):
         max_iter=100,
     )
     theirs = solver(y, physics)[0, 0].detach().numpy()
-    ours = inverse.tv_deconvolve(image, model, noise_sigma=sigma)
+    ours = inverse.tv_deconvolve(inverse.Measurement(image, noise_sigma=sigma), model)
     assert inverse.registered_correlation(theirs, truth) > 0.9
     assert inverse.registered_correlation(ours, truth) > inverse.registered_correlation(
         theirs, truth

@@ -14,6 +14,8 @@ from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse.published import phase_retrieval as phases
 
+from ..by_name import called
+
 SIGMA = 0.02
 SIDE = 32
 # less noise than there is, so that Richardson-Lucy uses all its iterations
@@ -37,7 +39,7 @@ def known(solver, **options):
     kernel[7, 7] = 1.0
     model = ForwardModel(ndimage.gaussian_filter(kernel, 1.8), shape=(SIDE, SIDE))
     image = model.forward(letter()) + 0.1 + noise()
-    return functools.partial(solver, image, model, **{"noise_sigma": SIGMA, **options})
+    return functools.partial(called, solver, image, model, **{"noise_sigma": SIGMA, **options})
 
 
 def masked(solver, **options):
@@ -53,7 +55,7 @@ def field(solver, spread, **options):
     """A point spread that varies over the frame."""
     model = ForwardModel(spread, shape=(SIDE, SIDE))
     image = model.forward(letter()) + noise()
-    return functools.partial(solver, image, model, **{"noise_sigma": SIGMA, **options})
+    return functools.partial(called, solver, image, model, **{"noise_sigma": SIGMA, **options})
 
 
 def wu2024(**options):
@@ -68,7 +70,7 @@ def wu2024(**options):
     )
     image = ndimage.gaussian_filter(letter(), 1.5) + noise()
     options = {"depth": 2, "alternate": 4, "max_iterations": 43, **options}
-    return functools.partial(inverse.wu2024_fit, image, pupil, noise_sigma=SIGMA, **options)
+    return functools.partial(called, inverse.wu2024_fit, image, pupil, noise_sigma=SIGMA, **options)
 
 
 def restarts(method):

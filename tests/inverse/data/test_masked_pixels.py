@@ -7,6 +7,7 @@ import pytest
 
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import (
+    Measurement,
     PupilPSF,
     deep_image_prior,
     evidence_fit,
@@ -41,7 +42,7 @@ def pictures():
 def test_inverse_filter_keeps_its_frequencies(pictures):
     truth, model, masked = pictures
     image, noise = masked(0.01)
-    found = inverse_filter(image, model, noise_sigma=noise)
+    found = inverse_filter(Measurement(image, noise_sigma=noise), model)
     # a constant, of correlation 0, where infinite noise allowed to leave all of them out
     assert registered_correlation(found, truth) > 0.8
 
@@ -49,8 +50,8 @@ def test_inverse_filter_keeps_its_frequencies(pictures):
 def test_residual_of_the_network_is_over_the_counting_pixels(pictures):
     _, model, masked = pictures
     image, noise = masked(0.5)
-    options = {"noise_sigma": noise, "fit_background": False, "tv_weight": 0.0}
-    found = deep_image_prior(image, model, guide="noise", max_iterations=1, **options)
+    given = Measurement(image, noise_sigma=noise, fit_background=False)
+    found = deep_image_prior(given, model, guide="noise", max_iterations=1, tv_weight=0.0)
     # one iterate is the best one; the network runs in single precision
     assert found.history["residual"][-1] == pytest.approx(found.score, rel=1e-4)
 
@@ -71,7 +72,9 @@ def pupil():
 def test_residual_of_the_published_fit_is_over_the_counting_pixels(pictures, pupil):
     _, _, masked = pictures
     image, noise = masked(0.5)
-    found = wu2024_fit(image, pupil, noise_sigma=noise, max_iterations=300, learning_rate=1e-9)
+    found = wu2024_fit(
+        Measurement(image, noise_sigma=noise), pupil, max_iterations=300, learning_rate=1e-9
+    )
     # steps of nothing leave the last residual that of the answer
     assert found.history["residual"][-1] == pytest.approx(found.score, rel=1e-3)
 
@@ -79,7 +82,9 @@ def test_residual_of_the_published_fit_is_over_the_counting_pixels(pictures, pup
 def test_score_of_the_blind_fit_is_over_the_counting_pixels(pictures, pupil):
     truth, _, masked = pictures
     image, noise = masked(0.5)
-    found = evidence_fit(image, pupil, noise_sigma=noise, known_object=truth, max_iterations=1)
+    found = evidence_fit(
+        Measurement(image, noise_sigma=noise), pupil, known_object=truth, max_iterations=1
+    )
     seen = np.isfinite(noise)
     strength = found.physical_parameters["gain"] * found.object
     kernel = pupil(pupil.coefficients.new_tensor(found.physical_parameters["coefficients"]))
@@ -94,7 +99,9 @@ def test_lags_of_masked_pixels_are_not_taken_for_an_object(pictures):
     sizes = []
     for part in (0.3, 0.0):
         image, noise = masked(part)
-        found = phase_retrieval(image, model, noise_sigma=noise, method="raar", max_iterations=20)
+        found = phase_retrieval(
+            Measurement(image, noise_sigma=noise), model, method="raar", max_iterations=20
+        )
         sizes.append(np.array(found.physical_parameters["object_size"]))
     # 2 x 2 pixels, one pixel's own lag, where the masked ones were taken for light
     assert sizes[0].min() >= sizes[1].min() // 2

@@ -8,8 +8,8 @@ import torch
 
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
-from nlosoptics.inverse import estimate_noise, wiener
-from nlosoptics.inverse.data.measurement import measurement
+from nlosoptics.inverse import Measurement, estimate_noise, wiener
+from nlosoptics.inverse.data.noisy_image import noisy_image
 
 
 @pytest.mark.parametrize("sigma", [1e-3, 7.0])
@@ -85,13 +85,9 @@ def test_noise_and_signal_are_told_apart_beyond_the_optics():
     errors, signals = [], []
     for seed in range(12):
         noise = np.random.default_rng(seed).normal(size=truth.shape)
-        data = measurement(
-            seen + noise,
+        data = noisy_image(
+            Measurement(seen + noise, noise_sigma=1.0),
             model,
-            noise_sigma=1.0,
-            background=0.0,
-            fit_background=True,
-            background_shape=None,
         )
         found, signal = data.energies(model)
         errors.append(found - (noise**2).sum())
@@ -107,13 +103,9 @@ def test_stated_noise_is_kept_if_the_image_contradicts_it():
     model = ForwardModel(np.full((7, 7), 1 / 49), shape=(64, 64))
     image = np.random.default_rng(0).normal(size=(64, 64))
     image[20:40, 20:40] += 3.0
-    data = measurement(
-        image,
+    data = noisy_image(
+        Measurement(image, noise_sigma=2.0**0.5),
         model,
-        noise_sigma=2.0**0.5,
-        background=0.0,
-        fit_background=True,
-        background_shape=None,
     )
     noise, signal = data.energies(model)
     # the signal is then at least the error of the noise

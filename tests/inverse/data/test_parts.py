@@ -14,8 +14,9 @@ from scipy.stats import chi2
 from nlosoptics import inverse
 from nlosoptics.errors import SamplingError
 from nlosoptics.imaging import ForwardModel
+from nlosoptics.inverse import Measurement
 from nlosoptics.inverse.data import deepinv as adapter
-from nlosoptics.inverse.data import measurement, spectra
+from nlosoptics.inverse.data import noisy_image, spectra
 from nlosoptics.inverse.data.adam import adam_state, descend, take_up_adam
 from nlosoptics.inverse.known.total_variation import sharpest
 
@@ -27,15 +28,15 @@ NOISE = np.random.default_rng(5).normal(size=SHAPE)
 
 
 def measured(image, **changes):
-    given = {"noise_sigma": 0.1, "background": 0.0, "fit_background": True}
-    return measurement.measurement(image, MODEL, **given | {"background_shape": None} | changes)
+    given = inverse.Measurement(image, **{"noise_sigma": 0.1, **changes})
+    return noisy_image.noisy_image(given, MODEL)
 
 
 @pytest.mark.parametrize("scale", [0.9, 1.0, 1.08])
 def test_the_chance_of_equal_weights_is_that_of_chi_square(scale):
     """The spread of white noise has as many degrees of freedom as pixels, without the mean."""
     relative = scale * spectra.power(NOISE)
-    found = measurement._chance(relative, np.ones(relative.shape), SHAPE, False)
+    found = noisy_image._chance(relative, np.ones(relative.shape), SHAPE, False)
     whole = scale * ((NOISE - NOISE.mean()) ** 2).sum()
     assert found == pytest.approx(chi2.sf(whole, NOISE.size - 1), rel=1e-9)
 
@@ -208,7 +209,8 @@ def test_a_result_follows_the_unit_of_the_image(solver):
     image = MODEL.forward(truth) + 0.5 + 0.02 * NOISE
     asked = {} if solver is inverse.inverse_filter else {"max_iterations": 9}
     plain, small = (
-        solver(unit * image, MODEL, noise_sigma=0.02 * unit, **asked) for unit in (1.0, 2.0**-12)
+        solver(Measurement(unit * image, noise_sigma=0.02 * unit), MODEL, **asked)
+        for unit in (1.0, 2.0**-12)
     )
     np.testing.assert_allclose(small.object, plain.object, rtol=0, atol=1e-9)
     for name in ("gain", "background", "noise_sigma"):

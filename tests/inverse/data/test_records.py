@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from nlosoptics.imaging import ForwardModel
-from nlosoptics.inverse.data import measurement, scores, signs, spectra
+from nlosoptics.inverse import Measurement
+from nlosoptics.inverse.data import noisy_image, scores, signs, spectra
 
 SHAPE = (21, 26)
 
@@ -60,13 +61,17 @@ NOISES["lost"] = np.where(np.hypot(*np.mgrid[:21, :26]) < 5, np.inf, 0.05)
 def test_a_measurement(noise, fit, picture, on_record):
     kernel = np.outer([1.0, 3.0, 2.0], [1.0, 2.0, 4.0, 1.0, 0.5])
     model = ForwardModel(kernel / kernel.sum(), shape=SHAPE)
-    data = measurement.measurement(
-        picture,
+    data = noisy_image.noisy_image(
+        Measurement(
+            picture,
+            noise_sigma=NOISES[noise],
+            background=0.02,
+            fit_background=fit,
+            background_shape=np.linspace(0.5, 1.5, SHAPE[0])[:, None] * np.ones(SHAPE)
+            if fit
+            else None,
+        ),
         model,
-        noise_sigma=NOISES[noise],
-        background=0.02,
-        fit_background=fit,
-        background_shape=np.linspace(0.5, 1.5, SHAPE[0])[:, None] * np.ones(SHAPE) if fit else None,
     )
     other, guess = 0.9 * data.data, model.forward(picture)
     on_record(
@@ -88,11 +93,11 @@ def test_chances(on_record):
     low = np.exp(-np.hypot(*np.mgrid[:21, :14]) / 4)
     on_record(
         [
-            measurement._chance(scale * shares * (1 + more * low), weights, SHAPE, own)
+            noisy_image._chance(scale * shares * (1 + more * low), weights, SHAPE, own)
             for scale in (0.8, 1.0, 1.1)
             for more in (0.0, 1.0)
             for weights in (low, 1 - 0.3 * low, np.ones(low.shape))
             for own in (False, True)
         ]
-        + [measurement._chance(0.0 * shares, low, SHAPE, True)]
+        + [noisy_image._chance(0.0 * shares, low, SHAPE, True)]
     )

@@ -10,8 +10,9 @@ import torch
 
 from nlosoptics import inverse
 from nlosoptics.imaging import ForwardModel
-from nlosoptics.inverse.data.measurement import measurement
+from nlosoptics.inverse import Measurement
 from nlosoptics.inverse.data.models import widened
+from nlosoptics.inverse.data.noisy_image import noisy_image
 from nlosoptics.inverse.data.signs import signs
 from nlosoptics.inverse.data.status import Ending, Spectra
 
@@ -70,19 +71,15 @@ def test_a_faint_object_is_shown_with_low_confidence():
     for seed in range(6):
         noise = np.random.default_rng(seed).normal(size=truth.shape)
         image = model.forward(truth) + noise
-        data = measurement(
-            image,
+        data = noisy_image(
+            Measurement(image, noise_sigma=1.0),
             model,
-            noise_sigma=1.0,
-            background=0.0,
-            fit_background=True,
-            background_shape=None,
         )
         detected += not data.is_background(model)
         assert data.is_noise_about(data.background(data.background_strength(data.data)))
     # about 17 standard errors of the strongest component; none is missed by chance
     assert detected == 6
-    found = inverse.tv_deconvolve(image, model, noise_sigma=1.0)
+    found = inverse.tv_deconvolve(inverse.Measurement(image, noise_sigma=1.0), model)
     assert found.status == "too_few_photons"
     assert "noise hides" in found.reasons[0]
     # the blurred and noisy image itself has 0.3
@@ -97,7 +94,7 @@ def test_an_object_below_the_error_of_the_mean_square_is_solved(solver):
     truth = np.zeros((SIDE, SIDE))
     truth[20:44, 22:30] = 1.0
     image = model.forward(truth) + np.random.default_rng(0).normal(size=truth.shape)
-    found = solver(image, model, noise_sigma=1.06)
+    found = solver(Measurement(image, noise_sigma=1.06), model)
     assert found.status == "too_few_photons"
     assert np.isfinite(found.object).all()
     # the image itself has about 0.3
@@ -107,10 +104,10 @@ def test_an_object_below_the_error_of_the_mean_square_is_solved(solver):
 def test_even_light_is_an_object_without_a_background():
     image = 0.2 + np.random.default_rng(0).normal(size=(SIDE, SIDE))
     model = lobe(2.0)
-    options = {"noise_sigma": 1.0, "background": 0.0, "background_shape": None}
-    # 0.2 of 64 x 64 pixels is 13 standard errors
-    assert not measurement(image, model, fit_background=False, **options).is_background(model)
-    assert measurement(image, model, fit_background=True, **options).is_background(model)
+    for unknown in (False, True):
+        data = noisy_image(Measurement(image, noise_sigma=1.0, fit_background=unknown), model)
+        # 0.2 of 64 x 64 pixels is 13 standard errors
+        assert data.is_background(model) is unknown
 
 
 @pytest.mark.parametrize("wall", ["smooth", "speckle", "weak", "lobe"])
@@ -183,13 +180,9 @@ def test_a_repetition_has_the_noise_of_the_image():
     truth[20:44, 22:30] = 100.0
     noise = rng.uniform(0.5, 5.0, truth.shape)
     noise[::9, ::9] = np.inf
-    data = measurement(
-        model.forward(truth) + rng.normal(size=truth.shape),
+    data = noisy_image(
+        Measurement(model.forward(truth) + rng.normal(size=truth.shape), noise_sigma=noise),
         model,
-        noise_sigma=noise,
-        background=0.0,
-        fit_background=True,
-        background_shape=None,
     )
     again = Spectra(data, truth, 3.0, model).repetition(model)
     excluded = np.isinf(noise)
@@ -209,10 +202,9 @@ def test_the_optics_pass_little_of_fine_detail():
     A halo around them counts as far as they are passed.
     """
     model, stripes = lobe(2.0), np.arange(SIDE) * np.ones((SIDE, 1))
-    options = {"noise_sigma": 0.01, "background": 0.0, "background_shape": None}
     for cycles in (2, 8):
         level = 1.0 + np.cos(2.0 * np.pi * cycles / SIDE * stripes)
-        data = measurement(model.forward(level), model, fit_background=True, **options)
+        data = noisy_image(Measurement(model.forward(level), noise_sigma=0.01), model)
         spectra = Spectra(data, level, 0.0, model)
         passed = spectra.passed()
         assert passed == pytest.approx(np.exp(-((4.0 * np.pi * cycles / SIDE) ** 2)), rel=1e-2)
@@ -261,7 +253,10 @@ def test_coloured_noise_is_named_for_other_solvers(drawn):
 def test_stated_noise_is_compared_with_the_image(drawn):
     case, model = drawn("none", seed=4, wall="smooth", subject="glyph", noise=0.03)
     stated = [factor * case.noise_sigma for factor in (1.0, 1.5)]
-    right, wrong = (inverse.tv_deconvolve(case.image, model, noise_sigma=sigma) for sigma in stated)
+    right, wrong = (
+        inverse.tv_deconvolve(inverse.Measurement(case.image, noise_sigma=sigma), model)
+        for sigma in stated
+    )
     assert right.status == "converged"
     assert wrong.status == "does_not_fit"
     # power 1/1.5^2 = 0.44, known to a tenth from about a thousand frequencies
@@ -274,7 +269,10 @@ def test_an_image_that_the_frame_cuts_off_is_not_taken_for_noise():
     model, truth = lobe(3.0), np.zeros((SIDE, SIDE))
     truth[4:30, 3:8] = truth[4:9, 8:24] = truth[40:60, 50:60] = 1.0
     image = model.forward(truth) + 1e-3 * np.random.default_rng(0).normal(size=truth.shape)
-    right, wrong = (inverse.tv_deconvolve(image, model, noise_sigma=s) for s in (1e-3, 2e-3))
+    right, wrong = (
+        inverse.tv_deconvolve(inverse.Measurement(image, noise_sigma=s), model)
+        for s in (1e-3, 2e-3)
+    )
     assert (right.status, right.reasons) == ("converged", ())
     assert wrong.status == "does_not_fit"
     assert "stated noise's power" in wrong.reasons[0]
@@ -290,7 +288,9 @@ def test_photon_noise_of_a_bright_object_in_the_dark_is_the_stated_noise():
     assert variance.mean() * (1.0 / variance).mean() > 2.0
     image = light + np.sqrt(variance) * np.random.default_rng(0).normal(size=truth.shape)
     right, wrong = (
-        inverse.tv_deconvolve(image, model, noise_sigma=factor * np.sqrt(variance))
+        inverse.tv_deconvolve(
+            inverse.Measurement(image, noise_sigma=factor * np.sqrt(variance)), model
+        )
         for factor in (1.0, 1.5)
     )
     assert (right.status, right.reasons) == ("converged", ())
@@ -333,7 +333,7 @@ def test_excluded_pixels_are_not_taken_for_a_mismatch(drawn):
     case, model = drawn("none", seed=4, wall="smooth", subject="glyph", noise=0.01)
     out = np.random.default_rng(0).random(case.image.shape) < 0.02
     image, noise = np.where(out, 50.0, case.image), np.where(out, np.inf, case.noise_sigma)
-    found = inverse.tv_deconvolve(image, model, noise_sigma=noise)
+    found = inverse.tv_deconvolve(inverse.Measurement(image, noise_sigma=noise), model)
     assert (found.status, found.reasons) == ("converged", ())
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from nlosoptics.imaging import ForwardModel
-from nlosoptics.inverse import registered_correlation, tv_deconvolve, wiener
+from nlosoptics.inverse import Measurement, registered_correlation, tv_deconvolve, wiener
 from nlosoptics.inverse.data.models import mean_transfer
 from nlosoptics.inverse.known.field_step import FieldStep
 from nlosoptics.psf import PointSpreadField
@@ -41,7 +41,8 @@ def scene(point_spread_field):
 def test_the_field_explains_more_than_its_mean(scene, boundary, solver):
     image, model, mean = scene(boundary)
     missed = [
-        1.0 - registered_correlation(solver(image, m, noise_sigma=0.01).object, letter())
+        1.0
+        - registered_correlation(solver(Measurement(image, noise_sigma=0.01), m).object, letter())
         for m in (model, mean)
     ]
     # measured: 1.2e-3 and 1.1e-2 by total variation, 3.2e-2 and 3.8e-2 by Wiener, 64 pixels a side
@@ -61,8 +62,8 @@ def test_a_field_of_one_mode_is_its_point_spread(scene, point_spread_field):
         error_estimate=0.0,
     )
     field = ForwardModel(even, shape=(SIDE, SIDE))
-    found = tv_deconvolve(image, field, noise_sigma=0.01)
-    expected = tv_deconvolve(image, mean, noise_sigma=0.01)
+    found = tv_deconvolve(Measurement(image, noise_sigma=0.01), field)
+    expected = tv_deconvolve(Measurement(image, noise_sigma=0.01), mean)
     assert found.status == expected.status == "converged"
     # one conjugate gradient with an exact preconditioner; single precision over 100 iterations
     np.testing.assert_allclose(found.object, expected.object, rtol=0, atol=2e-4)

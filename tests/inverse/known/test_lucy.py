@@ -32,13 +32,10 @@ def test_steps_are_the_published_formula(periodic):
         ratio = (image + pedestal) / (model.forward(expected) + pedestal)
         expected = expected * model.adjoint(ratio)
     found = inverse.richardson_lucy(
-        image,
+        inverse.Measurement(image, noise_sigma=sigma, fit_background=False, gain=1.0),
         model,
         accelerated=False,
-        noise_sigma=sigma,
-        fit_background=False,
         max_iterations=steps,
-        gain=1.0,
     )
     assert found.status == "unconverged"
     # single precision inside
@@ -50,7 +47,9 @@ def test_flux_and_sign_are_kept(periodic, accelerated):
     model, _, image = periodic
     noisy = image + 0.01 * np.random.default_rng(1).normal(size=image.shape)
     found = inverse.richardson_lucy(
-        noisy, model, accelerated=accelerated, noise_sigma=0.01, fit_background=False, gain=1.0
+        inverse.Measurement(noisy, noise_sigma=0.01, fit_background=False, gain=1.0),
+        model,
+        accelerated=accelerated,
     )
     assert found.status == "converged"
     assert found.object.min() >= 0.0
@@ -61,7 +60,10 @@ def test_flux_and_sign_are_kept(periodic, accelerated):
 def test_plain_steps_never_raise_the_divergence(case):
     data, model = case("F", "speckle")
     found = inverse.richardson_lucy(
-        data.image, model, accelerated=False, noise_sigma=data.noise_sigma, max_iterations=60
+        inverse.Measurement(data.image, noise_sigma=data.noise_sigma),
+        model,
+        accelerated=False,
+        max_iterations=60,
     )
     objective = found.history["objective"]
     # single precision in 16384 summands
@@ -72,7 +74,9 @@ def test_plain_steps_never_raise_the_divergence(case):
 @pytest.mark.parametrize("noise", [0.01, 0.05])
 def test_stops_at_the_noise_before_it_is_fitted(case, wall, noise):
     data, model = case("F", wall, noise=noise)
-    found = inverse.richardson_lucy(data.image, model, noise_sigma=data.noise_sigma)
+    found = inverse.richardson_lucy(
+        inverse.Measurement(data.image, noise_sigma=data.noise_sigma), model
+    )
     assert found.status == "converged"
     residual = found.history["residual"]
     assert residual[-1] <= 1.0 < residual[-2]
@@ -81,7 +85,9 @@ def test_stops_at_the_noise_before_it_is_fitted(case, wall, noise):
     limit = {("smooth", 0.01): 0.97, ("speckle", 0.01): 0.93}.get((wall, noise), 0.86)
     assert inverse.registered_correlation(found, data.truth) > limit
     # less noise is said to be there, and the rest is fitted
-    over = inverse.richardson_lucy(data.image, model, noise_sigma=0.95 * data.noise_sigma)
+    over = inverse.richardson_lucy(
+        inverse.Measurement(data.image, noise_sigma=0.95 * data.noise_sigma), model
+    )
     assert len(over.history["residual"]) > len(residual)
 
 
@@ -90,7 +96,9 @@ def test_acceleration_takes_fewer_steps_to_the_same_residual(case):
     steps = {
         accelerated: len(
             inverse.richardson_lucy(
-                data.image, model, accelerated=accelerated, noise_sigma=data.noise_sigma
+                inverse.Measurement(data.image, noise_sigma=data.noise_sigma),
+                model,
+                accelerated=accelerated,
             ).history["residual"]
         )
         for accelerated in (True, False)
@@ -122,9 +130,9 @@ def test_point_spread_that_varies_over_the_field():
     clean = model.forward(truth)
     sigma = 0.01 * clean.max()
     image = clean + sigma * np.random.default_rng(0).normal(size=clean.shape)
-    found = inverse.richardson_lucy(image, model, noise_sigma=sigma)
+    found = inverse.richardson_lucy(inverse.Measurement(image, noise_sigma=sigma), model)
     mean = inverse.richardson_lucy(
-        image, ForwardModel(field.mean(), shape=image.shape), noise_sigma=sigma
+        inverse.Measurement(image, noise_sigma=sigma), ForwardModel(field.mean(), shape=image.shape)
     )
     assert found.status == "converged"
     assert found.score == pytest.approx(1.0, abs=0.02)  # it stops within a step of the noise
@@ -139,7 +147,7 @@ def test_pixel_that_no_light_comes_from_stays_dark():
     truth = np.zeros((16, 32))
     truth[4:12, 14:24] = 1.0
     image = model.forward(truth) + 0.01 * np.random.default_rng(0).normal(size=truth.shape)
-    found = inverse.richardson_lucy(image, model, noise_sigma=0.01)
+    found = inverse.richardson_lucy(inverse.Measurement(image, noise_sigma=0.01), model)
     assert not found.object[:, :10].any()
     assert inverse.registered_correlation(found, truth) > 0.99
 
@@ -155,13 +163,10 @@ def test_same_as_scikit_images_on_a_periodic_frame(periodic):
         image, model.kernel, num_iter=10, clip=False, filter_epsilon=1e-9
     )
     ours = inverse.richardson_lucy(
-        image,
+        inverse.Measurement(image, noise_sigma=1e-9, fit_background=False, gain=1.0),
         model,
         accelerated=False,
-        noise_sigma=1e-9,
-        fit_background=False,
         max_iterations=11,
-        gain=1.0,
     )
     inside = (slice(10, 32), slice(16, 28))
     # they start at one half everywhere and lose what spreads over the edge
@@ -171,10 +176,10 @@ def test_same_as_scikit_images_on_a_periodic_frame(periodic):
 def test_torch_default_precision_has_no_say(periodic):
     model, _, image = periodic
     noisy = image + 0.01 * np.random.default_rng(1).normal(size=image.shape)
-    expected = inverse.richardson_lucy(noisy, model, noise_sigma=0.01)
+    expected = inverse.richardson_lucy(inverse.Measurement(noisy, noise_sigma=0.01), model)
     torch.set_default_dtype(torch.float64)
     try:
-        found = inverse.richardson_lucy(noisy, model, noise_sigma=0.01)
+        found = inverse.richardson_lucy(inverse.Measurement(noisy, noise_sigma=0.01), model)
     finally:
         torch.set_default_dtype(torch.float32)
     np.testing.assert_array_equal(found.object, expected.object)
@@ -184,14 +189,16 @@ def test_a_dark_start_is_refused(periodic):
     """It would stay as it is, which looks like convergence."""
     model, _, image = periodic
     with pytest.raises(SceneError, match="start has no light"):
-        inverse.richardson_lucy(image, model, noise_sigma=0.01, start=np.zeros(image.shape))
+        inverse.richardson_lucy(
+            inverse.Measurement(image, noise_sigma=0.01), model, start=np.zeros(image.shape)
+        )
 
 
 @pytest.mark.parametrize("start", ["bright", {"object": [["a"]]}, object()])
 def test_a_start_of_no_numbers_is_one_line(periodic, start):
     model, _, image = periodic
     with pytest.raises(SceneError, match="not an array of numbers; give"):
-        inverse.richardson_lucy(image, model, noise_sigma=0.01, start=start)
+        inverse.richardson_lucy(inverse.Measurement(image, noise_sigma=0.01), model, start=start)
 
 
 def test_steps_with_weights_are_the_formula(periodic):
@@ -206,13 +213,10 @@ def test_steps_with_weights_are_the_formula(periodic):
     weights, steps = noise**-2.0, 6
     sigma = weights.mean() ** -0.5
     found = inverse.richardson_lucy(
-        image,
+        inverse.Measurement(image, noise_sigma=noise, fit_background=False, gain=1.0),
         model,
         accelerated=False,
-        noise_sigma=noise,
-        fit_background=False,
         max_iterations=steps,
-        gain=1.0,
     )
     expected = np.full(image.shape, image.mean())
     for _ in range(steps - 1):

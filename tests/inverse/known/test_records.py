@@ -8,6 +8,7 @@ from nlosoptics import inverse
 from nlosoptics.imaging import ForwardModel
 
 from ...records import attempt
+from ..by_name import called
 
 SOLVERS = [inverse.inverse_filter, inverse.richardson_lucy, inverse.tv_deconvolve, inverse.wiener]
 SHAPE = (24, 30)
@@ -53,7 +54,7 @@ def test_a_reconstruction(solver, options, measured, on_record):
     asked["progress"] = lambda *step: told.append(step)
     if solver is not inverse.inverse_filter:
         asked["max_iterations"] = 12
-    on_record([seen(attempt(solver, image, model, **asked)), len(told), told[-1:]])
+    on_record([seen(attempt(called, solver, image, model, **asked)), len(told), told[-1:]])
 
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: solver.__name__)
@@ -65,13 +66,13 @@ def test_other_borders(solver, measured, point_spread_field, on_record):
     asked = {"noise_sigma": 0.03}
     if solver is not inverse.inverse_filter:
         asked["max_iterations"] = 8
-    on_record([seen(attempt(solver, image, one, **asked)) for one in (periodic, varying)])
+    on_record([seen(attempt(called, solver, image, one, **asked)) for one in (periodic, varying)])
 
 
 def test_tensors(measured, on_record):
     image, model = measured
-    asked = {"noise_sigma": torch.tensor(noise_map()), "max_iterations": 8}
-    found = inverse.tv_deconvolve(torch.from_numpy(image), model, **asked)
+    given = inverse.Measurement(torch.from_numpy(image), noise_sigma=torch.tensor(noise_map()))
+    found = inverse.tv_deconvolve(given, model, max_iterations=8)
     on_record(seen(found))
 
 

@@ -28,7 +28,9 @@ def sharp():
 def test_image_without_noise_gives_the_object_back(sharp):
     model, truth = sharp
     found = inverse.inverse_filter(
-        model.forward(truth), model, noise_sigma=1e-9, fit_background=False, gain=1.0, guard=1e-3
+        inverse.Measurement(model.forward(truth), noise_sigma=1e-9, fit_background=False, gain=1.0),
+        model,
+        guard=1e-3,
     )
     # rounding of the transforms over the least transfer
     np.testing.assert_allclose(found.object, truth, rtol=0, atol=1e-13)
@@ -39,7 +41,9 @@ def test_frequencies_under_the_guard_are_left_out_and_no_others(sharp):
     model, truth = sharp
     image = model.forward(truth)
     found = inverse.inverse_filter(
-        image, model, noise_sigma=1e-9, fit_background=False, gain=1.0, guard=0.6
+        inverse.Measurement(image, noise_sigma=1e-9, fit_background=False, gain=1.0),
+        model,
+        guard=0.6,
     )
     size = np.abs(model.transfer) / np.abs(model.transfer).max()
     kept = np.where(size >= 0.6, np.fft.rfft2(truth), 0.0)
@@ -54,7 +58,7 @@ def test_zeros_of_the_transfer_do_no_harm():
     truth = np.zeros((32, 32))
     truth[10:20, 12:18] = 1.0
     image = model.forward(truth) + 1e-3 * np.random.default_rng(0).normal(size=truth.shape)
-    found = inverse.inverse_filter(image, model, noise_sigma=1e-3, guard=1e-13)
+    found = inverse.inverse_filter(inverse.Measurement(image, noise_sigma=1e-3), model, guard=1e-13)
     # 0.001 of noise over the least transfer that is not zero, 0.005
     assert inverse.registered_correlation(found, truth) > 0.95
 
@@ -62,12 +66,16 @@ def test_zeros_of_the_transfer_do_no_harm():
 @pytest.mark.parametrize("noise", [0.01, 0.05])
 def test_chosen_guard_leaves_the_noise(case, noise):
     data, model = case("F", "smooth", noise=noise)
-    found = inverse.inverse_filter(data.image, model, noise_sigma=data.noise_sigma)
+    found = inverse.inverse_filter(
+        inverse.Measurement(data.image, noise_sigma=data.noise_sigma), model
+    )
     # what the frame cuts off is the difference between the grid's residual and the frame's
     assert found.score == pytest.approx(1.0, abs=0.02)
     # measured 0.970 and 0.925; the bare division 0.001
     assert inverse.registered_correlation(found, data.truth) > 0.9
-    bare = inverse.inverse_filter(data.image, model, noise_sigma=data.noise_sigma, guard=1e-8)
+    bare = inverse.inverse_filter(
+        inverse.Measurement(data.image, noise_sigma=data.noise_sigma), model, guard=1e-8
+    )
     assert inverse.registered_correlation(bare, data.truth) < 0.1
 
 
@@ -84,7 +92,7 @@ def test_objective_is_of_the_pixels_that_count():
     sigma = np.ones((16, 16))
     sigma[12:, :] = np.inf
     model = ForwardModel(np.full((3, 3), 1 / 9), shape=(16, 16))
-    found = inverse.inverse_filter(image, model, noise_sigma=sigma, gain=1.0)
+    found = inverse.inverse_filter(inverse.Measurement(image, noise_sigma=sigma, gain=1.0), model)
     left = image - model.forward(found.object) - found.physical_parameters["background"]
     # rounding
     expected = 0.5 * (left[:12] ** 2).sum()

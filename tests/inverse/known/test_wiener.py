@@ -42,7 +42,9 @@ def test_periodic_frame_gives_the_closed_form(periodic, even):
     spectrum = np.conj(transfer) * fft.fft2(image) / (np.abs(transfer) ** 2 + penalty)
     expected = fft.ifft2(spectrum).real
 
-    found = inverse.wiener(image, model, noise_sigma=sigma, fit_background=False, gain=1.0)
+    found = inverse.wiener(
+        inverse.Measurement(image, noise_sigma=sigma, fit_background=False, gain=1.0), model
+    )
     assert found.status == ("too_few_photons" if even else "converged")
     assert found.history["residual"].size == 1
     # rounding of the transforms
@@ -52,7 +54,7 @@ def test_periodic_frame_gives_the_closed_form(periodic, even):
 def test_padded_solution_has_the_least_objective(case):
     """Any small step away from the solution costs more: it is the minimum, edge included."""
     data, model = case("F", "smooth")
-    found = inverse.wiener(data.image, model, noise_sigma=data.noise_sigma)
+    found = inverse.wiener(inverse.Measurement(data.image, noise_sigma=data.noise_sigma), model)
     objective = found.history["objective"]
     # conjugate gradients lower it at every step, up to rounding
     assert (np.diff(objective) <= 1e-9 * objective[:-1]).all()
@@ -67,9 +69,9 @@ def test_an_object_cut_by_no_taper_is_recovered_at_the_edge(case):
     clean = model.forward(bar)
     sigma = 0.01 * clean.max()
     image = clean + sigma * np.random.default_rng(0).normal(size=clean.shape)
-    found = inverse.wiener(image, model, noise_sigma=sigma)
+    found = inverse.wiener(inverse.Measurement(image, noise_sigma=sigma), model)
     framed = ForwardModel(model.kernel[64:192, 64:192], shape=(128, 128), boundary="circular")
-    periodic = inverse.wiener(image, framed, noise_sigma=sigma)
+    periodic = inverse.wiener(inverse.Measurement(image, noise_sigma=sigma), framed)
     # measured 0.948 against 0.527
     assert inverse.registered_correlation(found, bar) > 0.93
     assert inverse.registered_correlation(periodic, bar) < 0.8
@@ -79,20 +81,22 @@ def test_an_object_cut_by_no_taper_is_recovered_at_the_edge(case):
 @pytest.mark.parametrize("name", ["F", "cartoon_smile", "hanzi_zhong"])
 def test_one_per_cent_noise(case, wall, name):
     data, model = case(name, wall)
-    found = inverse.wiener(data.image, model, noise_sigma=data.noise_sigma)
+    found = inverse.wiener(inverse.Measurement(data.image, noise_sigma=data.noise_sigma), model)
     # measured 0.959 to 0.978
     assert inverse.registered_correlation(found, data.truth) > 0.94
 
 
 def test_units_background_and_gain_change_nothing_but_their_parameters(case):
     data, model = case("R", "smooth")
-    plain = inverse.wiener(data.image, model, noise_sigma=data.noise_sigma, tolerance=1e-9)
+    plain = inverse.wiener(
+        inverse.Measurement(data.image, noise_sigma=data.noise_sigma), model, tolerance=1e-9
+    )
     ramp = np.linspace(0.0, 30.0, 128)[:, None] * np.ones(128)
     moved = inverse.wiener(
-        50.0 * data.image + ramp + 7.0,
+        inverse.Measurement(
+            50.0 * data.image + ramp + 7.0, noise_sigma=50.0 * data.noise_sigma, background=ramp
+        ),
         model,
-        noise_sigma=50.0 * data.noise_sigma,
-        background=ramp,
         tolerance=1e-9,
     )
     # both solved to 1e-9 of the right-hand side, times the filter's gain of about 1e3
@@ -100,7 +104,9 @@ def test_units_background_and_gain_change_nothing_but_their_parameters(case):
     first, second = plain.physical_parameters, moved.physical_parameters
     assert second["gain"] == pytest.approx(50.0 * first["gain"], rel=1e-6)
     assert second["background"] == pytest.approx(50.0 * first["background"] + 7.0, abs=1e-4)
-    known = inverse.wiener(data.image, model, noise_sigma=data.noise_sigma, gain=2.0)
+    known = inverse.wiener(
+        inverse.Measurement(data.image, noise_sigma=data.noise_sigma, gain=2.0), model
+    )
     explained = 2.0 * model.forward(known.object) + known.physical_parameters["background"]
     residual = np.sqrt(np.mean((data.image - explained) ** 2)) / data.noise_sigma
     assert known.score == pytest.approx(residual, rel=1e-9)  # the same sum
@@ -110,15 +116,19 @@ def test_noisy_half_counts_less_with_a_noise_map(case):
     data, model = case("R", "smooth")
     sigma = data.noise_sigma * np.where(np.arange(128) < 64, 0.5, 10.0) * np.ones((128, 1))
     image = model.forward(data.truth) + sigma * np.random.default_rng(0).normal(size=(128, 128))
-    even = inverse.wiener(image, model, noise_sigma=float(np.sqrt((sigma**2).mean())))
-    mapped = inverse.wiener(image, model, noise_sigma=sigma)
+    even = inverse.wiener(
+        inverse.Measurement(image, noise_sigma=float(np.sqrt((sigma**2).mean()))), model
+    )
+    mapped = inverse.wiener(inverse.Measurement(image, noise_sigma=sigma), model)
     better = inverse.registered_correlation(mapped, data.truth)
     assert better > inverse.registered_correlation(even, data.truth) + 0.01
 
 
 def test_too_few_iterations_are_reported(case):
     data, model = case("F", "speckle")
-    found = inverse.wiener(data.image, model, noise_sigma=data.noise_sigma, max_iterations=3)
+    found = inverse.wiener(
+        inverse.Measurement(data.image, noise_sigma=data.noise_sigma), model, max_iterations=3
+    )
     assert found.status == "unconverged"
     assert found.history["change"].size == 3
 
@@ -127,7 +137,9 @@ def test_same_as_scikit_images_with_our_prior(periodic):
     """A periodic frame, their balance and regulariser being our noise over our prior."""
     restoration = pytest.importorskip("skimage.restoration")
     model, image, sigma = periodic
-    found = inverse.wiener(image, model, noise_sigma=sigma, fit_background=False, gain=1.0)
+    found = inverse.wiener(
+        inverse.Measurement(image, noise_sigma=sigma, fit_background=False, gain=1.0), model
+    )
     rows, columns = image.shape
     prior = 1 / (
         fft.fftfreq(rows)[:, None] ** 2 + fft.rfftfreq(columns) ** 2 + 1 / max(rows, columns) ** 2
@@ -149,7 +161,9 @@ def test_even_light_without_a_background_is_the_object(shape):
     kernel = np.ones((3, 3)) / 9 if shape[0] > 1 else np.ones((1, 1))
     model = ForwardModel(kernel, shape=shape, boundary="circular")
     image = 100.0 + np.random.default_rng(0).normal(size=shape)
-    found = inverse.wiener(image, model, noise_sigma=1.05, fit_background=False, gain=1.0)
+    found = inverse.wiener(
+        inverse.Measurement(image, noise_sigma=1.05, fit_background=False, gain=1.0), model
+    )
     # its mean is known, and no detail
     assert found.status == ("converged" if shape == (1, 1) else "too_few_photons")
     # the residual is noise, and so is the mean's error, 1/32 of 100, shrunk by as little
@@ -162,6 +176,8 @@ def test_kernel_that_passes_the_mean_alone_gives_an_even_object(fit_background):
     """The image's structure is none of the object's; what is left of it is in the score."""
     model = ForwardModel(np.ones((4, 4)) / 16, shape=(4, 4), boundary="circular")
     image = 9.0 * np.random.default_rng(1).random((4, 4))
-    found = inverse.wiener(image, model, noise_sigma=0.1, fit_background=fit_background)
+    found = inverse.wiener(
+        inverse.Measurement(image, noise_sigma=0.1, fit_background=fit_background), model
+    )
     assert np.ptp(found.object) < 1e-9
     assert found.score == pytest.approx(image.std() / 0.1, rel=1e-3)

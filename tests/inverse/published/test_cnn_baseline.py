@@ -13,6 +13,7 @@ import nlosoptics
 from nlosoptics import cli, inverse
 from nlosoptics.errors import NlosError, SceneError
 from nlosoptics.imaging import ForwardModel
+from nlosoptics.inverse import Measurement
 from nlosoptics.inverse.published.training_pairs import _picture
 from nlosoptics.scene import ConcaveWall, Lambert, Ward
 
@@ -182,11 +183,11 @@ def test_other_files_are_refused(tmp_path, training):
 def test_reconstruction_is_like_those_of_the_solvers(pairs, training):
     model = ForwardModel(np.full((3, 3), 1 / 9), shape=(SIDE, SIDE))
     image = 50.0 + 3.0 * pairs.images[0].astype(np.float64)
-    found = training.network.reconstruct(image, model, noise_sigma=300.0)
+    found = training.network.reconstruct(Measurement(image, noise_sigma=300.0), model)
     assert found.object.max() == 1.0
     assert found.status in ("converged", "unconverged")
     # neither level nor unit of the image tells the network anything
-    plain = training.network.reconstruct(pairs.images[0], model, noise_sigma=100.0)
+    plain = training.network.reconstruct(Measurement(pairs.images[0], noise_sigma=100.0), model)
     np.testing.assert_allclose(found.object, plain.object, atol=1e-4)
     gain = found.physical_parameters["gain"]
     explained = gain * model.forward(found.object) + found.physical_parameters["background"]

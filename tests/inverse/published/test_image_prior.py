@@ -9,7 +9,8 @@ import torch
 from nlosoptics import inverse
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
-from nlosoptics.inverse.data.measurement import measurement
+from nlosoptics.inverse import Measurement
+from nlosoptics.inverse.data.noisy_image import noisy_image
 from nlosoptics.inverse.data.scaled_images import ScaledImage
 
 
@@ -27,8 +28,12 @@ def small():
 def test_letter_by_an_unknown_scene_is_recovered(case):
     """5 % noise, a wall of half a wave: better than the answer that it starts from."""
     data, model = case("F", "smooth", 0, 0.05)
-    found = inverse.deep_image_prior(data.image, model, noise_sigma=data.noise_sigma)
-    start = inverse.tv_deconvolve(data.image, model, noise_sigma=data.noise_sigma)
+    found = inverse.deep_image_prior(
+        inverse.Measurement(data.image, noise_sigma=data.noise_sigma), model
+    )
+    start = inverse.tv_deconvolve(
+        inverse.Measurement(data.image, noise_sigma=data.noise_sigma), model
+    )
     correlation = inverse.registered_correlation(found, data.truth)
     # the benchmark's walls span 0.98 to 0.99
     assert correlation > 0.98
@@ -40,7 +45,7 @@ def test_letter_by_an_unknown_scene_is_recovered(case):
 def test_small_picture_is_recovered_from_any_guide(small, guide):
     image, model, truth = small
     found = inverse.deep_image_prior(
-        image, model, noise_sigma=0.02, guide=guide, depth=2, tolerance=0.2
+        inverse.Measurement(image, noise_sigma=0.02), model, guide=guide, depth=2, tolerance=0.2
     )
     assert found.status == "converged"
     # 0.897 before; networks come to 0.97 to 0.98 in 200 steps
@@ -56,10 +61,14 @@ def test_guide_share_mixes_network_and_guide(small):
     levels = []
     for share in (0.0, 0.5, 1.0):
         found = inverse.deep_image_prior(
-            image, model, noise_sigma=0.02, guide_share=share, depth=2, max_iterations=5
+            inverse.Measurement(image, noise_sigma=0.02),
+            model,
+            guide_share=share,
+            depth=2,
+            max_iterations=5,
         )
         levels.append(found.object * found.physical_parameters["gain"])
-    guide = inverse.tv_deconvolve(image, model, noise_sigma=0.02)
+    guide = inverse.tv_deconvolve(inverse.Measurement(image, noise_sigma=0.02), model)
     # arithmetic in double precision
     known = guide.object * guide.physical_parameters["gain"]
     np.testing.assert_allclose(levels[2], known, atol=1e-12)
@@ -69,12 +78,15 @@ def test_guide_share_mixes_network_and_guide(small):
 
 def test_array_gives_array_and_tensor_gives_tensor(small):
     image, model, _ = small
-    options = {"noise_sigma": 0.02, "max_iterations": 5}
-    found = inverse.deep_image_prior(image, model, **options)
+    found = inverse.deep_image_prior(
+        inverse.Measurement(image, noise_sigma=0.02), model, max_iterations=5
+    )
     assert isinstance(found.object, np.ndarray)
     assert found.object.max() == 1.0
     twin = inverse.TorchForwardModel.from_numpy(model)
-    tensor = inverse.deep_image_prior(torch.from_numpy(image), twin, **options)
+    tensor = inverse.deep_image_prior(
+        inverse.Measurement(torch.from_numpy(image), noise_sigma=0.02), twin, max_iterations=5
+    )
     assert tensor.object.dtype == torch.float64
     # five steps of a network in single precision, a transfer function likewise
     np.testing.assert_allclose(tensor.object.numpy(), found.object, atol=1e-2)
@@ -82,7 +94,10 @@ def test_array_gives_array_and_tensor_gives_tensor(small):
 
 def test_seed_decides_every_bit(small):
     image, model, _ = small
-    options = {"noise_sigma": 0.02, "max_iterations": 8, "guide": "noise"}
+    image, options = (
+        inverse.Measurement(image, noise_sigma=0.02),
+        {"max_iterations": 8, "guide": "noise"},
+    )
     first, again, other = (
         inverse.deep_image_prior(image, model, seed=seed, **options).object.tobytes()
         for seed in (1, 1, 2)
@@ -96,7 +111,10 @@ def test_fit_stops_where_the_noise_is(small):
     image, model, _ = small
     calls = []
     found = inverse.deep_image_prior(
-        image, model, noise_sigma=0.04, tv_weight=0.0, progress=lambda *call: calls.append(call)
+        inverse.Measurement(image, noise_sigma=0.04),
+        model,
+        tv_weight=0.0,
+        progress=lambda *call: calls.append(call),
     )
     residuals = found.history["residual"]
     # 1280 pixels, outlines take up 144
@@ -117,7 +135,7 @@ def test_veil_of_known_shape_is_taken_out(small):
     image, model, truth = small
     veil = np.linspace(0.2, 1.8, image.shape[1]) * np.ones(image.shape)
     found = inverse.deep_image_prior(
-        image + 3.0 * veil, model, noise_sigma=0.02, background_shape=veil
+        inverse.Measurement(image + 3.0 * veil, noise_sigma=0.02, background_shape=veil), model
     )
     # the object's faint edges share some of it
     assert found.physical_parameters["background"] == pytest.approx(3.0, abs=0.03)
@@ -132,7 +150,7 @@ def test_pixels_of_more_noise_count_less(small):
     noisy = image + np.where(sigma > 1.0, 1.0, 0.0) * np.random.default_rng(1).normal(
         size=image.shape
     )
-    told = inverse.deep_image_prior(noisy, model, noise_sigma=sigma)
+    told = inverse.deep_image_prior(inverse.Measurement(noisy, noise_sigma=sigma), model)
     assert inverse.registered_correlation(told, truth) > 0.95
 
 
@@ -141,13 +159,9 @@ def test_gain_and_background_are_least_squares():
     rng = np.random.default_rng(2)
     shape, seen, sigma = 0.5 + rng.random((3, 6, 7))
     image = 4.0 * seen + 3.0 * shape + 0.1 * rng.normal(size=seen.shape)
-    data = measurement(
-        image,
+    data = noisy_image(
+        Measurement(image, noise_sigma=sigma, background_shape=shape),
         image.shape,
-        noise_sigma=sigma,
-        background=0.0,
-        fit_background=True,
-        background_shape=shape,
     ).in_torch()
     gain, residual = ScaledImage(data, 2.0).misfit(torch.from_numpy(seen).float())
     columns = np.stack([seen / sigma, shape / sigma], axis=-1).reshape(-1, 2)

@@ -10,8 +10,8 @@ from scipy import fft
 from nlosoptics import inverse
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
-from nlosoptics.inverse import registered_correlation
-from nlosoptics.inverse.data.measurement import measurement
+from nlosoptics.inverse import Measurement, registered_correlation
+from nlosoptics.inverse.data.noisy_image import noisy_image
 from nlosoptics.inverse.published import phase_retrieval as published
 from nlosoptics.inverse.published.autocorrelations import image_lags, spectrum_modulus
 from nlosoptics.inverse.published.projections import (
@@ -19,6 +19,8 @@ from nlosoptics.inverse.published.projections import (
     projected,
     spectral_start,
 )
+
+from ..by_name import called
 
 METHODS = ["alternating", "hio", "raar"]
 
@@ -119,13 +121,9 @@ def test_modulus_of_a_known_wall_is_divided_out():
     truth = letter(128, 4)
     image, spread = diffused(truth, 2, 0.002)
     model = ForwardModel(spread, shape=truth.shape, boundary="circular")
-    data = measurement(
-        image,
+    data = noisy_image(
+        Measurement(image, noise_sigma=0.002 * image.max()),
         truth.shape,
-        noise_sigma=0.002 * image.max(),
-        background=0.0,
-        fit_background=True,
-        background_shape=None,
     )
     expected = autocorrelation(truth - truth.mean())
     expected[63, 63] = np.nan
@@ -145,13 +143,9 @@ def test_modulus_of_a_known_wall_is_divided_out():
 def test_extent_of_the_object_is_read_off_the_lags():
     truth = letter(256, 4)
     image, _ = diffused(truth, 3, 0.01)
-    data = measurement(
+    data = noisy_image(
         image,
         image.shape,
-        noise_sigma=None,
-        background=0.0,
-        fit_background=True,
-        background_shape=None,
     )
     rows, columns = spectrum_modulus(image_lags(data, None), None).object_size
     # the letter is 20 x 16, and there is room of 0.4
@@ -163,9 +157,12 @@ def test_grains_without_an_object_are_told_from_one():
     """White grains, far above the noise that is stated: no extent, and no picture twice."""
     grains = np.random.default_rng(0).gamma(1.0, size=(128, 128))
     with pytest.raises(SamplingError, match="no lags stand out"):
-        inverse.phase_retrieval(grains, noise_sigma=0.01)
+        inverse.phase_retrieval(inverse.Measurement(grains, noise_sigma=0.01))
     found = inverse.phase_retrieval(
-        grains, noise_sigma=0.01, method="raar", object_size=(24, 24), restarts=4
+        inverse.Measurement(grains, noise_sigma=0.01),
+        method="raar",
+        object_size=(24, 24),
+        restarts=4,
     )
     assert found.status == "unconverged"
     assert found.score < 0.9  # measured 0.76
@@ -252,6 +249,8 @@ def test_progress_ends_at_one(method):
         ({"image": np.ones((2, 32, 32))}, SamplingError, r"image has shape \(2, 32, 32\)"),
         ({"image": [[1.0], [2.0, 3.0]]}, SceneError, "image of type list has rows"),
         ({"image": np.eye(2), "noise_sigma": 0.01}, SamplingError, "holds 1 x 1 lags, limit 3 x 3"),
+        ({"gain": 2.0}, SceneError, "gain or background_shape is given"),
+        ({"background_shape": np.ones((64, 64))}, SceneError, "gain or background_shape is given"),
         ({"method": "er"}, SceneError, "method = 'er'"),
         ({"restarts": 1}, SceneError, "restarts = 1"),
         ({"object_size": (40, 8)}, SamplingError, "an object of 40 x 8 pixels has lags up to"),
@@ -263,7 +262,7 @@ def test_bad_input_is_refused_in_one_line(change, kind, words):
     image, _ = diffused(letter(64, 2), 0, 0.01)
     options = {"image": image, **change}
     with pytest.raises(kind, match=words) as caught:
-        inverse.phase_retrieval(options.pop("image"), **options)
+        called(inverse.phase_retrieval, options.pop("image"), **options)
     assert "\n" not in str(caught.value)
 
 

@@ -60,7 +60,8 @@ def test_fits(picture, on_record):
     kernel = pupil().detach().numpy().astype(float)
     model = ForwardModel(kernel / kernel.sum(), shape=picture.shape)
     image = model.forward(picture) + 0.01 * np.random.default_rng(1).normal(size=picture.shape)
-    small = {"base": 8, "depth": 2, "max_iterations": 4, "noise_sigma": 0.01}
+    small = {"base": 8, "depth": 2, "max_iterations": 4}
+    image = inverse.Measurement(image, noise_sigma=0.01)
     found = [
         inverse.deep_image_prior(image, model, **small),
         inverse.deep_image_prior(image, model, guide="noise", tv_weight=0.01, **small),
