@@ -426,6 +426,45 @@ def test_no_distance_is_no_change():
     assert difference(finer.samples, expected) < 1e-10
 
 
+@pytest.mark.parametrize("shape", [(25, 33), (9, 60), (21, 4)])
+@pytest.mark.parametrize("smooth", [False, True])
+def test_no_distance_to_another_shape_keeps_the_samples(shape, smooth):
+    """Cut or with zeros around them, however much light is at the edge of the band."""
+    rng = np.random.default_rng(1)
+    samples = rng.normal(size=(20, 31)) + 1j * rng.normal(size=(20, 31))
+    if smooth:  # a sample in the corner lies as far from the output as any
+        samples = np.zeros((20, 31), complex)
+        samples[0, 0] = samples[19, 30] = 1.0
+    expected = np.zeros(shape, complex)
+    for (i, j), value in np.ndenumerate(samples):
+        row, column = i - 10 + shape[0] // 2, j - 15 + shape[1] // 2
+        if 0 <= row < shape[0] and 0 <= column < shape[1]:
+            expected[row, column] = value
+    if not expected.any():
+        with pytest.raises(SamplingError, match="of the power.*another distance or window"):
+            psf.propagate(field_of(samples, 1e-5), 0.0, shape=shape, tol=1e-6)
+        return
+    found = psf.propagate(field_of(samples, 1e-5), 0.0, shape=shape, tol=1e-6)
+    assert difference(found.samples, expected) < 1e-12
+    assert found.error_estimate < 1e-9
+
+
+@pytest.mark.parametrize("pitch", [0.3, 0.66, 1.5])
+def test_no_distance_to_another_pitch(pitch):
+    """Band-limited interpolation, also of pitches that hold evanescent waves."""
+    pitch *= WAVELENGTH
+    smooth = field_of(
+        np.exp(-((np.arange(24) - 11.3) ** 2) / 9 + 0j)[:, None] * np.hanning(17), pitch
+    )
+    found = psf.propagate(smooth, 0.0, pitch=1.7 * pitch, shape=(13, 9), tol=0.1)
+    lattice = [
+        np.sinc(o[:, None] / pitch - i / pitch)
+        for o, i in ((found.y, smooth.y), (found.x, smooth.x))
+    ]
+    expected = lattice[0] @ smooth.samples @ lattice[1].T
+    assert difference(found.samples, expected) <= found.error_estimate
+
+
 def test_field_knows_its_lattice():
     field = beam(shape=(4, 7), z=0.5)
     assert field.x[3] == 0.0
