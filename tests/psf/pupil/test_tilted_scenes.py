@@ -150,6 +150,56 @@ def test_nodes_beside_pupil_and_wall_are_dark(tilted):
         psf.wavefront(far, nodes="grid")
 
 
+def test_squares_that_edges_cut(tilted):
+    """A square's share is that of its footprint across each edge, as wide as at the centre."""
+    size = (2 * abs(HIT[0]) + 2e-3, 2 * abs(HIT[1]) + 1e-3)
+    scene, n = tilted(FlatWall(size=size), aim=tuple(0.7 * HIT)), 25
+    wave = psf.wavefront(scene, nodes="grid", samples=n)
+    whole = psf.grid_nodes(RADIUS, n)[2]
+    ends = lens_points(scene, np.stack([wave.u.ravel(), wave.v.ravel()], axis=1))
+    share = 0.9 / (0.9 + ends[:, 2])
+    hits = (OBJECT + share[:, None] * (ends - OBJECT)).reshape(n, n, 3)
+    middle, part = n // 2, np.ones((n, n))
+    for k, side in enumerate(size):
+        across = abs(hits[middle, middle + 1, k] - hits[middle, middle, k])
+        across += abs(hits[middle + 1, middle, k] - hits[middle, middle, k])
+        part *= np.clip(0.5 + (side / 2 - abs(hits[..., k])) / across, 0.0, 1.0)
+    assert wave.weights == approx(whole * part, rel=1e-9, abs=1e-9 * whole.max())
+    assert 20 < np.sum((part > 0.01) & (part < 0.99) & (whole > 0)) < 200
+
+
+@pytest.mark.parametrize("more", [(4e-3, 5e-3), (0.02, 3e-3)])
+def test_a_wall_as_stop_that_the_lens_cuts(tilted, more):
+    """Area of the wall's image within the lens, by random points of the lens."""
+    size = (2 * abs(HIT[0]) + more[0], 2 * abs(HIT[1]) + more[1])
+    scene = tilted(FlatWall(size=size), stop_diameter=0.03, focus_distance=2.4)
+    pupil = psf.exit_pupil(scene)
+    assert pupil.stop == "wall"
+    rng = np.random.default_rng(3)
+    nodes = rng.uniform(-0.015, 0.015, (40000, 2))
+    ends = lens_points(scene, nodes)
+    share = 0.9 / (0.9 + ends[:, 2])
+    hits = OBJECT + share[:, None] * (ends - OBJECT)
+    lit = (np.hypot(*nodes.T) < 0.015) & scene.wall.contains(hits[:, 0], hits[:, 1])
+    zoom = pupil.image_distance / scene.image_distance
+    area = lit.mean() * 0.03**2 * zoom**2
+    error = 3 * math.sqrt(lit.mean() / 40000) * 0.03**2 * zoom**2
+    for name in ("cells", "grid"):
+        wave = psf.wavefront(scene, nodes=name, samples=24 if name == "cells" else 128)
+        assert wave.weights.sum() == approx(area, abs=error)
+        assert wave.pupil_radius <= 0.015 * abs(zoom) * (1 + 1e-12)
+    with pytest.raises(SamplingError, match="the wall is the stop and its outline is a rectangle"):
+        psf.wavefront(scene, nodes="polar")
+
+
+def test_corners_that_never_meet_the_lens(tilted):
+    """A camera that looks along a wide wall: its far corners lie behind the lens."""
+    wide = tilted(FlatWall(size=(9.0, 7.0)))
+    with pytest.raises(SamplingError, match="edge has no closed image there; use nodes='grid'"):
+        psf.wavefront(wide, nodes="cells")
+    assert psf.wavefront(tilted(FlatWall(size=(0.9, 0.8))), nodes="cells").layout == "cells"
+
+
 @pytest.mark.parametrize(
     ("nodes", "samples", "shape"),
     [
