@@ -197,7 +197,7 @@ def band(
     nyquist, reach = 0.5 / axis.dx, axis.reach
     sine = wavelength * nyquist
     nearest = farthest = z * sine
-    if not paraxial:  # along the band's edge, from its middle to the corner
+    if not paraxial and z > 0:  # along the band's edge, from its middle to the corner
         nearest = z * sine / math.sqrt(1 - sine**2) if sine < 1 else math.inf
         farthest = z * sine / math.sqrt(1 - 2 * sine**2) if 2 * sine**2 < 1 else math.inf
     limit, spread = _soft_limit(reach, 0.0 if paraxial else farthest, wavelength, z)
@@ -209,8 +209,8 @@ def band(
         decay = math.exp(-2 * math.pi * z / wavelength * math.sqrt(max(sine**2 - 1, 0.0)))
         period = _odd_size(max(4 * near / axis.dx, axis.n))
         return Band(axis, math.inf, 1.0, period, period, decay * strength / (2 * near))
-    if strength == 0:
-        tail = 0.0
+    if strength == 0 or (axis.same and z == 0):  # the samples themselves, one period apart
+        tail, gap = 0.0, max(gap, axis.dx)
     elif farthest < limit + gap:
         # The tails repeat. On the lattice those of opposite edges cancel up to the difference
         # of their distances. A longer period helps, within reason.

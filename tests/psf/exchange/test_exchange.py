@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 import warnings
 from dataclasses import replace
@@ -256,8 +257,9 @@ def test_poppys_own_even_pupil(poppy, fits, tmp_path):
 def test_units_of_opd(fits, tmp_path):
     values = np.arange(25.0).reshape(5, 5)
     given = {"wavelength": WAVELENGTH, "image_distance": DISTANCE}
-    scales = {"m": 1.0, "Meters": 1.0, "micron": 1e-6, "nm": 1e-9, "nanometers": 1e-9}
-    scales["radians"] = WAVELENGTH / (2 * math.pi)
+    scales = dict.fromkeys(("m", "Meters", "metre"), 1.0)
+    scales |= dict.fromkeys(("um", "micron", "micrometers"), 1e-6)
+    scales |= {"nm": 1e-9, "nanometers": 1e-9, "radians": WAVELENGTH / (2 * math.pi)}
     for unit, scale in scales.items():
         hdu = fits.PrimaryHDU(values.astype(np.float32))
         hdu.header["PIXELSCL"] = 1e-3
@@ -270,6 +272,82 @@ def test_units_of_opd(fits, tmp_path):
     hdu.writeto(tmp_path / "opd.fits", overwrite=True)
     with pytest.raises(SceneError, match="'furlong' is not a unit"):
         psf.read_poppy(opd=tmp_path / "opd.fits", **given)
+
+
+@pytest.mark.parametrize("n", [5, 6])
+def test_files_of_others_give_what_they_say(fits, tmp_path, n):
+    """One file alone; the pupil's radius is that of the files or of the disc that fits."""
+    values = np.arange(n * n).reshape(n, n) / 7 + 1
+    given = {"wavelength": WAVELENGTH, "image_distance": DISTANCE, "half_pixel": "shift"}
+
+    def written(name, **header):
+        hdu = fits.PrimaryHDU(values)
+        hdu.header.update({"PIXELSCL": 3e-4} | header)
+        hdu.writeto(tmp_path / name, overwrite=True)
+        return tmp_path / name
+
+    wave = psf.read_poppy(amplitude=written("a.fits"), **given)
+    assert np.array_equal(wave.amplitude, values)
+    assert not wave.aberration.any()
+    assert wave.u[1] == approx(3e-4 * (np.arange(n) - n // 2), rel=1e-15, abs=1e-20)
+    assert wave.v[:, 1] == approx(3e-4 * (np.arange(n) - n // 2), rel=1e-15, abs=1e-20)
+    assert wave.weights == approx(np.full((n, n), 9e-8), rel=1e-14)
+    # the disc that fits about the centre of square n//2
+    assert wave.pupil_radius == approx(7.5e-4, rel=1e-12)
+    assert (wave.layout, wave.obscuration, wave.removed) == ("grid", 0.0, psf.Removed())
+    assert psf.read_poppy(amplitude=tmp_path / "a.fits", **given, pupil_radius=2e-3).f_number == 125
+    head = {"PUPLSCAL": 2e-4, "PUPLRAD": 7e-4, "OBSCURAT": 0.2, "WAVELEN": 1e-6, "IMAGDIST": -2.0}
+    head |= {"RMPISTON": 0.3, "RMTILTU": 0.4, "RMTILTV": -0.5, "RMDEFOC": 0.6}
+    first = written("b.fits", **head, BUNIT="nm")
+    near = written("c.fits", **{key: value * (1 + 9e-10) for key, value in head.items()})
+    for files in ({"opd": first}, {"amplitude": first, "opd": first}):
+        wave = psf.read_poppy(**files, half_pixel="shift")
+        assert (wave.pupil_radius, wave.obscuration, wave.wavelength) == (7e-4, 0.2, 1e-6)
+        assert (wave.pupil_pitch, wave.image_distance) == (approx(2e-4, rel=1e-14), -2.0)
+        assert wave.removed == psf.Removed(piston=0.3, tilt=(0.4, -0.5), defocus=0.6)
+        assert wave.aberration == approx(-1e-9 * values, rel=1e-15)
+    assert psf.read_poppy(opd=first, amplitude=near, half_pixel="shift").obscuration == approx(0.2)
+    for key, value in head.items():
+        other = written("d.fits", **{key: value * (1 + 1.2e-9)})
+        with pytest.raises(SceneError, match=f"{key} = {value:g} in the amplitude file and"):
+            psf.read_poppy(opd=first, amplitude=other, half_pixel="shift")
+    for key in ("PUPLSCAL", "PUPLRAD"):
+        with pytest.raises(SceneError, match=f"{key}|pupil_radius"):
+            psf.read_poppy(amplitude=written("e.fits", **{key: -1.0}), **given)
+
+
+@pytest.mark.parametrize("samples", [4, 5])
+def test_headers_say_what_the_files_hold(fits, tmp_path, samples):
+    wave = replace(aberrated(samples, {4: 0.1}), removed=psf.Removed(piston=math.pi))
+    psf.write_poppy(wave, **paths(tmp_path))
+    for name in ("opd", "amplitude"):
+        with fits.open(tmp_path / f"{name}.fits") as units:
+            header, values = units[0].header, units[0].data
+        assert values.shape == (5, 5)
+        assert header["RMPISTON"] == math.pi
+        assert header.cards["RMPISTON"].image.rstrip() == (
+            "RMPISTON= 3.1415926535897931E+00 / m, removed piston"
+        )
+        comments = list(header["COMMENT"])
+        assert comments[-1] == "row 0 at the lowest v, the axis on the middle pixel"
+        assert len(comments) == (2 if name == "opd" else 1)
+        assert ("BUNIT" in header) == (name == "opd")
+        if name == "opd":
+            assert comments[0].startswith("positive where the wave is ahead")
+            assert not np.signbit(values[values == 0]).any()
+
+
+def test_odd_arrays_have_a_middle_pixel(fits, tmp_path):
+    hdu = fits.PrimaryHDU(np.diag([0.0, 1.0, 2.0]))
+    hdu.header["PUPLSCAL"] = 1e-3
+    hdu.writeto(tmp_path / "a.fits")
+    given = {"wavelength": WAVELENGTH, "image_distance": DISTANCE}
+    for half_pixel in ("refuse", "shift", "scattered"):
+        wave = psf.read_poppy(amplitude=tmp_path / "a.fits", half_pixel=half_pixel, **given)
+        assert wave.layout == "grid"
+    assert psf.read_poppy(amplitude=tmp_path / "a.fits", **given).u[0] == approx([-1e-3, 0, 1e-3])
+    with pytest.raises(SceneError, match="half_pixel = 'move' is unknown"):
+        psf.read_poppy(amplitude=tmp_path / "a.fits", half_pixel="move", **given)
 
 
 def test_what_files_are_refused(fits, tmp_path):
@@ -295,6 +373,13 @@ def test_what_files_are_refused(fits, tmp_path):
         psf.read_poppy(opd=written("cube.fits", np.ones((2, 5, 5)), PUPLSCAL=1e-3), **given)
     with pytest.raises(SceneError, match="neither PUPLSCAL nor PIXELSCL"):
         psf.read_poppy(opd=written("bare.fits", np.ones((5, 5)), BUNIT="m"), **given)
+    for shape in ((5,), (5, 4)):
+        odd = written("odd.fits", np.ones(shape), PUPLSCAL=1e-3, BUNIT="m")
+        message = f"begins with an array of shape {shape}; give a square"
+        with pytest.raises(SceneError, match=re.escape(message)):
+            psf.read_poppy(opd=odd, **given)
+    with pytest.raises(SceneError, match="begins with nothing"):
+        psf.read_poppy(opd=written("empty.fits", None, PUPLSCAL=1e-3), **given)
     other = written("other.fits", np.ones((5, 5)), PUPLSCAL=2e-3)
     with pytest.raises(SceneError, match="two files of the same pupil"):
         psf.read_poppy(opd=square, amplitude=other, **given)
@@ -317,8 +402,14 @@ def test_what_waves_are_refused(tmp_path):
     )
     with pytest.raises(SamplingError, match="nodes='grid'"):
         psf.to_prysm(polar)
-    with pytest.raises(SceneError, match="not a prysm pupil"):
-        psf.from_prysm((np.ones((3, 3)),), image_distance=DISTANCE)
+    square = np.ones((3, 3))
+    for pupil in ((square,), [square, square, 0.6, 1.0], (square, square, 0.6, 1.0, 2.0)):
+        with pytest.raises(SceneError, match="not a prysm pupil"):
+            psf.from_prysm(pupil, image_distance=DISTANCE)
+    for shapes in (((3,), (3,)), ((3, 4), (3, 4)), ((3, 3), (4, 4))):
+        first, second = map(np.ones, shapes)
+        with pytest.raises(SceneError, match="two square arrays"):
+            psf.from_prysm((first, second, 0.6, 1.0), image_distance=DISTANCE)
     with pytest.raises(SceneError, match="two square arrays"):
         psf.from_prysm((np.ones((3, 3)), np.ones((3, 4)), 0.6, 1.0), image_distance=DISTANCE)
     # half of it would be lost

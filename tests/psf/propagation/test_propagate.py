@@ -289,6 +289,54 @@ def test_sampling_error_bounds_what_samples_lose(seed):
     assert error <= beam_of.sampling_error + found.error_estimate
 
 
+@pytest.mark.parametrize("shape", [(20, 31), (9, 40), (10, 10)])
+@pytest.mark.parametrize("periodic", [False, True])
+def test_sampling_error_is_of_the_outer_tenth(shape, periodic):
+    """Twenty times its energy in the band, and ten times that in the window."""
+    rng = np.random.default_rng(shape)
+    samples = rng.normal(size=shape) + 1j * rng.normal(size=shape)
+    waves = np.fft.fft2(samples)
+    outer = {True: 0.0, False: 0.0}
+    for (i, j), value in np.ndenumerate(samples):
+        beyond = any(abs(k - n // 2) > 0.45 * n for k, n in zip((i, j), shape, strict=True))
+        outer[False] += abs(value) ** 2 * beyond
+        signed = [k if k < (n + 1) // 2 else k - n for k, n in zip((i, j), shape, strict=True)]
+        beyond = any(abs(k) > 0.45 * n for k, n in zip(signed, shape, strict=True))
+        outer[True] += abs(waves[i, j]) ** 2 * beyond
+    lost = 20 * outer[True] / np.sum(np.abs(waves) ** 2)
+    lost += 0 if periodic else 10 * outer[False] / np.sum(np.abs(samples) ** 2)
+    field = field_of(samples, 1e-5, periodic=periodic)
+    assert field.sampling_error == approx(math.sqrt(lost), rel=1e-9)
+    assert field.shape == shape
+    assert field.x == approx(1e-5 * (np.arange(shape[1]) - shape[1] // 2))
+    assert field.y == approx(1e-5 * (np.arange(shape[0]) - shape[0] // 2))
+    assert field.intensity == approx(np.abs(samples) ** 2)
+    assert field_of(np.zeros(shape), 1e-5).sampling_error == 0
+
+
+def test_samples_of_a_function():
+    """Coordinates broadcast; one number is a square; the first bad sample is named."""
+    field = psf.ScalarField.from_function(
+        lambda x, y: x + 1j * y,
+        pitch=0.2,
+        shape=(3, 5),
+        wavelength=WAVELENGTH,
+        z=0.7,
+        periodic=True,
+    )
+    assert field.samples == approx(field.x + 1j * field.y[:, None])
+    assert (field.z, field.periodic, field.pitch) == (0.7, True, 0.2)
+    flat = psf.ScalarField.from_function(lambda x, y: 2.0, pitch=0.2, shape=3, wavelength=1e-6)
+    assert (flat.shape, flat.z, flat.periodic) == ((3, 3), 0.0, False)
+    bad = np.ones((4, 5), dtype=complex)
+    bad[2, 3], bad[3, 1] = np.nan, np.inf
+    with pytest.raises(SceneError, match=r"not finite at 2 points, the first is \[2, 3\]"):
+        field_of(bad, 1e-5)
+    for shape in ((0, 3), (3, 0), (3,), (2, 2, 2)):
+        with pytest.raises(SceneError, match="samples have the shape"):
+            field_of(np.ones(shape), 1e-5)
+
+
 @pytest.mark.parametrize(("across", "error"), [(100, 0.15), (1000, 0.05)])
 def test_sampling_error_of_a_sharp_disc(across, error):
     """The estimates that the documentation states."""
@@ -424,6 +472,45 @@ def test_no_distance_is_no_change():
     # interpolation of a beam that falls to 1e-18 at the border
     expected = gaussian(finer.x[None, :], finer.y[:, None])
     assert difference(finer.samples, expected) < 1e-10
+
+
+@pytest.mark.parametrize("shape", [(25, 33), (9, 60), (21, 4)])
+@pytest.mark.parametrize("smooth", [False, True])
+def test_no_distance_to_another_shape_keeps_the_samples(shape, smooth):
+    """Cut or with zeros around them, however much light is at the edge of the band."""
+    rng = np.random.default_rng(1)
+    samples = rng.normal(size=(20, 31)) + 1j * rng.normal(size=(20, 31))
+    if smooth:  # a sample in the corner lies as far from the output as any
+        samples = np.zeros((20, 31), complex)
+        samples[0, 0] = samples[19, 30] = 1.0
+    expected = np.zeros(shape, complex)
+    for (i, j), value in np.ndenumerate(samples):
+        row, column = i - 10 + shape[0] // 2, j - 15 + shape[1] // 2
+        if 0 <= row < shape[0] and 0 <= column < shape[1]:
+            expected[row, column] = value
+    if not expected.any():
+        with pytest.raises(SamplingError, match="of the power.*another distance or window"):
+            psf.propagate(field_of(samples, 1e-5), 0.0, shape=shape, tol=1e-6)
+        return
+    found = psf.propagate(field_of(samples, 1e-5), 0.0, shape=shape, tol=1e-6)
+    assert difference(found.samples, expected) < 1e-12
+    assert found.error_estimate < 1e-9
+
+
+@pytest.mark.parametrize("pitch", [0.3, 0.66, 1.5])
+def test_no_distance_to_another_pitch(pitch):
+    """Band-limited interpolation, also of pitches that hold evanescent waves."""
+    pitch *= WAVELENGTH
+    smooth = field_of(
+        np.exp(-((np.arange(24) - 11.3) ** 2) / 9 + 0j)[:, None] * np.hanning(17), pitch
+    )
+    found = psf.propagate(smooth, 0.0, pitch=1.7 * pitch, shape=(13, 9), tol=0.1)
+    lattice = [
+        np.sinc(o[:, None] / pitch - i / pitch)
+        for o, i in ((found.y, smooth.y), (found.x, smooth.x))
+    ]
+    expected = lattice[0] @ smooth.samples @ lattice[1].T
+    assert difference(found.samples, expected) <= found.error_estimate
 
 
 def test_field_knows_its_lattice():

@@ -10,6 +10,7 @@ from pytest import approx
 
 from nlosoptics import psf
 from nlosoptics.errors import CausticError, NotWaveGradeError, SceneError
+from nlosoptics.psf.pupil import aiming
 from nlosoptics.scene import (
     ConcaveWall,
     ConvexWall,
@@ -229,6 +230,49 @@ def test_a_sphere_near_its_caustic_is_refused():
 def test_several_images_are_refused():
     with pytest.raises(CausticError, match="more than once"):
         psf.wall_aberration(WavyWall(1e-3, 0.1), OBJECT, PUPIL, AIM, disc())
+
+
+@pytest.mark.parametrize("part", [0.97, 1.03])
+def test_walls_that_are_searched_for_more_images(monkeypatch, part):
+    """From 0.8 of the curvature at which a second path may exist; a convex wall has none."""
+    searched = []
+    monkeypatch.setattr(aiming, "stationary_points", lambda *a: searched.append(a) or iter(()))
+    o, p = np.array(OBJECT), np.array(PUPIL)
+    radius = 2.0
+    for _ in range(9):  # the point of reflection depends on the radius
+        searched.clear()
+        wall = ConvexWall(radius)
+        hit = aiming.aim(wall, o, p[None], -p / np.linalg.norm(p)).points[0]
+        d1, d2 = np.linalg.norm(hit - o), np.linalg.norm(hit - p)
+        cosines = o[2] / d1, p[2] / d2
+        least = cosines[0] ** 2 / d1 + cosines[1] ** 2 / d2
+        radius = wall.max_curvature * radius * sum(cosines) / (0.8 * part * least)
+    assert bool(searched) == (part > 1)
+
+
+def test_starts_of_a_search_for_more_images(monkeypatch):
+    """An even square about the known path: as far as slopes of the wall can send light, four
+    starts for each half period."""
+    searched = []
+    monkeypatch.setattr(aiming, "stationary_points", lambda *a: searched.append(a) or iter(()))
+    o, p = np.array(OBJECT), np.array(PUPIL)
+    for wall in (WavyWall(3e-3, 0.3), WavyWall(2e-4, 0.08), WavyWall(0.05, 1.2)):
+        searched.clear()
+        nodes = np.stack([p, np.add(p, (0.0, 0.01, 0.0))])
+        found = aiming.aim(wall, o, nodes, -p / np.linalg.norm(p)).points
+        d1, d2 = np.linalg.norm(found[0] - o), np.linalg.norm(found[0] - p)
+        period = wall.finest_period
+        slope = wall.max_curvature * period / (2 * math.pi)
+        reach = 2 * math.hypot(*(o - p)[:2]) + o[2] + p[2]
+        reach = min(reach, 4 * slope * d1 * d2 / (d1 + d2) + 2 * period)
+        count = int(min(129, max(9, 2 * math.ceil(4 * reach / period) + 1)))
+        assert len(searched) == 2
+        for (_, _, node, starts, side), end, hit in zip(searched, nodes, found, strict=True):
+            assert side == 1
+            assert node == approx(end)
+            line = np.linspace(-reach, reach, count)
+            x, y = np.meshgrid(line, line)
+            assert starts == approx(np.stack([x + hit[0], y + hit[1]], -1).reshape(-1, 2), abs=1e-9)
 
 
 @pytest.mark.parametrize(

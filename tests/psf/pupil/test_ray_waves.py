@@ -193,6 +193,81 @@ def rays_of(scene, **changes):
     return replace(raytrace.pupil_rays(scene, n_rays=1000), **changes)
 
 
+def test_fewest_rays(flat_scene):
+    """64 rays suffice, 63 do not; the message says how many times as many do."""
+    rays = rays_of(flat_scene)
+    pupil, wavelength = psf.exit_pupil(flat_scene), flat_scene.laser.wavelength
+    lit = np.flatnonzero(rays.status == DETECTED)
+    near = lit[np.argsort(np.linalg.norm(rays.points[lit, -1] - pupil.centre, axis=1))]
+    for count, times in ((64, None), (63, 2), (21, 4), (1, 64)):
+        status = np.full_like(rays.status, 1)
+        status[near[:count]] = DETECTED
+        few = replace(rays, status=status)
+        if times is None:
+            wave = psf.wavefront_from_rays(few, pupil, wavelength)
+            assert len(wave.u) == 64
+            continue
+        told = f"{count} detected ray{'s' * (count > 1)}, limit 64; launch {times} times as many"
+        with pytest.raises(SamplingError, match=told):
+            psf.wavefront_from_rays(few, pupil, wavelength)
+
+
+@pytest.mark.parametrize(("part", "refused"), [(0.24, False), (0.26, True)])
+def test_paths_a_quarter_of_a_wave_off(flat_scene, part, refused):
+    """Neighbours of a flat wall agree to rounding, so that the longer path alone differs."""
+    rays = rays_of(flat_scene)
+    pupil, wavelength = psf.exit_pupil(flat_scene), flat_scene.laser.wavelength
+    longer = rays.path_length.copy()
+    longer[np.flatnonzero(rays.status == DETECTED)[3]] += part * wavelength
+    changed = replace(rays, path_length=longer)
+    if refused:
+        with pytest.raises(CausticError, match="differ by 0.26 waves from the .* limit 0.25"):
+            psf.wavefront_from_rays(changed, pupil, wavelength)
+    else:
+        wave = psf.wavefront_from_rays(changed, pupil, wavelength)
+        assert np.ptp(wave.aberration) == approx(part * wavelength, rel=0.2)
+
+
+def test_holes_between_rays(flat_scene):
+    """Rays left out in a part of the pupil; ten times the median area is the limit."""
+    rays = rays_of(flat_scene)
+    pupil, wavelength = psf.exit_pupil(flat_scene), flat_scene.laser.wavelength
+    axes = flat_scene.camera.frame[:2]
+    places = (rays.points[:, -1] - pupil.centre) @ axes.T
+    hole = pupil.centre + 4e-3 * axes[0]
+    away = np.linalg.norm(rays.points[:, -1] - hole, axis=1)
+    for radius, refused in ((8e-4, False), (4e-3, True)):
+        kept = (rays.status != DETECTED) | (away > radius) | (away == away.min())
+        few = replace(rays, status=np.where(kept, rays.status, 2).astype(rays.status.dtype))
+        if not refused:
+            wave = psf.wavefront_from_rays(few, pupil, wavelength)
+            assert wave.weights.sum() == approx(math.pi * pupil.radius**2, rel=1e-9)
+            continue
+        with pytest.raises(SamplingError, match=r"only one in [\d.e-]+ m\^2, limit 10 times the"):
+            psf.wavefront_from_rays(few, pupil, wavelength)
+    assert np.abs(places).max() < 2 * pupil.radius
+
+
+@pytest.mark.parametrize("wall", [FlatWall(), ConvexWall(1.5), WALLS[4]], ids=name)
+def test_rays_of_a_scene_without_symmetry(flat_scene, wall):
+    """Piston, tilt, aberration and amplitude are those of the aimed wave."""
+    o, place = np.array([0.41, -0.17, 0.9]), np.array([-0.55, 0.36, 0.75])
+    hit = place + 0.75 / 1.65 * (o * (1, 1, -1) - place)
+    camera = replace(flat_scene.camera, position=tuple(place), aim=(*hit[:2], 0.0))
+    hidden = replace(flat_scene.hidden, position=tuple(o))
+    scene = replace(flat_scene, wall=wall, camera=camera, hidden=hidden)
+    wave = wave_of(scene, 1500)
+    expected = aimed(scene, wave)
+    # the centre's value and slopes come from a fit of the fifth degree
+    assert np.abs(wave.aberration - expected.aberration).max() < 1e-12
+    assert np.abs(wave.amplitude - expected.amplitude).max() < 1e-4
+    assert wave.removed.piston == approx(expected.removed.piston, abs=1e-12)
+    assert wave.removed.tilt == approx(expected.removed.tilt, abs=1e-9)
+    assert wave.removed.defocus == 0
+    for attribute in ("wavelength", "image_distance", "pupil_radius", "layout"):
+        assert getattr(wave, attribute) == getattr(expected, attribute)
+
+
 def test_paths_of_another_kind_are_refused(flat_scene):
     rays = rays_of(flat_scene)
     pupil, wavelength = psf.exit_pupil(flat_scene), flat_scene.laser.wavelength

@@ -241,6 +241,7 @@ def test_tilt_moves_the_spot_to_its_side():
         ({"slopes": "steep"}, "not an array of real numbers"),
         ({"pitch": 0.0}, "pitch = 0 m is out of range"),
         ({"pitch": -1.0}, "pitch = -1 m is out of range"),
+        ({"pitch": "wide"}, "pitch"),
         ({"wavelength": 0.6}, "wavelength = 0.6 m is out of range"),
         ({"image_distance": 0.0}, "image_distance = 0 m"),
     ],

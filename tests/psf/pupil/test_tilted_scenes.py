@@ -1,0 +1,575 @@
+"""Waves and views of a scene without any symmetry, against lengths of paths and closed forms."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from pytest import approx
+from scipy.optimize import minimize
+
+from nlosoptics import psf
+from nlosoptics.errors import CausticError, SamplingError, SceneError
+from nlosoptics.psf.pupil import scene_optics, slope_integration
+from nlosoptics.psf.pupil.aiming import aim
+from nlosoptics.psf.pupil.obstruction import check_cone
+from nlosoptics.psf.pupil.paraxial import wave_bends
+from nlosoptics.psf.pupil.wall_wavefront import aimed_wave
+from nlosoptics.scene import CallableWall, ConcaveWall, ConvexWall, FlatWall, WavyWall
+
+OBJECT, CAMERA = np.array([0.41, -0.17, 0.9]), np.array([-0.55, 0.36, 0.75])
+MIRRORED = OBJECT * (1, 1, -1)
+#: Where a flat wall shows the object to the camera.
+HIT = CAMERA + 0.75 / 1.65 * (MIRRORED - CAMERA)
+RADIUS = 7e-3
+NODES = np.array([(0.0, 0.0), (5e-3, 1e-3), (-2e-3, 4e-3), (-3e-3, -6e-3), (1e-3, -2e-3)])
+
+
+@pytest.fixture
+def tilted(flat_scene):
+    """``tilted(wall, **camera)``: seen from no plane of symmetry, in focus if not said."""
+
+    def made(wall=None, **camera):
+        seen = {"position": tuple(CAMERA), "aim": tuple(HIT), "stop_diameter": 2 * RADIUS}
+        return replace(
+            flat_scene,
+            wall=wall or FlatWall(),
+            hidden=replace(flat_scene.hidden, position=tuple(OBJECT)),
+            camera=replace(flat_scene.camera, **(seen | camera)),
+        )
+
+    return made
+
+
+def paths(wall, o, ends):
+    """Stationary points of the path by a wall (n, 2), and its lengths, by plain minimisation."""
+    points, lengths = [], []
+    for end in ends:
+
+        def length(at, end=end):
+            hit = np.array([*at, float(wall.height(*at))])
+            return np.linalg.norm(hit - o) + np.linalg.norm(end - hit)
+
+        share = o[2] / (o[2] + end[2])
+        start = (o + share * (end - o))[:2]
+        found = minimize(length, start, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 0})
+        points.append(found.x)
+        lengths.append(found.fun)
+    return np.array(points), np.array(lengths)
+
+
+def lens_points(scene, nodes):
+    e1, e2, _ = scene.camera.frame
+    return np.array(scene.camera.position) + nodes[:, :1] * e1 + nodes[:, 1:] * e2
+
+
+@pytest.mark.parametrize("focus", [None, 1.3])
+@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (0.06, -0.03, 0.11)])
+@pytest.mark.parametrize("wall", [FlatWall(), ConvexWall(2.5)], ids=["flat", "convex"])
+def test_wave_is_the_excess_of_paths(tilted, wall, shift, focus):
+    """Path by the wall less that from the point in focus on the chief ray, and its mean tilt."""
+    scene, o = tilted(wall, focus_distance=focus), OBJECT + shift
+    wave = psf.wavefront(scene, o, nodes=NODES)
+    ends = lens_points(scene, NODES)
+    points, lengths = paths(wall, o, ends)
+    mirrored = o * (1, 1, -1)
+    line = mirrored - CAMERA
+    sharp = CAMERA + line * scene.focus_distance / (line @ scene.camera.axis)
+    excess = lengths - np.linalg.norm(ends - sharp, axis=1)
+    hit = np.array([*points[0], float(wall.height(*points[0]))])
+    chief = (CAMERA - hit) / np.linalg.norm(CAMERA - hit)
+    kink = chief + line / np.linalg.norm(line)
+    tilt = np.array([kink @ e for e in scene.camera.frame[:2]])
+    assert wave.removed.tilt == approx(tilt, abs=1e-7)
+    known = excess - excess[0] - NODES @ wave.removed.tilt
+    # the search finds lengths to 1e-15 m
+    assert wave.aberration == approx(known, abs=3e-14)
+    assert wave.removed.piston == approx(lengths[0] - np.linalg.norm(line), abs=1e-14)
+    assert abs(known).max() > 1e-9 or (wall.is_flat and focus is None and not any(shift))
+    assert (wave.layout, wave.pupil_radius) == ("scattered", RADIUS)
+    assert wave.weights == approx(math.pi * RADIUS**2 / len(NODES))
+    assert wave.image_distance == scene.image_distance
+    assert wave.removed.defocus == 0
+    best = psf.wavefront(scene, o, nodes="polar", samples=(8, 24), reference="best_focus")
+    plain = psf.wavefront(scene, o, nodes="polar", samples=(8, 24))
+    more = [a - b for a, b in zip(best.removed.tilt, plain.removed.tilt, strict=True)]
+    back = best.aberration + best.removed.piston - plain.removed.piston
+    back = back + more[0] * best.u + more[1] * best.v
+    back = back + (best.u**2 + best.v**2) / 2 * best.removed.defocus
+    assert back == approx(plain.aberration, abs=1e-16)
+
+
+def test_nodes_beside_pupil_and_wall_are_dark(tilted):
+    """The wall's edges cut the light at x = 0.02 m and y = 0.03 m from where the axis meets it."""
+    size = (2 * abs(HIT[0]) + 2e-3, 2 * abs(HIT[1]) + 1e-3)
+    aim = tuple(0.7 * HIT)
+    scene = tilted(FlatWall(size=size), aim=aim)
+    rng = np.random.default_rng(2)
+    nodes = rng.uniform(-1.2 * RADIUS, 1.2 * RADIUS, (400, 2))
+    wave = psf.wavefront(scene, nodes=nodes)
+    ends = lens_points(scene, nodes)
+    share = 0.9 / (0.9 + ends[:, 2])
+    hits = OBJECT + share[:, None] * (ends - OBJECT)
+    inside = np.hypot(*nodes.T) <= RADIUS
+    lit = inside & (abs(hits[:, 0]) <= size[0] / 2) & (abs(hits[:, 1]) <= size[1] / 2)
+    assert 0.2 < lit.sum() / inside.sum() < 0.9
+    assert wave.weights == approx(np.where(lit, math.pi * RADIUS**2 / 400, 0.0))
+    assert np.array_equal(wave.amplitude > 0, inside)
+    legs = np.linalg.norm(ends - MIRRORED, axis=1)
+    cosine = (MIRRORED - CAMERA) @ scene.camera.axis
+    squared = (cosine / legs**3) / (cosine / math.dist(CAMERA, MIRRORED) ** 3)
+    assert wave.amplitude[inside] ** 2 == approx(squared[inside], rel=1e-9)
+    optics = scene_optics.SceneOptics(scene).at()
+    for name, outline in (("grid", True), ("cells", True), (nodes, False)):
+        found = aimed_wave(scene, optics.exit_pupil, OBJECT, name, None if name is nodes else 24)
+        assert (found.outline is not None) == outline
+        assert (found.wave.aperture is not None) == (isinstance(name, str) and name == "cells")
+        assert not found.hidden
+        assert found.on_lens[1:] == approx(
+            lens_points(scene, np.stack([found.wave.u, found.wave.v], axis=-1)[found.in_lens]),
+            abs=1e-12,
+        )
+        assert found.on_lens[0] == approx(CAMERA)
+        assert found.rays.points[0] == approx(HIT, abs=1e-12)
+        assert found.residual.wavefront is found.wave
+    whole = aimed_wave(tilted(aim=aim), optics.exit_pupil, OBJECT, "grid", 24)
+    assert whole.outline is None
+    curved = aimed_wave(
+        tilted(ConvexWall(1e6, size=size), aim=aim), optics.exit_pupil, OBJECT, "grid", 24
+    )
+    assert curved.outline is None
+    with pytest.raises(SamplingError, match=r"cuts \d+\.\d % of the pupil, which polar nodes"):
+        psf.wavefront(scene, nodes="polar")
+    far = replace(scene, hidden=replace(scene.hidden, position=(0.41, 0.9, 0.9)))
+    message = "object_point = (0.41, 0.9, 0.9) m is reflected to the lens by no part of the wall"
+    with pytest.raises(SceneError, match=re.escape(message)):
+        psf.wavefront(far, nodes="grid")
+
+
+def test_squares_that_edges_cut(tilted):
+    """A square's share is that of its footprint across each edge, as wide as at the centre."""
+    size = (2 * abs(HIT[0]) + 2e-3, 2 * abs(HIT[1]) + 1e-3)
+    scene, n = tilted(FlatWall(size=size), aim=tuple(0.7 * HIT)), 25
+    wave = psf.wavefront(scene, nodes="grid", samples=n)
+    whole = psf.grid_nodes(RADIUS, n)[2]
+    ends = lens_points(scene, np.stack([wave.u.ravel(), wave.v.ravel()], axis=1))
+    share = 0.9 / (0.9 + ends[:, 2])
+    hits = (OBJECT + share[:, None] * (ends - OBJECT)).reshape(n, n, 3)
+    middle, part = n // 2, np.ones((n, n))
+    for k, side in enumerate(size):
+        across = abs(hits[middle, middle + 1, k] - hits[middle, middle, k])
+        across += abs(hits[middle + 1, middle, k] - hits[middle, middle, k])
+        part *= np.clip(0.5 + (side / 2 - abs(hits[..., k])) / across, 0.0, 1.0)
+    assert wave.weights == approx(whole * part, rel=1e-9, abs=1e-9 * whole.max())
+    assert 20 < np.sum((part > 0.01) & (part < 0.99) & (whole > 0)) < 200
+
+
+@pytest.mark.parametrize("more", [(4e-3, 5e-3), (0.02, 3e-3)])
+def test_a_wall_as_stop_that_the_lens_cuts(tilted, more):
+    """Area of the wall's image within the lens, by random points of the lens."""
+    size = (2 * abs(HIT[0]) + more[0], 2 * abs(HIT[1]) + more[1])
+    scene = tilted(FlatWall(size=size), stop_diameter=0.03, focus_distance=2.4)
+    pupil = psf.exit_pupil(scene)
+    assert pupil.stop == "wall"
+    rng = np.random.default_rng(3)
+    nodes = rng.uniform(-0.015, 0.015, (40000, 2))
+    ends = lens_points(scene, nodes)
+    share = 0.9 / (0.9 + ends[:, 2])
+    hits = OBJECT + share[:, None] * (ends - OBJECT)
+    lit = (np.hypot(*nodes.T) < 0.015) & scene.wall.contains(hits[:, 0], hits[:, 1])
+    zoom = pupil.image_distance / scene.image_distance
+    area = lit.mean() * 0.03**2 * zoom**2
+    error = 3 * math.sqrt(lit.mean() / 40000) * 0.03**2 * zoom**2
+    for name in ("cells", "grid"):
+        wave = psf.wavefront(scene, nodes=name, samples=24 if name == "cells" else 128)
+        assert wave.weights.sum() == approx(area, abs=error)
+        assert wave.pupil_radius <= 0.015 * abs(zoom) * (1 + 1e-12)
+    with pytest.raises(SamplingError, match="the wall is the stop and its outline is a rectangle"):
+        psf.wavefront(scene, nodes="polar")
+
+
+def test_corners_that_never_meet_the_lens(tilted):
+    """A camera that looks along a wide wall: its far corners lie behind the lens."""
+    wide = tilted(FlatWall(size=(9.0, 7.0)))
+    with pytest.raises(SamplingError, match="edge has no closed image there; use nodes='grid'"):
+        psf.wavefront(wide, nodes="cells")
+    assert psf.wavefront(tilted(FlatWall(size=(0.9, 0.8))), nodes="cells").layout == "cells"
+
+
+@pytest.mark.parametrize(
+    ("nodes", "samples", "shape"),
+    [
+        ("polar", None, (24, 96)),
+        ("polar", 5, (5, 20)),
+        ("polar", (5, 12), (5, 12)),
+        ("grid", None, (256, 256)),
+        ("grid", 31, (31, 31)),
+        ("cells", 6, (4, 6, 6)),
+        ("cells", (6, 7), (4, 6, 7)),
+        ("cells", None, (4, 24, 24)),
+        ("auto", None, (24, 96)),
+        ("auto", 5, (5, 20)),
+    ],
+)
+def test_numbers_of_nodes(tilted, nodes, samples, shape):
+    wave = psf.wavefront(tilted(), nodes=nodes, samples=samples)
+    assert wave.u.shape == shape
+    assert wave.weights.sum() == approx(math.pi * RADIUS**2, rel=1e-3)
+
+
+def test_automatic_nodes_of_a_cut_cone(tilted):
+    scene = tilted(FlatWall(size=(2 * abs(HIT[0]) + 2e-3, 1.0)))
+    assert psf.wavefront(scene).u.shape == (512, 512)
+    assert psf.wavefront(scene, samples=20).u.shape == (20, 20)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"nodes": "rings"}, "nodes = 'rings' is unknown"),
+        ({"nodes": NODES, "samples": 4}, "samples = 4 with nodes given as an array"),
+        ({"nodes": "polar", "samples": (4, 5, 6)}, r"samples = \(4, 5, 6\); give one whole number"),
+        ({"nodes": "grid", "samples": (4, 5)}, r"samples = \(4, 5\); a grid is square"),
+        ({"nodes": NODES.T}, r"nodes have shape \(2, 5\)"),
+        ({"nodes": NODES[None]}, r"nodes have shape \(1, 5, 2\)"),
+        ({"nodes": [[0.0, math.nan]]}, "nodes hold NaN"),
+        ({"reference": "chief"}, "reference = 'chief' is unknown"),
+        ({"object_point": (0.0, 1.0)}, "object_point"),
+    ],
+)
+def test_bad_options_of_a_wave(tilted, options, message):
+    with pytest.raises(SceneError, match=message):
+        psf.wavefront(tilted(), **options)
+
+
+def test_objects_behind_the_camera(tilted):
+    scene = tilted(aim=(3.0, 3.0, 0.7))
+    with pytest.raises(SceneError, match="mirrored object point is behind the camera"):
+        psf.wavefront(scene, (-3.0, -2.0, 0.5), nodes=NODES)
+
+
+@pytest.mark.parametrize("wall", [ConvexWall(2.5), WavyWall(3e-6, 0.31, 0.4, direction=0.7)])
+@pytest.mark.parametrize("reference", [1.9, -0.4])
+def test_path_differences(wall, reference):
+    """Real and virtual ends of a path, by its stationary point or by a given one."""
+    _, (length,) = paths(wall, OBJECT, CAMERA[None])
+    found = psf.path_difference(wall, OBJECT, CAMERA, reference)
+    assert found == approx(length - reference, abs=1e-14)
+    at = (0.03, -0.05)
+    hit = np.array([*at, float(wall.height(*at))])
+    legs = np.linalg.norm(hit - OBJECT), np.linalg.norm(hit - CAMERA)
+    given = psf.path_difference(wall, OBJECT, CAMERA, reference, wall_point=at)
+    assert given == approx(sum(legs) - reference, abs=1e-14)
+    behind = CAMERA * (1, 1, -0.6)
+    virtual = psf.path_difference(wall, OBJECT, behind, reference, wall_point=at)
+    assert virtual == approx(legs[0] - np.linalg.norm(hit - behind) - reference, abs=1e-14)
+
+
+def test_paths_to_a_virtual_image():
+    """A convex mirror's image of a point on its axis; a flat wall's has no single path."""
+    found = psf.path_difference(ConvexWall(3.0), (0, 0, 1.0), (0.02, 0.01, -0.3), 0.7)
+    wall = ConvexWall(3.0)
+
+    def squared(at):
+        x, y = at
+        hit = np.array([x, y, float(wall.height(x, y))])
+        ends = hit - (0, 0, 1.0), hit - (0.02, 0.01, -0.3)
+        slope = wall.derivatives(np.array([x]), np.array([y]))[0, 1:3]
+        units = ends[0] / np.linalg.norm(ends[0]) - ends[1] / np.linalg.norm(ends[1])
+        return float(np.sum((units[:2] + units[2] * slope) ** 2))
+
+    x, y = minimize(squared, (0.05, 0.02), method="Nelder-Mead", options={"xatol": 1e-10}).x
+    hit = np.array([x, y, float(wall.height(x, y))])
+    exact = math.dist(hit, (0, 0, 1.0)) - math.dist(hit, (0.02, 0.01, -0.3)) - 0.7
+    assert found == approx(exact, abs=1e-9)
+    with pytest.raises(CausticError, match="virtual target of a flat wall has no single"):
+        psf.path_difference(FlatWall(), OBJECT, CAMERA * (1, 1, -1), 0.0)
+    assert psf.path_difference(FlatWall(), OBJECT, CAMERA, 1.0) == approx(
+        math.dist(MIRRORED, CAMERA) - 1.0, abs=1e-15
+    )
+
+
+@pytest.mark.parametrize("hessian", [True, False])
+@pytest.mark.parametrize(
+    "wall", [ConvexWall(2.5), ConcaveWall(6.0), WavyWall(2e-4, 0.31, 0.4, direction=0.7)]
+)
+def test_walls_by_python_functions_are_those_compiled(tilted, wall, hessian):
+    """Newton's steps in Python end at the same points as the compiled ones."""
+    same = CallableWall(
+        wall.height,
+        lambda x, y: np.moveaxis(wall.derivatives(x, y)[..., 1:3], -1, 0),
+        hessian=(lambda x, y: np.moveaxis(wall.derivatives(x, y)[..., 3:], -1, 0))
+        if hessian
+        else None,
+        max_height=5.0,
+        max_curvature=1.2 * wall.max_curvature,
+        finest_period=wall.finest_period,
+    )
+    scene = tilted(wall)
+    ends = lens_points(scene, np.random.default_rng(1).uniform(-0.2, 0.2, (60, 2)))
+    known, found = (aim(one, OBJECT, ends, scene.camera.axis) for one in (wall, same))
+    points, _ = paths(wall, OBJECT, ends[:3])
+    assert known.points[:3, :2] == approx(points, abs=2e-6)  # a flat minimum
+    assert found.points == approx(known.points, abs=1e-9)
+    assert found.excess == approx(known.excess, abs=1e-15)
+    assert found.spreading == approx(known.spreading, rel=1e-9 if hessian else 1e-5)
+    given = psf.path_difference(same, OBJECT, CAMERA, 1.7)
+    assert given == approx(psf.path_difference(wall, OBJECT, CAMERA, 1.7), abs=1e-15)
+
+
+def test_steep_walls_by_python_functions():
+    """Newton's step overshoots from the start, and is halved; of no path there is none found."""
+    wall = WavyWall(0.02, 0.7, 0.4, direction=0.7)
+    same = CallableWall(
+        wall.height,
+        lambda x, y: np.moveaxis(wall.derivatives(x, y)[..., 1:3], -1, 0),
+        hessian=lambda x, y: np.moveaxis(wall.derivatives(x, y)[..., 3:], -1, 0),
+        max_height=1.0,
+        max_curvature=wall.max_curvature,
+        finest_period=0.7,
+    )
+    found = []
+    for x in np.linspace(-0.9, 0.9, 13):
+        end = np.array([x, 0.2 - 0.3 * x, 0.8])
+        one, two = (attempt(psf.path_difference, w, OBJECT, end, 1.7) for w in (wall, same))
+        assert (one is None) == (two is None)
+        if one is not None:
+            assert two == approx(one, abs=1e-13)
+            found.append(one)
+    assert len(found) >= 8
+
+
+def attempt(function, *arguments):
+    """Return the result of a function, or None if there is no stationary path."""
+    try:
+        return function(*arguments)
+    except CausticError:
+        return None
+
+
+def test_bends_of_a_weak_wall(tilted):
+    """A wall of 1e-7 m, whose height itself adds 5e-8/m of defocus."""
+    wall = WavyWall(1e-7, 0.31, 0.4, direction=0.7)
+    shift = 0.2 * (MIRRORED - CAMERA) / math.dist(MIRRORED, CAMERA)
+    for o, focus in ((OBJECT, None), (OBJECT + shift * (1, 1, -1), None), (OBJECT, 1.4)):
+        scene = tilted(wall, stop_diameter=2e-3, focus_distance=focus)
+        wave = psf.wavefront(scene, o, samples=(6, 24))
+        u, v = wave.u.ravel() / 1e-3, wave.v.ravel() / 1e-3
+        powers = [(i, j) for i in range(5) for j in range(5 - i)]
+        terms = np.stack([u**i * v**j for i, j in powers], axis=1)
+        fit = np.linalg.lstsq(terms, wave.aberration.ravel(), rcond=None)[0] / 1e-6
+        fit = dict(zip(powers, fit, strict=True))
+        known = np.array([[2 * fit[2, 0], fit[1, 1]], [fit[1, 1], 2 * fit[0, 2]]])
+        assert wave_bends(scene, o[None])[0] == approx(known, abs=5e-3 * abs(known).max())
+    flat = wave_bends(tilted(focus_distance=1.4), np.array([OBJECT, OBJECT + shift * (1, 1, -1)]))
+    depth = math.dist(MIRRORED, CAMERA)
+    for found, d in zip(flat, (depth, depth + 0.2), strict=True):
+        assert found == approx((1 / d - 1 / 1.4) * np.eye(2), rel=1e-9)
+
+
+def test_view_of_a_flat_wall(tilted):
+    """P_i/d1 + P_o/d2 and its product with the slanted lens, in closed form."""
+    view = psf.wall_view(tilted())
+    d1, d2 = math.dist(OBJECT, HIT), math.dist(CAMERA, HIT)
+    a, b = (OBJECT - HIT) / d1, (CAMERA - HIT) / d2
+    total = (np.eye(2) - np.outer(a[:2], a[:2])) / d1 + (np.eye(2) - np.outer(b[:2], b[:2])) / d2
+    axes = tilted().camera.frame[:2]
+    across = np.array([[(e - (b @ e) * b)[k] for e in axes] for k in (0, 1)])
+    assert view.cos_sum == approx(a[2] + b[2], rel=1e-12)
+    assert view.effective_distance == approx(np.linalg.inv(total), rel=1e-9)
+    assert view.footprint == approx(np.linalg.inv(total) @ across / d2, rel=1e-9)
+    assert view.point == approx(HIT, abs=1e-14)
+    assert view.tangents == approx(np.eye(3)[:2])
+    other = psf.wall_view(tilted(), np.add(OBJECT, (0.1, 0.05, 0.2)))
+    assert other.point[0] != approx(HIT[0], abs=1e-3)
+    # a wall as stop: its image on the pupil is smaller than its cone on the lens
+    small = tilted(
+        FlatWall(size=(2 * abs(HIT[0]) + 0.01, 2 * abs(HIT[1]) + 0.013)),
+        stop_diameter=0.9,
+        focus_distance=2.4,
+    )
+    pupil = psf.exit_pupil(small)
+    assert pupil.stop == "wall"
+    seen = psf.wall_view(small)
+    zoom = pupil.image_distance / small.image_distance
+    assert zoom < 0
+    assert seen.footprint == approx(view.footprint / zoom, rel=1e-9)
+    g = np.array([3e-4, -7e-4])
+    x, y = np.meshgrid(HIT[0] + np.arange(-2, 3) * 0.2, HIT[1] + np.arange(-2, 4) * 0.2)
+    places = np.stack([x, y, 0 * x], axis=-1)
+    slopes = np.broadcast_to(g, (6, 5, 2))
+    found = psf.pupil_slopes(small, slopes, places, [(0.0, 0.0)])
+    assert found[0] == approx(-view.cos_sum * view.footprint.T @ g / zoom, rel=1e-9)
+
+
+def facets(step=0.01, shape=(5, 4)):
+    """Slopes that name their cell, and the centres of the cells about the chief ray's point."""
+    ny, nx = shape
+    x = HIT[0] + step * (np.arange(nx) - 1.3)
+    y = HIT[1] + step * (np.arange(ny) - 1.8)
+    places = np.stack([*np.meshgrid(x, y), np.zeros(shape)], axis=-1)
+    return 1e-3 * np.random.default_rng(4).random((*shape, 2)), places
+
+
+def node_that_sees(scene, offset):
+    """Lens coordinates of the ray from the object by a flat wall's point beside the chief ray's."""
+    line = np.add(HIT, (*offset, 0.0)) - MIRRORED
+    e1, e2, axis = scene.camera.frame
+    away = MIRRORED + line * ((CAMERA - MIRRORED) @ axis) / (line @ axis) - CAMERA
+    return away @ e1, away @ e2
+
+
+def test_facets_that_pupil_points_see(tilted):
+    scene = tilted()
+    slopes, places = facets()
+    view = psf.wall_view(scene)
+    targets = np.array(
+        [(-0.012, -0.022), (0.0, 0.0), (0.016, 0.026), (-0.0179, 0.0), (0.0, 0.0269)]
+    )
+    nodes = np.array([node_that_sees(scene, target) for target in targets])
+    found = psf.pupil_slopes(scene, slopes, places, nodes)
+    ends = lens_points(scene, nodes)
+    share = 0.9 / (0.9 + ends[:, 2])
+    hits = (OBJECT + share[:, None] * (ends - OBJECT))[:, :2]
+    for hit, node, slope in zip(hits, nodes, found, strict=True):
+        away = np.hypot(places[..., 0] - hit[0], places[..., 1] - hit[1])
+        g = slopes[np.unravel_index(away.argmin(), away.shape)]
+        # a finite pupil point against the optics at the pupil's centre
+        assert slope == approx(-view.cos_sum * view.footprint.T @ g, rel=0.15)
+        assert np.isfinite(node).all()
+    for beyond in ((-0.0185, 0.0), (0.0225, 0.0), (0.0, -0.0235), (0.0, 0.0275)):
+        node = node_that_sees(scene, np.array(beyond))
+        with pytest.raises(SamplingError, match="pupil node 1 sees the wall at x = .* beyond the"):
+            psf.pupil_slopes(scene, slopes, places, [(0.0, 0.0), node])
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("all_of_a_line", [False, True])
+def test_lattices_are_even_to_a_millionth(tilted, axis, sign, all_of_a_line):
+    slopes, places = facets()
+    for part, fits in ((0.9e-6, True), (1.1e-6, False)):
+        moved = places.copy()
+        index = [2, 2]
+        if all_of_a_line:
+            index[axis] = slice(None)
+        moved[(*index, axis)] += sign * part * 0.01
+        if fits:
+            psf.pupil_slopes(tilted(), slopes, moved, [(0.0, 0.0)])
+            continue
+        with pytest.raises(SceneError, match="m off a lattice of 0.01 m; give the centres"):
+            psf.pupil_slopes(tilted(), slopes, moved, [(0.0, 0.0)])
+
+
+def test_facets_that_are_refused(tilted):
+    slopes, places = facets()
+    for changes, message in (
+        ({"slopes": slopes[..., 0]}, r"slopes have shape \(5, 4\) and positions \(5, 4, 3\)"),
+        ({"slopes": slopes[..., :1]}, r"slopes have shape \(5, 4, 1\)"),
+        ({"positions": places[..., :2]}, r"positions \(5, 4, 2\)"),
+        ({"slopes": slopes[:1], "positions": places[:1]}, "give two cells or more per axis"),
+        ({"slopes": slopes[:, :1], "positions": places[:, :1]}, "give two cells or more per axis"),
+        ({"slopes": np.full_like(slopes, math.nan)}, "hold NaN or infinity"),
+        ({"positions": np.full_like(places, math.inf)}, "hold NaN or infinity"),
+        ({"positions": places[::-1]}, "off a lattice"),
+        ({"positions": places[:, ::-1]}, "off a lattice"),
+        ({"nodes": [0.0, 0.0]}, r"nodes have shape \(2,\)"),
+        ({"nodes": [[0.0, 0.0, 0.0]]}, r"nodes have shape \(1, 3\)"),
+        ({"nodes": [[0.0, math.nan]]}, "finite u and v"),
+    ):
+        given = {"slopes": slopes, "positions": places, "nodes": [(0.0, 0.0)]} | changes
+        with pytest.raises(SceneError, match=message):
+            psf.pupil_slopes(tilted(), **given)
+    few = psf.pupil_slopes(tilted(), slopes[1:3, 1:3], places[1:3, 1:3], [(0.0, 0.0)])
+    assert few.shape == (1, 2)
+
+
+def plate(centre, side, thick=1e-4):
+    box = trimesh.creation.box((side, side, thick))
+    box.apply_translation(centre)
+    return box
+
+
+def test_occluders_in_the_cone(tilted):
+    """Before the wall, before the lens, beside both, or in the middle of a part of the cone."""
+    scene = tilted()
+    half = HIT + 0.5 * (CAMERA - HIT)
+    near, outward = plate(half, 0.05), HIT + 0.5 * (OBJECT - HIT)
+    rim = lens_points(scene, np.array([(0.0, RADIUS)]))[0]
+    aside = HIT + 0.95 * (rim - HIT)  # only the outermost rays at one side pass here
+    for occluder, hidden in (
+        (near, True),
+        (plate(outward, 0.05), True),
+        (plate(np.add(half, (0.3, 0, 0)), 0.05), False),
+        (plate(HIT + 2.0 * (OBJECT - HIT), 0.05), False),
+    ):
+        blocked = replace(scene, occluders=(occluder,))
+        assert check_cone(blocked) == hidden
+        assert check_cone(blocked, OBJECT) == hidden
+        assert not check_cone(blocked, np.add(OBJECT, (2.0, 0, 0)))
+        optics = scene_optics.SceneOptics(blocked)
+        assert optics.at().first.hidden == hidden
+    assert not check_cone(scene)
+    for occluder in (plate(aside, 1.2e-3), plate(half, 1e-3)):
+        cut = replace(scene, occluders=(occluder,))
+        place = re.escape("object point (0.41, -0.17, 0.9) m by the wall")
+        with pytest.raises(SceneError, match=r"scene.occluders cut [\d.]+ % of the .*" + place):
+            check_cone(cut)
+
+
+def test_waves_of_a_scene_are_kept(tilted):
+    scene = tilted()
+    optics = scene_optics.SceneOptics(scene)
+    assert scene_optics.optics_of(optics) is optics
+    assert scene_optics.optics_of(scene).scene is scene
+    assert optics.at(tuple(OBJECT)) is optics.at() is optics.reference
+    assert optics.at().zoom == 1
+    points = [np.add(OBJECT, (0.001 * k, 0, 0)) for k in range(1, 18)]
+    found = [optics.at(point) for point in points]
+    assert [optics.at(p) is one for p, one in zip(points, found, strict=True)] == [True] * 16 + [
+        False
+    ]
+    assert found[3].view.point == approx(psf.wall_view(scene, points[3]).point, abs=1e-12)
+    made = []
+    assert [found[0].once("key", lambda: made.append(1) or 7) for _ in range(2)] == [7, 7]
+    assert made == [1]
+    other = replace(psf.exit_pupil(scene), radius=1e-3)
+    assert scene_optics.SceneOptics(scene, other).exit_pupil is other
+    for wrong, message in (((scene.wall,), "scene is a FlatWall"), ((scene, 3), "pupil is a int")):
+        with pytest.raises(SceneError, match=message):
+            scene_optics.SceneOptics(*wrong)
+
+
+def test_waves_are_refined_until_they_suffice(tilted):
+    optics, seen = scene_optics.SceneOptics(tilted()).at(), []
+
+    def use(aimed, enough):
+        seen.append(aimed.wave.u.shape)
+        if aimed.wave.u.shape[0] < enough:
+            raise SamplingError("too few")
+        return 5
+
+    for enough, shapes in ((24, [24]), (48, [24, 48]), (96, [24, 48, 96])):
+        seen.clear()
+        aimed, found = optics.refined(lambda a, enough=enough: use(a, enough))
+        assert (found, seen) == (5, [(n, 4 * n) for n in shapes])
+        assert aimed.wave.u.shape == seen[-1]
+    with pytest.raises(SamplingError, match="too few"):
+        optics.refined(lambda a: use(a, 97))
+    assert scene_optics.FINER["grid"] == (1024, 2048)
+
+
+def test_surfaces_that_do_not_converge(monkeypatch):
+    monkeypatch.setattr(slope_integration, "MOST_STEPS", 3)
+    rng = np.random.default_rng(3)
+    mask = rng.random((12, 12)) > 0.35
+    with pytest.raises(SamplingError, match="has not converged after 3 steps; give a mask without"):
+        psf.integrated_slopes(rng.normal(size=(12, 12, 2)), 0.1, mask)
+    whole = np.ones((6, 5), dtype=bool)  # the preconditioner is then the solution
+    psf.integrated_slopes(rng.normal(size=(6, 5, 2)), 0.1, whole)
+    with pytest.raises(SceneError, match="pitch = 0 m is out of range"):
+        psf.integrated_slopes(np.zeros((6, 5, 2)), 0.0, whole)
