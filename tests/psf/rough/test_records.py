@@ -68,6 +68,24 @@ def test_statistics(name, on_record):
     on_record([figures, attempt(rough.lag_of, 1e-16), psf.split_scale(6e-7, 0.5)])
 
 
+@pytest.mark.parametrize("cutoff", [2e-4, 3e-3])
+def test_nodes_of_a_split(cutoff, on_record):
+    """Lags at which C is asked for, and those that are tabulated, also of a measured C."""
+    asked = []
+
+    def autocorrelation(r):
+        asked.append(np.array(r))
+        return np.exp(-((r / 1e-3) ** 2))
+
+    long, short = psf.Roughness(3e-8, 1e-3, autocorrelation).split(cutoff)
+    lags = np.linspace(0.0, 3e-3, 41)
+    measured = psf.Roughness(3e-8, 1e-3, [lags, np.exp(-((lags / 1e-3) ** 2))])
+    tables = [one.autocorrelation.spline for one in (long, measured.split(cutoff)[0])]
+    lengths = [long.correlation_length, short.correlation_length]
+    found = [len(asked), np.concatenate([one.ravel() for one in asked]), lengths]
+    on_record([found, [(one.k, one.t, one.c) for one in tables]])
+
+
 def test_views_and_screens(rough, on_record):
     """Fractions, halos, lags and pitches, and the transfer functions of pupil and wall."""
     wave, wall, view = rough
