@@ -121,7 +121,6 @@ def test_regimes_of_rough_walls(name, realisation, examples, on_record):
         ("long", 64, (20, 25)),
         ("facets", 16, (24, 27)),
         ("facets", 0.5, (5, 8)),
-        ("large facets", 16, (21, 24)),
         ("steep", 1, (15, 12)),
     ],
 )
