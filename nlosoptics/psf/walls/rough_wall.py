@@ -43,8 +43,8 @@ PUPIL_SECONDS: Final = 5e-8
 BETWEEN_SECONDS: Final = 6.5e-9
 #: Longest predicted run time of one pattern, s.
 LONGEST: Final = 60.0
-#: Pupil nodes at which the wave of a relief is sampled: radii and angles, or cells per side.
-RELIEF_NODES: Final = {"polar": (48, 192), "grid": (1024, 1024)}
+#: Radii (with four times as many angles) or cells per side at which a relief's wave is sampled.
+RELIEF_NODES: Final = {"polar": 48, "grid": 1024}
 #: Most scales of the heights across the wall that the lens sees. Finer roughness scatters to angles
 #: far outside any image.
 MOST_ACROSS: Final = 2000
@@ -218,8 +218,8 @@ def _aberration(residual: Residual, view: ReliefView) -> RoughChoice:
     """Return nodes, cost and error of the wave aberration by rays on the relief."""
     error = aberration_error(view, residual.wavefront.wavelength)
     layout = relief_layout(residual.wavefront.layout, view)
-    nodes = float(np.prod(RELIEF_NODES[layout]))
-    n = RELIEF_NODES[layout][0]
+    n = RELIEF_NODES[layout]
+    nodes = float(n * n if layout == "grid" else 4 * n * n)
     return RoughChoice(
         "aberration",
         n,
@@ -289,7 +289,7 @@ def _screen(
 
 
 def relief_layout(layout: str, view: ReliefView) -> str:
-    """Return the layout of the pupil nodes for a relief; creases of facets need a grid."""
+    """Return the layout of the pupil nodes for a relief; creases of facets have no short series."""
     return "grid" if isinstance(view.roughness, FacetWall) else layout
 
 
@@ -348,9 +348,7 @@ def _by_aberration(
     reason: str,
 ) -> tuple[AimedWave, PointSpread]:
     """Compute the image by the wave aberration of the relief."""
-    layout = seen.first.wave.layout
-    if isinstance(view.roughness, FacetWall):
-        layout = "grid"  # creases have no short series
+    layout = relief_layout(seen.first.wave.layout, view)
     aimed = aimed_wave(seen.scene, seen.exit_pupil, seen.object_point, layout, RELIEF_NODES[layout])
     wave = rough_wave(aimed.wave, view)
     spread = detilted_wide_spread(split(wave), pitch, shape, tol)

@@ -7,6 +7,7 @@ from nlosoptics import psf
 from nlosoptics.psf.rough import otf, phase_screens, sample, scattered_light
 from nlosoptics.psf.rough.source import rough_source
 from nlosoptics.psf.walls import lobe_psf
+from nlosoptics.psf.window.window import Window
 from nlosoptics.scene import FacetWall
 
 from ...records import attempt
@@ -68,6 +69,24 @@ def test_statistics(name, on_record):
     on_record([figures, attempt(rough.lag_of, 1e-16), psf.split_scale(6e-7, 0.5)])
 
 
+@pytest.mark.parametrize("cutoff", [2e-4, 3e-3])
+def test_nodes_of_a_split(cutoff, on_record):
+    """Lags at which C is asked for, and those that are tabulated, also of a measured C."""
+    asked = []
+
+    def autocorrelation(r):
+        asked.append(np.array(r))
+        return np.exp(-((r / 1e-3) ** 2))
+
+    long, short = psf.Roughness(3e-8, 1e-3, autocorrelation).split(cutoff)
+    lags = np.linspace(0.0, 3e-3, 41)
+    measured = psf.Roughness(3e-8, 1e-3, [lags, np.exp(-((lags / 1e-3) ** 2))])
+    tables = [one.autocorrelation.spline for one in (long, measured.split(cutoff)[0])]
+    lengths = [long.correlation_length, short.correlation_length]
+    found = [len(asked), np.concatenate([one.ravel() for one in asked]), lengths]
+    on_record([found, [(one.k, one.t, one.c) for one in tables]])
+
+
 def test_views_and_screens(rough, on_record):
     """Fractions, halos, lags and pitches, and the transfer functions of pupil and wall."""
     wave, wall, view = rough
@@ -97,6 +116,83 @@ def test_views_and_screens(rough, on_record):
                 sample.grid_pitch(wave, 2e-5, 1e-3),
             ],
         }
+    )
+
+
+LIGHT = {
+    "gaussian": psf.Roughness(6e-8, 1e-3),
+    "exponential": psf.Roughness(3e-8, 4e-4, "exponential"),
+    "steep": psf.Roughness(4e-7, 5e-3),
+    "facets": FacetWall(9e-4, 5e-4),
+}
+
+
+@pytest.mark.parametrize("integrated", [False, True])
+@pytest.mark.parametrize("layout", ["polar", "grid"])
+@pytest.mark.parametrize("name", LIGHT)
+def test_halos(name, layout, integrated, on_record):
+    """Nodes of the sum, the light on narrow and wide pixels, and its stated error."""
+    wave = psf.Wavefront.from_zernike(
+        {2: 2e-7, 5: 8e-8, 7: -5e-8},
+        wavelength=6e-7,
+        pupil_radius=4e-3,
+        image_distance=-0.06,
+        obscuration=0.3,
+        nodes=layout,
+        samples=None if layout == "polar" else 61,
+    )
+    source = rough_source(wave, LIGHT[name], np.array([[0.5, 0.1], [-0.2, 0.6]]), 1.7)
+    view, residual = source.view, source.residual
+    window = Window.centred(2.3e-6, (7, 10))
+    halo = scattered_light.Halo(residual, view, window, integrated, 7e-3)
+    wide = scattered_light.Halo(residual, view, window, integrated, 7e-3, spread=4e-5)
+    nodes, edges = halo.separations(0.12), [1e-6, 2.3e-5, 2e-4]
+    turns = np.exp(300j * nodes.du - 200j * nodes.dv)
+    asked = integrated, np.full((7, 10), 1e-3), 3e-3
+    on_record(
+        {
+            "counts": [one.counts(f) for one in (halo, wide) for f in (0.3, 1.0, 2.7)],
+            "nodes": nodes,
+            "image": halo.image(nodes, turns),
+            "halves": [
+                [*scattered_light.inner_halves(residual, view, Window.centred(p, (n, n + 3)), tol)]
+                for p, n, tol in ((2e-6, 9, 1e-2), (1e-4, 9, 1e-2), (9e-4, 41, 1e-4))
+            ],
+            "inner": [scattered_light.inner_window(window, half) for half in edges],
+            "cells": [
+                scattered_light.first_cells(residual, view, p, tol)
+                for p, tol in ((1e-6, 1e-2), (1e-6, 1e-4), (1e-4, 1e-4))
+            ],
+            "light": scattered_light.scattered_light(residual, view, window, *asked),
+            "wide": integrated
+            and scattered_light.scattered_light(
+                residual, view, Window.centred(9e-5, (7, 10)), *asked
+            ),
+        }
+    )
+
+
+@pytest.mark.parametrize("normalisation", ["unit-sum", "flux", "ideal-peak"])
+def test_a_sample_in_pixels(normalisation, on_record):
+    system = {"wavelength": 6e-7, "pupil_radius": 4e-3, "image_distance": -0.06}
+    waves = [
+        psf.Wavefront.from_zernike({2: 1e-7, 6: 6e-8}, obscuration=0.2, **system),
+        psf.Wavefront.from_zernike({2: 1e-7, 6: 6e-8}, nodes="grid", samples=90, **system),
+        psf.Wavefront.from_map(
+            np.zeros((90, 90)), wavelength=6e-7, pupil_pitch=9e-5, image_distance=-0.06
+        ),
+    ]
+    asked = {"footprint": np.diag([0.5, 0.6]), "cos_sum": 1.8, "effective_distance": 0.4}
+    asked |= {"shape": (8, 11), "seed": 3, "normalisation": normalisation}
+    on_record(
+        [
+            attempt(
+                psf.sample_point_spread, wave, wall, pitch=pitch, pixel_integrated=whole, **asked
+            )
+            for wave in waves
+            for wall in (WALLS["gaussian"], psf.Roughness(2e-8, 3e-3), WALLS["exponential"])
+            for pitch, whole in ((2e-6, False), (5e-6, True))
+        ]
     )
 
 

@@ -14,7 +14,7 @@ from nlosoptics import imaging, psf
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.psf.walls import field as field_module
-from nlosoptics.psf.walls.field import BLOCK, picture_nodes
+from nlosoptics.psf.walls.field import AVERAGED, BLOCK, picture_nodes, picture_point
 from nlosoptics.scene import ConcaveWall, MeshObject, PlanarObject
 
 PITCH = 4e-6
@@ -235,3 +235,101 @@ def test_fewest_modes_hold_the_spreads(memory_of):
     peak, _ = memory_of(lambda: field_module._compressed(spreads, 1e-9))
     # the modes, the rest and its size; not as many modes as pixels
     assert peak < 8 * spreads.nbytes
+
+
+def made_field(modes=4, counts=(3, 5), shape=(6, 7), seed=3):
+    """Field of random positive modes and weights, whose modes overlap."""
+    rng = np.random.default_rng(seed)
+    ny, nx = counts
+    return psf.PointSpreadField(
+        modes=rng.uniform(0.2, 1.0, (modes, *shape)) / 5.0 ** np.arange(modes)[:, None, None],
+        weights=rng.uniform(0.1, 1.0, (modes, ny, nx)),
+        across=picture_nodes(nx),
+        up=picture_nodes(ny),
+        pitch=2e-6,
+        truncation_error=1e-3,
+        error_estimate=3e-3,
+    )
+
+
+def by_lagrange(nodes, at):
+    """Weights of the polynomial through values at nodes, clipped to their range -1 to 1."""
+    at = min(max(at, -1.0), 1.0)
+    return np.array(
+        [
+            math.prod((at - other) / (one - other) for other in nodes if other != one)
+            for one in nodes
+        ]
+    )
+
+
+@pytest.mark.parametrize("counts", [(3, 5), (4, 1), (1, 2)])
+def test_weights_are_those_of_the_polynomial_through_the_nodes(counts):
+    field = made_field(counts=counts)
+    rng = np.random.default_rng(8)
+    x, y = rng.uniform(-1.4, 1.4, (2, 2, 9))
+
+    def expected(a, b):
+        return field.weights @ by_lagrange(field.across, a) @ by_lagrange(field.up, b)
+
+    single = np.array(
+        [[expected(a, b) for a, b in zip(*rows, strict=True)] for rows in zip(x, y, strict=True)]
+    )
+    found = field.at(x, y)
+    assert found == approx(np.moveaxis(single, -1, 0), abs=1e-12)
+    grid = np.array([[expected(a, b) for a in x[0]] for b in y[1]])
+    assert field.at(x[:1], y[1][:, None]) == approx(np.moveaxis(grid, -1, 0), abs=1e-12)
+    assert field.at(x[0], y[1][:, None]) == approx(np.moveaxis(grid, -1, 0), abs=1e-12)
+    one = np.tensordot(expected(0.3, -0.7), field.modes, 1)
+    assert field.point_spread(0.3, -0.7) == approx(one, abs=1e-12)
+    for wrong in ((np.nan, 0.0), (0.0, [0.1, np.inf])):
+        with pytest.raises(SamplingError, match="across or up holds NaN or infinity; give coordi"):
+            field.at(*wrong)
+
+
+def test_statistics_of_a_field():
+    """Mean, deviation, and what is lost without the last modes, over evenly spread points."""
+    field = made_field()
+    steps = (np.arange(AVERAGED) + 0.5) / AVERAGED * 2 - 1
+    spreads = np.array([[field.point_spread(a, b) for a in steps] for b in steps])
+    mean = spreads.mean(axis=(0, 1))
+    assert field.mean() == approx(mean, rel=1e-12)
+    apart = math.sqrt(np.mean(np.sum((spreads - mean) ** 2, axis=(2, 3))) / np.sum(mean**2))
+    assert field.deviation() == approx(apart, rel=1e-9)
+    weights = field.at(steps[None, :], steps[:, None])
+    rest = []  # rms of the modes from each on
+    for k in range(4):
+        left = np.tensordot(weights[k:].reshape(4 - k, -1).T, field.modes[k:], 1)
+        rest.append(math.sqrt(np.sum(left**2)))
+    nodes = np.tensordot(np.moveaxis(field.weights, 0, -1), field.modes, 1)
+    for kept in (1, 2, 3):
+        short = field.compressed(rest[kept] / rest[0] * (1 + 1e-9))
+        assert len(short.modes) == kept
+        assert len(field.compressed(rest[kept] / rest[0] * (1 - 1e-9)).modes) == kept + 1
+        assert np.array_equal(short.modes, field.modes[:kept])
+        assert np.array_equal(short.weights, field.weights[:kept])
+        missing = np.tensordot(np.moveaxis(field.weights[kept:], 0, -1), field.modes[kept:], 1)
+        lost = np.max(np.abs(missing).max(axis=(2, 3)) / nodes.max(axis=(2, 3)))
+        assert short.truncation_error == approx(1e-3 + lost, rel=1e-9)
+        assert short.error_estimate == approx(3e-3 + lost, rel=1e-9)
+    assert field.compressed(0.0) is field
+    assert len(field.compressed(1.0).modes) == 1
+    with pytest.raises(SceneError, match=r"tol = 1\.01 is out of range"):
+        field.compressed(1.01)
+    for array in (field.modes, field.weights, field.across, field.up):
+        assert not array.flags.writeable
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 6])
+def test_nodes_of_a_picture(count):
+    expected = np.sort(np.cos(np.pi * (2 * np.arange(count) + 1) / (2 * count)))
+    assert picture_nodes(count) == approx(expected, abs=1e-15)
+    assert count % 2 == 0 or picture_nodes(count)[count // 2] == 0
+
+
+def test_points_of_a_picture(scene):
+    hidden = scene.hidden
+    right, upward, _ = hidden.axes
+    wide, high = hidden.size
+    expected = np.array(hidden.position) + 0.3 * wide / 2 * right - 0.8 * high / 2 * upward
+    assert picture_point(hidden, 0.3, -0.8) == approx(expected, abs=1e-15)

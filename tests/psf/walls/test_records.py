@@ -1,11 +1,16 @@
 """Point spreads of random scenes' walls, with window, predicted cost and tails, on record."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from nlosoptics import psf
+from nlosoptics import Scene, psf
+from nlosoptics.psf.walls import rough_wall, scene_costs
 from nlosoptics.psf.walls.scene_costs import point_cost
 from nlosoptics.psf.walls.scene_psf import point_window
+from nlosoptics.psf.wave.detilted import split
+from nlosoptics.scene import FacetWall, GaussianWall, SpecularMicrofacet, WallRoughness
 
 from ...records import attempt
 from ...runs.random_scenes import random_case
@@ -71,3 +76,86 @@ def test_bands_and_tails(waves, on_record):
             attempt(psf.widened, spread, tol=1e-2, shape=(40, 30)),
         ]
     )
+
+
+HEIGHTS = {
+    "long": GaussianWall(2e-7, 8e-3, seed=2),
+    "bumps": GaussianWall(3e-7, 2e-3, seed=1),
+    "facets": FacetWall(1e-3, 5e-4, seed=1),
+    "large facets": FacetWall(5e-3, 1e-7, seed=2),
+    "steep": FacetWall(1e-3, 3e-2, seed=1),
+}
+
+
+def letter(examples, heights, realisation):
+    scene = Scene.load(examples / "scenes" / "letter_flat.toml").resized(64)
+    return replace(
+        scene,
+        wall_material=SpecularMicrofacet(0.05, 0.0),
+        wall_roughness=WallRoughness(heights, realisation),
+    )
+
+
+@pytest.mark.parametrize("realisation", ["pattern", "mean"])
+@pytest.mark.parametrize("name", HEIGHTS)
+def test_regimes_of_rough_walls(name, realisation, examples, on_record):
+    """Regime, sampling, cost and window, for narrow and wide pixels."""
+    scene = letter(examples, HEIGHTS[name], realisation)
+    seen, pitch = psf.SceneOptics(scene).at(), scene.camera.image_pitch
+    cases = [(pitch, (9, 12), 1e-2), (pitch / 16, (25, 30), 1e-3), (pitch / 3, (80, 64), 1e-5)]
+    on_record(
+        [
+            [
+                attempt(rough_wall.rough_choice, seen, *case),
+                attempt(point_cost, seen, *case),
+                attempt(rough_wall.rough_window, seen, case[0], case[2]),
+            ]
+            for case in cases
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "parts", "shape"),
+    [
+        ("long", 64, (20, 25)),
+        ("facets", 16, (24, 27)),
+        ("facets", 0.5, (5, 8)),
+        ("steep", 1, (15, 12)),
+    ],
+)
+def test_images_of_rough_walls(name, parts, shape, examples, on_record):
+    scene = letter(examples, HEIGHTS[name], "pattern")
+    seen, pitch = psf.SceneOptics(scene).at(), scene.camera.image_pitch
+    _, spread, field = rough_wall.rough_image(seen, pitch / parts, shape, 1e-2)
+    card = field and [field.amplitude, field.phase, str(field._figures())]
+    on_record([spread, field, card])
+
+
+@pytest.mark.parametrize("name", ["polar", "cells", "grid"])
+def test_costs_of_smooth_waves(name, on_record):
+    """Time and memory of each layout, on narrow and wide pixels, and of finer grids."""
+    options = {"cells": {"aperture": psf.Aperture.regular(6, 3.5e-3, 0.1)}, "grid": {"samples": 90}}
+    wave = psf.Wavefront.from_zernike(
+        {2: 1e-7, 5: 6e-8, 8: 9e-8},
+        wavelength=6e-7,
+        pupil_radius=4e-3,
+        image_distance=-0.06,
+        nodes=name,
+        **options.get(name, {}),
+    )
+    residual = split(wave)
+    cases = [(2e-6, (30, 41), 1e-3), (2e-6, (30, 41), 1e-6), (2e-4, (21, 30), 1e-3)]
+    cases += [(3e-5, (90, 41), 3e-2), (1e-6, (700, 600), 1e-4)]
+    found = [
+        attempt(scene_costs.smooth_cost, residual, *case, cells)
+        for case in cases
+        for cells in (0, 300)
+    ]
+    if name == "grid":
+        found += [
+            attempt(scene_costs.grid_samples, residual, pitch, side, tol)
+            for pitch, side in ((2e-6, 60), (2e-6, 900), (3e-5, 60), (1e-4, 40))
+            for tol in (1e-2, 1e-4, 1e-6)
+        ]
+    on_record(found)
