@@ -94,6 +94,12 @@ def test_too_few_nodes_are_refused(scene):
         image_field(scene, most_nodes=0)
 
 
+def test_the_largest_number_of_nodes_is_tried_itself(scene):
+    found, error = image_field(scene, tol=0.1, most_nodes=1)
+    assert found.weights.shape[1:] == (1, 1)
+    assert error <= 0.1
+
+
 def test_power_is_that_of_the_blurred_picture():
     rng = np.random.default_rng(4)
     picture, kernels = rng.uniform(size=(9, 13)), rng.normal(size=(3, 5, 5))

@@ -13,6 +13,7 @@ from nlosoptics.errors import SceneError
 from nlosoptics.imaging.geometry import chief_rays, picture_points, pixel_centres
 from nlosoptics.imaging.objects import mesh_hits, object_patches
 from nlosoptics.imaging.radiometry import (
+    _Chebyshev,
     background_radiance,
     electrons_per_joule,
     electrons_per_radiance,
@@ -38,6 +39,21 @@ from nlosoptics.scene import (
     SumWall,
     WavyWall,
 )
+
+
+@pytest.mark.parametrize("middle", [0.0, 4.0])
+def test_heights_beyond_the_range_have_the_radiance_of_its_ends(middle):
+    """Between them, polynomials of a degree below the number of nodes are exact."""
+    draw = np.random.default_rng(7)
+    values = middle + draw.uniform(-0.3, 0.7, (4, 5))
+    found = _Chebyshev(values, 4)
+    cubic = np.poly1d(draw.normal(size=4))
+    np.testing.assert_allclose(found.basis(values) @ cubic(found.nodes), cubic(values), atol=1e-11)
+    low, high = values.min(), values.max()
+    beyond = found.basis(np.array([low - 0.2, high + 0.1]))
+    np.testing.assert_allclose(beyond, found.basis(np.array([low, high])), rtol=0, atol=1e-12)
+    assert len(_Chebyshev(np.array([0.0, 3e-15]), 4).nodes) == 4
+    assert len(_Chebyshev(np.array([0.0, 1e-15]), 4).nodes) == 1
 
 
 def test_photon_rate():

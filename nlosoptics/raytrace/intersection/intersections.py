@@ -223,7 +223,7 @@ def _callable(wall: CallableWall, origins: Array, directions: Array) -> Hits:
     scale = 1e-13 * np.maximum(np.sqrt((o * o).sum(axis=1)), 1e-3)
     bound = wall.max_curvature * (d[:, 0] ** 2 + d[:, 1] ** 2)
     t, distance = low.copy(), np.full(len(o), np.nan)
-    active = np.flatnonzero(low <= high)
+    active = np.flatnonzero((low <= high) & (low < math.inf))  # not level beside an endless wall
     status[active] = UNRESOLVED
     for step in range(500):
         if not len(active):
