@@ -418,7 +418,6 @@ def test_counts_of_files(tmp_path, monkeypatch, on_record):
     for level in (0.0, -1.0, 5.0):
         even = np.full((6, 9), level)
         checked.append(attempt(camera_files._checked, "file", even, none, none))
-    image = camera_files._checked("file", values, saturated, dead)
     shapes = [attempt(camera_files._whole_shape, one) for one in ((2, 3), (2,), (0, 1), (1, 0))]
     on_record([corrected, groups, checked, shapes, camera_files.DEAD], 1e-8)
 

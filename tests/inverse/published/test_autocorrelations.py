@@ -12,7 +12,8 @@ from scipy import fft
 from nlosoptics import inverse
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
-from nlosoptics.inverse.data.measurement import measurement
+from nlosoptics.inverse import Measurement
+from nlosoptics.inverse.data.noisy_image import noisy_image
 from nlosoptics.inverse.published.autocorrelations import (
     checked_lags,
     image_lags,
@@ -24,8 +25,7 @@ IMAGE = DRAW.random((6, 9)) + 2.0
 
 
 def measured(image, model=None, noise=0.1):
-    known = {"background": 0.0, "fit_background": True, "background_shape": None}
-    return measurement(image, model or image.shape, noise_sigma=noise, **known)
+    return noisy_image(Measurement(image, noise_sigma=noise), model or image.shape)
 
 
 def mean_lag(values, valid, down, right):

@@ -223,9 +223,9 @@ def test_prior_returns_the_average_or_the_best_of_the_iterates(blurred, outputs,
     (image, model), (seen, rates) = blurred, outputs
     noise = 0.004  # less than there is, so that no fit reaches it
     found = inverse.deep_image_prior(
-        image,
+        inverse.Measurement(image, noise_sigma=noise),
         model,
-        **{"noise_sigma": noise, "guide": "noise", "tv_weight": weight, "base": 8, "depth": 1},
+        **{"guide": "noise", "tv_weight": weight, "base": 8, "depth": 1},
         max_iterations=steps,
         learning_rate=0.02,
     )
@@ -277,11 +277,10 @@ def test_published_steps_move_angles_and_network_in_turn(outputs, fed, monkeypat
         lambda self, guide: guides.append((len(rates), guide.numpy().copy())) or real(self, guide),
     )
     found = inverse.wu2024_fit(
-        image,
+        inverse.Measurement(image, noise_sigma=0.01),
         pupil,
         **{"base": 8, "depth": 1, "alternate": 2, "max_iterations": 7, "learning_rate": 0.02},
         network_input=fed,
-        noise_sigma=0.01,
     )
     network = rates[2][0]
     assert [count for count, _ in rates] == [1, 1, network, network, 1, 1, network]
@@ -306,7 +305,9 @@ def test_published_start_has_the_rms_asked_for_and_its_residual():
     image = 5.0 + np.outer(np.hanning(16), np.hanning(21)) + 0.01 * draw.normal(size=(16, 21))
     asked = {"base": 8, "depth": 1, "max_iterations": 3, "learning_rate": 1e-30}
     for rms, wanted in ((0.2, 0.2), (None, 0.5)):
-        found = inverse.wu2024_fit(image, pupil, start_rms=rms, noise_sigma=0.02, **asked)
+        found = inverse.wu2024_fit(
+            inverse.Measurement(image, noise_sigma=0.02), pupil, start_rms=rms, **asked
+        )
         angles = torch.tensor(found.physical_parameters["coefficients"]).float()
         waves = pupil.aberration(angles).detach().double().numpy() / 6e-7
         share = pupil.optics.share

@@ -15,6 +15,7 @@ from pytest import approx
 from nlosoptics import inverse
 from nlosoptics.errors import NlosError, SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
+from nlosoptics.inverse import Measurement
 from nlosoptics.inverse.published.unet import UNet, UNetObject
 
 DRAW = np.random.default_rng(6)
@@ -175,7 +176,7 @@ def test_reconstruction_scales_the_networks_object_to_the_image(model):
         shape = made(torch.from_numpy(image[None].astype(np.float32)))[0].double().numpy()
     columns = np.stack([model.forward(shape).ravel(), np.ones(image.size)], axis=1)
     (strength, ground), *_ = np.linalg.lstsq(columns, image.ravel(), rcond=None)
-    found = made.reconstruct(image, model, noise_sigma=0.5)
+    found = made.reconstruct(Measurement(image, noise_sigma=0.5), model)
     assert found.object == approx(shape / shape.max(), abs=1e-5)
     assert found.physical_parameters["gain"] == approx(strength * shape.max(), rel=1e-4)
     assert found.physical_parameters["background"] == approx(ground, abs=1e-3)
@@ -212,8 +213,10 @@ def test_converged_is_a_residual_within_the_tolerance(excess, status):
     blob = np.exp(-(across**2 + up**2) / 40.0)
     image = 30.0 * blob + np.random.default_rng(2).normal(size=blob.shape)
     made, model = Knowing(blob), ForwardModel(np.eye(1), shape=blob.shape)
-    misfit = made.reconstruct(image, model, noise_sigma=1.0).score
-    found = made.reconstruct(image, model, noise_sigma=misfit / (1.4 * excess), tolerance=0.4)
+    misfit = made.reconstruct(Measurement(image, noise_sigma=1.0), model).score
+    found = made.reconstruct(
+        Measurement(image, noise_sigma=misfit / (1.4 * excess)), model, tolerance=0.4
+    )
     assert found.score == approx(1.4 * excess, rel=1e-6)
     assert found.status == status
     assert found.object == approx(blob / blob.max(), abs=1e-6)
