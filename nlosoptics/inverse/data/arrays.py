@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _fourier
+from ...errors import SceneError
 
 #: numpy array or torch tensor.
 Values = Any
@@ -92,3 +93,54 @@ def half_spectrum_weights(columns: int) -> NDArray[np.float64]:
     if columns % 2 == 0:
         weights[-1] = 1.0
     return weights
+
+
+def real_array(name: str, value: Any) -> NDArray[np.float64]:
+    """Return an array, a tensor or nested sequences as a float64 array.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument in error messages.
+    value : array_like or Tensor
+        Real numbers.
+
+    Raises
+    ------
+    SceneError
+        If values are not real numbers, or rows differ in length.
+    """
+    try:
+        values = as_numpy(value) if is_tensor(value) else np.asarray(value)
+        if np.iscomplexobj(values):
+            raise TypeError
+        return values.astype(np.float64, copy=False)
+    except (TypeError, ValueError):
+        raise SceneError(
+            f"{name} of type {type(value).__name__} is not an array of real numbers; "
+            "give an array or a tensor"
+        ) from None
+
+
+def shape_of(name: str, value: Any) -> tuple[int, ...]:
+    """Return the shape of a number, an array, a tensor or nested sequences.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument in error messages.
+    value : array_like or Tensor
+        Value to examine.
+
+    Raises
+    ------
+    SceneError
+        If rows differ in length.
+    """
+    try:
+        return tuple(np.shape(value))
+    except ValueError:
+        raise SceneError(
+            f"{name} of type {type(value).__name__} has rows that differ in shape; "
+            "give an array or a tensor"
+        ) from None

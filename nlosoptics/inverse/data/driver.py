@@ -20,9 +20,9 @@ import numpy as np
 from ..._checks import counted, in_range, positive, whole
 from ..._progress import Progress
 from ...errors import SamplingError, SceneError
-from .arrays import Values, is_tensor
+from .arrays import Values, is_tensor, real_array
 from .checkpoints import State, goes_on, started_from, state_of
-from .measurement import Measurement, measurement, real_array
+from .measurement import Measurement, measurement
 from .models import AnyModel
 from .reconstruction import Reconstruction, assemble, concluded, without_object
 from .status import Ending

@@ -8,34 +8,28 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..._checks import positive, real
 from ..._fourier import cosines2
 from ..._special import upper_gamma_share
 from ...errors import SamplingError, SceneError
-from .arrays import Values, as_numpy, is_tensor, library, total, weighted
+from .arrays import Values, as_numpy, is_tensor, library, real_array, shape_of, total, weighted
 from .models import AnyModel, model_shape
+from .noise import bad_pixels, noise_and_bad_pixels
 from .spectra import (
     beyond_optics,
     cosines_within,
     expected_signal,
     half_weights,
-    noise_share,
     object_power,
     passed_power,
     periodic_power,
     power,
 )
 
-# Standard normal quantile at 3/4: median of |x| over sigma.
-_MEDIAN_OVER_SIGMA = 0.6744897501960817
-_BLOCK = 12
 # Noise below this part of the image's range is near float32's rounding in the transforms.
 _FLOAT32_NOISE = 1e-4
-# Least number of frequencies beyond the optics' cut-off for a noise estimate: a relative standard
-# error of 3 %, below that of the second differences for frames of up to 64 x 64 pixels.
-_LEAST_BEYOND = 500
 # Sum of squared weights that is only rounding error.
 _ROUNDING = 1e-9
 # Standard errors by which the noise beyond the optics may differ from the stated noise; more is a
@@ -68,6 +62,9 @@ class Measurement:
         Shape of that background, mean 1; None if it is uniform.
     template : Tensor or None
         The image as given if it was a tensor; None for an array.
+    bad_pixels : ndarray or None, (H, W)
+        Mask of the pixels that were found to be dead or hot, and are excluded too; None if none
+        was.
     """
 
     data: Values
@@ -77,6 +74,7 @@ class Measurement:
     fit_background: bool
     background_shape: Values | None
     template: Values | None
+    bad_pixels: NDArray[np.bool_] | None = None
 
     @property
     def on_processor(self) -> bool:
@@ -307,29 +305,18 @@ def measurement(
         data = data - real("background", background)
     else:
         data = data - _picture("background", background, shape)
-    weights = None
+    passed = None if isinstance(model, tuple) else passed_power(model)
+    sigmas: float | NDArray[np.float64]
     if noise_sigma is None:
-        sigma = estimate_noise(data, None if isinstance(model, tuple) else model)
-        if sigma == 0.0 and float(data.max()) > float(data.min()):
+        sigmas, bad = noise_and_bad_pixels(data, passed)
+        if sigmas == 0.0 and float(data.max()) > float(data.min()):
             raise SceneError(
                 "the estimated noise of the image is 0 although it is not uniform; give noise_sigma"
             )
-    elif not shape_of("noise_sigma", noise_sigma):
-        sigma = _positive_sigma(noise_sigma)
     else:
-        sigmas = _picture("noise_sigma", noise_sigma, shape, infinite=True)
-        least = float(sigmas.min())
-        if math.isinf(least):
-            raise SceneError(
-                "noise_sigma is infinite in every pixel, so that none counts; give finite noise "
-                "for the valid pixels"
-            )
-        _positive_sigma(least)
-        weights = sigmas**-2.0
-        sigma = (total(weights) / weights.size) ** -0.5
-        weights = weights * sigma**2
-        # an excluded pixel must not affect the range of the image
-        data = np.where(weights > 0.0, data, total(weights * data) / weights.size)
+        sigmas = _stated_noise(noise_sigma, shape)
+        bad = bad_pixels(_weighed(data, sigmas)[0], passed, sigmas)
+    data, sigma, weights = _weighed(data, sigmas if bad is None else np.where(bad, np.inf, sigmas))
     return Measurement(
         data=data,
         sigma=sigma,
@@ -338,184 +325,37 @@ def measurement(
         fit_background=fit_background,
         background_shape=_background_shape(background_shape, shape),
         template=template,
+        bad_pixels=bad,
     )
 
 
-def real_array(name: str, value: Any) -> NDArray[np.float64]:
-    """Return an array, a tensor or nested sequences as a float64 array.
-
-    Parameters
-    ----------
-    name : str
-        Name of the argument in error messages.
-    value : array_like or Tensor
-        Real numbers.
-
-    Raises
-    ------
-    SceneError
-        If values are not real numbers, or rows differ in length.
-    """
-    try:
-        values = as_numpy(value) if is_tensor(value) else np.asarray(value)
-        if np.iscomplexobj(values):
-            raise TypeError
-        return values.astype(np.float64, copy=False)
-    except (TypeError, ValueError):
+def _stated_noise(value: Any, shape: tuple[int, int]) -> float | NDArray[np.float64]:
+    """Return the noise that the caller states: a number, or a map that may be infinite in parts."""
+    if not shape_of("noise_sigma", value):
+        return _positive_sigma(value)
+    sigmas = _picture("noise_sigma", value, shape, infinite=True)
+    least = float(sigmas.min())
+    if math.isinf(least):
         raise SceneError(
-            f"{name} of type {type(value).__name__} is not an array of real numbers; "
-            "give an array or a tensor"
-        ) from None
-
-
-def shape_of(name: str, value: Any) -> tuple[int, ...]:
-    """Return the shape of a number, an array, a tensor or nested sequences.
-
-    Parameters
-    ----------
-    name : str
-        Name of the argument in error messages.
-    value : array_like or Tensor
-        Value to examine.
-
-    Raises
-    ------
-    SceneError
-        If rows differ in length.
-    """
-    try:
-        return tuple(np.shape(value))
-    except ValueError:
-        raise SceneError(
-            f"{name} of type {type(value).__name__} has rows that differ in shape; "
-            "give an array or a tensor"
-        ) from None
-
-
-def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> float:
-    """Estimate the rms noise of an image from its pixels.
-
-    The noise must be uncorrelated between pixels. Its strength may vary over the image.
-
-    Parameters
-    ----------
-    image : array_like or Tensor
-        Image, (H, W), at least 3 x 3 pixels.
-    model : ForwardModel or TorchForwardModel, optional
-        Image model of shape (H, W): the convolution with the known point spread function (PSF). If
-        given, the noise is measured at those spatial frequencies that the PSF does not transmit, if
-        there are enough of them.
-
-    Returns
-    -------
-    float
-        Rms noise in the unit of the image; 0 for a uniform image or one with identical rows or
-        columns.
-
-    Raises
-    ------
-    SamplingError
-        If the array is not a single image of at least 3 x 3 pixels, or does not have the model's
-        shape.
-    SceneError
-        If a value is not finite or not a real number.
-
-    See Also
-    --------
-    tv_deconvolve : Non-negative deconvolution with total variation.
-    nlosoptics.imaging.CameraImage : Corrected camera image with its masked pixels.
-
-    Notes
-    -----
-    Without a model, second differences of the image along both axes are taken [1]_, in which a
-    smooth image nearly vanishes and noise remains. The noise follows from the median of their
-    magnitudes [2]_, on which a few edges have little effect. Because the noise may vary over the
-    image, this is done in blocks of about 12 x 12 pixels, and the squares are averaged. A block
-    whose median is zero, for example a dark region with few counts, contributes its rms value
-    instead. For uniform noise the result is 2 % too high, with a relative standard deviation of
-    2/sqrt(number of pixels). Fine detail of a sharp image increases the result: by up to 35 % for
-    images of 64 x 64 pixels with 0.5 % noise.
-
-    With a model, the noise is measured at spatial frequencies f at which the given image contains
-    almost nothing else. To find them, the power spectrum of the image without noise is predicted.
-    It is proportional to 1/f^2, as for a typical object, times the squared modulus of the transfer
-    function. Its total is the given image's variance minus that of the noise. A frequency is used
-    if the predicted power is below 5 % of the noise's power. The mean power of the given image at
-    these frequencies, minus the predicted power, is the variance of the noise. Because the
-    selection of frequencies depends on the noise, it is made three times, at first with the noise
-    by second differences.
-
-    If fewer than 500 frequencies are found, the result by second differences is returned. For n
-    frequencies the relative standard error is 1/sqrt(2 n). Differences between opposite edges of
-    the image are removed first, because they would spread over all frequencies [3]_. The noise's
-    share in these differences, about 2/N of its power in N x N pixels, is added again.
-
-    References
-    ----------
-    .. [1] Immerkaer, Computer Vision and Image Understanding 64 (1996) 300.
-    .. [2] Donoho and Johnstone, Biometrika 81 (1994) 425.
-    .. [3] Moisan, J. Math. Imaging Vis. 39 (2011) 161.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from nlosoptics.inverse import estimate_noise
-    >>> image = 100.0 + np.random.default_rng(0).normal(0.0, 3.0, size=(256, 256))
-    >>> round(estimate_noise(image), 1)
-    3.1
-    """
-    values = real_array("image", image)
-    if values.ndim != 2 or min(values.shape) < 3:
-        raise SamplingError(
-            f"image has shape {values.shape}, noise needs at least 3 x 3 pixels; give noise_sigma"
+            "noise_sigma is infinite in every pixel, so that none counts; give finite noise "
+            "for the valid pixels"
         )
-    if not np.isfinite(values).all():
-        raise SceneError(
-            f"image has {np.count_nonzero(~np.isfinite(values))} of {values.size} values that are "
-            "not finite; replace bad pixels by their neighbours"
-        )
-    # The mask (1, -2, 1) x (1, -2, 1) has norm 6.
-    response = np.abs(np.diff(np.diff(values, n=2, axis=0), n=2, axis=1)) / 6.0
-    counts = [max(1, length // _BLOCK) for length in response.shape]
-    sides = [length // count for length, count in zip(response.shape, counts, strict=True)]
-    whole_blocks = response[: counts[0] * sides[0], : counts[1] * sides[1]]
-    tiles = whole_blocks.reshape(counts[0], sides[0], counts[1], sides[1]).swapaxes(1, 2)
-    blocks = tiles.reshape(counts[0] * counts[1], -1)
-    medians = np.median(blocks, axis=1)
-    squares = np.where(
-        medians > 0.0, (medians / _MEDIAN_OVER_SIGMA) ** 2, (blocks * blocks).mean(axis=1)
-    )
-    sigma = math.sqrt(float(squares.mean()))
-    if model is None or sigma == 0.0:
-        return sigma
-    if values.shape != model_shape(model):
-        raise SamplingError(
-            f"image has shape {values.shape}, must be {model_shape(model)} like the model; "
-            "resample it or build the model for that shape"
-        )
-    return _noise_beyond(values, model, sigma)
+    _positive_sigma(least)
+    return sigmas
 
 
-def _noise_beyond(image: NDArray[np.float64], model: AnyModel, sigma: float) -> float:
-    """Return the rms noise from the frequencies that the optics do not pass.
-
-    ``sigma`` is a first estimate; it is returned if there are too few such frequencies.
-    """
-    power = periodic_power(image)
-    passed = passed_power(model)
-    twice = half_weights(image.shape)
-    share = noise_share(image.shape)
-    found = sigma
-    for _ in range(3):  # the frequencies depend on the noise; three rounds change it below 1 %
-        signal = expected_signal(power, passed, found**2, image.shape)
-        beyond = beyond_optics(signal, found**2)
-        count = float(twice[beyond].sum())
-        kept = float((twice * share)[beyond].sum())
-        variance = float((twice * (power - signal))[beyond].sum()) / max(kept, 1.0)
-        if count < _LEAST_BEYOND or variance <= 0.0:
-            return sigma
-        found = math.sqrt(variance)
-    return found
+def _weighed(
+    data: NDArray[np.float64], sigmas: float | NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float, NDArray[np.float64] | None]:
+    """Return image, reference noise and weights, as in `Measurement`, for a noise of each pixel."""
+    if not isinstance(sigmas, np.ndarray):
+        return data, sigmas, None
+    weights = sigmas**-2.0
+    sigma = (total(weights) / weights.size) ** -0.5
+    weights = weights * sigma**2
+    # an excluded pixel must not affect the range of the image
+    data = np.where(weights > 0.0, data, total(weights * data) / weights.size)
+    return data, sigma, weights
 
 
 def _background_shape(value: Any, shape: tuple[int, int]) -> NDArray[np.float64] | None:

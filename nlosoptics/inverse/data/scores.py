@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..._checks import positive, whole
 from ..._smoothing import gaussian_smoothed
 from ...errors import SamplingError, SceneError
-from .measurement import real_array
+from .arrays import real_array
 from .reconstruction import Reconstruction
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from ...errors import SamplingError, SceneError
-from ..data.arrays import as_numpy
+from ..data.arrays import as_numpy, real_array
 from ..data.forward import TorchForwardModel
-from ..data.measurement import Measurement, real_array
+from ..data.measurement import Measurement
 
 Array = NDArray[np.float64]
 

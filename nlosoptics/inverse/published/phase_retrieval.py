@@ -19,9 +19,10 @@ from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
+from ..data.arrays import shape_of
 from ..data.driver import Iterate, Solver, run
 from ..data.forward import TorchForwardModel, torch_model
-from ..data.measurement import measurement, shape_of
+from ..data.measurement import measurement
 from ..data.models import one_kernel_shape
 from ..data.reconstruction import Reconstruction, frozen
 from ..data.scores import registered_correlation

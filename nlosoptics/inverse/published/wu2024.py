@@ -19,8 +19,9 @@ from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
 from ..data.adam import descend, joined, spread
+from ..data.arrays import real_array, shape_of
 from ..data.driver import Iterate, Run, Solver, reconstructed, solved
-from ..data.measurement import Measurement, real_array, shape_of
+from ..data.measurement import Measurement
 from ..data.reconstruction import Reconstruction, beside
 from ..data.scaled_images import ScaledImage, total_variation
 from ..data.scores import registered_correlation

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from ..._checks import counted
 from ...errors import SamplingError, SceneError
-from ..data.measurement import Measurement, measurement, real_array, shape_of
+from ..data.arrays import real_array, shape_of
+from ..data.measurement import Measurement, measurement
 from .pupil_psf import MOST_DEFOCUS, PupilPSF
 from .pupil_waves import ZernikeWaves
 
