@@ -3,7 +3,7 @@ from .blind.pcin import pcin as pcin
 from .data.checkpoints import Stop as Stop
 from .data.forward import TorchForwardModel as TorchForwardModel
 from .data.measurement import Measurement as Measurement
-from .data.noisy_image import estimate_noise as estimate_noise
+from .data.noise import estimate_noise as estimate_noise
 from .data.reconstruction import Reconstruction as Reconstruction
 from .data.scores import RegisteredScores as RegisteredScores
 from .data.scores import registered_correlation as registered_correlation

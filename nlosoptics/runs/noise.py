@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from .._smoothing import gaussian_smoothed
 from ..imaging import CameraImage, ForwardModel
 from ..imaging.images import reading_noise
-from ..inverse.data.noisy_image import estimate_noise, surrounded
+from ..inverse.data.noise import estimate_noise
+from ..inverse.data.noisy_image import surrounded
 from ..scene import Scene
 
 Array = NDArray[np.float64]

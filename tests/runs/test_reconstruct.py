@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from PIL import Image
 
 import nlosoptics
 from nlosoptics import cli, inverse, limits, reconstructing
-from nlosoptics.imaging import CameraImage
+from nlosoptics.imaging import CameraImage, ForwardModel
 from nlosoptics.scene import Lambert, Scene
 
 
@@ -73,6 +74,27 @@ def test_object_and_report_are_written(method: str, taken: np.ndarray, capsys) -
     # a picture of 8 bits holds what is not negative, rounded
     assert abs(drawn - np.clip(found / found.max(), 0, 1)).max() <= 0.5 / 255 + 1e-12
     assert call(capsys, *USUAL, *FRAMES, "--method", method)[0] == 0  # over its own files
+
+
+def test_hot_pixels_are_found_and_told(taken: np.ndarray, capsys, monkeypatch) -> None:
+    axis = np.arange(13.0) - 6.0
+    kernel = np.exp(-(axis**2 + axis[:, None] ** 2) / (2 * 1.5**2))
+    model = ForwardModel(kernel / kernel.sum(), shape=taken.shape)
+    monkeypatch.setattr(reconstructing, "known_model", lambda *_, **__: model)
+    counts = 4e4 * model.forward(taken / taken.max()) + 1e3
+    counts += np.random.default_rng(0).normal(0.0, 200.0, counts.shape)
+    hot = [(10, 12), (30, 31), (30, 32), (50, 7)]
+    counts[tuple(zip(*hot, strict=True))] = 6e4
+    Image.fromarray(np.rint(counts).astype(np.uint16)).save("letter.png")
+    code, out, _ = call(capsys, *USUAL)
+    assert code == 0
+    assert re.search(r"dead or hot pixels, ignored +4", out)
+    report = json.loads(Path("letter/result.json").read_text())
+    assert report["figures"]["physical_parameters"]["bad_pixels"] == 4
+    with np.load("letter/reconstruction.npz") as arrays:
+        bad = arrays["physical_parameters_bad_pixel_map"]
+    assert sorted(zip(*np.nonzero(bad), strict=True)) == hot
+    assert inverse.registered_correlation(np.load("letter/object.npy"), taken) > 0.95
 
 
 def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(

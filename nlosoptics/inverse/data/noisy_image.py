@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..._checks import positive, real
 from ..._fourier import cosines2
@@ -27,12 +27,12 @@ from .arrays import (
 )
 from .measurement import Measurement, measured
 from .models import AnyModel, model_shape
+from .noise import bad_pixels, noise_and_bad_pixels
 from .spectra import (
     beyond_optics,
     cosines_within,
     expected_signal,
     half_weights,
-    noise_share,
     object_power,
     passed_power,
     periodic_power,
@@ -81,6 +81,9 @@ class NoisyImage:
         Shape of that background, mean 1; None if it is uniform.
     template : Tensor or None
         The image as given if it was a tensor; None for an array.
+    bad_pixels : ndarray or None, (H, W)
+        Mask of the pixels that were found to be dead or hot, and are excluded too; None if none
+        was.
     """
 
     data: Values
@@ -90,6 +93,7 @@ class NoisyImage:
     fit_background: bool
     background_shape: Values | None
     template: Values | None
+    bad_pixels: NDArray[np.bool_] | None = None
 
     @property
     def on_processor(self) -> bool:
@@ -328,42 +332,65 @@ def noisy_image(image: Any, model: AnyModel | tuple[int, int]) -> NoisyImage:
         data = data - _picture("background", given.background, shape, masked)
     if masked is not None:
         data = surrounded(data, masked)
-    sigmas: Any = given.noise_sigma
-    if sigmas is None:
-        sigmas = estimate_noise(data, None if isinstance(model, tuple) else model)
+    passed = None if isinstance(model, tuple) else passed_power(model)
+    sigmas: float | NDArray[np.float64]
+    if given.noise_sigma is None:
+        sigmas, bad = noise_and_bad_pixels(data, passed, masked)
         if sigmas == 0.0 and float(data.max()) > float(data.min()):
             raise SceneError(
                 "the estimated noise of the image is 0 although it is not uniform; give noise_sigma"
             )
-    elif shape_of("noise_sigma", sigmas):
-        sigmas = _picture("noise_sigma", sigmas, shape, masked, infinite=True)
     else:
-        sigmas = _positive_sigma(sigmas)
+        sigmas = _stated_noise(given.noise_sigma, shape, masked)
+        bad = bad_pixels(_weighed(data, sigmas)[0], passed, sigmas, masked)
+    if bad is not None:
+        sigmas = np.where(bad, np.inf, sigmas)
     if masked is not None and np.any(sigmas):
         sigmas = np.where(masked, np.inf, sigmas)
-    weights = None
-    if np.ndim(sigmas):
-        least = float(sigmas.min())
-        if math.isinf(least):
-            raise SceneError(
-                "noise_sigma is infinite in every pixel, so that none counts; give finite noise "
-                "for the valid pixels"
-            )
-        _positive_sigma(least)
-        weights = sigmas**-2.0
-        sigmas = (total(weights) / weights.size) ** -0.5
-        weights = weights * sigmas**2
-        # an excluded pixel must not affect the range of the image
-        data = np.where(weights > 0.0, data, total(weights * data) / weights.size)
+    data, sigma, weights = _weighed(data, sigmas)
     return NoisyImage(
         data=data,
-        sigma=sigmas,
+        sigma=sigma,
         weights=weights,
         sigma_estimated=given.noise_sigma is None,
         fit_background=given.fit_background,
         background_shape=_background_shape(given.background_shape, shape),
         template=given.image if is_tensor(given.image) else None,
+        bad_pixels=bad,
     )
+
+
+def _stated_noise(
+    value: Any, shape: tuple[int, int], masked: NDArray[np.bool_] | None
+) -> float | NDArray[np.float64]:
+    """Return the noise that the caller states: a number, or a map that may be infinite in parts."""
+    if not shape_of("noise_sigma", value):
+        return _positive_sigma(value)
+    sigmas = _picture("noise_sigma", value, shape, masked, infinite=True)
+    if masked is not None:
+        sigmas = np.where(masked, np.inf, sigmas)
+    least = float(sigmas.min())
+    if math.isinf(least):
+        raise SceneError(
+            "noise_sigma is infinite in every pixel, so that none counts; give finite noise "
+            "for the valid pixels"
+        )
+    _positive_sigma(least)
+    return sigmas
+
+
+def _weighed(
+    data: NDArray[np.float64], sigmas: float | NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float, NDArray[np.float64] | None]:
+    """Return image, reference noise and weights, as in `NoisyImage`, for a noise of each pixel."""
+    if not isinstance(sigmas, np.ndarray):
+        return data, sigmas, None
+    weights = sigmas**-2.0
+    sigma = (total(weights) / weights.size) ** -0.5
+    weights = weights * sigma**2
+    # an excluded pixel must not affect the range of the image
+    data = np.where(weights > 0.0, data, total(weights * data) / weights.size)
+    return data, sigma, weights
 
 
 def surrounded(values: NDArray[np.float64], masked: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -373,132 +400,6 @@ def surrounded(values: NDArray[np.float64], masked: NDArray[np.bool_]) -> NDArra
     mean = float(values[~masked].mean())
     around = np.where(valid > _LEAST_AROUND, sums / np.maximum(valid, _LEAST_AROUND), mean)
     return np.where(masked, around, values)
-
-
-def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> float:
-    """Estimate the rms noise of an image from its pixels.
-
-    The noise must be uncorrelated between pixels. Its strength may vary over the image.
-
-    Parameters
-    ----------
-    image : array_like or Tensor
-        Image, (H, W), at least 3 x 3 pixels.
-    model : ForwardModel or TorchForwardModel, optional
-        Image model of shape (H, W): the convolution with the known point spread function (PSF). If
-        given, the noise is measured at those spatial frequencies that the PSF does not transmit, if
-        there are enough of them.
-
-    Returns
-    -------
-    float
-        Rms noise in the unit of the image; 0 for a uniform image or one with identical rows or
-        columns.
-
-    Raises
-    ------
-    SamplingError
-        If the array is not a single image of at least 3 x 3 pixels, or does not have the model's
-        shape.
-    SceneError
-        If a value is not finite or not a real number.
-
-    See Also
-    --------
-    tv_deconvolve : Non-negative deconvolution with total variation.
-    nlosoptics.imaging.CameraImage : Corrected camera image with its masked pixels.
-
-    Notes
-    -----
-    Without a model, second differences of the image along both axes are taken [1]_, in which a
-    smooth image nearly vanishes and noise remains. The noise follows from the median of their
-    magnitudes [2]_, on which a few edges have little effect. Because the noise may vary over the
-    image, this is done in blocks of about 12 x 12 pixels, and the squares are averaged. A block
-    whose median is zero, for example a dark region with few counts, contributes its rms value
-    instead. For uniform noise the result is 2 % too high, with a relative standard deviation of
-    2/sqrt(number of pixels). Fine detail of a sharp image increases the result: by up to 35 % for
-    images of 64 x 64 pixels with 0.5 % noise.
-
-    With a model, the noise is measured at spatial frequencies f at which the given image contains
-    almost nothing else. To find them, the power spectrum of the image without noise is predicted.
-    It is proportional to 1/f^2, as for a typical object, times the squared modulus of the transfer
-    function. Its total is the given image's variance minus that of the noise. A frequency is used
-    if the predicted power is below 5 % of the noise's power. The mean power of the given image at
-    these frequencies, minus the predicted power, is the variance of the noise. Because the
-    selection of frequencies depends on the noise, it is made three times, at first with the noise
-    by second differences.
-
-    If fewer than 500 frequencies are found, the result by second differences is returned. For n
-    frequencies the relative standard error is 1/sqrt(2 n). Differences between opposite edges of
-    the image are removed first, because they would spread over all frequencies [3]_. The noise's
-    share in these differences, about 2/N of its power in N x N pixels, is added again.
-
-    References
-    ----------
-    .. [1] Immerkaer, Computer Vision and Image Understanding 64 (1996) 300.
-    .. [2] Donoho and Johnstone, Biometrika 81 (1994) 425.
-    .. [3] Moisan, J. Math. Imaging Vis. 39 (2011) 161.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from nlosoptics.inverse import estimate_noise
-    >>> image = 100.0 + np.random.default_rng(0).normal(0.0, 3.0, size=(256, 256))
-    >>> round(estimate_noise(image), 1)
-    3.1
-    """
-    values = real_array("image", image)
-    if values.ndim != 2 or min(values.shape) < 3:
-        raise SamplingError(
-            f"image has shape {values.shape}, noise needs at least 3 x 3 pixels; give noise_sigma"
-        )
-    if not np.isfinite(values).all():
-        raise SceneError(
-            f"image has {np.count_nonzero(~np.isfinite(values))} of {values.size} values that are "
-            "not finite; replace bad pixels by their neighbours"
-        )
-    # The mask (1, -2, 1) x (1, -2, 1) has norm 6.
-    response = np.abs(np.diff(np.diff(values, n=2, axis=0), n=2, axis=1)) / 6.0
-    counts = [max(1, length // _BLOCK) for length in response.shape]
-    sides = [length // count for length, count in zip(response.shape, counts, strict=True)]
-    whole_blocks = response[: counts[0] * sides[0], : counts[1] * sides[1]]
-    tiles = whole_blocks.reshape(counts[0], sides[0], counts[1], sides[1]).swapaxes(1, 2)
-    blocks = tiles.reshape(counts[0] * counts[1], -1)
-    medians = np.median(blocks, axis=1)
-    squares = np.where(
-        medians > 0.0, (medians / _MEDIAN_OVER_SIGMA) ** 2, (blocks * blocks).mean(axis=1)
-    )
-    sigma = math.sqrt(float(squares.mean()))
-    if model is None or sigma == 0.0:
-        return sigma
-    if values.shape != model_shape(model):
-        raise SamplingError(
-            f"image has shape {values.shape}, must be {model_shape(model)} like the model; "
-            "resample it or build the model for that shape"
-        )
-    return _noise_beyond(values, model, sigma)
-
-
-def _noise_beyond(image: NDArray[np.float64], model: AnyModel, sigma: float) -> float:
-    """Return the rms noise from the frequencies that the optics do not pass.
-
-    ``sigma`` is a first estimate; it is returned if there are too few such frequencies.
-    """
-    power = periodic_power(image)
-    passed = passed_power(model)
-    twice = half_weights(image.shape)
-    share = noise_share(image.shape)
-    found = sigma
-    for _ in range(3):  # the frequencies depend on the noise; three rounds change it below 1 %
-        signal = expected_signal(power, passed, found**2, image.shape)
-        beyond = beyond_optics(signal, found**2)
-        count = float(twice[beyond].sum())
-        kept = float((twice * share)[beyond].sum())
-        variance = float((twice * (power - signal))[beyond].sum()) / max(kept, 1.0)
-        if count < _LEAST_BEYOND or variance <= 0.0:
-            return sigma
-        found = math.sqrt(variance)
-    return found
 
 
 def _background_shape(value: Any, shape: tuple[int, int]) -> NDArray[np.float64] | None:

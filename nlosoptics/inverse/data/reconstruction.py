@@ -34,8 +34,10 @@ class Reconstruction(Noun, Shown):
         Fitted and given values. ``gain``: image units per unit of the object. ``background``: mean
         of the fitted background, image units; a background that was given to the solver comes on
         top. ``noise_sigma``: rms noise, image units; for a noise map sigma_i it is
-        ``mean(1/sigma_i^2)^(-1/2)``. The docstring of a solver names further values and the shapes
-        of arrays, such as the wave's ``coefficients`` if the wall was fitted as well.
+        ``mean(1/sigma_i^2)^(-1/2)``. If dead or hot pixels were found and ignored: their number
+        ``bad_pixels`` and the mask ``bad_pixel_map``, (H, W). The docstring of a solver names
+        further values and the shapes of arrays, such as the wave's ``coefficients`` if the wall was
+        fitted as well.
     status : {"converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"}
         "converged": the solver met its stopping criterion, and no test found a contradiction
         between image and model. "unconverged": the stopping criterion was not met, and the object
@@ -130,6 +132,9 @@ def assemble(
     if gain is None:
         brightest = float(level.max())
         gain = brightest if brightest > 0.0 else 1.0
+    if data.bad_pixels is not None:
+        parameters["bad_pixels"] = int(data.bad_pixels.sum())
+        parameters["bad_pixel_map"] = data.bad_pixels
     if error is not None:
         parameters["object_error"] = data.like_input(error / gain)
     return Reconstruction(

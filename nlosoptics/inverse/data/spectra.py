@@ -9,6 +9,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ..._fourier import irfft2, rfft2
@@ -41,12 +42,12 @@ def passed_power(model: AnyModel) -> Array:
     """
     twin = numpy_model(model)
     if twin.weights is None:
-        return _squared(frame_transfer(twin))
+        return squared(frame_transfer(twin))
     flat = twin.weights.reshape(len(twin.weights), -1)
     values, vectors = np.linalg.eigh(flat @ flat.T / flat.shape[1])
     each = np.stack([_at_frame(part, twin) for part in twin.transfer])
     parts = zip(values, np.tensordot(vectors.T, each, 1), strict=True)
-    return np.asarray(sum(max(float(value), 0.0) * _squared(part) for value, part in parts))
+    return np.asarray(sum(max(float(value), 0.0) * squared(part) for value, part in parts))
 
 
 def _at_frame(transfer: NDArray[np.complex128], model: ForwardModel) -> NDArray[np.complex128]:
@@ -72,27 +73,40 @@ def half_weights(shape: tuple[int, ...]) -> Array:
 
 def power(image: Array) -> Array:
     """Return the power of each frequency of an image; for white noise its variance, on average."""
-    return _squared(rfft2(image)) / image.size
+    return squared(rfft2(image)) / image.size
 
 
 def periodic_power(image: Array) -> Array:
-    """Return the `power` of an image without the jumps between opposite edges of its frame.
+    """Return the `power` of an image without the jumps between opposite edges of its frame."""
+    return squared(periodic_spectrum(image)) / image.size
+
+
+def periodic_spectrum(image: Array, along: int = 1) -> NDArray[np.complex128]:
+    """Return the ``rfft2`` of an image without the jumps between opposite edges of its frame.
+
+    Each jump is the median of ``along`` ones along the edge.
 
     The smooth image whose second differences cancel those of the jumps is subtracted (Moisan,
     J. Math. Imaging Vis. 39 (2011) 161).
     """
     rows, columns = image.shape
+    down, across = image[-1] - image[0], image[:, -1] - image[:, 0]
+    if along > 1:
+        down, across = (
+            np.median(sliding_window_view(np.pad(jump, along // 2, "wrap"), along), axis=1)
+            for jump in (down, across)
+        )
     jumps = np.zeros_like(image)
-    jumps[0] += image[-1] - image[0]
-    jumps[-1] += image[0] - image[-1]
-    jumps[:, 0] += image[:, -1] - image[:, 0]
-    jumps[:, -1] += image[:, 0] - image[:, -1]
+    jumps[0] += down
+    jumps[-1] -= down
+    jumps[:, 0] += across
+    jumps[:, -1] -= across
     y, x = _angles(rows, columns)
     curvature = 2.0 * (np.cos(y) + np.cos(x)) - 4.0
     curvature[0, 0] = 1.0
     smooth = rfft2(jumps) / curvature
     smooth[0, 0] = 0.0
-    return _squared(rfft2(image) - smooth) / image.size
+    return np.asarray(rfft2(image) - smooth)
 
 
 def noise_share(shape: tuple[int, ...]) -> Array:
@@ -165,7 +179,8 @@ def cosines_within(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[n
     return pairs
 
 
-def _squared(spectrum: NDArray[Any]) -> Array:
+def squared(spectrum: NDArray[Any]) -> Array:
+    """Return the squared modulus of a spectrum."""
     return np.asarray(spectrum.real**2 + spectrum.imag**2)
 
 
