@@ -194,7 +194,7 @@ def noise_and_bad_pixels(
     if passed is None:
         return sigma, None
     bad, filled = lone_pixels(image, passed, sigma, masked=masked)
-    if bad.any():
+    if masked is not None or bad.any():
         sigma = _noise_of_neighbours(filled)
     quiet = bad.mean() + (0.0 if masked is None else masked.mean())
     found = _noise_beyond(filled, passed, sigma) / math.sqrt(1.0 - quiet)
@@ -240,7 +240,7 @@ def lone_pixels(
     least : ndarray (H, W) or float
         Rms noise that is stated for each pixel, image units: no pixel within six of it is bad.
     masked : ndarray of bool (H, W) or None
-        Pixels that are known to hold no measured value, and are not examined.
+        Pixels that hold no measured value; they are not examined, and get predictions as well.
 
     Notes
     -----
@@ -259,7 +259,8 @@ def lone_pixels(
     nearby. After the first round the limits of 6 become 4.5.
     """
     filled, shape = image.copy(), image.shape
-    bad = np.zeros(shape, dtype=bool)
+    out = np.zeros(shape, dtype=bool) if masked is None else masked.copy()  # of the predictions
+    renewed = not out.any()
     twice, modulus = half_weights(shape), np.sqrt(passed)
     limit, most = _LEAST_DEVIATION, max(1, int(_MOST_AT_ONCE * image.size))
     searched = sigma > 0.0 and min(shape) >= _LEAST_SEARCHED
@@ -268,9 +269,13 @@ def lone_pixels(
         signal = expected_signal(squared(spectrum) / image.size, passed, sigma**2, shape)
         share = sigma**2 / (_SHARP * signal + sigma**2)
         share[0, 0] = 0.0
+        if not renewed:  # means of the pixels around are worse than predictions
+            filled, renewed = _filled(filled, out, spectrum, share), True
+            sigma = _noise_of_neighbours(filled)
+            continue
         mean = float((twice * share).sum()) / image.size
         deviation = irfft2(spectrum * share, shape[1]) / (sigma * math.sqrt(mean))
-        size = np.where(bad if masked is None else bad | masked, 0.0, np.abs(deviation))
+        size = np.where(out, 0.0, np.abs(deviation))
         at = np.flatnonzero(size > limit)
         if len(at) > most:
             at = at[np.argpartition(size.ravel()[at], -most)[-most:]]
@@ -288,10 +293,10 @@ def lone_pixels(
         found &= change > most_change * np.ptp(filled[around], axis=1)
         if not found.any():
             break
-        bad[row[found], column[found]] = True
-        filled = _filled(filled, bad, spectrum, share)
+        out[row[found], column[found]] = True
+        filled = _filled(filled, out, spectrum, share)
         sigma, limit = _noise_of_neighbours(filled), _LEAST_BESIDE
-    return bad, filled
+    return out if masked is None else out & ~masked, filled
 
 
 def _left(near: Array, pattern: Array) -> Array:
