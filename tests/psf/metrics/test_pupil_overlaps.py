@@ -57,6 +57,7 @@ def spans(level, azimuth):
     return [(low, high), (middle - half, middle + half)]
 
 
+@np.errstate(invalid="ignore")
 def plain(frequency, azimuth, path, amplitude):
     """Sum over lines along the shift and Gauss-Legendre nodes within each overlap."""
     shift = WAVELENGTH * DISTANCE * frequency

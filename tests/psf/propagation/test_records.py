@@ -37,7 +37,27 @@ def test_a_field(field, method, distance, on_record):
     on_record([own, other, field.power, field.sampling_error])
 
 
-@pytest.mark.parametrize("pitch", [0.2e-6, 0.33e-6, 2e-6])
+@pytest.mark.parametrize("pitch", [0.27e-6, 0.39e-6, 0.6e-6])
+@pytest.mark.parametrize("distance", [4e-6, 3e-5, 4e-4])
+def test_rays_at_large_angles(pitch, distance, on_record):
+    """Noise at all angles, whose steepest rays miss the output and are removed."""
+    rng = np.random.default_rng(6)
+    samples = rng.normal(size=(19, 24)) + 1j * rng.normal(size=(19, 24))
+    field = psf.ScalarField(samples=samples, pitch=pitch, wavelength=WAVELENGTH)
+    on_record(
+        attempt(
+            psf.propagate,
+            field,
+            distance,
+            method="angular_spectrum",
+            pitch=1.2 * pitch,
+            shape=(31, 22),
+            tol=1.0,
+        )
+    )
+
+
+@pytest.mark.parametrize("pitch", [0.2e-6, 0.33e-6, 0.39e-6, 2e-6])
 @pytest.mark.parametrize("paraxial", [False, True])
 def test_bands_and_their_tails(pitch, paraxial, on_record):
     """On the lattice of the input or beside it, near and far, evanescent or not."""
