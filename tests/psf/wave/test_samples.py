@@ -309,3 +309,21 @@ def test_squares_of_two_segments():
     assert residual.mixed_area == approx(wide * (total - most).sum() / total.sum(), rel=1e-12)
     # the step between the segments is no slope
     assert residual.grid_jump()[0] * WAVELENGTH < 0.5e-7
+
+
+def test_faint_scattered_nodes_are_dark():
+    """Below 1e-12 of the strongest amplitude times area."""
+    u, v = np.random.default_rng(6).uniform(-2.5e-3, 2.5e-3, (2, 80))
+    amplitude = np.ones(80)
+    amplitude[[7, 30, 51, 64]] = 0.8e-12, 1.2e-12, 1.8e-12, 0.0
+    wave = psf.Wavefront(
+        u=u,
+        v=v,
+        aberration=1e-3 * u * v,
+        amplitude=amplitude,
+        weights=np.full(80, 3e-7),
+        layout="scattered",
+        **SYSTEM,
+    )
+    lit = [i for i in range(80) if i not in (7, 64)]
+    assert split(wave).local.indices.tolist() == lit
