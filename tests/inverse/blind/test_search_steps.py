@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from pytest import approx
 
+from nlosoptics import inverse
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.inverse.blind.evidence_search import Search
 from nlosoptics.inverse.blind.free_energy import Starts
@@ -309,3 +310,23 @@ def test_a_state_of_other_images_or_of_none_is_named():
         words = name.split("_")[1]
         with pytest.raises(SamplingError, match=rf"start's {words} have shape .*, this fit's"):
             found.place.of(saved | {name: np.zeros(shape)}, like, 8)
+
+
+def test_a_fit_that_is_ended_at_once_has_an_answer():
+    """Of the given wall, with an object for it."""
+    optics = {"wavelength": 6e-7, "pupil_radius": 9e-4, "image_distance": 0.05, "pitch": 9e-6}
+    pupil = inverse.PupilPSF.from_zernike((4, 5), shape=16, pixel_integrated=True, **optics)
+    blob = np.exp(-(np.hypot(*np.mgrid[-8:8, -7:9]) ** 2) / 9.0)
+    noise = 0.01 * np.random.default_rng(1).normal(size=(2, 16, 16))
+
+    def progress(text, done):
+        raise inverse.Stop
+
+    found = inverse.evidence_fit(
+        blob + noise, pupil, defocus=[0.0, 3e-7], noise_sigma=0.01, progress=progress
+    )
+    assert found.status == "unconverged"
+    assert found.reasons == ("the progress callback ended the search; resume it",)
+    assert [len(values) for values in found.history.values()] == [1, 1, 1]
+    assert found.object.max() == 1.0
+    assert 0.0 < found.score < math.inf

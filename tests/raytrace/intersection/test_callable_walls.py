@@ -144,6 +144,22 @@ def test_status_of_rays_about_a_plateau(origin, direction, status, distance):
     np.testing.assert_allclose(hits.distance, distance, rtol=1e-12, atol=1e-12)
 
 
+def test_a_level_ray_between_plateau_and_greatest_height_is_a_miss():
+    wall = plane(0.25, 0.0, 0.0, size=(1.0, 0.6), top=0.5)
+    hits = raytrace.intersect(wall, (-2.0, 0.1, 0.4), [(1.0, 0.0, 0.0), (1.0, 0.01, 0.0)])
+    assert hits.status.tolist() == [MISS, MISS]
+
+
+def test_hits_are_read_only():
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    rays = (0.0, 0.1, 3.0), (0.0, 0.0, -1.0)
+    wall = raytrace.intersect(FlatWall(), *rays)
+    first, every = raytrace.intersect_mesh(ball, *rays), raytrace.all_hits(ball, *rays)
+    for found in (wall, first, every):
+        for value in vars(found).values():
+            assert not value.flags.writeable
+
+
 def test_level_rays_over_an_endless_wall_ask_for_no_height():
     """Its functions are given finite coordinates only."""
     wall = of_functions(*PAIRS["endless waves"])
