@@ -323,7 +323,10 @@ def test_a_fit_that_is_ended_at_once_has_an_answer():
         raise inverse.Stop
 
     found = inverse.evidence_fit(
-        blob + noise, pupil, defocus=[0.0, 3e-7], noise_sigma=0.01, progress=progress
+        inverse.Measurement(blob + noise, noise_sigma=0.01),
+        pupil,
+        defocus=[0.0, 3e-7],
+        progress=progress,
     )
     assert found.status == "unconverged"
     assert found.reasons == ("the progress callback ended the search; resume it",)
