@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from .._smoothing import gaussian_smoothed
 from ..imaging import CameraImage, ForwardModel
 from ..imaging.images import reading_noise
-from ..inverse.data.noise import estimate_noise
-from ..inverse.data.noisy_image import surrounded
+from ..inverse.data.noise import estimate_noise, surrounded
 from ..scene import Scene
 
 Array = NDArray[np.float64]

@@ -82,6 +82,7 @@ class Measurement(Noun):
     def __post_init__(self) -> None:
         if self.gain is not None:
             positive("gain", self.gain)
+        shape_of("masked", self.masked)  # refuses rows of different length
         if self.masked is not None and as_numpy(self.masked).dtype != bool:
             raise SceneError(
                 f"masked has values of type {as_numpy(self.masked).dtype}, must be boolean, True "

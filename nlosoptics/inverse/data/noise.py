@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..._fourier import irfft2, rfft2
+from ..._smoothing import gaussian_smoothed
 from ...errors import SamplingError, SceneError
 from .arrays import Values, real_array
 from .models import AnyModel, model_shape
@@ -28,6 +29,8 @@ Mask = NDArray[np.bool_]
 # Standard normal quantile at 3/4: median of abs(x) over sigma.
 _MEDIAN_OVER_SIGMA = 0.6744897501960817
 _BLOCK = 12
+# Width of the window in which masked pixels get their value, pixels; least weight of valid ones.
+_AROUND, _LEAST_AROUND = 1.5, 1e-3
 # Least number of frequencies beyond the optics' cut-off for a noise estimate: a relative standard
 # error of 3 %, below that of the second differences for frames of up to 64 x 64 pixels.
 _LEAST_BEYOND = 500
@@ -199,6 +202,15 @@ def noise_and_bad_pixels(
     quiet = bad.mean() + (0.0 if masked is None else masked.mean())
     found = _noise_beyond(filled, passed, sigma) / math.sqrt(1.0 - quiet)
     return found, bad if bad.any() else None
+
+
+def surrounded(values: Array, masked: Mask) -> Array:
+    """Return an image in which masked pixels hold the weighted mean of the others around them."""
+    valid = gaussian_smoothed((~masked).astype(np.float64), _AROUND)
+    sums = gaussian_smoothed(np.where(masked, 0.0, values), _AROUND)
+    mean = float(values[~masked].mean())
+    around = np.where(valid > _LEAST_AROUND, sums / np.maximum(valid, _LEAST_AROUND), mean)
+    return np.where(masked, around, values)
 
 
 def bad_pixels(

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from ..._checks import positive, real
 from ..._fourier import cosines2
-from ..._smoothing import gaussian_smoothed
 from ..._special import upper_gamma_share
 from ...errors import SamplingError, SceneError
 from .arrays import (
@@ -27,7 +26,7 @@ from .arrays import (
 )
 from .measurement import Measurement, measured
 from .models import AnyModel, model_shape
-from .noise import bad_pixels, noise_and_bad_pixels
+from .noise import bad_pixels, noise_and_bad_pixels, surrounded
 from .spectra import (
     beyond_optics,
     cosines_within,
@@ -39,14 +38,8 @@ from .spectra import (
     power,
 )
 
-# Standard normal quantile at 3/4: median of |x| over sigma.
-_MEDIAN_OVER_SIGMA = 0.6744897501960817
-_BLOCK = 12
 # Noise below this part of the image's range is near float32's rounding in the transforms.
 _FLOAT32_NOISE = 1e-4
-# Least number of frequencies beyond the optics' cut-off for a noise estimate: a relative standard
-# error of 3 %, below that of the second differences for frames of up to 64 x 64 pixels.
-_LEAST_BEYOND = 500
 # Sum of squared weights that is only rounding error.
 _ROUNDING = 1e-9
 # Standard errors by which the noise beyond the optics may differ from the stated noise; more is a
@@ -54,8 +47,6 @@ _ROUNDING = 1e-9
 _MOST_ERRORS = 3.0
 # Share of images of noise alone in which an object is detected.
 _FALSE_ALARMS = 1e-3
-# Width of the window in which masked pixels get their value, pixels; least weight of valid ones.
-_AROUND, _LEAST_AROUND = 1.5, 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -391,15 +382,6 @@ def _weighed(
     # an excluded pixel must not affect the range of the image
     data = np.where(weights > 0.0, data, total(weights * data) / weights.size)
     return data, sigma, weights
-
-
-def surrounded(values: NDArray[np.float64], masked: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return an image in which masked pixels hold the weighted mean of the others around them."""
-    valid = gaussian_smoothed((~masked).astype(np.float64), _AROUND)
-    sums = gaussian_smoothed(np.where(masked, 0.0, values), _AROUND)
-    mean = float(values[~masked].mean())
-    around = np.where(valid > _LEAST_AROUND, sums / np.maximum(valid, _LEAST_AROUND), mean)
-    return np.where(masked, around, values)
 
 
 def _background_shape(value: Any, shape: tuple[int, int]) -> NDArray[np.float64] | None:

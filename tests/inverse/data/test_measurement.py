@@ -123,6 +123,11 @@ def test_masked_frames_of_a_blind_fit_need_no_noise():
     ("given", "error", "says"),
     [
         ({"masked": OUT.astype(int)}, SceneError, "masked has values of type int64, must be bool"),
+        (
+            {"masked": [[True], [True, False]]},
+            SceneError,
+            "masked of type list has rows that differ",
+        ),
         ({"masked": OUT[1:]}, SamplingError, r"masked has shape \(23, 31\), must be \(24, 31\)"),
         ({"masked": ~(OUT & False)}, SceneError, "masked is True in every pixel"),
         ({"gain": -2.0}, SceneError, "gain = -2 is out of range"),
