@@ -162,8 +162,9 @@ def test_gradients(method, integrated):
     leaves = torch.linspace(-0.2, 0.3, 10, dtype=torch.float64).view(2, 5).requires_grad_()
     flat = torch.zeros(5, dtype=torch.float64, requires_grad=True)
     for start in (leaves, flat):
-        assert torch.autograd.gradcheck(lambda c: module(c, defocus=[0.0, 2e-7]), start)
-        assert torch.autograd.gradcheck(lambda c: module.transfer(c), start)
+        # `fast_mode` compares random sums of the derivatives, not each of them
+        for function in (lambda c: module(c, defocus=[0.0, 2e-7]), module.transfer):
+            assert torch.autograd.gradcheck(function, start, atol=1e-8, rtol=1e-6, fast_mode=True)
 
 
 # torch's own forward derivatives compile helpers in a way that it deprecates
