@@ -80,6 +80,8 @@ def verdict(case: Case) -> tuple[bool, str]:
 
 def _reasons(case: Case) -> list[str]:
     if case.mirror > 0.0 and not case.picture.power.any():
+        if case.picture.fill > 0.0:
+            return ["all pixels see the same light and show no detail; read more, smaller pixels"]
         return ["no light from the object reaches the camera via the wall's mirror-like lobe"]
     if case.mirror == 0.0:
         return [_diffuse(case)]

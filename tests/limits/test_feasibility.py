@@ -198,6 +198,9 @@ def test_full_pixels_and_black_pictures_are_told(scene: Scene) -> None:
     )
     found = limits.feasibility(black)
     assert "no light" in found.verdict
+    pixel = limits.feasibility(scene.resized(1))
+    assert pixel.electrons["signal"] > 1e6
+    assert pixel.verdict.startswith("not recoverable: all pixels see the same light and show no")
     assert found.photons == 0.0
     json.dumps(found.figures(), allow_nan=False)
 

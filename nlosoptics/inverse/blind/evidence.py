@@ -110,9 +110,9 @@ def evidence_fit(
         the Notes, otherwise 5. A round starts from 24 proposals or 32 random walls, and continues
         with random variations of the best.
     max_seconds : float, optional
-        Time, s, after which the search begins no further step, once it has found a first result.
-        With such a limit, the result depends on the speed of the machine. By default there is no
-        limit.
+        Time, s, after which the search ends, once it has found a first result; an unfinished step
+        is discarded. With such a limit, the result depends on the speed of the machine. By default
+        there is no limit.
     seed : int
         Seed of the random starts.
     start : mapping, optional
@@ -249,7 +249,11 @@ def evidence_fit(
             support=mask,
             known_object=known,
             fit_gains=fit_gains,
+            late=late,
         )
+
+    def late() -> bool:
+        return time.perf_counter() > started + seconds and len(search.place.best) > 0
 
     verdict = Verdict(frames, pupil_psf.modes, several)
     if all(one.is_background() for one in frames.measured):
@@ -271,8 +275,7 @@ def evidence_fit(
     def watch(text: str, done: float) -> bool:
         nonlocal ended
         ended = not goes_on(progress, f"evidence: {text}", done, snapshot)
-        late = time.perf_counter() > started + seconds
-        return ended or (late and len(search.place.best) > 0)
+        return ended or late()
 
     def snapshot() -> State:
         best = search.best()

@@ -12,7 +12,7 @@ from numpy.random import Generator
 
 from ..._random import generator
 from ...errors import SamplingError, SceneError
-from .free_energy import Floats, FreeEnergy, Stage, Starts, joined
+from .free_energy import Floats, FreeEnergy, OutOfTime, Stage, Starts, joined
 from .random_walls import Breeding, children, random_walls
 from .verdict import Verdict
 from .wall_proposals import Proposals
@@ -338,14 +338,23 @@ class Search:
         return self._energy.starts(np.zeros((1, self._energy.size)), _TRIVIAL.first)
 
     def run(self, watch: Watch) -> None:
-        """Make steps until the search ends or ``watch`` asks it to."""
+        """Make steps until the search ends or ``watch`` asks it to.
+
+        A step that runs out of time leaves the place as it was before.
+        """
         while self.place.step != "end":
             now, count = self.place.step, self.place.count
             part = (_STEPS.index(now) + count / 10.0) / len(_STEPS)
             whole = self.place.turn + part if self.place.turn >= 0 else 0.1 * part - 0.1
             if watch(_TEXTS[now], (whole + 0.1) / (self._rounds + 0.1)):
                 return
-            step = getattr(self, f"_{now}")(self._random(now, count))
+            history = {name: values.copy() for name, values in self.place.history.items()}
+            before = replace(self.place, history=history)
+            try:
+                step = getattr(self, f"_{now}")(self._random(now, count))
+            except OutOfTime:
+                self.place = before
+                return
             self.place.count = count + 1 if step == now else 0
             self.place.step = step
 

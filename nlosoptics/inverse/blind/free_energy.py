@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -39,6 +39,10 @@ _FLOAT32_NOISE = 1e-4
 #: Largest change of an image's relative brightness in one iteration, and its limits.
 _GAIN_STEP, _MOST_GAIN = 1.2, 10.0
 _SHRINK = np.array([0.9, 0.99])
+
+
+class OutOfTime(Exception):
+    """Raised by a descent that is to end without a result."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,6 +156,8 @@ class FreeEnergy:
         Whether to fit the relative brightness of the images.
     dtype : type, optional
         ``numpy.float32`` or ``numpy.float64``; by default float32 unless the noise is too small.
+    late : callable, optional
+        Function that each iteration of a descent calls; if it returns True, `OutOfTime` is raised.
 
     Notes
     -----
@@ -181,11 +187,13 @@ class FreeEnergy:
         known_object: Floats | None = None,
         fit_gains: bool = False,
         dtype: type | None = None,
+        late: Callable[[], bool] = lambda: False,
     ) -> None:
         if dtype is None:
             dtype = np.float32 if frames.sigmas.min() > _FLOAT32_NOISE else np.float64
         self.sigma = float(np.mean(np.square(frames.sigmas)) ** 0.5)
         self._dtype, self.grid, self._shape = dtype, grid, frames.shape
+        self._late = late
         self._levels: Floats = self.sigma / frames.sigmas
         self._images = self._array(frames.images * self._levels[:, None, None])
         self._weights = self._array(frames.weights())
@@ -398,6 +406,8 @@ class FreeEnergy:
         held = np.isfinite(starts.radius)[:, None]
         radius = np.where(held, starts.radius[:, None], 1.0)
         for step in range(stage.iterations):
+            if self._late():
+                raise OutOfTime
             length = np.linalg.norm(wall, axis=1, keepdims=True)
             placed = np.where(held, wall * (radius / np.maximum(length, 1e-12)), wall)
             placed = self._array(placed)

@@ -211,15 +211,14 @@ class BatchTransform:
                 if not one.cancel():
                     one.result()
 
-    @property
-    def workspace_bytes(self) -> float:
-        """Memory of the tables and of one thread's workspace, bytes."""
+    def memory(self, count: int) -> float:
+        """Return the memory of the tables, and of the workspaces for ``count`` waves, bytes."""
         n, (ny, nx) = len(self.nodes.u), self.window.shape
         x, y, rows = (nx + 1) // 2, (ny + 1) // 2, len(self.nodes.v)
         tables = n * (sum(self.basis.sizes) / 4 + 6 * x) + 2 * rows * y
         work = BLOCK * (24 * n + 16 * rows * x) + 16 * x * y
-        fine = 0 if self.rule is None else ny * (3 * nx)
-        return 8.0 * (tables + work + fine)
+        work += 0 if self.rule is None else ny * (3 * nx)
+        return 8.0 * (tables + min(threads(), -(-count // BLOCK)) * work)
 
 
 class _Workspace:

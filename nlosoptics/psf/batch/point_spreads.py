@@ -13,7 +13,6 @@ from ..._checks import fits_memory, in_range, one_of, positive, whole
 from ..._nouns import Noun
 from ..._vectors import product
 from ...errors import SamplingError, SceneError
-from ...raytrace.intersection.meshes import threads
 from ..transform.antialiased_fft import SINGLE_ERROR
 from ..transform.high_aperture import check_cone
 from ..transform.point_spread import NORMALISATIONS, Normalisation, check_nyquist
@@ -185,11 +184,9 @@ class PointSpreads(Noun):
             self.pixel_integrated,
             further=degree,
         )
-        fits_memory(
-            _told(given.shape),
-            2.0 * self.aberration.nbytes + threads() * plan.workspace_bytes,
-            FEWER,
-        )
+        need = 2.0 * self.aberration.nbytes + plan.memory(len(self))
+        need += 4.0 * (degree + 1) * (degree + 2) * len(plan.nodes.u)  # polynomials at the nodes
+        fits_memory(_told(given.shape), need, FEWER)
         modes = SmoothModes(degree)
         at_nodes = modes.at(plan.nodes.u, plan.nodes.heights)
         parts = plan.gradients(batch.series_of(plan.basis), given, at_nodes)
@@ -319,7 +316,7 @@ def point_spreads(
     intensity = np.empty(sides) if out is None else _checked_out(out, sides)
     for last in (False, True):
         plan = batch.plan(pitch, size, normalisation, pixel_integrated)
-        fits_memory(_told(sides), new + threads() * plan.workspace_bytes, FEWER)
+        fits_memory(_told(sides), new + plan.memory(len(given)), FEWER)
         peaks = plan.intensities(batch.series_of(plan.basis), intensity)
         errors = batch.errors(batch.field_errors, peaks, pitch, pixel_integrated)
         excess = float(errors.max()) / tol

@@ -218,10 +218,10 @@ def _meaning(ordering: Ordering) -> str:
     return "value at the rim" if ordering == "fringe" else "rms over the full disc"
 
 
-def _checked(wavelength: float) -> float:
+def _checked(wavelength: float, name: str = "wavelength") -> float:
     """Return a wavelength, m, after checking its range."""
     remedy = "give metres (vacuum wavelength)"
-    return in_range("wavelength", wavelength, 1e-8, 1e-3, unit="m", remedy=remedy)
+    return in_range(name, wavelength, 1e-8, 1e-3, unit="m", remedy=remedy)
 
 
 def _shown(value: float, unit: Unit, wavelength: float | None) -> str:
@@ -299,19 +299,22 @@ def _settled(
 
 def _wavelength(path: Path, given: float | None, said: Mapping[str, str]) -> float | None:
     """Return the wavelength given by the caller or the file, m, or None."""
-    written = None
-    if "wavelength" in said:
-        try:
-            written = _checked(float(said["wavelength"]))
-        except ValueError:
-            raise SceneError(
-                f"{path}: wavelength = {said['wavelength']} is no wavelength in m; write a number "
-                "such as 6.328e-07"
-            ) from None
+    if given is not None:
+        given = _checked(given)
+    if "wavelength" not in said:
+        return given
+    try:
+        number = float(said["wavelength"])
+    except ValueError:
+        raise SceneError(
+            f"{path}: wavelength = {said['wavelength']} is not a number; write metres such as "
+            "6.328e-07"
+        ) from None
+    written = _checked(number, f"{path}: wavelength")
     if given is None:
         return written
-    if written is not None and abs(given - written) > 1e-9 * written:
+    if abs(given - written) > 1e-9 * written:
         raise SceneError(
             f"{path}: wavelength is {written:g} m in the file, {given:g} m was given; choose one"
         )
-    return _checked(given)
+    return given

@@ -98,8 +98,7 @@ def wavefront_from_slopes(
     table, inside = _checked(slopes, mask)
     if table.shape[0] != table.shape[1]:
         raise SceneError(f"slopes have shape {table.shape}; a wave front's grid is square")
-    positive("pitch", pitch, unit="m")
-    aberration, residual = integrated_slopes(table, float(pitch), inside)
+    aberration, residual = integrated_slopes(table, pitch, inside)
     wavefront = Wavefront.from_map(
         aberration,
         inside.astype(np.float64),

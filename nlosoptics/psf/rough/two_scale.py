@@ -209,6 +209,11 @@ def two_scale_point_spread(
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     count = whole("independent_patterns", independent_patterns)
     seed = whole("seed", seed, 0, 2**64 - 1)
+    if not isinstance(roughness, Roughness):
+        raise SceneError(
+            f"roughness is a {type(roughness).__name__}, but only the statistics of heights can be "
+            "split into two scales; give a Roughness, or call sample_point_spread for one wall"
+        )
     smooth = rough_source(source, roughness, footprint, cos_sum, effective_distance)
     view, wave = smooth.view, smooth.residual.wavefront
     if cutoff is None:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import Vector, in_range, positive, vector, whole
 from ...errors import SceneError
+
+#: Longest exposure, s, about the age of the universe: numbers of photons stay finite.
+LONGEST: Final = 1e18
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +40,7 @@ class Camera:
         Number of native pixels that are summed along each side of an image pixel. With the default,
         4096 x 4096 native pixels give an image of 512 x 512 pixels; 1 keeps every native pixel.
     exposure : float
-        Exposure time, s.
+        Exposure time, s, up to 1e18.
     quantum_efficiency : float
         Electrons per photon on the detector, above 0 and up to 1.
     transmission : float
@@ -122,10 +126,11 @@ class Camera:
         for name, unit in (
             ("focal_length", "m"),
             ("stop_diameter", "m"),
-            ("exposure", "s"),
             ("full_well", "electrons"),
         ):
             put(self, name, positive(f"camera.{name}", getattr(self, name), unit=unit))
+        time = in_range("camera.exposure", self.exposure, 0.0, LONGEST, open_low=True, unit="s")
+        put(self, "exposure", time)
         pitch = in_range("camera.pixel_pitch", self.pixel_pitch, 1e-12, 1.0, unit="m")
         put(self, "pixel_pitch", pitch)
         for name in ("read_noise", "dark_current"):

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from ..._checks import Vector, in_range, positive, vector, whole
 from ...errors import SceneError
+
+#: Largest power, W, far above that of any laser: numbers of photons stay finite.
+MOST_POWER: Final = 1e18
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,7 +21,7 @@ class Laser:
     wavelength : float
         Vacuum wavelength, m, 1e-8 to 1e-4.
     power : float
-        Power of the continuous beam on the wall, W.
+        Power of the continuous beam on the wall, W, up to 1e18.
     beam_diameter : float
         Diameter of the beam, m; the irradiance is uniform across it.
     position : (float, float, float)
@@ -70,7 +74,8 @@ class Laser:
                 remedy="was it given in nanometres?",
             ),
         )
-        put(self, "power", positive("laser.power", self.power, unit="W"))
+        power = in_range("laser.power", self.power, 0.0, MOST_POWER, open_low=True, unit="W")
+        put(self, "power", power)
         put(self, "beam_diameter", positive("laser.beam_diameter", self.beam_diameter, unit="m"))
         put(self, "position", vector("laser.position", self.position))
         put(self, "aim", vector("laser.aim", self.aim))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from itertools import pairwise
 from types import SimpleNamespace
@@ -13,7 +14,7 @@ from pytest import approx
 from nlosoptics import inverse
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.inverse.blind.evidence_search import Search
-from nlosoptics.inverse.blind.free_energy import Starts
+from nlosoptics.inverse.blind.free_energy import OutOfTime, Starts
 
 MODES = tuple(range(4, 12))
 TRUTH = np.array([0.3, -0.2, 0.15, 0.1, -0.25, 0.05, 0.2, -0.1])
@@ -296,6 +297,27 @@ def test_a_stopped_search_is_resumed_where_it_was():
         assert again.margins == approx(whole.margins)
         assert again.place.rival == approx(whole.place.rival, nan_ok=True)
         assert again.place.modes == MODES
+
+
+@pytest.mark.parametrize("calls", range(0, 25, 2))
+def test_a_step_without_time_leaves_the_search_as_it_was(calls):
+    """Also a step that has offered an answer before its time is over."""
+
+    class Late(Valley):
+        def descend(self, starts, stage):
+            if len(sizes(self.log)) == calls:
+                raise OutOfTime
+            return super().descend(starts, stage)
+
+    log, seen = [], []
+    usual = {"first": np.zeros(8), "start_error": None, "strength": None, "proposals": None}
+    usual |= {"rounds": 2, "seed": 3, "state": None}
+    verdict = searched(False, rounds=1)[0]._verdict
+    found = Search(lambda padding, modes: Late(padding, modes, log), verdict, **usual)
+    found.run(lambda text, done: seen.append(copy.deepcopy(found.place.saved())))
+    assert len(sizes(log)) == calls
+    for name, values in found.place.saved().items():
+        np.testing.assert_array_equal(values, seen[-1][name])
 
 
 def test_a_state_of_other_images_or_of_none_is_named():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ import torch
 from nlosoptics import inverse, reconstructing
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
+from nlosoptics.inverse.blind import evidence as evidence_module
+from nlosoptics.inverse.blind.free_energy import FreeEnergy
 
 SIDE = 32
 WAVELENGTH = 632.8e-9
@@ -201,6 +204,33 @@ def test_a_search_for_one_image_goes_on_bit_by_bit() -> None:
     again = evidence_one(start=watch.states[-1], progress=rest)
     assert again.object.tobytes() == whole.object.tobytes()
     assert rest.fractions == seen.fractions[4:]
+
+
+def test_a_fit_ends_with_its_time_within_a_step(monkeypatch) -> None:
+    """With the result of the steps before; a fit of one image has its first before the last two."""
+    clock, tick, evaluations, evaluate = [0.0], [0.0], [], FreeEnergy.evaluate
+    monkeypatch.setattr(evidence_module, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+
+    def counted(*args):
+        evaluations.append(clock[0])
+        clock[0] += tick[0]
+        return evaluate(*args)
+
+    monkeypatch.setattr(FreeEnergy, "evaluate", counted)
+    found = []
+    # time is over at the report of proposed walls, or some iterations later
+    for tick[0], late in ((0.0, 9.0), (1.0, 0.0)):
+
+        def report(text, fraction, late=late):
+            clock[0] = late if "proposed walls" in text else 0.0
+            evaluations.clear()
+
+        found.append(evidence_one(progress=report, max_seconds=5.0))
+        assert sum(time > 6.0 for time in evaluations) <= 2 + 8  # one in each thread, and the end
+    for name in ("objective", "residual", "change"):
+        assert np.array_equal(found[0].history[name], found[1].history[name])
+    assert found[0].object.tobytes() == found[1].object.tobytes()
+    assert found[0].status == found[1].status == "trivial"
 
 
 def test_a_state_of_other_images_is_refused() -> None:

@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from nlosoptics import psf
+from nlosoptics.errors import SceneError
 from nlosoptics.psf.aperture import polygons
 
 
@@ -27,3 +29,13 @@ def test_even_polygons_are_fans_of_quadrangles(size):
     star = ring * np.where(np.arange(8) % 2, 0.3, 1.0)[:, None]
     assert len(polygons.straight_sides(star, np.zeros(2))) == 8
     assert len(polygons.straight_sides(star, star[0] * 0.9)) == 6
+
+
+def test_corners_that_nearly_coincide_are_refused_and_less_of_them_are_not():
+    """Five spikes that meet within a ten-billionth of their length have no ear to rounding."""
+    angle = np.arange(10) * math.pi / 5
+    radius = np.where(np.arange(10) % 2, 1e-10, 1.0) * (1 + 0.1 * np.sin(3 * angle))
+    spikes = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    with pytest.raises(SceneError, match="cannot be divided into triangles .* nearly coincide"):
+        psf.Aperture.polygon(spikes)
+    psf.Aperture.polygon(np.where(radius[:, None] < 0.5, 1e6 * spikes, spikes))

@@ -351,6 +351,27 @@ def test_bits_do_not_depend_on_threads(monkeypatch):
     assert np.array_equal(found[0][1], found[1][1])
 
 
+@pytest.mark.parametrize("count", [3, 2 * batch_transform.BLOCK + 1])
+def test_stated_memory_is_that_of_the_threads_with_waves(count, memory_of, monkeypatch):
+    wave = pupil()
+    _, given = waves(wave, count)
+    weights, stated = np.ones((count, 40, 50)), []
+    for threads in (1, 3, 64):
+        monkeypatch.setattr(batch_transform, "threads", lambda threads=threads: threads)
+        spreads = psf.point_spreads(wave, given, shape=(40, 50))
+        for call in (
+            lambda: psf.point_spreads(wave, given, shape=(40, 50)),
+            lambda spreads=spreads: spreads.aberration_gradient(weights),
+        ):
+            taken, told = memory_of(call)
+            # helpers may be too slow to take a block of their own
+            assert 0.25 * told < taken <= told
+            stated.append(told)
+    # three blocks of waves keep no more than three threads busy
+    assert stated[2:4] == stated[4:]
+    assert (stated[:2] == stated[2:4]) == (count == 3)
+
+
 def test_batches_on_every_thread_of_the_pool_end():
     """A batch called from a thread of the pool that it shares does not wait for itself."""
     wave = pupil()

@@ -4,9 +4,16 @@ import numpy as np
 import pytest
 
 from nlosoptics import psf
+from nlosoptics.psf.batch import batch_transform
 from nlosoptics.psf.batch.point_spreads import _Batch
 
 from ...records import attempt
+
+
+@pytest.fixture(autouse=True)
+def two_threads(monkeypatch):
+    """Stated memory contains a workspace for each thread, of which the machine may have fewer."""
+    monkeypatch.setattr(batch_transform, "threads", lambda: 2)
 
 
 @pytest.mark.parametrize("integrated", [False, True])
@@ -50,7 +57,7 @@ def test_figures_of_a_batch(obscuration, uneven, count, on_record):
                 [batch.degree, batch.order, batch.rays, batch.reach, batch.core, batch.single],
                 [batch.lost, batch.field_errors, batch.resolved],
                 [(one.nodes.u, one.nodes.heights, one.nodes.weights) for one in plans],
-                [(one.workspace_bytes, one.basis.n_k, len(one.basis.orders)) for one in plans],
+                [(one.memory(count), one.basis.n_k, len(one.basis.orders)) for one in plans],
                 [batch.errors(batch.lost, np.full(count, 0.2), 2e-6, whole) for whole in (0, 1)],
             ]
         )

@@ -127,7 +127,8 @@ def test_longest_and_shortest_wavelength(tmp_path, wavelength):
     with pytest.raises(SceneError, match=message):
         psf.read_zernikes(path, wavelength=beyond, **options)
     path.write_text(f"# wavelength: {beyond}\n4,1\n")
-    with pytest.raises(SceneError, match="is no wavelength in m; write a number such as 6.328e-07"):
+    message = rf"table.csv: wavelength = {beyond:g} m is out of range, must be from 1e-08 to 0.0"
+    with pytest.raises(SceneError, match=message):
         psf.read_zernikes(path, **options)
 
 
@@ -208,6 +209,11 @@ def test_sign_turns_the_wave(tmp_path):
             {"ordering": "noll", "unit": "m", "sign": "excess", "wavelength": 6e-7},
             "wavelength is 5e-07 m in the file",
         ),
+        (
+            "# wavelength: 5e-7\n4,1\n",
+            {"ordering": "noll", "unit": "m", "sign": "excess", "wavelength": "blue"},
+            "^wavelength = 'blue' is not a number",
+        ),
     ],
 )
 def test_what_is_refused(tmp_path, text, options, message):
@@ -215,7 +221,7 @@ def test_what_is_refused(tmp_path, text, options, message):
     path.write_text(text)
     if message is None:
         options = {"ordering": "noll", "unit": "m", "sign": "excess"}
-        message = "wavelength = green is no wavelength in m"
+        message = "table.csv: wavelength = green is not a number; write metres such as 6.328e-07"
     with pytest.raises(SceneError, match=message):
         psf.read_zernikes(path, **options)
 

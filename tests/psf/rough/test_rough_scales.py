@@ -14,6 +14,7 @@ from nlosoptics.psf.rough.sample import seen_through, speckle_pupil, wall_fields
 from nlosoptics.psf.rough.source import rough_source
 from nlosoptics.psf.wave.detilted import split
 from nlosoptics.psf.window.window import Window
+from nlosoptics.scene import FacetWall, GaussianWall
 
 WAVELENGTH, RADIUS, DISTANCE = 632.8e-9, 12.5e-3, 50e-3
 SYSTEM = {"wavelength": WAVELENGTH, "pupil_radius": RADIUS, "image_distance": DISTANCE}
@@ -294,3 +295,9 @@ def test_tol_that_a_refusal_names_is_enough(nodes):
     with pytest.raises(SamplingError, match="the mean over the short waves") as refusal:
         spread(1e-9)
     spread(float(str(refusal.value).split("use tol = ")[1].split(",")[0]))
+
+
+@pytest.mark.parametrize("given", [FacetWall(1e-3, 1e-3), GaussianWall(1e-6, 1e-3), 1e-6])
+def test_only_statistics_of_heights_are_split(given):
+    with pytest.raises(SceneError, match=f"is a {type(given).__name__}, but only the statistics"):
+        psf.two_scale_point_spread(wave_of(), given, seed=0, effective_distance=NEAR, **NORMAL)

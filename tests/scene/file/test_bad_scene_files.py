@@ -183,7 +183,7 @@ WRONG = {
     "negative exposure": (
         'file = "camera_wu2024.toml"',
         'file = "camera_wu2024.toml"\nexposure = "-40 ms"',
-        ("camera.exposure", "-0.04 s", "must be above 0 s"),
+        ("camera.exposure", "-0.04 s", "must be above 0 to 1e+18 s"),
     ),
     "wavelength of no light": (
         'wavelength = "632.8 nm"',
