@@ -66,6 +66,27 @@ def test_grids_that_share_no_steps_are_refused(on_record):
     )
 
 
+def test_grids_may_deviate_by_the_limit_itself():
+    """Steps and points that are off by exactly the limit, in numbers without rounding."""
+    limit = 2.0**-10
+    wavelength = limit / plane_convolutions.UNEVEN
+    assert plane_convolutions.UNEVEN * wavelength == limit
+    points = np.zeros((3, 4, 3))
+    points[..., 0], points[..., 1] = 0.25 * np.arange(4), 0.5 * np.arange(3)[:, None]
+    for axis, off, refused in itertools.product("xy", (1.0, 1.001), (True, False)):
+        steps = {"x": 0.25, "y": 0.5}
+        steps[axis] += limit / 4 * (off if refused else 1.0)
+        wall = points.copy()
+        wall[1, 2, "xy".index(axis)] += limit * (1.0 if refused else off)
+        grid = Volume(steps["x"] * np.arange(4), steps["y"] * np.arange(4), [0.5])
+        if off == 1.0:
+            assert plane_convolutions.lattice(wall, grid, wavelength).size > 0
+        else:
+            told = "whole multiples" if refused else "off an even grid"
+            with pytest.raises(SamplingError, match=told):
+                plane_convolutions.lattice(wall, grid, wavelength)
+
+
 def test_notes_at_their_limits(on_record):
     """Pitch, spacing and bins just inside and outside of what is noted."""
     uneven = [WALL + 0.0, WALL + 0.0, WALL[:, :1] + 0.0]
@@ -141,6 +162,23 @@ def test_bands_of_pulses(wl_mean, tol, on_record):
         found.append([band.numbers, band.step, band.weights, band.n_times, seen])
         found.append([band.bins.start, band.bins.stop])
     on_record(found, TIGHT)
+
+
+@pytest.mark.parametrize("columns", [0.5, 1.0, 2.0])
+def test_long_responses_are_computed_by_few_at_a_time(columns, monkeypatch, memory_of):
+    """As many as fit a block, at least one; the light and half its spectrum are in memory."""
+    H = np.random.default_rng(5).random((1 << 14, 6))
+    points = wall_grid(0.6, 6)[0]
+    capture = TransientCapture(H=H, laser_points=np.zeros(3), sensor_points=points, delta_t=1e-3)
+    band = virtual_pulse.pulse_band(capture, 0.4, 0.3, (0.0, 16.0), tol=1e-2)
+    given = capture, band, np.arange(6), np.zeros(6), "float64"
+    whole = virtual_pulse.responses(*given)
+    one = 8.0 * (capture.n_bins + 2 * band.n_times)  # the copy of its bins comes first
+    monkeypatch.setattr(virtual_pulse, "BLOCK", int(columns * 8 * band.n_times))
+    peak, _ = memory_of(lambda: virtual_pulse.responses(*given))
+    assert peak < max(columns, 1.0) * one
+    # transforms of one column and of several at once differ by their rounding
+    assert virtual_pulse.responses(*given) == pytest.approx(whole, rel=1e-9)
 
 
 @pytest.mark.parametrize("late", [True, False])
