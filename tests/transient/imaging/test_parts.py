@@ -110,6 +110,67 @@ def test_notes_at_their_limits(on_record):
     on_record([found, bins, windows], TIGHT)
 
 
+def test_limits_of_notes_are_allowed_themselves(monkeypatch):
+    """In numbers without rounding, and a little beyond."""
+    monkeypatch.setattr(camera_setup, "UNEVEN", 2.0**-10)
+    for part, wanted in ((2.0**-11, False), (2.0**-11 * 1.25, True)):
+        x = np.array([0.0, 1.0 - part, 2.0 - part, 3.0])  # steps of 1 m on average
+        points = np.zeros((2, 4, 3))
+        points[..., 0], points[1, :, 1] = x, 1.0
+        for grid in (points, points.swapaxes(0, 1)):
+            assert bool(camera_setup.grid_note("points", grid, 9.0, 2)) is wanted
+    assert camera_setup.bin_note(0.125, 0.5) is None
+    assert "exceeds a quarter" in camera_setup.bin_note(0.25, 0.5)
+    light = {"H": np.ones((8, 5, 6)), "laser_points": np.zeros(3), "sensor_points": WALL}
+    capture = TransientCapture(**light, delta_t=0.25, t_start=1.0)
+    assert capture.edges[[0, -1]].tolist() == [1.0, 3.0]
+    for inside, outside in ((1.0, 0.99), (3.0, 3.01)):
+        for count, noted in ((0, False), (1, False), (2, True)):
+            paths = np.full(100, inside)
+            paths[:count] = outside
+            note = camera_setup.window_note(capture, volume(1.0, 1.0), paths)
+            assert bool(note) is noted, (outside, count)
+
+
+def confocal(points, H=None, **options):
+    """A confocal capture of a little light."""
+    H = np.full((9, *points.shape[:-1]), 0.5) if H is None else H
+    given = {"laser_points": points, "sensor_points": points, "pairing": "confocal"}
+    return TransientCapture(H=H, **given, delta_t=0.25, t_start=2.0, **options)
+
+
+@pytest.mark.parametrize("off", [1.05, 0.95, -0.95, -1.05])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_confocal_points_deviate_either_way(axis, off):
+    """By the share of the finer of both pitches, which is that along y; the corner stays."""
+    points = WALL.copy()
+    points[2, 3, axis] += off * confocal_grids.UNEVEN * 0.8 / 6
+    if abs(off) < 1.0:
+        grid = confocal_grids.confocal_grid(confocal(points), "lct")
+        assert grid.x == pytest.approx(WALL[0, :, 0], abs=1e-12)
+        assert grid.y == pytest.approx(WALL[:, 0, 1], abs=1e-12)
+        assert (grid.start, grid.pitch, grid.n_bins) == (1.0, 0.125, 9)
+    else:
+        with pytest.raises(SamplingError, match=r"lct needs an even grid .* by up to 0\.00014 m"):
+            confocal_grids.confocal_grid(confocal(points), "lct")
+
+
+def test_confocal_grids_are_at_least_two_by_two_and_rise():
+    for points in (WALL[:1], WALL[:, :1], WALL[0]):
+        with pytest.raises(SamplingError, match="at least 2 x 2, sensor points have shape"):
+            confocal_grids.confocal_grid(confocal(points), "lct")
+    assert len(confocal_grids.confocal_grid(confocal(WALL[:2, 1:3]), "lct").x) == 2
+    for points in (WALL[::-1], WALL[:, ::-1]):
+        with pytest.raises(SamplingError, match="x and y rising, sensor points deviate by up to"):
+            confocal_grids.confocal_grid(confocal(points), "lct")
+    H = np.full((9, *WALL.shape[:-1]), 0.5)
+    H[4, 2, 1] = 0.0
+    assert confocal_grids.confocal_grid(confocal(WALL, H), "lct").n_bins == 9
+    H[4, 2, 1] = -0.25
+    with pytest.raises(NlosError, match=r"at least 0, the capture goes down to -0\.25"):
+        confocal_grids.confocal_grid(confocal(WALL, H), "lct")
+
+
 def test_the_dark_level_is_that_of_the_darkest_interval():
     """Mean and spread of the interval of four bins with the least light per path."""
     draw = np.random.default_rng(2)
@@ -148,6 +209,20 @@ def test_volumes_that_a_capture_reaches(start, on_record):
         found.append(attempt(confocal_grids.reached_volume, grid, place, "m"))
     whole = confocal_grids.reached_volume(grid, None, "m")
     on_record([[str(one) if isinstance(one, NlosError) else one.shape for one in found], whole])
+
+
+def test_voxels_at_three_quarters_of_the_width_are_reached():
+    """The limit itself, in numbers without rounding, along each axis and to either side."""
+    x, y = 0.25 * np.arange(4), 0.5 * np.arange(5) - 0.25
+    grid = confocal_grids.ConfocalGrid(x, y, 0.5, 0.125, 9)
+    for off in (0.75, -0.75):
+        at = [x[[0, -1]].mean() + off, y[[0, -1]].mean() + 2.5 * off]
+        given = Volume(at[:1], at[1:], [0.6])
+        assert confocal_grids.reached_volume(grid, given, "lct") is given
+        for axis, limit in (("x", "0.75"), ("y", "1.875")):
+            more = [at[k] + math.copysign(1e-6, off) * (axis == "xy"[k]) for k in range(2)]
+            with pytest.raises(SamplingError, match=f"centre along {axis}, limit {limit} m"):
+                confocal_grids.reached_volume(grid, Volume(more[:1], more[1:], [0.6]), "lct")
 
 
 @pytest.mark.parametrize(("wl_mean", "tol"), [(0.2, 1e-2), (0.45, 1e-4)])
