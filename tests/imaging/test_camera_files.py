@@ -62,6 +62,7 @@ def test_dark_and_flat_are_undone(tmp_path: Path) -> None:
     assert found.values == approx(scene * response.mean(), rel=1e-12)
     assert not found.masked.any()
     assert not found.values.flags.writeable
+    assert not found.masked.flags.writeable
 
 
 def test_exposures_are_averaged(tmp_path: Path) -> None:

@@ -71,6 +71,33 @@ def test_pairs_are_conjugate(flat_scene):
     assert imaging.spot_coherence(flat_scene, many) == approx(np.full((3, 100), there), abs=1e-15)
 
 
+def test_points_on_either_side_of_a_spot_near_an_edge(upright):
+    """Far from the wall's centre, against Gauss's rule over chords of the beam."""
+    laser = replace(
+        upright.laser, beam_diameter=4e-5, position=(0.9, -0.3, 0.8), aim=(0.45, -0.35, 0.0)
+    )
+    scene = replace(upright, laser=laser)
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    turn, s = np.meshgrid(0.5 * math.pi * nodes, nodes)
+    share = np.outer(weights, weights) * np.cos(turn) ** 2
+    beam = np.subtract(laser.aim, laser.position)
+    beam /= np.linalg.norm(beam)
+    across = np.cross(beam, [0.3, 0.4, 0.5])
+    across /= np.linalg.norm(across)
+    place = 2e-5 * (
+        np.sin(turn)[..., None] * across + (s * np.cos(turn))[..., None] * np.cross(beam, across)
+    )
+    place = place + laser.aim
+    place -= place[..., 2:] / beam[2] * beam
+    other = np.array([0.36, -0.33, 0.07])
+    points = np.array([[0.53, -0.4, 0.05], [0.4, -0.31, 0.09], [0.46, -0.34, 0.2]])
+    paths = [np.linalg.norm(place - p, axis=-1) for p in (other, *points)]
+    k = 2 * math.pi / laser.wavelength
+    exact = [(share * np.exp(1j * k * (one - paths[0]))).sum() / share.sum() for one in paths[1:]]
+    assert imaging.spot_coherence(scene, points, reference=other) == approx(exact, abs=1e-9)
+    assert imaging.spot_coherence(scene, points[:0], reference=other).shape == (0,)
+
+
 def test_drawn_speckle_has_this_correlation(flat_scene):
     """Siegert's relation for a spot of many grains with random phases."""
     rng, laser = np.random.default_rng(5), flat_scene.laser

@@ -190,6 +190,8 @@ def test_places_belong_to_a_field_and_to_the_frame():
         with pytest.raises(SamplingError, match=r"must be the model's \(8, 9\); give the picture"):
             ForwardModel(field_of_three(), shape=(8, 9), at=wrong)
     model = ForwardModel(field_of_three(), shape=(8, 9), at=at)
+    assert not model.kernel.flags.writeable
+    assert not model.transfer.flags.writeable
     assert "transfer" not in repr(model)
     assert "kernel" not in repr(model)
     assert len(repr(model)) < 200

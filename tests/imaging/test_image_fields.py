@@ -88,8 +88,16 @@ def test_frame_is_the_picture_upright_on_the_wall(scene):
 
 
 def test_too_few_nodes_are_refused(scene):
+    told = []
+    asked = {"tol": 1e-7, "most_nodes": 4, "progress": lambda *step: told.append(step)}
     with pytest.raises(SamplingError, match=r"still has an error of .* 3 x 3 point spreads"):
-        image_field(replace(scene, wall=ConcaveWall(6.0)), tol=1e-7, most_nodes=4)
+        image_field(replace(scene, wall=ConcaveWall(6.0)), **asked)
+    names, shares = zip(*told, strict=True)
+    assert {*names} == {"field"}
+    # both grids, of 1 and 3 nodes along each side, count alike
+    assert shares == tuple(sorted(shares))
+    assert {0.5, 1.0} <= {*shares}
+    assert 0.0 < shares[0] <= 0.5
     with pytest.raises(SceneError, match="most_nodes = 0 .* at least 1"):
         image_field(scene, most_nodes=0)
 

@@ -16,7 +16,9 @@ import trimesh
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
 from nlosoptics.imaging import diffuse_background, form_image
 from nlosoptics.imaging.detector import speckles_per_pixel
+from nlosoptics.imaging.geometry import chief_rays, picture_positions, pixel_centres
 from nlosoptics.imaging.radiometry import photon_rate
+from nlosoptics.psf import PointSpreadField
 from nlosoptics.scene import (
     ConcaveWall,
     FlatWall,
@@ -428,3 +430,37 @@ def test_diffuse_background_hardly_depends_on_the_picture(flat_scene):
     assert np.ptp(ratio) / ratio.mean() < 0.1
     longer = diffuse_background(flat_scene, exposure=2 * flat_scene.camera.exposure)
     assert longer == pytest.approx(2 * veil, rel=1e-12)
+
+
+def test_windows_of_a_field_hold_the_light_of_each_point(flat_scene):
+    """Beyond the window: what the kernels' sums lack, by the image at each point of the picture."""
+    draw, scene = np.random.default_rng(3), flat_scene.resized(16)
+    field = PointSpreadField(
+        modes=draw.uniform(0.0, 0.02, (3, 5, 3)),
+        weights=draw.uniform(0.5, 1.0, (3, 3, 4)),
+        across=np.cos(np.pi * np.arange(7, 0, -2) / 8),
+        up=np.cos(np.pi * np.arange(5, 0, -2) / 6),
+        pitch=scene.camera.image_pitch,
+        truncation_error=0.0,
+        error_estimate=0.0,
+    )
+    found = form_image(scene, field)
+    across, up = picture_positions(scene.hidden, chief_rays(scene, *pixel_centres(scene.camera)))
+    total, kept = 0.0, 0.0
+    for light, x, y in zip(found.ideal.flat, across.flat, up.flat, strict=True):
+        total += light
+        kept += light * field.point_spread(x, y).sum() if light > 0.0 else 0.0
+    assert 0.3 < kept / total < 0.9
+    assert found.ledger["beyond_window"] == pytest.approx(total - kept, rel=1e-9)
+    black = form_image(scene, field, np.zeros((4, 4)))
+    assert black.ledger["beyond_window"] == black.ledger["beyond_detector"] == 0.0
+
+
+def test_arrays_of_an_image_are_read_only(flat_scene):
+    scene = flat_scene.resized(16)
+    found = form_image(scene, spread(scene))
+    arrays = [value for value in vars(found).values() if isinstance(value, np.ndarray)]
+    assert len(arrays) == 6
+    assert not any(array.flags.writeable for array in arrays)
+    with pytest.raises(TypeError):
+        found.ledger["ideal"] = 0.0

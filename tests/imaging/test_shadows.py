@@ -74,6 +74,7 @@ def test_no_occluder_casts_no_shadow(flat_scene):
     found = cast_shadows(scene)
     for part in (found.image, found.view, found.veil):
         np.testing.assert_array_equal(part, np.ones(scene.camera.shape))
+        assert not part.flags.writeable
     assert found.spot == 1.0
 
 

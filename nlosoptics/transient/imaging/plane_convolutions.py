@@ -169,7 +169,7 @@ def _axis(name: str, wall: Array, voxels: Array, limit: float) -> Axis:
         if abs(coarse - multiple * fine) * max(len(wall), len(voxels)) > limit:
             raise SamplingError(
                 f"volume.{name} steps by {its:.6g} m and the wall's points by {own:.6g} m, must be "
-                "equal or whole multiples; change volume.{name} or give method='direct'"
+                f"equal or whole multiples; change volume.{name} or give method='direct'"
             )
         pitch = own if own <= its else its
     else:

@@ -147,3 +147,52 @@ def test_uses_of_a_wall_change_no_number():
     few, many = (intersections.compiled_wall(WALLS["facets"], uses) for uses in (1, math.inf))
     assert np.array_equal(few[3], many[3])
     assert np.array_equal(few[4], many[4])
+
+
+def test_triangles_are_sorted_by_the_interleaved_bits_of_their_places():
+    """Twenty bits along each axis, x lowest; places that differ in high and in low bits alone."""
+    draw = np.random.default_rng(8)
+    cells = draw.integers(0, 2**20 - 1, (500, 3)) >> draw.integers(0, 20, (500, 1))
+    cells[::3] += 704512 - (cells[::3] & 704512)  # so that low bits decide beside high ones
+    cells = np.minimum(cells, 2**20 - 2)
+    low, high = np.array([-0.3, 0.2, 5.0]), np.array([1.1, 0.4, 5.5])
+    points = low + (cells + 0.5) / (2**20 - 1) * (high - low)
+    codes = [
+        sum(
+            (int(cell) >> bit & 1) << (3 * bit + axis)
+            for bit in range(20)
+            for axis, cell in enumerate(row)
+        )
+        for row in cells
+    ]
+    order = triangles._along_a_curve(points, low, high)
+    assert order.tolist() == sorted(range(500), key=codes.__getitem__)
+
+
+def test_rays_beside_an_edge_are_near_it_on_every_side():
+    """Up to three margins aside, by copies in three directions, one of them within 60 degrees."""
+    for turn in np.linspace(0.0, 2.0 * np.pi, 13):
+        corners = np.exp(1j * (turn + np.array([0.0, 1.7, 4.1])))
+        flat = np.column_stack([corners.real, corners.imag, np.zeros(3)])
+        facets = triangles.Facets(trimesh.Trimesh(flat, [[0, 1, 2]], process=False))
+        middle = (corners + np.roll(corners, -1)) / 2
+        out = -1j * (np.roll(corners, -1) - corners) / abs(np.roll(corners, -1) - corners)
+        for away, near in ((1.0, True), (3.5, False), (20.0, False)):
+            place = middle + away * triangles.MARGIN * facets.reach * out
+            rays = np.zeros((3, 8), np.float32)
+            start = np.column_stack([place.real, place.imag, np.ones(3)]) - facets.centre
+            rays[:, :3], rays[:, 5] = start / facets.reach, -1.0
+            assert facets._near(rays).tolist() == [near] * 3, (turn, away)
+
+
+@pytest.mark.parametrize("away", [3.0, 1e4, 1e8])
+def test_a_far_start_does_not_shade_the_triangle_itself(away):
+    """Points on a triangle are free from afar, where rounding exceeds 1e-9 of its extent."""
+    floor = trimesh.Trimesh([[-1, -1, 0], [2, -1, 0], [-1, 2, 0.0]], [[0, 1, 2]], process=False)
+    draw = np.random.default_rng(9)
+    points = np.column_stack([draw.uniform(-0.9, 0.4, (200, 2)), np.zeros(200)])
+    starts = away * draw.uniform((-0.3, -0.3, 0.8), (0.3, 0.3, 1.0), (200, 3))
+    assert not raytrace.occluded(floor, starts, points).any()
+    assert not raytrace.occluded(floor, points, starts).any()
+    behind = points - np.array([0.0, 0.0, 1e-6 + 4e-14 * away])
+    assert raytrace.occluded(floor, starts, behind).all()

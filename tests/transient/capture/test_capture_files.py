@@ -265,6 +265,19 @@ def test_side_lays_a_grid(tmp_path):
     assert np.array_equal(after.H, made("confocal").H)
 
 
+def test_one_point_may_have_one_axis(tmp_path):
+    """Coordinates (3,) stand for a grid of one point, as (1, 3) and (1, 1, 3) do."""
+    path = tmp_path / "x.hdf5"
+    made("single").save(path)
+    before = TransientCapture.load(path)
+    for shape in ((3,), (1, 3), (1, 1, 3)):
+        point = before.laser_points.reshape(shape)
+        after = TransientCapture.load(changed(path, scene_info="", laser_grid_xyz=point))
+        assert after.laser_points.tolist() == before.laser_points.tolist()
+        assert np.array_equal(after.sensor_points, before.sensor_points)
+        assert np.array_equal(after.H, before.H)
+
+
 EMPTY = h5py.Empty(float)
 NAN = np.where(np.arange(42).reshape(7, 3, 2) == 3, np.nan, 1.0)
 

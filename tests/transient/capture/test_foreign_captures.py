@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import tracemalloc
 
@@ -12,7 +13,7 @@ from scipy.io import savemat
 
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.transient import TransientCapture, wall_grid
-from nlosoptics.transient.capture.mat_files import variables
+from nlosoptics.transient.capture.mat_files import _check_elements, variables
 
 GRID = wall_grid(1.0, 3)[:2]  # 2 rows of 3, so that no axis is taken for another
 LASERS = wall_grid(1.0, 5)[:4]
@@ -385,6 +386,19 @@ def tal_file(tmp_path):
         file["delta_t"], file["t_start"] = 0.01, 0.0
         file["t_accounts_first_and_last_bounces"] = 0
     return path
+
+
+@pytest.mark.parametrize("depth", [0, 1])
+def test_types_of_elements_of_matlab_files(depth):
+    """Table 1-1 of the format: variables outside, and within them numbers, text and arrays."""
+    numbers, texts = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13}, {16, 17, 18}
+    for kind in range(21):
+        file = io.BytesIO(struct.pack("<II", kind, 0))
+        if kind in ({14, 15} if depth == 0 else numbers | texts | {14}):
+            assert _check_elements(file, "<", 0, 8, depth) == [kind]
+        else:
+            with pytest.raises(ValueError, match=f"byte 0 has an element of type {kind} and 0 b"):
+                _check_elements(file, "<", 0, 8, depth)
 
 
 def external_storage(file, folder):

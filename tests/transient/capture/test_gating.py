@@ -187,3 +187,17 @@ def test_one_laser_and_one_sensor_point_have_outer_legs_too():
     inner = without_outer_legs(capture(H=H, outer_legs=True, **places, **origins))
     assert np.array_equal(inner.H, H)
     assert inner.t_start == pytest.approx(1.0 - 0.5 - 0.5)
+
+
+def test_one_bin_may_be_left_without_the_outer_legs():
+    """Legs of 1 and 1.6 m differ by 2.4 bins, of which the last takes parts of two."""
+    H = np.random.default_rng(6).random((4, 2))
+    given = {"laser_points": np.zeros(3), "delta_t": 0.25, "t_start": 3.0, "outer_legs": True}
+    given |= {"laser_origin": (0.0, 0.6, 0.8), "sensor_origin": (0.0, 0.0, 0.8)}
+    given["sensor_points"] = np.array([[0.6, 0.0, 0.0], [0.0, np.sqrt(1.92), 0.0]])
+    found = without_outer_legs(TransientCapture(H=H, **given))
+    assert found.H.shape == (1, 2)
+    assert found.H[0] == pytest.approx([H[0, 0], 0.6 * H[2, 1] + 0.4 * H[3, 1]], rel=1e-12)
+    assert (found.t_start, found.outer_legs) == (pytest.approx(1.0, rel=1e-12), False)
+    with pytest.raises(SamplingError, match=r"legs differ by 0\.6 m, limit 2 bins of 0\.25 m"):
+        without_outer_legs(TransientCapture(H=H[:3], **given))

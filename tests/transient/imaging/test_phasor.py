@@ -141,7 +141,13 @@ TWO = noise_capture(np.array([[0.1, 0.0, 0.0], [-0.2, 0.3, 0.0]]))
 
 
 @pytest.mark.parametrize(
-    "capture", [SINGLE, TWO, CONFOCAL, EXHAUSTIVE], ids=["one", "two", "pairs", "all"]
+    "capture",
+    [
+        *(SINGLE, TWO, CONFOCAL, EXHAUSTIVE),
+        noise_capture(LASERS, wall_grid(1.0, 6)[2:3]),
+        noise_capture(LASERS[:, :2], wall_grid(1.0, 6)[:, 3:4]),
+    ],
+    ids=["one", "two", "pairs", "all", "row", "column"],
 )
 @pytest.mark.parametrize("weight", ["unit", "inverse"])
 def test_transforms_and_sums_agree_in_both_precisions(capture, weight):
@@ -351,6 +357,9 @@ def test_slow_sums_that_transforms_could_replace_are_warned_of(monkeypatch):
         phasor_image(large, off, wl_mean=0.4)
     assert told[0].filename == __file__
     assert "0.0416667 m and 0.0416667 m" in str(told[0].message)
+    confocal = {"H": large.H, "pairing": "confocal"}
+    with pytest.warns(PerformanceWarning, match=words):
+        quiet(noise_capture(points, points, **confocal), off, wl_mean=0.4)
     bent = points.copy()
     bent[..., 0] += 0.02 * bent[..., 0] ** 2
     with warnings.catch_warnings():
@@ -360,6 +369,10 @@ def test_slow_sums_that_transforms_could_replace_are_warned_of(monkeypatch):
         phasor_image(large, facing, wl_mean=0.4)
         phasor_image(large, Volume(off.x[:2], off.y[:2], off.z), wl_mean=0.4)
         quiet(noise_capture(H=large.H, sensor_points=bent), off, wl_mean=0.4)
+        # or pairs that have no convolution, and points without a grid
+        quiet(noise_capture(points + np.array([0.1, 0, 0]), points, **confocal), off, wl_mean=0.4)
+        flat = {"H": large.H.reshape(120, -1), "sensor_points": points.reshape(-1, 3)}
+        quiet(noise_capture(**flat), off, wl_mean=0.4)
 
 
 def test_coarse_sampling_is_warned_of():

@@ -286,3 +286,32 @@ def test_passes_end(on_record):
     ):
         hidden_peaks.append(bounces._may_hide(light, tilt, turn, sharp, limit))
     on_record([found, np.array(hidden_peaks)], TIGHT)
+
+
+def test_sides_are_clear_up_to_rounding():
+    """Above and below a triangle's plane: by the heights of all corners, a little apart from 0."""
+    apart = shadows.ROUNDING * 2.5
+    flat = np.array([[0.3, -0.2, 0.9], [1.1, 0.1, 0.9], [0.4, 0.7, 0.9]])  # normal +z
+    for shift, wanted in (
+        (0.0, [True, True]),
+        (0.9 * apart, [True, True]),
+        (-0.9 * apart, [True, True]),
+        (1.1 * apart, [False, True]),
+        (-1.1 * apart, [True, False]),
+    ):
+        other = flat[[0, 2, 1]] + [0.9, 0.0, 0.0]  # normal -z, at another height
+        other[1, 2] += shift
+        rows = np.array([[*c[0], *(c[1] - c[0]), *(c[2] - c[0])] for c in (flat, other)])
+        assert shadows.clear_sides(rows, 2.5)[0].tolist() == wanted, shift
+        assert shadows.clear_sides(rows[:1], 2.5).tolist() == [[True, True]]
+    draw = np.random.default_rng(6)
+    corners = draw.uniform(-0.3, 0.3, (7, 3, 3)) + draw.uniform(-1.0, 1.0, (7, 1, 3))
+    rows = np.concatenate([corners[:, 0], corners[:, 1] - corners[:, 0]], axis=1)
+    rows = np.concatenate([rows, corners[:, 2] - corners[:, 0]], axis=1)
+    for count in (2, 3, 7):
+        across = np.cross(rows[:count, 3:6], rows[:count, 6:])
+        lines = corners[None, :count] - corners[:count, None, :1]
+        heights = np.einsum("tk,tmck->tmc", across, lines)
+        wanted = np.stack([heights.max(axis=(1, 2)) < 1e-9, heights.min(axis=(1, 2)) > -1e-9], -1)
+        assert np.array_equal(shadows.clear_sides(rows[:count], 1.0), wanted)
+        assert count == 7 or wanted.any()
