@@ -158,6 +158,35 @@ def test_pictures_hold_bars_discs_and_rings(kind, area, along, across, angle):
     assert np.abs(moments - expected).max() < 0.06 * max(along, across)
 
 
+@pytest.mark.parametrize(
+    ("draws", "shades"),
+    [([0.699], [1.0]), ([0.7, 0.45], [0.45]), ([0.3, 0.75, 0.6], [1.0, 0.6])],
+)
+def test_shades_of_pictures(draws, shades):
+    """White by 0.7, else as bright as is drawn; a later figure lies upon the former."""
+    spans = []
+
+    class Spanned(Scripted):
+        def uniform(self, *span, size=None):
+            spans.append((span, size))
+            return super().uniform()
+
+    numbers, rest = [], list(draws)
+    for k in range(len(shades)):
+        numbers += [np.array([0.3 * k, -0.1]), 0.0, 0.3, 0.1, rest.pop(0)]
+        numbers += [rest.pop(0)] if shades[k] < 1.0 else []
+    picture = _picture(Spanned([len(shades), *[0] * len(shades)], numbers))
+    assert {*np.unique(picture)} == {0.0, *shades}
+    side = len(picture)
+    row, column = int(0.45 * side), int((0.5 + 0.15 * (len(shades) - 1)) * side)
+    assert picture[row, column] == shades[-1]
+    first = [((-0.45, 0.45), 2), ((0.0, np.pi), None), ((0.15, 0.45), None), ((0.04, 0.15), None)]
+    assert spans[:5] == [*first, ((), None)]
+    assert [span for span in spans if span == ((0.3, 1.0), None)] == [((0.3, 1.0), None)] * sum(
+        shade < 1.0 for shade in shades
+    )
+
+
 def test_training_learns(pairs, training):
     """Better than the mean picture on pairs that were not shown."""
     held = pairs.objects[18:]
