@@ -227,6 +227,16 @@ def test_aiming_by_a_wall(wall, on_record):
     on_record(found, TIGHT)
 
 
+def test_a_start_where_all_paths_are_equal():
+    """From the centre of a sphere and back: the first point is stationary, without curvature."""
+    terms, tables = ConcaveWall(2.0, size=1.5).compiled()
+    centre = np.array([0.0, 0.0, 2.0])
+    found = aiming.stationary_point(terms, tables, centre, centre, 0.0, 0.0, 1.0)
+    assert found == (0.0, 0.0, aiming.FOUND)
+    outside = aiming.stationary_point(terms, tables, centre, centre, 4.0, 0.3, 1.0)
+    assert outside == (4.0, 0.3, aiming.OFF_SURFACE)
+
+
 def test_path_differences_are_exact_to_rounding():
     draw = np.random.default_rng(5)
     for _ in range(20):

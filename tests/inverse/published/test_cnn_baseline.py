@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import torch
 
 import nlosoptics
-from nlosoptics import cli, inverse
+from nlosoptics import cli, inverse, psf
 from nlosoptics.errors import NlosError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement
@@ -58,6 +59,66 @@ def test_pairs_are_exposures_of_their_objects(scene):
         assert alike > inverse.registered_correlation(blurred, picture)
 
 
+def test_each_pair_is_one_wave_and_one_picture(scene, monkeypatch):
+    """Of a picture that is not square; one that the camera does not see is drawn again."""
+    binning, sides, dark = scene.camera.binning, scene.hidden.size, {5}
+    wide = replace(scene, camera=replace(scene.camera, pixels=(14 * binning, 11 * binning)))
+    waves, pictures, told, seeds = [], [], [], set()
+
+    def spread(wave, **options):
+        waves.append(wave)
+        enough = psf.window_shape(wave, pitch=wide.camera.image_pitch, tol=0.01)
+        least = 19 if max(framed) == 9 else 29
+        assert options == {
+            "pitch": wide.camera.image_pitch,
+            "shape": max(least, enough),
+            "tol": 0.01,
+        }
+        return "spread"
+
+    def image(seen, given, picture, seed):
+        assert (given, seen.camera.shape) == ("spread", framed)
+        share = 9 / 14 if max(framed) == 9 else 1.0
+        assert seen.hidden.size == pytest.approx((share * sides[0], share * sides[1]))
+        k = len(pictures)
+        pictures.append(picture)
+        seeds.add(seed)
+        ideal = np.full(framed, 0.0 if k in dark else 2.0 + k)
+        ideal[1, 2] *= 2.0
+        return SimpleNamespace(ideal=ideal, electrons=np.full(framed, 10.0 + k))
+
+    monkeypatch.setattr(psf, "wide_point_spread", spread)
+    monkeypatch.setattr("nlosoptics.inverse.published.training_pairs.form_image", image)
+    options = {"waves": 0.3, "modes": (5, 8, 11), "progress": lambda *said: told.append(said)}
+    framed = (9, 9)
+    found = inverse.training_pairs(wide, 23, size=9, **options)
+    assert found.images[:, 3, 4].tolist() == [10.0 + k for k in range(24) if k != 5]
+    assert found.objects.shape == (23, 9, 9)
+    assert (found.objects[:, 1, 2] == 1.0).all()
+    assert (found.objects[:, 2, 1] == 0.5).all()
+    assert told == [
+        ("training pairs: 20 of 23", 20 / 23),
+        ("training pairs: 23 of 23", 1.0),
+    ]
+    assert len(seeds) == len(pictures) == len(waves) == 24
+    pupil, strengths = psf.exit_pupil(wide), []
+    for wave in waves:
+        assert (wave.pupil_radius, wave.image_distance) == (pupil.radius, pupil.image_distance)
+        assert wave.wavelength == scene.laser.wavelength
+        polar = np.hypot(wave.u, wave.v) / pupil.radius, np.arctan2(wave.v, wave.u)
+        terms = np.stack([psf.zernike(j, *polar).ravel() for j in (5, 8, 11)], axis=1)
+        path = wave.aberration.ravel() / wave.wavelength
+        fit = np.linalg.lstsq(terms, path, rcond=None)[0]
+        assert np.abs(terms @ fit - path).max() < 1e-12
+        strengths.append(np.linalg.norm(fit))
+    assert 0.0 < min(strengths) < 0.05
+    assert 0.25 < max(strengths) < 0.3
+    pictures.clear()
+    framed, dark = (11, 14), {0}
+    with pytest.raises(SceneError, match=r"sees nothing of the object; move hidden\.position"):
+        inverse.training_pairs(wide, 2, **options)
+
+
 class Scripted:
     """A generator of numbers that are given."""
 
@@ -95,6 +156,35 @@ def test_pictures_hold_bars_discs_and_rings(kind, area, along, across, angle):
     moments = turn @ np.cov(x, y) @ turn.T
     expected = np.diag([along, across])
     assert np.abs(moments - expected).max() < 0.06 * max(along, across)
+
+
+@pytest.mark.parametrize(
+    ("draws", "shades"),
+    [([0.699], [1.0]), ([0.7, 0.45], [0.45]), ([0.3, 0.75, 0.6], [1.0, 0.6])],
+)
+def test_shades_of_pictures(draws, shades):
+    """White by 0.7, else as bright as is drawn; a later figure lies upon the former."""
+    spans = []
+
+    class Spanned(Scripted):
+        def uniform(self, *span, size=None):
+            spans.append((span, size))
+            return super().uniform()
+
+    numbers, rest = [], list(draws)
+    for k in range(len(shades)):
+        numbers += [np.array([0.3 * k, -0.1]), 0.0, 0.3, 0.1, rest.pop(0)]
+        numbers += [rest.pop(0)] if shades[k] < 1.0 else []
+    picture = _picture(Spanned([len(shades), *[0] * len(shades)], numbers))
+    assert {*np.unique(picture)} == {0.0, *shades}
+    side = len(picture)
+    row, column = int(0.45 * side), int((0.5 + 0.15 * (len(shades) - 1)) * side)
+    assert picture[row, column] == shades[-1]
+    first = [((-0.45, 0.45), 2), ((0.0, np.pi), None), ((0.15, 0.45), None), ((0.04, 0.15), None)]
+    assert spans[:5] == [*first, ((), None)]
+    assert [span for span in spans if span == ((0.3, 1.0), None)] == [((0.3, 1.0), None)] * sum(
+        shade < 1.0 for shade in shades
+    )
 
 
 def test_training_learns(pairs, training):
@@ -208,6 +298,8 @@ def test_scenes_without_training_walls_are_refused(scene):
         inverse.training_pairs(matt, 2)
     with pytest.raises(SceneError, match="size = 1024 is out of range"):
         inverse.training_pairs(scene, 2, size=1024)
+    with pytest.raises(SceneError, match="size = 7 is out of range"):
+        inverse.training_pairs(scene, 2, size=7)
     with pytest.raises(SceneError, match="waves = 0"):
         inverse.training_pairs(scene, 2, waves=0.0)
 

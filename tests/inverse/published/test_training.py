@@ -110,6 +110,18 @@ def test_interrupted_training_tells_no_end():
     assert len(told) == 2
 
 
+def test_settings_that_are_left_out():
+    """They are those that the documentation tells."""
+    draw = np.random.default_rng(2)
+    images = draw.random((19, 4, 5), dtype=np.float32)
+    pairs = inverse.TrainingPairs(images=images, objects=images[::-1].copy())
+    told = {"epochs": 20, "batch": 16, "learning_rate": 3e-3, "validation": 0.1, "seed": 0}
+    plain, named = (inverse.train_cnn(pairs, base=8, depth=1, **given) for given in ({}, told))
+    assert len(plain.history["training"]) == 20
+    for name in ("training", "validation"):
+        assert plain.history[name].tolist() == named.history[name].tolist()
+
+
 def test_order_and_weights_follow_the_seed():
     options = {"base": 8, "depth": 1, "epochs": 1, "batch": 2}
     first, second, other = (inverse.train_cnn(PAIRS, seed=s, **options) for s in (1, 1, 2))

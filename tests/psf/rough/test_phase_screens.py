@@ -115,6 +115,12 @@ def test_spectrum_and_draw(name, cells, pitch):
     assert math.pi * WAVELENGTH * abs(turn).max() > 0.1
 
 
+@pytest.mark.parametrize("n", [1, 2, 5, 8])
+def test_steps_of_a_period(n):
+    """In the order of an FFT, whose middle of an even number is negative."""
+    assert_allclose(phase_screens._steps(n), np.fft.fftfreq(n) * n, atol=1e-12)
+
+
 def test_negative_power():
     """Just more of it than the limit is refused; less is left out, and the variance is kept."""
     pitch, found = 1.5e-3, []

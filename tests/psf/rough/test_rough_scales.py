@@ -197,6 +197,18 @@ def test_walls_are_averaged():
     assert (2 * two.coherent - one.coherent).min() > -1e-12
 
 
+def test_a_cutoff_of_zero_leaves_one_wall():
+    """Without fine structure nothing is scattered besides, and no error of it is added."""
+    wave, roughness = wave_of(), wall(1.3, 3e-3)
+    kwargs = {"pitch": UNIT / 2, "shape": (16, 19), "effective_distance": NEAR, "seed": 4, **NORMAL}
+    found = psf.two_scale_point_spread(wave, roughness, cutoff=0.0, tol=0.02, **kwargs)
+    one = psf.sample_point_spread(wave, roughness, **kwargs)
+    assert found.intensity == approx(one.intensity, abs=1e-5 * one.intensity.max())
+    assert np.array_equal(found.coherent, found.intensity)
+    assert found.error_estimate == approx(one.error_estimate, rel=1e-6)
+    assert found.rayleigh_parameter == 0.0
+
+
 @pytest.mark.parametrize("normalisation", ["ideal-peak", "flux"])
 def test_normalisations(normalisation):
     wave, roughness = wave_of(), wall(1.0, 4e-3)

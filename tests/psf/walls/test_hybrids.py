@@ -196,6 +196,26 @@ def test_matt_wall_needs_no_wave_part():
     assert (found.standard_error[found.diffuse > 0] > 0).all()
 
 
+def test_diffuse_light_of_a_wide_window():
+    """Pixel [ny // 2, nx // 2] is centred on the chief ray, whatever the two sides are."""
+    scene, (ny, nx), pitch = wall_scene(PAINT), (5, 16), 7e-4
+    options = {"pitch": pitch, "shape": (ny, nx), "n_rays": 4096, "seed": 3}
+    found = psf.hybrid_point_spread(scene, check=False, **options)
+    x, y = mirror(scene, None).image
+    first = (x - nx // 2 * pitch, y - ny // 2 * pitch)
+    rays = trace_point(scene, mirror_image=False, first=first, **options)
+    assert np.count_nonzero(rays.energy) > 20
+    assert found.flux * found.diffuse == approx(rays.energy, rel=1e-12)
+    assert found.flux * found.standard_error == approx(rays.energy_error, rel=1e-12)
+    assert found.flux * found.diffuse_flux == approx(rays.flux, rel=1e-12)
+    assert found.flux * found.diffuse_flux_error == approx(rays.flux_error, rel=1e-12)
+    alone = psf.hybrid_point_spread(wall_scene(MIRROR), check=False, **WINDOW)
+    assert (alone.diffuse_flux, alone.diffuse_flux_error) == (0.0, 0.0)
+    assert (alone.traced_flux, alone.traced_flux_error) == (0.0, math.inf)
+    assert not alone.diffuse.any()
+    assert not alone.standard_error.any()
+
+
 def test_occluded_image_leaves_the_rest():
     """A plate close to where the wall shows the point takes the image and a little more."""
     scene = wall_scene(PAINT)

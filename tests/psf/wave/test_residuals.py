@@ -501,3 +501,18 @@ def test_coefficients():
         psf.Wavefront.from_zernike({4: 1e-8}, ordering="born", **SYSTEM)
     with pytest.raises(SceneError, match="pupil_radius = -1 m"):
         psf.Wavefront.from_zernike({4: 1e-8}, **SYSTEM | {"pupil_radius": -1.0})
+
+
+@pytest.mark.parametrize("n", [8, 9, 11])
+def test_extremes_lie_on_the_rim(n):
+    """Of r^4 cos(4 theta), also where the nodes of a ring see it as their fastest change."""
+    given = {"wavelength": 5e-7, "pupil_radius": 4e-3, "image_distance": 0.06}
+
+    def clover(u, v):
+        return 3e-7 * (u**4 - 6 * u**2 * v**2 + v**4) / 4e-3**4
+
+    wave = psf.Wavefront.from_function(clover, nodes="polar", samples=(6, n), **given)
+    rim = np.cos(4 * np.arctan2(wave.v, wave.u)[0])
+    assert np.abs(wave.aberration).max() < 0.95 * 3e-7
+    found = regime(split(wave), 1e-6).peak_to_valley
+    assert found == approx(3e-7 * np.ptp(rim) / 5e-7, rel=1e-9)

@@ -96,6 +96,21 @@ def test_rays_beside_a_window(pitch):
     assert len(set(held)) == 2
 
 
+def test_rays_on_the_edge_of_a_window_are_held():
+    """The narrowest window that loses at most 1 % of the energy ends at a ray."""
+    residual = split(tilted())
+    for k, (places, shape) in enumerate(
+        zip((residual.rays.x, residual.rays.y), ((99, 1), (1, 99)), strict=True)
+    ):
+        far = np.abs(places + residual.shift[k]).ravel()
+        order = np.argsort(far)[::-1]
+        beyond = np.cumsum(residual.rays.energy.ravel()[order])
+        edge = float(far[order][np.flatnonzero(beyond > 0.01)[0]])
+        assert edge > UNIT
+        assert window.holds_rays(residual, 2 * edge, shape)
+        assert not window.holds_rays(residual, 2 * np.nextafter(edge, 0.0), shape)
+
+
 @pytest.mark.parametrize("pitch", [0.3, 1.0, 7.0])
 def test_side_of_a_window(pitch):
     """The tail's energy per pixel 2 unit p^2/(pi^3 r^3) is that share of the brightest pixel."""

@@ -1,0 +1,203 @@
+"""Images of one object prepared for a fit, and checks of what is known of them, from NumPy."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.inverse import Measurement, PupilPSF
+from nlosoptics.inverse.wave import pupil_waves
+from nlosoptics.inverse.wave.frames import frames_of, known_defoci
+from nlosoptics.inverse.wave.pupil_psf import MOST_DEFOCUS
+
+SIDES = (11, 14)
+IMAGES = (
+    np.random.default_rng(7).uniform(3.0, 9.0, (3, *SIDES))
+    * np.array([1.0, 2.5, 0.4])[:, None, None]
+)
+
+
+def pupil(shape=SIDES, modes=(4, 6, 9)):
+    return PupilPSF.from_zernike(
+        modes, wavelength=6e-7, pupil_radius=1.1e-3, image_distance=0.07, pitch=7e-6, shape=shape
+    )
+
+
+def test_images_in_units_of_the_largest_range():
+    noise = np.array([0.3, 0.5, 0.2])[:, None, None] * np.ones((3, *SIDES))
+    noise[1, :4] *= 3.0
+    noise[2, 5, 6:9] = np.inf
+    ramp = 1.0 + np.arange(14) * np.ones((11, 1))
+    given = {"background": [0.5, 0.7, 0.1], "background_shape": ramp}
+    seen = Measurement(IMAGES, noise_sigma=noise, **given)
+    found = frames_of(seen, pupil((16, 14)), defocus=[0.0, 2e-7, -3e-7], walls=[1, 0, 1])
+    plain = IMAGES - np.array(given["background"])[:, None, None]
+    held = np.isfinite(noise)
+    assert found.scale == pytest.approx(max(np.ptp(one) for one in plain), rel=1e-6)
+    off = np.abs(found.images * found.scale - plain)[held]
+    assert off.max() < 1e-6 * plain.max()  # in single precision
+    precision = noise**-2.0
+    means = precision.mean(axis=(1, 2))
+    assert found.counted.tolist() == [154.0, 154.0, 151.0]
+    assert found.weights() == pytest.approx(precision / means[:, None, None], rel=1e-5)
+    assert found.sigmas * found.scale == pytest.approx(means**-0.5, rel=1e-6)
+    assert found.background_shapes() == pytest.approx(np.stack([ramp / ramp.mean()] * 3), rel=1e-6)
+    assert (found.shape, found.n_walls, found.fit_background) == (SIDES, 2, True)
+    assert found.walls.tolist() == [1, 0, 1]
+    assert found.defocus.tolist() == [0.0, 2e-7, -3e-7]
+    assert len(found.measured) == 3
+
+
+def test_images_of_which_nothing_is_known():
+    found = frames_of(Measurement(IMAGES[0], noise_sigma=0.2, fit_background=False), pupil())
+    assert found.images.shape == (1, *SIDES)
+    assert (found.walls.tolist(), found.defocus.tolist(), found.n_walls) == ([0], [0.0], 1)
+    assert not found.fit_background
+    assert (found.weights() == 1.0).all()
+    assert (found.background_shapes() == 1.0).all()
+    assert found.picture("prior", None) is None
+    even = frames_of(Measurement(np.full((2, *SIDES), 4.0), noise_sigma=[0.2, 0.6]), pupil())
+    assert even.scale == pytest.approx(0.6)
+    assert even.sigmas == pytest.approx([1 / 3, 1.0])
+
+
+def test_pictures_of_a_user():
+    frames = frames_of(Measurement(IMAGES, noise_sigma=0.2), pupil())
+    one = np.zeros(SIDES)
+    one[0, 0] = 1e-9
+    assert frames.picture("prior", one).tolist() == one.tolist()
+    wrong = np.full(SIDES, 2.0)
+    wrong[3, 4] = np.nan
+    for bad, words in (
+        (np.ones((14, 11)), r"prior has shape \(14, 11\), must be \(11, 14\) like the images"),
+        (np.zeros(SIDES), "prior spans 0 to 0, must be finite and non-negative with some light"),
+        (one - 1e-12, "prior spans -1e-12 to "),
+        (wrong, "prior spans nan to nan"),
+    ):
+        with pytest.raises((SamplingError, SceneError), match=words):
+            frames.picture("prior", bad)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"pupil_psf": 3.0}, "pupil_psf of type float is not a point spread with an unknown wave"),
+        ({"pupil_psf": (10, 14)}, r"pupil_psf has shape \(10, 14\) and the images \(11, 14\)"),
+        ({"pupil_psf": (11, 13)}, r"pupil_psf has shape \(11, 13\) and the images \(11, 14\)"),
+        ({"noise_sigma": [0.2, 0.0, 0.1]}, "noise"),
+        ({"walls": [0, 1]}, r"walls has shape \(2,\) and type int64; give 3 whole numbers"),
+        ({"walls": [0.0, 1.0, 1.0]}, r"walls has shape \(3,\) and type float64"),
+        ({"walls": [0, 2, 2]}, r"walls = \[0, 2, 2\]; number them 0, 1, ... without gaps"),
+        ({"walls": [1, 2, 1]}, r"walls = \[1, 2, 1\]; number"),
+        ({"walls": [-1, 0, 1]}, r"walls = \[-1, 0, 1\]; number"),
+        ({"defocus": [0.0, 1e-7]}, r"defocus has shape \(2,\), must be \(3,\); give one value per"),
+        ({"defocus": [0.0, np.nan, 0.0]}, r"defocus = \[0.0, nan, 0.0\] m rms, limit"),
+    ],
+)
+def test_images_that_do_not_fit_are_refused(change, words):
+    asked = {"noise_sigma": 0.2, "pupil_psf": SIDES} | change
+    spread = asked.pop("pupil_psf")
+    spread = pupil(spread) if isinstance(spread, tuple) else spread
+    seen = Measurement(IMAGES, noise_sigma=asked.pop("noise_sigma"))
+    with pytest.raises((SamplingError, SceneError), match=words):
+        frames_of(seen, spread, **asked)
+
+
+def test_either_side_of_the_most_defocus():
+    assert known_defoci([MOST_DEFOCUS, -MOST_DEFOCUS], 2).tolist() == [MOST_DEFOCUS, -MOST_DEFOCUS]
+    for sign in (1, -1):
+        with pytest.raises(SceneError, match="give metres, not waves"):
+            known_defoci([0.0, sign * np.nextafter(MOST_DEFOCUS, 1.0)], 2)
+
+
+@pytest.mark.parametrize(
+    ("count", "pitch", "radius"), [(5, 0.4, 1.0), (4, 0.4, 0.6), (2, 3.0, 1.5)]
+)
+def test_slopes_reach_the_rim(count, pitch, radius):
+    """Half a node beyond the nearer of the outermost two; the refusal names how many do."""
+    draw = np.random.default_rng(3)
+    slopes = draw.uniform(-1.5, 1.5, (count, count, 2))
+    found = pupil_waves.checked_slopes("slopes", slopes, pitch, radius)
+    assert found.tolist() == slopes.tolist()
+    assert pupil_waves.checked_tangents(slopes, pitch, radius) == pytest.approx(np.tan(slopes))
+    with pytest.raises(SamplingError) as refusal:
+        pupil_waves.checked_slopes("slopes", slopes, pitch, radius * (1 + 1e-6))
+    reach = ((count - 1) // 2 + 0.5) * pitch
+    need = next(n for n in range(1, 99, 2) if n * pitch / 2 > radius * (1 + 1e-7))
+    assert str(refusal.value) == (
+        f"{count} x {count} slopes {pitch:.3g} m apart reach {reach:.3g} m from the axis, the "
+        f"pupil {radius:.3g} m; give {need} or more a side"
+    )
+    with pytest.raises(SamplingError, match="1 x 1 slopes .* give 2 or more a side"):
+        pupil_waves.checked_slopes("slopes", slopes[:1, :1], 9.0, radius)
+
+
+@pytest.mark.parametrize(
+    ("slopes", "words"),
+    [
+        ("ab", r"angles are not an array of real numbers; give \(g, g, 2\), rad"),
+        (np.zeros((3, 2)), r"angles have shape \(3, 2\); give \(g, g, 2\), rad"),
+        (np.zeros((3, 4, 2)), r"angles have shape \(3, 4, 2\)"),
+        (np.zeros((3, 3, 3)), r"angles have shape \(3, 3, 3\)"),
+        (
+            np.where(np.arange(18).reshape(3, 3, 2) == 11, np.inf, 0.0),
+            r"angles\[1, 2, 1\] hold NaN",
+        ),
+        (np.full((3, 3, 2), -np.pi / 2), r"angles reach 1.57 rad, must stay below pi/2"),
+    ],
+)
+def test_slopes_that_are_none(slopes, words):
+    with pytest.raises(SceneError, match=words):
+        pupil_waves.checked_tangents(slopes, 1.0, 1.2)
+
+
+def test_curl_of_slopes():
+    """None of a wave's slopes; of a rotation in proportion, and the rms of several sets."""
+    optics = pupil().optics
+    waves = pupil_waves.SlopeWaves(6, 0.5 * optics.pupil_radius, optics)
+    y, x = np.mgrid[:6, :6] - 2.0
+    even = torch.from_numpy(np.stack([0.3 * x + 0.1 * y, 0.1 * x - 0.7 * y], axis=-1))
+    assert waves.curl_residual(even) == pytest.approx(0.0, abs=1e-12)
+    twist = torch.from_numpy(np.stack([-0.2 * y, 0.2 * x], axis=-1))
+    one = waves.curl_residual(twist)
+    assert one > 0.1
+    assert waves.curl_residual(3.0 * twist + even) == pytest.approx(3.0 * one, rel=1e-9)
+    both = torch.stack([twist, 2.0 * twist + even])
+    assert waves.curl_residual(both) == pytest.approx(one * np.sqrt(2.5), rel=1e-9)
+    assert (waves.modes, waves.leaf_shape) == ((), (6, 6, 2))
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 7])
+def test_splines_hold_polynomials(count):
+    nodes, cells = np.linspace(-1.0, 2.0, count), np.linspace(-0.9, 1.8, 5)
+    table = pupil_waves._spline(nodes, cells)
+    for degree in range(min(4, count)):
+        assert table @ nodes**degree == pytest.approx(cells**degree, abs=1e-12)
+
+
+def test_modes_and_their_start():
+    assert pupil_waves.start_values((4, 9), 6e-7) == [0.0, 0.0]
+    assert pupil_waves.start_values({4: 3e-7, 9: -6e-8}, 6e-7) == pytest.approx([0.5, -0.1])
+    optics = SimpleNamespace(
+        v=np.array([-0.3, 0.2]),
+        u=np.array([-0.5, 0.1, 0.4]),
+        pupil_radius=0.8,
+        share=np.array([[1.0, 0.5, 1e-9], [0.0, 1.0, 1.0]]),
+    )
+    u, v = np.meshgrid(optics.u / 0.8, optics.v / 0.8)
+    coma = np.sqrt(8) * (3 * (u**2 + v**2) - 2) * v  # Noll 7
+    assert pupil_waves.noll_mode(7, optics) == pytest.approx(np.where(optics.share > 0, coma, 0.0))
+    for modes, words in (
+        ("45", "modes = '45'; give a sequence of Noll indices"),
+        (4, "modes = 4; give a sequence"),
+        ((), "modes is empty; give Noll indices from 2 on"),
+        ((0, 4), "mode = 0"),
+        ((4, 1), "modes holds 1, piston"),
+        ((4, 6, 9, 6, 9, 9), "modes holds 6 more than once; give each index once"),
+    ):
+        with pytest.raises(SceneError, match=words):
+            pupil(modes=modes)
