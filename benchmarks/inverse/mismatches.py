@@ -71,7 +71,9 @@ FOREIGN = {
     "blobs": (1.0, 1.0),
     "other_speckle": (1.0, 1.0),
 }
-KINDS = {"none": (1.0, 1.0), **OPTICS, **CAMERA, **LIGHT, **NOISE, **FOREIGN}
+DRAWN = {"none": (1.0, 1.0), **OPTICS, **CAMERA, **LIGHT, **NOISE, **FOREIGN}
+# Kinds that only `--kinds` draws, so that the cases of earlier seeds stay the same.
+KINDS = {**DRAWN, "clipped": (0.4, 0.9)}  # by the converter, after the noise; of the maximum
 #: Kinds that show nothing of the scene.
 NOTHING = (*NOISE, *FOREIGN, "other_wall")
 WALLS = ("smooth", "speckle", "weak", "lobe")
@@ -109,7 +111,7 @@ class Case:
 def case(seed, kind=None, *, noise=None, wall=None, subject=None):
     """Draw the case of a seed; by default a third of the cases has no mismatch."""
     rng = np.random.default_rng([seed, 19])
-    drawn = "none" if rng.random() < 1 / 3 else str(rng.choice(list(KINDS)[1:]))
+    drawn = "none" if rng.random() < 1 / 3 else str(rng.choice(list(DRAWN)[1:]))
     kind = kind or drawn
     wall = wall or str(rng.choice(WALLS))
     subject = subject or str(rng.choice(SUBJECTS))
@@ -135,7 +137,9 @@ def case(seed, kind=None, *, noise=None, wall=None, subject=None):
     clean = camera(clean / clean.max(), kind, strength, rng)
     error = noise * disturbance(clean, kind, strength, rng)
     image = clean + error
-    if kind == "dead_pixels":
+    if kind == "clipped":
+        image = np.minimum(image, strength)
+    elif kind == "dead_pixels":
         value = rng.choice((0.0, 1.5))
         dead = rng.random(image.shape) < strength
         image[dead] = clean[dead] = value

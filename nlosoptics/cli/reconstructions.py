@@ -263,7 +263,9 @@ def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
         table.add("residual", f"{f['reconstruction_score']:.4g} of the noise")
     table.add("saturated pixels", f"{100 * f['saturated_fraction']:.2g} %")
     if "bad_pixels" in f["physical_parameters"]:
-        table.add("dead or hot pixels, ignored", str(f["physical_parameters"]["bad_pixels"]))
+        table.add(
+            "dead, hot or saturated pixels, ignored", str(f["physical_parameters"]["bad_pixels"])
+        )
     table.add("seconds", f"{report['seconds']['total']:.2f} s")
     table.add("written to", str(folder))
     table.print()

@@ -162,9 +162,9 @@ def reconstructed(
     if data.is_background(None if shape else model):
         return without_object(data, model=model, gain=gain, started=started)
     ready = data if in_numpy and data.on_processor else data.in_torch()
-    answer = {"model": model, **solve(ready)}
+    answer = {"data": data, "model": model, **solve(ready)}
     finish = concluded if "ending" in answer else assemble
-    return finish(data, gain=gain, started=started, **answer)
+    return finish(gain=gain, started=started, **answer)
 
 
 def _finished(solver: Solver[S], state: S) -> bool:

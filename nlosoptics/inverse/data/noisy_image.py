@@ -26,7 +26,8 @@ from .arrays import (
 )
 from .measurement import Measurement, measured
 from .models import AnyModel, model_shape
-from .noise import bad_pixels, noise_and_bad_pixels, surrounded
+from .noise import bad_pixels, clipped_pixels, noise_and_bad_pixels, surrounded
+from .saturation import Plateau, noisy_plateau
 from .spectra import (
     beyond_optics,
     cosines_within,
@@ -73,8 +74,13 @@ class NoisyImage:
     template : Tensor or None
         The image as given if it was a tensor; None for an array.
     bad_pixels : ndarray or None, (H, W)
-        Mask of the pixels that were found to be dead or hot, and are excluded too; None if none
-        was.
+        Mask of the pixels that were found to be dead, hot or saturated, and are excluded too; None
+        if none was.
+    plateau : Plateau or None
+        Saturated pixels, which are excluded too; None if there are none.
+    least : ndarray, Tensor or None, (H, W)
+        Values that the saturated pixels would at least have without saturation, in the unit of
+        ``data``; not finite for all other pixels. None if no pixel is saturated.
     """
 
     data: Values
@@ -85,6 +91,8 @@ class NoisyImage:
     background_shape: Values | None
     template: Values | None
     bad_pixels: NDArray[np.bool_] | None = None
+    plateau: Plateau | None = None
+    least: Values | None = None
 
     @property
     def on_processor(self) -> bool:
@@ -104,7 +112,7 @@ class NoisyImage:
 
     def _mapped(self, change: Callable[[Values], Values]) -> NoisyImage:
         """Return the image with all arrays changed."""
-        names = ("data", "weights", "background_shape")
+        names = ("data", "weights", "background_shape", "least")
         given = {name: getattr(self, name) for name in names}
         return replace(self, **{n: change(v) for n, v in given.items() if v is not None})
 
@@ -307,48 +315,80 @@ def _chance(
     return upper_gamma_share(freedom, value)
 
 
-def noisy_image(image: Any, model: AnyModel | tuple[int, int]) -> NoisyImage:
+def noisy_image(
+    image: Any, model: AnyModel | tuple[int, int], plateau: Plateau | None = None
+) -> NoisyImage:
     """Check a `Measurement` of one image, or an image alone, against an image model.
 
     ``model`` may be the shape (H, W) if the point spread is unknown; the noise is then estimated
-    without it.
+    without it, and no bad pixels are sought. ``plateau`` are the saturated pixels, by default the
+    `clipped_pixels`.
     """
     given = measured(image)
-    shape = model if isinstance(model, tuple) else model_shape(model)
+    shape, passed = (model, None) if isinstance(model, tuple) else _optics(model)
     masked = _mask(given.masked, shape)
     data = _picture("image", given.image, shape, masked)
-    if not shape_of("background", given.background):
-        data = data - real("background", given.background)
+    stated = given.noise_sigma
+    stated = None if stated is None else _stated_noise(stated, shape, masked)
+    if plateau is None and passed is not None:
+        valid = np.ones(shape, dtype=bool) if stated is None else np.isfinite(stated)
+        valid = np.broadcast_to(valid, shape)
+        plateau = clipped_pixels(data, passed, valid if masked is None else valid & ~masked)
+    background = given.background
+    if shape_of("background", background):
+        background = _picture("background", background, shape, masked)
     else:
-        data = data - _picture("background", given.background, shape, masked)
+        background = real("background", background)
+    data = data - background
+    least = None
+    if plateau is not None:
+        masked = plateau.mask if masked is None else masked | plateau.mask
+        least = np.where(plateau.mask, plateau.level - plateau.sigma, -np.inf) - background
     if masked is not None:
         data = surrounded(data, masked)
-    passed = None if isinstance(model, tuple) else passed_power(model)
     sigmas: float | NDArray[np.float64]
-    if given.noise_sigma is None:
+    if stated is None:
         sigmas, bad = noise_and_bad_pixels(data, passed, masked)
         if sigmas == 0.0 and float(data.max()) > float(data.min()):
             raise SceneError(
                 "the estimated noise of the image is 0 although it is not uniform; give noise_sigma"
             )
     else:
-        sigmas = _stated_noise(given.noise_sigma, shape, masked)
+        sigmas = stated
         bad = bad_pixels(_weighed(data, sigmas)[0], passed, sigmas, masked)
-    if bad is not None:
-        sigmas = np.where(bad, np.inf, sigmas)
-    if masked is not None and np.any(sigmas):
-        sigmas = np.where(masked, np.inf, sigmas)
+    if plateau is not None:
+        bad = plateau.mask if bad is None else bad | plateau.mask
+    for ignored in (bad, masked):
+        if ignored is not None and np.any(sigmas):
+            sigmas = np.where(ignored, np.inf, sigmas)
     data, sigma, weights = _weighed(data, sigmas)
     return NoisyImage(
         data=data,
         sigma=sigma,
         weights=weights,
-        sigma_estimated=given.noise_sigma is None,
+        sigma_estimated=stated is None,
         fit_background=given.fit_background,
         background_shape=_background_shape(given.background_shape, shape),
         template=given.image if is_tensor(given.image) else None,
         bad_pixels=bad,
+        plateau=plateau,
+        least=least,
     )
+
+
+def with_plateau(data: NoisyImage, image: Any, model: AnyModel) -> NoisyImage | None:
+    """Return ``data``, of an image, without the pixels of its `noisy_plateau`, if it has one."""
+    values = real_array("image", measured(image).image)
+    valid = np.ones(values.shape, dtype=bool)
+    if data.weights is not None:
+        valid = as_numpy(data.weights) > 0.0
+    plateau = None if data.least is not None else noisy_plateau(values, valid)
+    return None if plateau is None else noisy_image(image, model, plateau)
+
+
+def _optics(model: AnyModel) -> tuple[tuple[int, int], NDArray[np.float64]]:
+    """Return the shape of a model's images, and the squared modulus of its transfer function."""
+    return model_shape(model), passed_power(model)
 
 
 def _stated_noise(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,9 +35,9 @@ class Reconstruction(Noun, Shown):
         of the fitted background, image units; a background that was given to the solver comes on
         top. ``noise_sigma``: rms noise, image units; for a noise map sigma_i it is
         ``mean(1/sigma_i^2)^(-1/2)``. If dead or hot pixels were found and ignored: their number
-        ``bad_pixels`` and the mask ``bad_pixel_map``, (H, W). The docstring of a solver names
-        further values and the shapes of arrays, such as the wave's ``coefficients`` if the wall was
-        fitted as well.
+        ``bad_pixels`` and the mask ``bad_pixel_map``, (H, W); ``saturated_pixels`` of them are
+        saturated. The docstring of a solver names further values and the shapes of arrays, such as
+        the wave's ``coefficients`` if the wall was fitted as well.
     status : {"converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"}
         "converged": the solver met its stopping criterion, and no test found a contradiction
         between image and model. "unconverged": the stopping criterion was not met, and the object
@@ -135,6 +135,8 @@ def assemble(
     if data.bad_pixels is not None:
         parameters["bad_pixels"] = int(data.bad_pixels.sum())
         parameters["bad_pixel_map"] = data.bad_pixels
+    if data.plateau is not None:
+        parameters["saturated_pixels"] = int(data.plateau.mask.sum())
     if error is not None:
         parameters["object_error"] = data.like_input(error / gain)
     return Reconstruction(
@@ -162,13 +164,17 @@ def concluded(
     gain: float | None,
     ending: Ending,
     started: float,
+    doubts: tuple[str, ...] = (),
     **parameters: Any,
 ) -> Reconstruction:
     """Return the `Reconstruction` of a fit with a known point spread, its status tested.
 
-    Parameters as in `assemble`, with how the solver ended in place of status and history.
+    Parameters as in `assemble`, with how the solver ended in place of status and history, and with
+    ``doubts``, reasons of the solver itself against the status "converged".
     """
     found = judged(data, level, background, model, ending)
+    if doubts and found.status == "converged":
+        found = replace(found, status="does_not_fit", reasons=doubts)
     if found.expected_correlation is not None:
         parameters["expected_correlation"] = found.expected_correlation
     return assemble(

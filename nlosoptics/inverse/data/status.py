@@ -76,6 +76,8 @@ _BORDER = 1 / 32  # width of the edge, relative to the shorter side
 _LEAST_SHARE, _LEAST_SHARP_SHARE = 0.73, math.sqrt(0.5)
 # Least correlation with the truth that a sharp fit must let expect.
 _LEAST_EXPECTED = 0.9
+# Factor by which the lack of correlation is larger than expected if pixels are saturated.
+_SATURATED = 2.0
 # Largest share of a linear estimate's power in negative pixels, apart from that of the noise.
 _MOST_NEGATIVE = 0.03
 # Largest ratio of measured and stated noise beyond the optics, or of two parts of that noise.
@@ -210,7 +212,7 @@ def judged(
     status, reasons = _status(spectrum, level, values, model, ending, settled, steady)
     if values is None or again is None:
         return Judgement(status, reasons)
-    expected = expected_correlation(values["unsteady"], spectrum.share())
+    expected = spectrum.expected_correlation(values)
     return Judgement(status, reasons, expected, np.abs(again - level))
 
 
@@ -228,7 +230,7 @@ def _status(
     if steady:
         faults = list(spectrum.stated_noise_faults(explained=values is not None))
         if values is not None:
-            expected = expected_correlation(values["unsteady"], share)
+            expected = spectrum.expected_correlation(values)
             # The noise can hide no more than what a linear estimate would miss.
             hidden = values["unsteady"] ** 2 <= 1.0 - share
             noisy = hidden and doubt(as_if_steady(values)) <= 0.0 < doubt(values)
@@ -305,12 +307,23 @@ class Spectra:
         if self._data.weights is not None:
             root = np.sqrt(self._data.weights)
             noise = np.divide(noise, root, out=np.zeros(self._shape), where=root > 0.0)
-        return replace(self._data, data=image_of(model, self._level) + self._background + noise)
+        image = image_of(model, self._level) + self._background
+        least = self._data.least
+        if least is not None:  # the camera would saturate there in this image too, or not at all
+            least = np.minimum(least, image)
+        return replace(self._data, data=image + noise, least=least)
 
     def signs(self, again: Array) -> dict[str, float]:
         """Return the signs of a wrong model in a sharp fit, with its object of `repetition`."""
         excess = float((self._twice * self._ratio).sum()) / self._level.size
         return signs(self._level, again, residual=self._rms, excess=excess, passed=self.passed())
+
+    def expected_correlation(self, values: Mapping[str, float]) -> float:
+        """Return the correlation with the truth to expect of a sharp fit with these `signs`."""
+        lack = 1.0 - expected_correlation(values["unsteady"], self.share())
+        if self._data.least is not None:
+            lack *= _SATURATED
+        return 1.0 - min(lack, 1.0)
 
     def passed(self) -> float:
         """Return the share of the power of the object's detail that the optics pass, 0 to 1."""

@@ -22,10 +22,11 @@ from ..data.arrays import (
     rfft2,
 )
 from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
-from ..data.models import AnyModel, mean_transfer, model_like
-from ..data.noisy_image import NoisyImage
+from ..data.models import AnyModel, image_of, mean_transfer, model_like
+from ..data.noisy_image import NoisyImage, with_plateau
 from ..data.reconstruction import Reconstruction
 from ..data.status import MOST_RESIDUAL, Ending
+from ._splitting_kernels import RELAXATION
 from .field_step import FieldStep
 from .splitting_steps import gradient, steps_on
 
@@ -43,6 +44,9 @@ _RESIDUAL_SHARE = 0.05
 _RULE = (700, 5e-4)  # default number of iterations and tolerance
 # Tolerance of the second fit, which serves the status, relative to that of the first.
 _COARSER = 8.0
+# Least mean of a fitted image above a plateau that it was not fitted to, noise sigmas of a pixel;
+# largest correlation of two objects, with and without the plateau, that are not the same.
+_LEAST_RISE, _ALIKE = 1.5, 0.975
 
 
 def tv_deconvolve(
@@ -130,6 +134,10 @@ def tv_deconvolve(
     from the first object, and the wider point spread takes a similar amount from this object:
     ``object_error`` is the modulus of the difference. This takes about as long as half the fit.
 
+    Saturated pixels count only where the fitted image is below their level. If the image has a
+    plateau that may be saturated, and the weight is automatic, a fit to all other pixels is made as
+    well. It is the answer if its image exceeds the plateau by 1.5 times the noise.
+
     The computation runs on one thread in single precision, or in double precision if the noise is
     below 1e-4 of the image's range. Only an image on a GPU is processed by torch. ``objective`` in
     the history is evaluated at the final weight, so it may rise while the weight is adjusted.
@@ -156,9 +164,45 @@ def tv_deconvolve(
     tv_weight = None if tv_weight is None else positive("tv_weight", tv_weight)
 
     def solve(data: NoisyImage) -> dict[str, Any]:
-        return solved(_Splitting(data, model, rule, tv_weight), start, progress)
+        answer = solved(_Splitting(data, model, rule, tv_weight), start, progress)
+        ended = answer["ending"].converged or len(answer["ending"].history["change"]) >= rule[0]
+        other = with_plateau(data, image, model) if ended and tv_weight is None else None
+        if other is None or other.is_background(model):
+            return answer
+        ready = other.in_numpy() if data.on_processor else other.in_torch()
+        second = {"data": other, **solved(_Splitting(ready, model, rule, None), None, None)}
+        return _likelier(answer, second, other, model)
 
     return reconstructed(solve, image, model, in_numpy=True)
+
+
+def _likelier(
+    first: dict[str, Any], second: dict[str, Any], data: NoisyImage, model: AnyModel
+) -> dict[str, Any]:
+    """Return the answer of a fit to all pixels, or to ``data``, without those of a plateau.
+
+    If the second one rises above the plateau, the camera has clipped it. An object of few edges
+    that is bright and even stays at its level. If it does, but is not the first object, nobody
+    knows, and the first answer gets a doubt.
+    """
+    plateau = data.plateau
+    assert plateau is not None  # of `with_plateau`
+    levels = [as_double(as_numpy(answer["level"])) for answer in (first, second)]
+    own = data.in_numpy()
+    seen = image_of(model, levels[1]) + own.background(second["background"])
+    rise = float((seen - own.least)[plateau.mask].mean()) / plateau.sigma - 1.0
+    if rise > _LEAST_RISE:
+        return second
+    alike = float(np.corrcoef(levels[0].ravel(), levels[1].ravel())[0, 1])
+    if alike > _ALIKE:
+        return first
+    return first | {
+        "doubts": (
+            f"{int(plateau.mask.sum())} pixels are as bright as {plateau.level:.4g} within the "
+            f"noise, and without them the object is another one (correlation {alike:.2f}, limit "
+            f"{_ALIKE:g}): if the camera is saturated there, give them as masked of a Measurement",
+        )
+    }
 
 
 def sharpest(
@@ -244,7 +288,14 @@ class _Splitting(Solver[_Split]):
             like(ones if given is None else given, working)
             for given in (data.background_shape, data.weights)
         )
-        self._steps = steps_on(self._image, shape, weights, model.grid[1])
+        self._saturated, self._shape, self._weights = None, shape, weights
+        if data.least is not None:
+            least = (data.least - data.background(self._level)) / self._scale
+            saturated = self._library.isfinite(least)
+            self._saturated = self._library.where(saturated)
+            self._image = self._library.where(saturated, like(least, working), self._image)
+            self._weights = weights + 0.0
+        self._steps = steps_on(self._image, shape, self._weights, model.grid[1])
         twin = model_like(model, data.data)
         transfer = mean_transfer(twin)
         self._response = float(abs(transfer).max())
@@ -416,6 +467,11 @@ class _Splitting(Solver[_Split]):
         """
         steps, predicted, dual = self._steps, state.predicted, state.data_dual
         ratio, level = state.multiplier / state.data_penalty, state.background
+        if self._saturated is not None:  # these pixels count only below their least values
+            here = self._saturated
+            moved = predicted[here] + RELAXATION * (seen[here] - predicted[here]) + dual[here]
+            below = moved + level * self._shape[here] < self._image[here]
+            self._weights[here] = 1.0 * below
         square, best = steps.relax_image(seen, predicted, dual, level, ratio)
         if self.data.fit_background:
             state.background = best

@@ -1,0 +1,136 @@
+"""Saturated pixels are found and censored; bright, even objects and equal values are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from nlosoptics import inverse
+from nlosoptics.imaging import ForwardModel
+from nlosoptics.inverse import Measurement, estimate_noise, registered_correlation, tv_deconvolve
+from nlosoptics.inverse.data.noisy_image import noisy_image, with_plateau
+from nlosoptics.inverse.data.saturation import exact_plateau, noisy_plateau
+from nlosoptics.inverse.known.total_variation import _likelier
+
+SIDE, NOISE, LEVEL = 48, 0.01, 0.5
+
+
+def taken(*, flat=False, seed=0):
+    """Object, model and image without noise, its largest value 1: a pyramid, or an even square."""
+    y, x = np.abs(np.mgrid[:SIDE, :SIDE] - SIDE // 2 + 0.5)
+    truth = np.where(np.maximum(y, x) < 10, 1.0 if flat else 1.2 - np.maximum(y, x) / 10, 0.0)
+    axis = np.arange(15.0) - 7.0
+    kernel = np.exp(-(axis**2 + axis[:, None] ** 2) / (2 * 1.5**2))
+    model = ForwardModel(kernel / kernel.sum(), shape=truth.shape)
+    clean = np.maximum(model.forward(truth), 0.0)  # without rounding errors
+    noise = np.random.default_rng(seed).normal(0.0, NOISE, truth.shape)
+    return truth, model, clean / clean.max(), noise
+
+
+def plateau(image):
+    return exact_plateau(image, np.ones(image.shape, dtype=bool))
+
+
+@pytest.mark.parametrize("kind", ["float", "counts", "tensor", "background"])
+def test_clipped_pixels_are_at_least_as_bright(kind):
+    truth, model, clean, noise = taken()
+    image = np.minimum(clean + noise, LEVEL)
+    given = Measurement(image, background=0.1 if kind == "background" else 0.0)
+    if kind == "counts":
+        given = Measurement(np.round(200.0 * image))
+    if kind == "tensor":
+        given = Measurement(torch.from_numpy(image.astype(np.float32)))
+    found = tv_deconvolve(given, model)
+    told = found.physical_parameters
+    full = clean + noise >= LEVEL - (0.0026 if kind == "counts" else 0.0)
+    assert told["saturated_pixels"] == full.sum() == told["bad_pixels"]
+    assert np.array_equal(told["bad_pixel_map"], full)
+    assert registered_correlation(found, truth) > 0.95
+    masked = tv_deconvolve(Measurement(clean + noise, masked=full), model)
+    assert registered_correlation(found, truth) > registered_correlation(masked, truth) - 0.002
+
+
+@pytest.mark.parametrize("name", ["wiener", "richardson_lucy", "inverse_filter"])
+def test_other_solvers_ignore_clipped_pixels(name):
+    _, model, clean, noise = taken()
+    image = np.minimum(clean + noise, LEVEL)
+    told = getattr(inverse, name)(image, model).physical_parameters
+    assert told["saturated_pixels"] == (image == LEVEL).sum()
+
+
+def test_noise_is_that_of_the_other_pixels():
+    _, model, clean, noise = taken()
+    image = np.minimum(clean + noise, 0.2)
+    assert (image == 0.2).mean() > 0.15
+    assert estimate_noise(image, model) == pytest.approx(NOISE, rel=0.07)
+
+
+def test_ignored_pixels_are_no_plateau():
+    _, model, clean, noise = taken()
+    image = np.minimum(clean + noise, LEVEL)
+    full = image == LEVEL
+    ignored = Measurement(image, noise_sigma=np.where(full, np.inf, NOISE))
+    for given in (Measurement(image, masked=full), ignored):
+        assert "saturated_pixels" not in tv_deconvolve(given, model).physical_parameters
+
+
+def test_equal_values_without_clipping():
+    """Images of few counts, with few levels, without noise or with repeated pixels."""
+    _, _, clean, noise = taken(flat=True)
+    rng = np.random.default_rng(1)
+    images = [clean, np.round(255 * clean), np.ones((9, 9)), np.round(20 * (clean + noise))]
+    images += [rng.poisson(mean * clean).astype(float) for mean in (0.3, 3.0, 30.0, 300.0)]
+    images += [(rng.random(clean.shape) < 0.4).astype(float), rng.integers(0, 3, clean.shape) + 0.0]
+    images += [np.kron(clean + noise, np.ones((2, 2))), np.round(rng.normal(size=clean.shape))]
+    assert [plateau(image) for image in images] == [None] * len(images)
+    clipped = np.minimum(clean + noise, LEVEL)
+    assert plateau(clipped[:, :4]) is None  # too narrow for the noise
+    assert plateau(clipped) is not None
+    assert plateau(np.round(200.0 * clipped)) is not None
+
+
+def test_hot_pixels_of_one_value_are_not_saturated_by_light():
+    truth, model, clean, noise = taken()
+    hot = np.random.default_rng(2).random(clean.shape) < 0.01
+    image = np.where(hot, 1.5, clean + noise)
+    assert plateau(image) is not None
+    found = tv_deconvolve(image, model)
+    assert "saturated_pixels" not in found.physical_parameters
+    assert np.array_equal(found.physical_parameters["bad_pixel_map"], hot)
+    assert registered_correlation(found, truth) > 0.98
+
+
+def test_a_full_well_is_found_by_a_second_fit():
+    truth, model, clean, noise = taken()
+    full = clean > LEVEL
+    found = tv_deconvolve(np.minimum(clean, LEVEL) + noise, model)
+    marked = found.physical_parameters["bad_pixel_map"]
+    assert found.physical_parameters["saturated_pixels"] == marked.sum()
+    assert (marked & full).sum() > 0.95 * full.sum()
+    assert registered_correlation(found, truth) > 0.95
+    weighted = tv_deconvolve(np.minimum(clean, LEVEL) + noise, model, tv_weight=0.1)
+    assert "saturated_pixels" not in weighted.physical_parameters
+
+
+def test_a_bright_even_object_keeps_its_first_fit():
+    truth, model, clean, noise = taken(flat=True)
+    image = clean + noise
+    assert noisy_plateau(image, np.ones(image.shape, dtype=bool)) is not None
+    found = tv_deconvolve(image, model)
+    assert found.status == "converged"
+    assert "bad_pixels" not in found.physical_parameters
+    assert registered_correlation(found, truth) > 0.99
+
+
+def test_a_plateau_that_matters_is_a_doubt():
+    """The first answer is kept, with a doubt, if the second neither rises nor agrees."""
+    truth, model, clean, noise = taken(flat=True)
+    data = with_plateau(noisy_image(clean + noise, model), clean + noise, model)
+    level = clean.max() * truth
+    first = {"level": level, "background": 0.0}
+    other = {"level": level * np.linspace(0.0, 2.0, SIDE), "background": 0.0}
+    assert _likelier(first, first, data, model) is first
+    assert _likelier(first, {"level": 1.2 * level, "background": 0.0}, data, model) is not first
+    other["level"] = other["level"] * 0.8
+    assert "give them as masked" in _likelier(first, other, data, model)["doubts"][0]
