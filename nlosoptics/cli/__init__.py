@@ -6,17 +6,15 @@ adds the traceback. A failed run leaves no partial output folder. SIGTERM acts l
 
 from __future__ import annotations
 
-import _thread
 import atexit
 import gc
 import os
 import signal
 import sys
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from copy import copy
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -32,11 +30,10 @@ from . import (  # imported to register their commands, in the order of the help
     traces,  # noqa: F401
     warmup,  # noqa: F401
 )
-from .shell import DONE, app, tell
+from .shell import DONE, app, interrupts_kept, tell
 
 __all__ = ["main"]
 
-SOON = 0.01  # s until a lost interrupt is raised again
 INTERRUPTED = 130  # what typer returns for Ctrl-C outside of `errors_told`
 
 
@@ -64,18 +61,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     before = None
     with suppress(ValueError):  # not in the main thread
         before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        words = tuple(sys.argv[1:] if arguments is None else arguments)
-        with _interrupts_kept():
+    with interrupts_kept():
+        try:
+            words = tuple(sys.argv[1:] if arguments is None else arguments)
             program = _program(words)
             code = program(args=words, prog_name="nlosoptics", standalone_mode=False, obj=words)
-        if code == INTERRUPTED:  # while the words were read
-            code = tell(KeyboardInterrupt())
-    except (Exception, KeyboardInterrupt) as error:
-        code = tell(error)
-    finally:
-        if before is not None:
-            signal.signal(signal.SIGTERM, before)
+            if code == INTERRUPTED:  # while the words were read
+                code = tell(KeyboardInterrupt())
+        except (Exception, KeyboardInterrupt) as error:
+            code = tell(error)
+        finally:
+            if before is not None:
+                signal.signal(signal.SIGTERM, before)
     if arguments is None:
         _end(code or DONE)
     sys.exit(code or DONE)
@@ -99,30 +96,6 @@ def _end(code: int) -> None:
         with suppress(AttributeError, OSError, ValueError):  # none, or closed by its reader
             stream.flush()
     os._exit(code)
-
-
-@contextmanager
-def _interrupts_kept() -> Iterator[None]:
-    """Raise an interrupt again that Python would print and forget.
-
-    It does so where no exception can be raised, as in the callback of a weak reference.
-    """
-    before, timers = sys.unraisablehook, []
-
-    def again(lost: Any) -> None:
-        if not isinstance(lost.exc_value, KeyboardInterrupt):
-            before(lost)
-            return
-        timers.append(threading.Timer(SOON, _thread.interrupt_main))
-        timers[-1].start()
-
-    sys.unraisablehook = again
-    try:
-        yield
-    finally:
-        sys.unraisablehook = before
-        for timer in timers:
-            timer.cancel()
 
 
 def _print_version(wanted: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import errno
 import importlib.util
 import os
@@ -10,6 +11,7 @@ import shutil
 import signal
 import sys
 import textwrap
+import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -31,6 +33,9 @@ DONE, FAILED, BAD_INPUT = 0, 1, 2
 MOST_SEED = 2**64 - 1
 MOST_SECONDS = 900.0
 MOST_TOLD = 800  # characters of an error's line
+SOON = 0.01  # s until a lost interrupt is raised again
+
+_lost: list[threading.Timer] = []  # interrupts that Python forgot, which these raise again
 
 # typer exports no name for UsageError: old versions use click's class, new ones a copy
 _UsageError: Any = typer.BadParameter.__base__
@@ -133,11 +138,16 @@ def errors_told(debug: bool) -> Iterator[None]:
 
 
 def tell(error: BaseException) -> int:
-    """Print an error as one line on stderr; return its exit code."""
+    """Print an error as one line on stderr; return its exit code.
+
+    What follows an interrupt that Python forgot, for example in the compiler, is due to it.
+    """
     code = FAILED
     if isinstance(error, typer.Exit):
         return int(error.exit_code)
-    if isinstance(error, (KeyboardInterrupt, typer.Abort)):
+    for timer in _lost:
+        timer.cancel()
+    if _lost or isinstance(error, (KeyboardInterrupt, typer.Abort)):
         message = "interrupted; no partial result was written"
     elif isinstance(error, _UsageError):
         message = f"{error.format_message().rstrip('.')}; nlosoptics --help shows how"
@@ -193,6 +203,37 @@ def interruptible() -> Iterator[Callable[[], bool]]:
     finally:
         for kind, handler in zip(kinds, before, strict=True):
             signal.signal(kind, handler)
+
+
+@contextmanager
+def interrupts_kept() -> Iterator[None]:
+    """Raise an interrupt again that Python would print and forget.
+
+    It does so where no exception can be raised, as in the callback of a weak reference.
+    """
+    before = sys.unraisablehook
+
+    def again(lost: Any) -> None:
+        if not isinstance(lost.exc_value, KeyboardInterrupt):
+            before(lost)
+            return
+        delay = SOON
+        while True:
+            try:
+                _lost.append(threading.Timer(delay, _thread.interrupt_main))
+                _lost[-1].start()
+                return
+            except KeyboardInterrupt:  # of a thread that was quicker than this one
+                delay *= 2
+
+    sys.unraisablehook = again
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+        for timer in _lost:
+            timer.cancel()
+        _lost.clear()
 
 
 class Figures:

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import weakref
 from collections.abc import Callable
@@ -362,7 +363,7 @@ def terminate(*_: object, **__: object) -> None:
     signal.raise_signal(signal.SIGTERM)
 
 
-def terminate_in_a_callback(*_: object, **__: object) -> None:
+def terminate_in_a_callback(*_: object, seconds: float = 5.0, **__: object) -> None:
     """End the process while Python cannot raise the exception."""
 
     class Thing:
@@ -372,7 +373,7 @@ def terminate_in_a_callback(*_: object, **__: object) -> None:
     watched = weakref.ref(thing, terminate)
     del thing
     assert watched() is None
-    time.sleep(5.0)
+    time.sleep(seconds)
 
 
 @pytest.mark.usefixtures("interruptible")
@@ -401,6 +402,31 @@ def test_broken_run_leaves_the_old_folder(
             assert said in answer.err
             assert answer.err.count("\n") == 1
             assert contents(scene_file.parent) == before, step
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("then", ["it waits", "it fails"])
+def test_an_interrupt_that_python_forgets_is_told(
+    run: Run, monkeypatch: pytest.MonkeyPatch, then: str
+) -> None:
+    """On a busy machine, a thread that repeats it is quicker than the one that starts it."""
+    start, slow = threading.Timer.start, [0.5, 0.0]
+
+    def started(timer: threading.Timer) -> None:
+        start(timer)
+        time.sleep(slow.pop(0) if slow else 0.0)
+
+    def made(**_: object) -> int:
+        terminate_in_a_callback(seconds=5.0 * (then == "it waits"))
+        raise RuntimeError("no compiled object yet")
+
+    monkeypatch.setattr(threading.Timer, "start", started)
+    monkeypatch.setattr(cli, "_program", lambda _: made)
+    answer = run("schema")
+    assert (answer.code, answer.err) == (
+        1,
+        "nlosoptics: interrupted; no partial result was written\n",
+    )
 
 
 def test_ctrl_c_while_words_are_read_is_told(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -232,13 +232,15 @@ def bad_pixels(
     return bad if bad.any() else None
 
 
-def clipped_pixels(image: Array, passed: Array, valid: Mask) -> Plateau | None:
+def clipped_pixels(
+    image: Array, passed: Array, valid: Mask, most: float = math.inf
+) -> Plateau | None:
     """Return the `exact_plateau` of an image; None also if most of its pixels are hot ones.
 
     Hot pixels often have the largest value too, but no light of the object. Of the pixels that a
     converter has clipped, hardly any deviates alone.
     """
-    plateau = exact_plateau(image, valid)
+    plateau = exact_plateau(image, valid, most)
     if plateau is None:
         return None
     filled, masked = image, None

@@ -331,9 +331,9 @@ def noisy_image(
     stated = given.noise_sigma
     stated = None if stated is None else _stated_noise(stated, shape, masked)
     if plateau is None and passed is not None:
-        valid = np.ones(shape, dtype=bool) if stated is None else np.isfinite(stated)
-        valid = np.broadcast_to(valid, shape)
-        plateau = clipped_pixels(data, passed, valid if masked is None else valid & ~masked)
+        valid = np.isfinite(np.broadcast_to(0.0 if stated is None else stated, shape))
+        most = math.inf if stated is None else float(np.broadcast_to(stated, shape)[valid].max())
+        plateau = clipped_pixels(data, passed, valid if masked is None else valid & ~masked, most)
     background = given.background
     if shape_of("background", background):
         background = _picture("background", background, shape, masked)

@@ -37,6 +37,7 @@ _SURE = 1.5  # factor by which the noise may be overestimated
 # Equal neighbours that white noise explains, relative to their expected share, and in addition.
 _MOST_EQUAL, _EXTRA_EQUAL = 2.0, 0.05
 _LEAST_NOISE = 0.6  # relative to the smallest step between values
+_ROUNDING = 1e-6  # of the image's range: roundings in single precision are no noise
 # Levels of a noisy plateau that are tried, noise sigmas below the brightest pixel.
 _DEPTH, _STEP = 5.0, 0.1
 _LEAST_NEAR = 6  # pixels
@@ -53,7 +54,7 @@ class Plateau(NamedTuple):
     sigma: float
 
 
-def exact_plateau(image: Array, valid: Mask) -> Plateau | None:
+def exact_plateau(image: Array, valid: Mask, most: float = math.inf) -> Plateau | None:
     """Return the pixels that a converter has clipped; None if there are none.
 
     Parameters
@@ -62,6 +63,8 @@ def exact_plateau(image: Array, valid: Mask) -> Plateau | None:
         Image as it was recorded, without any background subtracted.
     valid : ndarray of bool, (H, W)
         Pixels that count. The others may have any value.
+    most : float
+        Largest noise that is stated, image units.
 
     Notes
     -----
@@ -70,22 +73,24 @@ def exact_plateau(image: Array, valid: Mask) -> Plateau | None:
     ``p = erf(q / (sqrt(8) s))``, whatever the object. The n pixels of the largest value are clipped
     if such a number has a probability below 1e-6 among those pixels, by Chernoff's bound. The noise
     is that of bright pixels whose surroundings have no pixel of the largest value, divided by 1.5
-    for safety. If it is not seen there, is below 0.6 q, or does not make neighbours differ as white
-    noise would, nothing is taken as clipped: without noise an object that is bright and even has a
-    plateau too, images of few counts have equal pixels, and so have images with repeated pixels.
+    for safety. If it is not seen there, is below 0.6 q or 1e-6 of the range, or does not make
+    neighbours differ as white noise would, nothing is taken as clipped: without noise an object
+    that is bright and even has a plateau too, images of few counts have equal pixels, and so have
+    images with repeated pixels.
     """
-    top = float(image[valid].max())
+    low, top = float(image[valid].min()), float(image[valid].max())
     full = valid & (image == top)
     n_full = int(np.count_nonzero(full))
     if n_full < _LEAST_EQUAL:
         return None
     sigma, equal = _bright_noise(image, full | ~valid)
-    bright = image[valid & (image >= 0.5 * (top + float(image[valid].min())))]
+    bright = image[valid & (image >= 0.5 * (top + low))]
     levels = np.unique(bright)
     if len(levels) < 2:
         return None
     step = float(np.diff(levels).min())
-    if sigma < _LEAST_NOISE * step:
+    sigma = min(sigma, most)
+    if sigma < max(_LEAST_NOISE * step, _ROUNDING * (top - low)):
         return None
     if equal > _MOST_EQUAL * math.erf(step / (4.0 * sigma)) + _EXTRA_EQUAL:
         return None
