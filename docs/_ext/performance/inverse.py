@@ -139,15 +139,11 @@ SECTIONS = (
         "0.93 most. Images have 64 x 64 pixels and 0.5 to 10 % noise. None of them was used to "
         "set the limits of the tests. No other limits are much better: in the tests that set them, "
         "5 % of the wrong results are accepted if 5 % of the right ones are doubted, 1 % if 20 % "
-        "are doubted, and one of 643 if half are doubted. Dead and bright pixels are found before "
-        "the fit and ignored; the other kinds were computed before this search existed. It changes "
-        "few of them: in 274 new cases without such pixels it ignores some in 35, of which 14 show "
-        "another object without blur and 17 exponential noise.",
-        "python benchmarks/inverse/mismatches.py --json {file} --first 1003000 --cases 220; python "
-        "benchmarks/inverse/mismatches.py --json {file} --first 1004000 --cases 200 --kinds "
-        "white_noise exponential_noise photon_noise unblurred_picture blobs other_speckle "
-        "other_wall; python benchmarks/inverse/mismatches.py --json {file} --first 1005000 "
-        "--cases 220; python benchmarks/inverse/mismatches.py --json {file} --first 1008000 "
+        "are doubted, and one of 643 if half are doubted.",
+        "python benchmarks/inverse/mismatches.py --json {file} --first 1003000 --cases 220; the "
+        "same with --first 1005000 --cases 220; --first 1006000 --cases 160; --first 1031000 "
+        "--cases 120; --first 1007000 --cases 120 --kinds white_noise exponential_noise "
+        "photon_noise unblurred_picture blobs other_speckle other_wall; --first 1030000 "
         "--cases 120 --kinds saturation dead_pixels",
         table={
             "mismatch": lambda group: MISMATCHES[group["kind"]],
