@@ -33,12 +33,15 @@ def noise() -> np.ndarray:
     return SIGMA * np.random.default_rng(0).normal(size=(SIDE, SIDE))
 
 
-def known(solver, **options):
-    """A solver on a padded frame, with a uniform background to fit."""
+def known(solver, *, well=np.inf, most=np.inf, **options):
+    """A solver on a padded frame, with a uniform background to fit.
+
+    Light above ``well`` is clipped before the noise, and values above ``most`` after it.
+    """
     kernel = np.zeros((15, 15))
     kernel[7, 7] = 1.0
     model = ForwardModel(ndimage.gaussian_filter(kernel, 1.8), shape=(SIDE, SIDE))
-    image = model.forward(letter()) + 0.1 + noise()
+    image = np.minimum(np.minimum(model.forward(letter()), well) + 0.1 + noise(), most)
     return functools.partial(called, solver, image, model, **{"noise_sigma": SIGMA, **options})
 
 
@@ -91,6 +94,8 @@ FITS = {
     "tv_deconvolve": known(inverse.tv_deconvolve),
     "tv_deconvolve, weight": known(inverse.tv_deconvolve, tv_weight=0.5, max_iterations=64),
     "tv_deconvolve, masked": masked(inverse.tv_deconvolve, max_iterations=64),
+    "tv_deconvolve, clipped": known(inverse.tv_deconvolve, most=0.5),
+    "tv_deconvolve, full well": known(inverse.tv_deconvolve, well=0.35),
     "deep_image_prior": known(inverse.deep_image_prior, depth=2, max_iterations=64),
     "deep_image_prior, noise": known(
         inverse.deep_image_prior, depth=2, guide="noise", tv_weight=0.0, max_iterations=35
@@ -166,6 +171,12 @@ def test_every_solver_resumes_bit_for_bit(name, monkeypatch) -> None:
 def test_a_field_resumes_bit_for_bit(solver, options, point_spread_field) -> None:
     """Total variation keeps the solution that its next conjugate gradients start from."""
     interrupted_and_resumed(field(solver, point_spread_field, **options))
+
+
+def test_clipped_and_full_pixels_are_ignored_in_these_fits() -> None:
+    for kind in ("clipped", "full well"):
+        told = FITS[f"tv_deconvolve, {kind}"]().physical_parameters
+        assert told["saturated_pixels"] > 20
 
 
 def test_a_longer_fit_resumes_from_a_shorter_one() -> None:
