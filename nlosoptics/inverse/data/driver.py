@@ -133,7 +133,11 @@ def solved(solver: Solver[S], start: Any, progress: Progress | None) -> dict[str
 
     If the solver's answer has a status of its own, they are those of `assemble`.
     """
-    found = run(solver, start, progress)
+    return answered(solver, run(solver, start, progress))
+
+
+def answered(solver: Solver[S], found: Run[S]) -> dict[str, Any]:
+    """Return the arguments of `concluded`, or of `assemble`, for what a solver has found."""
     level = solver.level(found.state)
     answer = {"level": level, **solver.answer(found, level)}
     if "status" in answer:

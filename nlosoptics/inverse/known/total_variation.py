@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -21,7 +22,7 @@ from ..data.arrays import (
     like,
     rfft2,
 )
-from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
+from ..data.driver import Iterate, Run, Solver, answered, reconstructed, run, solved, stop_rule
 from ..data.models import AnyModel, image_of, mean_transfer, model_like
 from ..data.noisy_image import NoisyImage, with_plateau
 from ..data.reconstruction import Reconstruction
@@ -136,7 +137,8 @@ def tv_deconvolve(
 
     Saturated pixels count only where the fitted image is below their level. If the image has a
     plateau that may be saturated, and the weight is automatic, a fit to all other pixels is made as
-    well. It is the answer if its image exceeds the plateau by 1.5 times the noise.
+    well, a coarse one first. It is the answer if its image exceeds the plateau by 1.5 times the
+    noise.
 
     The computation runs on one thread in single precision, or in double precision if the noise is
     below 1e-4 of the image's range. Only an image on a GPU is processed by torch. ``objective`` in
@@ -164,39 +166,47 @@ def tv_deconvolve(
     tv_weight = None if tv_weight is None else positive("tv_weight", tv_weight)
 
     def solve(data: NoisyImage) -> dict[str, Any]:
-        answer = solved(_Splitting(data, model, rule, tv_weight), start, progress)
-        ended = answer["ending"].converged or len(answer["ending"].history["change"]) >= rule[0]
-        other = with_plateau(data, image, model) if ended and tv_weight is None else None
+        fit = _Splitting(data, model, rule, tv_weight)
+        found = run(fit, start, progress)
+        answer = answered(fit, found)
+        alone = tv_weight is None and not found.stopped
+        other = with_plateau(data, image, model) if alone else None
         if other is None or other.is_background(model):
             return answer
+        if answer["ending"].converged:  # a coarse fit from here shows most even objects
+            level, background = fit.nearby(found.state, other, model)
+            if not _rises(level, background, other, model):
+                return answer | _doubts(answer["level"], level, other)
         ready = other.in_numpy() if data.on_processor else other.in_torch()
-        second = {"data": other, **solved(_Splitting(ready, model, rule, None), None, None)}
-        return _likelier(answer, second, other, model)
+        second = solved(_Splitting(ready, model, rule, None), None, None)
+        if _rises(second["level"], second["background"], other, model):
+            return {"data": other, **second}
+        return answer | _doubts(answer["level"], second["level"], other)
 
     return reconstructed(solve, image, model, in_numpy=True)
 
 
-def _likelier(
-    first: dict[str, Any], second: dict[str, Any], data: NoisyImage, model: AnyModel
-) -> dict[str, Any]:
-    """Return the answer of a fit to all pixels, or to ``data``, without those of a plateau.
+def _rises(level: Values, background: float, data: NoisyImage, model: AnyModel) -> bool:
+    """Return whether the image of a fit rises above the plateau of ``data``, which it ignored.
 
-    If the second one rises above the plateau, the camera has clipped it. An object of few edges
-    that is bright and even stays at its level. If it does, but is not the first object, nobody
-    knows, and the first answer gets a doubt.
+    If it does, the camera has clipped it. An object of few edges that is bright and even stays at
+    its level.
     """
-    plateau = data.plateau
+    plateau, own = data.plateau, data.in_numpy()
     assert plateau is not None  # of `with_plateau`
-    levels = [as_double(as_numpy(answer["level"])) for answer in (first, second)]
-    own = data.in_numpy()
-    seen = image_of(model, levels[1]) + own.background(second["background"])
-    rise = float((seen - own.least)[plateau.mask].mean()) / plateau.sigma - 1.0
-    if rise > _LEAST_RISE:
-        return second
-    alike = float(np.corrcoef(levels[0].ravel(), levels[1].ravel())[0, 1])
+    seen = image_of(model, as_double(as_numpy(level))) + own.background(background)
+    rise = float((seen - own.least)[plateau.mask].mean()) / plateau.sigma
+    return rise > 1.0 + _LEAST_RISE  # `least` is one sigma below the plateau
+
+
+def _doubts(level: Values, other: Values, data: NoisyImage) -> dict[str, Any]:
+    """Return a doubt in an object if without the plateau of ``data`` it is another one."""
+    plateau = data.plateau
+    assert plateau is not None
+    alike = float(np.corrcoef(*(as_double(as_numpy(one)).ravel() for one in (level, other)))[0, 1])
     if alike > _ALIKE:
-        return first
-    return first | {
+        return {}
+    return {
         "doubts": (
             f"{int(plateau.mask.sum())} pixels are as bright as {plateau.level:.4g} within the "
             f"noise, and without them the object is another one (correlation {alike:.2f}, limit "
@@ -413,21 +423,29 @@ class _Splitting(Solver[_Split]):
             most_residual=MOST_RESIDUAL if self._given is None else None,
             again=partial(self._repeated, found.state) if self._given is None else None,
         )
-        background = self._level + found.state.background * self._scale
+        background = self._background(found.state)
         return {"background": background, "tv_weight": tv_weight, "ending": ending}
 
+    def _background(self, state: _Split) -> float:
+        return self._level + state.background * self._scale
+
     def _repeated(self, state: _Split, data: NoisyImage, model: AnyModel) -> Values:
-        """Return the object (H, W), image units, of a coarser fit to another image.
+        """Return the object (H, W), image units, of the fit `nearby`."""
+        return self.nearby(state, data, model)[0]
+
+    def nearby(self, state: _Split, data: NoisyImage, model: AnyModel) -> tuple[Values, float]:
+        """Return object (H, W) and background, image units, of a coarser fit to another image.
 
         It begins at a state of this fit.
         """
         own = data.in_torch() if is_tensor(self.data.data) else data
         rule = self.max_iterations, _COARSER * self._tolerance
         again = _Splitting(own, model, rule, None)
-        begun = replace(state, count=0, measure=math.inf)
+        begun = replace(deepcopy(state), count=0, measure=math.inf)
         if state.free is not None:  # the last step's image is that of this fit's model
             begun.free, begun.seen = self._dark + 0.0, self._dark + 0.0
-        return again.level(run(again, begun).state)
+        found = run(again, begun).state
+        return again.level(found), again._background(found)
 
     def _factors(self, state: _Split) -> tuple[Values, Values, Values]:
         """Return the half spectra of R, of the preconditioner and of the data filter.

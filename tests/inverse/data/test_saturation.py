@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import torch
@@ -11,7 +13,8 @@ from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement, estimate_noise, registered_correlation, tv_deconvolve
 from nlosoptics.inverse.data.noisy_image import noisy_image, with_plateau
 from nlosoptics.inverse.data.saturation import exact_plateau, noisy_plateau
-from nlosoptics.inverse.known.total_variation import _likelier
+from nlosoptics.inverse.known import total_variation
+from nlosoptics.inverse.known.total_variation import _doubts, _rises
 
 SIDE, NOISE, LEVEL = 48, 0.01, 0.5
 
@@ -113,7 +116,9 @@ def test_a_full_well_is_found_by_a_second_fit():
     assert "saturated_pixels" not in weighted.physical_parameters
 
 
-def test_a_bright_even_object_keeps_its_first_fit():
+def test_a_bright_even_object_keeps_its_first_fit(monkeypatch):
+    """A coarse fit is enough to see that it stays at its level."""
+    monkeypatch.delattr(total_variation, "solved")
     truth, model, clean, noise = taken(flat=True)
     image = clean + noise
     assert noisy_plateau(image, np.ones(image.shape, dtype=bool)) is not None
@@ -128,9 +133,13 @@ def test_a_plateau_that_matters_is_a_doubt():
     truth, model, clean, noise = taken(flat=True)
     data = with_plateau(noisy_image(clean + noise, model), clean + noise, model)
     level = clean.max() * truth
-    first = {"level": level, "background": 0.0}
-    other = {"level": level * np.linspace(0.0, 2.0, SIDE), "background": 0.0}
-    assert _likelier(first, first, data, model) is first
-    assert _likelier(first, {"level": 1.2 * level, "background": 0.0}, data, model) is not first
-    other["level"] = other["level"] * 0.8
-    assert "give them as masked" in _likelier(first, other, data, model)["doubts"][0]
+    assert not _rises(level, 0.0, data, model)
+    assert _rises(1.2 * level, 0.0, data, model)
+    assert not _rises(1.2 * level, -0.2, data, model)
+    assert _doubts(level, level * np.linspace(0.9, 1.0, SIDE), data) == {}
+    (told,) = _doubts(level, level * np.linspace(0.0, 1.6, SIDE), data)["doubts"]
+    assert re.match(r"\d+ pixels are as bright as 0.9[89]\d* within the noise", told)
+    assert "another one (correlation 0.9" in told
+    assert told.endswith(
+        "limit 0.975): if the camera is saturated there, give them as masked of a Measurement"
+    )
