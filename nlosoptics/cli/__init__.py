@@ -9,7 +9,6 @@ from __future__ import annotations
 import atexit
 import gc
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -58,9 +57,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     gc.set_threshold(200_000)
     # pydantic would read the metadata of all installed packages for extensions of its own.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    before = None
-    with suppress(ValueError):  # not in the main thread
-        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     with interrupts_kept():
         try:
             words = tuple(sys.argv[1:] if arguments is None else arguments)
@@ -70,9 +66,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 code = tell(KeyboardInterrupt())
         except (Exception, KeyboardInterrupt) as error:
             code = tell(error)
-        finally:
-            if before is not None:
-                signal.signal(signal.SIGTERM, before)
     if arguments is None:
         _end(code or DONE)
     sys.exit(code or DONE)

@@ -14,9 +14,10 @@ import textwrap
 import threading
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import zip_longest
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -207,33 +208,57 @@ def interruptible() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def interrupts_kept() -> Iterator[None]:
-    """Raise an interrupt again that Python would print and forget.
+    """Let Ctrl-C and SIGTERM raise `KeyboardInterrupt`, where it would be lost a little later.
 
-    It does so where no exception can be raised, as in the callback of a weak reference.
+    It is lost in the callback of a weak reference, where Python prints it, and in imports, since
+    libraries go on without what they could not import. In another thread, signals are not changed.
     """
-    before = sys.unraisablehook
+    hook, imports = sys.unraisablehook, _imports(sys._getframe())
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        if _imports(frame) == imports:
+            raise KeyboardInterrupt
+        _later(number)
 
     def again(lost: Any) -> None:
-        if not isinstance(lost.exc_value, KeyboardInterrupt):
-            before(lost)
-            return
-        delay = SOON
-        while True:
-            try:
-                _lost.append(threading.Timer(delay, _thread.interrupt_main))
-                _lost[-1].start()
-                return
-            except KeyboardInterrupt:  # of a thread that was quicker than this one
-                delay *= 2
+        if isinstance(lost.exc_value, KeyboardInterrupt):
+            _later(signal.SIGINT)
+        else:
+            hook(lost)
 
+    before: dict[int, Any] = {}
+    with suppress(ValueError):  # not in the main thread
+        for kind in (signal.SIGINT, signal.SIGTERM):
+            if signal.getsignal(kind) not in (signal.SIG_IGN, None):
+                before[kind] = signal.signal(kind, interrupt)
     sys.unraisablehook = again
     try:
         yield
     finally:
-        sys.unraisablehook = before
+        sys.unraisablehook = hook
         for timer in _lost:
             timer.cancel()
         _lost.clear()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _imports(frame: FrameType | None) -> int:
+    """Return how many frames of a stack belong to imports."""
+    stack = traceback.walk_stack(frame)
+    return sum(one.f_code.co_filename.startswith("<frozen importlib") for one, _ in stack)
+
+
+def _later(number: int) -> None:
+    """Send a signal to the main thread soon."""
+    delay = SOON
+    while True:
+        try:
+            _lost.append(threading.Timer(delay, _thread.interrupt_main, (number,)))
+            _lost[-1].start()
+            return
+        except KeyboardInterrupt:  # of a thread that was quicker than this one
+            delay *= 2
 
 
 class Figures:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import signal
@@ -423,6 +424,30 @@ def test_an_interrupt_that_python_forgets_is_told(
     monkeypatch.setattr(threading.Timer, "start", started)
     monkeypatch.setattr(cli, "_program", lambda _: made)
     answer = run("schema")
+    assert (answer.code, answer.err) == (
+        1,
+        "nlosoptics: interrupted; no partial result was written\n",
+    )
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_an_interrupt_in_an_import_waits_for_its_end(
+    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Libraries go on without what they could not import, whatever the reason."""
+    words = ["import signal", "try:", "    signal.raise_signal(signal.SIGTERM)"]
+    words += ["except BaseException:", "    pass", "done = True"]
+    (tmp_path / "goes_on.py").write_text("\n".join(words))
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def made(**_: object) -> int:
+        importlib.import_module("goes_on")
+        time.sleep(5.0)
+        return 0
+
+    monkeypatch.setattr(cli, "_program", lambda _: made)
+    answer = run("schema")
+    assert sys.modules.pop("goes_on").done
     assert (answer.code, answer.err) == (
         1,
         "nlosoptics: interrupted; no partial result was written\n",
