@@ -18,6 +18,8 @@ from ...errors import SceneError
 
 #: numpy array or torch tensor.
 Values = Any
+#: Standard normal quantile at 3/4: median of abs(x) over sigma.
+MEDIAN_OVER_SIGMA = 0.6744897501960817
 
 
 def is_tensor(value: Any) -> bool:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..._fourier import irfft2, rfft2
 from ..._smoothing import gaussian_smoothed
 from ...errors import SamplingError, SceneError
-from .arrays import Values, real_array
+from .arrays import MEDIAN_OVER_SIGMA, Values, real_array
 from .models import AnyModel, model_shape
 from .saturation import Plateau, exact_plateau
 from .spectra import (
@@ -27,8 +27,6 @@ from .spectra import (
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Standard normal quantile at 3/4: median of abs(x) over sigma.
-_MEDIAN_OVER_SIGMA = 0.6744897501960817
 _BLOCK = 12
 # Width of the window in which masked pixels get their value, pixels; least weight of valid ones.
 _AROUND, _LEAST_AROUND = 1.5, 1e-3
@@ -165,7 +163,7 @@ def _noise_of_neighbours(values: Array) -> float:
     blocks = tiles.reshape(counts[0] * counts[1], -1)
     medians = np.median(blocks, axis=1)
     squares = np.where(
-        medians > 0.0, (medians / _MEDIAN_OVER_SIGMA) ** 2, (blocks * blocks).mean(axis=1)
+        medians > 0.0, (medians / MEDIAN_OVER_SIGMA) ** 2, (blocks * blocks).mean(axis=1)
     )
     return math.sqrt(float(squares.mean()))
 
@@ -243,10 +241,8 @@ def clipped_pixels(
     plateau = exact_plateau(image, valid, most)
     if plateau is None:
         return None
-    filled, masked = image, None
-    if not valid.all():
-        filled, masked = surrounded(image, ~valid), ~valid
-    alone, _ = lone_pixels(filled, passed, _noise_of_neighbours(filled), masked=masked)
+    filled = surrounded(image, ~valid)
+    alone, _ = lone_pixels(filled, passed, _noise_of_neighbours(filled), masked=~valid)
     if alone[plateau.mask].mean() > _MOST_ALONE:
         return None
     return plateau._replace(mask=plateau.mask & ~alone)
@@ -354,7 +350,7 @@ def _left(near: Array, pattern: Array) -> Array:
     both = alone[second]
     two = one - np.take_along_axis(one, second, 1) / (1.0 - both**2) * (moved - both * alone)
     medians = [np.median(np.abs(rest), axis=1) for rest in (one, two)]
-    return np.asarray(np.min(medians, axis=0) / _MEDIAN_OVER_SIGMA)
+    return np.asarray(np.min(medians, axis=0) / MEDIAN_OVER_SIGMA)
 
 
 def _filled(image: Array, bad: Mask, spectrum: NDArray[np.complex128], share: Array) -> Array:

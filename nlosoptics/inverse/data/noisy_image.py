@@ -325,7 +325,9 @@ def noisy_image(
     `clipped_pixels`.
     """
     given = measured(image)
-    shape, passed = (model, None) if isinstance(model, tuple) else _optics(model)
+    shape, passed = (
+        (model, None) if isinstance(model, tuple) else (model_shape(model), passed_power(model))
+    )
     masked = _mask(given.masked, shape)
     data = _picture("image", given.image, shape, masked)
     stated = given.noise_sigma
@@ -384,11 +386,6 @@ def with_plateau(data: NoisyImage, image: Any, model: AnyModel) -> NoisyImage | 
         valid = as_numpy(data.weights) > 0.0
     plateau = None if data.least is not None else noisy_plateau(values, valid)
     return None if plateau is None else noisy_image(image, model, plateau)
-
-
-def _optics(model: AnyModel) -> tuple[tuple[int, int], NDArray[np.float64]]:
-    """Return the shape of a model's images, and the squared modulus of its transfer function."""
-    return model_shape(model), passed_power(model)
 
 
 def _stated_noise(

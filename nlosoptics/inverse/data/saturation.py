@@ -17,12 +17,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ..._smoothing import gaussian_smoothed
+from .arrays import MEDIAN_OVER_SIGMA
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Standard normal quantile at 3/4: median of abs(x) over sigma.
-_MEDIAN_OVER_SIGMA = 0.6744897501960817
 # Order of the differences that measure noise, along both axes; their norm for unit noise is 70.
 _ORDER = 4
 _WIDTH = 1.0  # of the window that finds bright places, pixels
@@ -161,7 +160,7 @@ def _bright_noise(image: Array, out: Mask) -> tuple[float, float]:
     if opposite < _LEAST_OPPOSITE:
         return none
     sizes = np.abs(differences[usable]) / math.comb(2 * _ORDER, _ORDER)
-    return float(np.median(sizes)) / _MEDIAN_OVER_SIGMA, equal
+    return float(np.median(sizes)) / MEDIAN_OVER_SIGMA, equal
 
 
 def _share_of_neighbours(

@@ -174,7 +174,7 @@ def tv_deconvolve(
         if other is None or other.is_background(model):
             return answer
         if answer["ending"].converged:  # a coarse fit from here shows most even objects
-            level, background = fit.nearby(found.state, other, model)
+            level, background = fit.nearby(deepcopy(found.state), other, model)
             if not _rises(level, background, other, model):
                 return answer | _doubts(answer["level"], level, other)
         ready = other.in_numpy() if data.on_processor else other.in_torch()
@@ -222,11 +222,8 @@ def sharpest(
     data = data.in_numpy() if data.on_processor else data.in_torch()
     if data.is_background(model):
         return 0.0 * data.data, float(data.background_strength(data.data)), 0.0
-    solver = _Splitting(data, model, rule, tv_weight)
-    found = run(solver)
-    level = solver.level(found.state)
-    answer = solver.answer(found, level)
-    return level, answer["background"], answer["tv_weight"]
+    answer = solved(_Splitting(data, model, rule, tv_weight), None, None)
+    return answer["level"], answer["background"], answer["tv_weight"]
 
 
 @dataclass(eq=False, kw_only=True)
@@ -436,12 +433,12 @@ class _Splitting(Solver[_Split]):
     def nearby(self, state: _Split, data: NoisyImage, model: AnyModel) -> tuple[Values, float]:
         """Return object (H, W) and background, image units, of a coarser fit to another image.
 
-        It begins at a state of this fit.
+        It begins at a state of this fit, whose arrays it changes.
         """
         own = data.in_torch() if is_tensor(self.data.data) else data
         rule = self.max_iterations, _COARSER * self._tolerance
         again = _Splitting(own, model, rule, None)
-        begun = replace(deepcopy(state), count=0, measure=math.inf)
+        begun = replace(state, count=0, measure=math.inf)
         if state.free is not None:  # the last step's image is that of this fit's model
             begun.free, begun.seen = self._dark + 0.0, self._dark + 0.0
         found = run(again, begun).state
