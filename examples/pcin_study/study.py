@@ -70,7 +70,8 @@ def keys(setting: str) -> list[Key]:
     found += [key for s in both for key in _rows(s, (11, 10), fits[:1], 1)]
     found += [key for s in both for key in _rows(s, (9,), fits[1:], 1)]
     found += [_key("paper", row, m, seed) for seed in SEEDS for row in paper for m in KNOWN]
-    found.append(_key("smooth", ("letter", BASE["smooth"], 40), "wu2024_warm", 1))
+    warm = [(s, ("letter", BASE[s], 40), "wu2024_warm", seed) for seed in SEEDS for s in both]
+    found += [_key(*row) for row in warm]
     for seed in SEEDS:
         found += [key for m in fits for s in both for key in _rows(s, every, (m,), seed)]
     return list({report.name_of(key, key["method"]): key for key in found}.values())
