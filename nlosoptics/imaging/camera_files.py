@@ -36,10 +36,12 @@ class CameraImage(Noun):
     values : ndarray, (ny, nx) float64
         Corrected counts of each pixel: the dark frame is subtracted, the rest is divided by the
         flat field scaled to a mean of 1, and binned pixels are added up. Row 0 is the top row of
-        the file; it corresponds to row 0 of a `SpeckleImage`. Masked pixels hold the mean of the
-        others.
+        the file; it corresponds to row 0 of a `SpeckleImage`. Dead pixels hold the mean of those
+        that are not masked.
     masked : ndarray of bool, (ny, nx)
-        True for pixels to ignore: saturated, or dead (below 5 % of the mean of the flat field).
+        True for pixels that are saturated, or dead (below 5 % of the mean of the flat field).
+    saturated : ndarray of bool, (ny, nx)
+        True for pixels that are saturated and not dead: their values are lower limits.
     saturated_fraction : float
         Fraction of the pixels that are saturated.
 
@@ -51,11 +53,12 @@ class CameraImage(Noun):
 
     values: Array
     masked: Mask
+    saturated: Mask
     saturated_fraction: float
 
     def __post_init__(self) -> None:
-        self.values.flags.writeable = False
-        self.masked.flags.writeable = False
+        for name in ("values", "masked", "saturated"):
+            getattr(self, name).flags.writeable = False
 
 
 def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
@@ -302,8 +305,12 @@ def _checked(path: str | Path, values: Array, saturated: Mask, dead: Mask) -> Ca
         )
     if float(good.min()) == float(good.max()):
         raise SceneError(f"{path} reads {good[0]:g} in every good pixel; check the file")
-    values = np.where(masked, float(good.mean()), values)
-    return CameraImage(values=values, masked=masked, saturated_fraction=share)
+    return CameraImage(
+        values=np.where(dead, float(good.mean()), values),
+        masked=masked,
+        saturated=saturated & ~dead,
+        saturated_fraction=share,
+    )
 
 
 def _same_shape(path: str | Path, picture: Array, other: str | Path, frame: Array) -> None:

@@ -15,6 +15,7 @@ from ..scene import Camera
 Array = NDArray[np.float64]
 
 SPECKLE, PHOTONS, READOUT, BRIGHT_PHOTONS = 201, 202, 203, 204  # streams of the random generator
+_FULL = 3.0  # rms noise of readout and digitisation by which a full pixel may read less
 BRIGHT = 1e15  # mean electrons above which counts are drawn from a normal law (skewness < 1e-7)
 
 
@@ -103,6 +104,18 @@ def noise_variance(camera: Camera, light: Array, dark: float, freedom: float | N
     if freedom is not None:
         variance = variance + light**2 / freedom
     return np.asarray(variance)
+
+
+def full_reading(camera: Camera) -> float:
+    """Return the reading, electrons, from which on an image pixel of a camera may be full.
+
+    A full pixel reads its full well with the noise of readout and digitisation. The result is three
+    times their rms value below the full well, and at most the converter's largest value.
+    """
+    native = camera.binning**2
+    step = camera.full_well / 2**camera.bit_depth
+    spread = math.sqrt(native * (camera.read_noise**2 + step**2 / 12))
+    return native * camera.full_well - max(_FULL * spread, native * step)
 
 
 def _counts(mean: Array, seed: int) -> Array:

@@ -255,7 +255,10 @@ def reconstructed(
     veil = None
     if task.method != "phase_retrieval":  # which has no use for it
         veil = fitted_veil(task.scene, image.values, model, noise_sigma=noise)
-    measured = inverse.Measurement(image.values, noise_sigma=noise, background_shape=veil)
+    full = image.saturated if image.saturated.any() else None  # None: its level is searched for
+    measured = inverse.Measurement(
+        image.values, noise_sigma=noise, saturated=full, background_shape=veil
+    )
     offered = _taken(solver, task.method, _always(task, start, progress))
     found: Reconstruction = solver(measured, model, **offered)
     return found
@@ -268,7 +271,6 @@ def _blind(
     from .. import inverse
 
     scene = task.scene
-    frames = np.stack([image.values for image in task.images])
     offered = _always(task, start, progress)
     masked = np.stack([image.masked for image in task.images])
     if masked.any() and task.method == "wu2024":
@@ -285,7 +287,7 @@ def _blind(
     )
     if task.defocus:
         offered["defocus"] = np.array(task.defocus) * scene.laser.wavelength
-    measured = inverse.Measurement(frames, masked=masked)
+    measured = inverse.Measurement(np.stack([image.values for image in task.images]), masked=masked)
     return inverse.pcin(measured, pupil, recipe=task.method, **offered)
 
 

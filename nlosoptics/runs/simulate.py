@@ -14,6 +14,7 @@ from .._checks import within
 from .._progress import Progress
 from .._random import checked_seed
 from ..errors import NotWaveGradeError
+from ..imaging.detector import full_reading
 from ..scene import MeshWall, PlanarObject, Scene
 from .noise import electron_noise
 from .patterns import mean_optics, uses_mean
@@ -311,10 +312,16 @@ def _reconstruct(
     model = image_model(scene, spreads)
     dark = image.ledger["dark"] / image.electrons.size
     noise = electron_noise(scene, image.electrons - dark)
+    full = image.electrons >= full_reading(scene.camera)
+    noise[full] = np.inf
     veil = fitted_veil(
         scene, image.electrons, model, noise_sigma=noise, background=dark, shadows=shadows
     )
     measured = inverse.Measurement(
-        image.electrons, noise_sigma=noise, background=dark, background_shape=veil
+        image.electrons,
+        noise_sigma=noise,
+        saturated=full,
+        background=dark,
+        background_shape=veil,
     )
     return inverse.tv_deconvolve(measured, model)

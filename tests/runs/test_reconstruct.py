@@ -15,7 +15,8 @@ from PIL import Image
 
 import nlosoptics
 from nlosoptics import cli, inverse, limits, reconstructing
-from nlosoptics.imaging import CameraImage, ForwardModel
+from nlosoptics.imaging import CameraImage, ForwardModel, camera_image
+from nlosoptics.imaging.detector import full_reading
 from nlosoptics.scene import Lambert, Scene
 
 
@@ -231,6 +232,7 @@ def test_noise_of_a_file_follows_the_light_in_any_unit(gain, result: nlosoptics.
     image = CameraImage(
         values=np.where(masked, gain * electrons.mean(), gain * electrons),
         masked=masked,
+        saturated=np.zeros_like(masked),
         saturated_fraction=0.0,
     )
     model = reconstructing.known_model(result.scene, tol=1e-2)
@@ -249,9 +251,44 @@ def test_even_noise_where_the_camera_explains_none(result: nlosoptics.Result) ->
     """Noise below that of speckle, which no number of electrons per count lowers."""
     speckled = replace(result.scene, laser=replace(result.scene.laser, independent_patterns=1))
     smooth = np.full((64, 64), 1000.0) + np.random.default_rng(0).normal(0.0, 1e-3, (64, 64))
-    image = CameraImage(values=smooth, masked=np.zeros((64, 64), bool), saturated_fraction=0.0)
+    none = np.zeros((64, 64), bool)
+    image = CameraImage(values=smooth, masked=none, saturated=none, saturated_fraction=0.0)
     model = reconstructing.known_model(result.scene, tol=1e-2)
     noise = reconstructing.camera_noise(speckled, image, model)
     assert np.ptp(noise) == 0.0
     # relative spread 2/sqrt(pixels), three errors
     assert noise[0, 0] == pytest.approx(1e-3, rel=0.12)
+
+
+def test_simulated_full_pixels_are_lower_limits(result: nlosoptics.Result) -> None:
+    camera, image = result.scene.camera, result.image
+    level = 0.5 * image.expected.max() / camera.binning**2
+    camera = replace(camera, full_well=level, bit_depth=12, read_noise=0.03 * level)
+    scene = replace(result.scene, camera=camera)
+    run = nlosoptics.simulate(scene, 1e-2, seed=3, reconstruct=True)
+    found, electrons = run.reconstruction, run.image.electrons
+    n_full = round(run.image.saturated_fraction * electrons.size)
+    stated = found.physical_parameters["saturated_pixels"]
+    # no full pixel is lost; some others within the readout's noise count too
+    assert 0 < n_full <= stated <= np.count_nonzero(image.expected > 0.4 * image.expected.max())
+    assert stated == np.count_nonzero(electrons >= full_reading(camera))
+    assert inverse.registered_correlation(found, image.ideal) > 0.93
+
+
+def test_full_pixels_of_a_file_are_lower_limits(result: nlosoptics.Result, tmp_path: Path) -> None:
+    electrons, camera = result.image.electrons, result.scene.camera
+    file = tmp_path / "short.png"
+    counts = np.clip(electrons / (0.4 * electrons.max()) * 255.0, 0.0, 255.0)
+    Image.fromarray(counts.astype(np.uint8)).save(file)
+    taken = camera_image(file, shape=camera.shape)
+    full = counts == 255.0
+    assert np.array_equal(taken.saturated, full)
+    assert np.array_equal(taken.masked, full)
+    assert (taken.values[full] == 255.0).all()
+    task = reconstructing.prepared(result.scene, [file], tol=1e-2)
+    found = reconstructing.reconstructed(task)
+    assert found.physical_parameters["saturated_pixels"] == full.sum()
+    model = reconstructing.known_model(result.scene, tol=1e-2)
+    ignored = inverse.tv_deconvolve(inverse.Measurement(taken.values, masked=full), model)
+    score = inverse.registered_correlation(found, result.image.ideal)
+    assert score > inverse.registered_correlation(ignored, result.image.ideal) + 0.01

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Generic, TypeVar, cast
 
@@ -157,18 +157,25 @@ def reconstructed(
     """Check an image, or a `Measurement` of one, and return what a method finds in it.
 
     ``solve`` returns the arguments of `concluded` or `assemble` for a checked image in torch; it is
-    not called if no object is detected. ``shape`` (H, W) is that of the image if the point spread
-    is unknown. With ``in_numpy`` the checked image is in numpy, unless the given one is on a GPU.
+    not called if no object is detected and no pixel is saturated. ``shape`` (H, W) is that of the
+    image if the point spread is unknown. With ``in_numpy`` the checked image is in numpy, unless
+    the given one is on a GPU.
     """
     started = time.perf_counter()
     gain = measured(image).gain
     data = noisy_image(image, shape or model)
-    if data.is_background(None if shape else model):
+    full = 0 if data.plateau is None else np.count_nonzero(data.plateau.mask)
+    hidden = data.is_background(None if shape else model)
+    if hidden and not full:
         return without_object(data, model=model, gain=gain, started=started)
     ready = data if in_numpy and data.on_processor else data.in_torch()
     answer = {"data": data, "model": model, **solve(ready)}
     finish = concluded if "ending" in answer else assemble
-    return finish(gain=gain, started=started, **answer)
+    found = finish(gain=gain, started=started, **answer)
+    if not hidden:
+        return found
+    reason = f"only the {counted(full, 'saturated pixel')} show an object; expose shorter"
+    return replace(found, status="does_not_fit", reasons=(reason,))
 
 
 def _finished(solver: Solver[S], state: S) -> bool:

@@ -29,8 +29,14 @@ class Measurement(Noun):
         or (K, H, W). Pixels of infinite noise are ignored. None: it is estimated by
         `estimate_noise`.
     masked : array_like of bool or None
-        Pixels to ignore, for example saturated ones: (H, W), or (K, H, W) for several images. Their
+        Pixels to ignore, for example dead ones: (H, W), or (K, H, W) for several images. Their
         values may be NaN.
+    saturated : array_like of bool or None
+        Pixels that the camera has read as full, (H, W), or (K, H, W) for several images: without
+        saturation they would be at least as bright as they are in ``image``. `tv_deconvolve` uses
+        these lower limits, also of pixels that are ``masked``; the other solvers ignore the pixels.
+        None: saturated pixels are
+        unknown; solvers with a known point spread search for them.
     background : float or array_like
         Known background, image units: one number, (H, W), (K,) or (K, H, W).
     fit_background : bool
@@ -46,8 +52,9 @@ class Measurement(Noun):
     SamplingError
         If images or values of one argument differ in shape.
     SceneError
-        If ``gain`` is not positive, or ``masked`` is not boolean. Solvers raise errors for arrays
-        that do not have the shape of their image model, and for values that are not finite.
+        If ``gain`` is not positive, or ``masked`` or ``saturated`` is not boolean. Solvers raise
+        errors for arrays that do not have the shape of their image model, and for values that are
+        not finite.
 
     See Also
     --------
@@ -74,6 +81,7 @@ class Measurement(Noun):
     image: Any
     noise_sigma: Any = field(default=None, kw_only=True)
     masked: Any = field(default=None, kw_only=True)
+    saturated: Any = field(default=None, kw_only=True)
     background: Any = field(default=0.0, kw_only=True)
     fit_background: bool = field(default=True, kw_only=True)
     background_shape: Any = field(default=None, kw_only=True)
@@ -82,17 +90,19 @@ class Measurement(Noun):
     def __post_init__(self) -> None:
         if self.gain is not None:
             positive("gain", self.gain)
-        shape_of("masked", self.masked)  # refuses rows of different length
-        if self.masked is not None and as_numpy(self.masked).dtype != bool:
-            raise SceneError(
-                f"masked has values of type {as_numpy(self.masked).dtype}, must be boolean, True "
-                "for pixels to ignore"
-            )
+        for name, meaning in (("masked", "pixels to ignore"), ("saturated", "full pixels")):
+            mask = getattr(self, name)
+            shape_of(name, mask)  # refuses rows of different length
+            if mask is not None and as_numpy(mask).dtype != bool:
+                raise SceneError(
+                    f"{name} has values of type {as_numpy(mask).dtype}, must be boolean, True for "
+                    f"{meaning}"
+                )
 
     def each(self) -> list[Measurement]:
         """Return the images one by one, (H, W), each with its own noise and background."""
         stack = _stack(self.image)
-        names = ("noise_sigma", "masked", "background")
+        names = ("noise_sigma", "masked", "saturated", "background")
         given = {name: _per_image(name, getattr(self, name), len(stack)) for name in names}
         return [
             replace(self, image=image, **{name: given[name][i] for name in names})

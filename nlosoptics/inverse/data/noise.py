@@ -241,11 +241,17 @@ def clipped_pixels(
     plateau = exact_plateau(image, valid, most)
     if plateau is None:
         return None
+    lit = lit_pixels(image, passed, valid, plateau.mask)
+    if np.count_nonzero(lit) < (1.0 - _MOST_ALONE) * np.count_nonzero(plateau.mask):
+        return None
+    return plateau._replace(mask=lit)
+
+
+def lit_pixels(image: Array, passed: Array, valid: Mask, full: Mask) -> Mask:
+    """Return those of the ``full`` pixels that are not hot, which deviate alone."""
     filled = surrounded(image, ~valid)
     alone, _ = lone_pixels(filled, passed, _noise_of_neighbours(filled), masked=~valid)
-    if alone[plateau.mask].mean() > _MOST_ALONE:
-        return None
-    return plateau._replace(mask=plateau.mask & ~alone)
+    return full & ~alone
 
 
 def _check_side(shape: tuple[int, ...]) -> None:

@@ -26,7 +26,7 @@ from .arrays import (
 )
 from .measurement import Measurement, measured
 from .models import AnyModel, model_shape
-from .noise import bad_pixels, clipped_pixels, noise_and_bad_pixels, surrounded
+from .noise import bad_pixels, clipped_pixels, lit_pixels, noise_and_bad_pixels, surrounded
 from .saturation import Plateau, noisy_plateau
 from .spectra import (
     beyond_optics,
@@ -321,21 +321,29 @@ def noisy_image(
     """Check a `Measurement` of one image, or an image alone, against an image model.
 
     ``model`` may be the shape (H, W) if the point spread is unknown; the noise is then estimated
-    without it, and no bad pixels are sought. ``plateau`` are the saturated pixels, by default the
-    `clipped_pixels`.
+    without it, and no bad pixels are sought. ``plateau`` are the saturated pixels, by default those
+    that the measurement states, or the `clipped_pixels`.
     """
     given = measured(image)
     shape, passed = (
         (model, None) if isinstance(model, tuple) else (model_shape(model), passed_power(model))
     )
-    masked = _mask(given.masked, shape)
+    masked, full = _mask("masked", given.masked, shape), _mask("saturated", given.saturated, shape)
+    if masked is not None and full is not None:
+        masked = masked & ~full
     data = _picture("image", given.image, shape, masked)
     stated = given.noise_sigma
     stated = None if stated is None else _stated_noise(stated, shape, masked)
-    if plateau is None and passed is not None:
-        valid = np.isfinite(np.broadcast_to(0.0 if stated is None else stated, shape))
-        most = math.inf if stated is None else float(np.broadcast_to(stated, shape)[valid].max())
-        plateau = clipped_pixels(data, passed, valid if masked is None else valid & ~masked, most)
+    valid = np.ones(shape, dtype=bool) if masked is None else ~masked
+    if full is not None:
+        masked = ~valid | full
+        lit = full if passed is None else lit_pixels(data, passed, valid, full)
+        plateau = Plateau(lit, data, 0.0)
+    elif plateau is None and passed is not None and given.saturated is None:
+        noise = np.broadcast_to(0.0 if stated is None else stated, shape)
+        valid &= np.isfinite(noise)
+        most = math.inf if stated is None else float(noise[valid].max())
+        plateau = clipped_pixels(data, passed, valid, most)
     background = given.background
     if shape_of("background", background):
         background = _picture("background", background, shape, masked)
@@ -347,6 +355,10 @@ def noisy_image(
         masked = plateau.mask if masked is None else masked | plateau.mask
         least = np.where(plateau.mask, plateau.level - plateau.sigma, -np.inf) - background
     if masked is not None:
+        if masked.all():
+            raise SceneError(
+                "every pixel is masked or saturated, so that none counts; expose shorter"
+            )
         data = surrounded(data, masked)
     sigmas: float | NDArray[np.float64]
     if stated is None:
@@ -384,7 +396,8 @@ def with_plateau(data: NoisyImage, image: Any, model: AnyModel) -> NoisyImage | 
     valid = np.ones(values.shape, dtype=bool)
     if data.weights is not None:
         valid = as_numpy(data.weights) > 0.0
-    plateau = None if data.least is not None else noisy_plateau(values, valid)
+    known = data.least is not None or measured(image).saturated is not None
+    plateau = None if known else noisy_plateau(values, valid)
     return None if plateau is None else noisy_image(image, model, plateau)
 
 
@@ -443,18 +456,18 @@ def _positive_sigma(sigma: float) -> float:
     return positive("noise_sigma", sigma, remedy="give None to have it estimated")
 
 
-def _mask(value: Any, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
-    """Return the pixels to ignore; None if there are none."""
+def _mask(name: str, value: Any, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
+    """Return a mask of pixels; None if it has none."""
     if value is None:
         return None
     masked = as_numpy(value)
     if masked.shape != shape:
         raise SamplingError(
-            f"masked has shape {masked.shape}, must be {shape} like the image; give one value for "
+            f"{name} has shape {masked.shape}, must be {shape} like the image; give one value for "
             "each pixel"
         )
     if masked.all():
-        raise SceneError("masked is True in every pixel, so that none counts; leave some out")
+        raise SceneError(f"{name} is True in every pixel, so that none counts; leave some out")
     return masked if masked.any() else None
 
 

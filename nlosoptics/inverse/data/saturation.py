@@ -46,10 +46,13 @@ _MOST_SATURATED = 0.5  # share of the pixels
 
 
 class Plateau(NamedTuple):
-    """Saturated pixels, their level, and the noise about it; both in the unit of the image."""
+    """Saturated pixels, their level, and the noise about it; both in the unit of the image.
+
+    The level of pixels that the caller states is an array: it is the value of each of them.
+    """
 
     mask: Mask
-    level: float
+    level: float | Array
     sigma: float
 
 

@@ -210,7 +210,8 @@ def _doubts(level: Values, other: Values, data: NoisyImage) -> dict[str, Any]:
         "doubts": (
             f"{int(plateau.mask.sum())} pixels are as bright as {plateau.level:.4g} within the "
             f"noise, and without them the object is another one (correlation {alike:.2f}, limit "
-            f"{_ALIKE:g}): if the camera is saturated there, give them as masked of a Measurement",
+            f"{_ALIKE:g}): if the camera is saturated there, give them as saturated in "
+            "Measurement",
         )
     }
 
