@@ -24,6 +24,8 @@ R = TypeVar("R")
 SHARE = 0.75
 #: Largest component of a vector: sums of squares do not overflow.
 MOST = 1e150
+#: Largest value of an image, and 1 over the smallest: sums of fourth powers stay in range.
+_MOST_SQUARABLE = 1e60
 #: Seconds for which the free memory is cached; reading it takes as long as a small transform.
 FRESH = 0.25
 MOST_SHOWN = 60  # characters of a wrong path that a message shows
@@ -77,6 +79,15 @@ def in_range(
 def positive(name: str, value: Any, *, unit: str = "", remedy: str = "") -> float:
     """Return ``value`` as a finite float above zero."""
     return in_range(name, value, 0.0, open_low=True, unit=unit, remedy=remedy)
+
+
+def squarable(name: str, largest: float) -> None:
+    """Raise `SceneError` if squares and sums of values up to ``largest`` leave a float's range."""
+    if largest > _MOST_SQUARABLE or 0.0 < largest < 1.0 / _MOST_SQUARABLE:
+        raise SceneError(
+            f"{name} has values up to {largest:.3g}, must be {1.0 / _MOST_SQUARABLE:g} to "
+            f"{_MOST_SQUARABLE:g}; multiply all of them by a constant"
+        )
 
 
 def whole(name: str, value: Any, low: int = 1, high: int | None = None) -> int:

@@ -264,7 +264,7 @@ def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
     table.add("saturated pixels", f"{100 * f['saturated_fraction']:.2g} %")
     if "bad_pixels" in f["physical_parameters"]:
         table.add(
-            "dead, hot or saturated pixels, ignored", str(f["physical_parameters"]["bad_pixels"])
+            "dead, hot or saturated pixels found", str(f["physical_parameters"]["bad_pixels"])
         )
     table.add("seconds", f"{report['seconds']['total']:.2f} s")
     table.add("written to", str(folder))

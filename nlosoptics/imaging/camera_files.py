@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import counted, path_of, positive, whole
+from .._checks import counted, path_of, positive, squarable, whole
 from .._nouns import Noun
 from .._pictures import opened_picture
 from ..errors import SamplingError, SceneError
@@ -111,6 +111,7 @@ def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
             f"{path}: {n_bad} of {counts.size} values are not finite; replace bad pixels by their "
             "neighbours"
         )
+    squarable(str(path), float(np.abs(counts).max()))
     short = raw.dtype.kind == "u" and raw.dtype.itemsize <= 2
     return counts, float(np.iinfo(raw.dtype).max) if short else None
 

@@ -76,7 +76,10 @@ def blind_forecast(
         return BlindForecast(one_frame=unknown, two_frames=unknown, text=text)
     least = math.sqrt(sum(value**2 for value in bounds.values()))
     if least > strength:
-        text = f"{told}, of which two frames tell {least:.2g} at best: it cannot be found"
+        text = (
+            f"{told}, and a fit to two frames would err by {least:.2g} waves rms at best: the wave "
+            "cannot be found"
+        )
         return BlindForecast(one_frame=0.0, two_frames=0.0, text=text)
     reason = ""
     if strength > STRENGTHS[-1]:

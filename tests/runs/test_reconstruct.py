@@ -89,7 +89,7 @@ def test_hot_pixels_are_found_and_told(taken: np.ndarray, capsys, monkeypatch) -
     Image.fromarray(np.rint(counts).astype(np.uint16)).save("letter.png")
     code, out, _ = call(capsys, *USUAL)
     assert code == 0
-    assert re.search(r"dead, hot or saturated pixels, ignored +4", out)
+    assert re.search(r"dead, hot or saturated pixels found +4", out)
     report = json.loads(Path("letter/result.json").read_text())
     assert report["figures"]["physical_parameters"]["bad_pixels"] == 4
     with np.load("letter/reconstruction.npz") as arrays:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..._checks import squarable
 from ..._fourier import irfft2, rfft2
 from ..._smoothing import gaussian_smoothed
 from ...errors import SamplingError, SceneError
@@ -138,6 +139,7 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
             f"image has {np.count_nonzero(~np.isfinite(values))} of {values.size} values that are "
             "not finite; replace bad pixels by their neighbours"
         )
+    squarable("image", float(np.abs(values).max()))
     if model is not None and values.shape != model_shape(model):
         raise SamplingError(
             f"image has shape {values.shape}, must be {model_shape(model)} like the model; "

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import positive, real
+from ..._checks import positive, real, squarable
 from ..._fourier import cosines2
 from ..._special import upper_gamma_share
 from ...errors import SamplingError, SceneError
@@ -496,4 +496,6 @@ def _picture(
             f"{name} has {n_bad} of {picture.size} values that are not finite; "
             "mark bad pixels by Measurement(..., masked=...)"
         )
+    counts = np.isfinite(picture) if masked is None else np.isfinite(picture) & ~masked
+    squarable(name, float(np.abs(picture[counts]).max(initial=0.0)))
     return picture

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from nlosoptics.errors import SamplingError, SceneError
-from nlosoptics.imaging import ForwardModel
-from nlosoptics.inverse import Measurement, estimate_noise, wiener
+from nlosoptics.imaging import ForwardModel, camera_image
+from nlosoptics.inverse import Measurement, estimate_noise, tv_deconvolve, wiener
 from nlosoptics.inverse.data.noisy_image import noisy_image
 
 
@@ -112,3 +112,20 @@ def test_stated_noise_is_kept_if_the_image_contradicts_it():
     assert signal == pytest.approx(np.sqrt(2 * 64**2))
     rest = image - image.mean()
     assert noise + signal == pytest.approx((rest**2).sum() / 2.0)
+
+
+@pytest.mark.parametrize("size", [1e308, 1e-305])
+def test_values_whose_squares_are_no_floats_are_refused(size, tmp_path):
+    image = size * np.random.default_rng(1).random((32, 32))
+    model = ForwardModel(np.full((3, 3), 1.0 / 9.0), shape=image.shape)
+    limits = "has values up to .*, must be 1e-60 to 1e.60; multiply all of them by a constant"
+    np.save(tmp_path / "image.npy", image)
+    calls = [
+        lambda: estimate_noise(image),
+        lambda: tv_deconvolve(image, model),
+        lambda: wiener(image, model),
+        lambda: camera_image(tmp_path / "image.npy"),
+    ]
+    for call in calls:  # warnings are errors
+        with pytest.raises(SceneError, match=limits):
+            call()
