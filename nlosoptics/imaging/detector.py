@@ -110,12 +110,14 @@ def full_reading(camera: Camera) -> float:
     """Return the reading, electrons, from which on an image pixel of a camera may be full.
 
     A full pixel reads its full well with the noise of readout and digitisation. The result is three
-    times their rms value below the full well, and at most the converter's largest value.
+    times their rms value below the full well, but at least half of it, and at most the converter's
+    largest value.
     """
     native = camera.binning**2
-    step = camera.full_well / 2**camera.bit_depth
+    step: float = camera.full_well / 2**camera.bit_depth
     spread = math.sqrt(native * (camera.read_noise**2 + step**2 / 12))
-    return native * camera.full_well - max(_FULL * spread, native * step)
+    capacity = native * camera.full_well
+    return capacity - max(min(_FULL * spread, 0.5 * capacity), native * step)
 
 
 def _counts(mean: Array, seed: int) -> Array:

@@ -13,6 +13,7 @@ from nlosoptics.imaging.detector import (
     PHOTONS,
     READOUT,
     SPECKLE,
+    full_reading,
     noise_variance,
     read_out,
     speckles_per_pixel,
@@ -194,3 +195,16 @@ def bright_camera(**changes):
         binning=1,
         **changes,
     )
+
+
+@pytest.mark.parametrize(
+    ("changes", "level"),
+    [
+        ({"read_noise": 0.0, "bit_depth": 4}, 9.0 * (1000.0 - 1000.0 / 16)),
+        ({"read_noise": 50.0, "bit_depth": 16}, 9.0 * 1000.0 - 3.0 * 3.0 * 50.0),
+        ({"read_noise": 2000.0, "bit_depth": 16}, 9.0 * 500.0),
+    ],
+)
+def test_full_reading_is_below_the_full_well_by_the_readout_noise(changes, level):
+    camera = replace(CAMERA, binning=3, pixels=(96, 96), full_well=1000.0, **changes)
+    assert full_reading(camera) == pytest.approx(level, rel=1e-6)

@@ -164,7 +164,7 @@ def reconstructed(
     started = time.perf_counter()
     gain = measured(image).gain
     data = noisy_image(image, shape or model)
-    full = 0 if data.plateau is None else np.count_nonzero(data.plateau.mask)
+    full = 0 if data.plateau is None else int(data.plateau.mask.sum())
     hidden = data.is_background(None if shape else model)
     if hidden and not full:
         return without_object(data, model=model, gain=gain, started=started)
