@@ -109,7 +109,7 @@ _NEAR_SEVERAL = Neighbourhood(
     generations=4, litter=12, breeding=Breeding(flips=0.03, noise=0.25), least=0.95
 )
 _NEAR_ONE = Neighbourhood(
-    generations=7, litter=24, breeding=Breeding(flips=0.06, noise=0.3), least=0.95
+    generations=12, litter=24, breeding=Breeding(flips=0.06, noise=0.3), least=0.95
 )
 #: Relative distance of point spreads beyond which two walls are different answers. In tests, that
 #: of equal answers was below 0.2, and that of different ones above 0.34.

@@ -35,8 +35,7 @@ class Measurement(Noun):
         Pixels that the camera has read as full, (H, W), or (K, H, W) for several images: without
         saturation they would be at least as bright as they are in ``image``. `tv_deconvolve` uses
         these lower limits, also of pixels that are ``masked``; the other solvers ignore the pixels.
-        None: saturated pixels are
-        unknown; solvers with a known point spread search for them.
+        None: unknown; solvers with a known point spread search for saturated pixels.
     background : float or array_like
         Known background, image units: one number, (H, W), (K,) or (K, H, W).
     fit_background : bool

@@ -251,8 +251,8 @@ def test_a_well_fitted_pool_needs_no_children():
 
 
 def test_generations_go_on_while_they_lower_the_energy_and_are_counted():
-    """There are at most four of several images, and seven of one."""
-    for several, most in ((True, 4), (False, 7)):
+    """There are at most four of several images, and twelve of one."""
+    for several, most in ((True, 4), (False, 12)):
         for drop, count in ((100.0, most), (-100.0, 1)):
             found, told, log = searched(several, rounds=1, drop=drop)
             assert sizes(log, "starts").count(12 if several else 24) == count
