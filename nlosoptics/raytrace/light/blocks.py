@@ -57,7 +57,12 @@ class Job:
     @property
     def columns(self) -> int:
         """Number of sums: one per number of reflections, and those of the power balance."""
-        return self.max_bounces + 1 + kernels.SUMS
+        return columns_of(self.max_bounces)
+
+
+def columns_of(max_bounces: int) -> int:
+    """Return the number of `Job.columns` for a largest number of reflections."""
+    return max_bounces + 1 + kernels.SUMS
 
 
 def traced(job: Job, first: int, end: int) -> Traced:

@@ -20,7 +20,7 @@ from ...errors import SceneError
 from ...kernels.codes import GROUPS, UNIT
 from ...scene import Laser, Scene
 from ..fans.paths import RayPaths
-from .trace import BLOCK, MOST, WAITING, in_blocks, job_of, result_of
+from .trace import BLOCK, MOST, MOST_BOUNCES, WAITING, in_blocks, job_of, result_of
 
 Array = NDArray[np.float64]
 
@@ -123,16 +123,17 @@ def trace_lasers(
     if isinstance(scene, Scene) and scene.is_coloured:
         scene = _at_one_wavelength(scene, lasers)
     whole("n_rays", n_rays, 1, MOST)
-    job = job_of(scene, max_bounces, sampler, seed, lasers=lasers)
-    shape = (len(lasers), GROUPS, job.columns)
+    whole("max_bounces", max_bounces, 1, MOST_BOUNCES)
+    from .blocks import columns_of, traced_lasers
+
+    shape = (len(lasers), GROUPS, columns_of(max_bounces))
     at_once = 1 + WAITING * BLOCK // UNIT
     fits_memory(
         f"the sums of {counted(len(lasers), 'laser')} with max_bounces = {max_bounces}",
         8.0 * at_once * math.prod(shape),
         "give fewer lasers, or lower max_bounces",
     )
-    from .blocks import traced_lasers
-
+    job = job_of(scene, max_bounces, sampler, seed, lasers=lasers)
     begun = time.perf_counter()
     totals = np.zeros(shape)
     counts: list[Counter[str]] = [Counter() for _ in lasers]
