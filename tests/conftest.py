@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import re
@@ -23,6 +24,9 @@ ROOT = Path(__file__).parents[1]
 # tests that compare thread counts; must be said before numpy, numba and torch are imported.
 os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 os.environ["NUMBA_NUM_THREADS"] = "2"
+# The search for garbage looks at all collected tests each time. It took two fifths of the time of
+# the collection. The commands of the package have the same threshold.
+gc.set_threshold(200_000)
 
 FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
@@ -31,6 +35,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """``--record`` writes the results of tests that compare with a record."""
     choices, told = ("new", "common"), "write results on record: new ones, or strike out others"
     parser.addoption("--record", choices=choices, help=told)
+
+
+def pytest_collection_finish() -> None:
+    """Exempt tests and libraries from the search for garbage, because they stay until the end."""
+    gc.freeze()
 
 
 @pytest.fixture
