@@ -343,7 +343,8 @@ def _fill(
     found = [_rim_table(grid.radius, grid.reach)]
     if pupil.obscuration > 0:
         found.append(_rim_table(pupil.obscuration * grid.radius, grid.reach))
-    lows, highs = (np.array([rim[i] for rim in found]) for i in (0, 1))
+    # A bound may be an integer, for which numba would compile the kernel again.
+    lows, highs = (np.array([rim[i] for rim in found], dtype=np.float64) for i in (0, 1))
     width = max(rim[2].size for rim in found)
     tables = np.zeros((len(found), width))
     for row, rim in zip(tables, found, strict=True):
