@@ -6,13 +6,11 @@ about their light or surrounded by black.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,8 +18,9 @@ from numpy.random import Generator
 from torch import Tensor
 
 from ..._checks import reason
-from ...errors import MissingExtraError, SceneError
+from ...errors import SceneError
 from ...psf.wave.zernikes import zernike
+from ..published.network_files import file_content, read_file
 from ..wave.frames import Frames
 from ..wave.pupil_psf import PupilPSF
 from ..wave.pupil_waves import DEFOCUS, ZernikeWaves
@@ -247,20 +246,13 @@ def loaded_network(path: Path) -> WallNetwork:
     MissingExtraError
         If safetensors is not installed.
     """
-    safetensors = _safetensors()
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise SceneError(f"{path} cannot be read ({error.strerror}); install it again") from None
+    tensors, texts = read_file(path, "install it again")
     network = WallNetwork()
     try:
-        tensors = safetensors.load(content)
-        length = int.from_bytes(content[:8], "little")
-        told = json.loads(content[8 : 8 + length])["__metadata__"]["format"]
-        if told != _FORMAT:
-            raise ValueError(f'format {told!r}, must be "{_FORMAT}"')
+        if texts.get("format") != _FORMAT:
+            raise ValueError(f'format {texts.get("format")!r}, must be "{_FORMAT}"')
         network.load_state_dict({name: one.float() for name, one in tensors.items()})
-    except Exception as error:
+    except (RuntimeError, ValueError) as error:
         raise SceneError(
             f"{path} does not hold the network of proposals ({reason(error)}); install it again"
         ) from None
@@ -270,8 +262,7 @@ def loaded_network(path: Path) -> WallNetwork:
 def saved_network(network: WallNetwork) -> bytes:
     """Return the content of a file that holds a network, in half precision."""
     tensors = {name: one.detach().half() for name, one in network.state_dict().items()}
-    content: bytes = _safetensors().save(tensors, {"format": _FORMAT})
-    return content
+    return file_content(tensors, {"format": _FORMAT})
 
 
 @cache
@@ -298,14 +289,3 @@ def _turns() -> list[tuple[Turn, Tensor]]:
             matrix = torch.linalg.lstsq(plain.T, turned.T).solution
             found.append((turn, matrix.round().float()))
     return found
-
-
-def _safetensors() -> Any:
-    try:
-        import safetensors.torch
-    except ImportError:
-        raise MissingExtraError(
-            "the network of wall proposals is a file of safetensors, which is not installed; "
-            "pip install 'nlosoptics[inverse]'"
-        ) from None
-    return safetensors.torch

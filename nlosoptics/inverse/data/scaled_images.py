@@ -8,6 +8,8 @@ from torch import Tensor
 from .noisy_image import NoisyImage
 
 _LEAST_CONTRAST = 0.1
+# Gradient below which total variation is smoothed, relative to the range of objects from 0 to 1.
+_SMOOTH = 1e-3
 
 
 class ScaledImage:
@@ -70,13 +72,12 @@ class ScaledImage:
         return values - strength * self._shape
 
 
-def total_variation(picture: Tensor, smooth: Tensor | float) -> Tensor:
-    """Return the isotropic total variation of an image (..., H, W), without its borders.
+def total_variation(picture: Tensor) -> Tensor:
+    """Return the isotropic total variation of an object (..., H, W), without its borders.
 
-    Gradients below ``smooth`` enter quadratically, since the square root has an infinite slope at
-    0.
+    Gradients below 1e-3 enter quadratically, since the square root has an infinite slope at 0.
     """
     down = torch.diff(picture, dim=-2)[..., :, :-1]
     along = torch.diff(picture, dim=-1)[..., :-1, :]
     square = down * down + along * along
-    return ((square + smooth * smooth).sqrt() - smooth).sum(dim=(-2, -1))
+    return ((square + _SMOOTH * _SMOOTH).sqrt() - _SMOOTH).sum(dim=(-2, -1))

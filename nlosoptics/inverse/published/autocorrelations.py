@@ -73,7 +73,9 @@ def image_lags(data: NoisyImage, model: TorchForwardModel | None) -> Array:
         floor = noise / max(power.mean() - noise, 1e-12 * power.mean()) * passed.mean()
         lags = fft.irfft2(np.maximum(power - noise, 0.0) * passed / (passed**2 + floor**2), s=grid)
     reach = [min((n - 1) // 2, (g - 1) // 2) for n, g in zip(clean.shape, grid, strict=True)]
-    return _centred(lags, reach)
+    # from FFT order to the zero lag at the centre
+    centred: Array = lags[np.ix_(*(np.arange(-r, r + 1) for r in reach))]
+    return centred
 
 
 def spectrum_modulus(lags: Array, object_size: tuple[int, int] | None) -> SpectrumModulus:
@@ -160,8 +162,3 @@ def _object_size(lags: Array) -> tuple[int, int]:
         for s, n in zip(found, lags.shape, strict=True)
     ]
     return sizes[0], sizes[1]
-
-
-def _centred(lags: Array, reach: list[int]) -> Array:
-    """Return the lags up to ``reach``, reordered from FFT order to the zero lag at the centre."""
-    return lags[np.ix_(*(np.arange(-r, r + 1) for r in reach))]

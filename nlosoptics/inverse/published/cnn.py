@@ -21,7 +21,7 @@ from ..._nouns import Noun
 from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ..._whole_files import write_whole
-from ...errors import MissingExtraError, SamplingError, SceneError
+from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
 from ..data.adam import descend
@@ -31,8 +31,9 @@ from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside, frozen
 from ..data.scaled_images import ScaledImage
 from ..data.status import MOST_RESIDUAL, Ending
+from .network_files import file_content, read_file
 from .training_pairs import TrainingPairs
-from .unet import UNet
+from .unet import UNet, normalised
 
 BATCHES = 605  # stream of the order in which pairs are shown
 _FORMAT = "nlosoptics CnnBaseline 1"
@@ -70,10 +71,7 @@ class CnnBaseline(nn.Module):
         """Compute objects (B, H, W), 0 to 1, from a batch of images (B, H, W) in any unit."""
         if images.ndim != 3:
             raise SamplingError(f"images has shape {tuple(images.shape)}, must be (B, H, W)")
-        centred = images - images.mean(dim=(1, 2), keepdim=True)
-        spread = centred.square().mean(dim=(1, 2), keepdim=True).sqrt()
-        values: Tensor = self.network((centred / spread.clamp_min(1e-30))[:, None])[:, 0]
-        return torch.sigmoid(values)
+        return torch.sigmoid(self.network(normalised(images)[:, None])[:, 0])
 
     @single_thread()
     def reconstruct(
@@ -149,15 +147,13 @@ class CnnBaseline(nn.Module):
         MissingExtraError
             If safetensors is not installed.
         """
-        safetensors = _safetensors()
-        # A single entry: safetensors writes several in random order, but equal networks must give
-        # equal files.
+        # a single text, so that equal networks give equal files
         told = {"format": _FORMAT, "base": self.network.base, "depth": self.network.depth}
         tensors = {
             name: values.detach().cpu().contiguous()
             for name, values in self.network.state_dict().items()
         }
-        write_whole({path_of("path", path): safetensors.save(tensors, {_ENTRY: json.dumps(told)})})
+        write_whole({path_of("path", path): file_content(tensors, {_ENTRY: json.dumps(told)})})
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
@@ -180,18 +176,12 @@ class CnnBaseline(nn.Module):
         MissingExtraError
             If safetensors is not installed.
         """
-        safetensors, path = _safetensors(), path_of("path", path)
+        path, written = path_of("path", path), "give one written by nlosoptics train"
+        tensors, texts = read_file(path, written)
         try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise SceneError(f"{path} cannot be read ({error.strerror}); name another") from None
-        written = "give one written by nlosoptics train"
-        try:
-            tensors, told = safetensors.load(content), _metadata(content)
-        except Exception as error:
-            raise SceneError(
-                f"{path} is no safetensors file ({reason(error)}); {written}"
-            ) from None
+            told = dict(json.loads(texts[_ENTRY]))
+        except (KeyError, TypeError, ValueError):
+            told = {}
         if told.get("format") != _FORMAT:
             raise SceneError(
                 f'{path} has format {told.get("format")!r}, must be "{_FORMAT}"; {written}'
@@ -397,21 +387,3 @@ def _validation(made: CnnBaseline, images: Tensor, objects: Tensor, batch: int) 
         ):
             total += (made(part) - wanted).square().mean().item() * len(part)
     return total / len(images)
-
-
-def _safetensors() -> Any:
-    try:
-        import safetensors.torch
-    except ImportError:
-        raise MissingExtraError(
-            "networks are files of safetensors, which is not installed; "
-            "pip install 'nlosoptics[inverse]'"
-        ) from None
-    return safetensors.torch
-
-
-def _metadata(content: bytes) -> dict[str, Any]:
-    """Read the metadata of a saved network; the file begins with a JSON header and its length."""
-    length = int.from_bytes(content[:8], "little")
-    head = json.loads(content[8 : 8 + length])
-    return dict(json.loads(head.get("__metadata__", {}).get(_ENTRY, "{}")))

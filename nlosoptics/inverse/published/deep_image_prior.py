@@ -36,8 +36,6 @@ _AVERAGE = 0.04
 _AVERAGE_FROM = 25
 # Final learning rate relative to the initial one.
 _LAST_RATE = 0.05
-# Gradient below which total variation is smoothed, relative to the object's range.
-_SMOOTH = 1e-3
 # Default fraction of the total-variation solution in the result.
 _GUIDE_SHARE = 0.5
 
@@ -207,46 +205,43 @@ class _Weights(Iterate):
     residual: float = math.inf
 
 
+@dataclass(eq=False)
 class _Fit(Solver[_Weights]):
     """Fit of a network's weights to an image in units of its noise.
 
     ``known`` is another object (H, W) in image units and its share of the result, or None.
     """
 
+    data: NoisyImage
+    model: ForwardModel | TorchForwardModel
+    rule: tuple[int, float]
+    network: UNetObject
+    tv_weight: float
+    learning_rate: float
+    known: tuple[Tensor, float] | None
+
     name, takes_object = "deep_image_prior", False
     report = "deep image prior: residual {residual:.3f}"
 
-    def __init__(
-        self,
-        data: NoisyImage,
-        model: ForwardModel | TorchForwardModel,
-        rule: tuple[int, float],
-        network: UNetObject,
-        tv_weight: float,
-        learning_rate: float,
-        known: tuple[Tensor, float] | None,
-    ) -> None:
-        self.data = data
-        self.max_iterations, self._tolerance = rule
-        self._network, self._model = network, model
-        self._blur = torch_model(model, data.data.device, torch.float32)
-        self._image = ScaledImage(data, data.sigma)
-        self._tv_weight, self._rate, self._known = tv_weight, learning_rate, known
-        outline = 2 * sum(data.data.shape)
-        self._target = math.sqrt(max(1.0 - outline / data.data.numel(), 0.5))
+    def __post_init__(self) -> None:
+        self.max_iterations, self._tolerance = self.rule
+        self._blur = torch_model(self.model, self.data.data.device, torch.float32)
+        self._image = ScaledImage(self.data, self.data.sigma)
+        outline = 2 * sum(self.data.data.shape)
+        self._target = math.sqrt(max(1.0 - outline / self.data.data.numel(), 0.5))
 
     def init(self, first: Tensor | None) -> _Weights:
         """Return the initial state; a given object has no effect, the network is the start."""
         dark = torch.zeros_like(self._image.image)
-        adam = torch.optim.Adam(self._network.parameters(), self._rate, fused=True)
+        adam = torch.optim.Adam(self.network.parameters(), self.learning_rate, fused=True)
         return _Weights(network=adam, best=dark, average=dark, before=dark)
 
     def step(self, state: _Weights) -> tuple[float, float, float]:
         """Make one step of Adam; return objective, residual and change of the object before it."""
         share = 0.5 + 0.5 * math.cos(math.pi * state.count / self.max_iterations)
-        rate = self._rate * (_LAST_RATE + (1.0 - _LAST_RATE) * share)
+        rate = self.learning_rate * (_LAST_RATE + (1.0 - _LAST_RATE) * share)
         state.network.param_groups[0]["lr"] = rate
-        loss, square, level = self._objective(self._network())
+        loss, square, level = self._objective(self.network())
         descend(state.network, loss)
         objective, level = loss.item(), level.detach()
         state.residual = math.sqrt(square.item())
@@ -276,11 +271,11 @@ class _Fit(Solver[_Weights]):
                 averaged = self._objective(state.average)[0].item()
             chosen = state.average if averaged <= state.least else chosen
         level = chosen.double() * self._image.unit
-        return level if self._known is None else level.lerp(*self._known)
+        return level if self.known is None else level.lerp(*self.known)
 
     def answer(self, found: Run[_Weights], level: Tensor) -> dict[str, Any]:
         """Return background and status, and the parameters of the fit."""
-        strength, score = beside(self.data, level, self._model)
+        strength, score = beside(self.data, level, self.model)
         ending = Ending(
             converged=score <= 1.0 + self._tolerance and not found.stopped,
             history=found.history,
@@ -289,7 +284,7 @@ class _Fit(Solver[_Weights]):
         return {
             "background": strength,
             "ending": ending,
-            "tv_weight": self._tv_weight,
+            "tv_weight": self.tv_weight,
             "iterations": float(found.state.count),
         }
 
@@ -298,7 +293,7 @@ class _Fit(Solver[_Weights]):
         gain, residual = self._image.misfit(self._blur(picture))
         level = gain * picture
         objective = 0.5 * self._image.weighted(residual * residual).mean()
-        if self._tv_weight > 0.0:
-            edges = gain * total_variation(picture, _SMOOTH) / level.numel()
-            objective = objective + self._tv_weight * edges
+        if self.tv_weight > 0.0:
+            edges = gain * total_variation(picture) / level.numel()
+            objective = objective + self.tv_weight * edges
         return objective, self._image.mean_square(residual.detach()), level

@@ -135,13 +135,14 @@ class UNetObject(nn.Module):
 
     def __init__(self, guide: Tensor, *, base: int = 8, depth: int = 4, seed: int = 0) -> None:
         super().__init__()
-        self.network = UNet(base, depth, in_channels=_channels(guide).shape[0], seed=seed)
+        batch = _batch(guide)
+        self.network = UNet(base, depth, in_channels=batch.shape[1], seed=seed)
         self.network.to(device=guide.device, dtype=guide.dtype)
-        self.register_buffer("guide", _normalised(_channels(guide))[None])
+        self.register_buffer("guide", batch)
 
     def set_guide(self, guide: Tensor) -> None:
         """Replace the network's input by another one with as many channels."""
-        self.guide = _normalised(_channels(guide))[None].to(self.guide)
+        self.guide = _batch(guide).to(self.guide)
 
     def forward(self) -> Tensor:
         """Object (H, W), each pixel between 0 and 1."""
@@ -160,7 +161,8 @@ def _stage(entering: int, leaving: int, convolutions: int = 2) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-def _channels(guide: Any) -> Tensor:
+def _batch(guide: Any) -> Tensor:
+    """Return the network's input, (1, C, H, W), for a guide (H, W) or (C, H, W)."""
     if not isinstance(guide, Tensor) or not guide.is_floating_point():
         raise SceneError(
             f"guide of type {type(guide).__name__} is not a tensor of floats; "
@@ -168,11 +170,12 @@ def _channels(guide: Any) -> Tensor:
         )
     if guide.ndim not in (2, 3):
         raise SamplingError(f"guide has shape {tuple(guide.shape)}, must be (H, W) or (C, H, W)")
-    return guide.detach().reshape(-1, *guide.shape[-2:])
+    return normalised(guide.detach().reshape(1, -1, *guide.shape[-2:]))
 
 
-def _normalised(guide: Tensor) -> Tensor:
-    centred = guide - guide.mean(dim=(-2, -1), keepdim=True)
+def normalised(pictures: Tensor) -> Tensor:
+    """Return pictures (..., H, W), each shifted and scaled to mean 0 and variance 1."""
+    centred = pictures - pictures.mean(dim=(-2, -1), keepdim=True)
     spread = centred.square().mean(dim=(-2, -1), keepdim=True).sqrt()
-    # a uniform channel has no information and becomes zero
+    # a uniform picture has no information and becomes zero
     return centred / torch.where(spread > 0.0, spread, torch.ones_like(spread))

@@ -38,7 +38,6 @@ ANGLES = 603  # stream of the random angles
 # Iterations of a first run and of a resumed run ("more than 4000", "approximately 1800" in the
 # paper).
 _COLD, _WARM = 4000, 1800
-_SMOOTH = 1e-3
 # Correlation of object and image above which the answer counts as trivial (no blur).
 _TRIVIAL_CORRELATION = 0.95
 
@@ -188,7 +187,9 @@ def wu2024_fit(
     rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
     one_of("network_input", network_input, ("image", "reconstruction"))
     image = _only(measured(images), pupil_psf)
-    optics = _Optics(pupil_psf, _only_defocus(defocus))
+    if defocus is not None:
+        defocus = np.atleast_1d(real_array("defocus", defocus))
+    optics = _Optics(pupil_psf, known_defoci(defocus, 1).tolist())
 
     def solve(data: NoisyImage) -> dict[str, Any]:
         scaled = ScaledImage(data, float(data.data.max() - data.data.min()))
@@ -220,18 +221,16 @@ class _Optics:
     """Point spread of given coefficients, at a known defocus."""
 
     pupil_psf: AnyPSF
-    defocus: list[float] | None
+    defocus: list[float]
 
     def transfer(self, coefficients: Tensor) -> Tensor:
         """Return the transfer function, differentiable."""
-        transfer = self.pupil_psf.transfer(coefficients, defocus=self.defocus)
-        return transfer if self.defocus is None else transfer[0]
+        return self.pupil_psf.transfer(coefficients, defocus=self.defocus)[0]
 
     def model(self, coefficients: Tensor) -> ForwardModel:
         """Return the numpy image model."""
         with torch.no_grad():
-            spread = self.pupil_psf(coefficients.detach(), defocus=self.defocus)
-        kernel = spread if self.defocus is None else spread[0]
+            kernel = self.pupil_psf(coefficients.detach(), defocus=self.defocus)[0]
         return ForwardModel(
             kernel.double().cpu().numpy(), shape=self.pupil_psf.shape, boundary="circular"
         )
@@ -300,7 +299,7 @@ class _Pcin(Solver[_Turns]):
         transfer = self.optics.transfer(self.angles) if first else held
         gain, residual = self.image.misfit(_seen(picture, transfer))
         square = self.image.weighted(residual * residual).sum()
-        loss = square + self.tv_weight * gain * total_variation(picture, _SMOOTH)
+        loss = square + self.tv_weight * gain * total_variation(picture)
         before = self.angles.detach().clone()
         descend(state.angles if first else state.network, loss)
         change = (self.angles.detach() - before).norm() / before.norm().clamp_min(1e-30)
@@ -329,7 +328,7 @@ class _Pcin(Solver[_Turns]):
         """Return image model, background and status, and the parameters of angles and network."""
         coefficients = self.angles.detach()
         model = self.optics.model(coefficients)
-        flat = _Optics(self.optics.pupil_psf, None).model(torch.zeros_like(coefficients))
+        flat = _Optics(self.optics.pupil_psf, [0.0]).model(torch.zeros_like(coefficients))
         alike = registered_correlation(self.object(), self.data.data)
         network = self.network.network
         return {
@@ -365,12 +364,6 @@ def _only(images: Measurement, pupil_psf: AnyPSF) -> Measurement:
             'all of them to recipe "evidence"'
         )
     return one
-
-
-def _only_defocus(defocus: Any) -> list[float] | None:
-    if defocus is None:
-        return None
-    return known_defoci(np.atleast_1d(real_array("defocus", defocus)), 1).tolist()
 
 
 def _random_angles(pupil_psf: AnyPSF, start_rms: float | None, seed: int) -> Tensor:

@@ -234,15 +234,17 @@ def test_bad_files_are_refused_in_one_line(tmp_path):
     tensors = safetensors.torch.load(good)
     less = dict(list(tensors.items())[1:])
     contents = {
-        "cut": good[: len(good) // 2],
-        "text": b"no network",
-        "format": safetensors.torch.save(tensors, {"format": "other"}),
-        "weights": safetensors.torch.save(less, told),
+        "is no safetensors file": [good[: len(good) // 2], b"no network"],
+        "does not hold the network": [
+            safetensors.torch.save(tensors, {"format": "other"}),
+            safetensors.torch.save(tensors),
+            safetensors.torch.save(less, told),
+        ],
     }
-    for name, content in contents.items():
-        path = tmp_path / name
+    path = tmp_path / "network"
+    for words, content in [(words, one) for words, each in contents.items() for one in each]:
         path.write_bytes(content)
-        with pytest.raises(SceneError, match="does not hold the network") as error:
+        with pytest.raises(SceneError, match=f"{words}.*; install it again") as error:
             proposals.loaded_network(path)
         assert "\n" not in str(error.value)
     with pytest.raises(SceneError, match="cannot be read"):
