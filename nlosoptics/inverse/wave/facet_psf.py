@@ -11,10 +11,11 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
-from ..._checks import fits_memory, in_range, positive, real
-from ...errors import SamplingError, SceneError
+from ..._checks import fits_memory, positive
+from ...errors import SamplingError
 from ...psf.aperture.quadrature_nodes import circle_shares
 from ...psf.window.window import shape_of
+from .pupil_optics import centred, check_precision, checked_distance, checked_wavelength
 from .pupil_waves import checked_tangents
 
 #: Noll's defocus of 1 m rms is ``2 sqrt(3) (u^2 + v^2)/R^2`` m, apart from piston.
@@ -114,15 +115,10 @@ class FacetPSF(nn.Module):
         dtype: torch.dtype = torch.float32,
     ) -> None:
         super().__init__()
-        if dtype not in (torch.float32, torch.float64):
-            raise SamplingError(f"dtype = {dtype}; use torch.float32 or torch.float64")
+        check_precision(dtype)
         self.angle_pitch = positive("angle_pitch", angle_pitch, unit="m")
         self.pupil_radius = positive("pupil_radius", pupil_radius, unit="m")
-        self.image_distance = real("image_distance", image_distance)
-        if self.image_distance == 0.0:
-            raise SceneError(
-                "image_distance = 0 m, must not be 0; give the signed distance from pupil to image"
-            )
+        self.image_distance = checked_distance(image_distance)
         self.pitch = positive("pitch", pitch, unit="m")
         self.shape = shape_of(shape)
         tangents = checked_tangents(angles, self.angle_pitch, self.pupil_radius)
@@ -139,9 +135,7 @@ class FacetPSF(nn.Module):
         self.wavelength = None
         facet = None
         if wavelength is not None:
-            self.wavelength = in_range(
-                "wavelength", wavelength, 1e-8, 1e-3, unit="m", remedy="give metres in vacuum"
-            )
+            self.wavelength = checked_wavelength(wavelength)
             facet = torch.tensor(self._facet_transfer(self.wavelength), **like)
         self.register_buffer("_facet", facet)
         moved = tangents * (self.image_distance / self.pitch)
@@ -171,11 +165,10 @@ class FacetPSF(nn.Module):
         SamplingError
             If the coefficients' shape does not match.
         """
-        rows, columns = self.shape
-        spread = self._density(coefficients, defocus)
-        if self._facet is not None:
-            spread = torch.fft.irfft2(torch.fft.rfft2(spread) * self._facet, s=self.shape)
-        return spread.roll((rows // 2, columns // 2), (-2, -1))
+        if self._facet is None:
+            return centred(self._density(coefficients, defocus))
+        transfer = self.transfer(coefficients, defocus=defocus)
+        return centred(torch.fft.irfft2(transfer, s=self.shape))
 
     def transfer(
         self, coefficients: Tensor | None = None, *, defocus: Tensor | Sequence[float] | None = None

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -15,7 +14,7 @@ from ...errors import SamplingError, SceneError
 from ..data.arrays import real_array, shape_of
 from ..data.measurement import measured
 from ..data.noisy_image import NoisyImage, noisy_image
-from .pupil_psf import MOST_DEFOCUS, PupilPSF
+from .pupil_psf import PupilPSF, check_defocus
 from .pupil_waves import ZernikeWaves
 
 Array = NDArray[np.float64]
@@ -131,7 +130,7 @@ def frames_of(
         sigmas=np.array([one.sigma for one in checked]) / scale,
         scale=scale,
         walls=_wall_numbers(walls, count),
-        defocus=known_defoci(defocus, count).numpy(),
+        defocus=known_defoci(defocus, count),
     )
 
 
@@ -150,15 +149,12 @@ def _wall_numbers(walls: Any, count: int) -> NDArray[np.int64]:
     return numbers.astype(np.int64)
 
 
-def known_defoci(defocus: Any, count: int) -> Tensor:
+def known_defoci(defocus: Any, count: int) -> Array:
     """Return the known additional defocus of each image, (K,) float64, m rms; 0 by default."""
     values = np.zeros(count) if defocus is None else real_array("defocus", defocus)
     if values.shape != (count,):
         raise SamplingError(
             f"defocus has shape {values.shape}, must be ({count},); give one value per image"
         )
-    if not (np.abs(values) <= MOST_DEFOCUS).all():  # nor is NaN
-        raise SceneError(
-            f"defocus = {values.tolist()} m rms, limit {MOST_DEFOCUS:g}; give metres, not waves"
-        )
-    return torch.from_numpy(values)
+    check_defocus(values)
+    return values

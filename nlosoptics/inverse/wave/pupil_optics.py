@@ -71,6 +71,10 @@ class PupilOptics(nn.Module):
         Fraction of each cell that lies in the pupil.
     amplitude : ndarray, (n_v, n_u)
         This fraction times the transmission.
+    nyquist_pitch : float
+        Largest pitch of point samples, m.
+    fine_grid : (int, int)
+        Rows and columns of the fine samples of the method "fft"; `shape` if pixels are small.
     """
 
     _amplitude: Tensor
@@ -96,20 +100,10 @@ class PupilOptics(nn.Module):
         dtype: torch.dtype = torch.float32,
     ) -> None:
         super().__init__()
-        if dtype not in (torch.float32, torch.float64):
-            raise SamplingError(
-                f"dtype = {dtype} is not supported by the transform; "
-                "use torch.float32 or torch.float64"
-            )
-        self.wavelength = in_range(
-            "wavelength", wavelength, 1e-8, 1e-3, unit="m", remedy="give metres in vacuum"
-        )
+        check_precision(dtype)
+        self.wavelength = checked_wavelength(wavelength)
         self.pupil_radius = positive("pupil_radius", pupil_radius, unit="m")
-        self.image_distance = real("image_distance", image_distance)
-        if self.image_distance == 0:
-            raise SceneError(
-                "image_distance = 0 m, must not be 0; give the signed distance from pupil to image"
-            )
+        self.image_distance = checked_distance(image_distance)
         self.pitch = positive("pitch", pitch, unit="m")
         self.shape = shape_of(shape)
         self.method = one_of("method", method, ("fft", "mdft"))
@@ -121,7 +115,7 @@ class PupilOptics(nn.Module):
         self.v, self.u = self._cells(samples)
         pitch_v, pitch_u = (float(axis[1] - axis[0]) for axis in (self.v, self.u))
         self.pupil_pitch = (pitch_v, pitch_u)
-        self._finer, self._grid = self._samples()
+        self._finer, self.fine_grid = self._samples()
         self.share = circle_shares(self.u, self.v, pitch_u, self.pupil_radius, pitch_v)
         self.amplitude = self.share
         if transmission is not None:
@@ -152,22 +146,15 @@ class PupilOptics(nn.Module):
             dtype=torch.float64,
         )
 
-    @property
-    def fine_grid(self) -> tuple[int, int]:
-        """Rows and columns of the fine samples of the method "fft"; `shape` if pixels are small."""
-        return self._grid
-
     def cell_weights(self) -> Array:
         """Return the pupil function's modulus on the cells, (n_v, n_u); the image sums to 1."""
-        weights: Array = self._amplitude.double().cpu().numpy()
-        return weights
+        return self._amplitude.double().cpu().numpy()
 
     def pixel_transfer(self) -> Array:
         """Return the transfer function of a pixel for the half spectrum of the fine samples."""
         if not self.pixel_integrated:
-            return np.ones((self._grid[0], self._grid[1] // 2 + 1))
-        values: Array = self._pixel.double().cpu().numpy()
-        return values
+            return np.ones((self.fine_grid[0], self.fine_grid[1] // 2 + 1))
+        return self._pixel.double().cpu().numpy()
 
     @property
     def dtype(self) -> torch.dtype:
@@ -190,9 +177,8 @@ class PupilOptics(nn.Module):
         if self.method == "mdft":
             return self._by_matrices(turns)
         if not self.pixel_integrated:
-            return _centred(self._periodic(turns))
-        spread: Tensor = torch.fft.irfft2(self.transfer(turns), s=self.shape)
-        return _centred(spread)
+            return centred(self._periodic(turns))
+        return centred(torch.fft.irfft2(self.transfer(turns), s=self.shape))
 
     def transfer(self, turns: Tensor) -> Tensor:
         """Return ``rfft2`` of the point spreads, (..., H, W//2 + 1), their centre at sample [0, 0].
@@ -200,20 +186,15 @@ class PupilOptics(nn.Module):
         ``turns`` (..., n_v, n_u) is the wave aberration divided by the wavelength.
         """
         if self.method == "mdft":
-            spread = self._by_matrices(turns)
-            rows, columns = self.shape
-            spectrum: Tensor = torch.fft.rfft2(
-                spread.roll((-(rows // 2), -(columns // 2)), (-2, -1))
-            )
+            spread = torch.fft.ifftshift(self._by_matrices(turns), dim=(-2, -1))
+            spectrum: Tensor = torch.fft.rfft2(spread)
             return spectrum
         spectrum = torch.fft.rfft2(self._periodic(turns))
-        if not self.pixel_integrated:
-            return spectrum
-        spectrum = spectrum * self._pixel
-        if self._finer == 1:
-            return spectrum
-        fine = torch.fft.irfft2(spectrum, s=self._grid)
-        spectrum = torch.fft.rfft2(fine[..., :: self._finer, :: self._finer])
+        if self.pixel_integrated:
+            spectrum = spectrum * self._pixel
+        if self._finer > 1:
+            fine = torch.fft.irfft2(spectrum, s=self.fine_grid)
+            spectrum = torch.fft.rfft2(fine[..., :: self._finer, :: self._finer])
         return spectrum
 
     def steepest(self, turns: Tensor) -> float:
@@ -243,7 +224,7 @@ class PupilOptics(nn.Module):
         The origin of the pupil is moved from its centre to its corner, which changes only the phase
         in the image.
         """
-        rows, columns = self._grid
+        rows, columns = self.fine_grid
         field = torch.fft.fft(self._pupil(turns), n=columns, dim=-1)
         return _intensity(torch.fft.fft(field, n=rows, dim=-2))
 
@@ -343,7 +324,7 @@ class PupilOptics(nn.Module):
             keep("_along_x", _kernel(np.outer(self.u, window.x) / self._spread))
         elif self.pixel_integrated:
             # a pixel is _finer samples wide: its energy is their mean times their number
-            y, x = (np.fft.fftfreq(n, 1 / self._finer) for n in self._grid)
+            y, x = (np.fft.fftfreq(n, 1 / self._finer) for n in self.fine_grid)
             keep("_pixel", np.outer(np.sinc(y), np.sinc(x[: len(x) // 2 + 1])) * self._finer**2)
 
 
@@ -389,6 +370,30 @@ def _intensity(field: Tensor) -> Tensor:
     return intensity
 
 
-def _centred(spread: Tensor) -> Tensor:
-    rows, columns = spread.shape[-2:]
-    return spread.roll((rows // 2, columns // 2), (-2, -1))
+def centred(spread: Tensor) -> Tensor:
+    """Move the centre of point spreads (..., H, W) from sample [0, 0] to [H//2, W//2]."""
+    shifted: Tensor = torch.fft.fftshift(spread, dim=(-2, -1))
+    return shifted
+
+
+def check_precision(dtype: torch.dtype) -> None:
+    """Raise a `SamplingError` if a pupil model does not support a data type."""
+    if dtype not in (torch.float32, torch.float64):
+        raise SamplingError(
+            f"dtype = {dtype} is not supported by the transform; use torch.float32 or torch.float64"
+        )
+
+
+def checked_wavelength(wavelength: float) -> float:
+    """Return a wavelength, m; raise a `SceneError` if it is out of range."""
+    return in_range("wavelength", wavelength, 1e-8, 1e-3, unit="m", remedy="give metres in vacuum")
+
+
+def checked_distance(image_distance: float) -> float:
+    """Return the signed distance from pupil to image, m; raise a `SceneError` if it is 0."""
+    distance = real("image_distance", image_distance)
+    if distance == 0.0:
+        raise SceneError(
+            "image_distance = 0 m, must not be 0; give the signed distance from pupil to image"
+        )
+    return distance

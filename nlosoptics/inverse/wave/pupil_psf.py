@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any, Self, Unpack
 
 import torch
@@ -26,12 +25,20 @@ from .pupil_waves import (
     fitted_modes,
     like,
     noll_mode,
-    on_cells,
+    optics_of,
     start_values,
 )
 
 #: Largest plausible known defocus, m rms; larger values were probably given in waves.
 MOST_DEFOCUS = 1e-3
+
+
+def check_defocus(defocus: Any) -> None:
+    """Raise a `SceneError` if known defoci, an array or tensor in m rms, are not plausible."""
+    if not bool((abs(defocus) <= MOST_DEFOCUS).all()):  # nor is NaN
+        raise SceneError(
+            f"defocus = {defocus.tolist()} m rms, limit {MOST_DEFOCUS:g}; give metres, not waves"
+        )
 
 
 class PupilPSF(nn.Module):
@@ -74,7 +81,7 @@ class PupilPSF(nn.Module):
         super().__init__()
         self.optics, self.waves = optics, waves
         self.coefficients = nn.Parameter(like(optics, coefficients))
-        self._checked(self.coefficients)
+        self._checked(None)
         if not bool(torch.isfinite(self.coefficients).all()):
             raise SceneError("coefficients contain NaN or infinity; give finite start values")
         self.register_buffer("_defocus", like(optics, noll_mode(DEFOCUS, optics)))
@@ -338,16 +345,7 @@ class PupilPSF(nn.Module):
             If the scene, a mode or a length is invalid.
         """
         wave = wavefront(scene, object_point, "polar")
-        series = wave.series(wave.amplitude)
-        optics = PupilOptics(
-            wavelength=wave.wavelength,
-            pupil_radius=wave.pupil_radius,
-            image_distance=wave.image_distance,
-            pitch=pitch,
-            shape=shape,
-            transmission=partial(on_cells, series),
-            **options,
-        )
+        optics = optics_of(wave, pitch, shape, **options)
         known, fit = fitted_modes(wave, modes)
         return cls(optics, ZernikeWaves(modes, optics, known), fit)
 
@@ -504,8 +502,6 @@ class PupilPSF(nn.Module):
         Tensor
             W, (..., n_v, n_u), m, on the grid of ``optics.v`` and ``optics.u``, m.
         """
-        if coefficients is None:
-            coefficients = self.coefficients
         turns: Tensor = self.waves.unwrapped(self._checked(coefficients))
         return turns * self.wavelength
 
@@ -527,10 +523,12 @@ class PupilPSF(nn.Module):
         """
         if not isinstance(self.waves, SlopeWaves):
             return 0.0
-        leaves = self._checked(self.coefficients if coefficients is None else coefficients)
-        return self.waves.curl_residual(leaves) * self.wavelength / self.optics.pupil_radius
+        slopes = self._checked(coefficients)
+        return self.waves.curl_residual(slopes) * self.wavelength / self.optics.pupil_radius
 
-    def _checked(self, coefficients: Tensor) -> Tensor:
+    def _checked(self, coefficients: Tensor | None) -> Tensor:
+        """Return coefficients, by default those of the module; raise if they do not match."""
+        coefficients = self.coefficients if coefficients is None else coefficients
         wanted = self.waves.leaf_shape
         if not isinstance(coefficients, Tensor):
             raise SceneError(
@@ -553,8 +551,6 @@ class PupilPSF(nn.Module):
         self, coefficients: Tensor | None, defocus: Tensor | Sequence[float] | None
     ) -> Tensor:
         """Return the wave aberration divided by the wavelength, (..., n_v, n_u)."""
-        if coefficients is None:
-            coefficients = self.coefficients
         turns: Tensor = self.waves(self._checked(coefficients))
         if defocus is None:
             return turns
@@ -569,11 +565,7 @@ class PupilPSF(nn.Module):
             raise SamplingError(
                 f"defocus has shape {tuple(extra.shape)}, must be (K,); give one value per frame"
             )
-        told = extra.detach()
-        if not bool((told.abs() <= MOST_DEFOCUS).all()):  # nor is NaN
-            raise SceneError(
-                f"defocus = {told.tolist()} m rms, limit {MOST_DEFOCUS:g}; give metres, not waves"
-            )
+        check_defocus(extra.detach())
         return turns.unsqueeze(-3) + self.defocus_turns(extra)
 
     def defocus_turns(self, extra: Tensor) -> Tensor:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import torch
@@ -19,7 +19,7 @@ from ...psf.pupil.slope_integration import integrated_slopes, slope_filter
 from ...psf.wave.cell_series import CellSpectrum
 from ...psf.wave.polar_series import PolarSpectrum, values_at
 from ...psf.wave.zernikes import zernike
-from .pupil_optics import PupilOptics
+from .pupil_optics import ImageOptions, PupilOptics
 
 Array = NDArray[np.float64]
 #: Function that returns a fixed aberration on the cells of given optics, (n_v, n_u), m.
@@ -69,17 +69,16 @@ class ZernikeWaves(nn.Module):
         self.register_buffer("_basis", like(optics, basis))
         self._rest_of = rest
         turns = self.rest_on(optics)
-        # subtract whole waves before the conversion to single precision, to keep digits
-        phase = None if turns is None else turns - np.round(turns)
         self.register_buffer("rest", None if turns is None else like(optics, turns))
-        self.register_buffer("_phase", None if phase is None else like(optics, phase))
+        # subtract whole waves before the conversion to single precision, to keep digits
+        phase = None if turns is None else like(optics, turns - np.round(turns))
+        self.register_buffer("_phase", phase)
 
     def rest_on(self, optics: PupilOptics) -> Array | None:
         """Return the fixed aberration over the wavelength on the cells of given optics."""
         if self._rest_of is None:
             return None
-        turns: Array = np.where(optics.share > 0, self._rest_of(optics), 0.0) / optics.wavelength
-        return turns
+        return np.where(optics.share > 0, self._rest_of(optics), 0.0) / optics.wavelength
 
     def forward(self, coefficients: Tensor) -> Tensor:
         """Return aberration over wavelength, (..., n_v, n_u), modulo whole waves.
@@ -157,8 +156,7 @@ class SlopeWaves(nn.Module):
 
     def unwrapped(self, coefficients: Tensor) -> Tensor:
         """Return aberration over wavelength, (..., n_v, n_u); equal to `forward`."""
-        turns: Tensor = self(coefficients)
-        return turns
+        return self.forward(coefficients)
 
     def curl_residual(self, coefficients: Tensor) -> float:
         """Return the rms part of the slopes that no wave can have, waves per pupil radius.
@@ -194,6 +192,24 @@ def _residual(
     for mode, strength in fit.items():
         rest -= strength * noll_mode(mode, optics)
     return rest
+
+
+def optics_of(
+    wave: Wavefront, pitch: float, shape: int | tuple[int, int], **options: Unpack[ImageOptions]
+) -> PupilOptics:
+    """Return the optics of a polar wave's pupil, with its amplitude as transmission.
+
+    ``pitch``, ``shape`` and ``options`` describe the image as in `PupilOptics`.
+    """
+    return PupilOptics(
+        wavelength=wave.wavelength,
+        pupil_radius=wave.pupil_radius,
+        image_distance=wave.image_distance,
+        pitch=pitch,
+        shape=shape,
+        transmission=partial(on_cells, wave.series(wave.amplitude)),
+        **options,
+    )
 
 
 def on_cells(series: PolarSpectrum | CellSpectrum, u: Array, v: Array) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import Unpack
 
 import numpy as np
@@ -16,8 +15,8 @@ from ..._checks import one_of
 from ...errors import SamplingError, SceneError
 from ...psf import wall_view, wavefront
 from ...scene import PlanarObject, Scene
-from .pupil_optics import ImageOptions, PupilOptics
-from .pupil_waves import like, on_cells
+from .pupil_optics import ImageOptions, centred
+from .pupil_waves import like, optics_of
 from .wall_paths import CurvedWall, WallPaths
 
 Array = NDArray[np.float64]
@@ -111,26 +110,15 @@ class SceneLeaves(nn.Module):
         super().__init__()
         self.scene = scene
         wave = wavefront(scene, nodes="polar")
-        self.optics = PupilOptics(
-            wavelength=wave.wavelength,
-            pupil_radius=wave.pupil_radius,
-            image_distance=wave.image_distance,
-            pitch=pitch,
-            shape=shape,
-            transmission=partial(on_cells, wave.series(wave.amplitude)),
-            **options,
-        )
+        self.optics = optics_of(wave, pitch, shape, **options)
         self._start = _start_values(scene)
         names = _checked_names(leaves, self._start, scene)
-        values = {name: torch.tensor(self._start[name], dtype=torch.float64) for name in names}
-        self.leaves = nn.ParameterDict(
-            {name: nn.Parameter(value) for name, value in values.items()}
-        )
+        self.leaves = nn.ParameterDict({name: nn.Parameter(self._given(name)) for name in names})
         self._lit = self.optics.share > 0
         v, u = np.meshgrid(self.optics.v, self.optics.u, indexing="ij")
         self._nodes = torch.from_numpy(np.stack([u[self._lit], v[self._lit]], axis=-1))
         self._plane = _plane_fit(u[self._lit], v[self._lit], self.optics.amplitude[self._lit])
-        self._blurs = "lobe_slope" in names or float(np.max(self._start["lobe_slope"])) > 0
+        self._blurs = bool(self._start["lobe_slope"])
         if self._blurs:
             if self.optics.method != "fft":
                 raise SamplingError(
@@ -160,9 +148,7 @@ class SceneLeaves(nn.Module):
         turns = self._turns(field)
         if not self._blurs:
             return self.optics.point_spread(turns)
-        rows, columns = self.optics.shape
-        spread: Tensor = torch.fft.irfft2(self._blurred(turns), s=self.optics.shape)
-        return spread.roll((rows // 2, columns // 2), (-2, -1))
+        return centred(torch.fft.irfft2(self._blurred(turns), s=self.optics.shape))
 
     def transfer(self, field: ArrayLike | None = None) -> Tensor:
         """Compute the transfer function, (H, W//2 + 1) or (K, H, W//2 + 1), complex.
@@ -209,6 +195,9 @@ class SceneLeaves(nn.Module):
             # rays are aimed on the processor, in double precision
             value: Tensor = self.leaves[name].to(device="cpu", dtype=torch.float64)
             return value
+        return self._given(name)
+
+    def _given(self, name: str) -> Tensor:
         return torch.tensor(self._start[name], dtype=torch.float64)
 
     def _turns(self, field: ArrayLike | None) -> Tensor:
@@ -292,8 +281,6 @@ def _plane_fit(u: Array, v: Array, weights: Array) -> tuple[Tensor, Tensor]:
 
 
 def _start_values(scene: Scene) -> dict[str, list[float] | float]:
-    hidden = scene.hidden
-    tilt = [hidden.yaw, hidden.pitch]
     if scene.wall_roughness is not None:
         raise SceneError(
             "scene.wall_roughness is not among the parameters of a fit; leave it out, or give the "
@@ -308,7 +295,7 @@ def _start_values(scene: Scene) -> dict[str, list[float] | float]:
     return {
         "wall_radius": scene.wall.radius if isinstance(scene.wall, CurvedWall) else 1.0,
         "object_position": scene.object_point.tolist(),
-        "object_tilt": tilt,
+        "object_tilt": [scene.hidden.yaw, scene.hidden.pitch],
         "camera_position": list(scene.camera.position),
         "focus_distance": scene.focus_distance,
         "lobe_slope": float(lobes[0].slope_rms) if lobes else 0.0,

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
+from torch.nn.functional import normalize
 
 from ...psf.pupil.aiming import aim
 from ...scene import ConcaveWall, ConvexWall, Wall
@@ -39,7 +40,8 @@ class WallPaths(torch.autograd.Function):
         radius: Tensor, object_point: Tensor, points: Tensor, axis: Tensor, wall: Wall
     ) -> tuple[Tensor, Tensor]:
         """Return path excess (n,), m, and wall points (n, 3), m."""
-        wall = with_radius(wall, float(radius))
+        if isinstance(wall, CurvedWall):
+            wall = replace(wall, radius=float(radius))
         o, nodes, normal = (tensor.detach().numpy() for tensor in (object_point, points, axis))
         rays = aim(wall, o, np.ascontiguousarray(nodes), normal)
         return torch.from_numpy(rays.excess.copy()), torch.from_numpy(rays.points.copy())
@@ -57,8 +59,8 @@ class WallPaths(torch.autograd.Function):
         """Return the gradients with respect to radius, object point and pupil points."""
         radius, object_point, points, hits = ctx.saved_tensors
         mirror = torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64)
-        to_object, to_points = _unit(object_point - hits), _unit(points - hits)
-        straight = _unit(points - object_point * mirror)
+        to_object, to_points = normalize(object_point - hits), normalize(points - hits)
+        straight = normalize(points - object_point * mirror)
         by_object = to_object + mirror * straight
         by_points = to_points - straight
         lift = torch.from_numpy(height_by_radius(ctx.wall, float(radius), hits.numpy()))
@@ -70,11 +72,6 @@ class WallPaths(torch.autograd.Function):
             None,
             None,
         )
-
-
-def with_radius(wall: Wall, radius: float) -> Wall:
-    """Return the wall with another radius, m; walls without a radius are unchanged."""
-    return replace(wall, radius=radius) if isinstance(wall, CurvedWall) else wall
 
 
 def height_by_radius(wall: Wall, radius: float, hits: Array) -> Array:
@@ -91,8 +88,3 @@ def height_by_radius(wall: Wall, radius: float, hits: Array) -> Array:
     depth = np.sqrt(radius**2 - square)
     slope = -square / (depth * (depth + radius))
     return np.asarray(slope if isinstance(wall, ConcaveWall) else -slope)
-
-
-def _unit(vectors: Tensor) -> Tensor:
-    unit: Tensor = vectors / vectors.norm(dim=-1, keepdim=True)
-    return unit
