@@ -15,12 +15,9 @@ from ...kernels.compiling import njit
 @njit(cache=True, nogil=True)
 def intensity(field, out):
     """Fill ``out`` with the squared modulus of ``field``, (b, k, p, c)."""
-    for b in range(field.shape[0]):
-        for k in range(field.shape[1]):
-            for i in range(field.shape[2]):
-                f, o = field[b, k, i], out[b, k, i]
-                for j in range(o.size):
-                    o[j] = f[j].real * f[j].real + f[j].imag * f[j].imag
+    f, o = field.ravel(), out.ravel()
+    for j in range(o.size):
+        o[j] = f[j].real * f[j].real + f[j].imag * f[j].imag
 
 
 @njit(cache=True, nogil=True)
@@ -239,13 +236,10 @@ def pull_back(field, weight, scale, out):
     This is the gradient of an intensity with respect to its field.
     """
     factor = weight.dtype.type(scale)
-    for b in range(field.shape[0]):
-        for k in range(field.shape[1]):
-            for i in range(field.shape[2]):
-                f, w, o = field[b, k, i], weight[b, k, i], out[b, k, i]
-                for j in range(w.size):
-                    x = w[j] * factor
-                    o[j] = complex(f[j].real * x, f[j].imag * x)
+    f, w, o = field.ravel(), weight.ravel(), out.ravel()
+    for j in range(o.size):
+        x = w[j] * factor
+        o[j] = complex(f[j].real * x, f[j].imag * x)
 
 
 @njit(cache=True, nogil=True)

@@ -268,7 +268,7 @@ def evidence_fit(
         proposals=wall_proposals(frames, pupil_psf) if searched else None,
         rounds=rounds,
         seed=seed,
-        state=_search_state(start),
+        state=start,
     )
     ended = False
 
@@ -286,13 +286,12 @@ def evidence_fit(
     search.finished()
     best, energy = search.best(), search.energy()
     margin, sharp_margin = search.margins
+    error = verdict.model_error(best)
     status: Status = "unconverged"
     reasons: tuple[str, ...] = ("the progress callback ended the search; resume it",)
     if not ended:
         reasons = search.faults
         status = verdict.status(best, margin, reasons)
-    error = verdict.model_error(best)
-    if not ended:
         goes_on(progress, "evidence: done", 1.0, snapshot)
         if single:
             best = _refined(frames, energy, best, object_model, seed)
@@ -337,15 +336,6 @@ def _first_coefficients(frames: Frames, pupil_psf: PupilPSF) -> Floats:
     return given.ravel()
 
 
-def _search_state(start: Any) -> Mapping[str, Any] | None:
-    if start is not None and not isinstance(start, Mapping):
-        raise SceneError(
-            f"start of type {type(start).__name__} is no saved state; give a state of "
-            "evidence_fit, or leave it out"
-        )
-    return start
-
-
 def _refined(
     frames: Frames, energy: FreeEnergy, best: Starts, object_model: str, seed: int
 ) -> Starts:
@@ -385,14 +375,10 @@ def _without_object(
     scores = [
         one.score(one.background(b)) for one, b in zip(frames.measured, strengths, strict=True)
     ]
-    data, single = frames.measured[0], len(frames.measured) == 1
-    sigmas = frames.sigmas * frames.scale
     return Reconstruction(
-        object=data.like_input(torch.zeros(frames.shape, dtype=torch.float64)),
+        object=frames.measured[0].like_input(torch.zeros(frames.shape, dtype=torch.float64)),
         physical_parameters={
-            "gain": 1.0 if gain is None else gain,
-            "background": float(strengths[0]) if single else strengths,
-            "noise_sigma": float(sigmas[0]) if single else sigmas,
+            **_levels(frames, 1.0 if gain is None else gain, strengths),
             "coefficients": np.zeros(_walls_first(frames, len(pupil_psf.modes))),
         },
         status="too_few_photons",
@@ -401,6 +387,14 @@ def _without_object(
         history=frozen({"objective": [], "residual": [], "change": []}),
         seconds=time.perf_counter() - started,
     )
+
+
+def _levels(frames: Frames, gain: float, backgrounds: Floats) -> dict[str, Any]:
+    """Return gain, backgrounds and noise in image units; numbers for one image, else arrays."""
+    each: dict[str, Any] = {"background": backgrounds, "noise_sigma": frames.sigmas * frames.scale}
+    if len(frames.measured) == 1:
+        each = {name: float(values[0]) for name, values in each.items()}
+    return {"gain": gain, **each}
 
 
 def _walls_first(frames: Frames, count: int) -> tuple[int, ...]:
@@ -429,17 +423,12 @@ def _assembled(
     brightest = float(object_level.max())
     if gain is None:
         gain = brightest if brightest > 0.0 else 1.0
-    single = len(frames.measured) == 1
-    backgrounds, sigmas = levels[0] * frames.scale, frames.sigmas * frames.scale
     walls = best.coefficients[0].astype(np.float64).reshape(frames.n_walls, -1)
     more = walls[:, given:].reshape(_walls_first(frames, walls.shape[1] - given))
-    data = frames.measured[0]
     return Reconstruction(
-        object=data.like_input(torch.from_numpy(object_level / gain)),
+        object=frames.measured[0].like_input(torch.from_numpy(object_level / gain)),
         physical_parameters={
-            "gain": gain,
-            "background": float(backgrounds[0]) if single else backgrounds,
-            "noise_sigma": float(sigmas[0]) if single else sigmas,
+            **_levels(frames, gain, levels[0] * frames.scale),
             "coefficients": walls[:, :given].reshape(_walls_first(frames, given)),
             "more_modes": np.array(energy.modes[given:]),
             "more_coefficients": more,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -83,8 +83,8 @@ _TOPS = (21, 36, 45)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Neighbourhood:
-    """Settings of the generations near the best walls.
+class Neighbourhood(Breeding):
+    """Generations near the best walls, with the random changes of one to the next.
 
     Parameters
     ----------
@@ -92,25 +92,17 @@ class Neighbourhood:
         Largest number of generations.
     litter : int
         Number of children of each; they have a third as many parents.
-    breeding : Breeding
-        Random changes.
-    least : float
-        Least factor of the coefficients' norm.
     """
 
     generations: int
     litter: int
-    breeding: Breeding
-    least: float
 
 
 #: Of several images, and of one.
-_NEAR_SEVERAL = Neighbourhood(
-    generations=4, litter=12, breeding=Breeding(flips=0.03, noise=0.25), least=0.95
-)
-_NEAR_ONE = Neighbourhood(
-    generations=12, litter=24, breeding=Breeding(flips=0.06, noise=0.3), least=0.95
-)
+_NEAR_SEVERAL = Neighbourhood(generations=4, litter=12, flips=0.03, noise=0.25)
+_NEAR_ONE = Neighbourhood(generations=12, litter=24, flips=0.06, noise=0.3)
+#: Factors of the norm of children's coefficients.
+_GROWTH = (0.95, 1.05)
 #: Relative distance of point spreads beyond which two walls are different answers. In tests, that
 #: of equal answers was below 0.2, and that of different ones above 0.34.
 _OTHER = 0.3
@@ -182,7 +174,7 @@ class Place:
     modes: tuple[int, ...]
     pool: Starts
     best: Starts
-    history: dict[str, list[float]]
+    history: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in _HISTORY})
 
     def saved(self) -> dict[str, Any]:
         """Return all that a resumed search needs, as arrays."""
@@ -197,11 +189,16 @@ class Place:
         return found
 
     @classmethod
-    def of(cls, state: Mapping[str, Any], like: Starts, modes: int) -> Place:
+    def of(cls, state: Any, like: Starts, modes: int) -> Place:
         """Return the place of a saved state.
 
         ``like`` are starts of the resumed fit, with ``modes`` coefficients for each wall.
         """
+        if not isinstance(state, Mapping):
+            raise SceneError(
+                f"start of type {type(state).__name__} is no saved state; give a state of "
+                "evidence_fit, or leave it out"
+            )
         names = [f"{part}_{entry.name}" for part in ("pool", "best") for entry in fields(Starts)]
         names += ["place", "modes", *(f"history_{name}" for name in _HISTORY)]
         missing = [name for name in names if name not in state]
@@ -209,33 +206,35 @@ class Place:
             raise SceneError(
                 f"start holds no {missing[0]}; give a state of evidence_fit, or leave it out"
             )
-        found = tuple(np.asarray(state["modes"], dtype=int).tolist())
-        arrays: dict[str, dict[str, Floats]] = {"pool": {}, "best": {}}
-        for part, count in (("pool", modes), ("best", len(found))):
+
+        def kept(part: str, count: int) -> Starts:
+            arrays: dict[str, Floats] = {}
             for name, mine in vars(like).items():
-                values = np.array(state[f"{part}_{name}"], dtype=mine.dtype)
-                wanted = mine.shape[1:]
+                arrays[name] = np.array(state[f"{part}_{name}"], dtype=mine.dtype)
+                given, wanted = arrays[name].shape[1:], mine.shape[1:]
                 if name == "coefficients":
                     wanted = (mine.shape[1] // modes * count,)
-                if values.shape[1:] != wanted:
+                if given != wanted:
                     raise SamplingError(
-                        f"start's {name} have shape {values.shape[1:]} for each start, this fit's "
-                        f"{wanted}; it belongs to other images or modes, leave it out"
+                        f"start's {name} have shape {given} for each start, this fit's {wanted}; "
+                        "it belongs to other images or modes, leave it out"
                     )
-                arrays[part][name] = values
+            return Starts(**arrays)
+
+        found = tuple(np.asarray(state["modes"], dtype=int).tolist())
         numbers = np.asarray(state["place"], dtype=float).tolist()
-        turn, count, step = (int(value) for value in numbers[:3])
+        turn, count, step, floor, sharp, held, rival = numbers
         return cls(
-            turn=turn,
-            count=count,
-            step=_STEPS[step],
-            floor=numbers[3],
-            sharp=numbers[4],
-            held=numbers[5],
-            rival=numbers[6],
+            turn=int(turn),
+            count=int(count),
+            step=_STEPS[int(step)],
+            floor=floor,
+            sharp=sharp,
+            held=held,
+            rival=rival,
             modes=found,
-            pool=Starts(**arrays["pool"]),
-            best=Starts(**arrays["best"]),
+            pool=kept("pool", modes),
+            best=kept("best", len(found)),
             history={name: np.asarray(state[f"history_{name}"]).tolist() for name in _HISTORY},
         )
 
@@ -281,7 +280,7 @@ class Search:
         proposals: Proposals | None,
         rounds: int | None,
         seed: int,
-        state: Mapping[str, Any] | None,
+        state: Any,
     ) -> None:
         self._energies, self._verdict = energies, verdict
         self._first, self._error, self._strength = first, start_error, strength
@@ -298,12 +297,10 @@ class Search:
         self._sharpness = math.inf
         if not self._frames and start_error is None and self._expected_length() > _WEAK:
             self._sharpness = self._expected_sharpness()
-        flat = self._energy.starts(np.zeros((1, self._energy.size)), _TRIVIAL.first)
-        if state is None:
-            history: dict[str, list[float]] = {name: [] for name in _HISTORY}
-            self.place = Place(modes=modes, pool=flat[:0], best=flat[:0], history=history)
-        else:
-            self.place = Place.of(state, flat, len(modes))
+        self._flat = self._energy.starts(np.zeros((1, self._energy.size)), _TRIVIAL.first)
+        self.place = Place(modes=modes, pool=self._flat[:0], best=self._flat[:0])
+        if state is not None:
+            self.place = Place.of(state, self._flat, len(modes))
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -333,9 +330,7 @@ class Search:
 
     def best(self) -> Starts:
         """Return the best answer so far; before the first one, an object without blur."""
-        if len(self.place.best):
-            return self.place.best
-        return self._energy.starts(np.zeros((1, self._energy.size)), _TRIVIAL.first)
+        return self.place.best if len(self.place.best) else self._flat
 
     def run(self, watch: Watch) -> None:
         """Make steps until the search ends or ``watch`` asks it to.
@@ -362,10 +357,11 @@ class Search:
         """Fit an answer quickly if the search ended before it had one."""
         if len(self.place.best):
             return
-        pool = self.place.pool
+        pool, last = self.place.pool, _FINISH if self._frames else _FREE
         if not len(pool):
-            pool = self._energy.starts(self._first[None], _last(self._frames).first)
-        self._offer(self._energy.descend(pool.best(1).held(np.inf), _last(self._frames)))
+            pool = self._energy.starts(self._first[None], last.first)
+        free = replace(pool.best(1), radius=np.array([np.inf]))
+        self._offer(self._energy.descend(free, last))
 
     def _random(self, step: str, count: int) -> Generator:
         stream = _ROUND * (self.place.turn + 1) + _STREAMS[step]
@@ -472,8 +468,7 @@ class Search:
             return starts.energy
         excess = np.log(self._searched().sharpness(starts.coefficients) / self._sharpness)
         penalty = _TOO_SHARP * self._verdict.pixels
-        scores: Floats = starts.energy + penalty * np.maximum(excess, 0.0)
-        return scores
+        return starts.energy + penalty * np.maximum(excess, 0.0)
 
     def _ranked(self, starts: Starts, count: int) -> Starts:
         """Return the ``count`` starts of least score, least first."""
@@ -496,8 +491,8 @@ class Search:
         if self.place.count == near.generations or (frames and self._verdict.well(pool)):
             return "finish"
         twin = np.ones(energy.size) if frames else energy.twin
-        walls = children(pool[: near.litter // 3], near.litter, twin, near.breeding, random)
-        walls *= random.uniform(near.least, 1.05, size=(len(walls), 1))
+        walls = children(pool[: near.litter // 3], near.litter, twin, near, random)
+        walls *= random.uniform(*_GROWTH, size=(len(walls), 1))
         stage = _SETTLE if frames else _COMPARE
         both = joined([pool, energy.descend(energy.starts(walls, stage.first), stage)])
         self.place.pool = self._ranked(both, _POOL)
@@ -584,14 +579,9 @@ class Search:
 
 def _settled(energy: FreeEnergy, starts: Starts, frames: bool = False) -> Starts:
     """Fit answers a last time; those for one image until no energy decreases much."""
-    found = energy.descend(starts, _last(frames))
+    found = energy.descend(starts, _FINISH if frames else _FREE)
     for _ in range(0 if frames else _REPEATS):
         before, found = found.energy, energy.descend(found, _FREE)
         if (before - found.energy).max() < _STANDSTILL:
             break
     return found
-
-
-def _last(frames: bool) -> Stage:
-    """Return the last stage of an answer."""
-    return _FINISH if frames else _FREE

@@ -28,6 +28,8 @@ from . import _evidence_kernels as kernels
 Floats = NDArray[Any]
 #: Softness of the transition of object values to 0, relative to the image's maximum.
 _SOFTNESS = 0.1
+#: Largest step of an object value in one iteration, relative to the image's maximum.
+_OBJECT_RATE = 0.05
 #: Number of starts processed together, so that their arrays fit into the processor's cache.
 _CHUNK = 8
 #: Largest pitch relative to Nyquist's that is treated as Nyquist's: the transfer function 2 % below
@@ -61,8 +63,6 @@ class Stage:
         Fraction of the iterations after which ``last`` is reached.
     wave_rate : float
         Largest step of a coefficient, waves; 0 keeps the coefficients.
-    object_rate : float
-        Largest step of an object value, relative to the image's maximum.
     """
 
     iterations: int
@@ -71,7 +71,6 @@ class Stage:
     last: float
     share: float
     wave_rate: float
-    object_rate: float = 0.05
 
     def noise(self, iteration: int) -> float:
         """Return the ratio of the assumed noise to the actual one in an iteration."""
@@ -119,10 +118,6 @@ class Starts:
 
     def __getitem__(self, rows: Any) -> Starts:
         return Starts(**{name: values[rows] for name, values in vars(self).items()})
-
-    def held(self, radius: Floats | float) -> Starts:
-        """Return these starts with another fixed norm of the coefficients; infinite: free."""
-        return replace(self, radius=np.broadcast_to(np.float64(radius), len(self)).copy())
 
     def best(self, count: int) -> Starts:
         """Return the ``count`` starts of least free energy, least first."""
@@ -230,24 +225,23 @@ class FreeEnergy:
         """Return the point spread of the first start for the first image, (p, c), centred."""
         transfer = self._transfer(starts.coefficients[:1])[0][0, 0] * self._pixel[0]
         spread = np.fft.fftshift(np.fft.irfft2(transfer / self._levels[0], s=self.grid))
-        found: Floats = np.maximum(spread.astype(np.float64), 0.0)
-        return found
+        return np.maximum(spread.astype(np.float64), 0.0)
 
     def apart(self, starts: Starts, wall: Floats) -> Floats:
         """Return the distances (B,) of the point spreads from that of a wall (1, M), relative."""
-        each, one = (
-            np.fft.irfft2(self._transfer(self._array(walls))[0] * self._pixel, s=self.grid)
-            for walls in (starts.coefficients, wall)
-        )
+        each, one = self._spreads(starts.coefficients), self._spreads(wall)
         squares = np.square([each - one, one + 0.0 * each]).sum(axis=(2, 3, 4))
         distances: Floats = np.sqrt(squares[0] / squares[1])
         return distances
 
     def sharpness(self, walls: Floats) -> Floats:
         """Return the sums of squares (B,) of the first image's point spreads, of walls (B, M)."""
-        transfer = self._transfer(self._array(walls))[0][:, 0] * self._pixel[0]
-        squares: Floats = np.square(np.fft.irfft2(transfer, s=self.grid)).sum(axis=(1, 2))
+        squares: Floats = np.square(self._spreads(walls)[:, 0]).sum(axis=(1, 2))
         return squares
+
+    def _spreads(self, walls: Floats) -> Floats:
+        """Return the point spreads (B, K, p, c) of walls (B, M), their centre at sample [0, 0]."""
+        return np.fft.irfft2(self._transfer(self._array(walls))[0] * self._pixel, s=self.grid)
 
     def about(self, first: Floats, error: float) -> Self:
         """Return this energy with a Gaussian prior of the coefficients about ``first`` (M,).
@@ -425,7 +419,7 @@ class FreeEnergy:
             pace = stage.pace(step) / bias
             kernels.object_step(
                 free, self._support, by_data, by_prior, first, second, _SOFTNESS,
-                stage.object_rate * pace, bias_square,
+                _OBJECT_RATE * pace, bias_square,
             )  # fmt: skip
             wall_first += 0.1 * (slope - wall_first)
             wall_second += 0.01 * (slope**2 - wall_second)
@@ -509,8 +503,7 @@ class FreeEnergy:
         walls = len(self.twin) // len(self.modes)
         phase = np.empty((len(field), walls, rows * columns), dtype=self._dtype)
         kernels.phase_gradient(pupil.numpy(), cells.view(pupil.shape).numpy(), self._walls, phase)
-        slope: Floats = (torch.from_numpy(phase) @ self._basis.T).flatten(1).numpy()
-        return slope
+        return (torch.from_numpy(phase) @ self._basis.T).flatten(1).numpy()
 
     def _to_pixels(self, spread: Tensor) -> Tensor:
         """Return the energy per pixel (..., p, c) of intensities on the fine grid."""

@@ -88,5 +88,4 @@ def children(
 
 def _direction(size: int, random: Generator) -> Floats:
     vector = random.normal(size=size)
-    unit: Floats = vector / np.linalg.norm(vector)
-    return unit
+    return vector / np.linalg.norm(vector)
