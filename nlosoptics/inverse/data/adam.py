@@ -11,6 +11,8 @@ from torch import Tensor
 
 from ...errors import SamplingError, SceneError
 
+_MOMENTS = "exp_avg", "exp_avg_sq"  # torch's names of the means of gradients and their squares
+
 
 def joined(parts: Sequence[Tensor]) -> Tensor:
     """Concatenate the values of several tensors to one vector, (n,)."""
@@ -44,7 +46,7 @@ def adam_state(name: str, adam: torch.optim.Adam) -> dict[str, Tensor]:
     values = _values(adam)
     found = {name: joined(values)}
     if adam.state:
-        for key in ("exp_avg", "exp_avg_sq"):
+        for key in _MOMENTS:
             found[f"{name}_{key}"] = joined([adam.state[part][key] for part in values])
         found[f"{name}_steps"] = adam.state[values[0]]["step"]
     return found
@@ -62,13 +64,11 @@ def take_up_adam(name: str, adam: torch.optim.Adam, state: Mapping[str, Any]) ->
     spread(name, state[name], values)
     if f"{name}_steps" not in state:
         return
-    moments = {}
-    for key in ("exp_avg", "exp_avg_sq"):
-        moments[key] = [torch.zeros_like(part) for part in values]
-        spread(f"{name}_{key}", state[f"{name}_{key}"], moments[key])
-    for part, mean, square in zip(values, moments["exp_avg"], moments["exp_avg_sq"], strict=True):
-        steps = torch.tensor(float(state[f"{name}_steps"]))
-        adam.state[part] = {"step": steps, "exp_avg": mean, "exp_avg_sq": square}
+    for part in values:
+        adam.state[part] = {key: torch.zeros_like(part) for key in _MOMENTS}
+        adam.state[part]["step"] = torch.tensor(float(state[f"{name}_steps"]))
+    for key in _MOMENTS:
+        spread(f"{name}_{key}", state[f"{name}_{key}"], [adam.state[part][key] for part in values])
 
 
 def descend(adam: torch.optim.Adam, loss: Tensor) -> None:

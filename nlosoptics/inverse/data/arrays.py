@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _fourier
-from ...errors import SceneError
+from ...errors import SamplingError, SceneError
 
 #: numpy array or torch tensor.
 Values = Any
@@ -56,7 +56,7 @@ def real_array(name: str, value: Any) -> NDArray[np.float64]:
         If values are not real numbers, or rows differ in length.
     """
     try:
-        values = as_numpy(value) if is_tensor(value) else np.asarray(value)
+        values = as_numpy(value)
         if np.iscomplexobj(values):
             raise TypeError
         return values.astype(np.float64, copy=False)
@@ -89,6 +89,33 @@ def shape_of(name: str, value: Any) -> tuple[int, ...]:
             f"{name} of type {type(value).__name__} has rows that differ in shape; "
             "give an array or a tensor"
         ) from None
+
+
+def check_shape(
+    name: str,
+    values: Values,
+    shape: tuple[int, ...],
+    rest: str = "like the model; resample it or build the model for that shape",
+) -> None:
+    """Raise a `SamplingError` if an array or a tensor does not have a shape.
+
+    ``rest`` ends the message: what has this shape, and what to do.
+    """
+    if tuple(values.shape) != tuple(shape):
+        raise SamplingError(
+            f"{name} has shape {tuple(values.shape)}, must be {tuple(shape)} {rest}"
+        )
+
+
+def check_finite(
+    name: str, values: NDArray[Any], remedy: str, ignored: NDArray[np.bool_] | bool = False
+) -> None:
+    """Raise a `SceneError` if values that are not ``ignored`` are NaN or infinite."""
+    n_bad = int(np.count_nonzero(~(np.isfinite(values) | ignored)))
+    if n_bad:
+        raise SceneError(
+            f"{name} has {n_bad} of {values.size} values that are not finite; {remedy}"
+        )
 
 
 def as_double(values: Values) -> Values:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._progress import Progress
-from ...errors import SamplingError, SceneError
-from .arrays import Values, as_numpy, is_tensor, library
+from ...errors import SceneError
+from .arrays import Values, as_numpy, check_finite, check_shape, is_tensor, library
 
 State = dict[str, NDArray[Any]]
 Snapshot = Callable[[], State]
@@ -83,15 +83,13 @@ def state_of(level: Values, **more: Any) -> State:
     return arrays | {name: np.array(as_numpy(value)) for name, value in more.items()}
 
 
-def started_from(start: Any, like: Values) -> Values | None:
-    """Return the initial object (H, W), float64 in image units; None for the solver's own start.
+def started_from(start: Any, like: Values) -> Values:
+    """Return the initial object (H, W), float64 in image units.
 
     ``start`` is an object, or a saved state that holds one. ``like`` (H, W) has the shape and
     library of the model. A `SamplingError` is raised if the object has another shape, and a
     `SceneError` if it is not finite or missing.
     """
-    if start is None:
-        return None
     if isinstance(start, Mapping):
         if "object" not in start:
             raise SceneError(
@@ -106,11 +104,6 @@ def started_from(start: Any, like: Values) -> Values | None:
             f"start of type {type(start).__name__} is not an array of numbers; give an object "
             "in image units, for example gain times object of a Reconstruction"
         ) from None
-    if level.shape != tuple(like.shape):
-        raise SamplingError(
-            f"start has shape {level.shape}, must be {tuple(like.shape)} like the model; resample "
-            "it or leave it out"
-        )
-    if not np.isfinite(level).all():
-        raise SceneError("start holds values that are not finite; leave it out")
+    check_shape("start", level, like.shape, "like the model; resample it or leave it out")
+    check_finite("start", level, "leave it out")
     return library(like).as_tensor(level, device=like.device) if is_tensor(like) else level

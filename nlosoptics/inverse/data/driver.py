@@ -19,13 +19,13 @@ import numpy as np
 
 from ..._checks import counted, in_range, whole
 from ..._progress import Progress
-from ...errors import SamplingError, SceneError
-from .arrays import Values, is_tensor, real_array
+from ...errors import SceneError
+from .arrays import Values, check_finite, check_shape, is_tensor, real_array
 from .checkpoints import State, goes_on, started_from, state_of
 from .measurement import measured
 from .models import AnyModel
 from .noisy_image import NoisyImage, noisy_image
-from .reconstruction import Reconstruction, assemble, concluded, without_object
+from .reconstruction import Reconstruction, assemble, concluded
 from .status import Ending
 
 
@@ -167,15 +167,28 @@ def reconstructed(
     full = 0 if data.plateau is None else int(data.plateau.mask.sum())
     hidden = data.is_background(None if shape else model)
     if hidden and not full:
-        return without_object(data, model=model, gain=gain, started=started)
-    ready = data if in_numpy and data.on_processor else data.in_torch()
-    answer = {"data": data, "model": model, **solve(ready)}
+        answer = _no_object(data)
+    else:
+        answer = solve(data.native() if in_numpy else data.in_torch())
     finish = concluded if "ending" in answer else assemble
-    found = finish(gain=gain, started=started, **answer)
-    if not hidden:
+    found = finish(**{"data": data, "model": model, "gain": gain, "started": started, **answer})
+    if not (hidden and full):
         return found
     reason = f"only the {counted(full, 'saturated pixel')} show an object; expose shorter"
     return replace(found, status="does_not_fit", reasons=(reason,))
+
+
+def _no_object(data: NoisyImage) -> dict[str, Any]:
+    """Return the arguments of `assemble` for a zero object: none was detected."""
+    return {
+        "level": 0.0 * data.data,
+        "background": data.background_strength(data.data),
+        "status": "too_few_photons",
+        "history": {"objective": [], "residual": [], "change": []},
+        "reasons": (
+            "no object was detected above the noise, so the object is zero; expose longer",
+        ),
+    }
 
 
 def _finished(solver: Solver[S], state: S) -> bool:
@@ -203,9 +216,7 @@ def _begun(solver: Solver[S], start: Any) -> tuple[S, dict[str, list[float]]]:
             return state, _restored(solver, state, start)
         if not solver.takes_object:
             raise SceneError(f"start holds no {missing[0]}; {_remedy(solver)}")
-    first = None
-    if start is not None:
-        first = started_from(start, solver.data.data)
+    first = None if start is None else started_from(start, solver.data.data)
     return solver.init(first), {name: [] for name in solver.records}
 
 
@@ -225,13 +236,10 @@ def _restored(solver: Solver[S], state: S, saved: Mapping[str, Any]) -> dict[str
             _adam().take_up_adam(name, mine, saved)
             continue
         values = real_array(f"start's {name}", saved[name])
-        if values.shape != tuple(mine.shape):
-            raise SamplingError(
-                f"start's {name} has shape {values.shape}, this fit's has "
-                f"{tuple(mine.shape)}; it is of another model, leave it out"
-            )
-        if not np.isfinite(values).all():
-            raise SceneError(f"start's {name} holds values that are not finite; {_remedy(solver)}")
+        check_shape(
+            f"start's {name}", values, mine.shape, "like this fit's; it is of another, leave it out"
+        )
+        check_finite(f"start's {name}", values, _remedy(solver))
         kept = mine.new_tensor(values) if is_tensor(mine) else values.astype(mine.dtype)
         setattr(state, name, kept)
     records = real_array("start's history", saved["history"])

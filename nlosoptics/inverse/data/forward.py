@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Self
+from copy import deepcopy
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -137,15 +138,9 @@ class TorchForwardModel(nn.Module):
         kernel = np.fft.fftshift(np.fft.irfft2(transfer, s=self.grid), axes=(-2, -1))
         weights = None if self.weights is None else self.weights.detach().cpu().double().numpy()
         model = ForwardModel.__new__(ForwardModel)
-        for name, value in (
-            ("shape", self.shape),
-            ("boundary", self.boundary),
-            ("grid", self.grid),
-            ("pitch", None),
-            ("kernel", kernel),
-            ("weights", weights),
-            ("transfer", transfer),
-        ):
+        fields: dict[str, Any] = {"shape": self.shape, "boundary": self.boundary, "grid": self.grid}
+        fields |= {"pitch": None, "kernel": kernel, "weights": weights, "transfer": transfer}
+        for name, value in fields.items():
             object.__setattr__(model, name, value)
         return model
 
@@ -195,12 +190,5 @@ def torch_model(
     if isinstance(model, TorchForwardModel):
         if model._transfer.device == device and model._transfer.dtype == dtype:
             return model
-        twin = TorchForwardModel.__new__(TorchForwardModel)
-        nn.Module.__init__(twin)
-        twin.shape, twin.grid, twin.boundary = model.shape, model.grid, model.boundary
-        weights = model.weights
-        for name, buffer in (("_transfer", model._transfer), ("weights", weights)):
-            moved = None if buffer is None else buffer.to(device=device, dtype=dtype)
-            twin.register_buffer(name, moved)
-        return twin
+        return deepcopy(model).to(device=device, dtype=dtype)
     return TorchForwardModel.from_numpy(model, device, dtype)

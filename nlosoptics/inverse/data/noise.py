@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..._checks import squarable
 from ..._fourier import irfft2, rfft2
 from ..._smoothing import gaussian_smoothed
-from ...errors import SamplingError, SceneError
-from .arrays import MEDIAN_OVER_SIGMA, Values, real_array
+from ...errors import SamplingError
+from .arrays import MEDIAN_OVER_SIGMA, Values, check_finite, check_shape, real_array
 from .models import AnyModel, model_shape
 from .saturation import Plateau, exact_plateau
 from .spectra import (
@@ -134,24 +134,15 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
     """
     values = real_array("image", image)
     _check_side(values.shape)
-    if not np.isfinite(values).all():
-        raise SceneError(
-            f"image has {np.count_nonzero(~np.isfinite(values))} of {values.size} values that are "
-            "not finite; replace bad pixels by their neighbours"
-        )
+    check_finite("image", values, "replace bad pixels by their neighbours")
     squarable("image", float(np.abs(values).max()))
-    if model is not None and values.shape != model_shape(model):
-        raise SamplingError(
-            f"image has shape {values.shape}, must be {model_shape(model)} like the model; "
-            "resample it or build the model for that shape"
-        )
     if model is None:
         return _noise_of_neighbours(values)
-    passed = passed_power(model)
-    plateau = clipped_pixels(values, passed, np.ones(values.shape, dtype=bool))
-    masked = None if plateau is None else plateau.mask
-    values = values if masked is None else surrounded(values, masked)
-    return noise_and_bad_pixels(values, passed, masked)[0]
+    check_shape("image", values, model_shape(model))
+    passed, none = passed_power(model), np.zeros(values.shape, dtype=bool)
+    plateau = clipped_pixels(values, passed, ~none)
+    masked = none if plateau is None else plateau.mask
+    return noise_and_bad_pixels(surrounded(values, masked), passed, masked)[0]
 
 
 def _noise_of_neighbours(values: Array) -> float:
@@ -193,28 +184,28 @@ def _noise_beyond(image: Array, passed: Array, sigma: float) -> float:
     return found
 
 
-def noise_and_bad_pixels(
-    image: Array, passed: Array | None, masked: Mask | None = None
-) -> tuple[float, Mask | None]:
-    """Return the rms noise of an image, as `estimate_noise`, and its `bad_pixels`.
+def noise_and_bad_pixels(image: Array, passed: Array | None, masked: Mask) -> tuple[float, Mask]:
+    """Return the rms noise of an image, as `estimate_noise`, and the mask of its `lone_pixels`.
 
-    ``passed`` is the squared modulus of the transfer function; None if it is unknown. Pixels that
-    are ``masked`` hold means of the others around them, which have hardly any noise.
+    ``passed`` is the squared modulus of the transfer function; None if it is unknown, so that no
+    bad pixels are sought. Pixels that are ``masked`` hold means of the others around them, which
+    have hardly any noise.
     """
     _check_side(image.shape)
     sigma = _noise_of_neighbours(image)
     if passed is None:
-        return sigma, None
+        return sigma, np.zeros(image.shape, dtype=bool)
     bad, filled = lone_pixels(image, passed, sigma, masked=masked)
-    if masked is not None or bad.any():
+    if masked.any() or bad.any():
         sigma = _noise_of_neighbours(filled)
-    quiet = bad.mean() + (0.0 if masked is None else masked.mean())
-    found = _noise_beyond(filled, passed, sigma) / math.sqrt(1.0 - quiet)
-    return found, bad if bad.any() else None
+    quiet = bad.mean() + masked.mean()
+    return _noise_beyond(filled, passed, sigma) / math.sqrt(1.0 - quiet), bad
 
 
 def surrounded(values: Array, masked: Mask) -> Array:
     """Return an image in which masked pixels hold the weighted mean of the others around them."""
+    if not masked.any():
+        return values
     valid = gaussian_smoothed((~masked).astype(np.float64), _AROUND)
     sums = gaussian_smoothed(np.where(masked, 0.0, values), _AROUND)
     mean = float(values[~masked].mean())
@@ -222,14 +213,11 @@ def surrounded(values: Array, masked: Mask) -> Array:
     return np.where(masked, around, values)
 
 
-def bad_pixels(
-    image: Array, passed: Array | None, sigmas: Array | float, masked: Mask | None = None
-) -> Mask | None:
-    """Return the mask of the `lone_pixels` of an image, of stated noise; None if there is none."""
+def bad_pixels(image: Array, passed: Array | None, sigmas: Array | float, masked: Mask) -> Mask:
+    """Return the mask of the `lone_pixels` of an image of stated noise."""
     if passed is None or min(image.shape) < _LEAST_SIDE:
-        return None
-    bad, _ = lone_pixels(image, passed, _noise_of_neighbours(image), sigmas, masked=masked)
-    return bad if bad.any() else None
+        return np.zeros(image.shape, dtype=bool)
+    return lone_pixels(image, passed, _noise_of_neighbours(image), sigmas, masked=masked)[0]
 
 
 def clipped_pixels(
@@ -270,7 +258,7 @@ def lone_pixels(
     sigma: float,
     least: Array | float = 0.0,
     *,
-    masked: Mask | None = None,
+    masked: Mask | bool = False,
 ) -> tuple[Mask, Array]:
     """Return the mask (H, W) of dead and hot pixels, and the image with predictions in their place.
 
@@ -284,7 +272,7 @@ def lone_pixels(
         Rms noise, image units, by an estimate that single pixels hardly affect.
     least : ndarray (H, W) or float
         Rms noise that is stated for each pixel, image units: no pixel within six of it is bad.
-    masked : ndarray of bool (H, W) or None
+    masked : ndarray of bool (H, W), or False
         Pixels that hold no measured value; they are not examined, and get predictions as well.
 
     Notes
@@ -304,7 +292,7 @@ def lone_pixels(
     nearby. After the first round the limits of 6 become 4.5.
     """
     filled, shape = image.copy(), image.shape
-    out = np.zeros(shape, dtype=bool) if masked is None else masked.copy()  # of the predictions
+    out = np.zeros(shape, dtype=bool) | masked  # of the predictions
     renewed = not out.any()
     twice, modulus = half_weights(shape), np.sqrt(passed)
     limit, most = _LEAST_DEVIATION, max(1, int(_MOST_AT_ONCE * image.size))
@@ -341,7 +329,7 @@ def lone_pixels(
         out[row[found], column[found]] = True
         filled = _filled(filled, out, spectrum, share)
         sigma, limit = _noise_of_neighbours(filled), _LEAST_BESIDE
-    return out if masked is None else out & ~masked, filled
+    return out & np.logical_not(masked), filled
 
 
 def _left(near: Array, pattern: Array) -> Array:

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from ..._checks import positive, real, squarable
 from ..._fourier import cosines2
 from ..._special import upper_gamma_share
-from ...errors import SamplingError, SceneError
+from ...errors import SceneError
 from .arrays import (
     Values,
     as_numpy,
+    check_finite,
+    check_shape,
     is_tensor,
     library,
     real_array,
@@ -94,10 +96,10 @@ class NoisyImage:
     plateau: Plateau | None = None
     least: Values | None = None
 
-    @property
-    def on_processor(self) -> bool:
-        """Whether the given image is not on a GPU."""
-        return self.template is None or self.template.device.type == "cpu"
+    def native(self) -> NoisyImage:
+        """Return the image with numpy arrays, or with tensors if the given image is on a GPU."""
+        on_processor = self.template is None or self.template.device.type == "cpu"
+        return self.in_numpy() if on_processor else self.in_torch()
 
     def in_torch(self) -> NoisyImage:
         """Return the image with tensors, on the device of the given image."""
@@ -120,8 +122,7 @@ class NoisyImage:
     def counted(self) -> int:
         """Number of pixels with finite noise; the others are excluded from fits."""
         if self.weights is None:
-            n_pixels: int = math.prod(self.data.shape)
-            return n_pixels
+            return int(math.prod(self.data.shape))
         return int(library(self.weights).count_nonzero(self.weights))
 
     def noise_power(self) -> float:
@@ -130,7 +131,7 @@ class NoisyImage:
         An excluded pixel holds the mean of the others. Its error has the variance of the image
         itself.
         """
-        n_pixels: int = math.prod(self.data.shape)
+        n_pixels = int(math.prod(self.data.shape))
         if self.weights is None:
             return self.sigma**2 * n_pixels
         counts = self.weights > 0.0
@@ -145,8 +146,7 @@ class NoisyImage:
 
     def weighted_mean(self, values: Values) -> float:
         """Return the mean of values (H, W) with the pixel weights, which have mean 1."""
-        n_pixels: int = math.prod(values.shape)
-        return total(self.weighted(values)) / n_pixels
+        return total(self.weighted(values)) / int(math.prod(values.shape))
 
     def background_strength(self, values: Values) -> float:
         """Return the best-fitting strength of the unknown background; 0 if it is known."""
@@ -160,6 +160,14 @@ class NoisyImage:
     def background(self, strength: float) -> Values | float:
         """Return the unknown background for a given strength, which is its mean over the image."""
         return strength if self.background_shape is None else strength * self.background_shape
+
+    def without_background(self) -> Values:
+        """Return the image (H, W) minus the unknown background that best fits it alone."""
+        return self.data - self.background(self.background_strength(self.data))
+
+    def whitened(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return values (H, W) times the roots of the weights: of noise, equally strong noise."""
+        return values if self.weights is None else values * np.sqrt(self.weights)
 
     def border_strength(self) -> float:
         """Return the strength of the unknown background at the image's border; 0 if it is known."""
@@ -207,9 +215,7 @@ class NoisyImage:
         if self.sigma == 0.0:
             return True
         own = self.in_numpy()
-        rest = own.data - own.background(own.background_strength(own.data))
-        if own.weights is not None:
-            rest = rest * np.sqrt(own.weights)
+        rest = own.whitened(own.without_background())
         shape = rest.shape
         passed = 1.0 if model is None else passed_power(model)
         relative = power(rest) * (rest.size / (self.counted * self.sigma**2))
@@ -231,9 +237,7 @@ class NoisyImage:
         at all other frequencies.
         """
         own = self.in_numpy()
-        rest = own.data - own.background(own.background_strength(own.data))
-        if own.weights is not None:
-            rest = rest * np.sqrt(own.weights)
+        rest = own.whitened(own.without_background())
         whole = float((rest**2).sum()) / self.sigma**2
         noise, inside = float(self.counted), rest.size
         if not self.sigma_estimated:
@@ -329,37 +333,30 @@ def noisy_image(
         (model, None) if isinstance(model, tuple) else (model_shape(model), passed_power(model))
     )
     masked, full = _mask("masked", given.masked, shape), _mask("saturated", given.saturated, shape)
-    if masked is not None and full is not None:
-        masked = masked & ~full
+    masked = masked & ~full
     data = _picture("image", given.image, shape, masked)
     stated = given.noise_sigma
     stated = None if stated is None else _stated_noise(stated, shape, masked)
-    valid = np.ones(shape, dtype=bool) if masked is None else ~masked
-    if full is not None:
-        masked = ~valid | full
+    valid = ~masked
+    if full.any():
         lit = full if passed is None else lit_pixels(data, passed, valid, full)
-        plateau = Plateau(lit, data, 0.0)
+        masked, plateau = masked | full, Plateau(lit, data, 0.0)
     elif plateau is None and passed is not None and given.saturated is None:
         noise = np.broadcast_to(0.0 if stated is None else stated, shape)
         valid &= np.isfinite(noise)
-        most = math.inf if stated is None else float(noise[valid].max())
-        plateau = clipped_pixels(data, passed, valid, most)
+        plateau = clipped_pixels(data, passed, valid, float(noise[valid].max()) or math.inf)
     background = given.background
     if shape_of("background", background):
         background = _picture("background", background, shape, masked)
     else:
         background = real("background", background)
-    data = data - background
-    least = None
+    data, least = data - background, None
     if plateau is not None:
-        masked = plateau.mask if masked is None else masked | plateau.mask
+        masked = masked | plateau.mask
         least = np.where(plateau.mask, plateau.level - plateau.sigma, -np.inf) - background
-    if masked is not None:
-        if masked.all():
-            raise SceneError(
-                "every pixel is masked or saturated, so that none counts; expose shorter"
-            )
-        data = surrounded(data, masked)
+    if masked.all():
+        raise SceneError("every pixel is masked or saturated, so that none counts; expose shorter")
+    data = surrounded(data, masked)
     sigmas: float | NDArray[np.float64]
     if stated is None:
         sigmas, bad = noise_and_bad_pixels(data, passed, masked)
@@ -370,11 +367,11 @@ def noisy_image(
     else:
         sigmas = stated
         bad = bad_pixels(_weighed(data, sigmas)[0], passed, sigmas, masked)
+    ignored = bad | masked
+    if ignored.any() and np.any(sigmas):
+        sigmas = np.where(ignored, np.inf, sigmas)
     if plateau is not None:
-        bad = plateau.mask if bad is None else bad | plateau.mask
-    for ignored in (bad, masked):
-        if ignored is not None and np.any(sigmas):
-            sigmas = np.where(ignored, np.inf, sigmas)
+        bad = bad | plateau.mask
     data, sigma, weights = _weighed(data, sigmas)
     return NoisyImage(
         data=data,
@@ -384,7 +381,7 @@ def noisy_image(
         fit_background=given.fit_background,
         background_shape=_background_shape(given.background_shape, shape),
         template=given.image if is_tensor(given.image) else None,
-        bad_pixels=bad,
+        bad_pixels=bad if bad.any() else None,
         plateau=plateau,
         least=least,
     )
@@ -393,23 +390,19 @@ def noisy_image(
 def with_plateau(data: NoisyImage, image: Any, model: AnyModel) -> NoisyImage | None:
     """Return ``data``, of an image, without the pixels of its `noisy_plateau`, if it has one."""
     values = real_array("image", measured(image).image)
-    valid = np.ones(values.shape, dtype=bool)
-    if data.weights is not None:
-        valid = as_numpy(data.weights) > 0.0
+    valid = data.in_numpy().weighted(np.ones(values.shape)) > 0.0
     known = data.least is not None or measured(image).saturated is not None
     plateau = None if known else noisy_plateau(values, valid)
     return None if plateau is None else noisy_image(image, model, plateau)
 
 
 def _stated_noise(
-    value: Any, shape: tuple[int, int], masked: NDArray[np.bool_] | None
+    value: Any, shape: tuple[int, int], masked: NDArray[np.bool_]
 ) -> float | NDArray[np.float64]:
     """Return the noise that the caller states: a number, or a map that may be infinite in parts."""
     if not shape_of("noise_sigma", value):
         return _positive_sigma(value)
-    sigmas = _picture("noise_sigma", value, shape, masked, infinite=True)
-    if masked is not None:
-        sigmas = np.where(masked, np.inf, sigmas)
+    sigmas = np.where(masked, np.inf, _picture("noise_sigma", value, shape, masked, infinite=True))
     least = float(sigmas.min())
     if math.isinf(least):
         raise SceneError(
@@ -456,46 +449,28 @@ def _positive_sigma(sigma: float) -> float:
     return positive("noise_sigma", sigma, remedy="give None to have it estimated")
 
 
-def _mask(name: str, value: Any, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
-    """Return a mask of pixels; None if it has none."""
+def _mask(name: str, value: Any, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return a mask of pixels; no pixel if it is None."""
     if value is None:
-        return None
+        return np.zeros(shape, dtype=bool)
     masked = as_numpy(value)
-    if masked.shape != shape:
-        raise SamplingError(
-            f"{name} has shape {masked.shape}, must be {shape} like the image; give one value for "
-            "each pixel"
-        )
+    check_shape(name, masked, shape, "like the image; give one value for each pixel")
     if masked.all():
         raise SceneError(f"{name} is True in every pixel, so that none counts; leave some out")
-    return masked if masked.any() else None
+    return masked
 
 
 def _picture(
     name: str,
     value: Any,
     shape: tuple[int, int],
-    masked: NDArray[np.bool_] | None = None,
+    masked: NDArray[np.bool_] | bool = False,
     *,
     infinite: bool = False,
 ) -> NDArray[np.float64]:
     picture = real_array(name, value)
-    if picture.shape != shape:
-        raise SamplingError(
-            f"{name} has shape {picture.shape}, must be {shape} like the model; "
-            "resample it or build the model for that shape"
-        )
-    good = np.isfinite(picture)
-    if infinite:
-        good |= picture == np.inf
-    if masked is not None:
-        good |= masked
-    n_bad = int(np.count_nonzero(~good))
-    if n_bad:
-        raise SceneError(
-            f"{name} has {n_bad} of {picture.size} values that are not finite; "
-            "mark bad pixels by Measurement(..., masked=...)"
-        )
-    counts = np.isfinite(picture) if masked is None else np.isfinite(picture) & ~masked
-    squarable(name, float(np.abs(picture[counts]).max(initial=0.0)))
+    check_shape(name, picture, shape)
+    ignored = masked | (picture == np.inf) if infinite else masked
+    check_finite(name, picture, "mark bad pixels by Measurement(..., masked=...)", ignored)
+    squarable(name, float(np.abs(picture[~ignored]).max(initial=0.0)))
     return picture

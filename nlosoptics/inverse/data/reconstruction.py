@@ -77,21 +77,19 @@ class Reconstruction(Noun, Shown):
 
     def _figures(self) -> Figures:
         rows, columns = self.object.shape
-        retrieved = "fourier_error" in self.history
-        meaning = "agreement of halves" if retrieved else "residual, rms of the noise"
+        meaning, repeats = "residual, rms of the noise", "iterations"
+        if "fourier_error" in self.history:
+            meaning, repeats = "agreement of halves", "restarts"
         figures = {
             "status": self.status.replace("_", " "),
             meaning: f"{self.score:.3g}",
-            "restarts"
-            if retrieved
-            else "iterations": f"{max(map(len, self.history.values()), default=0)}",
+            repeats: f"{max(map(len, self.history.values()), default=0)}",
             "seconds": f"{self.seconds:.3g}",
         }
         for name, value in self.physical_parameters.items():
             if np.ndim(value) == 0:
-                figures[name.replace("_", " ")] = (
-                    f"{value:.4g}" if isinstance(value, float) else str(value)
-                )
+                text = f"{value:.4g}" if isinstance(value, float) else str(value)
+                figures[name.replace("_", " ")] = text
         alt = f"Reconstructed object, {rows} x {columns} pixels, {figures['status']}"
         return Figures("Reconstruction", figures, alt)
 
@@ -161,34 +159,30 @@ def concluded(
     *,
     model: AnyModel,
     background: float,
-    gain: float | None,
     ending: Ending,
-    started: float,
     doubts: tuple[str, ...] = (),
-    **parameters: Any,
+    **more: Any,
 ) -> Reconstruction:
     """Return the `Reconstruction` of a fit with a known point spread, its status tested.
 
-    Parameters as in `assemble`, with how the solver ended in place of status and history, and with
-    ``doubts``, reasons of the solver itself against the status "converged".
+    Parameters as in `assemble`, with how the solver ended in place of status, history, reasons and
+    error, and with ``doubts``, reasons of the solver itself against the status "converged".
     """
     found = judged(data, level, background, model, ending)
     if doubts and found.status == "converged":
         found = replace(found, status="does_not_fit", reasons=doubts)
     if found.expected_correlation is not None:
-        parameters["expected_correlation"] = found.expected_correlation
+        more["expected_correlation"] = found.expected_correlation
     return assemble(
         data,
         level,
         model=model,
         background=background,
-        gain=gain,
         status=found.status,
         history=ending.history,
-        started=started,
         reasons=found.reasons,
         error=found.error,
-        **parameters,
+        **more,
     )
 
 
@@ -201,24 +195,3 @@ def beside(data: NoisyImage, level: Values, model: AnyModel) -> tuple[float, flo
     seen = image_of(model, level)
     strength = data.background_strength(data.data - seen)
     return strength, data.score(seen + data.background(strength))
-
-
-def without_object(
-    data: NoisyImage,
-    *,
-    model: AnyModel,
-    gain: float | None,
-    started: float,
-) -> Reconstruction:
-    """Return a zero object with status "too_few_photons": no object was detected."""
-    return assemble(
-        data,
-        0.0 * data.data,
-        model=model,
-        background=data.background_strength(data.data),
-        gain=gain,
-        status="too_few_photons",
-        history={"objective": [], "residual": [], "change": []},
-        started=started,
-        reasons=("no object was detected above the noise, so the object is zero; expose longer",),
-    )

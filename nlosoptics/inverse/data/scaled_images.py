@@ -35,13 +35,10 @@ class ScaledImage:
         self._per_counted = data.data.numel() / data.counted
         self._weights = None if data.weights is None else data.weights.float()
         self._shape: Tensor | None = None
-        level = data.background(data.background_strength(data.data))
         if data.fit_background:
-            shape = data.background_shape
-            self._shape = torch.ones_like(data.data) if shape is None else shape
-            self._shape = self._shape.float()
+            self._shape = (torch.ones_like(data.data) * data.background(1.0)).float()
             self._norm = (self.weighted(self._shape) * self._shape).sum()
-        self.image = ((data.data - level) / unit).float()
+        self.image = (data.without_background() / unit).float()
         self._power = self.weighted(self.image * self.image).sum()
 
     def misfit(self, seen: Tensor) -> tuple[Tensor, Tensor]:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..._checks import positive, whole
 from ..._smoothing import gaussian_smoothed
-from ...errors import SamplingError, SceneError
-from .arrays import real_array
+from ...errors import SamplingError
+from .arrays import check_finite, real_array
 from .reconstruction import Reconstruction
 
 Array = NDArray[np.float64]
@@ -183,7 +183,7 @@ def registered_scores(
     return RegisteredScores(
         correlation=overlap / norm if norm > 0.0 else 0.0,
         psnr=10.0 * math.log10(peak**2 / error) if error > 0.0 else math.inf,
-        ssim=_structural_similarity(fitted, second, float(np.mean(_values("truth", truth))), peak),
+        ssim=_structural_similarity(fitted, second, float(real_array("truth", truth).mean()), peak),
     )
 
 
@@ -224,12 +224,10 @@ def _highest_peak(
     spectrum = np.conj(np.fft.fft2(first)) * np.fft.fft2(second)
     correlation = np.fft.ifft2(spectrum).real
     row, column = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
-    best, shift = float(correlation[row, column]), (float(row), float(column))
+    found = [(float(correlation[row, column]), (float(row), float(column)))]
     if upsampling > 1:
-        refined, there = _refined_peak(spectrum, (row, column), upsampling)
-        if refined > best:
-            best, shift = refined, there
-    return best, shift
+        found.append(_refined_peak(spectrum, (row, column), upsampling))
+    return max(found, key=lambda one: one[0])
 
 
 def _refined_peak(
@@ -276,20 +274,11 @@ def _pair(reconstruction: Any, truth: Any) -> tuple[Array, Array]:
     return first, second
 
 
-def _values(name: str, image: Any) -> Array:
+def _mean_free(name: str, image: Any) -> Array:
     values = real_array(name, image)
     if values.ndim != 2 or not values.size:
         raise SamplingError(f"{name} has shape {values.shape}; give one image, (H, W)")
-    if not np.isfinite(values).all():
-        raise SceneError(
-            f"{name} has {np.count_nonzero(~np.isfinite(values))} of {values.size} values that "
-            "are not finite; replace them before comparing"
-        )
-    return values
-
-
-def _mean_free(name: str, image: Any) -> Array:
-    values = _values(name, image)
+    check_finite(name, values, "replace them before comparing")
     centred: Array = values - values.mean()
     # Rounding errors of a uniform image must not count as structure.
     if np.abs(centred).max() <= 1e-14 * np.abs(values).max():

@@ -177,16 +177,13 @@ def signs(
         root of one minus the correlation of both objects, their distance.
     """
     steps = np.hypot(level - np.roll(level, 1, 0), level - np.roll(level, 1, 1))
-    width = max(1, round(_BORDER * min(level.shape)))
-    inside = level[width:-width, width:-width]
-    edge = (level.sum() - inside.sum()) / (level.size - inside.size) / level.mean()
     side = -(-max(level.shape) // _HALO_PIXELS)
     halo, dim = _halo(block_means(level, side))
     total, square = (max(float(part.mean()), 1e-300) for part in (steps, steps**2))
     return {
         "grain": total**2 / square,
         "soft": -min(square / total / _brightness(level), _MOST_STEPS),
-        "border": min(float(edge), _MOST_BORDER),
+        "border": min(border(level), _MOST_BORDER),
         "halo": passed * halo * min(dim / _FAINT, 1.0),
         "dim": dim,
         "unexplained": min(max(residual**2 - _EXCESS, 0.0) / max(excess, _LEAST_EXCESS), 1.0),
@@ -212,6 +209,13 @@ def expected_correlation(unsteady: float, share: float) -> float:
     """
     lack: float = LACK * (unsteady**2 * (1.0 - share)) ** LACK_POWER
     return 1.0 - min(lack, 1.0)
+
+
+def border(level: Array) -> float:
+    """Return the mean of an object at the frame's edge over that of the whole frame."""
+    width = max(1, round(_BORDER * min(level.shape)))
+    inside = level[width:-width, width:-width]
+    return float((level.sum() - inside.sum()) / (level.size - inside.size) / level.mean())
 
 
 def _brightness(object_: Array) -> float:

@@ -15,22 +15,13 @@ from numpy.typing import NDArray
 from ..._fourier import irfft2, rfft2
 from ...imaging.forward_model import ForwardModel
 from .arrays import half_spectrum_weights
-from .models import AnyModel, mean_transfer, numpy_model
+from .models import AnyModel, numpy_model
 
 Array = NDArray[np.float64]
 
 # Largest power of an object's image, relative to the noise, at a frequency that counts as beyond
 # the optics.
 _NOTHING_PASSED = 0.05
-
-
-def frame_transfer(model: AnyModel) -> NDArray[np.complex128]:
-    """Return the transfer function at the frequencies of the frame, complex128.
-
-    A padded model holds it for a larger grid. For a field it is that of the mean point spread.
-    """
-    twin = numpy_model(model)
-    return _at_frame(mean_transfer(twin), twin)
 
 
 def passed_power(model: AnyModel) -> Array:
@@ -42,16 +33,16 @@ def passed_power(model: AnyModel) -> Array:
     """
     twin = numpy_model(model)
     if twin.weights is None:
-        return squared(frame_transfer(twin))
+        return squared(frame_transfer(twin.transfer, twin))
     flat = twin.weights.reshape(len(twin.weights), -1)
     values, vectors = np.linalg.eigh(flat @ flat.T / flat.shape[1])
-    each = np.stack([_at_frame(part, twin) for part in twin.transfer])
+    each = np.stack([frame_transfer(part, twin) for part in twin.transfer])
     parts = zip(values, np.tensordot(vectors.T, each, 1), strict=True)
     return np.asarray(sum(max(float(value), 0.0) * squared(part) for value, part in parts))
 
 
-def _at_frame(transfer: NDArray[np.complex128], model: ForwardModel) -> NDArray[np.complex128]:
-    """Return a transfer function of a model's grid at the frequencies of its frame."""
+def frame_transfer(transfer: NDArray[np.complex128], model: ForwardModel) -> NDArray[np.complex128]:
+    """Return a transfer function on a model's grid, at the frequencies of its frame."""
     kernel = irfft2(transfer, model.grid[1])
     for axis, (side, length) in enumerate(zip(model.grid, model.shape, strict=True)):
         # Offsets of at least the frame's length are negative ones, see `padded_transfer`.

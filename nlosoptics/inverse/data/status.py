@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from .arrays import Values, as_double, as_numpy
 from .models import AnyModel, image_of, widened
 from .noisy_image import NoisyImage
-from .signs import WIDER, as_if_steady, doubt, expected_correlation, risk, signs, told
+from .signs import WIDER, as_if_steady, border, doubt, expected_correlation, risk, signs, told
 from .spectra import (
     beyond_optics,
     expected_signal,
@@ -70,7 +70,6 @@ _MOST_DRIFT = 0.02
 _MOST_CHANGE, _LEAST_ITERATIONS = 5e-4, 100
 # Largest brightness of the object at the frame's edge relative to its mean, in a padded frame.
 _MOST_BORDER = 1.1
-_BORDER = 1 / 32  # width of the edge, relative to the shorter side
 # Least expected correlation of object and Wiener estimate. A sharp fit restores edges that a filter
 # does not, but half of the power of a typical object's detail must exceed the noise.
 _LEAST_SHARE, _LEAST_SHARP_SHARE = 0.73, math.sqrt(0.5)
@@ -100,14 +99,14 @@ class Ending:
         for a filter and for a weight that the caller chose: residuals are then not tested.
     again : callable or None
         For a solver that prefers objects with few edges and brings the residual to the noise, so
-        that `signs` apply: function of a `Measurement` in numpy that returns the object (H, W),
-        image units, of the same fit to that measurement.
+        that `signs` apply: function of a `NoisyImage` and an image model that returns the object
+        (H, W) and the background, image units, of the same fit to that image.
     """
 
     converged: bool
     history: Mapping[str, Sequence[float]]
     most_residual: float | None = None
-    again: Callable[[NoisyImage, AnyModel], Values] | None = None
+    again: Callable[[NoisyImage, AnyModel], tuple[Values, float]] | None = None
 
     def settled(self) -> bool:
         """Return whether more iterations would hardly change the object.
@@ -115,14 +114,16 @@ class Ending:
         A fit that has run out of iterations is settled if its last changes are below 5e-4 and the
         residual has stayed within 2 % during the last fifth of the iterations.
         """
-        if self.converged:
-            return True
-        changes, steady = list(self.history["change"]), self.stalled()
-        return steady and sorted(changes[-20:])[10] <= _MOST_CHANGE
+        still = self.stalled() and sorted(self.history["change"][-20:])[10] <= _MOST_CHANGE
+        return self.converged or still
+
+    def steady(self) -> bool:
+        """Return whether the solver has converged, or the residual no longer changes."""
+        return self.converged or self.stalled()
 
     def stalled(self) -> bool:
         """Return whether the residual no longer changes."""
-        residuals = list(self.history["residual"])
+        residuals = self.history["residual"]
         if len(residuals) < _LEAST_ITERATIONS:
             return False
         earlier = residuals[int(0.8 * len(residuals))]
@@ -202,14 +203,13 @@ def judged(
             "too_few_photons", ("the fit explains the image without an object; expose longer",)
         )
     spectrum = Spectra(data, level, strength, model)
-    settled, again = ending.settled(), None
-    steady = settled or ending.stalled()
+    again = None
     # of a fit whose residual still changes a second one would tell nothing
-    if steady and ending.again is not None:
+    if ending.steady() and ending.again is not None:
         wider = widened(model, WIDER)
-        again = as_double(as_numpy(ending.again(spectrum.repetition(wider), wider)))
+        again = as_double(as_numpy(ending.again(spectrum.repetition(wider), wider)[0]))
     values = None if ending.again is None else spectrum.signs(level if again is None else again)
-    status, reasons = _status(spectrum, level, values, model, ending, settled, steady)
+    status, reasons = _status(spectrum, level, values, model, ending)
     if values is None or again is None:
         return Judgement(status, reasons)
     expected = spectrum.expected_correlation(values)
@@ -222,12 +222,10 @@ def _status(
     values: Mapping[str, float] | None,
     model: AnyModel,
     ending: Ending,
-    settled: bool,
-    steady: bool,
 ) -> tuple[Status, tuple[str, ...]]:
     """Return status and reasons; ``values`` are the signs of a sharp fit."""
     share = spectrum.share()
-    if steady:
+    if ending.steady():
         faults = list(spectrum.stated_noise_faults(explained=values is not None))
         if values is not None:
             expected = spectrum.expected_correlation(values)
@@ -248,7 +246,7 @@ def _status(
                 faults += spectrum.residual_faults(ending.most_residual)
         if faults:
             return "does_not_fit", tuple(faults)
-    if not settled:
+    if not ending.settled():
         return "unconverged", (spectrum.unfinished(len(ending.history["residual"])),)
     negative = _negative_share(level)
     noise = 0.5 * (1.0 - share**2)  # of the power; noise is as often negative as positive
@@ -279,20 +277,17 @@ class Spectra:
         self._data, self._level = data, level
         self._shape = data.data.shape
         self._twice = half_weights(self._shape)
-        image = data.data - data.background(data.background_strength(data.data))
         passed = passed_power(model)
         self._passed = passed / passed.max()
         variance = data.sigma**2
-        image_power = periodic_power(image)
+        image_power = periodic_power(data.without_background())
         signal = expected_signal(image_power, passed, variance, self._shape)
         self._ratio = signal / variance
         self._beyond = beyond_optics(signal, variance)
         self._background = data.background(strength)
         explained = image_of(model, level) + self._background
-        residual = (data.data - explained) / data.sigma
+        residual = data.whitened((data.data - explained) / data.sigma)
         self._rms = data.score(explained)
-        if data.weights is not None:
-            residual = residual * np.sqrt(data.weights)
         self._left = power(residual) * (residual.size / data.counted)
         # Excluded pixels hold the mean, and their steps would spread over all frequencies.
         masked = data.counted < residual.size
@@ -408,11 +403,7 @@ class Spectra:
 
 def _edge_faults(level: Array, model: AnyModel) -> Iterator[str]:
     """Find light at the edge of a padded frame, outside which the model assumes darkness."""
-    width = max(1, round(_BORDER * min(level.shape)))
-    inside = np.zeros(level.shape, dtype=bool)
-    inside[width:-width, width:-width] = True
-    mean = float(level.mean())
-    edge = float(level[~inside].mean()) / mean if mean > 0.0 else math.inf
+    edge = border(level) if level.mean() > 0.0 else math.inf
     if model.boundary == "padded" and edge > _MOST_BORDER:
         yield (
             f"the object is {edge:.2f} times as bright at the frame's edge as on average, limit "

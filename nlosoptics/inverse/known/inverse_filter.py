@@ -89,13 +89,10 @@ def inverse_filter(
         strength, score = beside(data, level, twin)
         if progress is not None:
             progress(f"inverse filter: residual {score:.2g} of the noise", 1.0)
-        history = {"objective": [0.5 * data.counted * score**2], "residual": [score]}
-        return {
-            "level": level,
-            "background": strength,
-            "ending": Ending(converged=True, history={**history, "change": [1.0]}),
-            "guard": used,
-        }
+        objective = 0.5 * data.counted * score**2
+        history = {"objective": [objective], "residual": [score], "change": [1.0]}
+        ending = Ending(converged=True, history=history)
+        return {"level": level, "background": strength, "ending": ending, "guard": used}
 
     one_kernel_shape(model)
     return reconstructed(solve, image, model)
@@ -133,6 +130,5 @@ def _noise_guard(data: NoisyImage, spectrum: Tensor, size: Tensor, grid: tuple[i
     power *= torch.from_numpy(half_spectrum_weights(grid[1])).to(power.device)
     order = torch.argsort(size.flatten())
     left_out = torch.cumsum(power.flatten()[order], dim=0) / (grid[0] * grid[1])
-    allowed = data.noise_power()
-    first_kept = int(torch.searchsorted(left_out, allowed, right=True))
+    first_kept = int(torch.searchsorted(left_out, data.noise_power(), right=True))
     return max(float(size.flatten()[order][min(first_kept, size.numel() - 1)]), _ROUNDING)

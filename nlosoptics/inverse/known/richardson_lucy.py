@@ -154,8 +154,8 @@ class _Maximisation(Solver[_Estimate]):
         # the multiplicative iteration can lower the background too.
         self._shape: Tensor | None = None
         if data.fit_background:
-            shape = data.background_shape
-            self._shape = torch.ones_like(image) if shape is None else shape.to(dtype)
+            self._shape = torch.ones_like(image) * data.background(1.0)
+            self._shape = self._shape.to(dtype)
             self._image += self._sigma * self._shape
         self._ceiling = self._model.adjoint(weighted(torch.ones_like(image), self._weights))
         # An object pixel without light in the frame cannot be determined; it stays dark.

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..data.arrays import Values, is_tensor, library, total
+from ..data.arrays import Values, library, total
 from . import _splitting_kernels as kernels
 from ._splitting_kernels import RELAXATION, TINY
 
@@ -35,25 +35,29 @@ class Steps:
         self.measured = image, shape, weights
         self.frame = tuple(slice(None, length) for length in image.shape)
 
+    @staticmethod
     def pull(
-        self,
-        gradient: tuple[Values, Values, float],
-        values: tuple[Values, Values, float],
+        edges: Values,
+        edge_dual: Values,
+        edge_penalty: float,
+        signed: Values,
+        sign_dual: Values,
+        sign_penalty: float,
         out: Values,
     ) -> None:
         """Compute what targets ask of the object: their transposes times their penalties.
 
-        ``gradient`` and ``values`` are the targets of its gradients (2, rows, columns) and of its
-        values, each with dual and penalty.
+        The targets are those of its gradients (2, rows, columns) and of its values, each with dual
+        and penalty.
         """
-        (edges, edge_dual, edge_penalty), (signed, sign_dual, sign_penalty) = gradient, values
         y, x = edges - edge_dual
         roll = library(y).roll
         out[...] = edge_penalty * (roll(y, 1, 0) - y + roll(x, 1, 1) - x)
         out += sign_penalty * (signed - sign_dual)
 
+    @staticmethod
     def mix(
-        self, image: Values, pull: Values, filtered: Values, inverse: Values, transfer: Values
+        image: Values, pull: Values, filtered: Values, inverse: Values, transfer: Values
     ) -> None:
         """Turn the half spectra of target image and pull into those of ``free`` and ``seen``."""
         image[...] = filtered * image + inverse * pull
@@ -119,6 +123,9 @@ class Steps:
 class KernelSteps(Steps):
     """`Steps` on numpy arrays, by kernels; ``columns`` is the width of the FFT grid."""
 
+    pull = staticmethod(kernels.pull)
+    mix = staticmethod(kernels.mix)
+
     def __init__(self, image: Values, shape: Values, weights: Values, columns: int) -> None:
         super().__init__(image, shape, weights)
         self._right = np.empty(columns, image.dtype)
@@ -130,19 +137,6 @@ class KernelSteps(Steps):
         kernel(*arguments, self._sums)
         sums: list[float] = self._sums.sum(axis=1).tolist()
         return sums
-
-    def pull(
-        self,
-        gradient: tuple[Values, Values, float],
-        values: tuple[Values, Values, float],
-        out: Values,
-    ) -> None:
-        kernels.pull(*gradient, *values, out)
-
-    def mix(
-        self, image: Values, pull: Values, filtered: Values, inverse: Values, transfer: Values
-    ) -> None:
-        kernels.mix(image, pull, filtered, inverse, transfer)
 
     def shrink_edges(self, free: Values, edges: Values, edge_dual: Values, most: float) -> float:
         return self._summed(kernels.shrink_edges, free, edges, edge_dual, most, self._right)[0]
@@ -172,10 +166,3 @@ class KernelSteps(Steps):
 
     def split_misfit(self, predicted: Values, dual: Values, level: float, ratio: float) -> None:
         kernels.split_misfit(predicted, dual, *self.measured, level, ratio)
-
-
-def steps_on(image: Values, shape: Values, weights: Values, columns: int) -> Steps:
-    """Return `Steps` on tensors, `KernelSteps` on arrays."""
-    if is_tensor(image):
-        return Steps(image, shape, weights)
-    return KernelSteps(image, shape, weights, columns)

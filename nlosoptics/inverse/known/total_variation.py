@@ -29,7 +29,7 @@ from ..data.reconstruction import Reconstruction
 from ..data.status import MOST_RESIDUAL, Ending
 from ._splitting_kernels import RELAXATION
 from .field_step import FieldStep
-from .splitting_steps import gradient, steps_on
+from .splitting_steps import KernelSteps, Steps, gradient
 
 # Penalties of the splitting x = p (sign) and grad x = d (edges), per unit of the object's
 # brightness. From sweeps over smooth and speckle kernels, 128^2 and 512^2.
@@ -177,8 +177,7 @@ def tv_deconvolve(
             level, background = fit.nearby(deepcopy(found.state), other, model)
             if not _rises(level, background, other, model):
                 return answer | _doubts(answer["level"], level, other)
-        ready = other.in_numpy() if data.on_processor else other.in_torch()
-        second = solved(_Splitting(ready, model, rule, None), None, None)
+        second = solved(_Splitting(other.native(), model, rule, None), None, None)
         if _rises(second["level"], second["background"], other, model):
             return {"data": other, **second}
         return answer | _doubts(answer["level"], second["level"], other)
@@ -220,7 +219,7 @@ def sharpest(
     data: NoisyImage, model: AnyModel, rule: tuple[int, float] = _RULE, tv_weight: Any = None
 ) -> tuple[Values, float, float]:
     """Return object, background and weight of `tv_deconvolve`, not judged; 0 if none is seen."""
-    data = data.in_numpy() if data.on_processor else data.in_torch()
+    data = data.native()
     if data.is_background(model):
         return 0.0 * data.data, float(data.background_strength(data.data)), 0.0
     answer = solved(_Splitting(data, model, rule, tv_weight), None, None)
@@ -292,18 +291,16 @@ class _Splitting(Solver[_Split]):
         self._dark = like(np.zeros(model.grid), working)
         self._image = like(image, working)
         ones = 1.0 + 0.0 * image
-        shape, weights = (
-            like(ones if given is None else given, working)
-            for given in (data.background_shape, data.weights)
-        )
-        self._saturated, self._shape, self._weights = None, shape, weights
+        self._shape = like(ones * data.background(1.0), working)
+        self._weights = like(data.weighted(ones), working)
+        self._saturated = None
         if data.least is not None:
             least = (data.least - data.background(self._level)) / self._scale
             saturated = self._library.isfinite(least)
             self._saturated = self._library.where(saturated)
             self._image = self._library.where(saturated, like(least, working), self._image)
-            self._weights = weights + 0.0
-        self._steps = steps_on(self._image, shape, self._weights, model.grid[1])
+        given = self._image, self._shape, self._weights
+        self._steps = Steps(*given) if is_tensor(working) else KernelSteps(*given, model.grid[1])
         twin = model_like(model, data.data)
         transfer = mean_transfer(twin)
         self._response = float(abs(transfer).max())
@@ -331,17 +328,17 @@ class _Splitting(Solver[_Split]):
         """
         predicted = self._dark + 0.0
         predicted[self._frame] = self._image
-        spectrum = self._transfer.conj() * rfft2(predicted)
-        spectrum /= self._power + 1e-2
-        begun = irfft2(spectrum, predicted.shape[-1])
-        if first is not None:
-            begun = self._dark + 0.0
-            begun[self._frame] = like(first * (self._response / self._scale), begun)
-        signed = self._allowed(begun, self._dark + 0.0)
+        if first is None:
+            spectrum = self._transfer.conj() * rfft2(predicted)
+            spectrum /= self._power + 1e-2
+            begun = irfft2(spectrum, predicted.shape[-1])[self._frame]
+        else:
+            begun = like(first * (self._response / self._scale), self._dark)
+        signed = self._dark + 0.0
+        signed[self._frame] = begun.clip(0.0, None)
         framed = as_numpy(signed[self._frame]).ravel()
         highest = math.ceil(0.99 * framed.size) - 1
-        brightness = float(np.partition(framed, highest)[highest])
-        brightness = brightness if brightness > 0.0 else 1.0
+        brightness = float(np.partition(framed, highest)[highest]) or 1.0
         edges = gradient(signed)
         if self._given is None:
             data_penalty = 1.0 / (self._sigma * brightness)
@@ -374,11 +371,8 @@ class _Splitting(Solver[_Split]):
         own, steps = self._scratch, self._steps
         own.wanted[...] = state.predicted
         own.wanted[self._frame] -= state.data_dual
-        steps.pull(
-            (state.edges, state.edge_dual, state.edge_penalty),
-            (state.signed, state.sign_dual, state.sign_penalty),
-            own.pull,
-        )
+        edges = state.edges, state.edge_dual, state.edge_penalty
+        steps.pull(*edges, state.signed, state.sign_dual, state.sign_penalty, own.pull)
         free, seen = self._object_step(state)
         residual = self._data_step(state, seen)
         variation = steps.shrink_edges(free, state.edges, state.edge_dual, 1 / state.edge_penalty)
@@ -418,27 +412,23 @@ class _Splitting(Solver[_Split]):
         ending = Ending(
             converged=self.done(found.state),
             history={"objective": objective, "residual": residuals, "change": changes},
-            most_residual=MOST_RESIDUAL if self._given is None else None,
-            again=partial(self._repeated, found.state) if self._given is None else None,
         )
+        if self._given is None:
+            again = partial(self.nearby, found.state)
+            ending = replace(ending, most_residual=MOST_RESIDUAL, again=again)
         background = self._background(found.state)
         return {"background": background, "tv_weight": tv_weight, "ending": ending}
 
     def _background(self, state: _Split) -> float:
         return self._level + state.background * self._scale
 
-    def _repeated(self, state: _Split, data: NoisyImage, model: AnyModel) -> Values:
-        """Return the object (H, W), image units, of the fit `nearby`."""
-        return self.nearby(state, data, model)[0]
-
     def nearby(self, state: _Split, data: NoisyImage, model: AnyModel) -> tuple[Values, float]:
         """Return object (H, W) and background, image units, of a coarser fit to another image.
 
         It begins at a state of this fit, whose arrays it changes.
         """
-        own = data.in_torch() if is_tensor(self.data.data) else data
         rule = self.max_iterations, _COARSER * self._tolerance
-        again = _Splitting(own, model, rule, None)
+        again = _Splitting(data.native(), model, rule, None)
         begun = replace(state, count=0, measure=math.inf)
         if state.free is not None:  # the last step's image is that of this fit's model
             begun.free, begun.seen = self._dark + 0.0, self._dark + 0.0
@@ -510,12 +500,6 @@ class _Splitting(Solver[_Split]):
                 return
             step = (1.0 / self._target - square**-0.5) * square**1.5 / slope
             state.multiplier = max(state.multiplier + state.data_penalty * step, 0.0)
-
-    def _allowed(self, picture: Values, out: Values) -> Values:
-        """Return the non-negative part of an object inside the frame, and zero outside."""
-        out[...] = 0.0
-        self._library.clip(picture[self._frame], 0.0, None, out=out[self._frame])
-        return out
 
 
 def _adapt(state: _Split) -> None:

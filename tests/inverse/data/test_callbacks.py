@@ -110,7 +110,7 @@ def test_an_object_alone_is_a_start_too() -> None:
     for name, wrong, words in (
         ("numbers", np.zeros(3), "start's numbers are .*, must be 7 finite values"),
         ("signed", "F.png", "start's signed of type str is not an array"),
-        ("edges", wrong_edges, "start's edges holds values that are not finite"),
+        ("edges", wrong_edges, "start's edges has 8192 of 8192 values that are not finite"),
     ):
         with pytest.raises(SceneError, match=words):
             inverse.tv_deconvolve(image, model, **options, start={**watch.states[3], name: wrong})

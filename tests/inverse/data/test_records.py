@@ -28,7 +28,7 @@ def test_spectra(boundary, picture, on_record):
     on_record(
         {
             "powers": [seen, spectra.periodic_power(picture), passed],
-            "transfer": spectra.frame_transfer(model),
+            "transfer": spectra.frame_transfer(model.transfer, model),
             "weights": [spectra.half_weights(SHAPE), spectra.noise_share(SHAPE)],
             "object": spectra.object_power(SHAPE),
             "signal": [signal, mask, spectra.cosines_within(mask, SHAPE)],

@@ -30,7 +30,7 @@ def test_transfer_on_the_frame_is_the_kernels_sum(shape, boundary, kernel_shape)
     expected = np.exp(-2j * np.pi * np.outer(rows, y)) @ kernel
     expected = expected @ np.exp(-2j * np.pi * np.outer(x, columns))
     # rounding of two transforms
-    np.testing.assert_allclose(frame_transfer(model), expected, atol=1e-12)
+    np.testing.assert_allclose(frame_transfer(model.transfer, model), expected, atol=1e-12)
 
 
 def test_power_passed_by_a_field_is_the_mean_over_the_object(point_spread_field):

@@ -36,7 +36,7 @@ def test_kernels_make_the_steps_of_whole_arrays(precision: type, error: float) -
     def results(steps: Steps) -> list[object]:
         arrays = copy.deepcopy(given)
         edges, edge_dual, signed, sign_dual, predicted, dual, pull, first, second = arrays
-        steps.pull((edges, edge_dual, 0.7), (signed, sign_dual, 0.4), pull)
+        steps.pull(edges, edge_dual, 0.7, signed, sign_dual, 0.4, pull)
         steps.mix(first, second, filtered, inverse, transfer)
         numbers = [
             steps.shrink_edges(free, edges, edge_dual, 0.3),
@@ -58,6 +58,6 @@ def test_pull_is_the_transpose_of_the_gradient() -> None:
     picture, field = generator.normal(size=GRID), generator.normal(size=(2, *GRID))
     steps = KernelSteps(*(np.ones(FRAME) for _ in range(3)), GRID[1])
     back, dark = np.empty(GRID), np.zeros(GRID)
-    steps.pull((field, 0.0 * field, 1.0), (dark, dark, 0.0), back)
+    steps.pull(field, 0.0 * field, 1.0, dark, dark, 0.0, back)
     product = float((gradient(picture) * field).sum())
     assert float((picture * back).sum()) == pytest.approx(product, rel=1e-12)
