@@ -106,9 +106,9 @@ def evidence_fit(
         Rms aberration of the wall, waves, if known. None: several values are tried.
     max_iterations : int, optional
         Maximum number of search rounds. The default is 2 if a known object or a defocused image
-        excludes the answer without blur. It is 1 for one image with proposals of the network, see
-        the Notes, otherwise 5. A round starts from 24 proposals or 32 random walls, and continues
-        with random variations of the best.
+        excludes the answer without blur, and 4 if noise then hides the residual of a wrong wall. It
+        is 1 for one image with proposals of the network, see the Notes, otherwise 5. A round starts
+        from 24 proposals or 32 random walls, and continues with random variations of the best.
     max_seconds : float, optional
         Time, s, after which the search ends, once it has found a first result; an unfinished step
         is discarded. With such a limit, the result depends on the speed of the machine. By default
@@ -188,6 +188,12 @@ def evidence_fit(
     exceeds the noise significantly, further Zernike modes are fitted: up to radial order 5, then 7,
     then 8. They are kept if the free energy falls by more than additional parameters alone would
     cause.
+
+    **Much noise.** For several images, a wrong wall can leave no residual beyond the noise if the
+    square root of the second term exceeds 0.0035: with two images of 64 x 64 pixels, if the noise
+    is above 1.6 % of the range. Without ``start_error``, the status is then "converged" only if two
+    rounds, with different random walls, found the same wall, and if this wall needs no further
+    modes.
 
     **No blur.** For the status "converged", one image must also exclude that there is no blur and
     the image itself is the object. The limits depend on s, the rms noise as a fraction of the

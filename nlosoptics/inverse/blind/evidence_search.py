@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
 from ..._random import generator
-from ...errors import SamplingError, SceneError
 from .free_energy import Floats, FreeEnergy, OutOfTime, Stage, Starts, joined
 from .random_walls import Breeding, children, random_walls
+from .search_place import STEPS, TEXTS, Place
 from .verdict import Verdict
 from .wall_proposals import Proposals
 
@@ -24,6 +24,7 @@ Energies = Callable[[float, tuple[int, ...]], FreeEnergy]
 
 # Several images. A strong assumed noise at first gives all starts one broad basin of the energy.
 _GATHER = Stage(iterations=200, kappa=1.0, first=30.0, last=3.0, share=0.9, wave_rate=0.016)
+_GATHER_NOISY = Stage(iterations=200, kappa=1.0, first=12.0, last=1.5, share=0.9, wave_rate=0.016)
 _GATHER_SLOWLY = Stage(iterations=500, kappa=1.0, first=60.0, last=3.0, share=0.9, wave_rate=0.016)
 _SETTLE = Stage(iterations=250, kappa=0.5, first=3.0, last=1.0, share=0.5, wave_rate=0.01)
 _FINISH = Stage(iterations=250, kappa=0.5, first=1.5, last=1.0, share=0.3, wave_rate=0.006)
@@ -98,8 +99,9 @@ class Neighbourhood(Breeding):
     litter: int
 
 
-#: Of several images, and of one.
+#: Of several images, of several with much noise, and of one.
 _NEAR_SEVERAL = Neighbourhood(generations=4, litter=12, flips=0.03, noise=0.25)
+_NEAR_NOISY = replace(_NEAR_SEVERAL, generations=12)
 _NEAR_ONE = Neighbourhood(generations=12, litter=24, flips=0.06, noise=0.3)
 #: Factors of the norm of children's coefficients.
 _GROWTH = (0.95, 1.05)
@@ -112,131 +114,15 @@ _STANDSTILL, _AHEAD = 5.0, 50.0
 #: Largest number of repetitions of the last fit for one image. Answers, different walls and fits
 #: without blur are repeated alike, since the status compares their energies.
 _REPEATS = 5
-#: Default number of rounds with several images, with one, and with one and proposals.
-_ROUNDS = (2, 5, 1)
+#: Default number of rounds with several images, with several with much noise, with one, and with
+#: one and proposals.
+_ROUNDS = (2, 4, 5, 1)
 #: Number of rounds with one image after which the search ends if it found no different wall.
 _ENOUGH = 2
-#: Texts of all steps, in their order.
-_TEXTS = {
-    "reference": "no blur",
-    "near": "about the given wall",
-    "given": "about the given wall",
-    "gather": "random walls",
-    "settle": "best walls",
-    "neighbours": "near the best walls",
-    "finish": "best walls",
-    "widen": "more modes",
-    "propose": "proposed walls",
-    "end": "done",
-}
-_STEPS = tuple(_TEXTS)
 #: Number of each step's stream of random numbers among those of a round, and how many these are.
-_STREAMS = {name: number for number, name in enumerate(_STEPS[:4])}
-_STREAMS |= {name: number for number, name in enumerate(_STEPS[4:9], start=8)}
+_STREAMS = {name: number for number, name in enumerate(STEPS[:4])}
+_STREAMS |= {name: number for number, name in enumerate(STEPS[4:9], start=8)}
 _ROUND = 13
-_HISTORY = ("objective", "residual", "change")
-
-
-@dataclass(eq=False, kw_only=True)
-class Place:
-    """Position and results of a search after a step.
-
-    Parameters
-    ----------
-    turn, count : int
-        Number of the round, -1 before the first one, and of repetitions of the step.
-    step : str
-        Name of the next step.
-    floor, sharp : float
-        Free energies of the fits that start without blur and that have no blur; NaN if not needed.
-    held : float
-        Energy that the prior of the coefficients would add to the former.
-    rival : float
-        For one image the least free energy of walls of another point spread, minus that of the best
-        answer; NaN before the end of the first round.
-    modes : tuple of int
-        Noll indices of ``best``.
-    pool : Starts
-        Starts of the current round; empty before its first step.
-    best : Starts
-        Best answer so far, one start; empty before the first one.
-    history : dict
-        Energy, residual and change after each improvement or round.
-    """
-
-    turn: int = -1
-    count: int = 0
-    step: str = "reference"
-    floor: float = math.nan
-    sharp: float = math.nan
-    held: float = math.nan
-    rival: float = math.nan
-    modes: tuple[int, ...]
-    pool: Starts
-    best: Starts
-    history: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in _HISTORY})
-
-    def saved(self) -> dict[str, Any]:
-        """Return all that a resumed search needs, as arrays."""
-        numbers = [self.turn, self.count, _STEPS.index(self.step)]
-        found: dict[str, Any] = {
-            "place": [*numbers, self.floor, self.sharp, self.held, self.rival],
-            "modes": self.modes,
-            **{f"history_{name}": values for name, values in self.history.items()},
-        }
-        for name, starts in (("pool", self.pool), ("best", self.best)):
-            found |= {f"{name}_{key}": values for key, values in vars(starts).items()}
-        return found
-
-    @classmethod
-    def of(cls, state: Any, like: Starts, modes: int) -> Place:
-        """Return the place of a saved state.
-
-        ``like`` are starts of the resumed fit, with ``modes`` coefficients for each wall.
-        """
-        if not isinstance(state, Mapping):
-            raise SceneError(
-                f"start of type {type(state).__name__} is no saved state; give a state of "
-                "evidence_fit, or leave it out"
-            )
-        names = [f"{part}_{entry.name}" for part in ("pool", "best") for entry in fields(Starts)]
-        names += ["place", "modes", *(f"history_{name}" for name in _HISTORY)]
-        missing = [name for name in names if name not in state]
-        if missing:
-            raise SceneError(
-                f"start holds no {missing[0]}; give a state of evidence_fit, or leave it out"
-            )
-
-        def kept(part: str, count: int) -> Starts:
-            arrays: dict[str, Floats] = {}
-            for name, mine in vars(like).items():
-                arrays[name] = np.array(state[f"{part}_{name}"], dtype=mine.dtype)
-                given, wanted = arrays[name].shape[1:], mine.shape[1:]
-                if name == "coefficients":
-                    wanted = (mine.shape[1] // modes * count,)
-                if given != wanted:
-                    raise SamplingError(
-                        f"start's {name} have shape {given} for each start, this fit's {wanted}; "
-                        "it belongs to other images or modes, leave it out"
-                    )
-            return Starts(**arrays)
-
-        found = tuple(np.asarray(state["modes"], dtype=int).tolist())
-        numbers = np.asarray(state["place"], dtype=float).tolist()
-        turn, count, step, floor, sharp, held, rival = numbers
-        return cls(
-            turn=int(turn),
-            count=int(count),
-            step=_STEPS[int(step)],
-            floor=floor,
-            sharp=sharp,
-            held=held,
-            rival=rival,
-            modes=found,
-            pool=kept("pool", modes),
-            best=kept("best", len(found)),
-            history={name: np.asarray(state[f"history_{name}"]).tolist() for name in _HISTORY},
-        )
 
 
 class Search:
@@ -291,7 +177,8 @@ class Search:
         if start_error is not None:
             self._prior = self._energy.about(first, start_error)
         self._frames = verdict.several
-        usual = 0 if self._frames else 1 if proposals is None else 2
+        self._noisy = verdict.vague and start_error is None
+        usual = int(self._noisy) if self._frames else 2 if proposals is None else 3
         self._rounds = _ROUNDS[usual] if rounds is None else rounds
         #: sum of squares of a point spread above which walls are penalised
         self._sharpness = math.inf
@@ -306,6 +193,8 @@ class Search:
     def faults(self) -> tuple[str, ...]:
         """Reason against the best answer; empty if it passes all tests."""
         place = self.place
+        if self._noisy and (doubts := self._verdict.doubts(place.modes, place.met)):
+            return doubts
         return self._verdict.faults(
             place.best,
             self.margins,
@@ -339,9 +228,9 @@ class Search:
         """
         while self.place.step != "end":
             now, count = self.place.step, self.place.count
-            part = (_STEPS.index(now) + count / 10.0) / len(_STEPS)
+            part = (STEPS.index(now) + count / 10.0) / len(STEPS)
             whole = self.place.turn + part if self.place.turn >= 0 else 0.1 * part - 0.1
-            if watch(_TEXTS[now], (whole + 0.1) / (self._rounds + 0.1)):
+            if watch(TEXTS[now], (whole + 0.1) / (self._rounds + 0.1)):
                 return
             history = {name: values.copy() for name, values in self.place.history.items()}
             before = replace(self.place, history=history)
@@ -414,6 +303,7 @@ class Search:
         pool = self._energy.starts(self._first[None], _NEAR[0].first)
         pool = self._energy.descend(self._energy.descend(pool, _NEAR[0]), settle)
         self._offer(_settled(self._energy, pool, self._frames))
+        self.place.met = 1
         return "widen" if self._frames else self._next()
 
     def _gather(self, random: Generator) -> str:
@@ -421,8 +311,8 @@ class Search:
         modes = len(self._energy.modes)
         many = self._energy.size // modes
         if self._frames:
-            slow = self.place.turn > 0
-            stage = _GATHER_SLOWLY if slow else _GATHER
+            slow = self.place.turn > 0 and not self._noisy
+            stage = _GATHER_NOISY if self._noisy else _GATHER_SLOWLY if slow else _GATHER
             lengths = np.array(self._strengths()) * (1.3 if slow else 1.0)
         else:
             stage = replace(_GATHER, first=_NOISES[self.place.turn % len(_NOISES)])
@@ -487,8 +377,9 @@ class Search:
         The descent alone can stop in a local minimum whose object is right within a few per cent.
         """
         pool, frames, energy = self.place.pool, self._frames, self._searched()
-        near = _NEAR_SEVERAL if frames else _NEAR_ONE
-        if self.place.count == near.generations or (frames and self._verdict.well(pool)):
+        near = _NEAR_NOISY if self._noisy else _NEAR_SEVERAL if frames else _NEAR_ONE
+        well = frames and not self._noisy and self._verdict.well(pool)
+        if well or self.place.count == near.generations:
             return "finish"
         twin = np.ones(energy.size) if frames else energy.twin
         walls = children(pool[: near.litter // 3], near.litter, twin, near, random)
@@ -509,9 +400,14 @@ class Search:
 
     def _finish(self, _: Generator) -> str:
         place, before = self.place, self.place.best
-        self._offer(_settled(self._energy, place.pool[:2], self._frames))
+        found = self._ranked(_settled(self._energy, place.pool[:2], self._frames), 1)
         if self._frames:
-            return "widen"
+            self._count(found)
+            self._offer(found)
+            # a wrong wall that noise hides can need more modes: a right one is sought first
+            last = place.met > 1 or place.turn + 1 == self._rounds
+            return "widen" if last or not self._noisy else self._next()
+        self._offer(found)
         # energies of the narrow grid are compared among themselves
         energy = self._searched()
         other = energy.apart(place.pool, place.best.coefficients) > _OTHER
@@ -521,6 +417,15 @@ class Search:
         lowered = float(before.energy[0] - place.best.energy[0])
         place.rival = float(np.fmin(place.rival + lowered, found))
         return self._next()
+
+    def _count(self, found: Starts) -> None:
+        """Count a round that found the best answer, or start anew with a better one."""
+        place, best = self.place, self.place.best
+        known = len(best) > 0 and place.modes == self._energy.modes
+        if known and self._energy.apart(found, best.coefficients)[0] < _OTHER:
+            place.met += 1
+        elif not len(best) or found.energy[0] < best.energy[0]:
+            place.met = 1
 
     def _widen(self, _: Generator) -> str:
         """Add modes while the residual has structure and they lower the energy."""

@@ -349,7 +349,7 @@ def test_modes_are_added_by_schwarz_s_criterion(energy, share, kept):
             return replace(starts, energy=flat.energy - gain)
 
     verdict = SimpleNamespace(
-        modes=MODES, several=True, pixels=pixels, structured=lambda best: True
+        modes=MODES, several=True, vague=False, pixels=pixels, structured=lambda best: True
     )
     options = dict.fromkeys(("start_error", "strength", "proposals", "state"))
     energies = lambda padding, modes: energy if modes == MODES else Wide()  # noqa: E731

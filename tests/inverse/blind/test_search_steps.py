@@ -82,6 +82,8 @@ def searched(several, faults=("faulty",), **options):
         well=options.pop("well", lambda pool: False),
         structured=options.pop("structured", lambda best: False),
         alone=options.pop("alone", lambda rival: False),
+        vague=options.pop("vague", False),
+        doubts=options.pop("doubts", lambda modes, met: ()),
     )
     usual = {"first": np.zeros(8), "start_error": None, "strength": None, "proposals": None}
     usual |= {"rounds": None, "seed": 3, "state": None}
@@ -115,6 +117,43 @@ def test_several_images_take_two_rounds_of_random_walls():
     assert {entry[1] for entry in log} == {1.5}
     assert found.place.turn == 2
     assert found.place.rival != found.place.rival  # NaN: none is searched for
+
+
+def test_noise_that_hides_residuals_makes_rounds_meet_at_one_wall():
+    """The rounds meet at once here. More modes wait until then, or for the last of four rounds."""
+    met = []
+
+    def doubts(modes, count):
+        met.append(count)
+        return () if count >= 2 else ("once",)
+
+    found, told, log = searched(True, (), vague=True, doubts=doubts)
+    texts = [text for text, _ in told if text != "near the best walls"]
+    one = ["random walls", "best walls", "best walls"]
+    assert texts == ["no blur", *one, *one, "more modes"]
+    assert set(met) == {1, 2}
+    assert found.place.met == 2
+    assert {entry[3] for entry in log if entry[0] == "starts" and entry[2] == 32} == {12.0}
+    apart, Valley.apart = Valley.apart, lambda self, starts, walls: np.ones(len(starts))
+    try:
+        found, told, _ = searched(True, (), vague=True, doubts=doubts)
+    finally:
+        Valley.apart = apart
+    texts = [text for text, _ in told if text != "near the best walls"]
+    assert texts == ["no blur", *one * 4, "more modes"]
+    assert found.place.met == 1
+    # a start with a known error is not searched for
+    found, told, _ = searched(True, (), vague=True, doubts=doubts, start_error=0.1)
+    assert "random walls" not in [text for text, _ in told]
+
+
+def test_noise_that_hides_residuals_gives_no_shortcut():
+    """More generations than usual, and no end at a small residual."""
+    for vague, count in ((False, 4), (True, 12)):
+        _, _, log = searched(True, rounds=1, drop=100.0, vague=vague)
+        assert sizes(log, "starts").count(12) == count
+    _, _, log = searched(True, (), rounds=1, well=lambda pool: True, vague=True)
+    assert 12 in sizes(log, "starts")
 
 
 def test_fractions_grow_from_nothing_by_round_and_step():
@@ -332,6 +371,8 @@ def test_a_state_of_other_images_or_of_none_is_named():
         words = name.split("_")[1]
         with pytest.raises(SamplingError, match=rf"start's {words} have shape .*, this fit's"):
             found.place.of(saved | {name: np.zeros(shape)}, like, 8)
+    with pytest.raises(SamplingError, match=r"start's place has shape \(7,\), must be \(8,\)"):
+        found.place.of(saved | {"place": np.zeros(7)}, like, 8)
 
 
 def test_a_fit_that_is_ended_at_once_has_an_answer():

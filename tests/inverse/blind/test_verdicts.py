@@ -55,6 +55,24 @@ def told(verdict, best, margin=-80.0, sharp=-900.0, rival=150.0, **options):
     return " ".join(verdict.faults(best, (margin, sharp), rival, **given))
 
 
+@pytest.mark.parametrize(("share", "vague"), [(0.999, False), (1.001, True)])
+def test_much_noise_hides_the_residual_of_several_images(share, vague):
+    """Its three standard errors exceed a quarter of the square of the limit at one wave."""
+    sigma = share * math.sqrt(0.25 * 0.007**2 / (3 * math.sqrt(2 / 1550)))
+    sigmas = np.full(3, sigma)
+    assert verdict_of(sigmas=sigmas).vague is vague
+    assert not verdict_of(sigmas=sigmas, several=False).vague
+
+
+def test_an_answer_that_noise_hides_is_doubted_by_its_modes_and_its_rounds():
+    verdict = verdict_of()
+    assert verdict.doubts((4, 6, 9), 2) == ()
+    (once,) = verdict.doubts((4, 6, 9), 1)
+    assert "only 1 of the search's rounds found this wall, must be 2; expose longer" in once
+    (wider,) = verdict.doubts((4, 6, 9, 10), 2)
+    assert "needs 4 modes where 3 were given, as wrong ones do; expose longer" in wider
+
+
 def test_residuals_beyond_the_noise_come_first():
     verdict = verdict_of()
     limit = verdict.model_limit(answer(), complete=True)
