@@ -22,7 +22,7 @@ _COMPLETE_ERROR = (0.004, 0.003)
 #: of two images at 5 % noise, where it adds one and a half times the limit, three answers were
 #: wrong with a residual as small as that of right ones.
 _VAGUE = 0.5
-#: Number of rounds of a search that must then find the same wall.
+#: Number of rounds of a search that must then find the same object.
 _LEAST_MET = 2
 #: Fraction of the largest `Verdict.model_error` below which the search of a round ends early.
 _WELL = 0.6
@@ -130,7 +130,7 @@ class Verdict:
             )
         if met < _LEAST_MET:
             return (
-                f"{hides} only {met} of the search's rounds found this wall, must be "
+                f"{hides} only {met} of the search's rounds found this object, must be "
                 f"{_LEAST_MET}; expose longer, or allow more max_iterations",
             )
         return ()

@@ -68,7 +68,7 @@ def test_an_answer_that_noise_hides_is_doubted_by_its_modes_and_its_rounds():
     verdict = verdict_of()
     assert verdict.doubts((4, 6, 9), 2) == ()
     (once,) = verdict.doubts((4, 6, 9), 1)
-    assert "only 1 of the search's rounds found this wall, must be 2; expose longer" in once
+    assert "only 1 of the search's rounds found this object, must be 2; expose longer" in once
     (wider,) = verdict.doubts((4, 6, 9, 10), 2)
     assert "needs 4 modes where 3 were given, as wrong ones do; expose longer" in wider
 
