@@ -53,5 +53,5 @@ def test_untested_cases_have_no_share(case: tuple, words: str) -> None:
 def test_wave_that_the_image_does_not_hold_is_not_found() -> None:
     found = blind_forecast(0.5, 0.01, 0.0, {4: 0.4, 5: 0.4})
     assert (found.one_frame, found.two_frames) == (0.0, 0.0)
-    assert "0.57 at best" in found.text
+    assert "0.57 waves rms at best" in found.text
     assert blind_forecast(math.nan, 0.01, 0.0, {}).two_frames == 0.0
