@@ -203,13 +203,23 @@ SECTIONS = (
         rows=by_strength,
     ),
     Section(
+        "evidence_noisy.jsonl",
+        "Wall unknown, two frames, much noise",
+        "As above, with noise of 5 % of the image's maximum in place of 1 %. A wrong wall can then "
+        "leave no residual beyond the noise, so that the search must find an object twice; three "
+        "walls and three objects for each rms aberration.",
+        "python benchmarks/inverse/evidence.py --frames 2 --noise 0.05 --rms 0.25 0.5 1.0 --walls "
+        "731 733 --json {file}",
+        table={"rms aberration, waves": "{rms}"} | FITS_CPU,
+        rows=by_strength,
+    ),
+    Section(
         "evidence_one_frame.jsonl",
         "Wall unknown, one frame",
-        "`evidence_fit` for a single image (frame), otherwise as for two; five walls and three "
-        "objects for each rms aberration, and three more walls at 1 wave.",
-        "python benchmarks/inverse/evidence.py --frames 1 --rms 0.25 0.5 1.0 --walls 113 117 "
-        "--json {file}; "
-        "python benchmarks/inverse/evidence.py --frames 1 --rms 1.0 --walls 501 503 --json {file}",
+        "`evidence_fit` for a single image (frame), otherwise as for two; six walls and three "
+        "objects for each rms aberration.",
+        "python benchmarks/inverse/evidence.py --frames 1 --rms 0.25 0.5 1.0 --walls 721 726 "
+        "--json {file}",
         table={"rms aberration, waves": "{rms}"} | FITS_CPU,
         rows=by_strength,
     ),
