@@ -313,7 +313,6 @@ def _reconstruct(
     dark = image.ledger["dark"] / image.electrons.size
     noise = electron_noise(scene, image.electrons - dark)
     full = image.electrons >= full_reading(scene.camera)
-    noise[full] = np.inf
     veil = fitted_veil(
         scene, image.electrons, model, noise_sigma=noise, background=dark, shadows=shadows
     )

@@ -275,6 +275,21 @@ def test_simulated_full_pixels_are_lower_limits(result: nlosoptics.Result) -> No
     assert inverse.registered_correlation(found, image.ideal) > 0.93
 
 
+@pytest.mark.parametrize("over", [2.5, 30.0, 1e6])
+def test_an_overexposed_simulation_is_told_to_expose_shorter(over, result) -> None:
+    """A little light beyond the full well hides little; thirty times leaves no pixel of it."""
+    power = result.scene.laser.power * over * full_reading(result.scene.camera)
+    laser = replace(result.scene.laser, power=power / result.image.expected.max())
+    found = nlosoptics.simulate(replace(result.scene, laser=laser), 1e-2, reconstruct=True)
+    fit = found.reconstruction
+    if over == 2.5:
+        assert fit.status == "converged"
+        assert inverse.registered_correlation(fit, found.image.ideal) > 0.97
+    else:
+        assert fit.status == "does_not_fit"
+        assert "saturated pixels show an object; expose shorter" in fit.reasons[0]
+
+
 def test_full_pixels_of_a_file_are_lower_limits(result: nlosoptics.Result, tmp_path: Path) -> None:
     electrons, camera = result.image.electrons, result.scene.camera
     file = tmp_path / "short.png"

@@ -155,7 +155,8 @@ class NoisyImage:
         shape = self.background_shape
         if shape is None:
             return self.weighted_mean(values)
-        return total(self.weighted(shape * values)) / total(self.weighted(shape * shape))
+        # a veil can be dark in all pixels that count
+        return total(self.weighted(shape * values)) / (total(self.weighted(shape * shape)) or 1.0)
 
     def background(self, strength: float) -> Values | float:
         """Return the unknown background for a given strength, which is its mean over the image."""
@@ -354,8 +355,11 @@ def noisy_image(
     if plateau is not None:
         masked = masked | plateau.mask
         least = np.where(plateau.mask, plateau.level - plateau.sigma, -np.inf) - background
-    if masked.all():
-        raise SceneError("every pixel is masked or saturated, so that none counts; expose shorter")
+    if not np.any(~masked if stated is None else ~masked & np.isfinite(stated)):
+        raise SceneError(
+            "every pixel is masked, saturated or of infinite noise, so that none counts; expose "
+            "shorter"
+        )
     data = surrounded(data, masked)
     sigmas: float | NDArray[np.float64]
     if stated is None:

@@ -99,7 +99,8 @@ class Steps:
         predicted += RELAXATION * (seen - predicted)
         predicted[self.frame] += dual
         part = weights * shape / (1.0 + ratio * weights)
-        best = total(part * (image - predicted[self.frame])) / total(part * shape)
+        # a veil can be dark in all pixels that count
+        best = total(part * (image - predicted[self.frame])) / (total(part * shape) or 1.0)
         return total(weights * misfit * misfit), best
 
     def weigh_misfit(self, predicted: Values, level: float, ratio: float) -> tuple[float, float]:
@@ -156,7 +157,7 @@ class KernelSteps(Steps):
         square, above, below = self._summed(
             kernels.relax_image, seen, predicted, dual, *self.measured, level, ratio
         )
-        return square, above / below
+        return square, above / (below or 1.0)
 
     def weigh_misfit(self, predicted: Values, level: float, ratio: float) -> tuple[float, float]:
         square, slope, _ = self._summed(

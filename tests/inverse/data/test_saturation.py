@@ -195,8 +195,10 @@ def test_stated_full_pixels_that_are_hot_are_no_lower_limits():
     data = noisy_image(Measurement(image, masked=full, saturated=full), model)
     assert np.argwhere(data.plateau.mask).tolist() == [[24, 24]]
     assert np.array_equal(data.weights == 0.0, full)
-    with pytest.raises(SceneError, match="every pixel is masked or saturated"):
-        noisy_image(Measurement(clean, masked=~full, saturated=full), model)
+    noise = np.where(full, 1.0, np.inf)
+    for more in ({"masked": ~full}, {"noise_sigma": noise}):
+        with pytest.raises(SceneError, match="every pixel is masked, saturated or of infinite"):
+            noisy_image(Measurement(clean, saturated=full, **more), model)
 
 
 def test_an_object_in_saturated_pixels_alone_is_a_doubt():
