@@ -142,9 +142,9 @@ SECTIONS = (
         "are doubted, and one of 643 if half are doubted.",
         "python benchmarks/inverse/mismatches.py --json {file} --first 1003000 --cases 220; the "
         "same with --first 1005000 --cases 220; --first 1006000 --cases 160; --first 1031000 "
-        "--cases 120; --first 1007000 --cases 120 --kinds white_noise exponential_noise "
-        "photon_noise unblurred_picture blobs other_speckle other_wall; --first 1030000 "
-        "--cases 120 --kinds saturation dead_pixels",
+        "--cases 120; --first 1040000 --cases 240; --first 1007000 --cases 120 --kinds white_noise "
+        "exponential_noise photon_noise unblurred_picture blobs other_speckle other_wall; "
+        "--first 1030000 --cases 120 --kinds saturation dead_pixels",
         table={
             "mismatch": lambda group: MISMATCHES[group["kind"]],
             "cases": "{count}",
