@@ -192,8 +192,8 @@ def evidence_fit(
     **Much noise.** For several images, a wrong wall can leave no residual beyond the noise if the
     square root of the second term exceeds 0.0035: with two images of 64 x 64 pixels, if the noise
     is above 1.6 % of the range. Without ``start_error``, the status is then "converged" only if two
-    rounds, with different random walls, found the same object (correlation above 0.93), and if the
-    wall needs no further modes.
+    rounds, with different random walls, found the same object (correlation above 0.93; a known
+    object: PSFs whose rms difference is below 0.3), and if the wall needs no further modes.
 
     **No blur.** For the status "converged", one image must also exclude that there is no blur and
     the image itself is the object. The limits depend on s, the rms noise as a fraction of the

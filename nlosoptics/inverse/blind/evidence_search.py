@@ -423,13 +423,18 @@ class Search:
         return self._next()
 
     def _count(self, found: Starts) -> None:
-        """Count a round that found the best object, or start anew with a better one."""
+        """Count a round that found the best answer, or start anew with a better one."""
         place, best = self.place, self.place.best
         if not len(best):
             place.met = 1
             return
-        one, other = (self._energy.objects(starts)[0] for starts in (found, best))
-        if registered_correlation(one, other) > _SAME_OBJECT:
+        if self._energy.known:  # any two rounds have its object
+            equal = place.modes == self._energy.modes
+            same = equal and self._energy.apart(found, best.coefficients)[0] < _OTHER
+        else:
+            one, other = (self._energy.objects(starts)[0] for starts in (found, best))
+            same = registered_correlation(one, other) > _SAME_OBJECT
+        if same:
             place.met += 1
         elif found.energy[0] < best.energy[0]:
             place.met = 1

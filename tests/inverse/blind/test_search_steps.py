@@ -26,6 +26,8 @@ class Valley:
     A mode beyond the given ones lowers it by ``gain``, a call by ``drop``.
     """
 
+    known = False
+
     def __init__(self, padding, modes, log, gain=0.0, drop=0.0):
         self.padding, self.modes, self.log, self.gain = padding, modes, log, gain
         self.size, self.drop = len(modes), drop
@@ -143,6 +145,11 @@ def test_noise_that_hides_residuals_makes_rounds_meet_at_one_object(monkeypatch)
     texts = [text for text, _ in told if text != "near the best walls"]
     assert texts == ["no blur", *one * 4, "more modes"]
     assert found.place.met == 1
+    # rounds with a known object agree if their walls do
+    monkeypatch.setattr(Valley, "known", True)
+    assert searched(True, (), vague=True, doubts=doubts)[0].place.met == 2
+    monkeypatch.setattr(Valley, "apart", lambda self, starts, walls: np.ones(len(starts)))
+    assert searched(True, (), vague=True, doubts=doubts)[0].place.met == 1
     # a start with a known error is not searched for
     found, told, _ = searched(True, (), vague=True, doubts=doubts, start_error=0.1)
     assert "random walls" not in [text for text, _ in told]
