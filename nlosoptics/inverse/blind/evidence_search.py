@@ -405,13 +405,13 @@ class Search:
     def _finish(self, _: Generator) -> str:
         place, before = self.place, self.place.best
         found = self._ranked(_settled(self._energy, place.pool[:2], self._frames), 1)
-        if self._frames:
+        if self._noisy:
             self._count(found)
-            self._offer(found)
+        self._offer(found)
+        if self._frames:
             # a wrong wall that noise hides can need more modes: a right one is sought first
             last = place.met > 1 or place.turn + 1 == self._rounds
             return "widen" if last or not self._noisy else self._next()
-        self._offer(found)
         # energies of the narrow grid are compared among themselves
         energy = self._searched()
         other = energy.apart(place.pool, place.best.coefficients) > _OTHER

@@ -38,7 +38,7 @@ class Place:
     ----------
     turn, count, met : int
         Number of the round, -1 before the first one, of repetitions of the step, and of rounds that
-        found the best object; the last one for several images.
+        found the best answer; the last one for several images with much noise.
     step : str
         Name of the next step.
     floor, sharp : float
