@@ -72,7 +72,7 @@ def test_moments_repeat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert [o.kind for o in one] == [o.kind for o in again]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_killed_commands_leave_an_old_or_a_new_result() -> None:
     """A few moments of the two quickest commands, one of which keeps a state to go on from."""
     words = ["--moments", "3", "--commands", "report", "reconstruct"]

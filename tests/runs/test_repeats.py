@@ -29,7 +29,7 @@ def repeats(root: Path) -> ModuleType:
     return module
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is read from /proc")
 @pytest.mark.parametrize("name", ["simulate", "point_spread", "trace", "render"])
 def test_memory_does_not_grow(name: str, repeats: ModuleType) -> None:

@@ -48,7 +48,7 @@ def pyplot(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
         plt.close("all")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.timeout(LIMIT)
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
 def test_script_draws(

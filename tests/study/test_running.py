@@ -164,7 +164,7 @@ def test_values_that_a_scene_refuses_fail_also_where_a_stage_is_shared(tmp_path:
         assert "laser.power = -0.001 W is out of range" in str(refused["message"].values)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_processes_give_the_same_bits_and_a_killed_one_costs_one_point(tmp_path: Path) -> None:
     study = made(own("drawn"), own("power"))
     here = run_study(study, tmp_path / "here", workers=0)
@@ -293,7 +293,7 @@ run_study(Study.load(sys.argv[1]), sys.argv[2], workers=0)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_killed_client_loses_no_finished_block(tmp_path: Path) -> None:
     """SIGKILL as soon as a random number of chunks exists; resumed to the same bits."""
     (tmp_path / "study.toml").write_text(
@@ -368,7 +368,7 @@ def test_only_one_process_writes(tmp_path: Path) -> None:
     assert run_study(study, tmp_path / "store", workers=0).counts["done"] == 9
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_dask_scheduler_gives_the_same_bits(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     study = made(own("drawn"), own("power"))

@@ -89,7 +89,7 @@ def _several(evaluations: int) -> Study:
     return made([OFF], ["off"], method, evaluations, variables=POWER, draws=draws)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("of", [_several, sharp])
 def test_a_kill_between_any_two_writes_loses_nothing(of, tmp_path: Path, monkeypatch) -> None:
     """Every fourth write of a search of six trials, with draws or gradients, is the last one."""
@@ -130,7 +130,7 @@ run_study(Study.load(sys.argv[1]), sys.argv[2], workers=0)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["differential-evolution", "tpe"])
 def test_a_killed_search_repeats_its_path_bit_for_bit(method: str, tmp_path: Path) -> None:
     """SIGKILL as soon as a random number of chunks exists; resumed to the same bits."""
@@ -160,7 +160,7 @@ def test_a_killed_search_repeats_its_path_bit_for_bit(method: str, tmp_path: Pat
     assert same(resumed, run_study(study, tmp_path / "undisturbed", workers=0)), seed
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "study", [made([OFF], ["off"], "nsga-ii", 40, variables=PLANE), sharp(20)], ids=["lot", "one"]
 )

@@ -24,7 +24,7 @@ def small():
     return model.forward(truth) + 0.02 * rng.normal(size=truth.shape), model, truth
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_letter_by_an_unknown_scene_is_recovered(case):
     """5 % noise, a wall of half a wave: better than the answer that it starts from."""
     data, model = case("F", "smooth", 0, 0.05)

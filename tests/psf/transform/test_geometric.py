@@ -147,7 +147,7 @@ def test_a_window_sums_to_the_energy_within():
 MANY = [
     {4: 20.0},
     {6: 20.0},
-    pytest.param({11: 11.0, 4: 8.0}, marks=pytest.mark.slow),
+    pytest.param({11: 11.0, 4: 8.0}, marks=pytest.mark.thorough),
     {4: 12.0, 6: 8.0, 11: 3.0},
 ]
 
