@@ -2,6 +2,8 @@
 
     python docs/house.py [--out docs/figures/house.svg]
 
+Prints the price of each room too: lines of code, public names and constants in capitals.
+
 A room is a folder of the package; a file directly in ``nlosoptics/`` is a room of its own. An arrow
 means that a file of the upper room imports a file of the lower one, wherever in the file the import
 stands. Exits with 1 if there is a circle, an arrow upward or a folder of more than 20 files.
@@ -11,14 +13,19 @@ from __future__ import annotations
 
 import argparse
 import ast
+import io
+import re
 import sys
+import tokenize
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "nlosoptics"
 MOST_FILES = 20  # in a folder
+CONSTANT = re.compile(r"(?m)^_?[A-Z][A-Z0-9_]+(?:, _?[A-Z][A-Z0-9_]+)*(?:: [^=\n]+)? = ")
 
 #: Floors from the ground up: packages, each with its rooms in import order. What lies in the
 #: package's own folder is above its rooms.
@@ -212,6 +219,64 @@ def crowded() -> dict[str, int]:
     return {folder: count for folder, count in sorted(counts.items()) if count > MOST_FILES}
 
 
+class Price(NamedTuple):
+    """What a room costs its readers."""
+
+    code: int
+    names: int
+    constants: int
+
+
+def code_lines(text: str) -> int:
+    """Return the number of lines that hold code: no docstrings, comments or blanks."""
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    prose: set[int] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, documented) and ast.get_docstring(node, clean=False) is not None:
+            prose.update(range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1))
+    layout = (
+        tokenize.COMMENT,
+        tokenize.NL,
+        tokenize.NEWLINE,
+        tokenize.INDENT,
+        tokenize.DEDENT,
+        tokenize.ENDMARKER,
+    )
+    code: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in layout:
+            code.update(range(token.start[0], token.end[0] + 1))
+    return len(code - prose)
+
+
+def public_names(text: str) -> set[str]:
+    """Return the names that a face offers: imported as themselves, or listed in ``__all__``."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom):
+            names |= {a.name for a in node.names if a.asname == a.name and a.name[0] != "_"}
+        elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+            names |= set(ast.literal_eval(node.value))
+    return names
+
+
+def prices() -> dict[str, Price]:
+    """Return the price of each room; names count at the faces of packages."""
+    out = dict.fromkeys(sorted(order()), Price(0, 0, 0))
+    for path in PACKAGE.rglob("*.py*"):
+        if path.suffix not in (".py", ".pyi"):
+            continue
+        text, room = path.read_text(), room_of(path.relative_to(PACKAGE).as_posix())
+        face = path.stem == "__init__" and "/" not in room
+        names = len(public_names(text)) if face else 0
+        code, constants = 0, 0
+        if path.suffix == ".py":
+            code, constants = code_lines(text), len(CONSTANT.findall(text))
+        before = out.get(room, Price(0, 0, 0))
+        out[room] = Price(before.code + code, before.names + names, before.constants + constants)
+    return out
+
+
 def read() -> dict[str, str]:
     """Return the text of every file of the package but its root."""
     return {path: (PACKAGE / path).read_text() for path in files()}
@@ -347,6 +412,11 @@ def main() -> int:
     ]
     for fault in faults:
         print(fault)
+    rows = prices()
+    total = Price(*(sum(column) for column in zip(*rows.values(), strict=True)))
+    print(f"{'room':24}{'code':>8}{'names':>8}{'constants':>11}")
+    for room, price in (*rows.items(), ("all", total)):
+        print(f"{room:24}{price.code:8}{price.names:8}{price.constants:11}")
     if not faults:
         draw(links, out)
         depth = layers(links, "psf")
