@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import ast
 import io
+import json
 import re
 import sys
 import tokenize
@@ -25,6 +26,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "nlosoptics"
 MOST_FILES = 20  # in a folder
+CEILINGS = ROOT / "docs" / "ceilings.json"  # code, names and constants of each room
 CONSTANT = re.compile(r"(?m)^_?[A-Z][A-Z0-9_]+(?:, _?[A-Z][A-Z0-9_]+)*(?:: [^=\n]+)? = ")
 
 #: Floors from the ground up: packages, each with its rooms in import order. What lies in the
@@ -277,6 +279,14 @@ def prices() -> dict[str, Price]:
     return out
 
 
+def lower(rows: Mapping[str, Price]) -> None:
+    """Write prices as ceilings, where these are not lower already; a new room gets its own."""
+    before = json.loads(CEILINGS.read_text()) if CEILINGS.exists() else {}
+    ceilings = {room: [*map(min, price, before.get(room, price))] for room, price in rows.items()}
+    text = ",\n".join(f"  {json.dumps(k)}: {json.dumps(v)}" for k, v in ceilings.items())
+    CEILINGS.write_text("{\n" + text + "\n}\n")
+
+
 def read() -> dict[str, str]:
     """Return the text of every file of the package but its root."""
     return {path: (PACKAGE / path).read_text() for path in files()}
@@ -402,7 +412,9 @@ def main() -> int:
     """Draw the house, and say what breaks its order."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "docs/figures/house.svg")
-    out = parser.parse_args().out
+    parser.add_argument("--lower", action="store_true", help="lower the ceilings to these prices")
+    arguments = parser.parse_args()
+    out = arguments.out
     found = arrows(read())
     links = between_rooms(found)
     faults = [
@@ -417,6 +429,8 @@ def main() -> int:
     print(f"{'room':24}{'code':>8}{'names':>8}{'constants':>11}")
     for room, price in (*rows.items(), ("all", total)):
         print(f"{room:24}{price.code:8}{price.names:8}{price.constants:11}")
+    if arguments.lower:
+        lower(rows)
     if not faults:
         draw(links, out)
         depth = layers(links, "psf")
