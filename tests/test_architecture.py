@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib.util
 import json
 import re
@@ -26,6 +27,19 @@ def _house():
 
 
 house = _house()
+
+
+@functools.cache
+def arrows() -> dict[tuple[str, str], list[str]]:
+    """The package's imports, file by file."""
+    return house.arrows(house.read())
+
+
+@functools.cache
+def prices() -> dict[str, tuple[int, int, int]]:
+    """Lines of code, public names and constants of each room."""
+    return house.prices()
+
 
 #: The only places that may import a heavy or optional package, relative to the package.
 ONLY_IN = {
@@ -92,20 +106,20 @@ def misplaced(path: str, source: str) -> list[str]:
 def test_files_keep_the_rules() -> None:
     """Imports point down, heavy packages stay in their room, kernels in their files."""
     sources = house.read()
-    assert house.upward(house.arrows(sources)) == []
+    assert house.upward(arrows()) == []
     assert [fault for path, text in sources.items() for fault in misplaced(path, text)] == []
 
 
 def test_no_circle_among_rooms_or_files() -> None:
     """Neither rooms nor files import one another in a ring, lazily or for types included."""
-    found = house.arrows(house.read())
+    found = arrows()
     assert house.circles(house.between_rooms(found)) == []
     assert house.circles(house.between_files(found)) == []
 
 
 def test_psf_is_at_most_seven_layers_of_rooms() -> None:
     """The longest chain of imports among the rooms of psf, which once was 23 files."""
-    assert house.layers(house.between_rooms(house.arrows(house.read())), "psf") <= 7
+    assert house.layers(house.between_rooms(arrows()), "psf") <= 7
 
 
 def test_no_folder_holds_more_than_twenty_files() -> None:
@@ -262,9 +276,8 @@ def test_no_other_library_is_patched() -> None:
 def test_no_room_grows() -> None:
     """The price of each room stays within its ceiling, which is lowered when the room shrinks."""
     ceilings = json.loads((ROOT / "docs" / "ceilings.json").read_text())
-    prices = house.prices()
-    assert prices.keys() == ceilings.keys()
-    assert {r: p for r, p in prices.items() if any(map(gt, p, ceilings[r]))} == {}
+    assert prices().keys() == ceilings.keys()
+    assert {r: p for r, p in prices().items() if any(map(gt, p, ceilings[r]))} == {}
 
 
 #: Lines of the whole package, its tests and its benchmarks.
@@ -278,7 +291,7 @@ def test_the_whole_stays_small() -> None:
         for folder in MOST_LINES
     }
     assert {f: n for f, n in weights.items() if n > MOST_LINES[f]} == {}
-    assert all(map(le, map(sum, zip(*house.prices().values(), strict=True)), (42_000, 200, 650)))
+    assert all(map(le, map(sum, zip(*prices().values(), strict=True)), (42_000, 200, 650)))
 
 
 def test_tests_mirror_the_rooms() -> None:
