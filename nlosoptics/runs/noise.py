@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 
-from .._smoothing import gaussian_smoothed
 from ..imaging import CameraImage, ForwardModel
 from ..imaging.images import reading_noise
 from ..inverse.data.noise import estimate_noise, surrounded
@@ -72,4 +72,4 @@ def camera_noise(scene: Scene, image: CameraImage, model: ForwardModel) -> Array
 
 
 def _local_mean(values: Array) -> Array:
-    return np.maximum(gaussian_smoothed(values, 1.5), 0.0)
+    return np.maximum(scipy.ndimage.gaussian_filter(values, 1.5), 0.0)

@@ -15,7 +15,6 @@ from .._checks import (
     positive,
     within,
 )
-from .._freed_memory import keep_freed_memory
 from .._html import Column, table
 from ..errors import SamplingError, SceneError
 from ..imaging.radiometry import laser_spot
@@ -218,7 +217,6 @@ def looked_at(
     max_seconds: float,
 ) -> tuple[Plan, SceneOptics]:
     """Return the result of `plan` together with the waves it computed, for reuse by the run."""
-    keep_freed_memory()
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
     in_range("tol", tol, 1e-12, LARGEST_TOL)
