@@ -74,13 +74,7 @@ def view_command(
     with errors_told(debug):
         start = time.perf_counter()
         if out is not None:
-            if out.suffix.lower() not in SUFFIXES:
-                raise typer.BadParameter(
-                    f"{out} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; give "
-                    "one of these",
-                    param_hint="--out",
-                )
-            check_file(out)
+            check_file(out, *SUFFIXES)
         require("pyvista", "views")
         from .. import views
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,9 +12,9 @@ import typer
 from .._checks import counted
 from .shell import (
     FAILED,
+    INTERRUPTED,
     Changes,
     Debug,
-    Figures,
     SceneFile,
     Seed,
     Size,
@@ -25,6 +26,7 @@ from .shell import (
     interruptible,
     load,
     numbers,
+    print_table,
     progress_bar,
     require,
     typed,
@@ -131,7 +133,7 @@ def reconstruct_command(
     """Reconstruct the hidden object from camera images.
 
     Several images are averaged, or fitted together by method evidence. Ctrl-C ends the fit, writes
-    the best object so far and exits with code 1; --resume continues.
+    the best object so far and exits with code 130; --resume continues.
     """
     with errors_told(debug):
         if method != "tv":
@@ -168,14 +170,14 @@ def reconstruct_command(
         if as_json:
             typer.echo(json.dumps(report, indent=2))
         else:
-            _print_reconstruction(report, folder)
+            print_table(_reconstruction_rows(report, folder))
         if report["status"] == "interrupted":
             typer.echo(
                 f"nlosoptics: interrupted; the best object so far is in {folder}; "
                 "--resume continues",
                 err=True,
             )
-            raise typer.Exit(FAILED)
+            raise typer.Exit(INTERRUPTED)
 
 
 @app.command("train", short_help="Train a network for nlosoptics reconstruct --method cnn.")
@@ -247,25 +249,20 @@ def train_command(
             raise typer.Exit(FAILED)
 
 
-def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
-    """Print a reconstruction's figures as a table."""
+def _reconstruction_rows(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
     f = report["figures"]
-    table = Figures()
     told = (
         f"{f['method']}: {f['reconstruction_status']} after {counted(f['iterations'], 'iteration')}"
     )
-    table.add("reconstruction", told)
+    yield ("reconstruction", told)
     for reason in f["reconstruction_reasons"]:
-        table.add("", reason)
+        yield ("", reason)
     if f["method"] == "phase_retrieval":
-        table.add("agreement of two halves of the starts", f"{f['reconstruction_score']:.4g}")
+        yield ("agreement of two halves of the starts", f"{f['reconstruction_score']:.4g}")
     else:
-        table.add("residual", f"{f['reconstruction_score']:.4g} of the noise")
-    table.add("saturated pixels", f"{100 * f['saturated_fraction']:.2g} %")
+        yield ("residual", f"{f['reconstruction_score']:.4g} of the noise")
+    yield ("saturated pixels", f"{100 * f['saturated_fraction']:.2g} %")
     if "bad_pixels" in f["physical_parameters"]:
-        table.add(
-            "dead, hot or saturated pixels found", str(f["physical_parameters"]["bad_pixels"])
-        )
-    table.add("seconds", f"{report['seconds']['total']:.2f} s")
-    table.add("written to", str(folder))
-    table.print()
+        yield ("dead, hot or saturated pixels found", str(f["physical_parameters"]["bad_pixels"]))
+    yield ("seconds", f"{report['seconds']['total']:.2f} s")
+    yield ("written to", str(folder))
