@@ -12,9 +12,6 @@ from typing import Any, Self
 
 from .errors import SceneError
 
-PRINTED = 12  # largest number of array elements that a representation lists
-LONGEST = 700  # characters of a part's representation; a longer one is given by its class
-
 
 class Noun:
     """Base of frozen dataclasses with arrays, mappings or cached properties.
@@ -22,7 +19,7 @@ class Noun:
     Pickles and deep copies contain only the fields; cached properties are computed again when
     needed. Pickling loses numpy's read-only flag and does not support read-only mappings, so both
     are restored on loading. The constructor's checks are not repeated. ``repr`` gives large
-    arrays by shape and type, and large parts by their class.
+    arrays by shape and type, long tuples by their length, and large parts by their class.
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -58,12 +55,18 @@ class Noun:
 
 def _shown(value: Any) -> str:
     """Return the representation of a field's value, shortened where it is large."""
-    if getattr(value, "ndim", 0) and hasattr(value, "dtype") and math.prod(value.shape) > PRINTED:
-        return f"<{'x'.join(map(str, value.shape))} {value.dtype}>"
+    shape = getattr(value, "shape", ())
+    if shape and hasattr(value, "dtype") and math.prod(shape) > 12:
+        return f"<{'x'.join(map(str, shape))} {value.dtype}>"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key!r}: {_shown(inner)}' for key, inner in value.items())}}}"
+    if type(value) in (tuple, list):
+        if len(value) > 12:
+            return f"<{type(value).__name__} of {len(value)}>"
+        listed = ", ".join(map(_shown, value))
+        return f"[{listed}]" if type(value) is list else f"({listed})"
     text = repr(value)
-    if isinstance(value, Noun) and len(text) > LONGEST:
-        return f"{type(value).__qualname__}(...)"
-    return text
+    return text if len(text) <= 300 else f"{type(value).__qualname__}(...)"
 
 
 def check_pickles(name: str, value: Any) -> None:

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from .._whole_files import RECORD, sweep, write_whole
-from ..runs.record import PAGE
+from ..runs.record import PAGE, record_text
 from .shell import Debug, app, can_draw, check_file, errors_told, progress_bar
 
 
@@ -70,6 +70,5 @@ def _add(folder: Path, contents: dict[str, bytes]) -> None:
     """Write files to a result's folder, and to its list of files, so that it may be replaced."""
     record = json.loads((folder / RECORD).read_bytes())
     record["files"] = sorted({*record["files"], *contents})
-    text = json.dumps(record, indent=2, allow_nan=False) + "\n"
     files = {folder / name: content for name, content in contents.items()}
-    write_whole({folder / RECORD: text.encode(), **files})  # the list first
+    write_whole({folder / RECORD: record_text(record), **files})  # the list first

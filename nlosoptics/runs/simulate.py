@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -27,16 +26,13 @@ from .veil import fitted_veil
 if TYPE_CHECKING:
     from ..imaging import ForwardModel, Shadows, SpeckleImage
     from ..inverse import Reconstruction
-    from ..psf import PointSpread, PointSpreadField, SceneOptics, ScenePointSpread
+    from ..psf import PointSpread, PointSpreadField, SceneOptics
 
 Array = NDArray[np.float64]
 
-#: Energy of a point spread that may lie outside its window, relative to the tolerance.
-OUTSIDE: Final = 0.25
+OUTSIDE: Final = 0.25  # energy of a point spread outside its window, relative to the tolerance
 #: Deviation of the point spreads from their mean up to which a reconstruction uses the mean.
 MOST_DEVIATION: Final = 0.05
-#: Rms of the point spreads' modes that a reconstruction omits, relative to that of all.
-OMITTED: Final = 0.005
 
 
 def simulate(
@@ -106,35 +102,13 @@ def carried_out(
     optics: SceneOptics,
     seed: int,
     progress: Progress | None = None,
-    found: Callable[[ScenePointSpread | Result], None] = lambda _: None,
 ) -> Result:
-    """Run a plan within its budget and reuse the waves computed for it.
-
-    Parameters
-    ----------
-    todo : Plan
-        Plan of the scene.
-    optics : SceneOptics
-        Waves computed during planning, from `looked_at`.
-    seed : int
-        Seed of the random numbers, already checked.
-    progress : callable(str, float), optional
-        Called with the name of the stage that begins and the completed fraction, 0 to 1.
-    found : callable
-        Called with the point spread and its wave once they are known, and with the result without
-        reconstruction and timings once the image is formed.
-    """
+    """Run a plan within its budget; ``optics`` are the waves computed for it by `looked_at`."""
     with within(todo.budget):
-        return _stages(todo, optics, seed, progress, found)
+        return _stages(todo, optics, seed, progress)
 
 
-def _stages(
-    todo: Plan,
-    optics: SceneOptics,
-    seed: int,
-    progress: Progress | None,
-    found: Callable[[ScenePointSpread | Result], None],
-) -> Result:
+def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | None) -> Result:
     """Run the stages of a plan in order."""
     scene, tol = optics.scene, todo.tol
     if not todo.runs("wave aberration"):
@@ -161,12 +135,10 @@ def _stages(
         scene.wall.fit_residual  # noqa: B018  (fits and caches the surface)
     begin("exit pupil")
     formed = psf.scene_point_spread(optics, tol, progress=begin)
-    found(formed)
     spread = formed.point_spread
     errors = {"point spread": spread.error_estimate}
-    spreads, found_errors = image_spreads(todo, optics, spread, seed, begin, tell)
-    errors |= found_errors
-    field = spreads if isinstance(spreads, psf.PointSpreadField) else None
+    spreads, field_errors = image_spreads(todo, optics, spread, seed, begin, tell)
+    errors |= field_errors
     shadows = None
     if todo.runs("shadow rays"):
         begin("shadow rays")
@@ -174,21 +146,6 @@ def _stages(
     begin("image")
     wide = psf.widened(spreads, tol=tol * OUTSIDE, shape=scene.camera.shape)
     image = imaging.form_image(scene, wide, seed=seed, shadows=shadows)
-    result = Result(
-        scene=scene,
-        plan=todo,
-        exit_pupil=formed.exit_pupil,
-        wavefront=formed.wavefront,
-        point_spread=spread,
-        field=field,
-        pupil_field=formed.pupil_field,
-        image=image,
-        reconstruction=None,
-        errors=errors,
-        timings={},
-        seed=seed,
-    )
-    found(result)
     reconstruction = None
     if todo.runs("reconstruction"):
         begin("reconstruction")
@@ -197,7 +154,20 @@ def _stages(
     if progress is not None:
         progress("done", 1.0)
     timings = {name: end - begun[name] for name, end in zip(begun, ends, strict=True)}
-    return replace(result, reconstruction=reconstruction, timings=timings)
+    return Result(
+        scene=scene,
+        plan=todo,
+        exit_pupil=formed.exit_pupil,
+        wavefront=formed.wavefront,
+        point_spread=spread,
+        field=spreads if isinstance(spreads, psf.PointSpreadField) else None,
+        pupil_field=formed.pupil_field,
+        image=image,
+        reconstruction=reconstruction,
+        errors=errors,
+        timings=timings,
+        seed=seed,
+    )
 
 
 def image_spreads(
@@ -282,8 +252,8 @@ def image_model(
         Point spreads over the object, from `image_spreads`.
     mean : bool
         Whether to average them over the object in any case. Otherwise the mean is used if their
-        deviation from it is at most `MOST_DEVIATION`; else the modes that make up less than
-        `OMITTED` of them are left out. Both make a fit several times faster.
+        deviation from it is at most `MOST_DEVIATION`; else the modes that make up less than 0.5 %
+        of them (rms) are left out. Both make a fit several times faster.
     """
     from ..imaging import ForwardModel
     from ..imaging.geometry import chief_rays, picture_positions, pixel_centres
@@ -296,8 +266,7 @@ def image_model(
     if mean or not isinstance(hidden, PlanarObject) or spreads.deviation() <= MOST_DEVIATION:
         return ForwardModel(spreads.mean(), shape=shape)
     rays = chief_rays(scene, *pixel_centres(scene.camera))
-    fewer = spreads.compressed(OMITTED)
-    return ForwardModel(fewer, shape=shape, at=picture_positions(hidden, rays))
+    return ForwardModel(spreads.compressed(0.005), shape=shape, at=picture_positions(hidden, rays))
 
 
 def _reconstruct(

@@ -114,7 +114,7 @@ def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
     before = signal.getsignal(signal.SIGINT)
     monkeypatch.setattr(reconstructing.Keeper, "__call__", interrupts)
     code, _, err = call(capsys, *USUAL, *FRAMES, "--out", "part")
-    assert code == 1
+    assert code == 130
     assert err.count("\n") == 1
     assert "--resume" in err
     assert signal.getsignal(signal.SIGINT) is before
