@@ -18,12 +18,6 @@ from .errors import NlosError
 #: Module that draws the pictures. It depends on all result classes, so it is imported by name and
 #: only when a card is shown. This is the only reference from a lower layer to a higher one.
 CARDS = f"{__package__}.views.cards"
-VOID = ("img", "source", "meta", "br")
-HEIGHT = 330  # height of a picture, pixels
-MOST_BYTES = 40_000  # size of a PNG above which it is reduced to a palette
-COLOURS = 96  # colours of the palette
-CELL = "text-align:left;vertical-align:top"
-CAPTION = "caption-side:top;text-align:left;color:inherit;font-weight:bold"
 
 
 class Html(str):
@@ -55,7 +49,8 @@ def tag(name: str, *children: object, **attributes: object) -> Html:
         if value is not None:
             key = key.rstrip("_").replace("_", "-")
             opened += f" {key}" if value is True else f' {key}="{html.escape(str(value))}"'
-    return Html(f"<{opened}>" if name in VOID else f"<{opened}>{joined(children)}</{name}>")
+    empty = name in ("img", "source", "meta", "br")
+    return Html(f"<{opened}>" if empty else f"<{opened}>{joined(children)}</{name}>")
 
 
 def joined(children: Iterable[object]) -> Html:
@@ -101,7 +96,8 @@ def table(
     styled : bool
         Whether to add inline styles, for pages without a style sheet.
     """
-    cell = CELL if styled else None
+    cell = "text-align:left;vertical-align:top" if styled else None
+    above = "caption-side:top;text-align:left;color:inherit;font-weight:bold" if styled else None
     heads = [
         tag("th", column.head, scope="col", class_=column.kind, style=cell) for column in columns
     ]
@@ -118,7 +114,7 @@ def table(
     ]
     return tag(
         "table",
-        tag("caption", caption, style=CAPTION if styled else None),
+        tag("caption", caption, style=above),
         tag("thead", tag("tr", *heads)) if any(column.head for column in columns) else None,
         tag("tbody", *body),
     )
@@ -177,10 +173,10 @@ def _picture(axes: Any) -> bytes:
     first = axes if hasattr(axes, "get_figure") else next(iter(axes))
     figure = first.get_figure(root=True)
     drawn = BytesIO()
-    figure.savefig(drawn, format="png", dpi=HEIGHT / figure.get_size_inches()[1])
-    if len(drawn.getvalue()) > MOST_BYTES:
+    figure.savefig(drawn, format="png", dpi=330 / figure.get_size_inches()[1])
+    if len(drawn.getvalue()) > 40_000:  # reduced to a palette
         picture = Image.open(drawn).convert("RGB")
         drawn = BytesIO()
-        covered = picture.quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE)
+        covered = picture.quantize(96, method=Image.Quantize.MAXCOVERAGE)
         covered.save(drawn, format="png", optimize=True)
     return drawn.getvalue()

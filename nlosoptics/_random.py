@@ -9,12 +9,10 @@ from numpy.typing import NDArray
 
 from ._checks import whole
 
-MOST_SEED = 2**64 - 1
-
 
 def checked_seed(seed: int) -> int:
     """Return ``seed`` as an integer from 0 to 2^64 - 1, or raise `SceneError`."""
-    return whole("seed", seed, 0, MOST_SEED)
+    return whole("seed", seed, 0, 2**64 - 1)
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
