@@ -183,15 +183,7 @@ def _memory_at(moment: int) -> float:
 
 @dataclass(frozen=True)
 class Budget:
-    """Limits of one run.
-
-    Parameters
-    ----------
-    memory : float
-        Memory limit, bytes.
-    seconds : float
-        Limit of the predicted run time on one core, s.
-    """
+    """Limits of one run: memory, bytes, and predicted run time on one core, s."""
 
     memory: float
     seconds: float
@@ -236,17 +228,7 @@ def seconds_limit(without: float) -> float:
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:
-    """Return a count with its noun, such as "1 pair" or "2 pairs".
-
-    Parameters
-    ----------
-    count : int
-        Number of things.
-    noun : str
-        Noun in the singular.
-    plural : str, optional
-        Plural if it is not the singular with an s, such as "axes".
-    """
+    """Return a count with its noun, such as "1 pair" or "2 pairs"; the plural may be given."""
     return f"{count} {noun if count == 1 else plural or f'{noun}s'}"
 
 

@@ -27,22 +27,11 @@ class Html(str):
 
 
 def tag(name: str, *children: object, **attributes: object) -> Html:
-    """Build an HTML element.
+    """Build an HTML element such as ``"p"``.
 
-    Parameters
-    ----------
-    name : str
-        Name of the element, for example ``"p"``.
-    *children : object
-        Contents: `Html` is inserted unchanged, None is skipped, anything else becomes escaped text.
-    **attributes : object
-        Attributes, with ``class_`` for ``class`` and ``aria_label`` for ``aria-label``. True gives
-        an attribute without value; None leaves it out.
-
-    Returns
-    -------
-    Html
-        The element.
+    Of its contents, `Html` is inserted unchanged, None is skipped, and all else becomes escaped
+    text. Attributes have ``class_`` for ``class`` and ``aria_label`` for ``aria-label``; True gives
+    an attribute without value, and None leaves it out.
     """
     opened = name
     for key, value in attributes.items():
@@ -85,16 +74,8 @@ def table(
 ) -> Html:
     """Build a table in which the first cell of each row is the row's head.
 
-    Parameters
-    ----------
-    caption : str
-        Caption above the table.
-    columns : sequence of Column
-        Columns. If all heads are empty, the table has no head row.
-    rows : iterable of sequence
-        Rows with one cell per column; cells are contents for `tag`.
-    styled : bool
-        Whether to add inline styles, for pages without a style sheet.
+    Cells are contents for `tag`. If all heads are empty, the table has no head row. ``styled`` adds
+    inline styles, for pages without a style sheet.
     """
     cell = "text-align:left;vertical-align:top" if styled else None
     above = "caption-side:top;text-align:left;color:inherit;font-weight:bold" if styled else None
@@ -121,21 +102,11 @@ def table(
 
 
 class Figures(NamedTuple):
-    """Texts of an object's notebook card.
+    """Texts of an object's notebook card."""
 
-    Parameters
-    ----------
-    title : str
-        Title, for example ``"Speckle image"``.
-    rows : mapping of str to str
-        Names and values of the table.
-    alt : str
-        Description of the picture.
-    """
-
-    title: str
-    rows: Mapping[str, str]
-    alt: str
+    title: str  # such as "Speckle image"
+    rows: Mapping[str, str]  # names and values of the table
+    alt: str  # description of the picture
 
 
 class Shown:

@@ -20,24 +20,9 @@ MOST_PIXELS = 8192 * 8192
 
 @contextmanager
 def opened_picture(file: Path | IO[bytes], name: str) -> Iterator[Image]:
-    """Open a picture file whose pixels are decoded at the first access.
+    """Yield Pillow's picture of a file, whose pixels are decoded at the first access.
 
-    Parameters
-    ----------
-    file : Path or binary file
-        File to open.
-    name : str
-        Name of the picture in error messages.
-
-    Yields
-    ------
-    Image
-        Pillow's picture; the file is closed on leaving.
-
-    Raises
-    ------
-    SceneError
-        If the picture has more than `MOST_PIXELS` pixels.
+    ``name`` stands for the picture in the `SceneError` that refuses more than `MOST_PIXELS` pixels.
     """
     from PIL import Image
 

@@ -64,13 +64,7 @@ def whole_files(*paths: Path) -> Iterator[list[Path]]:
 
 
 def check_folder(folder: Path) -> None:
-    """Check that an output folder can be written and has no files of other origin.
-
-    Raises
-    ------
-    SceneError
-        If it cannot be written, or contains a file that nlosoptics did not write.
-    """
+    """Raise `SceneError` if an output folder cannot be written or has files of other origin."""
     if path_of("folder", folder).exists():
         if not folder.is_dir():
             raise SceneError(f"{folder} is a file; name a folder")

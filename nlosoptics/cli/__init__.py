@@ -34,9 +34,7 @@ __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line program ``nlosoptics`` and end the process.
-
-    The exit code is 0 (done), 1 (failed), 2 (bad input) or 130 (interrupted).
+    """Run the command line program ``nlosoptics`` and end the process with its exit code.
 
     Parameters
     ----------
@@ -46,7 +44,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     See Also
     --------
-    nlosoptics.plan : Predict stages, time and error.
     nlosoptics.simulate : Run a scene's plan.
     """
     words = tuple(sys.argv[1:] if arguments is None else arguments)

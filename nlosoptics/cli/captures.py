@@ -16,6 +16,7 @@ from ..runs.record import arrays, now, peak_memory, scene_hash, versions, write_
 from .shell import (
     Changes,
     Debug,
+    Out,
     SceneFile,
     Seed,
     app,
@@ -151,10 +152,7 @@ def phasor_command(
     capture_file: Annotated[
         Path, typer.Argument(metavar="CAPTURE", help="Capture file: HDF5 or .mat.")
     ],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Output folder; by default the name of the capture without its suffix."),
-    ] = None,
+    out: Out = None,
     camera: Annotated[
         str, typer.Option(help="Virtual camera: confocal_time_gated or direct_light.")
     ] = "confocal_time_gated",

@@ -17,6 +17,7 @@ from .shell import (
     Debug,
     MaxSeconds,
     Memory,
+    Out,
     SceneFile,
     Seed,
     Size,
@@ -62,10 +63,7 @@ def run_command(
     changes: Changes = None,
     tol: Tol = 1e-3,
     seed: Seed = 0,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Output folder; by default the name of the scene file without .toml."),
-    ] = None,
+    out: Out = None,
     size: Size = None,
     reconstruct: Annotated[
         bool,

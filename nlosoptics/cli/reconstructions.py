@@ -14,6 +14,7 @@ from .shell import (
     INTERRUPTED,
     Changes,
     Debug,
+    Out,
     SceneFile,
     Seed,
     Size,
@@ -108,12 +109,7 @@ def reconstruct_command(
     tol: Tol = 1e-3,
     seed: Seed = 0,
     size: Size = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Output folder; by default the name of the first image without its suffix."
-        ),
-    ] = None,
+    out: Out = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Resume from the state saved in the output folder.")
     ] = False,

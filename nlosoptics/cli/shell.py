@@ -38,6 +38,9 @@ app = typer.Typer(
 SceneFile = Annotated[
     Path, typer.Argument(metavar="SCENE", help="Scene file (TOML): laser, wall, object and camera.")
 ]
+Out = Annotated[
+    Path | None, typer.Option(help="Output folder; by default named after the input file.")
+]
 Tol = Annotated[
     float,
     typer.Option(

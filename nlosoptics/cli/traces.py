@@ -16,6 +16,7 @@ from ..runs.record import arrays, now, peak_memory, scene_hash, versions, write_
 from .shell import (
     Changes,
     Debug,
+    Out,
     SceneFile,
     Seed,
     Size,
@@ -60,10 +61,7 @@ def trace_command(
     ] = None,
     max_bounces: Annotated[int, typer.Option(help="Largest number of reflections, 1 to 64.")] = 5,
     seed: Seed = 0,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Output folder; by default the name of the scene file with _trace."),
-    ] = None,
+    out: Out = None,
     size: Size = None,
     t_start: Annotated[
         float | None,

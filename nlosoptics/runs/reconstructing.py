@@ -477,13 +477,7 @@ class Keeper:
 
 
 def kept_state(folder: Path, identity: str) -> dict[str, Array]:
-    """Load the state that the same task saved in a folder.
-
-    Raises
-    ------
-    SceneError
-        If there is no readable state, or it was saved with another scene, image or option.
-    """
+    """Load the state that the same task saved in a folder, or raise `SceneError`."""
     path = folder / CHECKPOINT
     if not path.is_file():
         raise SceneError(f"there is no {path} to resume from; run without --resume")

@@ -51,26 +51,12 @@ KNOWN: Final[Mapping[str, type]] = {
 def written(nouns: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Write the arrays of several objects, and return all other values as a tree for JSON.
 
-    Parameters
-    ----------
-    nouns : mapping of str to object
-        Objects by name: dataclasses, mappings, arrays, numbers, text and None, nested freely.
-    folder : Path
-        Folder that receives one file ``<name>.npz`` for each object with arrays. The entries are
-        named after the fields; names of nested fields are joined by ``_``.
-
-    Returns
-    -------
-    dict of str to object
-        None, booleans, integers, text and finite floats are plain JSON values; floats are restored
-        exactly. Every other value is an object with a single key: ``float`` ("nan", "inf",
-        "-inf"), ``scalar`` for numpy ([dtype, value]), ``array`` ([file, entry]), ``tuple`` and
-        ``list`` (items), ``mapping`` (pairs) and ``noun`` ([class, fields]).
-
-    Raises
-    ------
-    SceneError
-        If a value has none of these forms, for example a tensor.
+    The objects are dataclasses, mappings, arrays, numbers, text and None, nested freely. Each one
+    with arrays gets a file ``<name>.npz``, whose entries have the names of the fields; those of
+    nested fields are joined by ``_``. None, booleans, integers, text and finite floats are plain
+    JSON values. Every other value is an object with a single key: ``float`` ("nan", "inf", "-inf"),
+    ``scalar`` for numpy ([dtype, value]), ``array`` ([file, entry]), ``tuple`` and ``list``
+    (items), ``mapping`` (pairs) and ``noun`` ([class, fields]).
     """
     tree: dict[str, Any] = {}
     for name, noun in nouns.items():
@@ -113,13 +99,7 @@ def _node(value: Any, place: tuple[str, ...], held: dict[str, NDArray[Any]]) -> 
 
 
 def read(tree: Any, folder: Path) -> dict[str, Any]:
-    """Restore the objects of a tree from `written` by their constructors, which check the values.
-
-    Raises
-    ------
-    SceneError
-        If a file is missing or damaged, or the tree is not one from `written`.
-    """
+    """Restore the objects of a tree by their constructors, which check the values."""
     files: dict[str, Mapping[str, NDArray[Any]]] = {}
 
     def restored(node: dict[str, Any]) -> Any:

@@ -51,20 +51,12 @@ def simulate(
 
     Parameters
     ----------
-    scene : Scene
-        Scene to simulate.
-    tol : float, default 1e-3
-        Error tolerance of the point spread functions (PSFs), max |dI|/max I, with I the intensity,
-        1e-12 to 0.1. If the PSF varies over the object, ``tol`` also limits the error of the image
-        (rms error over rms value).
+    scene, tol, memory, max_seconds
+        Scene, tolerance and limits, as for `plan`.
     seed : int, default 0
         Seed of the random numbers, 0 to 2^64 - 1. The same seed gives the same results bit for bit.
     reconstruct : bool, default False
         Whether to reconstruct the object from the image as well, with known PSF.
-    memory : float, optional
-        Limit for the memory of the whole run, bytes; by default three quarters of the free memory.
-    max_seconds : float, default 900
-        Limit for the predicted run time on one core, s. A longer run is refused.
     progress : callable(str, float), optional
         Function that is called with the name of the current stage and the completed fraction of the
         run, 0 to 1.
@@ -180,32 +172,13 @@ def image_spreads(
     *,
     anywhere: bool = False,
 ) -> tuple[PointSpreadField | PointSpread, dict[str, float]]:
-    """Compute the point spreads with which a plan forms the image.
+    """Compute the point spreads with which a plan forms the image, and their estimated errors.
 
-    Parameters
-    ----------
-    todo : Plan
-        Plan of the scene.
-    optics : SceneOptics
-        Optics of the scene.
-    spread : PointSpread, optional
-        Point spread at the object's reference point, computed if needed.
-    seed : int
-        Seed of the object points at which a field of patterns is checked.
-    begin : callable(str)
-        Called at the start of each stage.
-    tell : callable(str, float)
-        Called with a stage's name and its completed fraction.
-    anywhere : bool
-        Whether the object may differ from the scene's picture, see `imaging.image_field`.
-
-    Returns
-    -------
-    spreads : PointSpreadField or PointSpread
-        Field over the object, or a single point spread that suffices: ``spread``, or the mean over
-        all walls of a roughness.
-    errors : dict of str to float
-        Estimated error of the field.
+    The result is a field over the object, or a single point spread that suffices: ``spread`` at the
+    reference point, which is computed if needed, or the mean over all walls of a roughness.
+    ``begin`` is called at the start of each stage, and ``tell`` with its name and completed
+    fraction. If ``anywhere``, the object may differ from the scene's picture, see
+    `imaging.image_field`.
     """
     from .. import imaging, psf
 
@@ -244,16 +217,9 @@ def image_model(
 ) -> ForwardModel:
     """Return the image model for a reconstruction with known wall and pose of the object.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene whose camera took the image.
-    spreads : PointSpreadField or PointSpread
-        Point spreads over the object, from `image_spreads`.
-    mean : bool
-        Whether to average them over the object in any case. Otherwise the mean is used if their
-        deviation from it is at most `MOST_DEVIATION`; else the modes that make up less than 0.5 %
-        of them (rms) are left out. Both make a fit several times faster.
+    The point spreads of `image_spreads` are averaged over the object if ``mean``, or if their
+    deviation from the mean is at most `MOST_DEVIATION`; else the modes that make up less than 0.5 %
+    of them (rms) are left out. Both make a fit several times faster.
     """
     from ..imaging import ForwardModel
     from ..imaging.geometry import chief_rays, picture_positions, pixel_centres

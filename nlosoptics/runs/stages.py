@@ -42,30 +42,14 @@ MOST_NODES = 27  # most nodes along each side of a field of point spreads
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """One step of a plan.
+    """One step of a plan."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the stage, for example ``"point spread"``.
-    runs : bool
-        Whether `simulate` carries it out.
-    reason : str
-        Why it runs or is skipped.
-    seconds : float
-        Predicted run time on one core of a machine of 2024, s, without compilation; 0 if skipped.
-    error : str
-        Predicted error and the quantity that it refers to.
-    memory : float
-        Predicted peak of the memory that the stage itself allocates, bytes.
-    """
-
-    name: str
-    runs: bool
-    reason: str
-    seconds: float = 0.0
-    error: str = ""
-    memory: float = 0.0
+    name: str  # such as "point spread"
+    runs: bool  # whether `simulate` carries it out
+    reason: str  # why it runs or is skipped
+    seconds: float = 0.0  # predicted, on one core of a machine of 2024, without compilation, s
+    error: str = ""  # predicted error and the quantity that it refers to
+    memory: float = 0.0  # predicted peak that the stage itself allocates, bytes
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,37 +56,18 @@ def fitted_veil(
     background: float = 0.0,
     shadows: Shadows | None = None,
 ) -> Array | None:
-    """Return the shape of the wall's diffuse light, from the object that the image shows.
+    """Return the shape (ny, nx) of the wall's diffuse light, from the object that the image shows.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene in which the image was taken.
-    image : ndarray, (ny, nx)
-        Camera image, in any unit.
-    model : ForwardModel
-        Image model of the scene.
-    noise_sigma : ndarray, (ny, nx), or None
-        Rms noise of each pixel, in the image's unit, infinite at masked pixels. None: no noise.
-    background : float
-        Known background, in the image's unit.
-    shadows : Shadows, optional
-        Result of `imaging.cast_shadows` for this scene. None: computed if there are occluders.
+    The shape has mean 1; it is None if the wall has no diffuse lobe. ``noise_sigma`` is the rms
+    noise of each pixel in the image's unit, infinite at masked pixels, or None; ``background`` is
+    known, and ``shadows`` are those of `imaging.cast_shadows`, computed if omitted.
 
-    Returns
-    -------
-    ndarray, (ny, nx), or None
-        Shape with mean 1; None if the wall has no diffuse lobe.
-
-    Notes
-    -----
     The first reconstruction assumes the veil of a white object. As long as the shape of the veil is
     uncertain, its error is added to the noise; the next error is half of the last change. Parts of
     the object that the image does not show are given the mean reflectance of the others. The veil
-    of a mesh is known, since all of it has one reflectance.
-
-    The reconstructions are of the binned image, by the mean of the point spreads. Only the ratio of
-    the veil to that of a white object changes; it is smooth, and computed in fewer pixels.
+    of a mesh is known, since all of it has one reflectance. The reconstructions are of the binned
+    image, by the mean of the point spreads. Only the ratio of the veil to that of a white object
+    changes; it is smooth, and computed in fewer pixels.
     """
     white = veil_shape(scene, shadows)
     if not white.any():

@@ -31,16 +31,9 @@ from .simulate import simulate
 def warm_up(scenes: Sequence[Scene] = (), progress: Progress | None = None) -> None:
     """Compile the kernels that runs and reports of some scenes use, so that they are only loaded.
 
-    numba keeps them in its cache, which ``NUMBA_CACHE_DIR`` can move.
-
-    Parameters
-    ----------
-    scenes : sequence of Scene
-        Scenes to simulate with reconstruction, and to trace as reports do. By default a letter seen
-        by walls of all kinds that have kernels of their own: flat, wavy, curved and behind an
-        occluder, a mesh, and rough.
-    progress : callable(str, float), optional
-        Called with the number of the scene and the completed fraction.
+    numba keeps them in its cache, which ``NUMBA_CACHE_DIR`` can move. By default the scenes show a
+    letter by walls of all kinds that have kernels of their own: flat, wavy, curved and behind an
+    occluder, a mesh, and rough. ``progress`` is called with the scene and the completed fraction.
     """
     from .. import raytrace
 
