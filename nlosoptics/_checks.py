@@ -26,9 +26,6 @@ SHARE = 0.75
 MOST = 1e150
 #: Largest value of an image, and 1 over the smallest: sums of fourth powers stay in range.
 _MOST_SQUARABLE = 1e60
-#: Seconds for which the free memory is cached; reading it takes as long as a small transform.
-FRESH = 0.25
-MOST_SHOWN = 60  # characters of a wrong path that a message shows
 
 
 def reason(error: Exception) -> str:
@@ -126,7 +123,7 @@ def path_of(name: str, value: Any) -> Path:
         pass  # told, with the right remedy, by the function that opens it
     except (OSError, ValueError) as error:  # too long, or with a null character
         raise SceneError(
-            f"{name} = {str(path)[:MOST_SHOWN]!r} cannot be the path of a file or folder "
+            f"{name} = {str(path)[:60]!r} cannot be the path of a file or folder "
             f"({getattr(error, 'strerror', error)}); give another path"
         ) from None
     return path
@@ -167,12 +164,13 @@ def pair(name: str, value: Any, *, unit: str = "m") -> tuple[float, float]:
 
 def available_memory() -> float:
     """Return the free memory, bytes; infinity if the system does not report it."""
-    return _memory_at(int(time.monotonic() / FRESH))
+    # cached for 0.25 s; reading it takes as long as a small transform
+    return _memory_at(int(4.0 * time.monotonic()))
 
 
 @lru_cache(maxsize=1)
 def _memory_at(moment: int) -> float:
-    """Return the free memory, read at most once in `FRESH` seconds."""
+    """Return the free memory; a moment is asked for once."""
     try:
         with Path("/proc/meminfo").open() as lines:
             for line in lines:
@@ -185,15 +183,7 @@ def _memory_at(moment: int) -> float:
 
 @dataclass(frozen=True)
 class Budget:
-    """Limits of one run.
-
-    Parameters
-    ----------
-    memory : float
-        Memory limit, bytes.
-    seconds : float
-        Limit of the predicted run time on one core, s.
-    """
+    """Limits of one run: memory, bytes, and predicted run time on one core, s."""
 
     memory: float
     seconds: float
@@ -238,17 +228,7 @@ def seconds_limit(without: float) -> float:
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:
-    """Return a count with its noun, such as "1 pair" or "2 pairs".
-
-    Parameters
-    ----------
-    count : int
-        Number of things.
-    noun : str
-        Noun in the singular.
-    plural : str, optional
-        Plural if it is not the singular with an s, such as "axes".
-    """
+    """Return a count with its noun, such as "1 pair" or "2 pairs"; the plural may be given."""
     return f"{count} {noun if count == 1 else plural or f'{noun}s'}"
 
 

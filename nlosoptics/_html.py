@@ -18,12 +18,6 @@ from .errors import NlosError
 #: Module that draws the pictures. It depends on all result classes, so it is imported by name and
 #: only when a card is shown. This is the only reference from a lower layer to a higher one.
 CARDS = f"{__package__}.views.cards"
-VOID = ("img", "source", "meta", "br")
-HEIGHT = 330  # height of a picture, pixels
-MOST_BYTES = 40_000  # size of a PNG above which it is reduced to a palette
-COLOURS = 96  # colours of the palette
-CELL = "text-align:left;vertical-align:top"
-CAPTION = "caption-side:top;text-align:left;color:inherit;font-weight:bold"
 
 
 class Html(str):
@@ -33,29 +27,19 @@ class Html(str):
 
 
 def tag(name: str, *children: object, **attributes: object) -> Html:
-    """Build an HTML element.
+    """Build an HTML element such as ``"p"``.
 
-    Parameters
-    ----------
-    name : str
-        Name of the element, for example ``"p"``.
-    *children : object
-        Contents: `Html` is inserted unchanged, None is skipped, anything else becomes escaped text.
-    **attributes : object
-        Attributes, with ``class_`` for ``class`` and ``aria_label`` for ``aria-label``. True gives
-        an attribute without value; None leaves it out.
-
-    Returns
-    -------
-    Html
-        The element.
+    Of its contents, `Html` is inserted unchanged, None is skipped, and all else becomes escaped
+    text. Attributes have ``class_`` for ``class`` and ``aria_label`` for ``aria-label``; True gives
+    an attribute without value, and None leaves it out.
     """
     opened = name
     for key, value in attributes.items():
         if value is not None:
             key = key.rstrip("_").replace("_", "-")
             opened += f" {key}" if value is True else f' {key}="{html.escape(str(value))}"'
-    return Html(f"<{opened}>" if name in VOID else f"<{opened}>{joined(children)}</{name}>")
+    empty = name in ("img", "source", "meta", "br")
+    return Html(f"<{opened}>" if empty else f"<{opened}>{joined(children)}</{name}>")
 
 
 def joined(children: Iterable[object]) -> Html:
@@ -90,18 +74,11 @@ def table(
 ) -> Html:
     """Build a table in which the first cell of each row is the row's head.
 
-    Parameters
-    ----------
-    caption : str
-        Caption above the table.
-    columns : sequence of Column
-        Columns. If all heads are empty, the table has no head row.
-    rows : iterable of sequence
-        Rows with one cell per column; cells are contents for `tag`.
-    styled : bool
-        Whether to add inline styles, for pages without a style sheet.
+    Cells are contents for `tag`. If all heads are empty, the table has no head row. ``styled`` adds
+    inline styles, for pages without a style sheet.
     """
-    cell = CELL if styled else None
+    cell = "text-align:left;vertical-align:top" if styled else None
+    above = "caption-side:top;text-align:left;color:inherit;font-weight:bold" if styled else None
     heads = [
         tag("th", column.head, scope="col", class_=column.kind, style=cell) for column in columns
     ]
@@ -118,28 +95,18 @@ def table(
     ]
     return tag(
         "table",
-        tag("caption", caption, style=CAPTION if styled else None),
+        tag("caption", caption, style=above),
         tag("thead", tag("tr", *heads)) if any(column.head for column in columns) else None,
         tag("tbody", *body),
     )
 
 
 class Figures(NamedTuple):
-    """Texts of an object's notebook card.
+    """Texts of an object's notebook card."""
 
-    Parameters
-    ----------
-    title : str
-        Title, for example ``"Speckle image"``.
-    rows : mapping of str to str
-        Names and values of the table.
-    alt : str
-        Description of the picture.
-    """
-
-    title: str
-    rows: Mapping[str, str]
-    alt: str
+    title: str  # such as "Speckle image"
+    rows: Mapping[str, str]  # names and values of the table
+    alt: str  # description of the picture
 
 
 class Shown:
@@ -177,10 +144,10 @@ def _picture(axes: Any) -> bytes:
     first = axes if hasattr(axes, "get_figure") else next(iter(axes))
     figure = first.get_figure(root=True)
     drawn = BytesIO()
-    figure.savefig(drawn, format="png", dpi=HEIGHT / figure.get_size_inches()[1])
-    if len(drawn.getvalue()) > MOST_BYTES:
+    figure.savefig(drawn, format="png", dpi=330 / figure.get_size_inches()[1])
+    if len(drawn.getvalue()) > 40_000:  # reduced to a palette
         picture = Image.open(drawn).convert("RGB")
         drawn = BytesIO()
-        covered = picture.quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE)
+        covered = picture.quantize(96, method=Image.Quantize.MAXCOVERAGE)
         covered.save(drawn, format="png", optimize=True)
     return drawn.getvalue()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 import math
 import pickle
 from collections.abc import Mapping
@@ -12,17 +13,14 @@ from typing import Any, Self
 
 from .errors import SceneError
 
-PRINTED = 12  # largest number of array elements that a representation lists
-LONGEST = 700  # characters of a part's representation; a longer one is given by its class
-
 
 class Noun:
     """Base of frozen dataclasses with arrays, mappings or cached properties.
 
     Pickles and deep copies contain only the fields; cached properties are computed again when
-    needed. Pickling loses numpy's read-only flag and does not support read-only mappings, so both
-    are restored on loading. The constructor's checks are not repeated. ``repr`` gives large
-    arrays by shape and type, and large parts by their class.
+    needed. Pickling loses numpy's read-only flag, which is restored on loading. The constructor's
+    checks are not repeated. ``repr`` gives large arrays by shape and type, long tuples by their
+    length, and large parts by their class.
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -39,7 +37,7 @@ class Noun:
         return f"{type(self).__qualname__}({', '.join(shown)})"
 
     def __getstate__(self) -> dict[str, Any]:
-        return field_values(self)
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         for name, value in state.items():
@@ -52,18 +50,24 @@ class Noun:
         # not via __getstate__: a subclass may prepare its state for a file or reject values there
         copied = object.__new__(type(self))
         memo[id(self)] = copied
-        Noun.__setstate__(copied, deepcopy(field_values(self), memo))
+        Noun.__setstate__(copied, deepcopy(Noun.__getstate__(self), memo))
         return copied
 
 
 def _shown(value: Any) -> str:
     """Return the representation of a field's value, shortened where it is large."""
-    if getattr(value, "ndim", 0) and hasattr(value, "dtype") and math.prod(value.shape) > PRINTED:
-        return f"<{'x'.join(map(str, value.shape))} {value.dtype}>"
+    shape = getattr(value, "shape", ())
+    if shape and hasattr(value, "dtype") and math.prod(shape) > 12:
+        return f"<{'x'.join(map(str, shape))} {value.dtype}>"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key!r}: {_shown(inner)}' for key, inner in value.items())}}}"
+    if type(value) in (tuple, list):
+        if len(value) > 12:
+            return f"<{type(value).__name__} of {len(value)}>"
+        listed = ", ".join(map(_shown, value))
+        return f"[{listed}]" if type(value) is list else f"({listed})"
     text = repr(value)
-    if isinstance(value, Noun) and len(text) > LONGEST:
-        return f"{type(value).__qualname__}(...)"
-    return text
+    return text if len(text) <= 300 else f"{type(value).__qualname__}(...)"
 
 
 def check_pickles(name: str, value: Any) -> None:
@@ -84,34 +88,18 @@ def check_pickles(name: str, value: Any) -> None:
         ) from None
 
 
-def field_values(noun: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass by name; read-only mappings become `_Sealed` dicts."""
-    return {field.name: _opened(getattr(noun, field.name)) for field in fields(noun)}
-
-
-class _Sealed(dict[Any, Any]):
-    """Entries of a read-only mapping while it is pickled or copied."""
-
-
-def _opened(value: Any) -> Any:
-    if isinstance(value, MappingProxyType):
-        return _Sealed((key, _opened(inner)) for key, inner in value.items())
-    if type(value) is dict:
-        return {key: _opened(inner) for key, inner in value.items()}
-    if type(value) in (tuple, list):
-        return type(value)(map(_opened, value))
-    return value
-
-
 def _closed(value: Any) -> Any:
-    # avoids importing numpy; of the types concerned only its arrays have flags.writeable
+    """Return a value with read-only arrays, found without importing numpy."""
     flags: Any = getattr(value, "flags", None)
     if getattr(flags, "writeable", False):
         flags.writeable = False
-    if isinstance(value, _Sealed):
+    if isinstance(value, MappingProxyType):
         return MappingProxyType({key: _closed(inner) for key, inner in value.items()})
     if type(value) is dict:
         return {key: _closed(inner) for key, inner in value.items()}
     if type(value) in (tuple, list):
         return type(value)(map(_closed, value))
     return value
+
+
+copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))

@@ -4,25 +4,9 @@ from __future__ import annotations
 
 from ._checks import in_range, positive
 
-# Exact by definition of the SI; scipy.constants would load all of CODATA.
-PLANCK = 6.62607015e-34  # J s
-LIGHT_SPEED = 299_792_458.0  # m/s
-
 
 def photon_rate(power: float, wavelength: float) -> float:
-    """Photon rate of a beam, P lambda/(h c).
-
-    Parameters
-    ----------
-    power : float
-        Power, W.
-    wavelength : float
-        Vacuum wavelength, m.
-
-    Returns
-    -------
-    float
-        Photons per second, 1/s.
-    """
+    """Return the photons per second, P lambda/(h c), of a power (W) at a vacuum wavelength (m)."""
     positive("wavelength", wavelength, unit="m")
-    return in_range("power", power, 0.0, unit="W") * wavelength / (PLANCK * LIGHT_SPEED)
+    hc = 6.62607015e-34 * 299_792_458.0  # J m, exact by definition of the SI
+    return in_range("power", power, 0.0, unit="W") * wavelength / hc

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,49 +16,27 @@ if TYPE_CHECKING:
 #: Largest number of pixels of a compressed picture. A file of less than a megabyte can hold a
 #: hundred times as many, which would fill the memory when they are decoded.
 MOST_PIXELS = 8192 * 8192
-#: Pillow logs some errors besides raising them. Python prints records that no handler takes.
-_UNPRINTED = logging.NullHandler()
 
 
 @contextmanager
 def opened_picture(file: Path | IO[bytes], name: str) -> Iterator[Image]:
-    """Open a picture file whose pixels are decoded at the first access.
+    """Yield Pillow's picture of a file, whose pixels are decoded at the first access.
 
-    Parameters
-    ----------
-    file : Path or binary file
-        File to open.
-    name : str
-        Name of the picture in error messages.
-
-    Yields
-    ------
-    Image
-        Pillow's picture; the file is closed on leaving.
-
-    Raises
-    ------
-    SceneError
-        If the picture has more than `MOST_PIXELS` pixels.
+    ``name`` stands for the picture in the `SceneError` that refuses more than `MOST_PIXELS` pixels.
     """
     from PIL import Image
 
-    logging.getLogger("PIL").addHandler(_UNPRINTED)  # adds it once
-    size = ""
+    too_many = (
+        f"{name} has too many pixels, limit {MOST_PIXELS} in all; scale it down, or save it as .npy"
+    )
     with warnings.catch_warnings():
         # Pillow's own limits are larger, and the lower one only warns
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         try:
             picture = Image.open(file)
         except Image.DecompressionBombError:
-            picture = None
-    if picture is not None:
-        with picture:
-            if picture.width * picture.height <= MOST_PIXELS:
-                yield picture
-                return
-        size = f" {picture.width} x {picture.height}"
-    raise SceneError(
-        f"{name} has{size or ' too many'} pixels, limit {MOST_PIXELS} in all; scale it down, or "
-        "save it as .npy"
-    )
+            raise SceneError(too_many) from None
+    with picture:
+        if picture.width * picture.height > MOST_PIXELS:
+            raise SceneError(too_many)
+        yield picture

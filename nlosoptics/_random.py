@@ -9,23 +9,16 @@ from numpy.typing import NDArray
 
 from ._checks import whole
 
-MOST_SEED = 2**64 - 1
-
 
 def checked_seed(seed: int) -> int:
     """Return ``seed`` as an integer from 0 to 2^64 - 1, or raise `SceneError`."""
-    return whole("seed", seed, 0, MOST_SEED)
+    return whole("seed", seed, 0, 2**64 - 1)
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
-    """Return a counter-based random generator (Philox) for one stage of a computation.
+    """Return a counter-based generator (Philox) for one stage of a computation.
 
-    Parameters
-    ----------
-    seed : int
-        Seed given by the user, 0 to 2^64 - 1.
-    stream : int
-        Number of the stage. Different stages get independent streams.
+    Different numbers ``stream`` of stages get independent streams of the user's seed.
     """
     key = np.array([checked_seed(seed), stream], dtype=np.uint64)
     return np.random.Generator(np.random.Philox(key=key))
@@ -102,19 +95,7 @@ def scrambled_sobol(
 
 
 def philox(counters: NDArray[np.uint32], seed: int) -> NDArray[np.uint32]:
-    """Return four random 32-bit words for each counter, by Philox4x32-10 [1]_.
-
-    Parameters
-    ----------
-    counters : ndarray of uint32, (..., 4)
-        Counters, which address the draws.
-    seed : int
-        Key of the generator, 0 to 2^64 - 1.
-
-    Returns
-    -------
-    ndarray of uint32, (..., 4)
-        Random words.
+    """Return four random 32-bit words for each counter (..., 4), by Philox4x32-10 [1]_.
 
     References
     ----------

@@ -1,19 +1,14 @@
 """Picture files: a few bytes may claim very many pixels."""
 
 import struct
-import subprocess
-import sys
 import zlib
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image
 
 from nlosoptics import imaging
 from nlosoptics.errors import SceneError
 from nlosoptics.scene import PlanarObject
-from nlosoptics.scene.parts._sources import picture_file
 
 
 def png_of(width: int, height: int) -> bytes:
@@ -52,27 +47,3 @@ def test_the_largest_picture_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyP
     file.write_bytes(png_of(40, 32))
     picture = PlanarObject(file, size=0.1, position=(0.0, 0.0, 1.0))
     assert picture.reflectance.shape == (32, 40)
-
-
-def test_pictures_that_are_too_large_for_png_travel(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nlosoptics.scene.parts._sources.MOST_PIXELS", 30)
-    assert picture_file(np.ones((5, 6)))[0] == ".png"
-    assert picture_file(np.ones((5, 7)))[0] == ".npy"
-
-
-def test_what_pillow_logs_is_not_printed(tmp_path: Path) -> None:
-    """A TIFF of 122 samples for each pixel; in a process without pytest's handlers."""
-    file = tmp_path / "p.tiff"
-    Image.fromarray(np.eye(4, dtype=np.uint8)).save(file)
-    rows_in_strip, samples = (
-        struct.pack("<HHII", tag, 4, 1, n) for tag, n in ((278, 4), (277, 122))
-    )
-    content = file.read_bytes()
-    assert content.count(rows_in_strip) == 1
-    file.write_bytes(content.replace(rows_in_strip, samples))
-    code = "import sys; from nlosoptics import imaging; imaging.camera_image(sys.argv[1])"
-    told = subprocess.run(
-        [sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=False
-    ).stderr
-    assert told.splitlines()[0].startswith("Traceback")
-    assert "SceneError" in told.splitlines()[-1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +16,7 @@ from ..runs.record import arrays, now, peak_memory, scene_hash, versions, write_
 from .shell import (
     Changes,
     Debug,
-    Figures,
+    Out,
     SceneFile,
     Seed,
     app,
@@ -25,7 +26,9 @@ from .shell import (
     errors_told,
     load,
     numbers,
+    print_table,
     progress_bar,
+    stage_rows,
     typed,
 )
 
@@ -140,7 +143,7 @@ def transient_command(
                 }
             )
             capture.save(path, compression=compression)
-        _print_capture(capture, path, time.perf_counter() - start)
+        print_table(_capture_rows(capture, path, time.perf_counter() - start))
 
 
 @app.command("phasor", short_help="Form an image of the hidden scene from a time-resolved capture.")
@@ -149,10 +152,7 @@ def phasor_command(
     capture_file: Annotated[
         Path, typer.Argument(metavar="CAPTURE", help="Capture file: HDF5 or .mat.")
     ],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Output folder; by default the name of the capture without its suffix."),
-    ] = None,
+    out: Out = None,
     camera: Annotated[
         str, typer.Option(help="Virtual camera: confocal_time_gated or direct_light.")
     ] = "confocal_time_gated",
@@ -280,7 +280,7 @@ def phasor_command(
                 write_record(report, new)
         for note in image.notes:
             typer.echo(f"nlosoptics: {note}", err=True)
-        _print_picture(report, folder)
+        print_table(_picture_rows(report, folder))
 
 
 def _grid(capture: TransientCapture) -> Any:
@@ -385,30 +385,27 @@ def _write_picture(image: PhasorImage, folder: Path, drawn: bool) -> None:
         views.save(views.volume(image, axis=axis), folder / f"{name}.png")
 
 
-def _print_capture(capture: TransientCapture, path: Path, seconds: float) -> None:
-    table = Figures()
-    table.add("bins", f"{capture.n_bins} of {1e3 * capture.delta_t:g} mm")
+def _capture_rows(
+    capture: TransientCapture, path: Path, seconds: float
+) -> Iterator[tuple[str, str]]:
+    yield ("bins", f"{capture.n_bins} of {1e3 * capture.delta_t:g} mm")
     lasers, sensors = (
         " x ".join(map(str, shape)) or "1" for shape in (capture.laser_shape, capture.sensor_shape)
     )
-    table.add("points", f"{lasers} laser, {sensors} sensor, {capture.pairing}")
+    yield ("points", f"{lasers} laser, {sensors} sensor, {capture.pairing}")
     total = float(capture.H.sum())
-    table.add("light in all bins", f"{total:.4g} ({capture.quantity})")
+    yield ("light in all bins", f"{total:.4g} ({capture.quantity})")
     for bounces, part in capture.by_bounce.items():
-        table.add(f"  of {bounces} reflections", f"{float(part.sum()):.4g}")
-    table.add("seconds", f"{seconds:.2f}")
-    table.add("written to", str(path))
-    table.print()
+        yield (f"  of {bounces} reflections", f"{float(part.sum()):.4g}")
+    yield ("seconds", f"{seconds:.2f}")
+    yield ("written to", str(path))
 
 
-def _print_picture(report: dict[str, Any], folder: Path) -> None:
-    table = Figures()
+def _picture_rows(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
     figures = report["figures"]
     place = ", ".join(f"{value:.3g}" for value in figures["brightest_voxel"])
-    table.add("brightest voxel", f"({place}) m")
-    table.add("voxels", " x ".join(map(str, figures["volume_shape"])))
-    table.add("camera", f"{report['camera']}, wavelength {report['wl_mean']:g} m")
-    for stage, seconds in report["seconds"].items():
-        table.add(f"  {stage}", f"{seconds:.2f} s")
-    table.add("written to", str(folder))
-    table.print()
+    yield ("brightest voxel", f"({place}) m")
+    yield ("voxels", " x ".join(map(str, figures["volume_shape"])))
+    yield ("camera", f"{report['camera']}, wavelength {report['wl_mean']:g} m")
+    yield from stage_rows(report)
+    yield ("written to", str(folder))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,12 +13,11 @@ import typer
 from .._checks import counted
 from .._whole_files import whole_folder
 from .shell import (
-    MOST_SECONDS,
     Changes,
     Debug,
-    Figures,
     MaxSeconds,
     Memory,
+    Out,
     SceneFile,
     Seed,
     Size,
@@ -28,7 +28,9 @@ from .shell import (
     errors_told,
     in_bytes,
     load,
+    print_table,
     progress_bar,
+    stage_rows,
     typed,
 )
 
@@ -40,7 +42,7 @@ def plan_command(
     tol: Tol = 1e-3,
     size: Size = None,
     memory: Memory = None,
-    max_seconds: MaxSeconds = MOST_SECONDS,
+    max_seconds: MaxSeconds = 900.0,
     debug: Debug = False,
 ) -> None:
     """List what a run will compute and skip, with reasons, predicted times and errors."""
@@ -61,24 +63,23 @@ def run_command(
     changes: Changes = None,
     tol: Tol = 1e-3,
     seed: Seed = 0,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Output folder; by default the name of the scene file without .toml."),
-    ] = None,
+    out: Out = None,
     size: Size = None,
     reconstruct: Annotated[
         bool,
         typer.Option("--reconstruct/--no-reconstruct", help="Also reconstruct the hidden object."),
     ] = True,
     memory: Memory = None,
-    max_seconds: MaxSeconds = MOST_SECONDS,
+    max_seconds: MaxSeconds = 900.0,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Also draw each figure of the overview by itself.")
+    ] = False,
     debug: Debug = False,
 ) -> None:
     """Simulate the camera image of a scene and reconstruct the hidden object.
 
-    The output folder gets pictures (PNG), arrays (.npy and .npz) and result.json with the most
-    important numbers. overview.png shows all results. An existing folder is replaced only if an
-    earlier run wrote it.
+    The output folder gets overview.png, which shows all results, arrays (.npz) and result.json with
+    the most important numbers. An existing folder is replaced only if an earlier run wrote it.
     """
     with errors_told(debug):
         start = time.perf_counter()
@@ -87,44 +88,39 @@ def run_command(
         from ..runs.plan import looked_at
         from ..runs.record import write_record
         from ..runs.results import write_result
-        from . import figures
-        from .first_run import compiled_ahead
+        from ..runs.simulate import carried_out
+        from .figures import write_figures, write_overview
 
         seed = checked_seed(seed)
-        with figures.painters() as beside, compiled_ahead():
-            # late, since it loads numba, which the processes that draw do without
-            from ..runs.simulate import carried_out
-
-            scene = load(scene_file, size, changes)
-            beside.send(scene)
-            loaded = time.perf_counter()
-            planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
-            check_target(folder)
-            ready = time.perf_counter()
-            drawn = can_draw()
-            with progress_bar() as progress:
-                result = carried_out(planned, optics, seed, progress, beside.send)
-                progress("writing", 1.0)
-                with whole_folder(folder) as new:
-                    began = time.perf_counter()
-                    beside.send(result.reconstruction, new)
-                    report = write_result(result, new) | {"command_line": typed(context)}
-                    written = time.perf_counter()
-                    if drawn:
-                        figures.write_figures(result, new, beside)
-                    ended = time.perf_counter()
-                    seconds = {
-                        "loading": loaded - start,
-                        "planning": ready - loaded,
-                        **report["seconds"],
-                        "writing": written - began,
-                        "figures": ended - written,
-                    }
-                    # what lies between the stages
-                    seconds["other"] = ended - start - sum(seconds.values())
-                    report["seconds"] = seconds | {"total": ended - start}
-                    write_record(report, new)
-        _print_summary(report, folder)
+        scene = load(scene_file, size, changes)
+        loaded = time.perf_counter()
+        planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
+        check_target(folder)
+        ready = time.perf_counter()
+        drawn = can_draw()
+        with progress_bar() as progress:
+            result = carried_out(planned, optics, seed, progress)
+            progress("writing", 1.0)
+            with whole_folder(folder) as new:
+                began = time.perf_counter()
+                report = write_result(result, new) | {"command_line": typed(context)}
+                written = time.perf_counter()
+                if drawn:
+                    write_overview(result, new)
+                    if figures:
+                        write_figures(result, new)
+                ended = time.perf_counter()
+                seconds = {
+                    "loading": loaded - start,
+                    "planning": ready - loaded,
+                    **report["seconds"],
+                    "writing": written - began,
+                    "figures": ended - written,
+                }
+                seconds["other"] = ended - start - sum(seconds.values())
+                report["seconds"] = seconds | {"total": ended - start}
+                write_record(report, new)
+        print_table(_summary(report, folder))
 
 
 @app.command("schema", short_help="Print all keys of scene files, as a JSON schema.")
@@ -139,41 +135,36 @@ def schema_command(debug: Debug = False) -> None:
         typer.echo(json.dumps(scene_schema(), indent=2))
 
 
-def _print_summary(report: dict[str, Any], folder: Path) -> None:
-    """Print a run's figures as a table."""
+def _summary(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
+    """Yield a run's most important figures."""
     f = report["figures"]
-    table = Figures()
-    table.add("exit pupil", f"radius {1e3 * f['exit_pupil_radius']:.4g} mm, stop: {f['stop']}")
-    table.add("working F-number", f"{f['f_number']:.4g}")
-    table.add(
+    yield "exit pupil", f"radius {1e3 * f['exit_pupil_radius']:.4g} mm, stop: {f['stop']}"
+    yield "working F-number", f"{f['f_number']:.4g}"
+    yield (
         "wave aberration",
         f"{f['aberration_rms_waves']:.3g} waves rms ({1e9 * f['aberration_rms']:.3g} nm)",
     )
-    table.add("point spread", f"{f['point_spread_method']}, error {f['point_spread_error']:.1e}")
+    yield "point spread", f"{f['point_spread_method']}, error {f['point_spread_error']:.1e}"
     if "point_spread_model_error" in f:
-        table.add(
-            "model of diffraction",
-            f"{f['point_spread_model']}, error {f['point_spread_model_error']:.1e}",
-        )
+        model = f"{f['point_spread_model']}, error {f['point_spread_model_error']:.1e}"
+        yield "model of diffraction", model
     if f["field_nodes"] > 1:
         error = f["errors"]["field of point spreads"]
-        table.add(
+        yield (
             "point spreads over the object",
             f"{f['field_nodes']} points in {counted(f['field_modes'], 'mode')}, error {error:.1e}",
         )
-    table.add(
+    yield (
         "electrons per pixel",
         f"{f['electrons_peak']:.3g} at most, {f['electrons_mean']:.3g} on average, "
         f"{f['signal_electrons_peak']:.3g} at most from the object",
     )
     if "reconstruction_status" in f:
-        told = "no light from the object reaches the camera"
+        score = "no light from the object reaches the camera"
         if "correlation_with_truth" in f:
-            told = f"correlation with the true object {f['correlation_with_truth']:.4f}"
-        table.add("reconstruction", f"{f['reconstruction_status']}, {told}")
-    for stage, seconds in report["seconds"].items():
-        table.add(f"  {stage}", f"{seconds:.2f} s")
+            score = f"correlation with the true object {f['correlation_with_truth']:.4f}"
+        yield "reconstruction", f"{f['reconstruction_status']}, {score}"
+    yield from stage_rows(report)
     if f["peak_memory_bytes"] is not None:
-        table.add("peak memory", f"{f['peak_memory_bytes'] / 2**20:.0f} MiB")
-    table.add("written to", str(folder))
-    table.print()
+        yield "peak memory", f"{f['peak_memory_bytes'] / 2**20:.0f} MiB"
+    yield "written to", str(folder)

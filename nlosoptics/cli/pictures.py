@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import ThreadPoolExecutor
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,7 +26,6 @@ from .shell import (
 if TYPE_CHECKING:
     from ..scene import Scene
 
-SUFFIXES = (".png", ".html", ".glb")
 MOST_RAYS = 1 << 17  # limit of the rays traced in search of rare paths
 
 
@@ -74,22 +72,14 @@ def view_command(
     with errors_told(debug):
         start = time.perf_counter()
         if out is not None:
-            if out.suffix.lower() not in SUFFIXES:
-                raise typer.BadParameter(
-                    f"{out} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; give "
-                    "one of these",
-                    param_hint="--out",
-                )
-            check_file(out)
+            check_file(out, ".png", ".html", ".glb")
         require("pyvista", "views")
         from .. import views
 
-        # some systems require windows in the main thread; the render test runs beside loading
         plotter = views.window() if out is None else None
-        with ThreadPoolExecutor(1) as beside:
-            trial = beside.submit(_try_to_render, out)
-            scene = load(scene_file, None, changes)
-            trial.result()
+        if out is not None and out.suffix.lower() == ".png":
+            views.rendering_works()  # before any work is done
+        scene = load(scene_file, None, changes)
         with progress_bar() as progress:
             if paths:
                 drawn = _drawn(scene, paths, bounces, colour, seed, progress)
@@ -113,14 +103,6 @@ def view_command(
             typer.echo(f"written to {out}, {size:.2f} MB, in {spent:.1f} s")
 
 
-def _try_to_render(out: Path | None) -> None:
-    """Raise if a PNG is requested but this machine cannot render."""
-    from .. import views
-
-    if out is not None and out.suffix.lower() == ".png":
-        views.rendering_works()
-
-
 def _drawn(
     scene: Scene,
     count: int,
@@ -139,16 +121,10 @@ def _drawn(
         found = pupil_rays(scene, n_rays=max(2 * count, 1024), seed=seed)
         wave = psf.wavefront_from_rays(found, psf.exit_pupil(scene), scene.laser.wavelength)
         return {"paths": found, "wavefront": wave}
+    options: dict[str, Any] = {"keep_paths": True, "seed": seed, "progress": progress}
     rays = max(256, 2 * count)
     while True:
-        found = trace(
-            scene,
-            n_rays=rays,
-            max_bounces=bounces or 5,
-            keep_paths=True,
-            seed=seed,
-            progress=progress,
-        )
+        found = trace(scene, n_rays=rays, max_bounces=bounces or 5, **options)
         # only detected paths are kept; stray light is drawn if the hidden object's paths are few
         wanted = found.n_bounces == bounces if bounces else found.n_bounces > 0
         kept = int((wanted & found.met_object).sum())

@@ -1,8 +1,9 @@
-"""Commands feasibility, reconstruct and train."""
+"""Commands feasibility and reconstruct."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,21 +11,21 @@ import typer
 
 from .._checks import counted
 from .shell import (
-    FAILED,
+    INTERRUPTED,
     Changes,
     Debug,
-    Figures,
+    Out,
     SceneFile,
     Seed,
     Size,
     Tol,
     app,
-    check_file,
     check_target,
     errors_told,
     interruptible,
     load,
     numbers,
+    print_table,
     progress_bar,
     require,
     typed,
@@ -90,16 +91,10 @@ def reconstruct_command(
         str,
         typer.Option(
             help="Solver. If the scene file describes the wall: tv (total variation), wiener, "
-            "inverse_filter, richardson_lucy, deep_image_prior, phase_retrieval. If the wall is "
-            "unknown and fitted too: evidence, wu2024. A trained network: cnn."
+            "inverse_filter, richardson_lucy, phase_retrieval. If the wall is "
+            "unknown and fitted too: evidence, wu2024."
         ),
     ] = "tv",
-    network: Annotated[
-        Path | None,
-        typer.Option(
-            help="File of the trained network for method cnn, written by nlosoptics train."
-        ),
-    ] = None,
     iterations: Annotated[
         int | None,
         typer.Option(min=1, help="Maximum number of iterations; by default that of the method."),
@@ -114,12 +109,7 @@ def reconstruct_command(
     tol: Tol = 1e-3,
     seed: Seed = 0,
     size: Size = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Output folder; by default the name of the first image without its suffix."
-        ),
-    ] = None,
+    out: Out = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Resume from the state saved in the output folder.")
     ] = False,
@@ -131,13 +121,11 @@ def reconstruct_command(
     """Reconstruct the hidden object from camera images.
 
     Several images are averaged, or fitted together by method evidence. Ctrl-C ends the fit, writes
-    the best object so far and exits with code 1; --resume continues.
+    the best object so far and exits with code 130; --resume continues.
     """
     with errors_told(debug):
         if method != "tv":
             require("torch", "inverse")
-        if network is not None:
-            require("safetensors", "inverse")
         from ..runs import reconstructing
 
         folder = Path(images[0].stem) if out is None else out
@@ -151,7 +139,6 @@ def reconstruct_command(
             flat=flat,
             full=full,
             defocus=numbers("--defocus", defocus),
-            network=network,
             iterations=iterations,
             seed=seed,
             tol=tol,
@@ -168,104 +155,30 @@ def reconstruct_command(
         if as_json:
             typer.echo(json.dumps(report, indent=2))
         else:
-            _print_reconstruction(report, folder)
+            print_table(_reconstruction_rows(report, folder))
         if report["status"] == "interrupted":
             typer.echo(
                 f"nlosoptics: interrupted; the best object so far is in {folder}; "
                 "--resume continues",
                 err=True,
             )
-            raise typer.Exit(FAILED)
+            raise typer.Exit(INTERRUPTED)
 
 
-@app.command("train", short_help="Train a network for nlosoptics reconstruct --method cnn.")
-def train_command(
-    scene_file: SceneFile,
-    changes: Changes = None,
-    out: Annotated[Path, typer.Option(help="File to write the network to (safetensors).")] = Path(
-        "cnn.safetensors"
-    ),
-    pairs: Annotated[
-        int,
-        typer.Option(min=2, help="Number of simulated pairs of image and object to train with."),
-    ] = 2000,
-    epochs: Annotated[int, typer.Option(min=1, help="Passes over all training pairs.")] = 20,
-    waves: Annotated[
-        float, typer.Option(help="Largest rms wave aberration of the random walls, wavelengths.")
-    ] = 0.5,
-    frame: Annotated[
-        int | None,
-        typer.Option(
-            help="Side of a square in the middle of the image to train with, pixels; the object is "
-            "scaled down with it. By default the whole image."
-        ),
-    ] = None,
-    base: Annotated[
-        int, typer.Option(help="Size of the network: channels at full resolution, 8, 16 or 32.")
-    ] = 16,
-    seed: Seed = 0,
-    size: Size = None,
-    debug: Debug = False,
-) -> None:
-    """Train a network for reconstruct --method cnn, on simulated images of random scenes.
-
-    Ctrl-C ends the training, writes the best network so far and exits with code 1.
-    """
-    with errors_told(debug):
-        require("torch", "inverse")
-        require("safetensors", "inverse")
-        scene = load(scene_file, size, changes)
-        check_file(out)
-        from .. import inverse
-
-        inverse.CnnBaseline(base=base)  # checks the option before the pairs are simulated
-        with progress_bar() as progress:
-            made = inverse.training_pairs(
-                scene,
-                pairs,
-                waves=waves,
-                size=frame,
-                seed=seed,
-                progress=lambda _, done: progress("training pairs", done),
-            )
-            training = inverse.train_cnn(
-                made,
-                base=base,
-                epochs=epochs,
-                seed=seed,
-                progress=lambda told, done: progress(told.removeprefix("training: "), done),
-            )
-            training.network.save(out)
-        error = training.history["validation"].min()
-        held, epochs = max(1, round(0.1 * pairs)), len(training.history["validation"])
-        typer.echo(
-            f"{out}: mean squared error {error:.4f} on {counted(held, 'validation pair')}, "
-            f"{counted(epochs, 'epoch')}, {training.seconds:.0f} s"
-        )
-        if training.interrupted:
-            typer.echo(f"nlosoptics: interrupted; the best network so far is in {out}", err=True)
-            raise typer.Exit(FAILED)
-
-
-def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
-    """Print a reconstruction's figures as a table."""
+def _reconstruction_rows(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
     f = report["figures"]
-    table = Figures()
     told = (
         f"{f['method']}: {f['reconstruction_status']} after {counted(f['iterations'], 'iteration')}"
     )
-    table.add("reconstruction", told)
+    yield ("reconstruction", told)
     for reason in f["reconstruction_reasons"]:
-        table.add("", reason)
+        yield ("", reason)
     if f["method"] == "phase_retrieval":
-        table.add("agreement of two halves of the starts", f"{f['reconstruction_score']:.4g}")
+        yield ("agreement of two halves of the starts", f"{f['reconstruction_score']:.4g}")
     else:
-        table.add("residual", f"{f['reconstruction_score']:.4g} of the noise")
-    table.add("saturated pixels", f"{100 * f['saturated_fraction']:.2g} %")
+        yield ("residual", f"{f['reconstruction_score']:.4g} of the noise")
+    yield ("saturated pixels", f"{100 * f['saturated_fraction']:.2g} %")
     if "bad_pixels" in f["physical_parameters"]:
-        table.add(
-            "dead, hot or saturated pixels found", str(f["physical_parameters"]["bad_pixels"])
-        )
-    table.add("seconds", f"{report['seconds']['total']:.2f} s")
-    table.add("written to", str(folder))
-    table.print()
+        yield ("dead, hot or saturated pixels found", str(f["physical_parameters"]["bad_pixels"]))
+    yield ("seconds", f"{report['seconds']['total']:.2f} s")
+    yield ("written to", str(folder))

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
-from .._whole_files import write_whole
-from ..runs.record import PAGE
-from .shell import Debug, app, check_file, errors_told, progress_bar
+from .._whole_files import RECORD, sweep, write_whole
+from ..runs.record import PAGE, record_text
+from .shell import Debug, app, can_draw, check_file, errors_told, progress_bar
 
 
 @app.command("report", short_help="Write one HTML page about a result folder.")
@@ -29,34 +31,44 @@ def report_command(
 ) -> None:
     """Write one HTML page about a result folder, for screen and print.
 
-    The page contains all pictures and needs no network.
+    The page contains all pictures and needs no network. Figures of a run that the folder lacks are
+    drawn and added to it.
     """
     with errors_told(debug):
         from .. import report
 
         file = folder / PAGE if out is None else out
-        if file.suffix.lower() not in (".html", ".htm"):
-            raise typer.BadParameter(
-                f"{file} does not end in .html; give a name that does", param_hint="--out"
-            )
-        report.Folder.read(folder)  # check the input before the output path
-        check_file(file)
+        if not folder.exists():
+            sweep(folder)  # a killed command may have moved it aside
+        held = report.Folder.read(folder)  # check the input before the output path
+        check_file(file, ".html", ".htm")
         with progress_bar() as progress:
-            progress("report", 0.0)
-            text = report.page(folder, interactive=three_d)
-        page, contents = text.encode(), {}
+            lacks = held.record.command == "run" and "scene.png" not in held.record.files
+            if lacks and os.access(folder, os.W_OK) and can_draw():
+                progress("figures", 0.0)
+                _add_figures(folder)
+            progress("report", 0.5)
+            page = report.page(folder, interactive=three_d).encode()
         if file.resolve().parent == folder.resolve():
-            # first, so that a page is in the list whenever the process is killed
-            contents[folder / "result.json"] = _owning(folder, file.name)
-        write_whole(contents | {file: page})
+            _add(folder, {file.name: page})
+        else:
+            write_whole({file: page})
         typer.echo(f"{file}: {len(page) / 1e6:.2g} MB")
 
 
-def _owning(folder: Path, name: str) -> bytes:
-    """Return the folder's record with the file ``name`` added to its list of files.
+def _add_figures(folder: Path) -> None:
+    """Draw the figures of a run that ``nlosoptics run`` draws with ``--figures`` only."""
+    from ..runs.results import load_result
+    from .figures import write_figures
 
-    A later run may then replace the folder.
-    """
-    record = json.loads((folder / "result.json").read_bytes())
-    record["files"] = sorted({*record["files"], name})
-    return (json.dumps(record, indent=2, allow_nan=False) + "\n").encode()
+    result = load_result(folder)
+    with TemporaryDirectory() as new:
+        _add(folder, {file.name: file.read_bytes() for file in write_figures(result, Path(new))})
+
+
+def _add(folder: Path, contents: dict[str, bytes]) -> None:
+    """Write files to a result's folder, and to its list of files, so that it may be replaced."""
+    record = json.loads((folder / RECORD).read_bytes())
+    record["files"] = sorted({*record["files"], *contents})
+    files = {folder / name: content for name, content in contents.items()}
+    write_whole({folder / RECORD: record_text(record), **files})  # the list first

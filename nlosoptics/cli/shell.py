@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import _thread
 import errno
 import importlib.util
 import os
 import shlex
-import shutil
 import signal
 import sys
-import textwrap
-import threading
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from itertools import zip_longest
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -29,15 +23,7 @@ from ..errors import MissingExtraError, NlosError, SceneError
 if TYPE_CHECKING:
     from ..scene import Scene
 
-DONE, FAILED, BAD_INPUT = 0, 1, 2
-# copies of the values in _random and runs.plan, which would import numpy
-MOST_SEED = 2**64 - 1
-MOST_SECONDS = 900.0
-MOST_TOLD = 800  # characters of an error's line
-SOON = 0.01  # s until a lost interrupt is raised again
-
-_lost: list[threading.Timer] = []  # interrupts that Python forgot, which these raise again
-
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 # typer exports no name for UsageError: old versions use click's class, new ones a copy
 _UsageError: Any = typer.BadParameter.__base__
 
@@ -46,12 +32,14 @@ app = typer.Typer(
     help="Simulate what a camera sees of an object around a corner, by way of a visible wall, and "
     "reconstruct the object.",
     add_completion=False,
-    pretty_exceptions_enable=False,
     rich_markup_mode=None,  # plain help: rich would take longer to load than all else
 )
 
 SceneFile = Annotated[
     Path, typer.Argument(metavar="SCENE", help="Scene file (TOML): laser, wall, object and camera.")
+]
+Out = Annotated[
+    Path | None, typer.Option(help="Output folder; by default named after the input file.")
 ]
 Tol = Annotated[
     float,
@@ -82,13 +70,12 @@ Memory = Annotated[
     typer.Option(min=1e-3, help="Memory limit of the run, GiB; by default 3/4 of the free memory."),
 ]
 MaxSeconds = Annotated[
-    float,
-    typer.Option(min=1e-3, help="Refuse a run whose predicted time exceeds this, s."),
+    float, typer.Option(min=1e-3, help="Refuse a run whose predicted time exceeds this, s.")
 ]
 Seed = Annotated[
     int,
     typer.Option(
-        min=0, max=MOST_SEED, help="Seed of all random numbers; the same seed repeats the result."
+        min=0, max=2**64 - 1, help="Seed of all random numbers; the same seed repeats the result."
     ),
 ]
 
@@ -117,14 +104,12 @@ def require(package: str, extra: str) -> None:
 
 def can_draw() -> bool:
     """Return whether matplotlib is installed; if not, say that no pictures are written."""
-    found = importlib.util.find_spec("matplotlib") is not None
-    if not found:
-        typer.echo(
-            "nlosoptics: no pictures are written, because matplotlib is not installed; run pip "
-            "install 'nlosoptics[views]'",
-            err=True,
-        )
-    return found
+    try:
+        require("matplotlib", "views")
+    except MissingExtraError as error:
+        typer.echo(f"nlosoptics: no pictures are written, because {error}", err=True)
+        return False
+    return True
 
 
 @contextmanager
@@ -139,31 +124,24 @@ def errors_told(debug: bool) -> Iterator[None]:
 
 
 def tell(error: BaseException) -> int:
-    """Print an error as one line on stderr; return its exit code.
-
-    What follows an interrupt that Python forgot, for example in the compiler, is due to it.
-    """
-    code = FAILED
+    """Print an error as one line on stderr; return its exit code."""
+    code = BAD_INPUT
     if isinstance(error, typer.Exit):
         return int(error.exit_code)
-    for timer in _lost:
-        timer.cancel()
-    if _lost or isinstance(error, (KeyboardInterrupt, typer.Abort)):
-        message = "interrupted; no partial result was written"
+    if isinstance(error, (KeyboardInterrupt, typer.Abort)):
+        code, message = INTERRUPTED, "interrupted; no partial result was written"
     elif isinstance(error, _UsageError):
         message = f"{error.format_message().rstrip('.')}; nlosoptics --help shows how"
-        code = BAD_INPUT
     elif isinstance(error, NlosError):
         message = str(error)
         code = FAILED if isinstance(error, MissingExtraError) else BAD_INPUT
     elif isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
         message = f"{error.filename} is too long for a path ({error.strerror}); give another path"
-        code = BAD_INPUT
     else:
-        message = f"{type(error).__name__}: {error}; --debug shows where"
+        code, message = FAILED, f"{type(error).__name__}: {error}; --debug shows where"
     line = " ".join(message.split())
-    if len(line) > MOST_TOLD:  # keep the remedy at its end
-        line = f"{line[: MOST_TOLD // 2]} ... {line[-MOST_TOLD // 2 :]}"
+    if len(line) > 800:  # of a very long argument; the remedy at the end stays
+        line = f"{line[:400]} ... {line[-400:]}"
     typer.echo(f"nlosoptics: {line}", err=True)
     return code
 
@@ -173,10 +151,10 @@ def typed(context: typer.Context) -> str:
     return shlex.join(["nlosoptics", *(context.obj or ())])
 
 
-def numbers(option: str, text: str) -> tuple[float, ...]:
+def numbers(option: str, text: str | None) -> tuple[float, ...]:
     """Parse a comma-separated list of numbers; an empty text gives an empty tuple."""
     try:
-        return tuple(float(part) for part in text.split(",")) if text.strip() else ()
+        return tuple(float(part) for part in (text or "").split(",") if part.strip())
     except ValueError:
         raise typer.BadParameter(
             f"{text!r} is not a list of numbers; give for example '0, 0.5'", param_hint=option
@@ -206,83 +184,18 @@ def interruptible() -> Iterator[Callable[[], bool]]:
             signal.signal(kind, handler)
 
 
-@contextmanager
-def interrupts_kept() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM raise `KeyboardInterrupt`, where it would be lost a little later.
-
-    It is lost in the callback of a weak reference, where Python prints it, and in imports, since
-    libraries go on without what they could not import. In another thread, signals are not changed.
-    """
-    hook, imports = sys.unraisablehook, _imports(sys._getframe())
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        if _imports(frame) == imports:
-            raise KeyboardInterrupt
-        _later(number)
-
-    def again(lost: Any) -> None:
-        if isinstance(lost.exc_value, KeyboardInterrupt):
-            _later(signal.SIGINT)
-        else:
-            hook(lost)
-
-    before: dict[int, Any] = {}
-    with suppress(ValueError):  # not in the main thread
-        for kind in (signal.SIGINT, signal.SIGTERM):
-            if signal.getsignal(kind) not in (signal.SIG_IGN, None):
-                before[kind] = signal.signal(kind, interrupt)
-    sys.unraisablehook = again
-    try:
-        yield
-    finally:
-        sys.unraisablehook = hook
-        for timer in _lost:
-            timer.cancel()
-        _lost.clear()
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def print_table(rows: Iterable[tuple[str, str]]) -> None:
+    """Print quantities and their values."""
+    rows = [("quantity", "value"), *rows]
+    wide = max(len(quantity) for quantity, _ in rows)
+    lines = [f"  {quantity:{wide}}   {value}" for quantity, value in rows]
+    typer.echo("\n".join(["", lines[0], "-" * max(map(len, lines)), *lines[1:], ""]))
 
 
-def _imports(frame: FrameType | None) -> int:
-    """Return how many frames of a stack belong to imports."""
-    stack = traceback.walk_stack(frame)
-    return sum(one.f_code.co_filename.startswith("<frozen importlib") for one, _ in stack)
-
-
-def _later(number: int) -> None:
-    """Send a signal to the main thread soon."""
-    delay = SOON
-    while True:
-        try:
-            _lost.append(threading.Timer(delay, _thread.interrupt_main, (number,)))
-            _lost[-1].start()
-            return
-        except KeyboardInterrupt:  # of a thread that was quicker than this one
-            delay *= 2
-
-
-class Figures:
-    """Table of quantities and their values, for the terminal."""
-
-    def __init__(self) -> None:
-        self._rows = [("quantity", "value")]
-
-    def add(self, quantity: str, value: str) -> None:
-        """Append a row."""
-        self._rows.append((quantity, value))
-
-    def print(self) -> None:
-        """Print the table; values that are wider than the terminal go on in further lines."""
-        wide = max(len(quantity) for quantity, _ in self._rows)
-        columns = shutil.get_terminal_size().columns
-        room = max(columns - wide - 5, 20)
-        lines = []
-        for quantity, value in self._rows:
-            parts = textwrap.wrap(value, room, break_long_words=False, break_on_hyphens=False)
-            for name, part in zip_longest([quantity], parts, fillvalue=""):
-                lines.append(f"  {name:{wide}}   {part}".rstrip())
-        lines.insert(1, "-" * min(columns, max(map(len, lines))))
-        typer.echo("\n".join(["", *lines, ""]))
+def stage_rows(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the run time of each stage of a record."""
+    for stage, seconds in report["seconds"].items():
+        yield f"  {stage}", f"{seconds:.2f} s"
 
 
 @contextmanager
@@ -295,18 +208,19 @@ def progress_bar(width: int = 17) -> Iterator[Callable[[str, float], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn(f"{{task.description:{width}}}"), BarColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("reading", total=1.0)
         yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
 
 
-def check_file(path: Path) -> None:
-    """Raise `typer.BadParameter` if the output file could not be written."""
+def check_file(path: Path, *suffixes: str) -> None:
+    """Raise `typer.BadParameter` if the output file has another suffix or could not be written."""
     parent = Path(os.path.realpath(path_of("path", path))).parent
     for wrong, what in (
+        (
+            suffixes and path.suffix.lower() not in suffixes,
+            f"does not end in {' or '.join(suffixes)}; give a name that does",
+        ),
         (path.is_dir(), "is a folder; name a file"),
         (not parent.is_dir(), f"is in {parent}, which is no folder; create it first"),
         (not os.access(parent, os.W_OK), f"is in {parent}, which cannot be written; use another"),

@@ -10,12 +10,13 @@ import typer
 from typer.core import TyperGroup
 
 from .shell import (
-    FAILED,
+    INTERRUPTED,
     Debug,
     app,
     check_file,
     errors_told,
     interruptible,
+    numbers,
     progress_bar,
     require,
 )
@@ -102,7 +103,7 @@ def run_command(
 
     Points that are already in the store are kept. Only missing points, and values or figures of
     merit that were added to the file, are computed. Ctrl-C ends the study after the points that are
-    being computed, and exits with code 1; the same command continues.
+    being computed, and exits with code 130; the same command continues.
     """
     with errors_told(debug):
         _require_parts()
@@ -132,7 +133,7 @@ def run_command(
         typer.echo(_told(results))
         if not results.complete:
             typer.echo("nlosoptics: interrupted; the same command continues", err=True)
-            raise typer.Exit(FAILED)
+            raise typer.Exit(INTERRUPTED)
 
 
 @studies.command("status", short_help="Show the state and the results of a study.")
@@ -185,7 +186,7 @@ def plot_command(
         chosen = _default_kind(results) if kind is Kind.AUTO else kind
         if contours is not None and chosen not in (Kind.MAP, Kind.PANELS):
             raise typer.BadParameter("contours belong to a map; use --kind map or panels")
-        axes = _drawn(results, figure, chosen, boundary, _numbers(contours))
+        axes = _drawn(results, figure, chosen, boundary, list(numbers("--contours", contours)))
         views.save(axes, out)
         typer.echo(f"{out}: {figure} of {results.path}")
 
@@ -214,9 +215,7 @@ def report_command(
         from .._whole_files import write_whole
 
         file = Path(f"{store.resolve().stem}.html") if out is None else out
-        if file.suffix.lower() not in (".html", ".htm"):
-            raise typer.BadParameter(f"{file} does not end in .html; give a name that does")
-        check_file(file)
+        check_file(file, ".html", ".htm")
         with progress_bar(width=48) as progress:
             progress("report", 0.0)
             text = report.study_page(store, gallery=gallery)
@@ -259,10 +258,8 @@ def export_command(
 ) -> None:
     """Write all points to a CSV table: changed values, figures of merit, errors and status."""
     with errors_told(debug):
-        if out.suffix.lower() != ".csv":
-            raise typer.BadParameter(f"{out} does not end in .csv; give a name that does")
+        check_file(out, ".csv")
         results = _results(store)
-        check_file(out)
         from .._whole_files import write_whole
 
         table = results.dataset.to_dataframe().reset_index()
@@ -335,13 +332,3 @@ def _drawn(
         smallest = answers.smallest_is_best(results.study.figure(figure))
         return views.study_gallery(results, figure, smallest_is_best=smallest)
     return views.study_map(results, figure, boundary=boundary, contours=contours)
-
-
-def _numbers(text: str | None) -> list[float]:
-    """Return the numbers of a list with commas."""
-    try:
-        return [float(part) for part in (text or "").split(",") if part.strip()]
-    except ValueError:
-        raise typer.BadParameter(
-            f"--contours {text!r} is not a list of numbers such as 0.2,0.5,0.8"
-        ) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +16,7 @@ from ..runs.record import arrays, now, peak_memory, scene_hash, versions, write_
 from .shell import (
     Changes,
     Debug,
-    Figures,
+    Out,
     SceneFile,
     Seed,
     Size,
@@ -25,7 +26,9 @@ from .shell import (
     errors_told,
     load,
     numbers,
+    print_table,
     progress_bar,
+    stage_rows,
     typed,
 )
 
@@ -58,10 +61,7 @@ def trace_command(
     ] = None,
     max_bounces: Annotated[int, typer.Option(help="Largest number of reflections, 1 to 64.")] = 5,
     seed: Seed = 0,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Output folder; by default the name of the scene file with _trace."),
-    ] = None,
+    out: Out = None,
     size: Size = None,
     t_start: Annotated[
         float | None,
@@ -144,7 +144,7 @@ def trace_command(
         for text in image.paths.unreached:
             typer.echo(f"nlosoptics: rays find by chance only {text}", err=True)
         for name, one in images.items():
-            _print_image(one, report, folder, name[:-1])
+            print_table(_image_rows(one, report, folder, name[:-1]))
 
 
 def _colours(
@@ -234,26 +234,25 @@ def _write_image(image: TracedImage, folder: Path, drawn: bool, prefix: str) -> 
         views.save(views.path_lengths(image.histogram), folder / f"{prefix}path_lengths.png")
 
 
-def _print_image(image: TracedImage, report: dict[str, Any], folder: Path, colour: str) -> None:
-    table = Figures()
+def _image_rows(
+    image: TracedImage, report: dict[str, Any], folder: Path, colour: str
+) -> Iterator[tuple[str, str]]:
     paths = image.paths
     ny, nx = image.expected.shape
     if colour:
-        table.add("wavelength", colour)
-    table.add("image", f"{nx} x {ny} pixels of {1e6 * image.pitch:.3g} um")
-    table.add(
+        yield ("wavelength", colour)
+    yield ("image", f"{nx} x {ny} pixels of {1e6 * image.pitch:.3g} um")
+    yield (
         "electrons per pixel",
         f"{image.expected.max():.3g} at most, {image.expected.mean():.3g} on average",
     )
-    table.add("light of the object", f"{paths.flux:.4g} ± {paths.standard_error:.2g} W")
+    yield ("light of the object", f"{paths.flux:.4g} ± {paths.standard_error:.2g} W")
     for k, power in enumerate(paths.by_bounce):
         if power > 0.0:
-            table.add(f"  of {counted(k, 'reflection')}", f"{power:.4g} W")
-    table.add("stray light", f"{paths.stray:.4g} ± {paths.stray_error:.2g} W")
+            yield (f"  of {counted(k, 'reflection')}", f"{power:.4g} W")
+    yield ("stray light", f"{paths.stray:.4g} ± {paths.stray_error:.2g} W")
     if paths.uncertain:
-        table.add("errors maybe too small", ", ".join(paths.uncertain))
-    table.add("rays", f"{paths.n_rays}, ended by {paths.stopped}")
-    for stage, seconds in report["seconds"].items():
-        table.add(f"  {stage}", f"{seconds:.2f} s")
-    table.add("written to", str(folder))
-    table.print()
+        yield ("errors maybe too small", ", ".join(paths.uncertain))
+    yield ("rays", f"{paths.n_rays}, ended by {paths.stopped}")
+    yield from stage_rows(report)
+    yield ("written to", str(folder))

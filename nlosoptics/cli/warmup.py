@@ -29,10 +29,8 @@ def warmup_command(
     with errors_told(debug):
         start = time.perf_counter()
         from ..runs.warmup import warm_up
-        from . import first_run
 
         scenes = [load(path, None, None) for path in scene_files or ()]
         with progress_bar() as progress:
             warm_up(scenes, progress)
-        first_run.mark_done()
         typer.echo(f"compiled functions are ready, {time.perf_counter() - start:.1f} s")

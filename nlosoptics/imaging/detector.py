@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 
 from .._checks import positive
 from .._random import generator
-from .._special import bessel_j1
 from ..scene import Camera
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ def speckles_per_pixel(pixel: float, wavelength: float, f_number: float) -> floa
         half = np.diff(panels)[:, None] / 2
         s = panels[:-1, None] + half * (1.0 + nodes)
         v = np.pi * ratio * s
-        coherence = (2.0 * bessel_j1(v) / v) ** 2
+        coherence = (2.0 * scipy.special.j1(v) / v) ** 2
         total += float((4.0 * half * weights * coherence * _quarter_turn(s) * s).sum())
     return 1.0 / total
 

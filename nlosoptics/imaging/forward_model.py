@@ -7,10 +7,10 @@ from dataclasses import InitVar, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, one_of, positive, whole
-from .._fourier import fast_length, irfft2, rfft2
 from .._nouns import Noun
 from ..errors import SamplingError
 from ..psf import PointSpreadField
@@ -87,6 +87,7 @@ class ForwardModel(Noun):
     Examples
     --------
     >>> import numpy as np
+    import scipy  # its parts are loaded on first use
     >>> from nlosoptics.imaging import ForwardModel
     >>> model = ForwardModel(np.array([[0.25, 0.5, 0.25]]), shape=(1, 4))
     >>> model.forward(np.array([[0.0, 1.0, 2.0, 0.0]])).round(6)
@@ -134,7 +135,7 @@ class ForwardModel(Noun):
             40.0 * len(modes) * math.prod(grid),
             "bin the pixels or cut out a region",
         )
-        transfer = np.stack([rfft2(_on_grid(mode, shape, grid)) for mode in modes])
+        transfer = np.stack([scipy.fft.rfft2(_on_grid(mode, shape, grid)) for mode in modes])
         if weights is None:
             transfer = transfer[0]
         else:
@@ -169,7 +170,7 @@ class ForwardModel(Noun):
         if self.weights is None:
             return self._filter(picture, self.transfer)
         parts = zip(self.weights, self.transfer, strict=True)
-        spectrum = sum(rfft2(w * picture, self.grid) * t for w, t in parts)
+        spectrum = sum(scipy.fft.rfft2(w * picture, self.grid) * t for w, t in parts)
         return self._frame(spectrum)
 
     def adjoint(self, image: ArrayLike) -> Array:
@@ -188,7 +189,7 @@ class ForwardModel(Noun):
         picture = self._checked("image", image)
         if self.weights is None:
             return self._filter(picture, np.conj(self.transfer))
-        spectrum, total = rfft2(picture, self.grid), np.zeros(picture.shape)
+        spectrum, total = scipy.fft.rfft2(picture, self.grid), np.zeros(picture.shape)
         for w, t in zip(self.weights, self.transfer, strict=True):
             total += w * self._frame(spectrum * np.conj(t))
         return total
@@ -208,19 +209,21 @@ class ForwardModel(Noun):
         return picture
 
     def _filter(self, picture: Array, transfer: NDArray[np.complex128]) -> Array:
-        spectrum = rfft2(picture, self.grid)
+        spectrum = scipy.fft.rfft2(picture, self.grid)
         spectrum *= transfer
         return self._frame(spectrum)
 
     def _frame(self, spectrum: NDArray[np.complex128]) -> Array:
         rows, columns = self.shape
-        return np.ascontiguousarray(irfft2(spectrum, self.grid[1])[..., :rows, :columns])
+        return np.ascontiguousarray(scipy.fft.irfft2(spectrum, self.grid)[..., :rows, :columns])
 
 
 def padded_grid(kernel: tuple[int, ...], shape: tuple[int, int]) -> tuple[int, int]:
     """Return the FFT grid that holds a frame and the kernel's longer arm along each axis."""
     arms = (_longer_arm(k, n) for k, n in zip(kernel, shape, strict=True))
-    rows, columns = (fast_length(n + arm) for n, arm in zip(shape, arms, strict=True))
+    rows, columns = (
+        scipy.fft.next_fast_len(n + arm, real=True) for n, arm in zip(shape, arms, strict=True)
+    )
     return rows, columns
 
 

@@ -11,10 +11,10 @@ import math
 import time
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 
 from .._checks import in_range, seconds_limit, whole
-from .._fourier import fast_length, irfft2, rfft2
 from .._progress import Progress
 from .._random import generator
 from ..errors import SamplingError, SceneError
@@ -160,9 +160,9 @@ def autocorrelation(picture: Array, side: int) -> Array:
 
     Negative displacements are at the end of each axis, as in a discrete Fourier transform.
     """
-    grid = tuple(fast_length(n + side) for n in picture.shape)
-    spectrum = rfft2(picture, grid)
-    products = irfft2(spectrum.real**2 + spectrum.imag**2, grid[1])
+    grid = tuple(scipy.fft.next_fast_len(n + side, real=True) for n in picture.shape)
+    spectrum = scipy.fft.rfft2(picture, grid)
+    products = scipy.fft.irfft2(spectrum.real**2 + spectrum.imag**2, grid)
     lags = np.concatenate([np.arange(side), np.arange(1 - side, 0)])
     return np.ascontiguousarray(products[np.ix_(lags, lags)])
 
@@ -173,8 +173,8 @@ def blurred_power(kernels: Array, echo: Array) -> Array:
     ``echo`` is the picture's `autocorrelation`. By Parseval's theorem the sum is that of its
     products with the autocorrelation of the kernel.
     """
-    spectra = rfft2(kernels, echo.shape)
-    products = irfft2(spectra.real**2 + spectra.imag**2, echo.shape[1])
+    spectra = scipy.fft.rfft2(kernels, echo.shape)
+    products = scipy.fft.irfft2(spectra.real**2 + spectra.imag**2, echo.shape)
     return np.asarray(np.maximum((products * echo).sum(axis=(1, 2)), 0.0))
 
 

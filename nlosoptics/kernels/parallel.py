@@ -49,12 +49,7 @@ class _Loop:
 def threaded(**options: Any) -> Callable[[Callable[..., Any]], _Loop]:
     """Return a decorator that compiles a function whose ``prange`` loops run on all threads.
 
-    The iterations must be independent, and sums must not be shared between them. The result is
-    then bitwise identical for any number of threads.
-
-    Parameters
-    ----------
-    **options
-        Options of `numba.njit`.
+    The iterations must be independent, and sums must not be shared between them: the result is then
+    bitwise identical for any number of threads. Options are those of `numba.njit`.
     """
     return lambda function: _Loop(function, options)

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 
-from .._fourier import fast_length, rfft2
 from ..imaging.geometry import chief_rays, plane_coordinates
 from ..scene import PlanarObject, Scene
 from .relay import CELLS, CONTRAST
@@ -233,7 +233,7 @@ def spectra(ideal: Array, transfer: Array, pitch: float, noise: Noise) -> Pictur
     # a correlation ignores the mean, which would leak if the grid is wider than the frame
     varied = ideal - ideal.mean()
     return Picture(
-        power=_ring_average(np.abs(rfft2(varied, (rows, columns))) ** 2, frequency),
+        power=_ring_average(np.abs(scipy.fft.rfft2(varied, (rows, columns))) ** 2, frequency),
         transfer=transfer,
         frequency=frequency,
         twice=_twice(columns),
@@ -247,7 +247,7 @@ def spectra(ideal: Array, transfer: Array, pitch: float, noise: Noise) -> Pictur
 
 def padded(shape: tuple[int, ...]) -> tuple[int, int]:
     """Return a grid of at least twice the rows and columns, on which light does not wrap around."""
-    rows, columns = (fast_length(2 * n) for n in shape)
+    rows, columns = (scipy.fft.next_fast_len(2 * n, real=True) for n in shape)
     return rows, columns
 
 

@@ -9,11 +9,10 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 
 from .._checks import positive
-from .._fourier import irfft2, rfft2
-from .._freed_memory import keep_freed_memory
 from .._html import Figures, Shown
 from .._nouns import Noun
 from ..errors import SceneError
@@ -305,7 +304,6 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     if exposure is not None:
         camera = replace(scene.camera, exposure=positive("exposure", exposure, unit="s"))
         scene = replace(scene, camera=camera)
-    keep_freed_memory()
     view = _View(scene)
     modulation, strength = view.modulation(view.frequency), view.strength()
     relay, diffuse = view.relay_modulation(view.frequency), view.diffuse_strength()
@@ -391,8 +389,8 @@ class _View:
         sharp = passed
         if self.transfer is not None:
             passed, sharp = self.transfer(u, v), self.transfer.sharp(u, v)
-        spectrum = rfft2(levels.ideal, grid) * passed
-        blurred = irfft2(spectrum, grid[1])[: shape[0], : shape[1]]
+        spectrum = scipy.fft.rfft2(levels.ideal, grid) * passed
+        blurred = scipy.fft.irfft2(spectrum, grid)[: shape[0], : shape[1]]
         self.blurred = signal = np.maximum(blurred, 0.0)
         self._light = light = signal + levels.stray
         dark = levels.dark

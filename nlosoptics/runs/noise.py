@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 
-from .._smoothing import gaussian_smoothed
 from ..imaging import CameraImage, ForwardModel
 from ..imaging.images import reading_noise
 from ..inverse.data.noise import estimate_noise, surrounded
@@ -27,25 +27,12 @@ def electron_noise(scene: Scene, electrons: Array) -> Array:
 
 
 def camera_noise(scene: Scene, image: CameraImage, model: ForwardModel) -> Array | None:
-    """Estimate the noise of each pixel of a camera image, in counts; infinite if it is masked.
+    """Estimate the noise of each pixel (ny, nx) of a camera image, in counts; infinite if masked.
 
-    The image gives the mean noise, and the camera its dependence on the light. The electrons per
-    count follow from both, since they need not be known for an image file.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the camera, of which noise, full well and exposure time are used.
-    image : CameraImage
-        Image, minus its dark frame.
-    model : ForwardModel
-        Image model, for the frequencies that the optics do not pass.
-
-    Returns
-    -------
-    ndarray, (ny, nx), or None
-        Rms noise, counts, infinite at masked pixels. It is uniform if no number of electrons per
-        count explains the image's mean noise, and None if the image has no noise.
+    The image, minus its dark frame, gives the mean noise, and the camera its dependence on the
+    light. The electrons per count follow from both, since they need not be known for an image file.
+    The noise is uniform if no number of electrons per count explains the mean, and None if there is
+    none.
     """
     values = surrounded(image.values, image.masked)
     sigma = estimate_noise(values, model)
@@ -72,4 +59,4 @@ def camera_noise(scene: Scene, image: CameraImage, model: ForwardModel) -> Array
 
 
 def _local_mean(values: Array) -> Array:
-    return np.maximum(gaussian_smoothed(values, 1.5), 0.0)
+    return np.maximum(scipy.ndimage.gaussian_filter(values, 1.5), 0.0)

@@ -17,9 +17,6 @@ from ..scene import PlanarObject, Scene
 from .stages import FIELD, MEAN, MOST_NODES, Look, Stage, field_stage, skipped, spread_cost
 
 CHECKS = 6  # object points at which a field of patterns is compared with patterns computed there
-# Shift of a speckle pattern, in pupil diameters, at which the correlation of its intensity is one
-# half, and the largest one between the points of a field of patterns.
-HALF_CORRELATED, STEP = 0.231, 0.12
 
 
 def own_pattern(scene: Scene) -> bool:
@@ -43,26 +40,12 @@ def mean_optics(optics: SceneOptics) -> SceneOptics:
 
 @dataclass(frozen=True)
 class Pattern:
-    """Change of a rough wall's speckle pattern over the picture.
+    """Change of a rough wall's speckle pattern over the picture."""
 
-    Parameters
-    ----------
-    nodes : int
-        Object points along each side of the picture at which the pattern is computed; 0 if they
-        would be too many.
-    needed : int
-        Points that would resolve its change.
-    reach : float
-        Distance on the object at which the pattern's correlation has fallen to one half, m.
-    error : float
-        Expected difference between the image by the mean and that of this wall, relative to the
-        image.
-    """
-
-    nodes: int
-    needed: int
-    reach: float
-    error: float
+    nodes: int  # object points along each side at which it is computed; 0 if too many
+    needed: int  # points that would resolve its change
+    reach: float  # distance on the object at which its correlation has fallen to one half, m
+    error: float  # expected difference of the images by the mean and by this wall, relative
 
     @classmethod
     def at(cls, look: Look, tol: float, seconds: float) -> Pattern:
@@ -79,8 +62,10 @@ class Pattern:
         far = [float(np.linalg.norm(one.object_point - seen.object_point)) for one in look.others]
         relative = max(shifts) / (2 * wave.pupil_radius)
         rate = max(s / d for s, d in zip(shifts, far, strict=True)) / (2 * wave.pupil_radius)
-        reach = HALF_CORRELATED / rate
-        needed = max(1, math.ceil(math.pi * relative / STEP))
+        # shifted by this part of the pupil's diameter, intensities have the correlation 1/2
+        reach = 0.231 / rate
+        # a shift of at most 0.12 pupil diameters between two points
+        needed = max(1, math.ceil(math.pi * relative / 0.12))
         one = spread_cost(scene, look, look.field_side, tol / 2)
         fits = needed <= MOST_NODES and (needed**2 + CHECKS) * one.seconds <= seconds / 2
         return cls(needed if fits else 0, needed, reach, _mean_error(seen, hidden))

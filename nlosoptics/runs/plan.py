@@ -6,16 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from .._checks import (
-    SHARE,
-    Budget,
-    available_memory,
-    fits_memory,
-    in_range,
-    positive,
-    within,
-)
-from .._freed_memory import keep_freed_memory
+from .._checks import SHARE, Budget, available_memory, fits_memory, in_range, positive, within
 from .._html import Column, table
 from ..errors import SamplingError, SceneError
 from ..imaging.radiometry import laser_spot
@@ -43,7 +34,6 @@ from .stages import (
 __all__ = ["FIELD", "Plan", "Stage", "looked_at", "plan"]
 
 MOST_SECONDS = 900.0  # default of max_seconds, s
-LARGEST_TOL = 0.1
 HELD = 6e7  # bytes of the modules that a run imports
 PIXELS = "read fewer pixels or bin more (camera.pixels, camera.binning)"
 LARGER = "use a larger tol, wider pixels or a smaller stop"
@@ -108,7 +98,7 @@ class Plan:
 
     @property
     def seconds(self) -> float:
-        """Predicted run time on one core without compilation, s."""
+        """Predicted run time on one core of a machine of 2024, without compilation, s."""
         return sum(stage.seconds for stage in self.stages)
 
     def runs(self, name: str) -> bool:
@@ -122,13 +112,8 @@ class Plan:
             rows.append((s.name, "runs", f"{s.seconds:.2f}", s.error, s.reason))
         for s in self.skipped:
             rows.append((s.name, "skipped", "", "", s.reason))
-        widths = [max(len(row[i]) for row in rows) for i in range(4)]
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=False))
-            + "  "
-            + row[4]
-            for row in rows
-        ]
+        widths = [*(max(len(row[i]) for row in rows) for i in range(4)), 0]
+        lines = ("  ".join(map(str.ljust, row, widths)) for row in rows)
         return "\n".join(line.rstrip() for line in lines)
 
     def _repr_html_(self) -> str:
@@ -218,10 +203,9 @@ def looked_at(
     max_seconds: float,
 ) -> tuple[Plan, SceneOptics]:
     """Return the result of `plan` together with the waves it computed, for reuse by the run."""
-    keep_freed_memory()
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
-    in_range("tol", tol, 1e-12, LARGEST_TOL)
+    in_range("tol", tol, 1e-12, 0.1)
     memory = SHARE * available_memory() if memory is None else positive("memory", memory, unit="B")
     budget = Budget(memory, positive("max_seconds", max_seconds, unit="s"))
     with within(budget):

@@ -21,11 +21,16 @@ PAGE = "report.html"
 DECIDING = ("numpy", "scipy", "numba", "ducc0", "torch", "trimesh", "pillow")
 
 
-def write_record(record: dict[str, Any], folder: Path) -> None:
-    """Write ``result.json``, which also lists every file of its folder."""
-    files = sorted([*(path.name for path in folder.iterdir()), RECORD])
-    text = json.dumps(record | {"files": files}, indent=2, allow_nan=False)
-    (folder / RECORD).write_text(text + "\n")
+def write_record(record: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Write ``result.json``, which also lists every file of its folder; return its contents."""
+    record = record | {"files": sorted({*(path.name for path in folder.iterdir()), RECORD})}
+    (folder / RECORD).write_bytes(record_text(record))
+    return record
+
+
+def record_text(record: dict[str, Any]) -> bytes:
+    """Return the text of ``result.json``."""
+    return (json.dumps(record, indent=2, allow_nan=False) + "\n").encode()
 
 
 def arrays(noun: Any) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -50,26 +51,12 @@ KNOWN: Final[Mapping[str, type]] = {
 def written(nouns: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Write the arrays of several objects, and return all other values as a tree for JSON.
 
-    Parameters
-    ----------
-    nouns : mapping of str to object
-        Objects by name: dataclasses, mappings, arrays, numbers, text and None, nested freely.
-    folder : Path
-        Folder that receives one file ``<name>.npz`` for each object with arrays. The entries are
-        named after the fields; names of nested fields are joined by ``_``.
-
-    Returns
-    -------
-    dict of str to object
-        None, booleans, integers, text and finite floats are plain JSON values; floats are restored
-        exactly. Every other value is an object with a single key: ``float`` ("nan", "inf",
-        "-inf"), ``scalar`` for numpy ([dtype, value]), ``array`` ([file, entry]), ``tuple`` and
-        ``list`` (items), ``mapping`` (pairs) and ``noun`` ([class, fields]).
-
-    Raises
-    ------
-    SceneError
-        If a value has none of these forms, for example a tensor.
+    The objects are dataclasses, mappings, arrays, numbers, text and None, nested freely. Each one
+    with arrays gets a file ``<name>.npz``, whose entries have the names of the fields; those of
+    nested fields are joined by ``_``. None, booleans, integers, text and finite floats are plain
+    JSON values. Every other value is an object with a single key: ``float`` ("nan", "inf", "-inf"),
+    ``scalar`` for numpy ([dtype, value]), ``array`` ([file, entry]), ``tuple`` and ``list``
+    (items), ``mapping`` (pairs) and ``noun`` ([class, fields]).
     """
     tree: dict[str, Any] = {}
     for name, noun in nouns.items():
@@ -112,16 +99,30 @@ def _node(value: Any, place: tuple[str, ...], held: dict[str, NDArray[Any]]) -> 
 
 
 def read(tree: Any, folder: Path) -> dict[str, Any]:
-    """Restore the objects of a tree from `written` by their constructors, which check the values.
+    """Restore the objects of a tree by their constructors, which check the values."""
+    files: dict[str, Mapping[str, NDArray[Any]]] = {}
 
-    Raises
-    ------
-    SceneError
-        If a file is missing or damaged, or the tree is not one from `written`.
-    """
-    opened: dict[str, Mapping[str, NDArray[Any]]] = {}
+    def restored(node: dict[str, Any]) -> Any:
+        ((kind, content),) = node.items() if len(node) == 1 else ((None, None),)
+        if kind == "float":
+            return {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}[content]
+        if kind == "scalar":
+            return np.dtype(content[0]).type(content[1])
+        if kind == "array":
+            file, entry = content
+            if file not in files:
+                files[file] = _entries(folder, str(file))
+            array = files[file][entry]
+            array.flags.writeable = False
+            return array
+        if kind in ("tuple", "list"):
+            return tuple(content) if kind == "tuple" else content
+        if kind == "mapping":
+            return dict(content)
+        return KNOWN[content[0]](**content[1]) if kind == "noun" else node
+
     try:
-        return {str(name): _value(node, folder, opened) for name, node in tree.items()}
+        return dict(json.loads(json.dumps(tree), object_hook=restored))
     except (NlosError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         if isinstance(error, _Damaged):
             raise SceneError(str(error)) from None
@@ -132,33 +133,6 @@ def read(tree: Any, folder: Path) -> dict[str, Any]:
 
 class _Damaged(SceneError):
     """An array file is missing or cannot be read."""
-
-
-def _value(node: Any, folder: Path, opened: dict[str, Mapping[str, NDArray[Any]]]) -> Any:
-    if not isinstance(node, dict):
-        return node
-    ((kind, held),) = node.items()
-    if kind == "float":
-        return {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}[held]
-    if kind == "scalar":
-        return np.dtype(held[0]).type(_value(held[1], folder, opened))
-    if kind == "array":
-        file, entry = held
-        if file not in opened:
-            opened[file] = _entries(folder, str(file))
-        array = opened[file][entry]
-        array.flags.writeable = False
-        return array
-    if kind in ("tuple", "list"):
-        items = [_value(item, folder, opened) for item in held]
-        return tuple(items) if kind == "tuple" else items
-    if kind == "mapping":
-        return {key: _value(item, folder, opened) for key, item in held}
-    if kind != "noun":
-        raise KeyError(kind)
-    name, parts = held
-    values = {key: _value(item, folder, opened) for key, item in parts.items()}
-    return KNOWN[name](**values)
 
 
 def _entries(folder: Path, name: str) -> Mapping[str, NDArray[Any]]:

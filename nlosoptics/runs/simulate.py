@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -27,16 +26,13 @@ from .veil import fitted_veil
 if TYPE_CHECKING:
     from ..imaging import ForwardModel, Shadows, SpeckleImage
     from ..inverse import Reconstruction
-    from ..psf import PointSpread, PointSpreadField, SceneOptics, ScenePointSpread
+    from ..psf import PointSpread, PointSpreadField, SceneOptics
 
 Array = NDArray[np.float64]
 
-#: Energy of a point spread that may lie outside its window, relative to the tolerance.
-OUTSIDE: Final = 0.25
+OUTSIDE: Final = 0.25  # energy of a point spread outside its window, relative to the tolerance
 #: Deviation of the point spreads from their mean up to which a reconstruction uses the mean.
 MOST_DEVIATION: Final = 0.05
-#: Rms of the point spreads' modes that a reconstruction omits, relative to that of all.
-OMITTED: Final = 0.005
 
 
 def simulate(
@@ -55,20 +51,12 @@ def simulate(
 
     Parameters
     ----------
-    scene : Scene
-        Scene to simulate.
-    tol : float, default 1e-3
-        Error tolerance of the point spread functions (PSFs), max |dI|/max I, with I the intensity,
-        1e-12 to 0.1. If the PSF varies over the object, ``tol`` also limits the error of the image
-        (rms error over rms value).
+    scene, tol, memory, max_seconds
+        Scene, tolerance and limits, as for `plan`.
     seed : int, default 0
         Seed of the random numbers, 0 to 2^64 - 1. The same seed gives the same results bit for bit.
     reconstruct : bool, default False
         Whether to reconstruct the object from the image as well, with known PSF.
-    memory : float, optional
-        Limit for the memory of the whole run, bytes; by default three quarters of the free memory.
-    max_seconds : float, default 900
-        Limit for the predicted run time on one core, s. A longer run is refused.
     progress : callable(str, float), optional
         Function that is called with the name of the current stage and the completed fraction of the
         run, 0 to 1.
@@ -106,35 +94,13 @@ def carried_out(
     optics: SceneOptics,
     seed: int,
     progress: Progress | None = None,
-    found: Callable[[ScenePointSpread | Result], None] = lambda _: None,
 ) -> Result:
-    """Run a plan within its budget and reuse the waves computed for it.
-
-    Parameters
-    ----------
-    todo : Plan
-        Plan of the scene.
-    optics : SceneOptics
-        Waves computed during planning, from `looked_at`.
-    seed : int
-        Seed of the random numbers, already checked.
-    progress : callable(str, float), optional
-        Called with the name of the stage that begins and the completed fraction, 0 to 1.
-    found : callable
-        Called with the point spread and its wave once they are known, and with the result without
-        reconstruction and timings once the image is formed.
-    """
+    """Run a plan within its budget; ``optics`` are the waves computed for it by `looked_at`."""
     with within(todo.budget):
-        return _stages(todo, optics, seed, progress, found)
+        return _stages(todo, optics, seed, progress)
 
 
-def _stages(
-    todo: Plan,
-    optics: SceneOptics,
-    seed: int,
-    progress: Progress | None,
-    found: Callable[[ScenePointSpread | Result], None],
-) -> Result:
+def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | None) -> Result:
     """Run the stages of a plan in order."""
     scene, tol = optics.scene, todo.tol
     if not todo.runs("wave aberration"):
@@ -161,12 +127,10 @@ def _stages(
         scene.wall.fit_residual  # noqa: B018  (fits and caches the surface)
     begin("exit pupil")
     formed = psf.scene_point_spread(optics, tol, progress=begin)
-    found(formed)
     spread = formed.point_spread
     errors = {"point spread": spread.error_estimate}
-    spreads, found_errors = image_spreads(todo, optics, spread, seed, begin, tell)
-    errors |= found_errors
-    field = spreads if isinstance(spreads, psf.PointSpreadField) else None
+    spreads, field_errors = image_spreads(todo, optics, spread, seed, begin, tell)
+    errors |= field_errors
     shadows = None
     if todo.runs("shadow rays"):
         begin("shadow rays")
@@ -174,21 +138,6 @@ def _stages(
     begin("image")
     wide = psf.widened(spreads, tol=tol * OUTSIDE, shape=scene.camera.shape)
     image = imaging.form_image(scene, wide, seed=seed, shadows=shadows)
-    result = Result(
-        scene=scene,
-        plan=todo,
-        exit_pupil=formed.exit_pupil,
-        wavefront=formed.wavefront,
-        point_spread=spread,
-        field=field,
-        pupil_field=formed.pupil_field,
-        image=image,
-        reconstruction=None,
-        errors=errors,
-        timings={},
-        seed=seed,
-    )
-    found(result)
     reconstruction = None
     if todo.runs("reconstruction"):
         begin("reconstruction")
@@ -197,7 +146,20 @@ def _stages(
     if progress is not None:
         progress("done", 1.0)
     timings = {name: end - begun[name] for name, end in zip(begun, ends, strict=True)}
-    return replace(result, reconstruction=reconstruction, timings=timings)
+    return Result(
+        scene=scene,
+        plan=todo,
+        exit_pupil=formed.exit_pupil,
+        wavefront=formed.wavefront,
+        point_spread=spread,
+        field=spreads if isinstance(spreads, psf.PointSpreadField) else None,
+        pupil_field=formed.pupil_field,
+        image=image,
+        reconstruction=reconstruction,
+        errors=errors,
+        timings=timings,
+        seed=seed,
+    )
 
 
 def image_spreads(
@@ -210,32 +172,13 @@ def image_spreads(
     *,
     anywhere: bool = False,
 ) -> tuple[PointSpreadField | PointSpread, dict[str, float]]:
-    """Compute the point spreads with which a plan forms the image.
+    """Compute the point spreads with which a plan forms the image, and their estimated errors.
 
-    Parameters
-    ----------
-    todo : Plan
-        Plan of the scene.
-    optics : SceneOptics
-        Optics of the scene.
-    spread : PointSpread, optional
-        Point spread at the object's reference point, computed if needed.
-    seed : int
-        Seed of the object points at which a field of patterns is checked.
-    begin : callable(str)
-        Called at the start of each stage.
-    tell : callable(str, float)
-        Called with a stage's name and its completed fraction.
-    anywhere : bool
-        Whether the object may differ from the scene's picture, see `imaging.image_field`.
-
-    Returns
-    -------
-    spreads : PointSpreadField or PointSpread
-        Field over the object, or a single point spread that suffices: ``spread``, or the mean over
-        all walls of a roughness.
-    errors : dict of str to float
-        Estimated error of the field.
+    The result is a field over the object, or a single point spread that suffices: ``spread`` at the
+    reference point, which is computed if needed, or the mean over all walls of a roughness.
+    ``begin`` is called at the start of each stage, and ``tell`` with its name and completed
+    fraction. If ``anywhere``, the object may differ from the scene's picture, see
+    `imaging.image_field`.
     """
     from .. import imaging, psf
 
@@ -274,16 +217,9 @@ def image_model(
 ) -> ForwardModel:
     """Return the image model for a reconstruction with known wall and pose of the object.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene whose camera took the image.
-    spreads : PointSpreadField or PointSpread
-        Point spreads over the object, from `image_spreads`.
-    mean : bool
-        Whether to average them over the object in any case. Otherwise the mean is used if their
-        deviation from it is at most `MOST_DEVIATION`; else the modes that make up less than
-        `OMITTED` of them are left out. Both make a fit several times faster.
+    The point spreads of `image_spreads` are averaged over the object if ``mean``, or if their
+    deviation from the mean is at most `MOST_DEVIATION`; else the modes that make up less than 0.5 %
+    of them (rms) are left out. Both make a fit several times faster.
     """
     from ..imaging import ForwardModel
     from ..imaging.geometry import chief_rays, picture_positions, pixel_centres
@@ -296,8 +232,7 @@ def image_model(
     if mean or not isinstance(hidden, PlanarObject) or spreads.deviation() <= MOST_DEVIATION:
         return ForwardModel(spreads.mean(), shape=shape)
     rays = chief_rays(scene, *pixel_centres(scene.camera))
-    fewer = spreads.compressed(OMITTED)
-    return ForwardModel(fewer, shape=shape, at=picture_positions(hidden, rays))
+    return ForwardModel(spreads.compressed(0.005), shape=shape, at=picture_positions(hidden, rays))
 
 
 def _reconstruct(

@@ -8,10 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import _cost_model
-from .._checks import (
-    counted,
-)
+from .._checks import counted
 from ..errors import SamplingError
 from ..imaging.image_fields import (
     CHECKED,
@@ -40,64 +37,30 @@ from .refusals import check_cones
 
 FIELD = "field of point spreads"  # name of the stage
 MEAN = "mean point spread"  # name of the stage
-FIELD_COST = 2.5  # seconds of a reconstruction with a field of point spreads over those with one
 MOST_NODES = 27  # most nodes along each side of a field of point spreads
-DIFFUSE_BYTES = 6e7  # bytes for the diffuse transport from one block of patches to the wall
-AIMING = {"flat": 2e-6, "": 7e-6, "callable": 2e-5}  # s per pupil node, by kind of wall
-GRID_SECONDS = 0.9  # s for a wave and its point spread where the wall's edge cuts the cone
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """One step of a plan.
+    """One step of a plan."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the stage, for example ``"point spread"``.
-    runs : bool
-        Whether `simulate` carries it out.
-    reason : str
-        Why it runs or is skipped.
-    seconds : float
-        Predicted run time on one core, s, without compilation; 0 if skipped.
-    error : str
-        Predicted error and the quantity that it refers to.
-    memory : float
-        Predicted peak of the memory that the stage itself allocates, bytes.
-    """
-
-    name: str
-    runs: bool
-    reason: str
-    seconds: float = 0.0
-    error: str = ""
-    memory: float = 0.0
+    name: str  # such as "point spread"
+    runs: bool  # whether `simulate` carries it out
+    reason: str  # why it runs or is skipped
+    seconds: float = 0.0  # predicted, on one core of a machine of 2024, without compilation, s
+    error: str = ""  # predicted error and the quantity that it refers to
+    memory: float = 0.0  # predicted peak that the stage itself allocates, bytes
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Waves at a few object points and the window sizes of their point spreads.
+    """Waves at a few object points and the window sizes of their point spreads."""
 
-    Parameters
-    ----------
-    seen : PointOptics
-        Wave and geometry at the object's reference point.
-    others : tuple of PointOptics
-        Waves and geometry at the picture's corners and edge centres; empty if no field of point
-        spreads can be needed.
-    side, field_side : int
-        Side of the point spread's window at the centre, and of the largest window over the whole
-        picture, pixels.
-    samples : tuple of int
-        Cells across the pupil grids that are tried in turn; empty for polar nodes.
-    """
-
-    seen: PointOptics
-    others: tuple[PointOptics, ...]
-    side: int
-    field_side: int
-    samples: tuple[int, ...]
+    seen: PointOptics  # at the object's reference point
+    others: tuple[PointOptics, ...]  # at the picture's corners and edges; empty if never needed
+    side: int  # of the point spread's window at the centre, pixels
+    field_side: int  # of the largest window over the whole picture, pixels
+    samples: tuple[int, ...]  # cells across the pupil grids tried in turn; empty for polar nodes
 
     @classmethod
     def at(cls, optics: SceneOptics, tol: float) -> Look:
@@ -199,16 +162,14 @@ def wave_stages(scene: Scene, pupil: ExitPupil, look: Look, waves: float) -> Ite
 
 def _aiming_seconds(scene: Scene, nodes: float) -> float:
     """Predicted seconds of aiming a wave at ``nodes`` pupil nodes."""
-    kind = "flat" if scene.wall.is_flat else "" if scene.wall.is_compiled else "callable"
-    return _cost_model.seconds(calls=2e-3, arrays=AIMING[kind] * nodes)
+    return 2e-3 + nodes * (2e-6 if scene.wall.is_flat else 7e-6 if scene.wall.is_compiled else 2e-5)
 
 
 def spread_cost(scene: Scene, look: Look, side: int, tol: float) -> Cost:
     """Predicted cost of one point spread, including the coarser grids that are tried first."""
     pitch, shape = scene.camera.image_pitch, (side, side)
     found = [point_cost(look.seen, pitch, shape, tol, cells=n) for n in look.samples or (0,)]
-    seconds = _cost_model.seconds(transforms=sum(c.seconds for c in found))
-    return Cost(seconds, found[-1].n_bytes)
+    return Cost(sum(c.seconds for c in found), found[-1].n_bytes)
 
 
 def model_error(scene: Scene, look: Look) -> float:
@@ -279,7 +240,7 @@ def field_stage(scene: Scene, pupil: ExitPupil, look: Look, tol: float) -> Stage
     counts = ends[-1]
     check_cones(scene, counts)
     one = spread_cost(scene, look, look.field_side, tol / 2)
-    each = one.seconds + look.cut * _cost_model.seconds(transforms=GRID_SECONDS)
+    each = one.seconds + 0.9 * look.cut  # s of a wave on a grid and its point spread
     aimed = _aiming_seconds(scene, look.seen.first.wave.u.size)
     held = 40.0 * counts[-1] ** 2 * look.field_side**2
     compared = 80.0 * picture_frame(scene).size  # for the picture's autocorrelation
@@ -319,7 +280,7 @@ def shadow_stage(scene: Scene) -> Stage:
         name="shadow rays",
         runs=True,
         reason=reason,
-        seconds=_cost_model.seconds(arrays=0.5 + 1e-5 * nx * ny),
+        seconds=0.5 + 1e-5 * nx * ny,
         error="some hundredths at shadow edges",
         memory=SHADOW_BYTES * nx * ny,
     )
@@ -341,7 +302,8 @@ def image_stage(scene: Scene) -> Stage:
         reason=reason,
         seconds=_image_seconds(scene),
         error="1e-3 of the background",
-        memory=IMAGE_BYTES * nx * ny + DIFFUSE_BYTES,
+        memory=IMAGE_BYTES * nx * ny
+        + 6e7,  # the latter for diffuse transport from a block of patches,
     )
 
 
@@ -350,17 +312,12 @@ def _image_seconds(scene: Scene) -> float:
     pixels = float(math.prod(scene.camera.shape))
     pairs, groups = background_work(scene, object_patches(scene.hidden))
     if scene.wall.is_flat:
-        return _cost_model.seconds(calls=0.018, arrays=4e-7 * pairs + 1.2e-6 * pixels)
-    arrays = 2.2e-7 * pairs + 4.2e-7 * groups * pixels + 1.6e-6 * pixels
-    return _cost_model.seconds(calls=0.02 + 5e-4 * groups, arrays=arrays)
+        return 0.018 + 4e-7 * pairs + 1.2e-6 * pixels
+    return 0.02 + 5e-4 * groups + 2.2e-7 * pairs + 4.2e-7 * groups * pixels + 1.6e-6 * pixels
 
 
 def reconstruction_stage(scene: Scene, wanted: bool, nodes: int = 0) -> Stage:
-    """Return the stage of the reconstruction.
-
-    ``wanted`` says whether it was requested, and ``nodes`` along how many nodes of the object
-    patterns are computed; 0 for a smooth wall.
-    """
+    """Return the stage of the reconstruction, with ``nodes`` of patterns along the object."""
     if not wanted:
         return skipped("reconstruction", "not requested")
     if scene.wall_material.specular_reflectance == 0:
@@ -371,9 +328,7 @@ def reconstruction_stage(scene: Scene, wanted: bool, nodes: int = 0) -> Stage:
         runs=True,
         reason="total-variation deconvolution with known pose and point spread",
         # with a field of point spreads 1.3 to 2.5 times as long
-        seconds=_cost_model.seconds(
-            transforms=(1.3 + 6e-6 * nx * ny) * (FIELD_COST if nodes > 1 else 1.0)
-        ),
+        seconds=(1.3 + 6e-6 * nx * ny) * (2.5 if nodes > 1 else 1.0),
         memory=2000.0 * nx * ny,
         error="status and score are reported",
     )

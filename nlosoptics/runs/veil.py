@@ -20,23 +20,12 @@ from ..imaging.images import mirror_image
 from ..imaging.radiometry import has_highlight, laser_spot, spot_irradiance
 from ..inverse.data.measurement import Measurement
 from ..inverse.data.noisy_image import noisy_image
-from ..inverse.data.signs import block_means
 from ..inverse.known.total_variation import sharpest
 from ..scene import PlanarObject, Scene
 
 Array = NDArray[np.float64]
 
 CELLS = 8  # cells of the object along each side, for its veil
-#: Largest number of pixels along a side of the binned image in which the object is found, and of
-#: the image in which its veil is computed.
-FITTED, COARSE = 64, 32
-FINER = 9  # parts of a cell along each side, of which the middle one shines
-#: Assumed error of the veil of a white object, relative to the veil; measured up to 0.17.
-ERROR = 0.1
-#: Veil errors, in standard errors of the noise of a shape, that a fit tolerates.
-TOLERATED = 3.0
-ROUNDS = 6  # largest number of reconstructions
-ITERATIONS, TOLERANCE = 100, 2e-3  # of each: the veil needs only coarse detail
 
 
 def veil_shape(scene: Scene, shadows: Shadows | None = None) -> Array:
@@ -67,37 +56,18 @@ def fitted_veil(
     background: float = 0.0,
     shadows: Shadows | None = None,
 ) -> Array | None:
-    """Return the shape of the wall's diffuse light, from the object that the image shows.
+    """Return the shape (ny, nx) of the wall's diffuse light, from the object that the image shows.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene in which the image was taken.
-    image : ndarray, (ny, nx)
-        Camera image, in any unit.
-    model : ForwardModel
-        Image model of the scene.
-    noise_sigma : ndarray, (ny, nx), or None
-        Rms noise of each pixel, in the image's unit, infinite at masked pixels. None: no noise.
-    background : float
-        Known background, in the image's unit.
-    shadows : Shadows, optional
-        Result of `imaging.cast_shadows` for this scene. None: computed if there are occluders.
+    The shape has mean 1; it is None if the wall has no diffuse lobe. ``noise_sigma`` is the rms
+    noise of each pixel in the image's unit, infinite at masked pixels, or None; ``background`` is
+    known, and ``shadows`` are those of `imaging.cast_shadows`, computed if omitted.
 
-    Returns
-    -------
-    ndarray, (ny, nx), or None
-        Shape with mean 1; None if the wall has no diffuse lobe.
-
-    Notes
-    -----
     The first reconstruction assumes the veil of a white object. As long as the shape of the veil is
     uncertain, its error is added to the noise; the next error is half of the last change. Parts of
     the object that the image does not show are given the mean reflectance of the others. The veil
-    of a mesh is known, since all of it has one reflectance.
-
-    The reconstructions are of the binned image, by the mean of the point spreads. Only the ratio of
-    the veil to that of a white object changes; it is smooth, and computed in fewer pixels.
+    of a mesh is known, since all of it has one reflectance. The reconstructions are of the binned
+    image, by the mean of the point spreads. Only the ratio of the veil to that of a white object
+    changes; it is smooth, and computed in fewer pixels.
     """
     white = veil_shape(scene, shadows)
     if not white.any():
@@ -107,21 +77,23 @@ def fitted_veil(
         return shape
     valid = np.isfinite(noise_sigma)
     light = max(float((image - background)[valid].mean()), 0.0)
-    if _standard_errors(ERROR * light * shape, noise_sigma) < TOLERATED:
+    assumed = 0.1  # error of the veil of a white object, relative to it; measured up to 0.17
+    tolerated = 3.0  # standard errors of the noise of a shape
+    if _standard_errors(assumed * light * shape, noise_sigma) < tolerated:
         return shape
-    side = _binning(image.shape, FITTED)
+    side = _binning(image.shape, 64)  # of the image in which the object is found
     binned = _Binned(valid, side)
-    fewer = _binning(binned.shape, COARSE)
+    fewer = _binning(binned.shape, 32)  # of that in which its veil is computed
     cells = _Cells(_resized(scene, side), scene.hidden)
     coarse = _resized(scene, side * fewer)
     coarse_shadows = cast_shadows(coarse) if scene.occluders else None
     first = veil_shape(coarse, coarse_shadows)
     seen, noise, mine = binned.mean(image), binned.noise(noise_sigma), binned.mean(shape)
     blur = ForwardModel(_binned_kernel(model, side), shape=binned.shape)
-    ratio, error = np.ones_like(seen), ERROR * light * mine
+    ratio, error = np.ones_like(seen), assumed * light * mine
     found = first
-    for _ in range(ROUNDS):
-        if _standard_errors(error, noise) < TOLERATED:
+    for _ in range(6):
+        if _standard_errors(error, noise) < tolerated:
             break
         given = Measurement(
             seen,
@@ -130,7 +102,7 @@ def fitted_veil(
             background_shape=mine * ratio,
         )
         data = noisy_image(given, blur)
-        object_, strength, _ = sharpest(data, blur, (ITERATIONS, TOLERANCE))
+        object_, strength, _ = sharpest(data, blur, (100, 2e-3))  # coarse detail is enough
         picture = cells.picture(np.asarray(object_))
         if not picture.any():
             break
@@ -150,11 +122,11 @@ def _points(scene: Scene, hidden: PlanarObject, picture: Array) -> Array:
     It is the middle one, or the one at the centre of the light if there is a highlight, and as
     bright as all together. The wall's light changes by the order of (side/distance)^2 of a pixel.
     """
-    rows, columns = picture.shape
-    parts = np.ones((rows, FINER, columns, FINER))
+    (rows, columns), finer = picture.shape, 9
+    parts = np.ones((rows, finer, columns, finer))
     if has_highlight(scene):
         down, across = (
-            (np.arange(n * FINER) + 0.5) * (texels / (n * FINER))
+            (np.arange(n * finer) + 0.5) * (texels / (n * finer))
             for n, texels in zip(picture.shape, hidden.reflectance.shape, strict=True)
         )
         column, row = np.meshgrid(across, down)
@@ -162,13 +134,13 @@ def _points(scene: Scene, hidden: PlanarObject, picture: Array) -> Array:
         irradiance, _ = spot_irradiance(scene, laser_spot(scene), places, hidden.axes[2])
         parts = irradiance.reshape(parts.shape)
     light = np.maximum(parts.sum(axis=(1, 3)), 1e-300)
-    step = np.arange(FINER)
+    step = np.arange(finer)
     y = np.rint(np.einsum("iyjx,y->ij", parts, step) / light).astype(np.intp)
     x = np.rint(np.einsum("iyjx,x->ij", parts, step) / light).astype(np.intp)
     i, j = np.indices(picture.shape)
-    bright = picture * (light / FINER**2) / np.maximum(parts[i, y, j, x], 1e-300)
-    points = np.zeros((rows * FINER, columns * FINER))
-    points[i * FINER + y, j * FINER + x] = bright / max(float(bright.max()), 1.0)
+    bright = picture * (light / finer**2) / np.maximum(parts[i, y, j, x], 1e-300)
+    points = np.zeros((rows * finer, columns * finer))
+    points[i * finer + y, j * finer + x] = bright / max(float(bright.max()), 1.0)
     return points
 
 
@@ -242,7 +214,10 @@ class _Binned:
         return np.where(self._count > 0.0, np.sqrt(variance) / np.maximum(self._count, 1.0), np.inf)
 
     def _sums(self, values: NDArray[Any]) -> Array:
-        return block_means(values, self._side) * self._side**2
+        side = self._side
+        rows, columns = (length // side for length in values.shape)
+        whole = values[: rows * side, : columns * side]
+        return np.asarray(whole.reshape(rows, side, columns, side).sum(axis=(1, 3)), dtype=float)
 
 
 class _Cells:

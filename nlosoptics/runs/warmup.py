@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,30 +22,18 @@ from ..scene import (
     Scene,
     SpecularMicrofacet,
     SumMaterial,
-    Wall,
     WallRoughness,
     WavyWall,
 )
-from .plan import MOST_SECONDS, looked_at
-from .simulate import carried_out
-
-TOL = 1e-3  # default of the command line
-RAYS = 64  # rays of the paths in a report
+from .simulate import simulate
 
 
 def warm_up(scenes: Sequence[Scene] = (), progress: Progress | None = None) -> None:
     """Compile the kernels that runs and reports of some scenes use, so that they are only loaded.
 
-    numba keeps them in its cache, which ``NUMBA_CACHE_DIR`` can move.
-
-    Parameters
-    ----------
-    scenes : sequence of Scene
-        Scenes to simulate with reconstruction, and to trace as reports do. By default a letter seen
-        by walls of all kinds that have kernels of their own: flat, wavy, curved and behind an
-        occluder, a mesh, and rough.
-    progress : callable(str, float), optional
-        Called with the number of the scene and the completed fraction.
+    numba keeps them in its cache, which ``NUMBA_CACHE_DIR`` can move. By default the scenes show a
+    letter by walls of all kinds that have kernels of their own: flat, wavy, curved and behind an
+    occluder, a mesh, and rough. ``progress`` is called with the scene and the completed fraction.
     """
     from .. import raytrace
 
@@ -53,29 +41,17 @@ def warm_up(scenes: Sequence[Scene] = (), progress: Progress | None = None) -> N
     for number, scene in enumerate(scenes):
         if progress is not None:
             progress(f"scene {number + 1} of {len(scenes)}", number / len(scenes))
-        carried_out(*looked_at(scene, TOL, True, None, MOST_SECONDS), seed=0)
-        raytrace.trace(scene, n_rays=RAYS, keep_paths=True)
+        simulate(scene, reconstruct=True)
+        raytrace.trace(scene, n_rays=64, keep_paths=True)
 
 
 def _letters() -> tuple[Scene, ...]:
-    """Return a letter seen by walls of all kinds."""
+    """Return a bright bar seen by walls of all kinds, with the distances of Wu et al. (2024)."""
     import trimesh
 
-    plate = trimesh.creation.box((0.28, 0.28, 0.005))
-    return (
-        _letter(FlatWall()),
-        _letter(WavyWall(1e-4, 0.25, 1.0, direction=0.5)),
-        _letter(ConcaveWall(5.0), occluders=(Occluder(plate, position=(0.56, 0.17, 0.5)),)),
-        _letter(MeshWall(ConcaveWall(5.0, size=(1.4, 1.0)).to_mesh(max_sag_error=1e-5))),
-        _letter(FlatWall(), wall_roughness=WallRoughness(FacetWall(1e-3, 2e-3))),
-    )
-
-
-def _letter(wall: Wall, **more: Any) -> Scene:
-    """Return a bright bar seen by a wall, with the distances of Wu et al. (2024)."""
     picture = np.zeros((32, 32))
     picture[8:24, 12:20] = 1.0
-    return Scene(
+    flat = Scene(
         laser=Laser(
             wavelength=632.8e-9,
             power=5e-3,
@@ -83,7 +59,7 @@ def _letter(wall: Wall, **more: Any) -> Scene:
             position=(0.95, 0.0, 1.16),
             aim=(0.64, 0.0, 0.0),
         ),
-        wall=wall,
+        wall=FlatWall(),
         wall_material=SumMaterial((OrenNayar(0.75, 0.3), SpecularMicrofacet(0.05, 0.0))),
         hidden=PlanarObject(picture, 0.7, position=(0.544, 0.0, 1.0)),
         camera=Camera(
@@ -92,5 +68,15 @@ def _letter(wall: Wall, **more: Any) -> Scene:
             focal_length=18.432e-3 / math.tan(math.radians(20.0)),
             stop_diameter=25e-3,
         ),
-        **more,
+    )
+    plate = trimesh.creation.box((0.28, 0.28, 0.005))
+    mesh = ConcaveWall(5.0, size=(1.4, 1.0)).to_mesh(max_sag_error=1e-5)
+    return (
+        flat,
+        replace(flat, wall=WavyWall(1e-4, 0.25, 1.0, direction=0.5)),
+        replace(
+            flat, wall=ConcaveWall(5.0), occluders=(Occluder(plate, position=(0.56, 0.17, 0.5)),)
+        ),
+        replace(flat, wall=MeshWall(mesh)),
+        replace(flat, wall_roughness=WallRoughness(FacetWall(1e-3, 2e-3))),
     )

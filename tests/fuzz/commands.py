@@ -31,24 +31,13 @@ figures = ["aberration_rms", "spot_rms"]
 """
 
 
-def _program(*words: str) -> int:
-    """Run the program in this process and return its exit code."""
-    from nlosoptics import cli
-
-    try:
-        cli.main(words)
-    except SystemExit as ended:
-        return int(ended.code or 0)
-    return 0
-
-
 class Command(NamedTuple):
     """A writing command.
 
     ``make`` writes the inputs into the working folder. ``old`` and ``new`` are command lines that
     write ``target``. ``state`` names files that let a killed command go on, and that change before
-    the result does. ``parts`` reads a target that grows, and returns its finished parts. ``run`` is
-    called with the words of a command line and returns an exit code.
+    the result does. ``parts`` reads a target that grows, and returns its finished parts.
+    ``program`` is Python code that runs a command line.
     """
 
     target: str
@@ -57,7 +46,7 @@ class Command(NamedTuple):
     make: Callable[[Path], None]
     state: tuple[str, ...] = ()
     parts: Callable[[Path], Mapping[Any, Any]] | None = None
-    run: Callable[..., int] = _program
+    program: str = "from nlosoptics.cli import main; main()"
 
 
 def _scenes(folder: Path) -> None:
@@ -189,15 +178,12 @@ _LIGHT = ("transient", "scenes/transient_letter.toml", "--out", "light.hdf5")
 _LIGHT += ("--set", "transient.count=4", "--photons", "5e3", "--tol", "0.05", "--seed")
 _PLANES = ("phasor", "echo.hdf5", "--near", "0.4", "--far", "0.6", "--step", "0.1")
 _PLANES += ("--out", "result", "--wl-mean")
-_TRAIN = ("train", *SCENE, "--pairs", "6", "--epochs", "2", "--base", "8", "--out")
-_TRAIN += ("net.safetensors", "--seed")
 COMMANDS = {
     "run": Command("result", (*_RUN, "1"), (*_RUN, "2"), _scenes),
     "reconstruct": Command("result", (*_FIT, "--iterations", "20"), _FIT, _exposure, STATE),
     "transient": Command("light.hdf5", (*_LIGHT, "1"), (*_LIGHT, "2"), _scenes),
     "phasor": Command("result", (*_PLANES, "0.3"), (*_PLANES, "0.2"), _captured),
     "report": Command("run/report.html", ("report", "run"), ("report", "run", "--no-3d"), _result),
-    "train": Command("net.safetensors", (*_TRAIN, "1"), (*_TRAIN, "2"), _scenes),
     "study": Command(
         "store",
         ("study", "few.toml", "--out", "store", "--workers", "0"),

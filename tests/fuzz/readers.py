@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,17 +61,6 @@ def _read_picture(_: Path, file: Path) -> Arrays:
     return [PlanarObject(file, 0.1, position=(0.0, 0.0, 1.0)).reflectance]
 
 
-def _read_camera(_: Path, file: Path) -> Arrays:
-    from nlosoptics.imaging import camera_image
-
-    found = camera_image(file)
-    return [found.values]
-
-
-def _camera_files(folder: Path) -> list[Path]:
-    return [path for path in _pictures(folder) if path.suffix in (".png", ".tiff", ".npy")]
-
-
 def _meshes(folder: Path) -> list[Path]:
     import trimesh
 
@@ -104,9 +93,6 @@ def _read_heights(_: Path, file: Path) -> Arrays:
 
 
 def _captures(folder: Path) -> list[Path]:
-    import h5py
-    from scipy.io import savemat
-
     from nlosoptics.transient import TransientCapture, wall_grid
 
     draw, grid = np.random.default_rng(3), wall_grid(1.0, 3)
@@ -119,46 +105,14 @@ def _captures(folder: Path) -> list[Path]:
         pairing="confocal",
     )
     capture.save(folder / "own.hdf5")
-    with h5py.File(folder / "dirac.hdf5", "w") as file:
-        file["data_t"] = draw.random((8, 3, 3))
-        file["xg"], file["yg"] = grid[..., 0].T, grid[..., 1].T
-        file["da"] = 0.4 + 0.01 * np.arange(8)
-    savemat(folder / "old.mat", {"rect_data": draw.random((4, 4, 16)), "width": np.array([[0.5]])})
-    return [folder / "own.hdf5", folder / "dirac.hdf5", folder / "old.mat"]
+    return [folder / "own.hdf5"]
 
 
 def _read_capture(_: Path, file: Path) -> Arrays:
     from nlosoptics.transient import TransientCapture
 
-    given: Mapping[str, Any] = {}
-    if file.name == "dirac.hdf5":
-        given = {"pairing": "confocal", "t_start": 0.4, "outer_legs": False}
-    if file.name == "old.mat":
-        given = {"format": "lct", "bin_width": 0.01, "t_start": 0.0, "gate_start": 0.0}
-    found = TransientCapture.load(file, **given)
+    found = TransientCapture.load(file)
     return [found.H, np.asarray(found.H.sum()), found.laser_points, found.sensor_points]
-
-
-def _poppy(folder: Path) -> list[Path]:
-    from nlosoptics import psf
-
-    wave = psf.Wavefront.from_zernike(
-        {4: 50e-9},
-        wavelength=633e-9,
-        pupil_radius=1e-3,
-        image_distance=0.05,
-        nodes="grid",
-        samples=16,
-    )
-    psf.write_poppy(wave, opd=folder / "opd.fits", amplitude=folder / "amplitude.fits")
-    return [folder / "opd.fits", folder / "amplitude.fits"]
-
-
-def _read_poppy(folder: Path, _: Path) -> Arrays:
-    from nlosoptics import psf
-
-    wave = psf.read_poppy(opd=folder / "opd.fits", amplitude=folder / "amplitude.fits")
-    return [wave.aberration, wave.amplitude]
 
 
 def _zernikes(folder: Path) -> list[Path]:
@@ -173,20 +127,6 @@ def _read_zernikes(_: Path, file: Path) -> Arrays:
     from nlosoptics import psf
 
     return [np.array(list(psf.read_zernikes(file).coefficients.values()), dtype=np.float64)]
-
-
-def _networks(folder: Path) -> list[Path]:
-    from nlosoptics import inverse
-
-    inverse.CnnBaseline(base=8, depth=3).save(folder / "net.safetensors")
-    return [folder / "net.safetensors"]
-
-
-def _read_network(_: Path, file: Path) -> Arrays:
-    from nlosoptics import inverse
-
-    network = inverse.CnnBaseline.load(file)
-    return [tensor.detach().numpy() for tensor in network.parameters()]
 
 
 def _results(folder: Path) -> list[Path]:
@@ -252,13 +192,10 @@ def _records(folder: Path) -> list[Path]:
 READERS = {
     "scene": Reader(_scenes, _read_scene, text=True),
     "picture": Reader(_pictures, _read_picture),
-    "camera": Reader(_camera_files, _read_camera),
     "mesh": Reader(_meshes, _read_mesh),
     "heights": Reader(_heights, _read_heights),
     "capture": Reader(_captures, _read_capture),
-    "poppy": Reader(_poppy, _read_poppy),
     "zernikes": Reader(_zernikes, _read_zernikes, text=True),
-    "network": Reader(_networks, _read_network),
     "result": Reader(_results, _read_result),
     "record": Reader(_records, _read_result, text=True),
     "study": Reader(_studies, _read_study, text=True),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +13,14 @@ from nlosoptics.errors import SceneError
 from nlosoptics.scene import MeshObject
 
 from .campaign import Bench, campaign
-from .mutations import mutated
 from .readers import READERS, Reader
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="Windows has no timer of processor time")
-INPUTS = 40  # for each reader; the campaign's default is 10,000
+INPUTS = 20  # for each reader; the campaign's default is 10,000
 
 
 @pytest.mark.parametrize("name", READERS)
 def test_damaged_files_are_read_or_refused_in_one_line(name: str, tmp_path: Path) -> None:
-    if name == "poppy":
-        pytest.importorskip("astropy")
     if name in ("study", "store"):
         pytest.importorskip("zarr")
     bench = Bench(name, tmp_path)
@@ -63,16 +59,11 @@ def test_faults_are_found(tmp_path: Path, monkeypatch) -> None:
     assert {"KeyError", "not one line", "hang", "AssertionError"} <= kinds  # the last: canary
 
 
+@pytest.mark.thorough
 def test_a_campaign_repeats_its_inputs(tmp_path: Path) -> None:
     one, again = ([*campaign("zernikes", list(range(12)), tmp_path / name)] for name in "ab")
     assert [(o.number, o.kind) for o in one] == [(o.number, o.kind) for o in again]
     assert [o.number for o in one] == list(range(12))
-
-
-def test_mutations_change_most_contents() -> None:
-    text = b"[a]\nb = 1.5\nc = 2\n"
-    found = {mutated(text, [text], np.random.default_rng(i), text=True) for i in range(100)}
-    assert len(found) > 80
 
 
 def gltf(uri: str) -> bytes:
@@ -97,18 +88,14 @@ def gltf(uri: str) -> bytes:
     return text + b" " * (-len(text) % 4)
 
 
-@pytest.mark.parametrize("uri", ["other.bin", "../other.bin", "ROOT/other.bin"])
-@pytest.mark.parametrize("suffix", [".gltf", ".glb"])
-def test_a_mesh_reads_no_other_file(uri: str, suffix: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("uri", ["../other.bin", "ROOT/other.bin"])
+def test_a_mesh_reads_no_other_file(uri: str, tmp_path: Path) -> None:
     vertices = np.array([[0, 0, 0], [7, 0, 0], [0, 7, 0]], dtype=np.float32).tobytes()
     (tmp_path / "sub").mkdir()
     for folder in (tmp_path, tmp_path / "sub"):
         (folder / "other.bin").write_bytes(vertices + np.arange(3, dtype=np.uint32).tobytes())
     content = gltf(uri.replace("ROOT", str(tmp_path)))
-    if suffix == ".glb":
-        head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(content), len(content), b"JSON")
-        content = head + content
-    file = tmp_path / "sub" / f"a{suffix}"
+    file = tmp_path / "sub" / "a.gltf"
     file.write_bytes(content)
     with pytest.raises(SceneError, match="is not a mesh"):
         _ = MeshObject(file, position=(0.0, 0.0, 1.0)).surface

@@ -15,7 +15,6 @@ import pytest
 
 from nlosoptics import psf
 from nlosoptics._checks import Budget
-from nlosoptics.imaging import SpeckleImage
 from nlosoptics.runs.plan import Plan, Stage, plan
 from nlosoptics.transient import TransientCapture, Volume, VolumeImage, wall_grid
 
@@ -100,52 +99,6 @@ def test_wavefront_shows_aberration_pupil_light_and_nodes(wave):
     assert {"600 nm, 100 % of a clear disc", "24 x 96, polar"} <= set(page.cells)
 
 
-def test_image_shows_electrons_noise_and_exposure():
-    pytest.importorskip("matplotlib")
-    light = 100.0 + np.eye(8)
-    image = SpeckleImage(
-        electrons=3.0 * light,
-        expected=light,
-        signal=np.eye(8),
-        ideal=np.eye(8),
-        background=np.full((8, 8), 100.0),
-        noise_sigma=np.full((8, 8), 10.0),
-        saturated_fraction=0.25,
-        pitch=1e-5,
-        exposure=0.04,
-        speckle_contrast=0.02,
-        seed=7,
-        ledger={},
-    )
-    page = checked(image)
-    assert {"303 at most, mean 300", "1 at most, mean 0.125"} <= set(page.cells)
-    assert {"10 electrons rms, on average", "25 %", "40 ms, seed 7"} <= set(page.cells)
-    assert {"0.02", "8 x 8 pixels of 10 µm"} <= set(page.cells)
-
-
-def test_through_focus_shows_its_best_plane(wave):
-    pytest.importorskip("matplotlib")
-    # 100 nm rms of defocus are 346 nm from centre to rim, a shift of 8 N^2 times that: 69 um
-    found = psf.through_focus(wave, np.linspace(-60e-6, 120e-6, 37))
-    page = checked(found)
-    assert {"strehl", "37, -0.06 to 0.12 mm", "5"} <= set(page.cells)
-    best = found.shifts[found.best]
-    assert abs(best - psf.best_focus(wave)) <= 2.5e-6  # half a step
-    assert f"{1e3 * best:.4g} mm, {found.values.max():.4g}" in page.cells
-    spots = psf.through_focus(wave, found.shifts, criterion="spot")
-    assert spots.values[spots.best] == spots.values.min()
-
-
-def test_point_spread_shows_method_regime_error_and_pitch(spread):
-    pytest.importorskip("matplotlib")
-    page = checked(spread)
-    assert {spread.method, spread.reason, f"{spread.error_estimate:.1e} of the peak"} <= set(
-        page.cells
-    )
-    assert f"{1e6 * spread.pitch:.4g} µm, 0.25 lambda N" in page.cells
-    assert any("waves peak to valley" in cell for cell in page.cells)
-
-
 def test_reconstruction_shows_status_score_and_seconds():
     pytest.importorskip("matplotlib")
     pytest.importorskip("torch")
@@ -179,13 +132,6 @@ def test_capture_and_volume_show_their_sizes(capture):
     assert {"fk_migration", "0.5 to 1, 6 planes"} <= set(checked(image).cells)
 
 
-def test_list_of_sensors_shows_its_streak(capture):
-    pytest.importorskip("matplotlib")
-    points = capture.sensor_points.reshape(-1, 3)
-    some = replace(capture, H=capture.H.reshape(20, -1), sensor_points=points)
-    assert "16" in checked(some).cells
-
-
 def test_plan_is_a_table_of_all_stages(flat_scene):
     made = plan(flat_scene)
     page = Page(made._repr_html_())
@@ -193,13 +139,6 @@ def test_plan_is_a_table_of_all_stages(flat_scene):
         assert {stage.name, stage.reason} <= set(page.cells)
     assert page.cells.count("skipped") == len(made.skipped)
     assert page.images == []
-
-
-def test_noise_stays_small(spread):
-    """No picture packs worse than one without any two equal neighbours."""
-    pytest.importorskip("matplotlib")
-    noise = np.random.default_rng(0).exponential(size=(600, 600))
-    checked(replace(spread, intensity=noise))
 
 
 def test_text_is_escaped(spread):
@@ -245,13 +184,6 @@ def test_text_stands_in_for_pictures_without_matplotlib(examples):
     assert text.count("pip install &#x27;nlosoptics[views]&#x27;") == 2
     assert "of the peak" in text
     assert "632.8 nm" in text
-
-
-def test_pictures_load_neither_torch_nor_pyplot(examples):
-    pytest.importorskip("matplotlib")
-    text, loaded = shown_by("", examples)
-    assert len(Page(text).images) == 2
-    assert loaded == "[]"
 
 
 def test_pictures_of_scenes_that_cannot_be_drawn_are_told_in_words(flat_scene, tmp_path):

@@ -5,9 +5,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import warnings
 from dataclasses import fields, is_dataclass
 
@@ -17,7 +14,7 @@ import pytest
 import nlosoptics as nlos
 from nlosoptics.errors import NlosError, SceneError, ValidityWarning
 
-from .random_scenes import MATERIALS, WALLS, random_case
+from .random_scenes import random_case
 
 QUICK = 2.0  # s of the processor, predicted: tighter and larger scenes are the benchmark's
 MEMORY = 2.0**31
@@ -35,7 +32,8 @@ def not_finite(value, name="result"):
 
 
 # of the last two rough scenes, one point spread suffices, and its halo reaches beyond the window
-CASES = [(n, False) for n in range(40)] + [(n, True) for n in (*range(8), 10006, 10019)]
+CASES = [(n, False) for n in range(20)] + [(n, True) for n in (0, 1, 10006, 10019)]
+CASES = [*CASES[:3], *(pytest.param(*case, marks=pytest.mark.thorough) for case in CASES[3:])]
 
 
 @pytest.mark.parametrize(("number", "rough"), CASES)
@@ -60,20 +58,6 @@ def test_what_is_planned_runs(number, rough):
     assert lowest >= -1e-9 * result.point_spread.intensity.max()
 
 
-def test_scenes_are_of_every_kind_and_the_same_for_a_number():
-    walls, paints = set(), set()
-    for number in range(150):
-        drawn = random_case(number, wild=number % 2 == 1).drawn
-        walls.add(drawn["wall"])
-        paints.add(drawn["material"])
-    assert walls == set(WALLS)
-    assert paints == set(MATERIALS)
-    one, other = random_case(7), random_case(7)
-    assert one.tol == other.tol
-    assert one.scene.camera == other.scene.camera
-    assert one.scene.camera != random_case(7, wild=True).scene.camera
-
-
 def test_the_cone_of_light_is_free_at_every_node_that_the_field_will_have():
     """An occluder that cuts the light of one node, and none at the centre, corners and edges."""
     case = random_case(90101, wild=True)
@@ -90,13 +74,3 @@ def test_a_budget_holds_in_the_whole_run(flat_scene):
             nlos.simulate(flat_scene, **limits)
         assert type(refused.value) is type(planned.value)
         assert str(refused.value) == str(planned.value)
-
-
-def test_a_run_of_the_benchmark_writes_its_rows(root, tmp_path):
-    file = tmp_path / "rows.jsonl"
-    command = [sys.executable, str(root / "benchmarks" / "random_scenes.py"), str(file)]
-    options = ["--first", "4", "--count", "2", "--most-seconds", "5"]
-    subprocess.run([*command, *options], check=True, cwd=root, timeout=300)
-    rows = [json.loads(line) for line in file.read_text().splitlines()]
-    assert [row["number"] for row in rows] == [4, 5]
-    assert all(row["outcome"] == "done" and row["warm"] > 0 for row in rows)

@@ -55,7 +55,7 @@ USUAL = ("reconstruct", "letter.png", "--scene", "letter.toml", "--tol", 1e-2)
 FRAMES = ("--dark", "dark.npy", "--flat", "flat.tif")
 
 
-@pytest.mark.parametrize("method", ["tv", "wiener"])
+@pytest.mark.parametrize("method", ["tv", pytest.param("wiener", marks=pytest.mark.thorough)])
 def test_object_and_report_are_written(method: str, taken: np.ndarray, capsys) -> None:
     code, out, err = call(capsys, *USUAL, *FRAMES, "--method", method, "--json", "--seed", 7)
     assert (code, err) == (0, "")
@@ -77,6 +77,7 @@ def test_object_and_report_are_written(method: str, taken: np.ndarray, capsys) -
     assert call(capsys, *USUAL, *FRAMES, "--method", method)[0] == 0  # over its own files
 
 
+@pytest.mark.thorough
 def test_hot_pixels_are_found_and_told(taken: np.ndarray, capsys, monkeypatch) -> None:
     axis = np.arange(13.0) - 6.0
     kernel = np.exp(-(axis**2 + axis[:, None] ** 2) / (2 * 1.5**2))
@@ -114,7 +115,7 @@ def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
     before = signal.getsignal(signal.SIGINT)
     monkeypatch.setattr(reconstructing.Keeper, "__call__", interrupts)
     code, _, err = call(capsys, *USUAL, *FRAMES, "--out", "part")
-    assert code == 1
+    assert code == 130
     assert err.count("\n") == 1
     assert "--resume" in err
     assert signal.getsignal(signal.SIGINT) is before
@@ -136,6 +137,7 @@ def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
         assert named in err
 
 
+@pytest.mark.thorough
 def test_a_fit_that_ends_early_leaves_the_old_object_and_its_state(
     taken: np.ndarray, capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -163,13 +165,8 @@ def bad_files() -> None:
     """Pictures that cannot be used."""
     good = np.load("dark.npy")
     np.save("nan.npy", np.where(good > 129, np.nan, good))
-    np.save("flat.npy", np.full((64, 64), 3.0))
     np.save("small.npy", good[:60])
-    np.save("bright.npy", good + 1.0)
     Image.fromarray(np.full((64, 64), 255, np.uint8)).save("full.png")
-    half = np.full((64, 64), 255, np.uint8)
-    half[:20] = 7
-    Image.fromarray(half).save("half.png")
     scene = Scene.load("letter.toml")
     replace(scene, wall_material=Lambert(0.8)).save("matt.toml")
     near = replace(scene.camera, focus_distance=0.06, stop_diameter=0.025)
@@ -180,20 +177,14 @@ def bad_files() -> None:
     ("arguments", "named"),
     [
         (["nan.npy"], ["nan.npy", "not finite"]),
-        (["flat.npy"], ["reads 3 in every pixel"]),
         (["small.npy"], ["64 x 60", "64 x 64"]),
         (["full.png"], ["reads 255 in every pixel"]),
-        (["half.png"], ["68.8 % of the pixels are saturated"]),
-        (["dark.npy", "--dark", "bright.npy"], ["not brighter than the dark frame"]),
         (["nowhere.png"], ["no file nowhere.png"]),
         (["letter.png", "--scene", "matt.toml"], ["no mirror-like lobe", "feasibility"]),
         (["letter.png", "--scene", "blurred.toml"], ["point spread", "pixels"]),
-        (["letter.png", "--size", "128"], ["64 x 64 pixels", "128 x 128"]),
         (["letter.png", "--method", "magic"], ["method = 'magic'", "tv, wiener"]),
         (["letter.png", "--defocus", "a"], ["--defocus", "'a'"]),
         (["letter.png", "--defocus", "0.5"], ["defocus is given"]),
-        (["letter.png", "--full", "-1"], ["full = -1"]),
-        (["letter.png", "--out", "letter.toml"], ["is a file"]),
         (["letter.png", "--resume"], ["no letter/checkpoint.npz"]),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
@@ -223,7 +214,7 @@ def test_feasibility_command(taken: np.ndarray, capsys) -> None:
     assert (code, err.count("\n")) == (2, 1)
 
 
-@pytest.mark.parametrize("gain", [0.05, 1.0, 40.0])
+@pytest.mark.parametrize("gain", [0.05, 40.0])
 def test_noise_of_a_file_follows_the_light_in_any_unit(gain, result: nlosoptics.Result) -> None:
     """Counts per electron are not known; the mean noise and the light give them."""
     electrons = result.image.electrons
@@ -260,6 +251,7 @@ def test_even_noise_where_the_camera_explains_none(result: nlosoptics.Result) ->
     assert noise[0, 0] == pytest.approx(1e-3, rel=0.12)
 
 
+@pytest.mark.thorough
 def test_simulated_full_pixels_are_lower_limits(result: nlosoptics.Result) -> None:
     camera, image = result.scene.camera, result.image
     level = 0.5 * image.expected.max() / camera.binning**2
@@ -275,7 +267,8 @@ def test_simulated_full_pixels_are_lower_limits(result: nlosoptics.Result) -> No
     assert inverse.registered_correlation(found, image.ideal) > 0.93
 
 
-@pytest.mark.parametrize("over", [2.5, 30.0, 1e6])
+@pytest.mark.thorough
+@pytest.mark.parametrize("over", [2.5, 30.0])
 def test_an_overexposed_simulation_is_told_to_expose_shorter(over, result) -> None:
     """A little light beyond the full well hides little; thirty times leaves no pixel of it."""
     power = result.scene.laser.power * over * full_reading(result.scene.camera)
@@ -290,6 +283,7 @@ def test_an_overexposed_simulation_is_told_to_expose_shorter(over, result) -> No
         assert "saturated pixels show an object; expose shorter" in fit.reasons[0]
 
 
+@pytest.mark.thorough
 def test_full_pixels_of_a_file_are_lower_limits(result: nlosoptics.Result, tmp_path: Path) -> None:
     electrons, camera = result.image.electrons, result.scene.camera
     file = tmp_path / "short.png"

@@ -93,13 +93,10 @@ def report_of(folder: str) -> dict:
     ("method", "options", "status", "least"),
     [
         # least correlations: the data's own is 0.99, the wall being smooth
-        ("tv", (), "converged", 0.98),
-        ("wiener", (), "converged", 0.98),
         ("inverse_filter", (), "converged", 0.9),
         # stopped by its tolerance before the residual reaches the noise of a sharp image
-        ("richardson_lucy", (), "does_not_fit", 0.9),
+        pytest.param("richardson_lucy", (), "does_not_fit", 0.9, marks=pytest.mark.thorough),
         ("richardson_lucy", ("--iterations", 2), "unconverged", 0.8),
-        ("deep_image_prior", ("--iterations", 20), None, 0.8),
         # of a frame whose object fills half of it, phases are not told from one picture
         ("phase_retrieval", ("--iterations", 20), None, -1.0),
     ],
@@ -122,21 +119,7 @@ def test_methods_that_know_the_point_spread(
     assert inverse.registered_correlation(found, letter) > least
 
 
-def test_network_from_its_file(letter: np.ndarray, capsys) -> None:
-    inverse.CnnBaseline(base=8, depth=2, seed=1).save("cnn.safetensors")
-    usual = ("reconstruct", "letter.npy", "--scene", "letter.toml", "--tol", 1e-2)
-    code, _, err = call(capsys, *usual, "--method", "cnn", "--network", "cnn.safetensors")
-    assert (code, err) == (0, "")
-    # weights that were never trained explain nothing
-    assert report_of("letter")["figures"]["reconstruction_status"] == "unconverged"
-    image = np.load("letter.npy")
-    with torch.no_grad():
-        network = inverse.CnnBaseline.load("cnn.safetensors")
-        own = network(torch.from_numpy(image)[None].float())[0].numpy()
-    # the command takes the wall's diffuse light out first, the network any unit and level
-    assert np.corrcoef(np.load("letter/object.npy").ravel(), own.ravel())[0, 1] > 0.9
-
-
+@pytest.mark.thorough
 def test_frames_of_known_defocus(frames: np.ndarray, capsys) -> None:
     """A saturated pixel has no say."""
     hot = np.load("a.npy")
@@ -155,6 +138,7 @@ def test_frames_of_known_defocus(frames: np.ndarray, capsys) -> None:
     assert inverse.registered_correlation(np.load("found/object.npy"), frames) > 0.9
 
 
+@pytest.mark.thorough
 def test_one_frame_by_the_published_method_goes_on(frames: np.ndarray, capsys) -> None:
     usual = ("reconstruct", "a.npy", "--scene", "fine.toml", "--method", "wu2024")
     code, _, err = call(capsys, *usual, "--iterations", 40)
@@ -168,6 +152,7 @@ def test_one_frame_by_the_published_method_goes_on(frames: np.ndarray, capsys) -
         assert found["physical_parameters_network_weights"].size > 4e5
 
 
+@pytest.mark.thorough
 def test_ended_and_gone_on(frames: np.ndarray, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C at the second report of a fit of wall and object; --resume comes to the same end."""
     usual = ("reconstruct", "a.npy", "b.npy", "--scene", "fine.toml", "--iterations", 1)
@@ -184,7 +169,7 @@ def test_ended_and_gone_on(frames: np.ndarray, capsys, monkeypatch: pytest.Monke
 
     monkeypatch.setattr(reconstructing.Keeper, "__call__", interrupts)
     code, _, err = call(capsys, *usual, "--out", "part")
-    assert (code, err.count("\n")) == (1, 1)
+    assert (code, err.count("\n")) == (130, 1)
     report = json.loads(Path("part/result.json").read_text())
     assert report["status"] == "interrupted"
     assert report["figures"]["reconstruction_status"] == "unconverged"
@@ -194,36 +179,17 @@ def test_ended_and_gone_on(frames: np.ndarray, capsys, monkeypatch: pytest.Monke
     assert np.array_equal(np.load("part/object.npy"), np.load("whole/object.npy"))
 
 
-def test_methods_without_a_state_say_so(frames: np.ndarray, capsys) -> None:
-    usual = ("reconstruct", "a.npy", "--scene", "fine.toml", "--method", "inverse_filter")
-    assert call(capsys, *usual)[0] == 0
-    code, _, err = call(capsys, *usual, "--resume")
-    assert (code, err.count("\n")) == (2, 1)
-    assert "inverse_filter cannot resume" in err
-
-
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (["a.npy", "--method", "cnn"], ["cnn needs a trained network", "nlosoptics train"]),
-        (
-            ["a.npy", "--method", "cnn", "--network", "no.safetensors"],
-            ["no.safetensors", "No such"],
-        ),
-        (["a.npy", "--method", "cnn", "--network", "a.npy"], ["a.npy is no safetensors file"]),
-        (["a.npy", "--network", "a.npy"], ["network is given, but tv uses none"]),
         (
             ["a.npy", "b.npy", "--method", "evidence", "--defocus", "0"],
             ["defocus has 1 value for 2 images"],
         ),
         (["a.npy", "b.npy", "--method", "wu2024"], ["2 images without defocus"]),
-        (["a.npy", "b.npy", "--method", "evidence"], ["2 images without defocus", "average"]),
         (["colour.png", "--method", "evidence"], ["colour.png", "colour"]),
         (["fine.toml"], ["fine.toml"]),
-        (["a.npy", "--size", "64", "--method", "evidence"], ["32 x 32 pixels", "64 x 64"]),
-        (["a.npy", "--iterations", "0"], ["--iterations"]),
         (["a.npy", "--method", "inverse_filter", "--iterations", "3"], ["does not iterate"]),
-        (["a.npy", "--method", "inverse"], ["method = 'inverse'", "inverse_filter"]),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )
@@ -233,18 +199,3 @@ def test_bad_input_is_one_line(arguments, named, frames: np.ndarray, capsys) -> 
     assert err.count("\n") == 1
     for word in named:
         assert word in err
-
-
-def test_a_blur_wider_than_the_picture_is_refused(frames: np.ndarray, capsys) -> None:
-    scene = Scene.load("fine.toml")
-    # focused on 6 cm, the light of 1.8 m away fills a disc of 5 mm on a detector of 2.3 mm
-    near = replace(scene.camera, focus_distance=0.06, stop_diameter=1.1e-3)
-    replace(scene, camera=near).save("blurred.toml")
-    code, _, err = call(capsys, "reconstruct", "a.npy", "--scene", "blurred.toml", "--tol", 0.1)
-    assert (code, err.count("\n")) == (2, 1)
-    assert "the blur is larger than the image" in err
-
-
-def test_every_method_is_tried_here() -> None:
-    tried = {"cnn", "evidence", "wu2024", *reconstructing.KNOWN}
-    assert set(reconstructing.METHODS) == tried

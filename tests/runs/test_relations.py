@@ -27,6 +27,7 @@ from nlosoptics.scene import (
     WavyWall,
 )
 
+pytestmark = pytest.mark.thorough
 TOL = 1e-3
 #: Relative rms error that a run's image may have against the tolerance's own, both runs together.
 TWICE = 2.0 * TOL

@@ -75,6 +75,7 @@ def test_little_variation_uses_the_mean(scene: Scene) -> None:
     assert varied.weights.shape == (2, SIDE, SIDE)
 
 
+@pytest.mark.thorough
 def test_the_object_behind_varying_spots_is_found(scene: Scene) -> None:
     spreads = field(scene, 1.0)
     image = imaging.form_image(scene, spreads, seed=0)
@@ -91,6 +92,7 @@ def test_the_object_behind_varying_spots_is_found(scene: Scene) -> None:
     assert inverse.registered_correlation(wrong, image.ideal) < 0.85
 
 
+@pytest.mark.thorough
 def test_modes_below_the_noise_of_a_fit_are_left_out(scene: Scene) -> None:
     """A third mode, weaker by a known factor: it is kept, or omitted with its error stated."""
     spreads = field(scene, 1.0)

@@ -9,8 +9,8 @@ import pytest
 
 import nlosoptics
 from nlosoptics import inverse
-from nlosoptics.imaging import ForwardModel, diffuse_background
-from nlosoptics.runs import simulate, veil
+from nlosoptics.imaging import diffuse_background
+from nlosoptics.runs import simulate
 from nlosoptics.runs.noise import electron_noise
 from nlosoptics.runs.veil import fitted_veil, veil_shape
 from nlosoptics.scene import Lambert, Scene, SpecularMicrofacet, SumMaterial
@@ -62,33 +62,6 @@ def test_veil_of_a_bright_object_is_found(bright):
     near, far = (inverse.registered_correlation(fit, image.ideal) for fit in fits)
     assert near > 0.999
     assert far < 0.98
-
-
-def test_veil_that_cannot_differ_is_not_fitted(bright, monkeypatch):
-    """Without noise, or with much of it, the shape is that of a white object."""
-    monkeypatch.setattr(veil, "sharpest", lambda *_, **__: 1 / 0)
-    scene, image, model = bright.scene, bright.image.electrons, None
-    shape = veil_shape(scene) / veil_shape(scene).mean()
-    assert np.array_equal(fitted_veil(scene, image, model, noise_sigma=None), shape)
-    noise = np.full(image.shape, image.max())
-    assert np.array_equal(fitted_veil(scene, image, model, noise_sigma=noise), shape)
-
-
-def test_binned_point_spread_is_that_of_binned_pixels():
-    """An object that is even within the binned pixels has the binned image."""
-    rng = np.random.default_rng(5)
-    kernel, object_ = rng.uniform(size=(7, 6)), rng.uniform(size=(5, 6))
-    fine = ForwardModel(kernel, shape=(15, 18)).forward(np.kron(object_, np.ones((3, 3))))
-    binned = ForwardModel(
-        veil._binned_kernel(ForwardModel(kernel, shape=(15, 18)), 3), shape=(5, 6)
-    ).forward(object_)
-    means = fine.reshape(5, 3, 6, 3).mean((1, 3))
-    assert binned == pytest.approx(means, rel=1e-12)
-
-
-def test_binning_divides_both_sides():
-    cases = {(512, 512): 8, (480, 640): 10, (100, 100): 2, (64, 50): 1, (509, 509): 1}
-    assert {shape: veil._binning(shape, 64) for shape in cases} == cases
 
 
 def test_veil_contains_the_highlight_of_a_glossy_lobe(examples):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from numba.core import event
 
 from nlosoptics import plan, raytrace, simulate
@@ -21,6 +22,7 @@ class Compilations(event.Listener):
         pass
 
 
+@pytest.mark.thorough
 def test_a_warmed_up_run_and_its_report_compile_nothing(flat_scene) -> None:
     told = []
     scenes = warmup._letters()[:2]
@@ -28,7 +30,7 @@ def test_a_warmed_up_run_and_its_report_compile_nothing(flat_scene) -> None:
     assert told == [("scene 1 of 2", 0.0), ("scene 2 of 2", 0.5)]
     with event.install_listener("numba:compile", Compilations()) as compiled:
         simulate(flat_scene, seed=0)
-        raytrace.trace(flat_scene, n_rays=warmup.RAYS, keep_paths=True)
+        raytrace.trace(flat_scene, n_rays=64, keep_paths=True)
     assert compiled.names == []
 
 
@@ -39,5 +41,5 @@ def test_the_scenes_cover_walls_with_kernels_of_their_own() -> None:
     assert any(scene.occluders for scene in scenes)
     assert any(scene.wall_roughness is not None for scene in scenes)
     for scene in scenes:
-        planned = plan(scene, warmup.TOL)
+        planned = plan(scene)
         assert planned.runs("image")

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 
 from ..._checks import counted
-from ..._fourier import irfft2, rfft2
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from .arrays import Values, as_double, is_tensor, library
@@ -81,7 +81,7 @@ def widened(model: AnyModel, factor: float) -> ForwardModel:
     largest modulus.
     """
     own = numpy_model(model)
-    kernel = np.fft.fftshift(irfft2(own.transfer, own.grid[1]), axes=(-2, -1))
+    kernel = np.fft.fftshift(scipy.fft.irfft2(own.transfer, own.grid), axes=(-2, -1))
     for axis in (-2, -1):
         middle = kernel.shape[axis] // 2
         at = middle + (np.arange(kernel.shape[axis]) - middle) / factor
@@ -90,7 +90,7 @@ def widened(model: AnyModel, factor: float) -> ForwardModel:
         lower, upper = (np.take(kernel, low + step, axis) for step in (0, 1))
         kernel = (1.0 - part) * lower + part * upper
     twin = ForwardModel.__new__(ForwardModel)
-    transfer = rfft2(np.fft.ifftshift(kernel, axes=(-2, -1)))
+    transfer = scipy.fft.rfft2(np.fft.ifftshift(kernel, axes=(-2, -1)))
     for name, value in {**vars(own), "kernel": kernel, "transfer": transfer}.items():
         object.__setattr__(twin, name, value)
     scale = abs(mean_transfer(own)).max() / abs(mean_transfer(twin)).max()

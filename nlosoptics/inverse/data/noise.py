@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import squarable
-from ..._fourier import irfft2, rfft2
-from ..._smoothing import gaussian_smoothed
 from ...errors import SamplingError
 from .arrays import MEDIAN_OVER_SIGMA, Values, check_finite, check_shape, real_array
 from .models import AnyModel, model_shape
@@ -127,6 +126,7 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
     Examples
     --------
     >>> import numpy as np
+    import scipy  # its parts are loaded on first use
     >>> from nlosoptics.inverse import estimate_noise
     >>> image = 100.0 + np.random.default_rng(0).normal(0.0, 3.0, size=(256, 256))
     >>> round(estimate_noise(image), 1)
@@ -206,8 +206,8 @@ def surrounded(values: Array, masked: Mask) -> Array:
     """Return an image in which masked pixels hold the weighted mean of the others around them."""
     if not masked.any():
         return values
-    valid = gaussian_smoothed((~masked).astype(np.float64), _AROUND)
-    sums = gaussian_smoothed(np.where(masked, 0.0, values), _AROUND)
+    valid = scipy.ndimage.gaussian_filter((~masked).astype(np.float64), _AROUND)
+    sums = scipy.ndimage.gaussian_filter(np.where(masked, 0.0, values), _AROUND)
     mean = float(values[~masked].mean())
     around = np.where(valid > _LEAST_AROUND, sums / np.maximum(valid, _LEAST_AROUND), mean)
     return np.where(masked, around, values)
@@ -307,14 +307,14 @@ def lone_pixels(
             sigma = _noise_of_neighbours(filled)
             continue
         mean = float((twice * share).sum()) / image.size
-        deviation = irfft2(spectrum * share, shape[1]) / (sigma * math.sqrt(mean))
+        deviation = scipy.fft.irfft2(spectrum * share, shape) / (sigma * math.sqrt(mean))
         size = np.where(out, 0.0, np.abs(deviation))
         at = np.flatnonzero(size > limit)
         if len(at) > most:
             at = at[np.argpartition(size.ravel()[at], -most)[-most:]]
         row, column = np.unravel_index(at, shape)
         around = (row[:, None] + _Y) % shape[0], (column[:, None] + _X) % shape[1]
-        left = _left(deviation[around], irfft2(share, shape[1]) / mean)
+        left = _left(deviation[around], scipy.fft.irfft2(share, shape) / mean)
         # deviation of a point of the sharpest such optics, relative to the height of its image
         point = float((twice * share * modulus).sum() / (mean * (twice * modulus).sum()))
         own, change = size[row, column], size[row, column] * (sigma / math.sqrt(mean))
@@ -355,13 +355,13 @@ def _filled(image: Array, bad: Mask, spectrum: NDArray[np.complex128], share: Ar
     ``spectrum`` is that of the image, and ``share`` the reciprocal of the expected one. The errors
     of the given values are found by conjugate gradients.
     """
-    columns, errors = image.shape[1], np.zeros(image.shape)
-    rest = np.where(bad, irfft2(spectrum * share, columns), 0.0)
+    errors = np.zeros(image.shape)
+    rest = np.where(bad, scipy.fft.irfft2(spectrum * share, image.shape), 0.0)
     way, square = rest, float((rest**2).sum())
     for _ in range(_STEPS):
         if square == 0.0:
             break
-        changed = np.where(bad, irfft2(rfft2(way) * share, columns), 0.0)
+        changed = np.where(bad, scipy.fft.irfft2(scipy.fft.rfft2(way) * share, image.shape), 0.0)
         step = square / float((way * changed).sum())
         errors += step * way
         rest = rest - step * changed

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 
 from ..._checks import positive, real, squarable
-from ..._fourier import cosines2
-from ..._special import upper_gamma_share
 from ...errors import SceneError
 from .arrays import (
     Values,
@@ -248,7 +247,7 @@ class NoisyImage:
             signal = expected_signal(periodic_power(rest), passed, unit, rest.shape, least)
             beyond = beyond_optics(signal, unit)
             cosines = cosines_within(beyond, rest.shape)
-            there = cosines2(rest)[cosines] ** 2 / unit
+            there = scipy.fft.dctn(rest, norm="ortho")[cosines] ** 2 / unit
             left = float(signal[beyond].mean()) / unit if beyond.any() else 0.0
             excess = float((there - 1.0 - left).sum())
             if abs(excess) < _MOST_ERRORS * math.sqrt(2.0 * there.size):
@@ -317,7 +316,7 @@ def _chance(
     freedom = 4.0 * variance**3 / third**2
     deviation = float((twice * weights * (relative - 1.0)).sum()) / math.sqrt(variance)
     value = max(freedom + deviation * math.sqrt(freedom), 0.0)
-    return upper_gamma_share(freedom, value)
+    return float(scipy.special.gammaincc(freedom, value))
 
 
 def noisy_image(

@@ -13,10 +13,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from ..._smoothing import gaussian_smoothed
 from .arrays import MEDIAN_OVER_SIGMA
 
 Array = NDArray[np.float64]
@@ -134,7 +134,9 @@ def noisy_plateau(image: Array, valid: Mask) -> Plateau | None:
         return None
     level = float(levels[best])
     filled = np.where(valid, image, float(values.mean()))
-    mask = valid & ((gaussian_smoothed(filled, _WIDTH) > level - sigma) | (image > level))
+    mask = valid & (
+        (scipy.ndimage.gaussian_filter(filled, _WIDTH) > level - sigma) | (image > level)
+    )
     return Plateau(mask, level, sigma) if mask.mean() < _MOST_SATURATED else None
 
 
@@ -151,7 +153,7 @@ def _bright_noise(image: Array, out: Mask) -> tuple[float, float]:
         return none
     filled = np.where(out, float(image[~out].mean()), image)
     inside = (slice(_ORDER // 2, -(_ORDER // 2)),) * 2
-    bright = gaussian_smoothed(filled, _WIDTH)[inside]
+    bright = scipy.ndimage.gaussian_filter(filled, _WIDTH)[inside]
     usable: Mask = ~np.any(sliding_window_view(out, (_ORDER + 1,) * 2), axis=(2, 3))
     if np.count_nonzero(usable) > _BRIGHTEST:
         usable &= bright >= np.partition(bright[usable], -_BRIGHTEST)[-_BRIGHTEST]

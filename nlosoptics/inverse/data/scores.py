@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 
 from ..._checks import positive, whole
-from ..._smoothing import gaussian_smoothed
 from ...errors import SamplingError
 from .arrays import check_finite, real_array
 from .reconstruction import Reconstruction
@@ -71,6 +71,7 @@ def registered_correlation(
     Examples
     --------
     >>> import numpy as np
+    import scipy  # its parts are loaded on first use
     >>> from nlosoptics.inverse import registered_correlation
     >>> truth = np.random.default_rng(0).random((16, 16))
     >>> round(registered_correlation(3.0 * np.roll(truth, (2, 5), (0, 1)) + 1.0, truth), 6)
@@ -191,7 +192,7 @@ def _structural_similarity(first: Array, second: Array, offset: float, peak: flo
     """Return the mean SSIM of two mean-free images, whose common mean is ``offset``."""
 
     def local_mean(picture: Array) -> Array:
-        smooth = gaussian_smoothed(picture, 1.5, truncate=3.5)
+        smooth = scipy.ndimage.gaussian_filter(picture, 1.5, truncate=3.5)
         return smooth[_SSIM_EDGE:-_SSIM_EDGE, _SSIM_EDGE:-_SSIM_EDGE]
 
     means = local_mean(first), local_mean(second)

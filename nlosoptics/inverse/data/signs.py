@@ -21,9 +21,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
-
-from ..._fourier import fast_length, irfft2, rfft2
 
 Array = NDArray[np.float64]
 
@@ -237,10 +236,10 @@ def _halo(object_: Array) -> tuple[float, float]:
     """
     bright = np.where(object_ > _DIM * _brightness(object_), object_, 0.0)
     dim = object_ - bright
-    grid = tuple(fast_length(n + 2 * _HALO_REACH) for n in object_.shape)
-    spectrum, rest = rfft2(bright, grid), rfft2(dim, grid)
-    own = irfft2(np.abs(spectrum) ** 2, grid[1])
-    shared = irfft2(spectrum.conj() * rest, grid[1])
+    grid = tuple(scipy.fft.next_fast_len(n + 2 * _HALO_REACH, real=True) for n in object_.shape)
+    spectrum, rest = scipy.fft.rfft2(bright, grid), scipy.fft.rfft2(dim, grid)
+    own = scipy.fft.irfft2(np.abs(spectrum) ** 2, grid)
+    shared = scipy.fft.irfft2(spectrum.conj() * rest, grid)
     axis = np.arange(-_HALO_REACH, _HALO_REACH + 1)
     y, x = (part.ravel() for part in np.meshgrid(axis, axis, indexing="ij"))
     near = np.hypot(y, x) <= _HALO_REACH

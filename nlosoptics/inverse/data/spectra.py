@@ -9,10 +9,10 @@ import math
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from ..._fourier import irfft2, rfft2
 from ...imaging.forward_model import ForwardModel
 from .arrays import half_spectrum_weights
 from .models import AnyModel, numpy_model
@@ -43,7 +43,7 @@ def passed_power(model: AnyModel) -> Array:
 
 def frame_transfer(transfer: NDArray[np.complex128], model: ForwardModel) -> NDArray[np.complex128]:
     """Return a transfer function on a model's grid, at the frequencies of its frame."""
-    kernel = irfft2(transfer, model.grid[1])
+    kernel = scipy.fft.irfft2(transfer, model.grid)
     for axis, (side, length) in enumerate(zip(model.grid, model.shape, strict=True)):
         # Offsets of at least the frame's length are negative ones, see `padded_transfer`.
         offsets = np.arange(side)
@@ -51,7 +51,7 @@ def frame_transfer(transfer: NDArray[np.complex128], model: ForwardModel) -> NDA
         wrapped = np.zeros((length, kernel.shape[1 - axis]))
         np.add.at(wrapped, offsets, np.moveaxis(kernel, axis, 0))
         kernel = np.moveaxis(wrapped, 0, axis)
-    return rfft2(kernel)
+    return np.asarray(scipy.fft.rfft2(kernel))
 
 
 def half_weights(shape: tuple[int, ...]) -> Array:
@@ -64,7 +64,7 @@ def half_weights(shape: tuple[int, ...]) -> Array:
 
 def power(image: Array) -> Array:
     """Return the power of each frequency of an image; for white noise its variance, on average."""
-    return squared(rfft2(image)) / image.size
+    return squared(scipy.fft.rfft2(image)) / image.size
 
 
 def periodic_power(image: Array) -> Array:
@@ -95,9 +95,9 @@ def periodic_spectrum(image: Array, along: int = 1) -> NDArray[np.complex128]:
     y, x = _angles(rows, columns)
     curvature = 2.0 * (np.cos(y) + np.cos(x)) - 4.0
     curvature[0, 0] = 1.0
-    smooth = rfft2(jumps) / curvature
+    smooth = scipy.fft.rfft2(jumps) / curvature
     smooth[0, 0] = 0.0
-    return np.asarray(rfft2(image) - smooth)
+    return np.asarray(scipy.fft.rfft2(image) - smooth)
 
 
 def noise_share(shape: tuple[int, ...]) -> Array:

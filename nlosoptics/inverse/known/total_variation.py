@@ -255,8 +255,7 @@ class _Scratch:
 
     def __init__(self, prototype: Values) -> None:
         empty = library(prototype).empty_like
-        self.wanted, self.pull, self.free, self.seen = (empty(prototype) for _ in range(4))
-        self.first, self.second = (rfft2(prototype) for _ in range(2))
+        self.wanted, self.pull = empty(prototype), empty(prototype)
 
 
 class _Splitting(Solver[_Split]):
@@ -306,7 +305,7 @@ class _Splitting(Solver[_Split]):
         self._response = float(abs(transfer).max())
         transfer = transfer / self._response
         self._scratch = _Scratch(self._dark)
-        self._transfer = like(transfer, self._scratch.first)
+        self._transfer = like(transfer, rfft2(self._dark))
         self._power = like(transfer.real**2 + transfer.imag**2, self._dark)
         self._laplacian = like(_laplacian(model.grid), self._dark)
         self._field = None
@@ -461,9 +460,9 @@ class _Splitting(Solver[_Split]):
                 own.wanted, own.pull, state.data_penalty, rest, inverse, (state.free, state.seen)
             )
             return state.free, state.seen
-        spectra = rfft2(own.wanted, own.first), rfft2(own.pull, own.second)
+        spectra = rfft2(own.wanted), rfft2(own.pull)
         self._steps.mix(*spectra, filtered, inverse, self._transfer)
-        return irfft2(spectra[0], columns, own.free), irfft2(spectra[1], columns, own.seen)
+        return irfft2(spectra[0], columns), irfft2(spectra[1], columns)
 
     def _data_step(self, state: _Split, seen: Values) -> float:
         """Move the predicted image toward the measured one until the residual equals the noise.

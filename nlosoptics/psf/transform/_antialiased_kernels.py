@@ -289,7 +289,7 @@ def _leak(s, width):
     return 0.5 * math.erfc((0.5 - s) / width)
 
 
-@njit(cache=True, nogil=True, shared=True)
+@njit(cache=True, nogil=True)
 def rim_errors(distance, period, reach, edges, zones, landing, width, out):
     """Fill ``out`` (n,) with a bound of the field error within each of the increasing distances.
 

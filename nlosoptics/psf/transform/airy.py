@@ -6,9 +6,9 @@ import math
 from functools import lru_cache
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 
-from ..._special import bessel_j0, bessel_j1
 from ..aperture.quadrature_nodes import frozen
 from ..wave.detilted import Residual
 from ..window.error_bounds import ROUNDING
@@ -27,7 +27,7 @@ STEEP = 5.0
 def disc_field(v: Array) -> Array:
     """Return ``2 J1(v)/v``, 1 at v = 0 (Born & Wolf, sec. 8.5.2)."""
     safe = np.maximum(np.abs(v), 1e-8)  # avoids 0/0; below 1e-8 the value is 1 to the last bit
-    return np.asarray(2 * bessel_j1(safe) / safe)
+    return np.asarray(2 * scipy.special.j1(safe) / safe)
 
 
 def annulus_field(v: Array, obscuration: float = 0.0) -> Array:
@@ -87,7 +87,7 @@ def _table(far: int) -> Array:
     table = np.zeros((v.size, TERMS))
     table[0, ::2] = [(-0.25) ** k / math.factorial(k) / math.factorial(k + 1) for k in range(5)]
     v, rest = v[1:], table[1:]
-    rest[:, 0], rest[:, 1] = disc_field(v), -2 * (2 * bessel_j1(v) / v - bessel_j0(v)) / v
+    rest[:, 0], rest[:, 1] = disc_field(v), -2 * scipy.special.jn(2, v) / v
     for n in range(TERMS - 2):
         rest[:, n + 2] = (n + 1) * (n + 3) * rest[:, n + 1] + v * rest[:, n]
         if n > 0:

@@ -12,10 +12,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from ..._special import bessel_j0, bessel_j1, erfc
 from ..aperture.quadrature_nodes import gauss_legendre
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ def leak(s: Array) -> Array:
 
     It is the loss of the image at s, and equally what is left of its repeat at the distance 1 - s.
     """
-    return erfc((0.5 - s) / STEP) / 2
+    return np.asarray(scipy.special.erfc((0.5 - s) / STEP) / 2)
 
 
 def cut(radius: float, reach: int) -> float:
@@ -84,7 +84,7 @@ def _hankel(r: Array, radius: float) -> Array:
     # n nodes resolve 2 n/pi turns; 8 % more and 60 for the spectrum's step leave 1e-14
     fraction, weights = gauss_legendre(math.ceil(1.7 * turns) + 60)
     q = top * fraction
-    spectrum = leak(1 - q) * bessel_j1(2 * math.pi * radius * q) * weights * top
+    spectrum = leak(1 - q) * scipy.special.j1(2 * math.pi * radius * q) * weights * top
     parts = np.array_split(r, math.ceil(r.size * q.size / BLOCK))
-    waves = [bessel_j0(2 * math.pi * part[:, None] * q) for part in parts]
+    waves = [scipy.special.j0(2 * math.pi * part[:, None] * q) for part in parts]
     return 2 * math.pi * radius * np.concatenate([wave @ spectrum for wave in waves])

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..._checks import in_range, positive
-from ..._whole_files import sweep, write_whole
+from ..._whole_files import write_whole
 from ...errors import SceneError
 from ..parts.camera import Camera
 from ..parts.hidden import MeshObject, PlanarObject
@@ -216,7 +216,7 @@ def save_scene(scene: Any, path: str | Path) -> None:
         raise SceneError(f"{path} is a folder; name a file")
     with located(f"{path}: "):
         files = saved_files(scene, path)
-    write_whole({path: files.pop(path), **files})  # the scene's name first, by which `sweep` looks
+    write_whole({**files, path: files[path]})
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -224,7 +224,6 @@ def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
         what = "a folder" if path.is_dir() else "missing"
         raise SceneError(f"{path}: the scene file is {what}; give the path of a TOML file")
-    sweep(path)  # a killed process may have saved one of several files
     try:
         text = path.read_text(encoding="utf-8")
         if len(text) > MOST_TEXT or max(map(len, text.splitlines()), default=0) > MOST_LINE:
