@@ -178,7 +178,6 @@ MADE: Mapping[str, Any] = {
     "Roughness": lambda: psf.Roughness(
         1e-7, 1e-3, np.array([[0.0, 1e-3, 2e-3, 3e-3], [1, 0.3, 0.1, 0]])
     ),
-    "PointSpreads": lambda: psf.point_spreads(wave(), wave().aberration[None], shape=16),
     "Wavefront": lambda: wave(aperture=psf.Aperture.round(5e-3, 0.3)),
     "PointSpread": lambda: psf.point_spread(wave(), shape=64),
     "ScenePointSpread": lambda: psf.scene_point_spread(room(), shape=32),
@@ -310,7 +309,6 @@ USES: Mapping[type, Any] = {
     psf.Aperture: lambda outline: outline.nodes(5, 5)[2],
     psf.Roughness: lambda rough: rough.correlation(np.geomspace(1e-5, 1e-2, 9)),
     psf.Wavefront: lambda found: psf.point_spread(found, shape=64).intensity,
-    psf.ScalarField: lambda field: field.intensity,
     psf.PointSpreadField: lambda spread: spread.modes,
     imaging.ForwardModel: lambda model: model.forward(np.eye(8, 9)),
     transient.Detector: lambda detector: detector.measure(capture_of_ones(), seed=1).H,
