@@ -51,7 +51,6 @@ from .rough.two_scale import split_scale as split_scale
 from .rough.two_scale import two_scale_point_spread as two_scale_point_spread
 from .transform.point_spread import PointSpread as PointSpread
 from .transform.point_spread import point_spread as point_spread
-from .transform.wide_pixels import wide_point_spread as wide_point_spread
 from .walls.diffraction_tail import widened as widened
 from .walls.field import PointSpreadField as PointSpreadField
 from .walls.field import isoplanatic_radius as isoplanatic_radius
