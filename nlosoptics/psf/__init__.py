@@ -5,9 +5,9 @@
 
 Sub-folders: ``aperture`` (pupil outlines and nodes), ``wave`` (sampled waves), ``pupil`` (exit
 pupil and wave of a scene), ``window`` (image windows, pixels, error bounds), ``transform`` (from
-wave to PSF), ``batch`` (many waves on one pupil), ``propagation`` (fields between parallel planes),
-``walls`` (PSFs of scenes and fields), ``rough`` (rough walls), ``metrics`` (Strehl ratio, MTF, best
-focus and others), ``exchange`` (other programs). Import everything from ``nlosoptics.psf``.
+wave to PSF), ``walls`` (PSFs of scenes and fields), ``rough`` (rough walls), ``metrics`` (Strehl
+ratio, MTF, best focus and others), ``exchange`` (other programs). Import everything from
+``nlosoptics.psf``.
 """
 
 import lazy_loader as _lazy

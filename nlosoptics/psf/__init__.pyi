@@ -1,8 +1,6 @@
 from .aperture.aperture import Aperture as Aperture
 from .aperture.quadrature_nodes import grid_nodes as grid_nodes
 from .aperture.quadrature_nodes import polar_nodes as polar_nodes
-from .batch.point_spreads import PointSpreads as PointSpreads
-from .batch.point_spreads import point_spreads as point_spreads
 from .exchange.poppy_files import read_poppy as read_poppy
 from .exchange.poppy_files import write_poppy as write_poppy
 from .exchange.prysm_poppy import PrysmPupil as PrysmPupil
@@ -33,9 +31,6 @@ from .metrics.spot_diagram import peak_strehl as peak_strehl
 from .metrics.spot_diagram import ptf as ptf
 from .metrics.spot_diagram import spot_diagram as spot_diagram
 from .metrics.spot_diagram import spot_radius as spot_radius
-from .propagation.propagate import propagate as propagate
-from .propagation.scalar_field import PropagatedField as PropagatedField
-from .propagation.scalar_field import ScalarField as ScalarField
 from .pupil.exit_pupil import ExitPupil as ExitPupil
 from .pupil.exit_pupil import exit_pupil as exit_pupil
 from .pupil.pupil_slopes import pupil_slopes as pupil_slopes
@@ -54,11 +49,8 @@ from .rough.roughness import Roughness as Roughness
 from .rough.sample import sample_point_spread as sample_point_spread
 from .rough.two_scale import split_scale as split_scale
 from .rough.two_scale import two_scale_point_spread as two_scale_point_spread
-from .transform.huygens import SurfacePointSpread as SurfacePointSpread
-from .transform.huygens import huygens_point_spread as huygens_point_spread
 from .transform.point_spread import PointSpread as PointSpread
 from .transform.point_spread import point_spread as point_spread
-from .transform.wide_pixels import wide_point_spread as wide_point_spread
 from .walls.diffraction_tail import widened as widened
 from .walls.field import PointSpreadField as PointSpreadField
 from .walls.field import isoplanatic_radius as isoplanatic_radius

@@ -185,6 +185,7 @@ USES: Mapping[type, Any] = {
     psf.Aperture: lambda outline: outline.nodes(5, 5)[2],
     psf.Roughness: lambda rough: rough.correlation(np.geomspace(1e-5, 1e-2, 9)),
     psf.Wavefront: lambda found: psf.point_spread(found, shape=64).intensity,
+    psf.PointSpreadField: lambda spread: spread.modes,
     imaging.ForwardModel: lambda model: model.forward(np.eye(8, 9)),
     transient.TransientCapture: lambda found: found.edges,
 }

@@ -147,27 +147,6 @@ SECTIONS = (
         "below one",
     ),
     Section(
-        "psf_batches.json",
-        "Many waves on one pupil",
-        "Processor time per wave for point spreads of 256 x 256 samples with a pitch of lambda "
-        "N/4. The batch is one call of `psf.point_spreads`, including its set-up; the gradient is "
-        "the additional time for it. It is compared with a loop of `psf.point_spread`, and with a "
-        "loop of matrix products in numpy on a pupil of 256 x 256 samples, or 1024 x 1024 for the "
-        "smaller tolerance. Errors are relative to the peak. With two threads, each computes half "
-        "of the waves.",
-        "python benchmarks/psf_batches.py --json {file}",
-        table={
-            "rms aberration, waves": "{rms:n2}",
-            "tol": "{tol:n}",
-            "threads": "{threads}",
-            "waves": "{waves}",
-            "batch (error)": "{cpu:time} ({error:n2})",
-            "gradient": "{gradient_cpu:time}",
-            "point_spread (error)": "{loop_cpu:time} ({loop_error:n2})",
-            "numpy (error)": "{numpy_cpu:time} ({numpy_error:n2})",
-        },
-    ),
-    Section(
         "rough_walls.json",
         "Rough walls: the mean against random walls",
         "The point spread of a rough wall, averaged over all walls, has a closed form. Here it is "

@@ -100,8 +100,8 @@ def training_pairs(
 
     Notes
     -----
-    Each image is computed as in `simulate`: the point spread function by `psf.wide_point_spread`,
-    to 1 % of its peak, and the image by `imaging.form_image`, with all of the camera's noise.
+    Each image is computed as in `simulate`: the point spread function by `psf.point_spread`, to
+    1 % of its peak, and the image by `imaging.form_image`, with all of the camera's noise.
     """
     checked_seed(seed)
     count = whole("count", count)
@@ -124,8 +124,10 @@ def training_pairs(
             pupil_radius=pupil.radius,
             image_distance=pupil.image_distance,
         )
-        spread = psf.wide_point_spread(
+        spread = psf.point_spread(
             wave,
+            model="scalar",
+            pixel_integrated=True,
             pitch=pitch,
             shape=max(2 * max(pixels) + 1, psf.window_shape(wave, pitch=pitch, tol=_TOL)),
             tol=_TOL,

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..._checks import in_range, positive, whole
+from ..._checks import in_range, whole
 from ...errors import MemoryLimitError, SamplingError
-from ..transform import huygens
 from ..transform.point_spread import METHODS, PointSpread, _sampling, point_spread
-from ..wave.detilted import Residual, split
+from ..wave.detilted import split
 from ..wave.wavefront import Wavefront
-from ..window.window import Window
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,8 +57,7 @@ class Comparison:
         One row for each method, also for those that did not run.
     best : str
         Method with the smallest error estimate, from which the differences are counted; empty if
-        none ran. The method ``huygens`` is taken only if no other ran, because its model of
-        diffraction differs.
+        none ran.
     pitch : float
         Distance between image samples, or pixel side, m.
     shape : (int, int)
@@ -102,7 +99,6 @@ def compare(
     shape: int | tuple[int, int] | None = None,
     pixel_integrated: bool = False,
     repeats: int = 1,
-    longest: float = 60.0,
 ) -> Comparison:
     """Run all methods of `point_spread` on a wave, and compare run times and results.
 
@@ -122,9 +118,6 @@ def compare(
     repeats : int
         Number of runs of each method; the shortest time is reported. The first run may include
         compilation.
-    longest : float
-        Largest predicted run time of the slow method ``huygens``, s; beyond it the method is
-        skipped.
 
     Returns
     -------
@@ -158,17 +151,11 @@ def compare(
     """
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     repeats = whole("repeats", repeats)
-    positive("longest", longest, unit="s")
     residual = split(wavefront)
     pitch, size = _sampling(residual, "fft", tol, pitch, shape, pixel_integrated)
     done: dict[str, tuple[float, PointSpread]] = {}
     reasons: dict[str, str] = {}
     for method in METHODS[1:]:
-        if method == "huygens" and not pixel_integrated:
-            expected = _huygens_seconds(residual, pitch, size)
-            if expected > longest:
-                reasons[method] = f"would take about {expected:.2g} s, limit {longest:.2g} s"
-                continue
         best = math.inf
         try:
             for _ in range(repeats):
@@ -196,10 +183,7 @@ def _table(
     shape: tuple[int, int],
 ) -> Comparison:
     """Build the table: rows in the order of `METHODS`, differences against the best method."""
-    # huygens sums spherical waves, which is another model. Outside the paraxial regime the
-    # difference of the models exceeds the numerical error.
-    alike = [m for m in done if m != "huygens"] or list(done)
-    truth = min(alike, key=lambda m: done[m][1].error_estimate, default="")
+    truth = min(done, key=lambda m: done[m][1].error_estimate, default="")
     rows = []
     for method in METHODS[1:]:
         if method in reasons:
@@ -217,16 +201,3 @@ def _table(
             )
         )
     return Comparison(rows=tuple(rows), best=truth, pitch=pitch, shape=shape)
-
-
-def _huygens_seconds(residual: Residual, pitch: float, shape: tuple[int, int]) -> float:
-    """Predict the seconds of ``huygens`` in the image plane from the corners of the window."""
-    window = Window.centred(pitch, shape)
-    corners = np.array(
-        [
-            (x, y, residual.wavefront.image_distance)
-            for x in window.x[[0, -1]]
-            for y in window.y[[0, -1]]
-        ]
-    )
-    return huygens.seconds(residual, corners) * shape[0] * shape[1] / len(corners)

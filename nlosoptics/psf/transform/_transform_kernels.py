@@ -1,85 +1,10 @@
-"""Compiled kernels of the Airy pattern, the spherical-wave sum and the ray density."""
+"""Compiled kernel of the ray density."""
 
 from __future__ import annotations
 
 import math
 
-from numba import prange
-
 from ...kernels.compiling import njit
-from ...kernels.parallel import threaded
-
-
-@njit(cache=True)
-def _disc(v, steps, table):
-    """Return 2 J1(v)/v by the Taylor series about the nearest of ``steps`` points per radian."""
-    row = int(v * steps + 0.5)
-    t = v - row / steps
-    value = table[row, table.shape[1] - 1]
-    for k in range(table.shape[1] - 2, -1, -1):
-        value = value * t + table[row, k]
-    return value
-
-
-@njit(cache=True)
-def airy_quarter(pitch, obscuration, steps, table, out):
-    """Fill ``out`` (n, n) with the Airy intensity of a quadrant, its peak at [0, 0].
-
-    ``pitch`` is the step in v, rad, per sample.
-    """
-    n = out.shape[0]
-    share = obscuration * obscuration
-    for j in range(n):
-        for i in range(j + 1):
-            v = pitch * math.sqrt(float(i * i + j * j))
-            field = _disc(v, steps, table)
-            if obscuration > 0.0:
-                field = (field - share * _disc(obscuration * v, steps, table)) / (1.0 - share)
-            out[j, i] = field * field
-            out[i, j] = field * field
-
-
-@njit(cache=True)
-def mirrored(quarter, row, column, out):
-    """Fill ``out`` with a quadrant and its reflections about the sample [row, column]."""
-    for j in range(out.shape[0]):
-        line, source = out[j], quarter[abs(j - row)]
-        for i in range(column):
-            line[i] = source[column - i]
-        for i in range(column, out.shape[1]):
-            line[i] = source[i - column]
-
-
-@threaded()
-def huygens_field(points, u, v, w, path, size, distance, wavenumber, curved, out):
-    """Fill ``out`` (n, 2) with the real and imaginary field at points (n, 3), m.
-
-    Each node (u, v, w) emits ``size exp(ik path)`` as a spherical wave of amplitude 1/r. Its phase
-    is relative to that at the point (0, 0, distance). Each point sums its nodes in order, so that
-    the result does not depend on the number of threads.
-    """
-    side = math.copysign(1.0, distance)
-    for i in prange(points.shape[0]):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        real = imaginary = 0.0
-        for j in range(u.shape[0]):
-            a, b, e = x - u[j], y - v[j], z - w[j]
-            r = math.sqrt(a * a + b * b + e * e)
-            f = distance - w[j]
-            c = math.sqrt(u[j] * u[j] + v[j] * v[j] + f * f)
-            # r - c as (r^2 - c^2)/(r + c), with the common terms of the squares cancelled exactly
-            along = (z - distance) * (e + f)
-            longer = (x * (x - 2.0 * u[j]) + y * (y - 2.0 * v[j]) + along) / (r + c)
-            phase = wavenumber * (path[j] + side * longer)
-            # obliquity: cosine to the axis for the plane, to the sphere's radius for the sphere
-            strength = size[j] / r
-            if curved:
-                strength *= abs(e * f - a * u[j] - b * v[j]) / (r * c)
-            else:
-                strength *= abs(e) / r
-            real += strength * math.cos(phase)
-            imaginary += strength * math.sin(phase)
-        out[i, 0], out[i, 1] = real, imaginary
 
 
 @njit(cache=True)

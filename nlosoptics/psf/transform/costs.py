@@ -13,10 +13,9 @@ import numpy as np
 from ..wave.detilted import Residual
 from ..window.grids import grid_size
 from ..window.window import Window
-from . import nufft, quadrature
+from . import quadrature
 from .antialiased_fft import Grid
 from .geometric import MOST_RAYS, most_cells, patch_rays, ray_counts
-from .spread_grid import SpreadGrid
 
 #: Overhead of any transform, s: calls, checks, small arrays and the wave's regime.
 CALL = 1.2e-3
@@ -24,7 +23,7 @@ CALL = 1.2e-3
 
 def airy(window: Window) -> float:
     """Predict the seconds of the closed form, one Bessel function per point."""
-    return CALL + 3e-8 * _points(window)
+    return CALL + 1e-7 * _points(window)
 
 
 def sum_over_nodes(n_nodes: float, window: Window) -> float:
@@ -37,20 +36,10 @@ def polar_sum(residual: Residual, window: Window) -> float:
     return sum_over_nodes(math.prod(quadrature.node_counts(residual, window)), window)
 
 
-def spread_folded(coarse: quadrature.Coarse, grid: SpreadGrid, window: Window) -> float:
-    """Predict the seconds of an antialiased grid of cells by matrix products."""
-    ny, nx = window.shape
-    products = grid.centre * nx * (2.0 * grid.centre + ny)
-    per_node, each = 2e-8 + 1e-9 * grid.width**2, 1.5e-10 if grid.single else 2.5e-10
-    return 6e-4 + per_node * math.prod(coarse.counts) + each * products
-
-
-def spread_padded(coarse: quadrature.Coarse, window: Window) -> float:
-    """Predict the seconds of an antialiased grid of cells by padded FFTs."""
-    single = coarse.epsilon >= nufft.SINGLE
+def coarse_sum(coarse: quadrature.Coarse, window: Window) -> float:
+    """Predict the seconds of ``fft`` for a wave on cells."""
     digits = -math.log10(coarse.epsilon)
-    per_node, per_point = 3e-8 + 1e-9 * digits**2, (0.9e-8 if single else 1.2e-8)
-    return 6e-4 + per_node * math.prod(coarse.counts) + per_point * _points(window)
+    return 6e-4 + (3e-8 + 1e-9 * digits**2) * math.prod(coarse.counts) + 1.2e-8 * _points(window)
 
 
 def soft_grid(residual: Residual, window: Window, pupil_pitch: float, size: int) -> float:
@@ -66,12 +55,6 @@ def soft_padded(window: Window, grid: Grid) -> float:
     size = round(grid.period / window.pitch)
     columns = min(size, 2 * grid.centre) + window.shape[1]
     return CALL + 3e-8 * grid.radius**2 + 5e-10 * size * columns * math.log2(size)
-
-
-def soft_folded(window: Window, grid: Grid) -> float:
-    """Predict the seconds of a polynomial wave on a softened grid by matrix products."""
-    ny, nx = window.shape
-    return CALL + 3e-8 * grid.radius**2 + 1.5e-10 * grid.centre * nx * (2 * grid.centre + ny)
 
 
 def map_fft(residual: Residual, window: Window, size: int) -> float:

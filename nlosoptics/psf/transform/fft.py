@@ -111,6 +111,8 @@ def padded_pass(
         padded = np.zeros((rows.shape[0], size), dtype=np.complex128)
         padded[:, : rows.shape[1]] = rows if ramp is None else rows * ramp
         ducc0.fft.c2c(padded, axes=(1,), forward=forward, out=padded, nthreads=1)
+        if len(pieces) == 1:
+            return padded[:, pieces[0]]
         return np.concatenate([padded[:, piece] for piece in pieces], axis=1)
 
     return transform

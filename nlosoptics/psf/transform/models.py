@@ -173,11 +173,6 @@ def scalar_model_error(task: Task, result: Result, normalisation: str) -> float:
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Normalisation in which the models are compared.
 
-    Returns
-    -------
-    float
-        Infinite for an image surface other than the image plane.
-
     Notes
     -----
     Let s be the sine of the cone's half angle. To the order s^2 the models differ by the axial
@@ -188,8 +183,6 @@ def scalar_model_error(task: Task, result: Result, normalisation: str) -> float:
     that it approaches c in strongly aberrated spots.
     """
     residual = task.residual
-    if task.surface is not None:
-        return math.inf
     largest = float(result.mean.max())
     if task.rule is None and task.pitch > residual.nyquist_pitch * (1 + 1e-9):
         error = 2 * ABERRATED * axial_share(residual) / largest  # samples may miss the peak

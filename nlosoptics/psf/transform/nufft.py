@@ -6,7 +6,6 @@ Each node, or traced ray, has the weight amplitude times area.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import ducc0
 import numpy as np
@@ -18,7 +17,7 @@ from ..wave.detilted import Residual
 from ..window.window import Window
 
 Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complexfloating]
+ComplexArray = NDArray[np.complex128]
 
 #: Number of nodes plus points up to which the transform uses the accuracy `BEST`.
 SMALL = 200_000
@@ -26,8 +25,6 @@ SMALL = 200_000
 BEST, FAST = 2e-13, 1e-8
 #: Coarsest accuracy used of chosen nodes: beyond it the largest error exceeds twice the requested.
 COARSEST = 1e-3
-#: Relative accuracy from which on single precision suffices: its rounding stays far below.
-SINGLE = 3e-5
 
 
 def epsilon(n_nodes: int, window: Window, tol: float) -> float:
@@ -67,79 +64,35 @@ def image_field(
     Returns
     -------
     ndarray of complex, (ny, nx)
-        In single precision if ``epsilon`` is at least `SINGLE`.
     """
-    single = epsilon >= SINGLE
-    points, coord = node_phasors(residual, u, v, path, size, window, single)
-    image = np.empty(window.shape, dtype=points.dtype)
+    points, coord = node_phasors(residual, u, v, path, size, window)
+    image = np.empty(window.shape, dtype=np.complex128)
     ducc0.nufft.nu2u(
-        points=points,
-        coord=coord,
-        forward=True,
-        epsilon=epsilon,
-        nthreads=1,
-        out=image,
+        points=points, coord=coord, forward=True, epsilon=epsilon, nthreads=1, out=image
     )
     return image
 
 
 def node_phasors(
-    residual: Residual,
-    u: Array,
-    v: Array,
-    path: Array,
-    size: Array,
-    window: Window,
-    single: bool = False,
-) -> tuple[NDArray[Any], Array]:
-    """Return the points (n,) and coordinates (n, 2) of the transform in `image_field`.
-
-    Its arguments are described there; ``single`` asks for single precision.
-    """
-    wave = residual.wavefront
-    ny, nx = window.shape
-    # The transform's modes run from -n//2, so its mode 0 is sample n//2.
-    middle = (
-        window.first[0] + (nx // 2) * window.pitch,
-        window.first[1] + (ny // 2) * window.pitch,
-    )
-    points = phasors_about(residual, u, v, path, size, middle, single)
-    coord = np.empty((u.size, 2))
-    coord[:, 0], coord[:, 1] = v.ravel(), u.ravel()
-    coord *= 2 * math.pi * window.pitch / (wave.wavelength * wave.image_distance)
-    return points, coord
-
-
-def phasors_about(
-    residual: Residual,
-    u: Array,
-    v: Array,
-    path: Array,
-    size: Array,
-    middle: tuple[float, float],
-    single: bool,
-) -> NDArray[Any]:
-    """Return ``size exp(ik path) exp(-2 pi i x.p/(lambda d))`` of nodes for one image point, (n,).
-
-    Arguments are those of `image_field`; ``middle`` is the image point (x, y), m. ``single`` asks
-    for single precision.
-    """
+    residual: Residual, u: Array, v: Array, path: Array, size: Array, window: Window
+) -> tuple[ComplexArray, Array]:
+    """Return the points (n,) and coordinates (n, 2) of the transform in `image_field`."""
     from ..wave import _wave_kernels
 
     wave = residual.wavefront
     per_metre = 1 / (wave.wavelength * wave.image_distance)
-    points = np.empty(u.size, dtype=np.complex64 if single else np.complex128)
-    _wave_kernels.tilted_wave(
-        read_only(u.ravel()),
-        read_only(v.ravel()),
-        read_only(path.ravel()),
-        read_only(size.ravel()),
-        per_metre * (residual.shift[0] - middle[0]),
-        per_metre * (residual.shift[1] - middle[1]),
-        1 / wave.wavelength,
-        points,
+    # The transform's modes run from -n//2, so its mode 0 is sample n//2.
+    along, across = (
+        per_metre * (shift - first - (n // 2) * window.pitch)
+        for shift, first, n in zip(residual.shift, window.first, window.shape[::-1], strict=True)
     )
-    return points
+    points = np.empty(u.size, dtype=np.complex128)
+    nodes = (read_only(part.ravel()) for part in (u, v, path, size))
+    _wave_kernels.tilted_wave(*nodes, along, across, 1 / wave.wavelength, points)
+    coord = np.empty((u.size, 2))
+    coord[:, 0], coord[:, 1] = v.ravel(), u.ravel()
+    coord *= 2 * math.pi * window.pitch * per_metre
+    return points, coord
 
 
 def field(residual: Residual, window: Window, epsilon: float = BEST) -> ComplexArray:

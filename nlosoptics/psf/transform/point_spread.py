@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..._checks import fits_memory, in_range, one_of, positive, seconds_limit
 from ..._html import Figures, Shown
 from ..._nouns import Noun
-from ...errors import SamplingError, SceneError
+from ...errors import SamplingError
 from ..wave.detilted import Residual, split
 from ..wave.regime import Regime, regime
 from ..wave.wavefront import Wavefront
@@ -28,12 +28,12 @@ from ..window.window import (
 from . import fft
 from .high_aperture import Polarisation, check_cone
 from .models import Model, check_model, modelled
-from .runners import Surface, Task
+from .runners import Task
 
 Array = NDArray[np.float64]
-Method = Literal["auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric", "huygens"]
+Method = Literal["auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric"]
 Normalisation = Literal["unit-sum", "ideal-peak", "flux"]
-METHODS = ("auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric", "huygens")
+METHODS = ("auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric")
 NORMALISATIONS = ("unit-sum", "ideal-peak", "flux")
 
 
@@ -79,8 +79,7 @@ class PointSpread(Noun, Shown):
         Model of diffraction: scalar at small angles, or vector diffraction of a fast lens.
     model_error : float
         Largest error of the scalar model relative to the peak, an upper bound. It is the difference
-        from vector diffraction of unpolarised light. 0 for the high-aperture model; infinite if no
-        bound is known.
+        from vector diffraction of unpolarised light. 0 for the high-aperture model.
 
     See Also
     --------
@@ -160,7 +159,6 @@ def point_spread(
     shape: int | tuple[int, int] | None = None,
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
-    image_surface: Surface | None = None,
     max_seconds: float | None = None,
     model: Model = "auto",
     polarisation: Polarisation = "unpolarised",
@@ -178,16 +176,15 @@ def point_spread(
 
         - ``quadrature`` integrates over the pupil by Gauss quadrature, for the layouts "polar" and
           "cells". It uses as many points as the window requires.
-        - ``fft`` is an FFT of the zero-padded pupil; ``mdft`` is a matrix Fourier transform, for
-          any pitch. Waves of the layouts "polar" and "cells" are first resampled to a grid that is
-          fine enough for ``tol``.
+        - ``fft`` is an FFT of the zero-padded pupil. A wave of the layout "polar" is first
+          resampled to a grid that is fine enough for ``tol``; one of the layout "cells" is summed
+          over as few points as ``tol`` allows.
+        - ``mdft`` is a chirp transform of a grid, for any pitch; not for the layout "cells".
         - ``nufft`` is a non-uniform FFT of the given sample points of any layout, such as traced
           rays.
         - ``airy`` is the closed form of a wave without aberration.
         - ``geometric`` is the density of rays in the image, without diffraction; ``auto`` tries it
           for more than 20 wavelengths of aberration with ``pixel_integrated``.
-        - ``huygens`` sums spherical waves on ``image_surface``, see `huygens_point_spread`. It is
-          slow, and ``auto`` does not use it.
     tol : float
         Largest error of the intensity that ``auto`` accepts, relative to the peak; above 0, at most
         1. A method given by name samples as coarsely as ``tol`` allows. Its result is returned even
@@ -204,8 +201,7 @@ def point_spread(
         - for ``fft`` of a wave on a grid without a pitch, the full period of the FFT.
 
         All rays must arrive inside the window. There are exceptions, which accept any window if
-        given as ``method``: ``quadrature``, ``nufft`` and ``huygens``, and, for a wave with the
-        layout "cells" or "grid", ``mdft``.
+        given as ``method``: ``quadrature``, ``nufft`` and, for the layout "grid", ``mdft``.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Quantity that has the value 1: the energy in the whole image plane (``unit-sum``), the peak
         of the same pupil without aberration (``ideal-peak``), or the energy that a clear disc of
@@ -213,11 +209,6 @@ def point_spread(
         per pixel; without ``pixel_integrated`` that is the intensity at a sample times ``pitch^2``.
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
-    image_surface : callable, optional
-        Function of arrays x and y, m, that returns the height of a curved image surface above the
-        image plane, m, positive along the direction of the light. Only for ``huygens``, which then
-        also needs a ``shape``. The intensity is per area of the image plane. Default: the image
-        plane.
     max_seconds : float, optional
         Largest predicted run time on one core, s: ``auto`` skips a method beyond it. A method given
         by name always runs. Default 60 s, or the time left if `simulate` calls this function.
@@ -312,7 +303,6 @@ def point_spread(
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     if max_seconds is not None:
         positive("max_seconds", max_seconds, unit="s")
-    _check_surface(method, shape, image_surface)
     polarisation = check_model(model, method, polarisation)
     return detilted_point_spread(
         split(wavefront),
@@ -322,7 +312,6 @@ def point_spread(
         shape=shape,
         normalisation=normalisation,
         pixel_integrated=pixel_integrated,
-        image_surface=image_surface,
         max_seconds=max_seconds,
         model=model,
         polarisation=polarisation,
@@ -338,7 +327,6 @@ def detilted_point_spread(
     shape: int | tuple[int, int] | None = None,
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
-    image_surface: Surface | None = None,
     max_seconds: float | None = None,
     model: Model = "scalar",
     polarisation: Polarisation = "unpolarised",
@@ -349,7 +337,7 @@ def detilted_point_spread(
     ----------
     residual : Residual
         Result of `split`, which several point spreads of one wave can share.
-    method, tol, pitch, shape, normalisation, pixel_integrated, image_surface, max_seconds
+    method, tol, pitch, shape, normalisation, pixel_integrated, max_seconds
         Options of `point_spread`, already checked.
     model, polarisation
         Options as returned by `check_model`. The default is the scalar model, to which rough walls,
@@ -365,12 +353,12 @@ def detilted_point_spread(
     if not pixel_integrated and normalisation != "ideal-peak":
         check_nyquist(residual, pitch, normalisation)
     whole = holds_rays(residual, pitch, shape)
-    if image_surface is None and not whole:  # landing points are known in the image plane only
+    if not whole:
         _check_part(residual, method, pitch, shape)
     rule = None
     if pixel_integrated:
         rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape))
-    task = Task(residual, tol, pitch, shape, rule, image_surface, whole)
+    task = Task(residual, tol, pitch, shape, rule, whole)
     fits_memory(
         f"a point spread of {shape[0]} x {shape[1]} samples",
         32.0 * shape[0] * shape[1],
@@ -409,32 +397,16 @@ def _model_figure(model: str, error: float) -> str:
     return f"{model}, error {f'{error:.1e} of the peak' if math.isfinite(error) else 'unknown'}"
 
 
-def _check_surface(method: str, shape: object, surface: Surface | None) -> None:
-    """Check that an image surface is given with ``method="huygens"`` and a shape only."""
-    if surface is None:
-        return
-    if method != "huygens":
-        raise SceneError(
-            f"image_surface with method = '{method}', which computes the image plane only; use "
-            "method='huygens'"
-        )
-    if shape is None:
-        raise SceneError(
-            "image_surface without a shape: the default shape holds the rays in the image plane, "
-            "not on a surface; give a shape"
-        )
-
-
 def _check_part(residual: Residual, method: str, pitch: float, shape: tuple[int, int]) -> None:
     """Refuse a window that loses rays, unless a method that sums the field at points is named."""
     layout = residual.wavefront.layout
     sums = {
         "polar": ("quadrature", "nufft"),
-        "cells": ("quadrature", "mdft", "nufft"),
+        "cells": ("quadrature", "nufft"),
         "grid": ("mdft", "nufft"),
         "scattered": ("nufft",),
     }[layout]
-    if method not in (*sums, "huygens"):
+    if method not in sums:
         remedy = f", or method='{sums[0]}', which computes any part of the image"
         check_rays(residual, pitch, shape, remedy)
 

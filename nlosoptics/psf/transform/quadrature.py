@@ -14,7 +14,7 @@ from ..window.window import Window
 from . import nufft
 
 Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complexfloating]
+ComplexArray = NDArray[np.complex128]
 #: Range of the accuracies of `coarse_counts`.
 LEAST, MOST = 1e-12, 1e-2
 #: Bound of the field's error over the accuracy of the nodes.
@@ -113,22 +113,15 @@ class Coarse(NamedTuple):
         Measured errors reach 0.6 of it. It is not claimed to be below that of the core, so that the
         law of `coarse_counts` is not extrapolated.
         """
-        from . import _antialiased_kernels
-
-        k, (size_s, size_t) = residual.wavenumber, residual.aperture.patch_size
-        own, most = np.empty_like(distance), self.counts[1:]
-        spare = tuple(n - degree / 2 for n, degree in zip(most, self.degrees, strict=True))
-        per_metre = k / abs(residual.wavefront.image_distance)
-        _antialiased_kernels.node_errors(
-            distance.ravel(),
-            (k * residual.rays.slope, per_metre),
-            (size_s, size_t),
-            spare,
-            self.core,
-            own.ravel(),
-        )
-        own *= SAFETY
-        return own
+        k, digits = residual.wavenumber, np.full(distance.shape, np.inf)
+        slope = residual.rays.slope + distance / abs(residual.wavefront.image_distance)
+        for size, count, degree in zip(
+            residual.aperture.patch_size, self.counts[1:], self.degrees, strict=True
+        ):
+            v = np.maximum(k * slope * size, 1e-3)
+            spare = np.maximum(count - degree / 2 - v / 4, 0.0)
+            digits = np.minimum(digits, (spare / (0.67 * np.cbrt(v))) ** 1.5)
+        return np.asarray(SAFETY * np.maximum(10.0**-digits, self.core))
 
 
 def coarse_counts(

@@ -22,55 +22,32 @@ from . import (
     airy,
     antialiased_fft,
     antialiased_pupil,
-    costs,
     fft,
     geometric,
-    huygens,
     mdft,
     nufft,
     quadrature,
-    spread_grid,
 )
 
 Array = NDArray[np.float64]
-#: Height of the image surface above the image plane, m, as a function of arrays x and y, m.
-Surface = Callable[[Array, Array], Array]
-
 #: Least number of samples across the pupil if a polar wave is resampled to a grid.
 LEAST_SAMPLES = 512
 #: Pixel side, Airy units, up to which errors are assumed not to average out over a pixel.
 NO_BEATS = 0.8
-#: Largest error, in units of tol, at which a polynomial wave is repeated with more padding.
-NEAR_MISS = 8.0
-#: Predicted field at a window's edge over that of a clear disc, since straight edges of a rim make
-#: spikes. Where the field exceeds it, the transform is repeated with more nodes.
-DARK = 3.0
 #: Phase, rad, below which series terms of a polar wavefront need not be resolved by its nodes.
 NEGLIGIBLE = 1e-10
 
 
-class SpreadTask(NamedTuple):
-    """Nodes and grid of a wave on cells, and the predicted field at the edge and peak intensity."""
-
-    coarse: quadrature.Coarse
-    grid: spread_grid.SpreadGrid
-    dark: float
-    peak: float
-
-
 class SoftTask(NamedTuple):
-    """Polynomial wave, the parameters of its rim errors, and its image period in Airy units."""
+    """Polynomial wave, what its rim's errors depend on, and its image period in Airy units."""
 
     wave: antialiased_pupil.SoftWave
     rim: antialiased_pupil.Rim
     period: float
 
-    def grid(self, task: Task, method: str) -> antialiased_fft.Grid:
-        """Return the pupil grid for ``"fft"`` or ``"mdft"``."""
-        single = task.tol >= antialiased_pupil.SINGLE
-        if method == "fft":
-            return antialiased_fft.padded(task.residual, task.samples, self.period, single)
-        return antialiased_fft.whole(task.residual, self.period, single)
+    def grid(self, task: Task) -> antialiased_fft.Grid:
+        """Return the pupil grid."""
+        return antialiased_fft.padded(task.residual, task.samples, self.period)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +66,6 @@ class Task:
         (ny, nx).
     rule : PixelRule or None
         Average over pixels; None for point samples.
-    surface : callable or None
-        Image surface, for ``huygens`` only.
     whole : bool
         Whether the window holds the rays.
     """
@@ -100,7 +75,6 @@ class Task:
     pitch: float
     shape: tuple[int, int]
     rule: PixelRule | None
-    surface: Surface | None = None
     whole: bool = True
 
     @property
@@ -138,25 +112,15 @@ class Task:
         return SoftTask(found, rim, period)
 
     @cached_property
-    def spread(self) -> SpreadTask:
-        """Input of the antialiased grids of a wave on cells, for a window with a dark edge."""
+    def coarse(self) -> quadrature.Coarse:
+        """Nodes of a wave on cells that suffice for ``tol`` in a window with a dark edge."""
         residual, samples = self.residual, self.samples
         peak = antialiased_pupil.predicted_peak(residual)
         reach = min(samples.shape) * samples.pitch / 2 - math.hypot(*residual.shift)
         beyond = np.asarray(max(reach - residual.rays.reach, 0.0)) / residual.airy_unit
-        dark = DARK * float(error_bounds.tail(beyond))
-        return self.spread_to(min(dark, math.sqrt(peak)), peak)
-
-    def spread_to(self, dark: float, peak: float) -> SpreadTask:
-        """Return the nodes and the grid for a field of modulus ``dark`` at the window's edge."""
-        single = self.tol >= antialiased_pupil.SINGLE
-        coarse = quadrature.coarse(self.residual, self.samples, self.tol, peak, dark)
-        # Repeats may err by four times as much as nodes in the core, and by twice at the edge.
-        core, edge = 4 * quadrature.SAFETY * coarse.core, 2 * quadrature.SAFETY * coarse.edge
-        edge = max(core, edge)
-        grids = spread_grid.spread_grids(self.residual, self.samples, core, edge, single)
-        grid = min(grids, key=lambda one: costs.spread_folded(coarse, one, self.samples))
-        return SpreadTask(coarse, grid, dark, peak)
+        # Straight edges of a rim make spikes, with a field above that of a clear disc.
+        dark = min(3 * float(error_bounds.tail(beyond)), math.sqrt(peak))
+        return quadrature.coarse(residual, samples, self.tol, peak, dark)
 
     def bound(
         self,
@@ -184,11 +148,7 @@ class Task:
 
     def means(self, field: NDArray[np.complexfloating]) -> Array:
         """Return the intensity of a field at `samples`, averaged over pixels if required."""
-        from . import _antialiased_kernels
-
-        fine = np.empty(field.shape)
-        _antialiased_kernels.squares(field, 1.0, fine)
-        return self.averaged(fine)
+        return self.averaged(field.real**2 + field.imag**2)
 
     def averaged(self, fine: Array) -> Array:
         """Return an intensity at `samples`, averaged over pixels if required."""
@@ -221,8 +181,6 @@ class Result:
 
 def transform(task: Task, method: str) -> Result:
     """Run a transform by name; raise `SamplingError` if the wave's layout does not allow it."""
-    if method == "huygens":
-        return _huygens(task)
     run: dict[str, Callable[[Task], tuple[Array, float]]] = {
         "airy": _airy,
         "quadrature": _quadrature,
@@ -275,9 +233,9 @@ def _fft(task: Task) -> tuple[Array, float]:
     """Compute mean intensity and error bound by a zero-padded FFT of a grid."""
     residual, samples = task.residual, task.samples
     if residual.wavefront.layout == "cells":
-        return _spread(task, "fft")
+        return _cells(task)
     _check_not_scattered(residual, "fft")
-    soft = _soft(task, "fft")
+    soft = _soft(task)
     if soft is not None:
         return soft
     fft.check_padding(residual, samples.pitch)
@@ -304,59 +262,51 @@ def _fft(task: Task) -> tuple[Array, float]:
     return mean, grid_bound(task, mean, grid)
 
 
-def _spread(task: Task, method: str) -> tuple[Array, float]:
-    """Compute mean intensity and error bound by an antialiased grid of cells.
+def _cells(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by a sum over as few nodes as ``tol`` allows."""
+    nodes = task.coarse
+    image = _cells_image(task, nodes)
+    bright = antialiased_pupil.predicted_peak(task.residual)
+    if image[1] > task.tol:  # the edge may be brighter than predicted
+        more = quadrature.coarse(task.residual, task.samples, task.tol, bright, math.sqrt(bright))
+        if more != nodes:
+            image = _cells_image(task, more)
+    return image
 
-    As many nodes as ``tol`` needs are spread onto a grid by a kernel whose spectrum vanishes where
-    the image repeats, and is divided out after the transform, by FFTs or by products.
-    """
-    found = _spread_image(task, task.spread, method)
-    bright = math.sqrt(task.spread.peak)
-    if found[1] > task.tol and task.spread.dark < bright:  # the edge is brighter than predicted
-        found = _spread_image(task, task.spread_to(bright, task.spread.peak), method)
-    return found
 
-
-def _spread_image(task: Task, spread: SpreadTask, method: str) -> tuple[Array, float]:
+def _cells_image(task: Task, nodes: quadrature.Coarse) -> tuple[Array, float]:
     """Return the image of a wave on cells, and its error bound from that of each block."""
-    residual, samples, (nodes, grid, _, _) = task.residual, task.samples, spread
-    if method == "fft":
-        mean = task.means(quadrature.field(residual, samples, nodes.epsilon, nodes.counts))
-    else:
-        mean = spread_grid.image(residual, samples, nodes.counts, grid, task.rule)
+    residual = task.residual
+    mean = task.means(quadrature.field(residual, task.samples, nodes.epsilon, nodes.counts))
     half = 0.0 if task.rule is None else task.pitch / 2
     strongest, far = antialiased_pupil.block_maxima(residual, task.pixels, mean, half)
     error = residual.truncation + nodes.field_errors(residual, far)
-    if method == "fft":
-        rounding = 2 * task.transform_error(mean, nodes.epsilon)
-        return mean, task.bound(strongest, error, math.inf) + rounding
-    error += grid.errors(mean.shape, strongest.shape)
-    return mean, task.bound(strongest, error, math.inf)
+    rounding = 2 * task.transform_error(mean, nodes.epsilon)
+    return mean, task.bound(strongest, error, math.inf) + rounding
 
 
-def _soft(task: Task, method: str) -> tuple[Array, float] | None:
-    """Transform a polynomial wave by ``fft`` or ``mdft``; return None if it is not polynomial."""
+def _soft(task: Task) -> tuple[Array, float] | None:
+    """Transform a polynomial wave by ``fft``; return None if it is not polynomial."""
     soft = task.soft
     if soft is None:
         return None
-    found = _soft_image(task, soft, method)
-    if task.tol < found[1] < NEAR_MISS * task.tol:
+    image = _soft_image(task, soft)
+    if task.tol < image[1] < 8 * task.tol:
         # The peak is lower than predicted, so that the relative error is larger.
-        tol = task.tol / NEAR_MISS
-        period = antialiased_pupil.period_of(task.residual, soft.rim, task.samples, tol)
-        found = _soft_image(task, soft._replace(period=period), method)
-    return found
+        period = antialiased_pupil.period_of(task.residual, soft.rim, task.samples, task.tol / 8)
+        image = _soft_image(task, soft._replace(period=period))
+    return image
 
 
-def _soft_image(task: Task, soft: SoftTask, method: str) -> tuple[Array, float]:
+def _soft_image(task: Task, soft: SoftTask) -> tuple[Array, float]:
     """Return the image of a polynomial wave from its softened grid, and its error bound."""
-    residual, wave, grid = task.residual, soft.wave, soft.grid(task, method)
-    run = antialiased_fft.padded_image if method == "fft" else antialiased_fft.folded_image
-    mean = run(residual, wave, task.samples, grid, task.rule)
+    residual, wave, grid = task.residual, soft.wave, soft.grid(task)
+    mean = antialiased_fft.padded_image(residual, wave, task.samples, grid, task.rule)
     half = 0.0 if task.rule is None else task.pitch / 2
-    strongest, error = antialiased_pupil.block_errors(
-        residual, soft.rim, task.pixels, mean, grid.period, half
-    )
+    strongest, far = antialiased_pupil.block_maxima(residual, task.pixels, mean, half)
+    rings, unit = antialiased_pupil.RINGS * far.max(), residual.airy_unit
+    ring = np.minimum(np.searchsorted(rings, far), rings.size - 1)
+    error = soft.rim.errors(rings / unit, grid.period / unit)[ring]
     lost = residual.truncation + wave.misfit * wave.strength + grid.error
     return mean, task.bound(strongest, error + lost, math.inf)
 
@@ -365,11 +315,11 @@ def _mdft(task: Task) -> tuple[Array, float]:
     """Compute mean intensity and error bound by a transform of a grid to any pitch."""
     residual, samples = task.residual, task.samples
     if residual.wavefront.layout == "cells":
-        return _spread(task, "mdft")
+        raise SamplingError(
+            "mdft needs a grid, and this wavefront has the layout 'cells'; use method='fft', or "
+            "sample it with nodes='grid'"
+        )
     _check_not_scattered(residual, "mdft")
-    soft = _soft(task, "mdft")
-    if soft is not None:
-        return soft
     if residual.wavefront.layout == "polar":
         grid = pupil_grid_from_polar(residual, grid_period_pitch(task, polar_size(task)))
         _check_jump(task, grid.jump, None)
@@ -436,27 +386,6 @@ def _scattered_bound(task: Task, mean: Array, epsilon: float) -> float:
     levels = (1.0, flux, flux * energy / true_energy)
     worst = max(float(np.abs(better * level - mean).max()) for level in levels)
     return 1.2 * worst / float(mean.max()) + task.bound(mean, doubt, doubt**2)
-
-
-def _huygens(task: Task) -> Result:
-    """Sum spherical waves on the image surface."""
-    residual, window = task.residual, task.pixels
-    wave = residual.wavefront
-    if task.rule is not None:
-        raise SamplingError(
-            "huygens computes the intensity at points only, since on a surface it has no band "
-            "limit by which to integrate pixels; use pixel_integrated=False"
-        )
-    ny, nx = window.shape
-    fits_memory(f"{ny} x {nx} image points", 120.0 * ny * nx, "use a smaller shape")
-    y, x = np.meshgrid(window.y, window.x, indexing="ij")
-    points = np.stack([x, y, np.full_like(x, wave.image_distance)], axis=-1).reshape(-1, 3)
-    if task.surface is not None:
-        height = np.asarray(task.surface(x, y), dtype=np.float64)
-        points[:, 2] += np.broadcast_to(height, x.shape).ravel()
-    found = huygens.surface_field(residual, points, "sphere")
-    mean = found.intensity.reshape(window.shape)
-    return Result("huygens", mean, found.error, found.density * task.pitch**2)
 
 
 def _geometric(task: Task) -> tuple[Array, float]:

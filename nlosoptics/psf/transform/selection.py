@@ -106,7 +106,7 @@ def candidates(task: Task, regime: Regime) -> list[Candidate]:
             return [closed]  # no other transform is faster
         found = [closed, _quadrature(task), _soft_grid(task)]
     elif layout == "cells":
-        found = [_quadrature(task), _spread(task)]
+        found = [_quadrature(task), _cells(task)]
     elif layout == "scattered":
         found = [Candidate(costs.scattered_sum(task.residual, task.samples), "nufft")]
     else:
@@ -132,32 +132,23 @@ def _quadrature(task: Task) -> Candidate:
     return Candidate(costs.polar_sum(residual, task.samples), "quadrature", ruled_out)
 
 
-def _spread(task: Task) -> Candidate:
-    """Return the fastest transform of an antialiased grid of cells."""
-    coarse, grid, beat = task.spread.coarse, task.spread.grid, error_bounds.beat(task.pixel)
-    found = []
-    for method, seconds, more in (
-        ("fft", costs.spread_padded(coarse, task.samples), 0.0),
-        ("mdft", costs.spread_folded(coarse, grid, task.samples), grid.least_error),
-    ):
-        # lower bound of the relative error, since the peak is at most 1
-        least = 2 * beat * (task.residual.truncation + quadrature.SAFETY * coarse.core + more)
-        ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
-        found.append(Candidate(seconds, method, ruled_out))
-    return min(found, key=lambda one: (one.ruled_out != "", one.seconds))
+def _cells(task: Task) -> Candidate:
+    """Return the sum over as few nodes of cells as suffice."""
+    # lower bound of the relative error, since the peak is at most 1
+    field = task.residual.truncation + quadrature.SAFETY * task.coarse.core
+    least = 2 * error_bounds.beat(task.pixel) * field
+    ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
+    return Candidate(costs.coarse_sum(task.coarse, task.samples), "fft", ruled_out)
 
 
 def _soft_grid(task: Task) -> Candidate:
-    """Return the fastest transform of a polar wave on a grid with a softened rim."""
+    """Return the FFT of a polar wave on a grid with a softened rim."""
     residual = task.residual
     if task.soft is not None:
-        fast, few = (task.soft.grid(task, method) for method in ("fft", "mdft"))
-        least = 2 * few.error
+        grid = task.soft.grid(task)
+        least = 2 * grid.error
         ruled_out = f"error of its rim {least:g}" if task.tol < least else ""
-        return min(
-            Candidate(costs.soft_padded(task.samples, fast), "fft", ruled_out),
-            Candidate(costs.soft_folded(task.samples, few), "mdft", ruled_out),
-        )
+        return Candidate(costs.soft_padded(task.samples, grid), "fft", ruled_out)
     size = polar_size(task)
     pitch = grid_period_pitch(task, size)
     # peak if the energy were uniform over the disc of the rays, at most 1
@@ -244,19 +235,11 @@ def _too_long(
     """Return the error for transforms that exceed ``max_seconds``; check the memory first."""
     ny, nx = task.samples.shape
     n_bytes = 32.0 * ny * nx
-    if task.soft is not None and cheapest.method in ("fft", "mdft"):
-        need = (
-            antialiased_fft.padded_bytes
-            if cheapest.method == "fft"
-            else antialiased_fft.folded_bytes
-        )
-        grid = task.soft.grid(task, cheapest.method)
-        n_bytes = need(task.samples, grid, task.rule)
+    if task.soft is not None and cheapest.method == "fft":
+        n_bytes = antialiased_fft.padded_bytes(task.samples, task.soft.grid(task), task.rule)
     smaller = "use a smaller shape"
     if task.rule is not None and regime.peak_to_valley > MANY_WAVES:
         smaller += ", or on wide pixels a larger tol, so that geometric rays suffice"
-    elif task.rule is not None and task.residual.wavefront.layout == "polar":
-        smaller += ", or psf.wide_point_spread"
     fits_memory(
         f"a point spread that needs {ny} x {nx} samples",
         n_bytes,

@@ -9,10 +9,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import in_range, positive
-from ..wave.detilted import Residual, split
-from ..wave.wavefront import Wavefront
-from ..window.window import peak_pixel, ray_reach, shape_of
+from ..wave.detilted import Residual
+from ..window.window import peak_pixel, ray_reach
 from .models import Model, wide_pixel_error
 from .point_spread import PointSpread, detilted_point_spread
 
@@ -20,66 +18,8 @@ Array = NDArray[np.float64]
 #: Distances from a point to the sides of a rectangle: (down, up), (left, right).
 Sides = tuple[tuple[float, float], tuple[float, float]]
 
-#: Pixel side, Airy units, from which this method is tried, and largest side of the fine parts.
-WIDE, FINE = 8.0, 2.0
 #: Relative error of the tail model far from the rays; measured 3e-4.
 MODEL = 0.01
-#: Least distance from the rays to the tail, Airy units.
-LEAST = 20.0
-#: Largest side of the fine square relative to the window's for which the method is used.
-WORTH = 0.5
-
-
-def wide_point_spread(
-    wave: Wavefront, *, pitch: float, shape: int | tuple[int, int], tol: float
-) -> PointSpread:
-    """Compute a point spread function on pixels much wider than the Airy disc, quickly.
-
-    Diffraction is computed only near the rays of geometrical optics. Far from the rays the
-    intensity follows a simple law.
-
-    Parameters
-    ----------
-    wave : Wavefront
-        Wave in the exit pupil.
-    pitch : float
-        Pixel side, m.
-    shape : int or (int, int)
-        Number of pixels (ny, nx); one number means a square.
-    tol : float
-        Largest permitted error of any pixel relative to the brightest pixel, above 0, at most 1.
-
-    Returns
-    -------
-    PointSpread
-        Energy in each pixel (ny, nx); the whole image plane has the energy 1 (normalisation
-        "unit-sum").
-
-    Raises
-    ------
-    SceneError
-        If ``pitch``, ``shape`` or ``tol`` is out of range.
-    SamplingError
-        If the wave is sampled too coarsely for ``tol``, or the window is too narrow for the rays.
-    MemoryLimitError
-        If the pixels would not fit into memory.
-
-    See Also
-    --------
-    point_spread : For pixels of any width, with other options.
-
-    Notes
-    -----
-    The fast way is taken for waves of the layout "polar" on pixels at least 8 lambda N wide, with
-    the wavelength lambda and the F-number N, if it reaches ``tol`` and saves time. It samples a
-    square around the points at which the rays arrive. The energy outside this square is
-    distributed as ``1/r^3``, with r the distance from the centre, as diffraction at a sharp rim
-    does. In all other cases the result is that of `point_spread` with ``pixel_integrated=True`` and
-    ``model="scalar"``.
-    """
-    pitch, shape = positive("pitch", pitch, unit="m"), shape_of(shape)
-    in_range("tol", tol, 0.0, 1.0, open_low=True)
-    return detilted_wide_spread(split(wave), pitch, shape, tol)
 
 
 def detilted_wide_spread(
@@ -89,9 +29,25 @@ def detilted_wide_spread(
     tol: float,
     model: Model = "scalar",
 ) -> PointSpread:
-    """Compute `wide_point_spread` for a wave already split into piston, tilt and residual.
+    """Compute a point spread on pixels, quickly if they are much wider than the Airy disc.
 
-    ``model`` is that of `point_spread`. Tails are added in the scalar model only.
+    For waves of the layout "polar" on pixels at least 8 Airy units wide, a square around the points
+    at which the rays arrive is sampled. The energy outside is distributed as ``1/r^3``, with r the
+    distance from the centre, as diffraction at a sharp rim does. In all other cases the result is
+    that of `point_spread` with ``pixel_integrated=True``.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave without piston and tilt.
+    pitch : float
+        Pixel side, m.
+    shape : (int, int)
+        Pixels (ny, nx).
+    tol : float
+        Largest permitted error of any pixel relative to the brightest pixel.
+    model : {"scalar", "auto", "high-aperture"}
+        As for `point_spread`. Tails are added in the scalar model only.
     """
     whole = partial(
         detilted_point_spread, residual, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol
@@ -111,7 +67,7 @@ def detilted_wide_spread(
     peak = float(intensity.max())
     # Errors of the parts^2 samples of a pixel have both signs; their sum grows as parts.
     error = fine.error_estimate * min(parts, n) * float(fine.intensity.max())
-    error = (error + missing * _model_error(reach / half)) / peak
+    error = (error + missing * min(1.0, MODEL + (reach / half) ** 2)) / peak
     omitted = wide_pixel_error(residual, peak)
     if error > tol or (model == "auto" and omitted > tol):
         return whole(model=model)
@@ -136,26 +92,16 @@ def inner_parts(
     None if the method does not apply or would not be faster.
     """
     unit = residual.airy_unit
-    if residual.wavefront.layout != "polar" or pitch < WIDE * unit:
+    if residual.wavefront.layout != "polar" or pitch < 8 * unit:
         return None
     reach = ray_reach(residual) / unit
-    half = _inner_half(reach, tol / 2 * peak_pixel(residual, pitch)) * unit
-    if 2 * half > WORTH * pitch * min(shape):
+    # the energy beyond a half side h, Airy units, is 2/(pi^2 h) of the total
+    share = 4 / math.pi**2 / (tol * peak_pixel(residual, pitch))
+    half = max(reach + 20, share * 2 * MODEL, math.cbrt(2 * share * reach**2)) * unit
+    if 4 * half > pitch * min(shape):  # no gain
         return None
-    parts = math.ceil(pitch / (FINE * unit)) | 1
+    parts = math.ceil(pitch / (2 * unit)) | 1
     return 2 * math.ceil(half * parts / pitch) + 1, parts
-
-
-def _inner_half(reach: float, tol: float) -> float:
-    """Return the half side of the fine square for a tail error below ``tol``, Airy units."""
-    # the energy beyond a half side is 2/(pi^2 half) of the total
-    share = 2 / math.pi**2 / tol
-    return max(reach + LEAST, share * 2 * MODEL, math.cbrt(2 * share * reach**2))
-
-
-def _model_error(reach: float) -> float:
-    """Bound the relative error of the tail; ``reach`` is that of the rays over the half side."""
-    return min(1.0, MODEL + reach**2)
 
 
 def binned(fine: Array, parts: int, shape: tuple[int, int]) -> Array:

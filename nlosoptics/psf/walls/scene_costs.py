@@ -109,7 +109,7 @@ def point_cost(
 def smooth_cost(
     residual: Residual, pitch: float, shape: tuple[int, int], tol: float, cells: int = 0
 ) -> Cost:
-    """Predict the cost of `wide_point_spread` for a wave split into piston, tilt and residual.
+    """Predict the cost of `detilted_wide_spread` for a wave split into piston, tilt and residual.
 
     Parameters
     ----------
@@ -163,8 +163,8 @@ def _transform_bytes(task: Task, method: str) -> float:
     if method == "quadrature":
         return held + quadrature.n_bytes(task.residual, task.samples)
     if task.soft is not None:
-        need = antialiased_fft.padded_bytes if method == "fft" else antialiased_fft.folded_bytes
-        return held + float(need(task.samples, task.soft.grid(task, method), task.rule))
+        grid = task.soft.grid(task)
+        return held + antialiased_fft.padded_bytes(task.samples, grid, task.rule)
     n = task.residual.wavefront.u.shape[0]
     if task.residual.wavefront.layout == "polar":
         size = polar_size(task)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._vectors import product, read_only
+from ..._vectors import product
 from ..aperture.aperture import Aperture
 from ..aperture.curves import cross
 from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
@@ -67,12 +67,11 @@ class CellSpectrum:
     @cached_property
     def _terms(self) -> tuple[Array, Array]:
         """Largest modulus of each coefficient over all patches; rms of each patch's high terms."""
-        from . import _wave_kernels
-
-        size, high = np.empty(self.shape[1:]), np.empty(self.shape[0])
-        first_k, first_m = (n - max(2, n // 8) for n in self.shape[1:])
-        _wave_kernels.patch_terms(self.coefficients, first_k, first_m, size, high)
-        return size, high
+        first_k, first_m = (max(n - max(2, n // 8), 0) for n in self.shape[1:])
+        # a term of degrees k and m has the mean square 1/((2 k + 1)(2 m + 1))
+        squares = (self.coefficients / _norms(*self.shape[1:])) ** 2
+        squares[:, :first_k, :first_m] = 0.0
+        return np.abs(self.coefficients).max(axis=0), np.sqrt(squares.sum(axis=(1, 2)))
 
     def at_nodes(self, n_patches: int, n_s: int, n_t: int) -> Array:
         """Return values on the aperture's nodes of the given shape, (n_patches, n_s, n_t)."""
@@ -89,8 +88,6 @@ class CellSpectrum:
         weights : ndarray
             Area of each node, (n_patches, n_s + 2, n_t + 2), m^2; 0 on the edges.
         """
-        from . import _wave_kernels
-
         make = _kept_frame if n_patches * n_s * n_t <= KEPT else _frame
         frame = make(self.aperture, n_s, n_t)
         (s, s_rate), (t, t_rate) = (
@@ -99,17 +96,8 @@ class CellSpectrum:
         )
         by_s = _products(self.coefficients, s_rate, t)
         by_t = _products(self.coefficients, s, t_rate)
-        du, dv = np.empty_like(by_s), np.empty_like(by_t)
-        _wave_kernels.patch_gradient(
-            by_s.ravel(),
-            by_t.ravel(),
-            read_only(frame.u_of_s.ravel()),
-            read_only(frame.u_of_t.ravel()),
-            read_only(frame.v_of_s.ravel()),
-            read_only(frame.v_of_t.ravel()),
-            du.ravel(),
-            dv.ravel(),
-        )
+        du = by_s * frame.u_of_s + by_t * frame.u_of_t
+        dv = by_s * frame.v_of_s + by_t * frame.v_of_t
         return du, dv, frame.share
 
 

@@ -4,22 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._vectors import read_only
-from ..aperture.aperture import Aperture
-from ..aperture.cell_nodes import shared_cell_nodes
-from ..aperture.quadrature_nodes import KEPT, frozen
 from .detilted import Rays, Residual
-from .polar_series import ring_of
 
 Array = NDArray[np.float64]
-
-#: Fraction of the largest Jacobian below which rounding and truncation may decide its sign.
-FLAT = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,11 +106,6 @@ def _with_rims(residual: Residual, low: float, high: float) -> tuple[float, floa
 
     No polar node lies there.
     """
-    if residual.low is not None:
-        n_r, n_theta = residual.wavefront.u.shape
-        ring = ring_of(n_r, n_theta, residual.wavefront.obscuration)
-        values = residual.low.on_rims(ring.cosine, ring.sine)
-        return min(low, float(values.min())), max(high, float(values.max()))
     series = residual.series
     waves = series.coefficients.copy()
     if series.n_theta % 2 == 0:
@@ -139,53 +125,36 @@ def _folded(residual: Residual, rays: Rays) -> bool:
     if rays.reach <= 1e-6 * residual.airy_unit:
         return False
     if wave.layout == "polar":
-        low, high = _polar_extremes(residual, rays)
-        return min(-low, high) > FLAT * max(-low, high)
-    if wave.layout == "scattered":
+        jacobian = _polar_jacobian(residual, rays)
+    elif wave.layout == "scattered":
         uu, uv, vv = residual.local.bends.T
         jacobian = uu * vv - uv * uv
     elif wave.layout == "cells":
-        low, high = _cell_extremes(residual, rays)
-        return min(-low, high) > FLAT * max(-low, high)
+        jacobian = _cell_jacobian(residual, rays)
     else:
         jacobian = _grid_jacobian(residual, rays)
     if not jacobian.size:
         return False
     low, high = float(jacobian.min()), float(jacobian.max())
-    return min(-low, high) > FLAT * max(-low, high)
+    # below this share of the largest, rounding and truncation may decide the sign
+    return min(-low, high) > 1e-3 * max(-low, high)
 
 
-def _polar_extremes(residual: Residual, rays: Rays) -> tuple[float, float]:
-    """Return the smallest and largest Jacobian of the landing points on a polar grid's cells."""
-    from . import _wave_kernels
-
+def _polar_jacobian(residual: Residual, rays: Rays) -> Array:
+    """Jacobian of the landing points on a polar grid's cells, up to a factor."""
     wave = residual.wavefront
     r = np.append(np.hypot(wave.u[:, 0], wave.v[:, 0]), wave.pupil_radius)
     # Skip the closest rings, at the rim: differences of the series there are rounding error.
-    low, high = _wave_kernels.jacobian_extremes(rays.x, rays.y, r, 1e-4 * wave.pupil_radius)
-    return float(low), float(high)
+    apart = np.diff(r) > 1e-4 * wave.pupil_radius
+    x, y = (np.concatenate([part, part[:, :1]], axis=1) for part in (rays.x, rays.y))
+    turn = math.sin(2 * math.pi / rays.x.shape[1])
+    return (_diagonals(x, y) / (np.diff(r**2) * turn)[:, None])[apart]
 
 
-def _cell_extremes(residual: Residual, rays: Rays) -> tuple[float, float]:
-    """Return the extreme Jacobians of the landing points between the nodes of each patch."""
-    from . import _wave_kernels
-
-    wave = residual.wavefront
-    areas = _areas(residual) if wave.u.size > KEPT else _kept_areas(residual.aperture, wave.u.shape)
-    low, high = _wave_kernels.patch_jacobian_extremes(rays.x, rays.y, read_only(areas))
-    return float(low), float(high)
-
-
-def _areas(residual: Residual) -> Array:
-    """Return twice the signed area of the squares between the nodes of each patch, m^2."""
-    return _diagonals(residual.wavefront.u, residual.wavefront.v)
-
-
-@lru_cache(maxsize=16)
-def _kept_areas(aperture: Aperture, shape: tuple[int, ...]) -> Array:
-    """Return `_areas` of at most `KEPT` nodes, cached and read-only."""
-    u, v, _ = shared_cell_nodes(aperture, *shape[1:])
-    return frozen(_diagonals(u, v))
+def _cell_jacobian(residual: Residual, rays: Rays) -> Array:
+    """Jacobian of the landing points between the nodes of each patch, up to a factor."""
+    wave, inner = residual.wavefront, np.s_[:, 1:-1, 1:-1]
+    return _diagonals(rays.x[inner], rays.y[inner]) / _diagonals(wave.u, wave.v)
 
 
 def _diagonals(x: Array, y: Array) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 import scipy  # its parts are loaded on first use
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
+from scipy.special import erfc, j0, j1
 
 from ..aperture.quadrature_nodes import gauss_legendre
 
@@ -25,9 +26,6 @@ Array = NDArray[np.float64]
 STEP = 0.08
 #: Cells on either side of the rim after which the kernel, exp(-(pi STEP t)^2), is cut; 1e-8 there.
 REACH = 17
-#: Shorter reach, in cells, for uses that accept the larger error given by `cut`.
-SHORT_REACH = 10
-BLOCK = 1 << 16  # values of Bessel functions held at once
 
 
 def leak(s: Array) -> Array:
@@ -35,18 +33,15 @@ def leak(s: Array) -> Array:
 
     It is the loss of the image at s, and equally what is left of its repeat at the distance 1 - s.
     """
-    return np.asarray(scipy.special.erfc((0.5 - s) / STEP) / 2)
+    return np.asarray(erfc((0.5 - s) / STEP) / 2)
 
 
-def cut(radius: float, reach: int) -> float:
-    """Return a bound of the image's field error by a kernel that ends at ``reach`` cells.
+def cut(radius: float) -> float:
+    """Return a bound of the image's field error by the kernel's end at `REACH` cells.
 
-    ``reach`` is `REACH` or `SHORT_REACH`, and ``radius`` is that of the disc in cells. The error is
-    relative to the peak. Errors measured within half a period of the image are at most half the
-    bound. The bound falls as 1/radius for `SHORT_REACH`, and as 1/radius^4 to 30 cells for `REACH`.
+    It is relative to the peak, for a disc of ``radius`` cells. Errors measured within half a period
+    of the image are at most half the bound.
     """
-    if reach == SHORT_REACH:
-        return 4e-5 / radius
     return 1e-12 * max(1.0, 30 / radius) ** 4
 
 
@@ -57,9 +52,9 @@ class SoftDisc:
     the rim a Chebyshev series evaluates it; elsewhere it is 0 or 1.
     """
 
-    def __init__(self, radius: float, reach: int = REACH) -> None:
+    def __init__(self, radius: float) -> None:
         self.radius = radius
-        self.low, self.high = max(radius - reach, 0.0), radius + reach
+        self.low, self.high = max(radius - REACH, 0.0), radius + REACH
         # The profile has no frequency above 1 per cell, so three nodes per cell resolve it.
         n = math.ceil(3 * (self.high - self.low)) + 20
         angles = math.pi * (np.arange(n) + 0.5) / n
@@ -84,7 +79,7 @@ def _hankel(r: Array, radius: float) -> Array:
     # n nodes resolve 2 n/pi turns; 8 % more and 60 for the spectrum's step leave 1e-14
     fraction, weights = gauss_legendre(math.ceil(1.7 * turns) + 60)
     q = top * fraction
-    spectrum = leak(1 - q) * scipy.special.j1(2 * math.pi * radius * q) * weights * top
-    parts = np.array_split(r, math.ceil(r.size * q.size / BLOCK))
-    waves = [scipy.special.j0(2 * math.pi * part[:, None] * q) for part in parts]
+    spectrum = leak(1 - q) * j1(2 * math.pi * radius * q) * weights * top
+    parts = np.array_split(r, math.ceil(r.size * q.size / 2**16))
+    waves = [j0(2 * math.pi * part[:, None] * q) for part in parts]
     return 2 * math.pi * radius * np.concatenate([wave @ spectrum for wave in waves])

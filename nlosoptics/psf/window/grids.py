@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from ..._checks import fits_memory
 from ..wave.detilted import Residual
 from ..wave.polar_series import values_at
-from ..wave.pupil_polynomials import LowPolynomial, polynomial_of
 from . import antialiased_disc
 from .pixels import PixelRule
 
@@ -21,9 +19,6 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: A function that transforms the last axis of (rows, n) to (rows, m).
 Pass = Callable[[ComplexArray], ComplexArray]
-
-#: Memory of a block of rows, bytes; small enough for the processor's cache.
-BLOCK_BYTES = 2**22
 
 
 def intensity(
@@ -56,21 +51,20 @@ def intensity(
     """
     ny, nx = shape
     rows = values.shape[0]
-    half = np.empty((rows, nx), dtype=np.complex128)
+    half = np.empty((nx, rows), dtype=np.complex128)
     for block in _blocks(rows, nx):
-        half[block] = along_x(values[block])
-    strips = []
+        half[:, block] = along_x(values[block]).T
+    image = np.empty((ny if rule is None else rule.count(ny), nx))
     for block in _blocks(nx, ny):
-        strip = along_y(half[:, block].T)
+        strip = along_y(half[block])
         energy = strip.real**2 + strip.imag**2
-        strips.append(energy if rule is None else rule.mean(energy))
-    image = np.ascontiguousarray(np.concatenate(strips).T)
+        image[:, block] = (energy if rule is None else rule.mean(energy)).T
     return image if rule is None else rule.mean(image)
 
 
 def _blocks(count: int, length: int) -> Iterator[slice]:
-    """Yield slices of ``count`` rows of a length, each slice within `BLOCK_BYTES`."""
-    step = max(1, BLOCK_BYTES // (16 * length))
+    """Yield slices of ``count`` rows of a length, small enough for the processor's cache."""
+    step = max(8, 2**15 // length)
     for start in range(0, count, step):
         yield slice(start, min(start + step, count))
 
@@ -124,32 +118,6 @@ def grid_size(radius: float, pitch: float) -> int:
     return 2 * (int(np.ceil(radius / pitch)) + antialiased_disc.REACH) + 1
 
 
-def _polynomials(
-    residual: Residual, accuracy: float
-) -> Callable[[Array, Array], tuple[Array, Array | None]] | None:
-    """Return aberration and amplitude of a polar wave at points u, v, m, as two polynomials.
-
-    ``accuracy`` is that of the aberration, m. Returns None if low degrees do not reach it.
-    """
-    wave, functions = residual.wavefront, []
-    series, even = residual.polar_series
-    for one, values, least in (
-        (series, residual.aberration, accuracy),
-        (even, wave.amplitude, 1e-8 * float(wave.amplitude.max())),
-    ):
-        if one is None:
-            continue
-        # A fit has rounding errors, and gathers terms below the accuracy.
-        least = max(least, 1e-14 * float(np.abs(values).max()))
-        found = polynomial_of(one, values, wave.obscuration, least / 10)
-        if found is None or found[1] > least:
-            return None
-        functions.append(LowPolynomial(*found, wave.pupil_radius, wave.obscuration).at)
-    if len(functions) == 1:
-        return lambda u, v: (functions[0](u, v), None)
-    return lambda u, v: (functions[0](u, v), functions[1](u, v))
-
-
 def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
     """Return the pupil function of a polar wavefront on a grid, with softened rims.
 
@@ -157,7 +125,7 @@ def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
     """
     wave = residual.wavefront
     n = grid_size(wave.pupil_radius, pitch)
-    fits_memory(f"a pupil grid of {n} x {n} samples", 20.0 * n * n, "ask for a smaller window")
+    fits_memory(f"a pupil grid of {n} x {n} samples", 20.0 * n * n, "use a smaller shape")
     axis = np.arange(n, dtype=np.float64) - n // 2
     discs = [antialiased_disc.SoftDisc(wave.pupil_radius / pitch)]
     if wave.obscuration > 0:
@@ -167,9 +135,6 @@ def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
     # Relative accuracy of the aberration that gives the phase to 1e-8 rad.
     epsilon = float(np.clip(1e-8 / max(largest, 1.0), 1e-13, 1e-8))
     series, amplitude = residual.polar_series
-    at = _polynomials(residual, epsilon * largest / residual.wavenumber) or partial(
-        values_at, series, amplitude, epsilon=epsilon
-    )
     values = np.zeros((n, n), dtype=np.complex128)
     total = 0.0
     block = max(1, BLOCK // n)
@@ -185,7 +150,7 @@ def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
             pupil = part.astype(np.complex128)
         else:
             u, v = axis[columns] * pitch, y[rows, 0] * pitch
-            path, transmitted = at(u, v)
+            path, transmitted = values_at(series, amplitude, u, v, epsilon)
             if transmitted is not None:
                 part = part * transmitted
             pupil = part * np.exp(1j * residual.wavenumber * path)

@@ -268,17 +268,12 @@ def peak_pixel(residual: Residual, pitch: float) -> float:
         shape = residual.wavefront.u.shape
         n = min(max(shape[1], math.ceil(4 * rays.reach / side)), math.ceil(700 / shape[0] ** 0.5))
         rays = residual.traced(shape[0], n, n)
-    columns = np.round(rays.x / side).astype(np.int64)
-    rows = np.round(rays.y / side).astype(np.int64)
-    columns, rows = columns - columns.min(), rows - rows.min()
-    index = rows * (columns.max() + 1) + columns
-    bins = np.bincount(index.ravel(), weights=rays.energy.ravel())
     ratio = pitch / unit
     # A product, since a power of a huge ratio would raise OverflowError.
     airy = min(1.0, math.pi / 4 * (ratio * ratio))
     if residual.wavefront.aperture is not None:
         airy = min(1.0, residual.pixel_share(pitch))
-    return float(min(bins.max() * min(1.0, (pitch / side) ** 2), airy))
+    return float(min(rays.densest(side) * min(1.0, (pitch / side) ** 2), airy))
 
 
 def ray_reach(residual: Residual) -> float:

@@ -70,6 +70,8 @@ def test_each_pair_is_one_wave_and_one_picture(scene, monkeypatch):
         enough = psf.window_shape(wave, pitch=wide.camera.image_pitch, tol=0.01)
         least = 19 if max(framed) == 9 else 29
         assert options == {
+            "model": "scalar",
+            "pixel_integrated": True,
             "pitch": wide.camera.image_pitch,
             "shape": max(least, enough),
             "tol": 0.01,
@@ -87,7 +89,7 @@ def test_each_pair_is_one_wave_and_one_picture(scene, monkeypatch):
         ideal[1, 2] *= 2.0
         return SimpleNamespace(ideal=ideal, electrons=np.full(framed, 10.0 + k))
 
-    monkeypatch.setattr(psf, "wide_point_spread", spread)
+    monkeypatch.setattr(psf, "point_spread", spread)
     monkeypatch.setattr("nlosoptics.inverse.published.training_pairs.form_image", image)
     options = {"waves": 0.3, "modes": (5, 8, 11), "progress": lambda *said: told.append(said)}
     framed = (9, 9)

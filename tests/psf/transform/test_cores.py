@@ -9,8 +9,8 @@ import pytest
 from pytest import approx
 
 from nlosoptics import psf
-from nlosoptics.errors import SceneError
-from nlosoptics.psf.transform.wide_pixels import binned, tail_pixels, wide_point_spread
+from nlosoptics.psf.transform.wide_pixels import binned, detilted_wide_spread, tail_pixels
+from nlosoptics.psf.wave.detilted import split
 
 WAVELENGTH, UNIT = 632.8e-9, 2 * 632.8e-9  # lambda N
 SYSTEM = {"wavelength": WAVELENGTH, "pupil_radius": 12.5e-3, "image_distance": 50e-3}
@@ -45,7 +45,7 @@ def test_estimate_bounds_the_error(waves, tol):
     exact = psf.point_spread(
         wave, tol=1e-6, pixel_integrated=True, **options, model="scalar"
     ).intensity
-    found = wide_point_spread(wave, tol=tol, **options)
+    found = detilted_wide_spread(split(wave), tol=tol, **options)
     error = np.abs(found.intensity - exact).max() / exact.max()
     assert error <= found.error_estimate + 1e-6
     assert found.error_estimate <= tol
@@ -59,26 +59,11 @@ def test_narrow_pixels_and_grids_go_the_usual_way():
     wave = wave_of({4: 0.1})
     options = {"pitch": 3 * UNIT, "shape": (9, 9)}
     usual = psf.point_spread(wave, tol=1e-3, pixel_integrated=True, **options, model="scalar")
-    found = wide_point_spread(wave, tol=1e-3, **options)
+    found = detilted_wide_spread(split(wave), tol=1e-3, **options)
     assert np.array_equal(found.intensity, usual.intensity)
     grid = psf.Wavefront.from_zernike({}, **SYSTEM, nodes="grid", samples=512)
-    found = wide_point_spread(grid, tol=1e-2, pitch=20 * UNIT, shape=(5, 5))
+    found = detilted_wide_spread(split(grid), tol=1e-2, pitch=20 * UNIT, shape=(5, 5))
     assert "tail" not in found.method
-
-
-def test_options_are_those_of_point_spread():
-    wave = wave_of({})
-    square, pair = (
-        wide_point_spread(wave, pitch=20 * UNIT, shape=shape, tol=1e-2) for shape in (9, (9, 9))
-    )
-    assert square.method.endswith("+ tail")
-    assert np.array_equal(square.intensity, pair.intensity)
-    good = {"pitch": 20 * UNIT, "shape": (9, 9), "tol": 1e-2}
-    for name, value in {"pitch": math.nan, "shape": (0, 9), "tol": 0.0}.items():
-        with pytest.raises(SceneError, match=f"^{name} = "):
-            wide_point_spread(wave, **(good | {name: value}))
-    with pytest.raises(SceneError, match="^tol = -1 "):
-        wide_point_spread(wave, **(good | {"tol": -1}))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (5, 4), (12, 9)])

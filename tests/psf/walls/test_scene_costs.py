@@ -4,7 +4,7 @@ import pytest
 from pytest import approx
 
 from nlosoptics import psf
-from nlosoptics.psf.transform.wide_pixels import wide_point_spread
+from nlosoptics.psf.transform.wide_pixels import detilted_wide_spread
 from nlosoptics.psf.walls.scene_costs import smooth_cost
 from nlosoptics.psf.wave.detilted import split
 
@@ -19,7 +19,7 @@ def test_memory_of_a_wave_on_a_grid(cells, side, memory_of):
     wave = psf.Wavefront.from_zernike(aberration, nodes="grid", samples=cells, **SYSTEM)
     options = {"pitch": PITCH, "shape": (side, side), "tol": 1e-3}
     stated = smooth_cost(split(wave), **options).n_bytes
-    peak, _ = memory_of(lambda: wide_point_spread(wave, **options))
+    peak, _ = memory_of(lambda: detilted_wide_spread(split(wave), **options))
     assert 0.8 * stated < peak < 1.1 * stated
     # a finer grid that is not sampled yet
     finer = smooth_cost(split(wave), **options, cells=2 * cells)

@@ -1,1 +1,0 @@
-"""Point spreads of many waves on one pupil, and their gradients."""

@@ -1,1 +1,0 @@
-"""Free-space propagation of sampled complex fields between parallel planes."""
