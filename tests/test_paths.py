@@ -40,7 +40,6 @@ TAKING_PATHS: dict[str, Callable[[Any], Any]] = {
     "TransientCapture.save": CAPTURE.save,
     "read_zernikes": psf.read_zernikes,
     "write_zernikes": lambda path: psf.write_zernikes(path, {4: 5e-8}),
-    "read_poppy": lambda path: psf.read_poppy(opd=path),
     "CnnBaseline.load": lambda path: inverse.CnnBaseline.load(path),
     "CnnBaseline.save": lambda path: inverse.CnnBaseline(base=8, depth=3).save(path),
     "Study.load": Study.load,

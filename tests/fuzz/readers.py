@@ -139,28 +139,6 @@ def _read_capture(_: Path, file: Path) -> Arrays:
     return [found.H, np.asarray(found.H.sum()), found.laser_points, found.sensor_points]
 
 
-def _poppy(folder: Path) -> list[Path]:
-    from nlosoptics import psf
-
-    wave = psf.Wavefront.from_zernike(
-        {4: 50e-9},
-        wavelength=633e-9,
-        pupil_radius=1e-3,
-        image_distance=0.05,
-        nodes="grid",
-        samples=16,
-    )
-    psf.write_poppy(wave, opd=folder / "opd.fits", amplitude=folder / "amplitude.fits")
-    return [folder / "opd.fits", folder / "amplitude.fits"]
-
-
-def _read_poppy(folder: Path, _: Path) -> Arrays:
-    from nlosoptics import psf
-
-    wave = psf.read_poppy(opd=folder / "opd.fits", amplitude=folder / "amplitude.fits")
-    return [wave.aberration, wave.amplitude]
-
-
 def _zernikes(folder: Path) -> list[Path]:
     from nlosoptics import psf
 
@@ -256,7 +234,6 @@ READERS = {
     "mesh": Reader(_meshes, _read_mesh),
     "heights": Reader(_heights, _read_heights),
     "capture": Reader(_captures, _read_capture),
-    "poppy": Reader(_poppy, _read_poppy),
     "zernikes": Reader(_zernikes, _read_zernikes, text=True),
     "network": Reader(_networks, _read_network),
     "result": Reader(_results, _read_result),

@@ -23,8 +23,6 @@ INPUTS = 40  # for each reader; the campaign's default is 10,000
 
 @pytest.mark.parametrize("name", READERS)
 def test_damaged_files_are_read_or_refused_in_one_line(name: str, tmp_path: Path) -> None:
-    if name == "poppy":
-        pytest.importorskip("astropy")
     if name in ("study", "store"):
         pytest.importorskip("zarr")
     bench = Bench(name, tmp_path)
