@@ -20,8 +20,7 @@ from ..wave.fits import fitted_terms
 from ..wave.wavefront import Wavefront
 from ..wave.zernikes import ORDERINGS, Ordering, zernike_basis
 from ..window.window import Window
-from .pupil_overlap import round_overlap, transfer
-from .soft_circles import energy_on_cells
+from .pupil_overlap import transfer
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -51,10 +50,6 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     ------
     SceneError
         If a term of ``remove`` is unknown.
-
-    See Also
-    --------
-    peak_strehl : Ratio at the brightest point of the image.
 
     Notes
     -----
@@ -198,10 +193,9 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     Parameters
     ----------
     source : Wavefront or PointSpread
-        Wave in the exit pupil whose ``layout`` is "polar" or "cells" (samples on rings or on
-        patches, see `Wavefront`). The result is accurate to rounding for "polar", and its error is
-        below 1e-9 for "cells". Or a computed point spread, whose pixels are weighted by their area
-        within the circle.
+        Wave in the exit pupil whose ``layout`` is "polar" (samples on rings, see `Wavefront`), for
+        which the result is accurate to rounding. Or a computed point spread, whose pixels are
+        weighted by their area within the circle.
     radius : array_like
         Radii of the circles, m, of any shape. All circles are centred on x = y = 0, where the axis
         meets the image plane.
@@ -216,10 +210,8 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     SceneError
         If a radius is negative or not finite.
     SamplingError
-        If the wavefront's layout is neither "polar" nor "cells", or a circle extends beyond the
-        window of the point spread.
-    MemoryLimitError
-        If the image of a wave of the layout "cells" would not fit into memory.
+        If the wave's layout is not "polar", or a circle extends beyond the window of the point
+        spread.
 
     See Also
     --------
@@ -243,12 +235,10 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
         raise SceneError(f"radius = {radius!r} m; give finite radii of at least 0")
     if isinstance(source, Wavefront):
         residual = split(source)
-        if source.layout == "cells":
-            return energy_on_cells(residual, radii)
         if source.layout != "polar":
             raise SamplingError(
-                "encircled energy needs a wavefront of layout 'polar' or 'cells', not "
-                f"'{source.layout}'; give psf.point_spread(wavefront)"
+                f"encircled energy needs a wavefront of layout 'polar', not '{source.layout}'; "
+                "give psf.point_spread(wavefront)"
             )
         values = [_energy_within(residual, float(r)) for r in radii.ravel()]
         return np.array(values).reshape(radii.shape)
@@ -268,16 +258,63 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     return np.array(values).reshape(radii.shape) * per_energy
 
 
+def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
+    """Compute the fraction of the transmitted energy within squares around the optical axis.
+
+    Parameters
+    ----------
+    point_spread : PointSpread
+        Computed point spread, whose pixels are weighted by their area within the square.
+    side : array_like
+        Sides of the squares, m, of any shape. All squares are centred on x = y = 0, where the axis
+        meets the image plane.
+
+    Returns
+    -------
+    ndarray
+        Fraction of the energy, 0 to 1, in the shape of ``side``.
+
+    Raises
+    ------
+    SceneError
+        If a side is negative or not finite.
+    SamplingError
+        If a square extends beyond the window of the point spread.
+
+    See Also
+    --------
+    encircled_energy : Energy within circles.
+    """
+    sides = np.asarray(side, dtype=np.float64)
+    if not np.all(np.isfinite(sides)) or np.any(sides < 0):
+        raise SceneError(f"side = {side!r} m; give finite sides of at least 0")
+    x, y, pitch = point_spread.x, point_spread.y, point_spread.pitch
+    edge = 2 * min(-x[0], x[-1], -y[0], y[-1]) + pitch
+    if sides.size and sides.max() > edge * (1 + 1e-12):
+        raise SamplingError(
+            f"side = {sides.max():.3g} m passes the window, which holds {edge:.3g} m; use a larger "
+            "shape"
+        )
+    per_energy = point_spread.enclosed_energy / float(point_spread.intensity.sum())
+    values = []
+    for half in (sides.ravel() / 2).tolist():
+        on_x, on_y = (np.clip((half - np.abs(v)) / pitch + 0.5, 0.0, 1.0) for v in (x, y))
+        # A square narrower than the central pixel covers the fraction 2 half/pitch of its width.
+        on_x, on_y = (np.minimum(on, 2 * half / pitch) for on in (on_x, on_y))
+        values.append(float(np.einsum("y,yx,x->", on_y, point_spread.intensity, on_x)))
+    return np.array(values).reshape(sides.shape) * per_energy
+
+
 def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float = 0.0) -> Array:
     """Compute the modulation transfer function (MTF) along one direction in the image.
 
     Parameters
     ----------
     source : Wavefront or PointSpread
-        Wave in the exit pupil whose ``layout`` is "polar" or "cells" (samples on rings or on
-        patches, see `Wavefront`). The MTF is the autocorrelation of this wave; its error is below
-        1e-9 if the samples resolve the wave. Or a computed point spread, whose Fourier transform is
-        taken: the MTF then includes the blur by its pixels, and neglects energy outside its window.
+        Wave in the exit pupil whose ``layout`` is "polar" (samples on rings, see `Wavefront`),
+        without obscuration. The MTF is the autocorrelation of this wave; its error is below 1e-9 if
+        the samples resolve the wave. Or a computed point spread, whose Fourier transform is taken:
+        the MTF then includes the blur by its pixels, and neglects energy outside its window.
     frequency : array_like
         Spatial frequencies, cycles per m in the image, of any shape. For a wave on a round pupil
         the MTF is 0 beyond 1/(lambda N), with the wavelength lambda and the F-number N. For a point
@@ -295,8 +332,7 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     SceneError
         If a frequency or the azimuth is not finite.
     SamplingError
-        If the wave's layout is neither "polar" nor "cells", or its autocorrelation does not
-        converge. In both cases give ``point_spread(wavefront)`` instead.
+        If the wave has an obscuration or another layout; give ``point_spread(wavefront)`` instead.
 
     See Also
     --------
@@ -313,45 +349,51 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     >>> print(f"{psf.mtf(wave, 100e3):.4f}")
     0.3910
     """
-    frequencies = np.asarray(frequency, dtype=np.float64)
-    if not np.all(np.isfinite(frequencies)) or not math.isfinite(azimuth):
-        raise SceneError("frequency or azimuth is NaN or infinite; give finite 1/m and rad")
-    if isinstance(source, PointSpread):
-        spectrum = spectrum_along(source, frequencies.ravel(), azimuth)
-        modulus = np.abs(spectrum) / float(np.sum(source.intensity))
-        return np.asarray(modulus.reshape(frequencies.shape))
-    if source.layout == "polar" and source.obscuration == 0:
-        residual = split(source)
-        values = [round_overlap(residual, abs(float(f)), azimuth) for f in frequencies.ravel()]
-        return np.array(values).reshape(frequencies.shape)
-    return np.abs(transfers(source, frequencies, azimuth))
+    return np.abs(_transfer(source, frequency, azimuth))
 
 
-def transfers(wavefront: Wavefront, frequencies: Array, azimuth: float) -> ComplexArray:
-    """Return the complex optical transfer function of a wave along one direction.
+def ptf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float = 0.0) -> Array:
+    """Compute the phase transfer function (PTF) along one direction in the image.
+
+    It is the phase of the optical transfer function, whose modulus is `mtf`.
 
     Parameters
     ----------
-    wavefront : Wavefront
-        Wave of the layout "polar" or "cells".
-    frequencies : ndarray
-        Spatial frequencies, cycles per m in the image, of any shape.
-    azimuth : float
-        Direction along which the frequencies are counted, rad from x toward y.
+    source, frequency, azimuth
+        As in `mtf`.
 
     Returns
     -------
     ndarray
-        Complex values in the shape of ``frequencies``; 1 at frequency 0.
+        Phase, rad, above -pi and at most pi, in the shape of ``frequency``. A spot at positive x
+        has a phase that decreases with the frequency along x.
+
+    Raises
+    ------
+    SceneError, SamplingError
+        As in `mtf`.
     """
-    if not wavefront.is_spectral:
+    return np.asarray(np.angle(_transfer(source, frequency, azimuth)))
+
+
+def _transfer(
+    source: Wavefront | PointSpread, frequency: ArrayLike, azimuth: float
+) -> ComplexArray:
+    """Return the optical transfer function, 1 at frequency 0, in the shape of ``frequency``."""
+    frequencies = np.asarray(frequency, dtype=np.float64)
+    if not np.all(np.isfinite(frequencies)) or not math.isfinite(azimuth):
+        raise SceneError("frequency or azimuth is NaN or infinite; give finite 1/m and rad")
+    if isinstance(source, PointSpread):
+        values = spectrum_along(source, frequencies.ravel(), azimuth) / source.intensity.sum()
+    elif source.layout == "polar" and source.obscuration == 0:
+        residual = split(source)
+        values = np.array([transfer(residual, f, azimuth) for f in frequencies.ravel().tolist()])
+    else:
         raise SamplingError(
-            "the transfer function needs a wavefront of layout 'polar' or 'cells', not "
-            f"'{wavefront.layout}'; give psf.point_spread(wavefront) instead"
+            "the transfer function of a wave needs polar nodes without obscuration, not layout "
+            f"'{source.layout}'; give psf.point_spread(wavefront)"
         )
-    residual = split(wavefront)
-    values = [transfer(residual, float(f), azimuth) for f in frequencies.ravel()]
-    return np.array(values, dtype=np.complex128).reshape(frequencies.shape)
+    return np.asarray(values.reshape(frequencies.shape))
 
 
 def spectrum_along(point_spread: PointSpread, frequencies: Array, azimuth: float) -> ComplexArray:

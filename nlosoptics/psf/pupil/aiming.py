@@ -38,29 +38,10 @@ class AimedRays:
 
 
 def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> AimedRays:
-    """Find the stationary path from an object point by the wall to each pupil node.
+    """Find the stationary path from an object point by the wall to each pupil node (n, 3), m.
 
-    Parameters
-    ----------
-    wall : Wall
-        Relay wall, used as a mirror.
-    object_point : array_like, (3,)
-        Object point in front of the wall, world frame, m.
-    nodes : ndarray, (n, 3)
-        Pupil points in front of the wall, world frame, m.
-    axis : ndarray, (3,)
-        Unit normal of the pupil plane, world.
-
-    Returns
-    -------
-    AimedRays
-
-    Raises
-    ------
-    CausticError
-        If several rays or none reach a node, or rays to the pupil cross.
-    SceneError
-        If the object point or the pupil is behind the wall.
+    Points are in the world frame, and ``axis`` is the unit normal of the pupil plane. Raises
+    `CausticError` if several rays or none reach a node, or rays to the pupil cross.
     """
     o = np.array(vector("object_point", object_point))
     for name, height in (("object_point", o[2]), ("pupil", float(nodes[:, 2].min()))):

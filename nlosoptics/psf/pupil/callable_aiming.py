@@ -19,26 +19,6 @@ def stationary_points(
     """Find the wall points at which the paths from O by the wall to each node are stationary.
 
     Newton's method with backtracking on the gradient of each path.
-
-    Parameters
-    ----------
-    wall : Wall
-        Wall that evaluates its height and derivatives in Python.
-    o : ndarray, (3,)
-        Object point, world frame, m.
-    nodes : ndarray, (n, 3)
-        Ends of the paths, world frame, m.
-    starts : ndarray, (n, 2)
-        First guesses (x, y) of the wall points, m.
-    side : float
-        1 for nodes in front of the wall, -1 for virtual nodes behind it.
-
-    Returns
-    -------
-    points : ndarray, (n, 2)
-        Wall points (x, y), m.
-    status : ndarray of int, (n,)
-        ``_aiming_kernels.FOUND`` or ``NOT_FOUND``.
     """
 
     def stationarity(rows: NDArray[np.int64], at: Array) -> Array:

@@ -68,39 +68,16 @@ class PointOptics:
         return view_along(self.scene, self.zoom, self.object_point, self.first.rays.points[0])
 
     def once(self, key: Hashable, make: Callable[[], Found]) -> Found:
-        """Return the result of a function, which is computed once and then stored.
-
-        Parameters
-        ----------
-        key : hashable
-            Name under which the result is stored.
-        make : callable
-            Function without arguments, called only if nothing is stored under the key.
-        """
+        """Return the result of ``make()``, which is computed once and then stored under the key."""
         if key not in self._kept:
             self._kept[key] = make()
         found: Found = self._kept[key]
         return found
 
     def refined(self, use: Callable[[AimedWave], Found]) -> tuple[AimedWave, Found]:
-        """Apply a function to the wave, and repeat it with more pupil samples if they are too few.
+        """Return the wave and the result of a function of it that may raise `SamplingError`.
 
-        Parameters
-        ----------
-        use : callable
-            Function of an `AimedWave` that raises `SamplingError` if the wave has too few samples.
-
-        Returns
-        -------
-        aimed : AimedWave
-            Wave with enough samples.
-        found : object
-            Result of the function for this wave.
-
-        Raises
-        ------
-        SamplingError
-            If even the largest number of samples is too few.
+        Then it is repeated with more pupil samples, up to the largest number.
         """
         aimed, layout = self.first, self.first.wave.layout
         for samples in FINER[layout]:

@@ -134,17 +134,7 @@ class SlopeFilter:
 
 
 def slope_filter(shape: tuple[int, int]) -> SlopeFilter:
-    """Return the filter from slopes to the least-squares surface on a full rectangle.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Number of nodes (ny, nx).
-
-    Returns
-    -------
-    SlopeFilter
-    """
+    """Return the filter from slopes to the least-squares surface on a full rectangle of cells."""
     from scipy import fft
 
     ny, nx = shape

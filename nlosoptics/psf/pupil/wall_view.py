@@ -121,23 +121,7 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
 
 
 def view_along(scene: Scene, zoom: float, object_point: Array, hit: Array) -> WallView:
-    """Return the first-order map from the exit pupil to the wall for a known chief ray.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the camera and the wall.
-    zoom : float
-        Ratio of the exit pupil's size to that of the lens.
-    object_point : ndarray, (3,)
-        Start of the chief ray, world frame, m.
-    hit : ndarray, (3,)
-        Point at which the chief ray meets the wall, world frame, m.
-
-    Returns
-    -------
-    WallView
-    """
+    """Return the first-order map from the exit pupil to the wall for a known chief ray."""
     return _view_of(_optics(scene, np.zeros((1, 2)), object_point, hit[None]), zoom)
 
 

@@ -318,23 +318,7 @@ def aimed_wave(
     nodes: str | ArrayLike = "auto",
     samples: int | tuple[int, int] | None = None,
 ) -> AimedWave:
-    """Return the wave and its rays from an object point, for a known exit pupil.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the wall and the camera.
-    pupil : ExitPupil
-        Exit pupil of the scene.
-    o : ndarray, (3,)
-        Object point, world frame, m.
-    nodes, samples
-        Pupil nodes, as in `wavefront`.
-
-    Returns
-    -------
-    AimedWave
-    """
+    """Return the wave and its rays from an object point, for a known exit pupil."""
     if isinstance(nodes, str) and nodes == "auto":
         if pupil.layout == "polar":
             # The edge may cut this point's rays although it does not cut the reference point's

@@ -28,25 +28,6 @@ CREASE_ENERGY: Final = 0.01194
 def rough_wave(wave: Wavefront, view: ReliefView) -> Wavefront:
     """Return the wave of a wall with its relief, from the wave of the smooth wall.
 
-    Parameters
-    ----------
-    wave : Wavefront
-        Wave of the smooth wall, with its nodes.
-    view : ReliefView
-        View of the relief from the wave's pupil.
-
-    Returns
-    -------
-    Wavefront
-        At the same nodes.
-
-    Raises
-    ------
-    CausticError
-        If rays from neighbouring points of the relief cross before the pupil.
-
-    Notes
-    -----
     The path over the wall point x to the pupil point p is stationary at
     ``x = M p + (cos_i + cos_o) d_eff grad h(x)``. The wave is the path there,
     ``(x - M p)^T d_eff^-1 (x - M p)/2 - (cos_i + cos_o) h(x)``, and the amplitude is
@@ -102,20 +83,6 @@ def _path(view: ReliefView, u: Array, v: Array, wavelength: float) -> tuple[Arra
 def aberration_error(view: ReliefView, wavelength: float) -> float:
     """Estimate the error of the PSF by rays on the relief, relative to its peak.
 
-    Parameters
-    ----------
-    view : ReliefView
-        View of the relief.
-    wavelength : float
-        m.
-
-    Returns
-    -------
-    float
-        Infinite if the relief has no estimate.
-
-    Notes
-    -----
     Rays neglect diffraction between wall and pupil. A ripple of frequency f along the wall changes
     phase by ``q = pi lambda d_eff f^2``. For Gaussian heights the mean of q is
     ``q0 = lambda d_eff/(pi l^2)``, and the rms error of the field beyond path and amplitude is of

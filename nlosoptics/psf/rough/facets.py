@@ -95,13 +95,7 @@ class FacetView(RoughView):
         return 1.0 - self.coherent_fraction
 
     def on_wall(self, x: Array, y: Array) -> Array:
-        """Return the factor on the optical transfer function that yields the halo.
-
-        Parameters
-        ----------
-        x, y : ndarray
-            Components of distances between wall points, m; their shapes broadcast.
-        """
+        """Return `scattered_transfer` at distances (x, y) between wall points, m; shapes broadcast."""
         x, y = np.broadcast_arrays(x, y)
         if x.size <= FEW:
             return self._summed(x, y)

@@ -95,15 +95,6 @@ def propagated(
     """Return a periodic field (n, n) after propagation to the pupil, computed in place.
 
     A component of frequency q is delayed by ``pi lambda q^T d q``.
-
-    Parameters
-    ----------
-    field : ndarray of complex, (n, n)
-        Field at lattice points, rows v.
-    distance : ndarray, (2, 2)
-        Effective distance d in pupil coordinates, m, see `spreading_matrix`.
-    pitch, wavelength : float
-        Lattice pitch in the pupil and wavelength, m.
     """
     from ..wave import _wave_kernels
 
@@ -206,33 +197,6 @@ def throw(view: RoughView, halo_angle: float) -> float:
 def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach: float) -> Screens:
     """Prepare screens that cover ``cells`` lattice points per side.
 
-    Parameters
-    ----------
-    view : RoughView
-        View of the roughness.
-    cells : int
-        Lattice points per side that will be used.
-    pitch : float
-        Lattice pitch in the pupil, m.
-    wavelength : float
-        m.
-    reach : float
-        Margin of the screen on every side, from `throw`, m; 0 for geometric propagation, in which
-        the pupil has the phase of the wall.
-
-    Returns
-    -------
-    Screens
-
-    Raises
-    ------
-    SceneError
-        If no surface has the autocorrelation, or it does not fall to 0.
-    MemoryLimitError
-        If the screen would not fit into memory.
-
-    Notes
-    -----
     Heights are white noise filtered by the square root of the spectrum of C(M d) on a torus. The
     torus is large enough for the field's correlation to be exact over the pupil's width.
     Propagation to the pupil is a convolution with ``exp(i k w^T d_eff^-1 w/2)`` on the wall. It

@@ -192,29 +192,8 @@ def relief_screen(
 ) -> ReliefScreen:
     """Prepare the phase screen of one wall over ``cells`` lattice points per side.
 
-    Parameters
-    ----------
-    view : ReliefView
-        View of the wall.
-    cells : int
-        Lattice points per side that are used.
-    pitch : float
-        Lattice pitch in the pupil, m; at most `ReliefView.widest_pitch`.
-    wavelength : float
-        m.
-    centre : float
-        Lattice coordinate of the pupil's axis.
-    propagates : bool
-        Whether to propagate the field from wall to pupil.
-
-    Returns
-    -------
-    ReliefScreen
-
-    Raises
-    ------
-    MemoryLimitError
-        If the screen would not fit into memory.
+    ``pitch``, m, is at most `ReliefView.widest_pitch`, and ``centre`` is the lattice coordinate of
+    the pupil's axis.
     """
     margin, band = margins(view, pitch, wavelength) if propagates else (0, 0)
     least = cells + 2 * (margin + band)

@@ -26,17 +26,7 @@ MOST_RAYS: Final = 2**24
 
 
 def ray_counts(view: ReliefView, radius: float, wavelength: float) -> tuple[int, Array]:
-    """Return the rays per side of the lattice on the wall, and its half widths, (2,), m.
-
-    Parameters
-    ----------
-    view : ReliefView
-        View of the relief.
-    radius : float
-        Pupil radius, m.
-    wavelength : float
-        m.
-    """
+    """Return the rays per side of the lattice on the wall, and its half widths, (2,), m."""
     assert view.effective_distance is not None
     seen = np.linalg.norm(view.footprint, axis=1) * radius
     cosines = view.cos_sum(wavelength)
@@ -59,25 +49,6 @@ def neglected_diffraction(view: ReliefView, wave: Wavefront, pitch: float) -> fl
 def ray_image(residual: Residual, view: ReliefView, window: Window) -> tuple[Array, float]:
     """Return the energy per pixel, relative to the smooth wall's energy, and the expected error.
 
-    Parameters
-    ----------
-    residual : Residual
-        Wave of the smooth wall, at polar nodes.
-    view : ReliefView
-        View of the relief from the wave's pupil.
-    window : Window
-        Pixels.
-
-    Returns
-    -------
-    energy : ndarray, (ny, nx)
-        Fraction of the smooth wall's energy in each pixel.
-    error : float
-        Expected error relative to the peak: diffraction at the facets compared with the pixel, and
-        the number of rays per pixel.
-
-    Notes
-    -----
     A ray of the wall point x with the slope s of the relief meets the pupil at
     ``p = M^-1 [x - (cos_i + cos_o) d_eff s]`` and the image at
     ``d_i [grad W(p) - (cos_i + cos_o) M^T s]``. The wall is lit evenly; diffraction is neglected.

@@ -126,7 +126,6 @@ def sample_point_spread(
     See Also
     --------
     mean_point_spread : Mean over all walls in closed form.
-    metric_estimate : Metric of the mean of many patterns, with its standard error.
 
     Notes
     -----
@@ -197,27 +196,9 @@ def detilted_sample(
     pixel_integrated: bool,
     reason: str,
 ) -> tuple[PointSpread, PupilGrid]:
-    """Compute `sample_point_spread` for a wave already split into piston, tilt and residual.
+    """Compute `sample_point_spread` for a split wave and its pupil function from `speckle_pupil`.
 
-    Parameters
-    ----------
-    residual : Residual
-        Wave of the smooth wall.
-    grid : PupilGrid
-        Its pupil function, from `speckle_pupil`.
-    view : RoughView
-        View of the roughness from the wave's pupil.
-    pitch, shape, seed, patterns, propagation, normalisation, pixel_integrated
-        Options of `sample_point_spread`, already checked.
-    reason : str
-        Why this computation was selected.
-
-    Returns
-    -------
-    spread : PointSpread
-        Mean of the patterns.
-    seen : PupilGrid
-        Pupil function of the first wall.
+    Returns the mean of the patterns, and the pupil function of the first wall.
     """
     wave, window = residual.wavefront, Window.centred(pitch, shape)
     samples, rule = speckle_samples(residual, window, pixel_integrated)
@@ -334,27 +315,9 @@ def speckle_pupil(residual: Residual, view: RoughView, samples: Window) -> Pupil
 def wall_fields(
     residual: Residual, view: RoughView, grid: PupilGrid, seed: int, propagation: str
 ) -> tuple[Iterator[ComplexArray], Between | None]:
-    """Return an iterator over the fields of random walls, and their interpolation to the grid.
+    """Return an iterator over the fields (n, n) of random walls, and their interpolation to the grid.
 
-    Parameters
-    ----------
-    residual : Residual
-        Wave of the smooth wall.
-    view : RoughView
-        View of the roughness.
-    grid : PupilGrid
-        Pupil grid.
-    seed : int
-        Random seed.
-    propagation : {"fresnel", "geometric"}
-        Propagation from the wall to the pupil.
-
-    Returns
-    -------
-    fields : iterator of ndarray, (n, n)
-        Complex fields on a periodic lattice.
-    between : Between or None
-        Interpolation from the lattice to the grid; None if they coincide.
+    The interpolation is None if the periodic lattice of the fields coincides with the grid.
     """
     wave = residual.wavefront
     angle = view.halo(wave) / abs(wave.image_distance)
@@ -415,20 +378,8 @@ def speckle_error(
 ) -> float:
     """Estimate the error relative to the peak, due to the sampled rim and to aliasing.
 
-    Parameters
-    ----------
-    residual : Residual
-        Wave of the smooth wall.
-    grid : PupilGrid
-        Pupil grid.
-    window : Window
-        Samples or pixels.
-    mean : ndarray, (ny, nx)
-        Intensity in the window, 1 at the ideal peak.
-    spill : float
-        Fraction of the energy beyond the lattice's band, from `spilled`.
-    pixel_integrated : bool
-        Whether the intensity is averaged over pixels.
+    ``mean`` (ny, nx) is the intensity in the window, 1 at the ideal peak, and ``spill`` the fraction
+    of the energy beyond the lattice's band, from `spilled`.
     """
     wave = residual.wavefront
     edge = error_bounds.edge_errors(residual, grid, window.x, window.y)

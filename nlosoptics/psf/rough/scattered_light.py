@@ -169,28 +169,6 @@ class Halo:
 
         The number of nodes per direction grows by 1.5 until the change is below a tenth of ``tol``
         times the peak, or up to `FINEST`.
-
-        Parameters
-        ----------
-        at : callable
-            Transfer function of the smooth wave at separations (du, dv), m.
-        coherent : ndarray, (ny, nx)
-            Coherent part, added to the scattered part for the peak.
-        tol : float
-            Wanted error relative to the peak.
-        fineness : float
-            First number of nodes relative to the rule of thumb.
-
-        Returns
-        -------
-        light : ndarray, (ny, nx)
-            Scattered intensity, energy per sample.
-        nodes : Separations
-            Nodes used last.
-        smooth : ndarray of complex
-            Transfer function at these nodes.
-        missed : float
-            Estimated error due to the nodes, energy per sample.
         """
         nodes = self.separations(0.7 * fineness)
         coarse = self.image(nodes, at(nodes.du, nodes.dv))
@@ -255,30 +233,6 @@ def scattered_light(
 ) -> tuple[Array, float]:
     """Compute the halo of a rough wall, that is the mean intensity of the scattered light.
 
-    Parameters
-    ----------
-    residual : Residual
-        Wave of the smooth wall, without piston and tilt.
-    view : RoughView
-        Statistics and geometry of the roughness.
-    window : Window
-        Image samples or pixels.
-    pixel_integrated : bool
-        Whether to integrate over pixels instead of sampling at their centres.
-    coherent : ndarray, (ny, nx)
-        Light that is not scattered (the core), on the same samples, in the unit of the result.
-    tol : float
-        Largest permitted error relative to the peak of core and halo together.
-
-    Returns
-    -------
-    light : ndarray, (ny, nx)
-        Scattered energy per sample; the whole image, core and halo, has the energy 1.
-    error : float
-        Estimated largest error of ``light``, energy per sample.
-
-    Notes
-    -----
     If the halo is much narrower than a pixel, it is computed on fine samples in a small square
     around the centre only. The energy outside this square is distributed over the pixels as
     ``1/r^3``, with r the distance from the centre, as diffraction at the rim does. Missing energy

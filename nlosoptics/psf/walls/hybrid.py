@@ -100,21 +100,7 @@ def image_lobes(
 
 
 def mirror_image(seen: PointOptics, aimed: AimedWave, normal: Array | None) -> MirrorImage:
-    """Compute the flux and the position of an object point's mirror image.
-
-    Parameters
-    ----------
-    seen : PointOptics
-        Optics of the object point.
-    aimed : AimedWave
-        Wave of the object point.
-    normal : ndarray, (3,), or None
-        World, axis of the Lambertian emission of the point; None for isotropic emission.
-
-    Returns
-    -------
-    MirrorImage
-    """
+    """Compute the flux and the position of an object point's mirror image at reflectance 1."""
     scene, wave, rays = seen.scene, aimed.wave, aimed.rays
     lit = wave.weights > 0.0
     light = np.zeros(int(lit.sum()))
@@ -170,32 +156,7 @@ def wave_parts(
     shape: tuple[int, int],
     tol: float,
 ) -> WaveParts:
-    """Compute the coherent part and the halo of a mirror image.
-
-    Parameters
-    ----------
-    seen : PointOptics
-        Optics of the object point.
-    mirror : MirrorImage
-        Mirror image at reflectance 1.
-    smooth, rough
-        Smooth and rough lobes, from `image_lobes`.
-    pitch : float
-        Pixel side, m.
-    shape : (int, int)
-        Pixels (ny, nx).
-    tol : float
-        Largest error relative to the peak.
-
-    Returns
-    -------
-    WaveParts
-
-    Raises
-    ------
-    SamplingError
-        If the window loses rays, or the halo does not reach ``tol``.
-    """
+    """Compute the coherent part and the halo of a mirror image."""
     coherent, halo, error = np.zeros(shape), np.zeros(shape), 0.0
     fluxes = [0.0, 0.0]
     if mirror.flux == 0.0 or (smooth == 0.0 and not rough):

@@ -35,20 +35,9 @@ ROUGH: Final = 1e3
 def lobe_roughness(lobe: MirrorLobe, rayleigh_parameter: float, height_rms: float) -> Roughness:
     """Return height statistics whose slopes are those of a lobe, in the limit of large heights.
 
-    Parameters
-    ----------
-    lobe : SpecularMicrofacet or Ward
-        Lobe with a slope above 0.
-    rayleigh_parameter : float
-        Rms phase s due to the heights, rad, much larger than 1.
-    height_rms : float
-        Rms height that corresponds to s, m.
-
-    Returns
-    -------
-    Roughness
-        Of Gaussian autocorrelation except for GGX. GGX slopes have the characteristic function
-        x K1(x), x = alpha times the wave number, so that C = 1 + ln(x K1(x))/s^2.
+    ``height_rms``, m, causes the rms phase ``rayleigh_parameter``, rad, much larger than 1. The
+    autocorrelation is Gaussian except for GGX, whose slopes have the characteristic function x
+    K1(x), x = alpha times the wave number, so that C = 1 + ln(x K1(x))/s^2.
     """
     length = math.sqrt(2) * height_rms / lobe.slope_rms
     if getattr(lobe, "distribution", "beckmann") == "beckmann":
@@ -68,17 +57,8 @@ def lobe_roughness(lobe: MirrorLobe, rayleigh_parameter: float, height_rms: floa
 def lobe_transfer(distribution: str, phase_rms: Array) -> Array:
     """Return the transfer function of a lobe in the limit of large heights.
 
-    Parameters
-    ----------
-    distribution : {"beckmann", "ggx"}
-        Distribution of the slopes.
-    phase_rms : ndarray
-        Wavenumber times sum of the cosines times separation on the wall times slope rms, rad.
-
-    Returns
-    -------
-    ndarray
-        Characteristic function of the slopes, of the shape of ``phase_rms``.
+    ``phase_rms`` is the wavenumber times the sum of the cosines, the separation on the wall and the
+    rms slope, rad.
     """
     if distribution == "beckmann":
         return np.asarray(np.exp(-(phase_rms**2) / 2))
@@ -149,30 +129,7 @@ class MirrorLobes:
         tol: float,
         model: Model = "scalar",
     ) -> PointSpread:
-        """Compute the point spread of all lobes, integrated over pixels; see `lobe_point_spread`.
-
-        Parameters
-        ----------
-        residual : Residual
-            Wave of the smooth wall.
-        pitch : float
-            Pixel side, m.
-        shape : (int, int)
-            Pixels (ny, nx).
-        tol : float
-            Largest permitted error, relative to the peak.
-        model : {"scalar", "auto", "high-aperture"}
-            Model of diffraction, see `transform.point_spread`. Slopes blur the scalar one.
-
-        Returns
-        -------
-        PointSpread
-
-        Raises
-        ------
-        SceneError
-            If the high-aperture model is requested for a lobe with a slope.
-        """
+        """Compute the point spread of all lobes for the wave of the smooth wall, see the function."""
         if self.view is None:
             return detilted_wide_spread(residual, pitch, shape, tol, model)
         check_scalar(model, "a lobe with a slope")
@@ -187,19 +144,7 @@ class MirrorLobes:
 
 
 def lobes_of(scene: Scene, view: Callable[[], WallView]) -> MirrorLobes:
-    """Return the mirror-like lobes of a scene's wall.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the wall's material.
-    view : callable
-        Function that returns the `WallView`; called only if a lobe has a slope.
-
-    Returns
-    -------
-    MirrorLobes
-    """
+    """Return the mirror-like lobes of a scene's wall."""
     rough, smooth = split_lobes(scene)
     return MirrorLobes(rough, smooth, view() if rough else None)
 
@@ -212,20 +157,7 @@ def lobe_window(
     tol: float = 1e-3,
     pitch: float | None = None,
 ) -> int:
-    """Return the odd side of a window outside which `lobe_point_spread` is below ``tol``.
-
-    Parameters
-    ----------
-    scene, wave, object_point, pitch
-        See `lobe_point_spread`.
-    tol : float
-        Relative to the peak.
-
-    Returns
-    -------
-    int
-        Pixels per side.
-    """
+    """Return the odd side of a window outside which `lobe_point_spread` is below ``tol``."""
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     lobes = lobes_of(scene, partial(wall_view, scene, object_point))

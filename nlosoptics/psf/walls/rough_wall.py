@@ -172,24 +172,6 @@ def rough_choice(
     """Choose how the point spread function of a scene's rough wall is computed.
 
     The optics keep the choice, so that a plan and its run share it.
-
-    Parameters
-    ----------
-    seen : PointOptics
-        Optics of the object point.
-    pitch : float
-        Pixel side, m.
-    shape : (int, int)
-        Pixels (ny, nx).
-    tol : float
-        Largest permitted error, relative to the peak.
-
-    Returns
-    -------
-    RoughChoice
-        The first regime that holds: the mean, if the scene asks for it; the wave aberration, if
-        its expected error is within ``tol``; propagation, if its phase screen fits into the memory
-        and a minute; rays otherwise.
     """
     return seen.once(("rough choice", pitch, shape, tol), lambda: _choice(seen, pitch, shape, tol))
 
@@ -298,26 +280,9 @@ def rough_image(
 ) -> tuple[AimedWave, PointSpread, PupilField | None]:
     """Compute wave, image and pupil function of an object point seen by a rough wall.
 
-    Parameters
-    ----------
-    seen : PointOptics
-        Optics of the object point.
-    pitch : float
-        Pixel side, m.
-    shape : (int, int)
-        Pixels (ny, nx).
-    tol : float
-        Largest permitted error of the image, relative to its peak.
-
-    Returns
-    -------
-    aimed : AimedWave
-        Wave at the nodes that were used: that of this wall if it is defined, and of the smooth
-        wall otherwise.
-    spread : PointSpread
-        Image, energy per pixel relative to that of the smooth wall.
-    field : PupilField or None
-        Pupil function of this wall, if it was propagated from the wall.
+    The wave is that of this wall if it is defined, or else of the smooth wall. The image is the
+    energy per pixel relative to that of the smooth wall. The pupil function is None unless the
+    field was propagated from the wall.
     """
     choice = rough_choice(seen, pitch, shape, tol)
     if choice.regime == "mean":

@@ -177,22 +177,7 @@ def scene_point_spread(
 
 
 def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
-    """Return the odd side of a window outside which a point's image is below ``tol`` of its peak.
-
-    Parameters
-    ----------
-    seen : PointOptics
-        Optics of the object point.
-    pitch : float
-        Pixel side, m.
-    tol : float
-        Relative to the peak.
-
-    Returns
-    -------
-    int
-        Pixels per side.
-    """
+    """Return the odd side, pixels, of a window outside which an image is below ``tol`` of its peak."""
     if seen.scene.wall_roughness is not None:
         return rough_window(seen, pitch, tol)
     lobes = lobes_of(seen.scene, lambda: seen.view)
@@ -206,28 +191,7 @@ def point_image(
     tol: float,
     model: Model = "scalar",
 ) -> tuple[AimedWave, PointSpread]:
-    """Compute wave and image of an object point, with as many pupil nodes as ``tol`` requires.
-
-    Parameters
-    ----------
-    seen : PointOptics
-        Optics of the object point.
-    pitch : float
-        Pixel side, m.
-    shape : (int, int)
-        Pixels (ny, nx).
-    tol : float
-        Largest permitted error of the image, relative to its peak.
-    model : {"scalar", "auto", "high-aperture"}
-        Model of diffraction for a wall without roughness, see `scene_point_spread`.
-
-    Returns
-    -------
-    aimed : AimedWave
-        Wave at the nodes that were used.
-    spread : PointSpread
-        Image, energy per pixel.
-    """
+    """Compute wave and image of an object point, with as many pupil nodes as ``tol`` requires."""
     if seen.scene.wall_roughness is not None:
         return rough_image(seen, pitch, shape, tol)[:2]
     lobes = lobes_of(seen.scene, lambda: seen.view)
