@@ -32,11 +32,9 @@ from .pupil.exit_pupil import ExitPupil as ExitPupil
 from .pupil.exit_pupil import exit_pupil as exit_pupil
 from .pupil.ray_wavefront import wavefront_from_rays as wavefront_from_rays
 from .pupil.scene_optics import SceneOptics as SceneOptics
-from .pupil.slope_integration import integrated_slopes as integrated_slopes
 from .pupil.slope_integration import wavefront_from_slopes as wavefront_from_slopes
 from .pupil.wall_view import WallView as WallView
 from .pupil.wall_view import wall_view as wall_view
-from .pupil.wall_wavefront import path_difference as path_difference
 from .pupil.wall_wavefront import wall_aberration as wall_aberration
 from .pupil.wall_wavefront import wavefront as wavefront
 from .rough.mean import RoughPointSpread as RoughPointSpread
@@ -54,7 +52,6 @@ from .walls.field import isoplanatic_radius as isoplanatic_radius
 from .walls.field import point_spread_field as point_spread_field
 from .walls.hybrid import HybridPointSpread as HybridPointSpread
 from .walls.hybrid import hybrid_point_spread as hybrid_point_spread
-from .walls.lobe_psf import lobe_point_spread as lobe_point_spread
 from .walls.rough_wall import PupilField as PupilField
 from .walls.scene_psf import ScenePointSpread as ScenePointSpread
 from .walls.scene_psf import scene_point_spread as scene_point_spread

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,10 +22,6 @@ from .quadrature_nodes import fitting_pitch, gauss_legendre
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Point = tuple[float, float]
-
-#: Inset of the points that test cells for overlap, as a fraction of the patch's size: cells that
-#: merely touch do not overlap.
-TOUCH: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -579,7 +574,8 @@ class Aperture(Noun):
     def _check_apart(self) -> None:
         """Raise `SceneError` if sample points of one cell's patches lie inside another cell."""
         boxes = [box(cell.outline) for cell in self.cells]
-        points = [parts.drawn_in(cell.sides, TOUCH) for cell in self.cells]
+        # Inset, so that cells that merely touch do not overlap.
+        points = [parts.drawn_in(cell.sides, 1e-9) for cell in self.cells]
         for i, (low, high) in enumerate(boxes):
             for j, (other_low, other_high) in enumerate(boxes):
                 if i == j or np.any(low >= other_high) or np.any(other_low >= high):

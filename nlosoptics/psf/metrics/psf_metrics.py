@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-import scipy  # loads scipy.special on first use, a tenth of a second
+import scipy  # loads its parts on first use
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import counted, fits_memory, one_of, whole
@@ -24,7 +24,6 @@ from .pupil_overlap import transfer
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-TERMS = ("piston", "tilt", "defocus")
 
 
 def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> float:
@@ -462,7 +461,7 @@ def _without(wavefront: Wavefront, remove: Iterable[str]) -> Wavefront:
     """Return the wavefront without the least-squares fit of the named terms and a piston."""
     names = (remove,) if isinstance(remove, str) else tuple(remove)
     for name in names:
-        one_of("remove", name, TERMS)
+        one_of("remove", name, ("piston", "tilt", "defocus"))
     if not names:
         return wavefront
     scale = wavefront.pupil_radius
@@ -542,23 +541,14 @@ def _crossing(cut: Array, top: int, step: int, level: float) -> float:
                 "the intensity stays above half its peak up to the edge of the window of "
                 f"{cut.size} samples; use a larger shape"
             )
-    low, high = float(index), float(index - step)  # below, above the level
-    for _ in range(50):
-        middle = (low + high) / 2
-        if _interpolated(cut, middle) < level:
-            low = middle
-        else:
-            high = middle
-    return abs((low + high) / 2 - top)
+    between = sorted((index, index - step))
+    root = scipy.optimize.brentq(lambda at: _interpolated(cut, at) - level, *between, xtol=1e-14)
+    return abs(float(root) - top)
 
 
 def _interpolated(cut: Array, place: float) -> float:
     """Interpolate at a position, in samples, by a polynomial through the nearest eleven samples."""
     n = min(11, cut.size)
     start = min(max(round(place) - n // 2, 0), cut.size - n)
-    t = place - start
-    if t == round(t):
-        return float(cut[start + round(t)])
-    signs = np.array([(-1) ** k * math.comb(n - 1, k) for k in range(n)])
-    terms = signs / (t - np.arange(n))
-    return float(np.sum(terms * cut[start : start + n]) / np.sum(terms))
+    near = scipy.interpolate.BarycentricInterpolator(np.arange(n), cut[start : start + n])
+    return float(near(place - start))

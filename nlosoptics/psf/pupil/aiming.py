@@ -14,8 +14,6 @@ from ...errors import CausticError, SceneError
 from ...scene import CallableWall, Wall, pupil_frame
 
 Array = NDArray[np.float64]
-#: Pupil nodes up to which one thread aims: others would wait, and burn, longer than they help.
-MANY = 30_000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,7 +64,8 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
     if isinstance(wall, CallableWall):
         callable_aiming.aim(wall, o, nodes, starts, axis, out)
     else:
-        loop = _aiming_kernels.aim if len(nodes) > MANY else _aiming_kernels.aim.alone
+        # One thread for few nodes: others would wait longer than they help.
+        loop = _aiming_kernels.aim if len(nodes) > 30_000 else _aiming_kernels.aim.alone
         terms, tables = wall.compiled()
         loop(terms, tables_for(terms, tables), o, nodes, starts, axis, out)
     lost = out[:, 7] != _aiming_kernels.FOUND

@@ -9,8 +9,6 @@ from ...scene import Wall
 from . import _aiming_kernels
 
 Array = NDArray[np.float64]
-#: Gradient of the path below which it counts as stationary; the remainder is rounding error.
-STATIONARY = 1e-11
 
 
 def stationary_points(
@@ -58,7 +56,7 @@ def stationary_points(
         if not len(active):
             break
     # Rounding stops the descent. The error of the paths is of second order in the gradient left.
-    return points, np.where(norm < STATIONARY, _aiming_kernels.FOUND, _aiming_kernels.NOT_FOUND)
+    return points, np.where(norm < 1e-11, _aiming_kernels.FOUND, _aiming_kernels.NOT_FOUND)
 
 
 def aim(wall: Wall, o: Array, nodes: Array, starts: Array, axis: Array, out: Array) -> None:

@@ -14,17 +14,15 @@ from .aiming import aim, pupil_points
 
 Array = NDArray[np.float64]
 
-#: Rings and spokes of the sample rays over the lens, including its rim.
-RINGS, SPOKES = 6, 24
-
 
 def check_cone(scene: Scene, object_point: Array | None = None) -> bool:
     """Return whether the occluders hide an object point from the whole lens.
 
     Points are in the world frame, m. Raises `SceneError` if only a part of the lens is hidden.
     """
-    radii = scene.camera.stop_diameter / 2 * np.arange(1, RINGS + 1)[:, None] / RINGS
-    angles = 2 * math.pi * np.arange(SPOKES) / SPOKES
+    rings, spokes = 6, 24  # of the sample rays over the lens, including its rim
+    radii = scene.camera.stop_diameter / 2 * np.arange(1, rings + 1)[:, None] / rings
+    angles = 2 * math.pi * np.arange(spokes) / spokes
     nodes = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1).reshape(-1, 2)
     nodes = np.concatenate([np.zeros((1, 2)), nodes])
     axis = scene.camera.axis

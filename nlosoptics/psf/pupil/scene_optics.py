@@ -22,8 +22,6 @@ Found = TypeVar("Found")
 #: Numbers of pupil samples to try after those of ``nodes="auto"``: radii of polar nodes, with four
 #: times as many angles, or cells per side of a grid.
 FINER: Final = {"polar": (48, 96), "grid": (1024, 2048)}
-#: Object points whose waves a scene keeps: its reference point, corners and edges, and a few more.
-KEPT: Final = 16
 
 
 class PointOptics:
@@ -170,7 +168,8 @@ class SceneOptics:
             return self.reference
         place = tuple(point.tolist())
         found = self._kept.get(place) or PointOptics(self.scene, self.exit_pupil, point)
-        if len(self._kept) < KEPT:
+        # enough for the reference point, corners and edges, and a few more
+        if len(self._kept) < 16:
             self._kept[place] = found
         return found
 

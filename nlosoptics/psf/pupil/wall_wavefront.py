@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import one_of, real, vector
-from ...errors import CausticError, NotWaveGradeError, SamplingError, SceneError
+from ..._checks import one_of, vector
+from ...errors import NotWaveGradeError, SamplingError, SceneError
 from ...scene import MeshWall, Scene, Wall
 from ..aperture.aperture import Aperture
 from ..aperture.quadrature_nodes import grid_nodes, polar_nodes
@@ -19,15 +19,11 @@ from ..wave.detilted import Residual, split
 from ..wave.fits import fitted_terms
 from ..wave.removed import Removed
 from ..wave.wavefront import Layout, Wavefront
-from .aiming import AimedRays, aim, pupil_points, stationary_points
+from .aiming import AimedRays, aim, pupil_points
 from .exit_pupil import ExitPupil, exit_pupil
 from .obstruction import hides
 
 Array = NDArray[np.float64]
-#: Default numbers of pupil nodes for each layout, see `wavefront`.
-POLAR_SAMPLES = (24, 96)
-CELL_SAMPLES = (24, 24)
-GRID_SAMPLES = 256
 #: Grid cells per side for ``nodes="auto"``. More cells reduce the error of a cut rim; 512 take
 #: about 0.3 s.
 AUTO_GRID_SAMPLES = 512
@@ -84,7 +80,6 @@ def wall_aberration(
     See Also
     --------
     wavefront : Wave aberration of a scene.
-    path_difference : Length of one path via the wall, minus a reference length.
 
     Notes
     -----
@@ -118,73 +113,6 @@ def wall_aberration(
     with_centre = np.concatenate([np.zeros((1, 2)), flat_nodes])
     rays = aim(wall, object_point, pupil_points(centre, axis, with_centre), axis)
     return np.asarray(rays.excess[1:] - rays.excess[0])
-
-
-def path_difference(
-    wall: Wall,
-    source: ArrayLike,
-    target: ArrayLike,
-    reference: float,
-    *,
-    wall_point: ArrayLike | None = None,
-) -> float:
-    """Compute the length of a path via the wall minus a reference length, to full precision.
-
-    Parameters
-    ----------
-    wall : Wall
-        Relay wall.
-    source, target : array_like, (3,)
-        Ends of the path in world coordinates, m. A target behind the wall is a virtual image: the
-        distance from the wall to it counts as negative.
-    reference : float
-        Length that is subtracted, m; it may be negative.
-    wall_point : array_like, (2,), optional
-        Coordinates (x, y) of the wall point on the path, m. By default the point at which a ray
-        from source to target is reflected (Fermat's principle).
-
-    Returns
-    -------
-    float
-        Path difference, m. It is computed with twice the digits of float64 and rounded at the end.
-
-    Raises
-    ------
-    CausticError
-        If no reflected ray is found.
-
-    See Also
-    --------
-    wall_aberration : Wave aberration of a wall at given pupil points.
-    wavefront : Wave aberration of a scene.
-    """
-    from . import _aiming_kernels
-
-    o, p = np.array(vector("source", source)), np.array(vector("target", target))
-    reference = real("reference", reference)
-    if wall_point is None:
-        z = abs(p[2])
-        share = o[2] / (o[2] + z) if o[2] + z > 0 else 0.0
-        x, y = (o + share * (p - o))[:2]
-        side = 1.0 if p[2] >= float(wall.height(x, y)) else -1.0
-        if wall.is_flat and side < 0:
-            raise CausticError(
-                "a virtual target of a flat wall has no single stationary path; give wall_point"
-            )
-        if not wall.is_flat:
-            start = np.array([[x, y]])
-            x, y, status = next(stationary_points(wall, o, p, start, side))
-            if status != _aiming_kernels.FOUND:
-                raise CausticError(
-                    f"no stationary path from {source!r} by the wall to {target!r}; "
-                    "give wall_point, or other points"
-                )
-    else:
-        x, y = (real("wall_point", c) for c in np.asarray(wall_point, dtype=np.float64)[:2])
-    height = float(wall.height(x, y))
-    side = 1.0 if p[2] >= height else -1.0
-    hit = np.array([x, y, height])
-    return float(_aiming_kernels.path_difference(o, hit, p, side, reference))
 
 
 def wavefront(
@@ -446,15 +374,15 @@ def _pupil_nodes(
     if isinstance(samples, tuple) and len(samples) != 2:
         raise SceneError(f"samples = {samples}; give one whole number or two")
     if aperture is not None:
-        samples = CELL_SAMPLES if samples is None else samples
+        samples = (24, 24) if samples is None else samples
         n_s, n_t = samples if isinstance(samples, tuple) else (samples, samples)
         return "cells", *aperture.nodes(n_s, n_t)
     if nodes == "grid":
         if isinstance(samples, tuple):
             raise SceneError(f"samples = {samples}; a grid is square, give one whole number")
-        return "grid", *grid_nodes(radius, GRID_SAMPLES if samples is None else samples)
+        return "grid", *grid_nodes(radius, 256 if samples is None else samples)
     if samples is None:
-        samples = POLAR_SAMPLES
+        samples = (24, 96)
     n_r, n_theta = samples if isinstance(samples, tuple) else (samples, 4 * samples)
     return "polar", *polar_nodes(radius, n_r, n_theta)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +14,6 @@ from ..wave.wavefront import Wavefront
 from .relief import ReliefView
 
 Array = NDArray[np.float64]
-
-#: Most iterations of the search for a ray's wall point; a contraction needs about 20.
-MOST_STEPS: Final = 60
-#: Change of the wall point, relative to the heights' scale, at which it has been found.
-FOUND: Final = 1e-10
-#: Integral of sin^2(pi u^2/2)/u^4 over all u, divided by 4 pi^4: energy of the diffraction by a
-#: crease across which the phase gradient jumps by 1, in a unit in which lambda d_eff = 1.
-CREASE_ENERGY: Final = 0.01194
 
 
 def rough_wave(wave: Wavefront, view: ReliefView) -> Wavefront:
@@ -59,12 +50,13 @@ def _path(view: ReliefView, u: Array, v: Array, wavelength: float) -> tuple[Arra
         bend = np.einsum("ia,nij,jb->nab", place, hessian, place)
         return h, np.stack([hx, hy], axis=1) @ place, bend
 
-    for _ in range(MOST_STEPS):
+    # a contraction, which needs about 20 steps
+    for _ in range(60):
         height, slope, bend = derivatives(at)
         after = aimed + slope @ throw.T
         moved = float(np.abs(after - at).max())
         at = after
-        if moved <= FOUND * view.length:
+        if moved <= 1e-10 * view.length:
             break
     height, slope, bend = derivatives(at)
     area = np.linalg.det(np.eye(2) - throw @ bend)
@@ -103,6 +95,7 @@ def aberration_error(view: ReliefView, wavelength: float) -> float:
         per_metre = s / relief.height_rms
         zone = math.sqrt(wavelength * distance)
         jump = 16 / 3 * (per_metre * relief.slope_rms) ** 2
-        square = 2 * math.sqrt(3) / relief.cell * jump * zone**3 * CREASE_ENERGY
+        # Integral of sin^2(pi u^2/2)/u^4 over all u, divided by 4 pi^4.
+        square = 2 * math.sqrt(3) / relief.cell * jump * zone**3 * 0.01194
         return 2 * math.sqrt(square)
     return math.inf

@@ -19,21 +19,12 @@ from .view import RoughView
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-SCREENS: Final = 403  # stream of the random generator
-#: Value of C below which heights are treated as independent.
-INDEPENDENT: Final = 1e-6
-#: Largest fraction of the variance in components of negative power, which no surface can have.
-NEGATIVE: Final = 2e-3
 #: Largest ``max(1, s^2) (1 - C)`` between neighbours: a pitch of l/(3 s) for the Gaussian C.
 STEP: Final = 1 / 9
 #: A coarser lattice with spectral interpolation is used if its pitch is at most `widest_pitch`
 #: over DENSER and at least LEAST_STRIDE pupil cells.
 DENSER: Final = 1.5
 LEAST_STRIDE: Final = 4
-#: Largest fraction of the power in the last tenth of a coarser lattice's band.
-BEYOND: Final = 1e-9
-#: Value of C at which the torus for that test is cut; a step of 1e-6 would add to the spectrum.
-NOTHING: Final = 1e-12
 #: Lines of a field that are interpolated at a time, few enough for the processor's cache.
 LINES: Final = 64
 
@@ -68,7 +59,7 @@ class Screens:
 
     def draw(self, seed: int) -> Iterator[ComplexArray]:
         """Yield fields (n, n) of independent random walls at the pupil points, of mean power 1."""
-        random = generator(seed, SCREENS)
+        random = generator(seed, 403)  # stream of rough walls
         n = self.size
         while True:
             waves = ducc0.fft.r2c(random.standard_normal((n, n)), nthreads=1)
@@ -113,11 +104,12 @@ def stride(view: RoughView, pitch: float) -> int:
     """
     cells = math.floor(min(widest_pitch(view) / (DENSER * pitch), 1e9))
     while cells >= LEAST_STRIDE:
-        steps = _steps(_torus(view, 0, cells * pitch, 0.0, NOTHING)) * cells * pitch
+        # cut the torus where C is 1e-12; a step of 1e-6 would add to the spectrum
+        steps = _steps(_torus(view, 0, cells * pitch, 0.0, 1e-12)) * cells * pitch
         light = view.diffuse_transfer(view.lags(steps, steps[:, None]))
         waves = np.abs(ducc0.fft.c2c(light.astype(np.complex128), nthreads=1))
         outer = np.abs(np.fft.fftfreq(steps.size)) > 0.45
-        if waves[outer].sum() + waves[:, outer].sum() <= BEYOND * waves.sum():
+        if waves[outer].sum() + waves[:, outer].sum() <= 1e-9 * waves.sum():
             return cells
         cells //= 2
     return 1
@@ -212,10 +204,10 @@ def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach:
     if n % 2 == 0:
         twice[-1] = 1.0
     missing = -float(np.sum(np.minimum(spectrum, 0.0) * twice)) / n**2
-    if missing > NEGATIVE:
+    if missing > 2e-3:
         raise SceneError(
             f"roughness.autocorrelation implies negative power, {missing:.2g} of the variance, "
-            f"limit {NEGATIVE:g}, which no surface has; smooth the measured C"
+            f"limit {2e-3:g}, which no surface has; smooth the measured C"
         )
     positive = np.maximum(spectrum, 0.0)
     positive /= float(np.sum(positive * twice)) / n**2  # restores the variance
@@ -223,9 +215,7 @@ def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach:
     return Screens(np.sqrt(positive), view.rayleigh_parameter, pitch, wavelength, distance)
 
 
-def _torus(
-    view: RoughView, cells: int, pitch: float, reach: float, level: float = INDEPENDENT
-) -> int:
+def _torus(view: RoughView, cells: int, pitch: float, reach: float, level: float = 1e-6) -> int:
     """Return the lattice points per side of the periodic screen.
 
     The period includes the margin ``reach``, m, and the lag at which C falls to ``level``.

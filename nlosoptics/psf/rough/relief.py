@@ -24,16 +24,8 @@ ComplexArray = NDArray[np.complex128]
 Relief = FacetWall | GaussianWall | HeightMapWall
 RELIEFS: Final = (FacetWall, GaussianWall, HeightMapWall)
 
-#: Steepest slope whose light is followed, and that the lattice resolves, in rms slopes per axis.
-STEEPEST, RESOLVED = 5.0, 6.0
-#: Fresnel zones, sqrt(lambda d_eff), added to the patch on each side.
-ZONES: Final = 6.0
-#: Width of the band in which the heights fall to 0, in scales of the heights.
-BAND: Final = 6.0
-#: Least number of lattice points per scale of smooth heights.
-SMOOTH: Final = 6.0
-#: Least number of lattice points across a facet; the spectrum of its creases falls slowly.
-CREASE: Final = 16.0
+#: Steepest slope whose light is followed, in rms slopes per axis.
+STEEPEST = 5.0
 #: Memory of the screen per lattice point, bytes: heights, coordinates, field and its transform.
 SCREEN_BYTES: Final = 72.0
 
@@ -95,12 +87,13 @@ class ReliefView(RoughView):
         if turn == 0:
             return math.inf
         across = float(np.linalg.norm(self.footprint, 2))
-        finest = self.length / (SMOOTH * across)
+        finest = self.length / (6 * across)
         if isinstance(relief, FacetWall):
-            finest = relief.cell / (CREASE * across)
+            # the spectrum of creases falls slowly
+            finest = relief.cell / (16 * across)
         elif isinstance(relief, HeightMapWall):
             finest = relief.pitch / across
-        return min(wavelength / (2 * RESOLVED * turn), finest)
+        return min(wavelength / (12 * turn), finest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,8 +209,8 @@ def margins(view: ReliefView, pitch: float, wavelength: float) -> tuple[int, int
     wide = float(np.linalg.norm(spread, 2))
     back = np.linalg.inv(view.footprint)
     # a slope of the wave in the pupil shifts its origin by spread times that slope
-    far = wide * STEEPEST * view.turn(wavelength) + ZONES * math.sqrt(wavelength * wide)
-    band = BAND * view.length * float(np.linalg.norm(back, 2))
+    far = wide * STEEPEST * view.turn(wavelength) + 6 * math.sqrt(wavelength * wide)
+    band = 6 * view.length * float(np.linalg.norm(back, 2))
     return math.ceil(far / pitch), math.ceil(max(band / pitch, 16))
 
 

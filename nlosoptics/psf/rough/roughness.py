@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,19 +28,18 @@ class Roughness(Noun):
         Root mean square height h, m.
     correlation_length : float
         Distance l between wall points, m, at which the autocorrelation C has fallen to 1/e. For a
-        callable or measured C, the approximate distance over which it falls.
-    autocorrelation : {"gaussian", "exponential"}, callable or array_like (2, n)
+        callable C, the approximate distance over which it falls.
+    autocorrelation : {"gaussian", "exponential"} or callable
         Autocorrelation C(r) of the heights of two wall points at the distance (lag) r; C(0) = 1:
 
         - ``"gaussian"`` is ``exp(-r^2/l^2)`` and ``"exponential"`` is ``exp(-r/l)``.
         - A callable takes an array of lags, m, and returns the values of C.
-        - A measured C is an array: row 0 holds lags, m, increasing from 0, and row 1 the values of
-          C. It is interpolated by monotone cubics, and 0 beyond the last lag.
+          It can interpolate a measured C: ``lambda r: np.interp(r, lags, values, right=0)``.
 
     Raises
     ------
     SceneError
-        If C is not 1 at lag 0, exceeds 1 elsewhere, or a measured C ends above 0.02.
+        If C is not 1 at lag 0 or exceeds 1 elsewhere.
 
     See Also
     --------
@@ -73,7 +70,10 @@ class Roughness(Noun):
             one_of("roughness.autocorrelation", self.autocorrelation, ("gaussian", "exponential"))
             return
         if not callable(self.autocorrelation):
-            put(self, "autocorrelation", _table(self.autocorrelation))
+            raise SceneError(
+                f"roughness.autocorrelation is a {type(self.autocorrelation).__name__}; give "
+                "'gaussian', 'exponential' or a function of the lags in m"
+            )
         found = self.correlation(length * np.append(0.0, np.geomspace(1e-3, 1e3, 97)))
         if abs(found[0] - 1) > 1e-9 or np.abs(found).max() > 1 + 1e-9:
             raise SceneError(
@@ -119,9 +119,6 @@ class Roughness(Noun):
         scaled = r / self.correlation_length
         if isinstance(self.autocorrelation, str):
             return np.asarray(np.exp(-(scaled**2) if self._is_gaussian else -scaled))
-        if isinstance(self.autocorrelation, np.ndarray):
-            last = self.autocorrelation[0, -1]
-            return np.asarray(np.where(r <= last, self._interpolant(np.minimum(r, last)), 0.0))
         found = np.asarray(self.autocorrelation(r), dtype=np.float64)
         if found.shape != r.shape or not np.isfinite(found).all():
             raise SceneError(
@@ -141,8 +138,7 @@ class Roughness(Noun):
         Returns
         -------
         ndarray
-            1 - C, 0 at lag 0, in the shape of ``lags``. A measured C or a callable loses digits at
-            short lags.
+            1 - C, 0 at lag 0, in the shape of ``lags``. A callable C loses digits at short lags.
         """
         r = np.asarray(lags, dtype=np.float64)
         if isinstance(self.autocorrelation, str):
@@ -161,14 +157,11 @@ class Roughness(Noun):
         Returns
         -------
         float
-            Lag, m, beyond which ``|C|`` is at most ``level``; infinite if there is none. For a
-            measured C it is the last lag.
+            Lag, m, beyond which ``|C|`` is at most ``level``; infinite if there is none.
         """
         if isinstance(self.autocorrelation, str):
             fall = math.log(1 / level)
             return self.correlation_length * (math.sqrt(fall) if self._is_gaussian else fall)
-        if isinstance(self.autocorrelation, np.ndarray):
-            return float(self.autocorrelation[0, -1])
         # search far beyond the correlation length, since a tail can have another scale
         lags = self.correlation_length * np.geomspace(1e-2, 1e3, 401)
         above = np.nonzero(np.abs(self.correlation(lags)) > level)[0]
@@ -205,32 +198,3 @@ class Roughness(Noun):
     @property
     def _is_gaussian(self) -> bool:
         return isinstance(self.autocorrelation, str) and self.autocorrelation == "gaussian"
-
-    @cached_property
-    def _interpolant(self) -> Callable[[Array], Array]:
-        from scipy.interpolate import PchipInterpolator  # half a second to load
-
-        lags, values = self.autocorrelation
-        interpolant: Callable[[Array], Array] = PchipInterpolator(lags, values)
-        return interpolant
-
-
-def _table(given: ArrayLike) -> Array:
-    """Return checked, read-only measured lags and values (2, n)."""
-    table = np.array(given, dtype=np.float64)
-    if table.ndim != 2 or table.shape[0] != 2 or table.shape[1] < 4:
-        raise SceneError(
-            f"roughness.autocorrelation has shape {table.shape}; give (2, n) with n of 4 or more, "
-            "a row of lags in m and a row of values"
-        )
-    if not np.isfinite(table).all() or table[0, 0] != 0 or np.any(np.diff(table[0]) <= 0):
-        raise SceneError(
-            "roughness.autocorrelation[0] must be finite lags in m that rise from 0; sort the lags"
-        )
-    if abs(table[1, -1]) > 0.02:
-        raise SceneError(
-            f"roughness.autocorrelation ends with {table[1, -1]:.3g} at a lag of {table[0, -1]:.3g}"
-            f" m, limit 0.02; measure to larger lags"
-        )
-    table.setflags(write=False)
-    return table

@@ -38,8 +38,6 @@ Propagation = Literal["fresnel", "geometric"]
 
 #: Largest propagation phase of a screen's waves that geometric propagation may neglect, rad.
 LARGEST_TURN: Final = 0.1
-#: Least number of cells across the pupil if a polar wave is resampled to a grid.
-LEAST_CELLS: Final = 256
 
 
 def sample_point_spread(
@@ -281,7 +279,7 @@ def grid_pitch(wave: Wavefront, finest: float, far: float) -> float:
     """
     # A period of 3 far keeps the leak of the softened rim outside, see `antialiased_disc`.
     widest = wave.wavelength * abs(wave.image_distance) / (3 * far)
-    pitch = min(finest, widest, 2 * wave.pupil_radius / LEAST_CELLS)
+    pitch = min(finest, widest, 2 * wave.pupil_radius / 256)
     return pitch if math.isinf(finest) else finest / math.ceil(finest / pitch * (1 - 1e-9))
 
 
@@ -315,7 +313,7 @@ def speckle_pupil(residual: Residual, view: RoughView, samples: Window) -> Pupil
 def wall_fields(
     residual: Residual, view: RoughView, grid: PupilGrid, seed: int, propagation: str
 ) -> tuple[Iterator[ComplexArray], Between | None]:
-    """Return an iterator over the fields (n, n) of random walls, and their interpolation to the grid.
+    """Return an iterator over the fields (n, n) of walls, and their interpolation to the grid.
 
     The interpolation is None if the periodic lattice of the fields coincides with the grid.
     """
@@ -378,8 +376,8 @@ def speckle_error(
 ) -> float:
     """Estimate the error relative to the peak, due to the sampled rim and to aliasing.
 
-    ``mean`` (ny, nx) is the intensity in the window, 1 at the ideal peak, and ``spill`` the fraction
-    of the energy beyond the lattice's band, from `spilled`.
+    ``mean`` (ny, nx) is the intensity in the window, 1 at the ideal peak, and ``spill`` is the
+    fraction of the energy beyond the lattice's band, from `spilled`.
     """
     wave = residual.wavefront
     edge = error_bounds.edge_errors(residual, grid, window.x, window.y)

@@ -24,23 +24,16 @@ from .view import RoughView
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-#: Relative value below which the diffuse transfer function is cut off.
-CUT: Final = 1e-13
 #: First and largest refinement of the nodes relative to the rule of thumb, made for small errors.
 FIRST: Final = 0.7
-FINEST: Final = 7.0
 #: Relative accuracy of the non-uniform transform.
 EPSILON: Final = 1e-12
-#: Least number of fine pixels from the centre of the inner window to its edge.
-PARTS: Final = 4
 #: Largest side of the inner window relative to the window's, for which it is used.
 WORTH: Final = 0.5
 #: Distance from rays and halo, Airy units, beyond which the diffraction tail falls as 1/r^3.
 FAR: Final = 20.0
 #: Memory per node and per pixel of the window during the sum, bytes.
 NODE_BYTES, PIXEL_BYTES = 250.0, 160.0
-#: Length of the first run of nodes, in correlation lengths; further runs grow by a factor of 4.
-FIRST_RUN: Final = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +161,7 @@ class Halo:
         """Compute the scattered intensity with nodes refined until it has converged.
 
         The number of nodes per direction grows by 1.5 until the change is below a tenth of ``tol``
-        times the peak, or up to `FINEST`.
+        times the peak, or they are 7 times as many as the rule of thumb.
         """
         nodes = self.separations(0.7 * fineness)
         coarse = self.image(nodes, at(nodes.du, nodes.dv))
@@ -179,7 +172,7 @@ class Halo:
             # the error of the coarser nodes bounds that of the finer ones
             missed = float(np.abs(fine - coarse).max())
             enough = missed <= 0.1 * tol * float(np.max(coherent + fine))
-            if enough or 1.5 * fineness > FINEST:
+            if enough or 1.5 * fineness > 7:
                 return fine, nodes, smooth, missed
             coarse = fine
             fineness *= 1.5
@@ -210,13 +203,14 @@ class Halo:
         """
         units = np.stack([np.cos(directions), np.sin(directions)])
         back = np.linalg.solve(self.view.footprint, units)
-        last = np.minimum(self.view.last_lag(CUT), self.edge / np.hypot(*back))
+        last = np.minimum(self.view.last_lag(1e-13), self.edge / np.hypot(*back))
         return last * back[0], last * back[1], last
 
     def _runs(self, last: float) -> list[float]:
         """Return the lags, m, that bound the runs of nodes; several runs if C has a long tail."""
         length = self.view.length
-        edges, end = [0.0], FIRST_RUN / 2 * length
+        # 8 correlation lengths first, then longer by a factor of 4
+        edges, end = [0.0], 8 / 2 * length
         while 2 * end < last:
             edges.append(end)
             end *= 4
@@ -317,7 +311,7 @@ def inner_window(window: Window, half: float) -> tuple[Window, int]:
 
     ``half`` is half the side of the new window, m.
     """
-    parts = max(1, math.ceil(PARTS * window.pitch / half)) | 1
+    parts = max(1, math.ceil(4 * window.pitch / half)) | 1
     n = 2 * math.ceil(half * parts / window.pitch) + 1
     return Window.centred(window.pitch / parts, (n, n)), parts
 

@@ -43,7 +43,7 @@ class RoughView:
     effective_distance: Array | None = None
 
     def lags(self, du: Array, dv: Array) -> Array:
-        """Return the distances on the wall, m, that belong to distances (du, dv) in the pupil, m."""
+        """Return the distances on the wall, m, for distances (du, dv) in the pupil, m."""
         m = self.footprint
         along, across = (m[i, 0] * du + m[i, 1] * dv for i in (0, 1))
         return np.asarray(np.hypot(along, across))

@@ -25,10 +25,8 @@ Array = NDArray[np.float64]
 #: Coordinates of an object point across and up, -1 to 1 from edge to edge.
 Place = tuple[float, float]
 EDGES: Final = np.array([-1.0, 1.0])
-HELD_OUT = 501  # random stream of the points at which a field is checked
 AVERAGED = 32  # points along each side of the object over which a field is averaged
 BLOCK = 1 << 14  # points that are interpolated together, few enough for the processor's cache
-FINEST = 1e-3  # resolution of `isoplanatic_radius`, relative to the object's half size
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -282,7 +280,7 @@ def point_spread_field(
     in_range("tol", tol, 1e-9, 0.1)
     checks = whole("checks", checks, 0)
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
-    drawn = generator(seed, HELD_OUT).uniform(-1.0, 1.0, size=(checks, 2)).tolist()
+    drawn = generator(seed, 501).uniform(-1.0, 1.0, size=(checks, 2)).tolist()
     spreads = SampledSpreads(optics, pitch, tol / 2, picture_nodes(nx), picture_nodes(ny))
     return spreads.field((ny, nx), [(x, y) for x, y in drawn], progress)
 
@@ -422,7 +420,7 @@ def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> floa
         if _off(spread(high * x, high * y), centre) <= tol:
             continue
         low = 0.0
-        while high - low > FINEST:
+        while high - low > 1e-3:
             middle = 0.5 * (low + high)
             within = _off(spread(middle * x, middle * y), centre) <= tol
             low, high = (middle, high) if within else (low, middle)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,9 +34,6 @@ from ..window.window import Window, check_rays, middle, shape_of, window_side
 from .lobe_psf import ROUGH, lobe_roughness, split_lobes
 
 Array = NDArray[np.float64]
-#: Half side of the halo's window in units of `RoughView.halo`, for a Gaussian C and for any other.
-REACH: Final = 1.5
-WIDE: Final = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +180,8 @@ def wave_parts(
             continue
         named = isinstance(view.roughness.autocorrelation, str)
         gaussian = named and view.roughness.autocorrelation == "gaussian"
-        half = math.ceil((REACH if gaussian else WIDE) * view.halo(wave) / pitch)
+        # in units of `RoughView.halo`, for a Gaussian C and for any other
+        half = math.ceil((1.5 if gaussian else 6) * view.halo(wave) / pitch)
         inner = (min(side + 2 * half, shape[0]), min(side + 2 * half, shape[1]))
         window = Window.centred(pitch, inner)
         sum_over = Halo(residual, view, window, True, smooth_transfer.reach)
@@ -211,11 +209,6 @@ def _view(seen: PointOptics, wave: Wavefront, given: Roughness | MirrorLobe) -> 
         per_metre = 2 * math.pi / wave.wavelength * seen.view.cos_sum
         given = lobe_roughness(given, ROUGH, ROUGH / per_metre)
     return rough_view(wave, seen.view, given)
-
-
-NORMALISATIONS: Final = ("unit-sum", "flux")
-#: Bit flipped in the seed for the check, whose rays must be independent of those of the result.
-OTHER: Final = 1 << 63
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -306,7 +299,7 @@ def hybrid_point_spread(
     roughness : Roughness, optional
         Statistics of the wall's heights. They replace ``slope_rms``, the rms slope of the
         microfacets in the mirror-like lobes (parts) of the wall's material. By default this slope
-        blurs the image, as in `lobe_point_spread`.
+        blurs the image, as in `scene_point_spread`.
     emission : {"lambertian", "isotropic"}
         Directions into which the point emits: like a matt surface that faces along the normal of
         the planar hidden object (-z for a mesh), or equally in all directions.
@@ -368,7 +361,7 @@ def hybrid_point_spread(
     The energies of the parts add. They do not interfere, because light scattered inside the
     material has no fixed phase relation to light reflected at its surface.
     """
-    one_of("normalisation", normalisation, NORMALISATIONS)
+    one_of("normalisation", normalisation, ("unit-sum", "flux"))
     one_of("emission", emission, EMISSIONS)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     whole("n_rays", n_rays, 1, MOST)
@@ -401,7 +394,8 @@ def hybrid_point_spread(
         first = (mirror.image[0] - size[1] // 2 * pitch, mirror.image[1] - size[0] // 2 * pitch)
         traced = run(mirror_image=False, pitch=pitch, shape=size, first=first, seed=seed)
     if check:
-        every = run(shape=(1, 1), seed=seed ^ OTHER)
+        # the rays of the check must be independent of those of the result
+        every = run(shape=(1, 1), seed=seed ^ 1 << 63)
     found = _assembled(mirror, waves, traced, every, pitch, normalisation)
     if progress is not None:
         progress("hybrid", 1.0)

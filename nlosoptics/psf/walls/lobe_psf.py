@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ..._checks import in_range, positive
 from ...scene import MirrorLobe, Scene
 from ..aperture.aperture import Aperture
-from ..pupil.wall_view import WallView, wall_view
+from ..pupil.wall_view import WallView
 from ..rough.mean import detilted_mean
 from ..rough.roughness import Roughness
 from ..rough.source import rough_view
@@ -22,9 +20,9 @@ from ..rough.view import RoughView
 from ..transform.models import Model, check_scalar
 from ..transform.point_spread import PointSpread
 from ..transform.wide_pixels import detilted_wide_spread
-from ..wave.detilted import Residual, split
+from ..wave.detilted import Residual
 from ..wave.wavefront import Wavefront
-from ..window.window import check_rays, middle, shape_of, window_side
+from ..window.window import check_rays, middle, window_side
 
 Array = NDArray[np.float64]
 #: Rms phase s, rad, of the heights that represent a lobe. Its point spread then equals that of the
@@ -129,7 +127,12 @@ class MirrorLobes:
         tol: float,
         model: Model = "scalar",
     ) -> PointSpread:
-        """Compute the point spread of all lobes for the wave of the smooth wall, see the function."""
+        """Compute the point spread of all lobes, integrated over pixels, from the smooth wave.
+
+        The ``slope_rms`` of a lobe is the rms slope of its microfacets, which represent heights of
+        many wavelengths. A lobe with a slope above 0 is therefore computed as the limit of
+        `mean_point_spread` for large heights. Lobes are weighted by their reflectances.
+        """
         if self.view is None:
             return detilted_wide_spread(residual, pitch, shape, tol, model)
         check_scalar(model, "a lobe with a slope")
@@ -147,83 +150,6 @@ def lobes_of(scene: Scene, view: Callable[[], WallView]) -> MirrorLobes:
     """Return the mirror-like lobes of a scene's wall."""
     rough, smooth = split_lobes(scene)
     return MirrorLobes(rough, smooth, view() if rough else None)
-
-
-def lobe_window(
-    scene: Scene,
-    wave: Wavefront,
-    *,
-    object_point: ArrayLike | None = None,
-    tol: float = 1e-3,
-    pitch: float | None = None,
-) -> int:
-    """Return the odd side of a window outside which `lobe_point_spread` is below ``tol``."""
-    pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
-    in_range("tol", tol, 0.0, 1.0, open_low=True)
-    lobes = lobes_of(scene, partial(wall_view, scene, object_point))
-    return lobes.window(split(wave), pitch, tol)
-
-
-def lobe_point_spread(
-    scene: Scene,
-    wave: Wavefront,
-    *,
-    object_point: ArrayLike | None = None,
-    tol: float = 1e-3,
-    pitch: float | None = None,
-    shape: int | tuple[int, int] | None = None,
-) -> PointSpread:
-    """Compute the point spread of a given wave, blurred by the slopes of the wall's material.
-
-    A lobe is a part of a material's reflection with its own distribution of directions. The wall's
-    mirror-like lobes form the image; the slopes of their microfacets blur it.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the wall's material. A material without mirror-like lobes is treated as a smooth
-        mirror; use `hybrid_point_spread` for its diffuse light.
-    wave : Wavefront
-        Wave of the wall without roughness, as `wavefront` returns it for the same object point.
-    object_point : array_like, (3,), optional
-        Object point of this wave, in world coordinates, m. Default: the hidden object's reference
-        point, that is the centre of a planar object or the centroid of a mesh.
-    tol : float
-        Largest permitted error relative to the peak; above 0, at most 1.
-    pitch : float, optional
-        Pixel side, m; by default that of the camera's image. Values are integrals over pixels.
-    shape : int or (int, int), optional
-        Pixels (ny, nx); one number means a square. By default a square that contains all pixels
-        above ``tol`` times the peak.
-
-    Returns
-    -------
-    PointSpread
-        Energy per pixel; the whole image plane has the energy 1 (normalisation "unit-sum"). Lobes
-        are weighted by their reflectances.
-
-    Raises
-    ------
-    NlosError
-        If `point_spread`, `wall_view` or `mean_point_spread` raises it.
-
-    See Also
-    --------
-    scene_point_spread : Computes the wave as well, with as many samples as ``tol`` requires.
-
-    Notes
-    -----
-    The ``slope_rms`` of a lobe is the rms slope of its microfacets, which represent heights of many
-    wavelengths. A lobe with a slope above 0 is therefore computed as the limit of
-    `mean_point_spread` for large heights. A lobe with the slope 0 gives the point spread of the
-    wave itself.
-    """
-    pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
-    in_range("tol", tol, 0.0, 1.0, open_low=True)
-    lobes = lobes_of(scene, partial(wall_view, scene, object_point))
-    residual = split(wave)
-    size = shape_of(lobes.window(residual, pitch, tol) if shape is None else shape)
-    return lobes.point_spread(residual, pitch, size, tol)
 
 
 def _within(residual: Residual, pitch: float, shape: tuple[int, int], tol: float) -> PointSpread:

@@ -37,19 +37,11 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Regime = Literal["aberration", "diffraction", "mean", "rays"]
 
-#: Seconds per point of the smooth wave in the pupil, and of the lines of a coarser screen that are
-#: interpolated to it.
-PUPIL_SECONDS: Final = 5e-8
-BETWEEN_SECONDS: Final = 6.5e-9
-#: Longest predicted run time of one pattern, s.
-LONGEST: Final = 60.0
 #: Radii (with four times as many angles) or cells per side at which a relief's wave is sampled.
 RELIEF_NODES: Final = {"polar": 48, "grid": 1024}
 #: Most scales of the heights across the wall that the lens sees. Finer roughness scatters to angles
 #: far outside any image.
 MOST_ACROSS: Final = 2000
-#: Expected error of a phase screen, relative to the peak.
-SCREEN_ERROR: Final = 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -185,7 +177,8 @@ def _choice(seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float)
     if found.error <= tol:
         return found
     screen = _screen(residual, view, pitch, shape)
-    if screen.seconds <= LONGEST and screen.n_bytes <= memory_limit():
+    # a minute
+    if screen.seconds <= 60 and screen.n_bytes <= memory_limit():
         return screen
     return _rays(residual, view, pitch, screen)
 
@@ -259,15 +252,16 @@ def _screen(
     stride = relief_stride(view, step, wave.wavelength)
     size = n // stride + 2 * sum(margins(view, stride * step, wave.wavelength))
     seconds = view.roughness.screen_seconds * float(size) ** 2
-    seconds += costs.map_sums(n, samples) + PUPIL_SECONDS * float(n) ** 2
+    seconds += costs.map_sums(n, samples) + 5e-8 * float(n) ** 2
     if stride > 1:
-        seconds += BETWEEN_SECONDS * stride * size * (float(size) + n)
+        # interpolation from a coarser screen
+        seconds += 6.5e-9 * stride * size * (float(size) + n)
     held = SCREEN_BYTES * float(size) ** 2 + 48.0 * n * (n + max(samples.shape))
     reason = (
         f"this wall's field, propagated from wall to pupil: {_steepness(view)} need a phase screen "
         f"of {size} x {size} points of {1e6 * stride * step:.3g} um in the pupil"
     )
-    return RoughChoice("diffraction", size, stride * step, seconds, held, SCREEN_ERROR, reason)
+    return RoughChoice("diffraction", size, stride * step, seconds, held, 1e-3, reason)
 
 
 def relief_layout(layout: str, view: ReliefView) -> str:

@@ -35,10 +35,6 @@ from ..window.window import Window, peak_pixel
 from .lobe_psf import lobes_of
 from .rough_wall import rough_choice, roughness_view
 
-#: Below the tolerance TIGHT the transfer function usually has to be refined once, which multiplies
-#: the cost by AGAIN.
-TIGHT: Final = 2e-5
-AGAIN: Final = 2.5
 #: Memory of Python and numpy besides the arrays, bytes.
 HELD: Final = 4e6
 
@@ -157,8 +153,9 @@ def _scattered_cost(
     )
     seconds += view.term_seconds * sum(nodes)
     n_bytes = max(CELL_BYTES * across**2, NODE_BYTES * nodes[1] + PIXEL_BYTES * points)
-    if tol < TIGHT:
-        seconds, n_bytes = AGAIN * seconds, AGAIN * n_bytes
+    # then the transfer function usually has to be refined once
+    if tol < 2e-5:
+        seconds, n_bytes = 2.5 * seconds, 2.5 * n_bytes
     return Cost(seconds, n_bytes + PIXEL_BYTES * math.prod(window.shape))
 
 

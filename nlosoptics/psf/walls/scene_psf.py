@@ -99,7 +99,8 @@ def scene_point_spread(
     ScenePointSpread
         Exit pupil, wave in it, and point spread (ny, nx) in energy per pixel, with the
         normalisation "unit-sum": a smooth wall's whole image plane has the energy 1, whatever its
-        reflectance. The point spread includes the blur by ``slope_rms``.
+        reflectance. The point spread includes the blur by ``slope_rms``; lobes are
+        weighted by their reflectances.
 
     Raises
     ------
@@ -177,7 +178,7 @@ def scene_point_spread(
 
 
 def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
-    """Return the odd side, pixels, of a window outside which an image is below ``tol`` of its peak."""
+    """Return the odd side, pixels, of a window outside which an image is below ``tol``."""
     if seen.scene.wall_roughness is not None:
         return rough_window(seen, pitch, tol)
     lobes = lobes_of(seen.scene, lambda: seen.view)
