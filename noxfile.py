@@ -20,7 +20,6 @@ TESTING = ["hypothesis", "mpmath", "pytest", "pytest-timeout", "pytest-xdist"]
 EXTRAS = {
     "views": ["tests/views"],
     "inverse": ["tests/inverse/known", "tests/inverse/published/test_cnn_baseline.py"],
-    "exchange": ["tests/psf/exchange"],
     "study": ["tests/study"],
 }
 

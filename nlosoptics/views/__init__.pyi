@@ -1,4 +1,3 @@
-from .curves import compare_methods as compare_methods
 from .curves import encircled_energy as encircled_energy
 from .curves import history as history
 from .curves import mtf as mtf

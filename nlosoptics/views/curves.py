@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
-from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import in_range, positive, whole
+from .._checks import in_range, whole
 from ..errors import SamplingError, SceneError
 from .canvas import (
     BLUE,
@@ -20,7 +18,6 @@ from .canvas import (
     SERIES,
     VERMILION,
     new_axes,
-    space_log_ticks,
     space_ticks,
 )
 
@@ -28,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ..inverse import Reconstruction, Training
-    from ..psf import Comparison, MetricEstimate, SpotDiagram, ThroughFocus
+    from ..psf import SpotDiagram, ThroughFocus
     from ..raytrace import PathHistogram
 
 Array = NDArray[np.float64]
@@ -44,14 +41,12 @@ RECORDS = {
 }
 WIDE_RANGE = 10.0  # ratio of largest to smallest value above which the scale is logarithmic
 FEW = 50  # largest number of values that are drawn with markers
-LEAST = 1e-17  # lowest error drawn, below rounding; keeps zeros on the logarithmic axis
-APART = "hollow: difference from the best"
 
 
 def mtf(
     frequency: ArrayLike,
-    along_x: ArrayLike | MetricEstimate,
-    along_y: ArrayLike | MetricEstimate | None = None,
+    along_x: ArrayLike,
+    along_y: ArrayLike | None = None,
     *,
     diffraction_limit: ArrayLike | None = None,
     axes: Axes | None = None,
@@ -62,10 +57,9 @@ def mtf(
     ----------
     frequency : array_like, (n,)
         Spatial frequency in the image, cycles per m.
-    along_x, along_y : array_like or MetricEstimate, (n,)
+    along_x, along_y : array_like, (n,)
         Modulation at these frequencies, 0 to 1, from `nlosoptics.psf.mtf` with ``azimuth`` 0 and
-        pi/2. A result of `nlosoptics.psf.metric_estimate` is drawn with a band of one standard
-        error.
+        pi/2.
     diffraction_limit : array_like, (n,), optional
         Modulation without aberration, drawn as a dashed line. None: no line.
     axes : matplotlib Axes, optional
@@ -108,11 +102,8 @@ def mtf(
     for (name, label, colour, line), given in zip(cuts, (along_x, along_y), strict=True):
         if given is None:
             continue
-        values = _samples(name, _value(given), like=places, of="frequency")
+        values = _samples(name, given, like=places, of="frequency")
         axes.plot(places, values, color=colour, linestyle=line, label=label)
-        if hasattr(given, "standard_error"):
-            error = _samples(name, given.standard_error, like=places, of="frequency")
-            axes.fill_between(places, values - error, values + error, color=colour, alpha=0.25)
     axes.set(
         xlabel="spatial frequency in the image (cycles/mm)",
         ylabel="modulation",
@@ -128,7 +119,7 @@ def mtf(
 
 def encircled_energy(
     radius: ArrayLike,
-    energy: ArrayLike | MetricEstimate,
+    energy: ArrayLike,
     *,
     diffraction_limit: ArrayLike | None = None,
     shares: Sequence[float] = (0.5, 0.8),
@@ -140,9 +131,8 @@ def encircled_energy(
     ----------
     radius : array_like, (n,)
         Radii of the circles, m, in increasing order.
-    energy : array_like or MetricEstimate, (n,)
-        Fraction of the energy within each circle, from `nlosoptics.psf.encircled_energy`. A result
-        of `nlosoptics.psf.metric_estimate` is drawn with a band of one standard error.
+    energy : array_like, (n,)
+        Fraction of the energy within each circle, from `nlosoptics.psf.encircled_energy`.
     diffraction_limit : array_like, (n,), optional
         Encircled energy without aberration, drawn as a dashed line. None: no line.
     shares : sequence of float
@@ -175,15 +165,12 @@ def encircled_energy(
             "radius must increase from value to value; sort it together with energy"
         )
     wanted = [in_range("shares", share, 0.0, 1.0, open_low=True) for share in shares]
-    values = _samples("energy", _value(energy), like=radii, of="radius")
+    values = _samples("energy", energy, like=radii, of="radius")
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.0, height=4.2)
     if diffraction_limit is not None:
         limit = _samples("diffraction_limit", diffraction_limit, like=radii, of="radius")
         axes.plot(radii, limit, color=GREY, linestyle="--", label="diffraction limit")
     axes.plot(radii, values, color=BLUE, label="encircled energy")
-    if hasattr(energy, "standard_error"):
-        error = _samples("energy", energy.standard_error, like=radii, of="radius")
-        axes.fill_between(radii, values - error, values + error, color=BLUE, alpha=0.25)
     lines = zip(wanted, (VERMILION, ORANGE, *SERIES[2:]), strict=False)
     for share, colour in lines:
         place = _crossing(radii, values, share)
@@ -340,11 +327,6 @@ def history(
     return on
 
 
-def _value(given: Any) -> Any:
-    """Return the values of a `MetricEstimate`; any other argument is returned as it is."""
-    return getattr(given, "value", given)
-
-
 def _samples(name: str, values: ArrayLike, *, like: Array | None = None, of: str = "") -> Array:
     """Return the values (n,) of a curve as float64, after a check of shape and finiteness.
 
@@ -430,100 +412,6 @@ def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = 
     axes.grid(alpha=0.25)
     axes.legend(loc="upper right")
     return axes
-
-
-def compare_methods(
-    comparison: Comparison, *, tol: float | None = None, axes: Axes | None = None
-) -> Axes:
-    """Draw the errors of several methods for one point spread function against their run times.
-
-    Parameters
-    ----------
-    comparison : Comparison
-        Result of `nlosoptics.psf.compare`, which runs all methods on one wave.
-    tol : float, optional
-        Requested error of the intensity I, max |dI| / max I, drawn as a line. None: no line.
-    axes : matplotlib Axes, optional
-        Axes to draw on; a new figure by default.
-
-    Returns
-    -------
-    Axes
-        Axes with logarithmic scales. Filled markers show the error estimates, which bound the
-        errors. Hollow markers show the difference from the best method, which is the one with the
-        smallest estimate; the title names it. Methods that did not run are listed below the axes
-        with the reason.
-
-    Raises
-    ------
-    SceneError
-        If no method ran, or ``tol`` is not above 0.
-
-    See Also
-    --------
-    nlosoptics.psf.compare : Run all transforms on one wave.
-    """
-    ran = [row for row in comparison.rows if row.seconds is not None]
-    if not ran:
-        raise SceneError(
-            "no transform ran, so there is nothing to draw; print the comparison for the reasons"
-        )
-    (axes,) = (axes,) if axes is not None else new_axes(1, width=7.0, height=5.2)
-    if tol is not None:
-        tol = positive("tol", tol)
-        axes.axhline(tol, color=GREY, linestyle="--", label=f"requested, {tol:g}")
-    # By the place in the table, so that a transform looks the same for every wave.
-    for row, colour, marker in zip(comparison.rows, cycle(SERIES), cycle(MARKERS), strict=False):
-        if row.seconds is None:
-            continue
-        looks: dict[str, Any] = {
-            "color": colour,
-            "marker": marker,
-            "linestyle": "",
-            "markersize": 9,
-        }
-        seconds = row.seconds or 0.0
-        errors = (row.error_estimate or 0.0, row.difference or 0.0)
-        estimate, difference = (max(error, LEAST) for error in errors)
-        axes.plot([seconds], [estimate], label=row.method, **looks)
-        if row.method != comparison.best:
-            looks["markerfacecolor"] = "none"
-            axes.plot([seconds], [difference], **looks)
-            axes.plot([seconds] * 2, [estimate, difference], color=colour, linewidth=0.8)
-    axes.plot([], [], color=GREY, marker="o", linestyle="", markerfacecolor="none", label=APART)
-    ny, nx = comparison.shape
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel="computation time (s)",
-        ylabel="error, max |dI| / max I",
-        title=f"{ny} x {nx} samples of {1e6 * comparison.pitch:.3g} µm, best: {comparison.best}",
-    )
-    axes.margins(x=0.15, y=0.12)
-    space_log_ticks(axes)
-    axes.grid(alpha=0.25, which="both")
-    # Next to the axes, where it cannot cover a marker.
-    axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
-    _tell_left_out(comparison, axes)
-    return axes
-
-
-def _tell_left_out(comparison: Comparison, axes: Axes) -> None:
-    """List the transforms that did not run, with the reasons, below the axes."""
-    reasons = [
-        textwrap.fill(f"{row.method}: {row.reason}", 100, subsequent_indent="    ")
-        for row in comparison.rows
-        if row.seconds is None
-    ]
-    if reasons:
-        axes.text(
-            0.0,
-            -0.16,
-            "did not run\n" + "\n".join(reasons),
-            transform=axes.transAxes,
-            verticalalignment="top",
-            fontsize=8,
-        )
 
 
 def path_lengths(histogram: PathHistogram, *, axes: Axes | None = None) -> Axes:

@@ -139,6 +139,48 @@ MADE: Mapping[str, Any] = {
     ),
     "Result": result,
 }
+#: What the fields of the other nouns are drawn as, by their annotations.
+DRAWN: Mapping[str, Any] = {
+    "Array": lambda: RNG.random((3, 4)),
+    "Array | None": lambda: RNG.random((3, 4)),
+    "ComplexArray": lambda: RNG.random((3, 4)) + 1j * RNG.random((3, 4)),
+    "Mask": lambda: RNG.random((3, 4)) > 0.5,
+    "NDArray[np.int8]": lambda: RNG.integers(0, 2, (3, 4), dtype=np.int8),
+    "NDArray[np.int32]": lambda: RNG.integers(0, 99, (3, 4), dtype=np.int32),
+    "NDArray[np.int64]": lambda: RNG.integers(0, 99, (3, 4)),
+    "Any": lambda: RNG.random((3, 4)),
+    "float": RNG.random,
+    "float | None": RNG.random,
+    "int": lambda: int(RNG.integers(99)),
+    "bool": lambda: True,
+    "str": lambda: "of its own",
+    "Status": lambda: "converged",
+    "Ordering": lambda: "noll",
+    "tuple[int, int]": lambda: (3, 4),
+    "tuple[str, ...]": lambda: ("too dark", "too bright"),
+    "tuple[float, float]": lambda: (RNG.random(), RNG.random()),
+    "Mapping[str, float]": lambda: {"one": RNG.random(), "other": RNG.random()},
+    "Mapping[int, float]": lambda: {4: RNG.random(), 5: np.inf},
+    "Mapping[str, int]": lambda: MappingProxyType({"rays": 3}),
+    "Mapping[str, Any]": lambda: {"gain": 2.5, "coefficients": RNG.random(4)},
+    "Mapping[str, NDArray[np.float64]]": lambda: {"residual": RNG.random(5)},
+    "Regime": lambda: drawn(psf.Regime),
+    "CnnBaseline": lambda: importlib.import_module("nlosoptics.inverse").CnnBaseline(base=8),
+}
+
+
+def drawn(kind: type) -> Any:
+    """A noun of random fields."""
+    if is_dataclass(kind):
+        given = {entry.name: str(entry.type) for entry in fields(kind) if entry.init}
+    else:  # a tuple with names
+        given = {name: form.__forward_arg__ for name, form in kind.__annotations__.items()}
+    return kind(**{name: DRAWN[form]() for name, form in given.items()})
+
+
+def example(kind: type) -> Any:
+    """A noun of a class; a class that has none is to be given one in `MADE`."""
+    return MADE[kind.__name__]() if kind.__name__ in MADE else drawn(kind)
 
 
 def assert_same(one: Any, other: Any, place: str, *, locked: bool = True) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,7 +13,6 @@ import pytest
 import nlosoptics as nlos
 from nlosoptics import limits, psf, views
 from nlosoptics.errors import SceneError
-from nlosoptics.psf import Comparison, ComparisonRow
 from nlosoptics.runs.plan import Plan, Stage
 from nlosoptics.views.canvas import SERIES
 
@@ -34,70 +32,6 @@ def spread(intensity):
     )
 
 
-@pytest.fixture
-def comparison():
-    rows = (
-        ComparisonRow(method="quadrature", seconds=0.2, error_estimate=1e-12, difference=0.0),
-        ComparisonRow(method="fft", seconds=0.01, error_estimate=1e-3, difference=1e-5),
-        ComparisonRow(method="airy", reason="the wave is not flat"),
-    )
-    return Comparison(rows=rows, best="quadrature", pitch=3e-7, shape=(64, 32))
-
-
-def test_transforms_lie_at_their_seconds_and_errors(comparison, assert_drawn):
-    axes = views.compare_methods(comparison, tol=1e-4)
-    full = {line.get_label(): line.get_data() for line in axes.lines}
-    assert (full["quadrature"][0][0], full["quadrature"][1][0]) == (0.2, 1e-12)
-    assert (full["fft"][0][0], full["fft"][1][0]) == (0.01, 1e-3)
-    assert full["requested, 0.0001"][1][0] == 1e-4
-    hollow = [
-        line
-        for line in axes.lines
-        if line.get_markerfacecolor() == "none" and len(line.get_xdata())
-    ]
-    assert [(h.get_xdata()[0], h.get_ydata()[0]) for h in hollow] == [(0.01, 1e-5)]
-    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
-    assert (axes.get_xlabel(), axes.get_ylabel()) == (
-        "computation time (s)",
-        "error, max |dI| / max I",
-    )
-    assert axes.get_title() == "64 x 32 samples of 0.3 µm, best: quadrature"
-    assert axes.texts[0].get_text() == "did not run\nairy: the wave is not flat"
-    assert_drawn(axes)
-
-
-def test_markers_tell_transforms_apart(comparison):
-    first, second = views.compare_methods(comparison).lines[:2]
-    assert first.get_marker() != second.get_marker()
-    assert first.get_color() != second.get_color()
-
-
-def test_a_transform_looks_the_same_whichever_others_ran(comparison):
-    _, fft, _ = comparison.rows
-    left_out = ComparisonRow(method="quadrature", reason="it would take too long")
-    fewer = Comparison(rows=(left_out, fft), best="fft", pitch=3e-7, shape=(64, 32))
-    looks = []
-    for table in (comparison, fewer):
-        lines = {line.get_label(): line for line in views.compare_methods(table).lines}
-        looks.append((lines["fft"].get_color(), lines["fft"].get_marker()))
-    assert looks[0] == looks[1]
-
-
-@pytest.mark.parametrize("seconds", [(0.0085, 0.4), (0.012, 0.036), (1e-3, 0.05), (0.1, 0.13)])
-def test_labels_of_seconds_keep_apart(comparison, seconds):
-    """From a factor of 1.3 to one of 50, with labels of minor ticks such as 2 x 10^-2."""
-    rows = [replace(row, seconds=s) for row, s in zip(comparison.rows, seconds, strict=False)]
-    axes = views.compare_methods(replace(comparison, rows=tuple(rows)))
-    figure = axes.get_figure(root=True)
-    figure.canvas.draw()
-    low, high = axes.get_xlim()
-    ticks = [*axes.xaxis.get_major_ticks(), *axes.xaxis.get_minor_ticks()]
-    named = [t.label1 for t in ticks if low <= t.get_loc() <= high and t.label1.get_text()]
-    boxes = sorted((label.get_window_extent() for label in named), key=lambda box: box.x0)
-    assert boxes
-    assert all(right.x0 - left.x1 > 2.0 for left, right in itertools.pairwise(boxes))
-
-
 def test_the_style_sheet_has_the_colours_of_the_views():
     import matplotlib.style
     from matplotlib.colors import to_hex
@@ -105,14 +39,6 @@ def test_the_style_sheet_has_the_colours_of_the_views():
     with matplotlib.style.context("nlosoptics.views.palette"):
         cycle = matplotlib.rcParams["axes.prop_cycle"].by_key()["color"]
     assert [to_hex(colour).upper() for colour in cycle] == list(SERIES)
-
-
-def test_no_transform_or_a_wrong_tolerance_is_refused(comparison):
-    nothing = Comparison(rows=comparison.rows[2:], best="", pitch=1e-6, shape=(4, 4))
-    with pytest.raises(SceneError, match="no transform ran"):
-        views.compare_methods(nothing)
-    with pytest.raises(SceneError, match="tol = 0 is out of range"):
-        views.compare_methods(comparison, tol=0.0)
 
 
 def test_rays_land_where_they_do_about_the_dark_ring(assert_drawn):
@@ -238,7 +164,6 @@ from nlosoptics.transient import TransientCapture, wall_grid
 
 wave = psf.Wavefront.from_zernike({}, wavelength=6e-7, pupil_radius=5e-3, image_distance=0.05)
 spread = psf.point_spread(wave, shape=16)
-row = psf.ComparisonRow(method="fft", seconds=0.1, error_estimate=1e-3, difference=0.0)
 capture = TransientCapture(
     H=np.ones((3, 2, 2)), laser_points=(0, 0, 0), sensor_points=wall_grid(1.0, 2), delta_t=1.0
 )
@@ -248,9 +173,6 @@ for draw in (
     lambda: views.point_spread(spread),
     lambda: views.point_spread(spread, scale="surface"),
     lambda: views.hybrid_parts(spread),
-    lambda: views.compare_methods(
-        psf.Comparison(rows=(row,), best="fft", pitch=1e-6, shape=(2, 2))
-    ),
     lambda: views.spot_diagram(psf.spot_diagram(wave)),
     lambda: views.mtf(ramp, ramp),
     lambda: views.encircled_energy(ramp, ramp),

@@ -9,7 +9,6 @@ import pytest
 
 from nlosoptics import views
 from nlosoptics.errors import SamplingError, SceneError
-from nlosoptics.psf import MetricEstimate
 
 pytest.importorskip("matplotlib")
 
@@ -36,16 +35,6 @@ def test_mtf_is_drawn_over_cycles_per_mm(assert_drawn):
     assert axes.get_xlim() == (0.0, 500.0)
     assert {t.get_text() for t in axes.get_legend().get_texts()} == set(lines)
     assert_drawn(axes)
-
-
-def test_standard_errors_are_bands():
-    error = np.full(11, 0.05)
-    given = MetricEstimate(value=FALLING, standard_error=error, n_patterns=8)
-    for axes in (views.mtf(FREQUENCY, given), views.encircled_energy(FREQUENCY, given)):
-        (band,) = axes.collections
-        heights = band.get_paths()[0].vertices[:, 1]
-        assert (heights.min(), heights.max()) == pytest.approx((-0.05, 1.05))
-        np.testing.assert_array_equal(axes.lines[0].get_ydata(), FALLING)
 
 
 def test_radii_that_hold_shares_are_marked(assert_drawn):

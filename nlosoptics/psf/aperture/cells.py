@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +16,6 @@ from .polygons import Sides, sees_all, straight_sides
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]
-
-#: Least distance from the centroid of an obscured polygon to the line of each side, relative to the
-#: distance of the farthest corner. Below it, rounding decides on which side the centroid lies.
-SEEN: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +65,8 @@ def polygon_cell(corners: Array, obscuration: float) -> Cell:
     centre = np.array([x / area, y / area])
     inner = in_range("obscuration", obscuration, 0.0, 0.99)
     if inner > 0:
-        if not sees_all(corners, centre, SEEN):
+        # Below 1e-9, rounding decides on which side of a line the centroid lies.
+        if not sees_all(corners, centre, 1e-9):
             raise SceneError(
                 f"obscuration = {inner:g} needs a polygon with every side visible from its "
                 "centroid; give two polygons and their union"

@@ -17,9 +17,6 @@ Array = NDArray[np.float64]
 #: Longest arc after `Curve.parts`, rad: a few Gauss-Legendre nodes integrate it to rounding error.
 LONGEST = math.pi / 2 * (1 + 1e-12)
 
-#: Fraction of a grid square below which it counts as empty.
-SLIVER = 1e-12
-
 
 @dataclass(frozen=True, eq=False)
 class Curve(Noun):
@@ -27,23 +24,14 @@ class Curve(Noun):
 
     Points are ``base + step t + cosine cos(a) + sine sin(a)`` with ``a = phase + turn t``,
     0 <= t <= 1.
-
-    Parameters
-    ----------
-    base : ndarray
-        Start of a segment or centre of an arc, (..., 2), m.
-    step : ndarray
-        Vector from start to end of a segment, (..., 2), m; 0 for an arc.
-    cosine, sine : ndarray
-        Half axes of an arc, (..., 2), m; 0 for a segment.
-    phase, turn : ndarray
-        Start angle and signed angular length of an arc, (...), rad; 0 for a segment.
     """
 
-    base: Array
-    step: Array
+    base: Array  # Start of a segment or centre of an arc, (..., 2), m
+    step: Array  # Vector from start to end of a segment, (..., 2), m; 0 for an arc
+    # Half axes of an arc, (..., 2), m; 0 for a segment.
     cosine: Array
     sine: Array
+    # Start angle and signed angular length of an arc, (...), rad; 0 for a segment.
     phase: Array
     turn: Array
 
@@ -249,7 +237,7 @@ def shares(outline: Iterable[Curve], x: Array, y: Array, pitch: float) -> Array:
     cover = np.cumsum(passed.reshape(ny, nx + 1), axis=1)[:, :nx]
     found = own.reshape(ny, nx) + cover
     # The contributions of many curves cancel only to rounding error in empty squares.
-    return np.where(found < SLIVER, 0.0, np.minimum(found, 1.0))
+    return np.where(found < 1e-12, 0.0, np.minimum(found, 1.0))
 
 
 def within(outline: Sequence[Curve], u: Array, v: Array) -> NDArray[np.bool_]:

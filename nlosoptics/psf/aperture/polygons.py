@@ -21,21 +21,7 @@ SHARP: Final = 0.05
 
 
 def simple_polygon(vertices: ArrayLike, what: str = "vertices") -> Array:
-    """Check a polygon's corners and return them in counterclockwise order, (n, 2), m.
-
-    Parameters
-    ----------
-    vertices : array_like, (n, 2)
-        Corners, m, in either order.
-    what : str
-        Name of the argument in error messages.
-
-    Raises
-    ------
-    SceneError
-        If there are fewer than 3 corners or more than `MOST_CORNERS`, or if the polygon has no area
-        or crosses itself.
-    """
+    """Check a polygon's corners and return them in counterclockwise order, (n, 2), m."""
     try:
         corners = np.array(vertices, dtype=np.float64)
     except (TypeError, ValueError):

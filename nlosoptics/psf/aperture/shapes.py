@@ -16,8 +16,6 @@ from .polygons import Sides
 
 Array = NDArray[np.float64]
 
-#: Points along s, and along t, of every patch that test cells for overlap.
-LOOKS: Final = 64
 #: Distance, relative to a radius, within which circles and sides touch rather than cross.
 TOUCHING: Final = 1e-12
 
@@ -218,7 +216,7 @@ def drawn_in(sides: Sequence[Sides], share: float) -> Array:
 
     ``share`` is the displacement as a fraction of the patch's size.
     """
-    fraction = np.linspace(share, 1 - share, LOOKS)
+    fraction = np.linspace(share, 1 - share, 64)
     found = []
     for a, b in sides:
         low, high = a.at(fraction)[None], b.at(fraction)[None]

@@ -1,1 +1,1 @@
-"""Import and export of waves: POPPY files, prysm objects, Zernike tables."""
+"""Import and export of waves: prysm pupils, Zernike tables."""

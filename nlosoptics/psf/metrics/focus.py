@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 import scipy  # loads scipy.optimize on first use
@@ -24,16 +24,9 @@ from .spot_diagram import spot_radius
 
 Array = NDArray[np.float64]
 Criterion = Literal["strehl", "rms", "spot", "mtf"] | Callable[[Wavefront], float]
-CRITERIA: Final = ("strehl", "rms", "spot", "mtf")
-#: Criteria whose least value is best.
-LEAST: Final = ("rms", "spot")
-
+LEAST = ("rms", "spot")  # criteria whose least value is best
 #: Least relative difference: of the criterion over the search, and between its two best maxima.
-DISTINCT: Final = 1e-4
-#: Largest number of image planes of a scan.
-MOST_PLANES: Final = 512
-#: Tolerance of the best focus, wavelengths of defocus at the rim of the pupil.
-TOLERANCE: Final = 1e-6
+DISTINCT = 1e-4
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -56,8 +49,6 @@ class ThroughFocus(Noun, Shown):
 
     See Also
     --------
-    through_focus : Computes it.
-    best_focus : Displacement of best focus.
     nlosoptics.views.through_focus : Plot of the values.
     """
 
@@ -89,8 +80,7 @@ def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`).
+        Wave in the exit pupil, of any ``layout``.
     shift : float
         Displacement of the image plane along the direction of the light, m; positive away from the
         lens.
@@ -115,15 +105,9 @@ def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
     The points (u, v) lie on the reference sphere, at the depth
     ``z = r^2/(d + s sqrt(d^2 - r^2))``, with the image distance d, its sign s, and
     r^2 = u^2 + v^2. With d' = d + shift, the aberration W changes to
-
-    ``W' = W - 2 shift z/(d' + s sqrt(d'^2 - 2 shift z))``
-
-    This is the exact difference between the paths from (u, v, z) and from the pupil's centre to
-    the new reference point. The paraxial term ``(1/d' - 1/d) r^2/2`` is smaller at the rim by about
-    the fraction ``1/(16 N^2)``, with N the F-number. A detector beyond focus has W < 0.
-
-    The tilt is kept, so that a spot off the axis moves in proportion to the image distance. The
-    amplitude is not changed; this causes a relative error of about ``r^2 shift/(2 d^3)``.
+    ``W' = W - 2 shift z/(d' + s sqrt(d'^2 - 2 shift z))``, the exact difference of the paths to
+    both reference points. A detector beyond focus has W < 0. The tilt and the amplitude are kept;
+    the latter causes a relative error of about ``r^2 shift/(2 d^3)``.
 
     Examples
     --------
@@ -167,8 +151,7 @@ def through_focus(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`).
+        Wave in the exit pupil, of any ``layout``.
     shifts : array_like, (n,)
         Displacements of the image plane along the direction of the light, m; positive away from the
         lens.
@@ -202,7 +185,6 @@ def through_focus(
     See Also
     --------
     best_focus : Displacement of best focus.
-    focus_shifted : Wave for a displaced image plane.
 
     Examples
     --------
@@ -246,18 +228,8 @@ def best_focus(
 
     Parameters
     ----------
-    wavefront : Wavefront
-        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`).
-    criterion : {"strehl", "rms", "spot", "mtf"} or callable
-        Measure of image quality: Strehl ratio, rms aberration, rms radius of the spot of rays, MTF
-        at ``frequency``, or a function of a `Wavefront` that returns a number. ``rms`` and ``spot``
-        are minimised, all others maximised.
-    frequency : float, optional
-        Spatial frequency in the image, cycles per m; required for ``mtf`` and not allowed
-        otherwise.
-    azimuth : float
-        Direction along which the frequency is counted, rad from x toward y.
+    wavefront, criterion, frequency, azimuth
+        As in `through_focus`. ``rms`` and ``spot`` are minimised, all others maximised.
     limits : (float, float), optional
         Smallest and largest shift to search, m. By default the search covers every plane in which
         the wave may be in focus, see Notes.
@@ -285,25 +257,11 @@ def best_focus(
 
     Notes
     -----
-    The search range is counted in the defocus at the rim of the pupil, ``(1/d' - 1/d) R^2/2``, with
-    the pupil's radius R, the image distance d and the shifted one d', m. It is centred on the plane
-    of the smallest rms aberration. Its half width is R times the largest slope of the aberration
-    without piston, tilt and defocus, plus two wavelengths. Shifted image distances are limited to
-    1/8 to 8 times that of the smallest rms aberration.
-
-    The criterion is computed at planes close enough not to miss a maximum of the Strehl ratio or
-    the MTF: at least four per wavelength of defocus for the Strehl ratio and for given functions.
-    Let D be the difference between the best and the worst value. Every local optimum whose value
-    differs from the best one by at most 0.2 D is refined by Brent's method [1]_.
-
-    The Strehl ratio divides the intensity by that of a wave without aberration, focused on the same
-    plane. This reference intensity is higher in planes closer to the pupil. At Fresnel numbers of a
-    few, the plane of highest intensity is therefore closer to the pupil than the plane of the best
-    Strehl ratio.
-
-    References
-    ----------
-    .. [1] Brent, Algorithms for Minimization without Derivatives, Prentice-Hall, 1973, ch. 5.
+    The default range is centred on the plane of the smallest rms aberration. Its half width, as
+    defocus at the rim of the pupil, is the pupil's radius times the largest slope of the aberration
+    without piston, tilt and defocus, plus two wavelengths. The criterion is computed at planes
+    close enough not to miss a maximum, at least four per wavelength of defocus for the Strehl
+    ratio and for given functions. All local optima that come close to the best one are refined.
 
     Examples
     --------
@@ -323,33 +281,35 @@ def best_focus(
     0.40 mm, 0.09 to 0.80
     """
     name, measure, score = _metric(criterion, frequency, azimuth)
-    d, radius = wavefront.image_distance, _radius(wavefront)
-    unit = wavefront.wavelength
-    smooth = criterion in LEAST  # parabolas, up to the spheres' higher orders
-    if limits is None:
-        low, high = _search_range(wavefront, radius)
-    else:
-        low, high = _given_range(wavefront, radius, limits)
-    periods = 0.0 if smooth else 1.0
+    d, unit = wavefront.image_distance, wavefront.wavelength
+    weights = wavefront.amplitude * wavefront.weights
+    u, v = (p - float(np.sum(weights * p) / np.sum(weights)) for p in (wavefront.u, wavefront.v))
+    radius = float(np.hypot(u, v)[weights > 0].max())
+    low, high = _search_range(wavefront, radius, limits)
+
+    def shift_of(waves: float) -> float:
+        """Shift, m, that adds a defocus at the rim, wavelengths."""
+        bend = 2 * waves * unit * d / radius**2
+        return -d * bend / (1 + bend)
+
+    def loss(waves: float) -> float:
+        """Negative score at a defocus, wavelengths at the rim."""
+        return -score(measure(focus_shifted(wavefront, shift_of(waves))))
+
+    periods = 0.0 if criterion in LEAST else 1.0  # those of LEAST are parabolas
     if frequency is not None:
         x = min(unit * abs(d) * frequency / (2 * radius), 0.5)
         periods = max(8 * x * (1 - x), 0.1)
     count = max(17, math.ceil(4 * periods * (high - low) / unit) + 1)
-    if count > MOST_PLANES:
+    defocus = np.linspace(low / unit, high / unit, min(count, 513))
+    where = f"from shift = {shift_of(defocus[-1]):.3g} m to {shift_of(defocus[0]):.3g} m"
+    if count > 512:
         raise SamplingError(
-            f"the search for the best {name} takes {count} image planes from shift = "
-            f"{_shift(high, radius, d):.3g} m to {_shift(low, radius, d):.3g} m, limit "
-            f"{MOST_PLANES}; give narrower limits, or use criterion='spot'"
+            f"the search for the best {name} takes {count} image planes {where}, limit 512; give "
+            "narrower limits, or use criterion='spot'"
         )
-
-    def loss(t: float) -> float:
-        """Negative score at a defocus, wavelengths at the rim."""
-        return -score(measure(focus_shifted(wavefront, _shift(t * unit, radius, d))))
-
-    defocus = np.linspace(low / unit, high / unit, count)
-    losses = np.array([loss(t) for t in defocus.tolist()])
+    losses = np.array([loss(waves) for waves in defocus.tolist()])
     least, spread = float(losses.min()), float(np.ptp(losses))
-    where = f"from shift = {_shift(high, radius, d):.3g} m to {_shift(low, radius, d):.3g} m"
     if not spread > DISTINCT * float(np.abs(losses).max()):
         raise SamplingError(
             f"{name} changes by less than {DISTINCT:g} of its value {where}, so that it has no "
@@ -361,24 +321,21 @@ def best_focus(
         )
     inner = losses[1:-1]
     peaks = (inner <= losses[:-2]) & (inner <= losses[2:]) & (inner <= least + 0.2 * spread)
-    found: list[tuple[float, float]] = []
+    optima: list[tuple[float, float]] = []
     for i in np.nonzero(peaks)[0]:
+        ends = (defocus[i], defocus[i + 2])
         refined = scipy.optimize.minimize_scalar(
-            loss,
-            bounds=(defocus[i], defocus[i + 2]),
-            method="bounded",
-            options={"xatol": TOLERANCE},
+            loss, bounds=ends, method="bounded", options={"xatol": 1e-6}
         )
-        found.append((float(refined.fun), float(refined.x)))
-    (value, best), *others = sorted(found)
-    for other, t in others:
-        if abs(t - best) > 0.01 and other - value < DISTINCT * abs(value):
+        optima.append((float(refined.fun), float(refined.x)))
+    (value, best), *others = sorted(optima)
+    for other, waves in others:
+        if abs(waves - best) > 0.01 and other - value < DISTINCT * abs(value):
             raise SamplingError(
-                f"{name} has two best foci, at shift = {_shift(best * unit, radius, d):.4g} m and "
-                f"{_shift(t * unit, radius, d):.4g} m, which differ by less than {DISTINCT:g} of "
-                "its value; give limits around one of them, or use criterion='rms'"
+                f"{name} has two best foci, at shift = {shift_of(best):.4g} m and "
+                f"{shift_of(waves):.4g} m; give limits around one of them, or criterion='rms'"
             )
-    return _shift(best * unit, radius, d)
+    return shift_of(best)
 
 
 def _metric(
@@ -389,17 +346,14 @@ def _metric(
     Larger scores are better. Squares make them parabolas or band-limited functions of defocus.
     """
     if criterion != "mtf" and (frequency is not None or azimuth != 0):
-        raise SceneError(
-            f"frequency = {frequency!r}, azimuth = {azimuth!r} without criterion='mtf'; leave them "
-            "out"
-        )
+        raise SceneError("frequency or azimuth without criterion='mtf'; leave them out")
     if callable(criterion):
         return (
             getattr(criterion, "__name__", "criterion"),
             lambda wave: real("criterion(wavefront)", criterion(wave)),
             lambda value: value,
         )
-    one_of("criterion", criterion, CRITERIA)
+    one_of("criterion", criterion, ("strehl", "rms", "spot", "mtf"))
     if criterion == "strehl":
         return criterion, _strehl, lambda value: value
     if criterion == "mtf":
@@ -428,62 +382,37 @@ def _mtf(wavefront: Wavefront, frequency: float, azimuth: float) -> float:
         return float(mtf(wavefront, frequency, azimuth=azimuth))
     # One method for all planes: a change would make the criterion jump by its error. The energy
     # in the whole plane is 1, so energy outside the window does not raise the result.
-    method: Literal["fft", "nufft", "quadrature"] = "quadrature"
-    if not wavefront.is_spectral:
-        method = "fft" if wavefront.layout == "grid" else "nufft"
-    spread = point_spread(wavefront, method=method)
+    methods: dict[str, Literal["fft", "nufft"]] = {"grid": "fft", "scattered": "nufft"}
+    spread = point_spread(wavefront, method=methods.get(wavefront.layout, "quadrature"))
     return float(np.abs(spectrum_along(spread, np.array([frequency]), azimuth))[0])
 
 
-def _radius(wavefront: Wavefront) -> float:
-    """Return the largest distance of a lit node from the centroid of the amplitude, m."""
-    weights = wavefront.amplitude * wavefront.weights
-    u, v = (p - float(np.sum(weights * p) / np.sum(weights)) for p in (wavefront.u, wavefront.v))
-    return float(np.hypot(u, v)[weights > 0].max())
-
-
-def _shift(defocus: float, radius: float, distance: float) -> float:
-    """Return the shift of the image plane, m, that adds a defocus at the rim, m."""
-    bend = 2 * defocus * distance / radius**2
-    return -distance * bend / (1 + bend)
-
-
-def _given_range(
-    wavefront: Wavefront, radius: float, limits: tuple[float, float]
+def _search_range(
+    wavefront: Wavefront, radius: float, limits: tuple[float, float] | None
 ) -> tuple[float, float]:
-    """Return the defocus at the rim, m, at the largest and the least shift to search."""
+    """Return the least and largest defocus at the rim, m, of a search."""
     d = wavefront.image_distance
-    try:
+    if limits is not None:
         first, last = (real("limits", limit) for limit in limits)
-    except (TypeError, ValueError) as error:
-        raise SceneError(f"limits = {limits!r}; give the least and the largest shift, m") from error
-    if not first < last or min((d + first) * d, (d + last) * d) <= 0:
-        raise SceneError(
-            f"limits = ({first:g}, {last:g}) m must increase and keep the image plane at {d:g} m "
-            "on its side of the pupil; give others"
-        )
-    low, high = (-(radius**2) * s / (2 * d * (d + s)) for s in (last, first))
-    return low, high
-
-
-def _search_range(wavefront: Wavefront, radius: float) -> tuple[float, float]:
-    """Return the least and largest defocus at the rim, m, that a search covers by default."""
+        if not first < last or min((d + first) * d, (d + last) * d) <= 0:
+            raise SceneError(
+                f"limits = ({first:g}, {last:g}) m must increase and keep the image plane at {d:g} "
+                "m on its side of the pupil; give others"
+            )
+        low, high = (-(radius**2) * s / (2 * d * (d + s)) for s in (last, first))
+        return low, high
     u, v = wavefront.u / radius, wavefront.v / radius
     basis = np.stack([np.ones_like(u), u, v, u**2 + v**2])
     fit = fitted_terms(wavefront.aberration, wavefront.amplitude * wavefront.weights, basis)
     rest = split(replace(wavefront, aberration=wavefront.aberration - np.tensordot(fit, basis, 1)))
     middle = -float(fit[3])
     half = radius * rest.rays.slope + 2 * wavefront.wavelength
-    vergence = 1 + 2 * middle * wavefront.image_distance / radius**2
+    vergence = 1 + 2 * middle * d / radius**2
     if vergence <= 0:
         raise SceneError(
             f"the wave's defocus of {-middle / wavefront.wavelength:.3g} waves at the rim leaves "
-            f"no focus on the side of the image plane at {wavefront.image_distance:g} m; give "
-            "another image_distance"
+            f"no focus on the side of the image plane at {d:g} m; give another image_distance"
         )
     # Image distances from an eighth to eight times that of the least rms, for weak pupils.
-    ends = [
-        (share * vergence - 1) * radius**2 / (2 * wavefront.image_distance)
-        for share in (0.125, 8.0)
-    ]
+    ends = [(share * vergence - 1) * radius**2 / (2 * d) for share in (0.125, 8.0)]
     return max(middle - half, min(ends)), min(middle + half, max(ends))

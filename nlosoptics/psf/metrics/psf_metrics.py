@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-import scipy  # loads scipy.special on first use, a tenth of a second
+import scipy  # loads its parts on first use
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import counted, fits_memory, one_of, whole
@@ -20,12 +20,10 @@ from ..wave.fits import fitted_terms
 from ..wave.wavefront import Wavefront
 from ..wave.zernikes import ORDERINGS, Ordering, zernike_basis
 from ..window.window import Window
-from .pupil_overlap import round_overlap, transfer
-from .soft_circles import energy_on_cells
+from .pupil_overlap import transfer
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-TERMS = ("piston", "tilt", "defocus")
 
 
 def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> float:
@@ -34,8 +32,7 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`).
+        Wave in the exit pupil, of any ``layout``.
     remove : iterable of {"piston", "tilt", "defocus"}
         Terms that are removed from the aberration first, by a least-squares fit weighted by the
         amplitude. Add "tilt" for the Strehl ratio at the centre of a shifted spot, and "defocus"
@@ -51,10 +48,6 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     ------
     SceneError
         If a term of ``remove`` is unknown.
-
-    See Also
-    --------
-    peak_strehl : Ratio at the brightest point of the image.
 
     Notes
     -----
@@ -92,8 +85,7 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`). The mean is weighted by the amplitude.
+        Wave in the exit pupil, of any ``layout``. The mean is weighted by the amplitude.
     remove : iterable of {"piston", "tilt", "defocus"}
         Terms that are removed from the aberration first, by a least-squares fit. If any term is
         removed, so is the piston. If empty, nothing is removed.
@@ -111,7 +103,6 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     See Also
     --------
     fit_zernike : Zernike coefficients of a wave.
-    strehl : Strehl ratio on the axis.
 
     Examples
     --------
@@ -139,8 +130,7 @@ def fit_zernike(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`). A pupil with a hole is fitted with the polynomials of the full disc.
+        Wave in the exit pupil, of any ``layout``. A pupil with a hole is fitted with the polynomials of the full disc.
     n_terms : int
         Number of polynomials: the first ``n_terms`` of the index scheme.
     ordering : {"noll", "osa", "fringe"}
@@ -164,7 +154,6 @@ def fit_zernike(
     See Also
     --------
     zernike : Zernike polynomial.
-    write_zernikes : Write a table of coefficients.
     """
     one_of("ordering", ordering, ORDERINGS)
     whole("n_terms", n_terms)
@@ -198,10 +187,9 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     Parameters
     ----------
     source : Wavefront or PointSpread
-        Wave in the exit pupil whose ``layout`` is "polar" or "cells" (samples on rings or on
-        patches, see `Wavefront`). The result is accurate to rounding for "polar", and its error is
-        below 1e-9 for "cells". Or a computed point spread, whose pixels are weighted by their area
-        within the circle.
+        Wave in the exit pupil whose ``layout`` is "polar" (samples on rings, see `Wavefront`), for
+        which the result is accurate to rounding. Or a computed point spread, whose pixels are
+        weighted by their area within the circle.
     radius : array_like
         Radii of the circles, m, of any shape. All circles are centred on x = y = 0, where the axis
         meets the image plane.
@@ -216,15 +204,12 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     SceneError
         If a radius is negative or not finite.
     SamplingError
-        If the wavefront's layout is neither "polar" nor "cells", or a circle extends beyond the
-        window of the point spread.
-    MemoryLimitError
-        If the image of a wave of the layout "cells" would not fit into memory.
+        If the wave's layout is not "polar", or a circle extends beyond the window of the point
+        spread.
 
     See Also
     --------
     ensquared_energy : Energy within squares.
-    fwhm : Full width at half maximum.
     nlosoptics.views.encircled_energy : Curve of the encircled energy.
 
     Examples
@@ -243,12 +228,10 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
         raise SceneError(f"radius = {radius!r} m; give finite radii of at least 0")
     if isinstance(source, Wavefront):
         residual = split(source)
-        if source.layout == "cells":
-            return energy_on_cells(residual, radii)
         if source.layout != "polar":
             raise SamplingError(
-                "encircled energy needs a wavefront of layout 'polar' or 'cells', not "
-                f"'{source.layout}'; give psf.point_spread(wavefront)"
+                f"encircled energy needs a wavefront of layout 'polar', not '{source.layout}'; "
+                "give psf.point_spread(wavefront)"
             )
         values = [_energy_within(residual, float(r)) for r in radii.ravel()]
         return np.array(values).reshape(radii.shape)
@@ -268,16 +251,63 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     return np.array(values).reshape(radii.shape) * per_energy
 
 
+def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
+    """Compute the fraction of the transmitted energy within squares around the optical axis.
+
+    Parameters
+    ----------
+    point_spread : PointSpread
+        Computed point spread, whose pixels are weighted by their area within the square.
+    side : array_like
+        Sides of the squares, m, of any shape. All squares are centred on x = y = 0, where the axis
+        meets the image plane.
+
+    Returns
+    -------
+    ndarray
+        Fraction of the energy, 0 to 1, in the shape of ``side``.
+
+    Raises
+    ------
+    SceneError
+        If a side is negative or not finite.
+    SamplingError
+        If a square extends beyond the window of the point spread.
+
+    See Also
+    --------
+    encircled_energy : Energy within circles.
+    """
+    sides = np.asarray(side, dtype=np.float64)
+    if not np.all(np.isfinite(sides)) or np.any(sides < 0):
+        raise SceneError(f"side = {side!r} m; give finite sides of at least 0")
+    x, y, pitch = point_spread.x, point_spread.y, point_spread.pitch
+    edge = 2 * min(-x[0], x[-1], -y[0], y[-1]) + pitch
+    if sides.size and sides.max() > edge * (1 + 1e-12):
+        raise SamplingError(
+            f"side = {sides.max():.3g} m passes the window, which holds {edge:.3g} m; use a larger "
+            "shape"
+        )
+    per_energy = point_spread.enclosed_energy / float(point_spread.intensity.sum())
+    values = []
+    for half in (sides.ravel() / 2).tolist():
+        on_x, on_y = (np.clip((half - np.abs(v)) / pitch + 0.5, 0.0, 1.0) for v in (x, y))
+        # A square narrower than the central pixel covers the fraction 2 half/pitch of its width.
+        on_x, on_y = (np.minimum(on, 2 * half / pitch) for on in (on_x, on_y))
+        values.append(float(np.einsum("y,yx,x->", on_y, point_spread.intensity, on_x)))
+    return np.array(values).reshape(sides.shape) * per_energy
+
+
 def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float = 0.0) -> Array:
     """Compute the modulation transfer function (MTF) along one direction in the image.
 
     Parameters
     ----------
     source : Wavefront or PointSpread
-        Wave in the exit pupil whose ``layout`` is "polar" or "cells" (samples on rings or on
-        patches, see `Wavefront`). The MTF is the autocorrelation of this wave; its error is below
-        1e-9 if the samples resolve the wave. Or a computed point spread, whose Fourier transform is
-        taken: the MTF then includes the blur by its pixels, and neglects energy outside its window.
+        Wave in the exit pupil whose ``layout`` is "polar" (samples on rings, see `Wavefront`),
+        without obscuration. The MTF is the autocorrelation of this wave; its error is below 1e-9 if
+        the samples resolve the wave. Or a computed point spread, whose Fourier transform is taken:
+        the MTF then includes the blur by its pixels, and neglects energy outside its window.
     frequency : array_like
         Spatial frequencies, cycles per m in the image, of any shape. For a wave on a round pupil
         the MTF is 0 beyond 1/(lambda N), with the wavelength lambda and the F-number N. For a point
@@ -295,8 +325,7 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     SceneError
         If a frequency or the azimuth is not finite.
     SamplingError
-        If the wave's layout is neither "polar" nor "cells", or its autocorrelation does not
-        converge. In both cases give ``point_spread(wavefront)`` instead.
+        If the wave has an obscuration or another layout; give ``point_spread(wavefront)`` instead.
 
     See Also
     --------
@@ -313,45 +342,55 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     >>> print(f"{psf.mtf(wave, 100e3):.4f}")
     0.3910
     """
-    frequencies = np.asarray(frequency, dtype=np.float64)
-    if not np.all(np.isfinite(frequencies)) or not math.isfinite(azimuth):
-        raise SceneError("frequency or azimuth is NaN or infinite; give finite 1/m and rad")
-    if isinstance(source, PointSpread):
-        spectrum = spectrum_along(source, frequencies.ravel(), azimuth)
-        modulus = np.abs(spectrum) / float(np.sum(source.intensity))
-        return np.asarray(modulus.reshape(frequencies.shape))
-    if source.layout == "polar" and source.obscuration == 0:
-        residual = split(source)
-        values = [round_overlap(residual, abs(float(f)), azimuth) for f in frequencies.ravel()]
-        return np.array(values).reshape(frequencies.shape)
-    return np.abs(transfers(source, frequencies, azimuth))
+    return np.abs(_transfer(source, frequency, azimuth))
 
 
-def transfers(wavefront: Wavefront, frequencies: Array, azimuth: float) -> ComplexArray:
-    """Return the complex optical transfer function of a wave along one direction.
+def ptf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float = 0.0) -> Array:
+    """Compute the phase transfer function (PTF) along one direction in the image.
+
+    It is the phase of the optical transfer function, whose modulus is `mtf`.
 
     Parameters
     ----------
-    wavefront : Wavefront
-        Wave of the layout "polar" or "cells".
-    frequencies : ndarray
-        Spatial frequencies, cycles per m in the image, of any shape.
-    azimuth : float
-        Direction along which the frequencies are counted, rad from x toward y.
+    source, frequency, azimuth
+        As in `mtf`.
 
     Returns
     -------
     ndarray
-        Complex values in the shape of ``frequencies``; 1 at frequency 0.
+        Phase, rad, above -pi and at most pi, in the shape of ``frequency``. A spot at positive x
+        has a phase that decreases with the frequency along x.
+
+    Raises
+    ------
+    SceneError, SamplingError
+        As in `mtf`.
+
+    See Also
+    --------
+    mtf : Modulus of the optical transfer function.
     """
-    if not wavefront.is_spectral:
+    return np.asarray(np.angle(_transfer(source, frequency, azimuth)))
+
+
+def _transfer(
+    source: Wavefront | PointSpread, frequency: ArrayLike, azimuth: float
+) -> ComplexArray:
+    """Return the optical transfer function, 1 at frequency 0, in the shape of ``frequency``."""
+    frequencies = np.asarray(frequency, dtype=np.float64)
+    if not np.all(np.isfinite(frequencies)) or not math.isfinite(azimuth):
+        raise SceneError("frequency or azimuth is NaN or infinite; give finite 1/m and rad")
+    if isinstance(source, PointSpread):
+        values = spectrum_along(source, frequencies.ravel(), azimuth) / source.intensity.sum()
+    elif source.layout == "polar" and source.obscuration == 0:
+        residual = split(source)
+        values = np.array([transfer(residual, f, azimuth) for f in frequencies.ravel().tolist()])
+    else:
         raise SamplingError(
-            "the transfer function needs a wavefront of layout 'polar' or 'cells', not "
-            f"'{wavefront.layout}'; give psf.point_spread(wavefront) instead"
+            "the transfer function of a wave needs polar nodes without obscuration, not layout "
+            f"'{source.layout}'; give psf.point_spread(wavefront)"
         )
-    residual = split(wavefront)
-    values = [transfer(residual, float(f), azimuth) for f in frequencies.ravel()]
-    return np.array(values, dtype=np.complex128).reshape(frequencies.shape)
+    return np.asarray(values.reshape(frequencies.shape))
 
 
 def spectrum_along(point_spread: PointSpread, frequencies: Array, azimuth: float) -> ComplexArray:
@@ -388,7 +427,6 @@ def fwhm(point_spread: PointSpread) -> tuple[float, float]:
     See Also
     --------
     encircled_energy : Energy within circles.
-    spot_radius : Rms radius of a spot.
 
     Notes
     -----
@@ -420,7 +458,7 @@ def _without(wavefront: Wavefront, remove: Iterable[str]) -> Wavefront:
     """Return the wavefront without the least-squares fit of the named terms and a piston."""
     names = (remove,) if isinstance(remove, str) else tuple(remove)
     for name in names:
-        one_of("remove", name, TERMS)
+        one_of("remove", name, ("piston", "tilt", "defocus"))
     if not names:
         return wavefront
     scale = wavefront.pupil_radius
@@ -500,23 +538,14 @@ def _crossing(cut: Array, top: int, step: int, level: float) -> float:
                 "the intensity stays above half its peak up to the edge of the window of "
                 f"{cut.size} samples; use a larger shape"
             )
-    low, high = float(index), float(index - step)  # below, above the level
-    for _ in range(50):
-        middle = (low + high) / 2
-        if _interpolated(cut, middle) < level:
-            low = middle
-        else:
-            high = middle
-    return abs((low + high) / 2 - top)
+    between = sorted((index, index - step))
+    root = scipy.optimize.brentq(lambda at: _interpolated(cut, at) - level, *between, xtol=1e-14)
+    return abs(float(root) - top)
 
 
 def _interpolated(cut: Array, place: float) -> float:
     """Interpolate at a position, in samples, by a polynomial through the nearest eleven samples."""
     n = min(11, cut.size)
     start = min(max(round(place) - n // 2, 0), cut.size - n)
-    t = place - start
-    if t == round(t):
-        return float(cut[start + round(t)])
-    signs = np.array([(-1) ** k * math.comb(n - 1, k) for k in range(n)])
-    terms = signs / (t - np.arange(n))
-    return float(np.sum(terms * cut[start : start + n]) / np.sum(terms))
+    near = scipy.interpolate.BarycentricInterpolator(np.arange(n), cut[start : start + n])
+    return float(near(place - start))

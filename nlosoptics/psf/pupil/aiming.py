@@ -14,53 +14,22 @@ from ...errors import CausticError, SceneError
 from ...scene import CallableWall, Wall, pupil_frame
 
 Array = NDArray[np.float64]
-#: Pupil nodes up to which one thread aims: others would wait, and burn, longer than they help.
-MANY = 30_000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AimedRays:
-    """Stationary paths from an object point by the wall to pupil points.
+    """Stationary paths from an object point by the wall to pupil points."""
 
-    Parameters
-    ----------
-    points : ndarray, (n, 3)
-        Points at which the paths meet the wall, world frame, m.
-    excess : ndarray, (n,)
-        Path length minus the distance from the mirrored object point, m.
-    spreading : ndarray, (n,)
-        Irradiance on the pupil plane per unit radiant intensity, 1/m^2.
-    """
-
-    points: Array
-    excess: Array
-    spreading: Array
+    points: Array  # (n, 3); Points at which the paths meet the wall, world frame, m
+    excess: Array  # (n,); Path length minus the distance from the mirrored object point, m
+    spreading: Array  # (n,); Irradiance on the pupil plane per unit radiant intensity, 1/m^2
 
 
 def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> AimedRays:
-    """Find the stationary path from an object point by the wall to each pupil node.
+    """Find the stationary path from an object point by the wall to each pupil node (n, 3), m.
 
-    Parameters
-    ----------
-    wall : Wall
-        Relay wall, used as a mirror.
-    object_point : array_like, (3,)
-        Object point in front of the wall, world frame, m.
-    nodes : ndarray, (n, 3)
-        Pupil points in front of the wall, world frame, m.
-    axis : ndarray, (3,)
-        Unit normal of the pupil plane, world.
-
-    Returns
-    -------
-    AimedRays
-
-    Raises
-    ------
-    CausticError
-        If several rays or none reach a node, or rays to the pupil cross.
-    SceneError
-        If the object point or the pupil is behind the wall.
+    Points are in the world frame, and ``axis`` is the unit normal of the pupil plane. Raises
+    `CausticError` if several rays or none reach a node, or rays to the pupil cross.
     """
     o = np.array(vector("object_point", object_point))
     for name, height in (("object_point", o[2]), ("pupil", float(nodes[:, 2].min()))):
@@ -85,7 +54,8 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
     if isinstance(wall, CallableWall):
         callable_aiming.aim(wall, o, nodes, starts, axis, out)
     else:
-        loop = _aiming_kernels.aim if len(nodes) > MANY else _aiming_kernels.aim.alone
+        # One thread for few nodes: others would wait longer than they help.
+        loop = _aiming_kernels.aim if len(nodes) > 30_000 else _aiming_kernels.aim.alone
         terms, tables = wall.compiled()
         loop(terms, tables_for(terms, tables), o, nodes, starts, axis, out)
     lost = out[:, 7] != _aiming_kernels.FOUND

@@ -9,8 +9,6 @@ from ...scene import Wall
 from . import _aiming_kernels
 
 Array = NDArray[np.float64]
-#: Gradient of the path below which it counts as stationary; the remainder is rounding error.
-STATIONARY = 1e-11
 
 
 def stationary_points(
@@ -19,26 +17,6 @@ def stationary_points(
     """Find the wall points at which the paths from O by the wall to each node are stationary.
 
     Newton's method with backtracking on the gradient of each path.
-
-    Parameters
-    ----------
-    wall : Wall
-        Wall that evaluates its height and derivatives in Python.
-    o : ndarray, (3,)
-        Object point, world frame, m.
-    nodes : ndarray, (n, 3)
-        Ends of the paths, world frame, m.
-    starts : ndarray, (n, 2)
-        First guesses (x, y) of the wall points, m.
-    side : float
-        1 for nodes in front of the wall, -1 for virtual nodes behind it.
-
-    Returns
-    -------
-    points : ndarray, (n, 2)
-        Wall points (x, y), m.
-    status : ndarray of int, (n,)
-        ``_aiming_kernels.FOUND`` or ``NOT_FOUND``.
     """
 
     def stationarity(rows: NDArray[np.int64], at: Array) -> Array:
@@ -78,7 +56,7 @@ def stationary_points(
         if not len(active):
             break
     # Rounding stops the descent. The error of the paths is of second order in the gradient left.
-    return points, np.where(norm < STATIONARY, _aiming_kernels.FOUND, _aiming_kernels.NOT_FOUND)
+    return points, np.where(norm < 1e-11, _aiming_kernels.FOUND, _aiming_kernels.NOT_FOUND)
 
 
 def aim(wall: Wall, o: Array, nodes: Array, starts: Array, axis: Array, out: Array) -> None:

@@ -51,7 +51,6 @@ class ExitPupil(Noun):
     See Also
     --------
     exit_pupil : Exit pupil of a scene.
-    wavefront : Wave aberration of a scene.
     """
 
     centre: Array
@@ -168,11 +167,6 @@ def working_f_number(radius: float, distance: float) -> float:
     """Return a cone's F-number ``|distance|/(2 radius)``, which is 1/(2 sin) of its half angle.
 
     The radius is that on the sphere about the image point, as in `point_spread`.
-
-    Raises
-    ------
-    SceneError
-        If the F-number is not above 0.5, where the cone fills the half space.
     """
     found = abs(distance) / (2 * radius)
     if found <= 0.5:

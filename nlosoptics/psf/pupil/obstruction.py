@@ -14,27 +14,15 @@ from .aiming import aim, pupil_points
 
 Array = NDArray[np.float64]
 
-#: Rings and spokes of the sample rays over the lens, including its rim.
-RINGS, SPOKES = 6, 24
-
 
 def check_cone(scene: Scene, object_point: Array | None = None) -> bool:
     """Return whether the occluders hide an object point from the whole lens.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with wall, camera and occluders.
-    object_point : ndarray, (3,), optional
-        Object point, world frame, m; by default the object's reference point.
-
-    Raises
-    ------
-    SceneError
-        If they hide it from a part of the lens: point spreads need the whole pupil.
+    Points are in the world frame, m. Raises `SceneError` if only a part of the lens is hidden.
     """
-    radii = scene.camera.stop_diameter / 2 * np.arange(1, RINGS + 1)[:, None] / RINGS
-    angles = 2 * math.pi * np.arange(SPOKES) / SPOKES
+    rings, spokes = 6, 24  # of the sample rays over the lens, including its rim
+    radii = scene.camera.stop_diameter / 2 * np.arange(1, rings + 1)[:, None] / rings
+    angles = 2 * math.pi * np.arange(spokes) / spokes
     nodes = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1).reshape(-1, 2)
     nodes = np.concatenate([np.zeros((1, 2)), nodes])
     axis = scene.camera.axis
@@ -47,20 +35,8 @@ def check_cone(scene: Scene, object_point: Array | None = None) -> bool:
 def hides(scene: Scene, object_point: Array, on_wall: Array, on_lens: Array) -> bool:
     """Return whether the occluders block every path from a point by the wall to the lens.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with wall and occluders.
-    object_point : ndarray, (3,)
-        Object point, world frame, m.
-    on_wall, on_lens : ndarray, (n, 3)
-        Points at which the paths meet the wall and the lens, world frame, m. Paths that miss the
-        wall are ignored.
-
-    Raises
-    ------
-    SceneError
-        If some paths are blocked and others are not, or an occluder reflects light.
+    ``on_wall`` and ``on_lens`` (n, 3), m, are the points where the paths meet wall and lens. Paths
+    that miss the wall are ignored. Raises `SceneError` if only some paths are blocked.
     """
     scene.check_black_occluders()
     mesh = scene.occluding_mesh

@@ -15,22 +15,12 @@ Array = NDArray[np.float64]
 
 
 def wave_bends(scene: Scene, points: Array) -> Array:
-    """Return the second derivatives of W over the lens for object points.
+    """Return the second derivatives of W over the lens for object points (n, 3), m: (n, 2, 2), 1/m.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the camera and the wall.
-    points : ndarray, (n, 3)
-        Object points, world frame, m.
-
-    Returns
-    -------
-    ndarray, (n, 2, 2)
-        Derivatives along the camera's axes e1 and e2, 1/m: the sum of the wall's part,
-        ``-(cos_i + cos_o) M_0^T K M``, and of the defocus. M is that of `pupil_slopes` and M_0 that
-        of a flat wall. The wall's curvature is taken at the point that a flat wall would reflect
-        from, and its slope there is neglected.
+    They are along the camera's axes e1 and e2: the sum of the wall's part,
+    ``-(cos_i + cos_o) M_0^T K M``, and of the defocus, with the matrices of `WallView` and M_0 that
+    of a flat wall. The wall's curvature K is taken at the point that a flat wall would reflect
+    from, and its slope there is neglected.
     """
     e1, e2, axis = scene.camera.frame
     lens = np.array(scene.camera.position)
@@ -64,20 +54,6 @@ def change_over_object(scene: Scene, pupil: ExitPupil) -> float:
     """Return an upper bound of the change of the point spread over a planar object.
 
     The change is relative to the peak.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with a `PlanarObject` and a wall with a mirror-like lobe.
-    pupil : ExitPupil
-        Exit pupil of the scene.
-
-    Returns
-    -------
-    float
-        Relative change of the point spread on the camera's image pixels, 0 to 1. It is the least
-        of three bounds: from the change of phase over the pupil, from the diffraction tail within
-        a pixel, and from the energy that moves between pixels.
     """
     hidden = scene.hidden
     if not isinstance(hidden, PlanarObject):

@@ -21,12 +21,6 @@ Array = NDArray[np.float64]
 
 #: Least number of detected rays.
 FEWEST: Final = 64
-#: Degree of the polynomial fitted to the rays near the pupil's centre.
-DEGREE: Final = 5
-#: Number of rays that it is fitted to.
-NEAREST: Final = 48
-#: Area of a ray, relative to the median, above which the pupil counts as dark around it.
-HOLE: Final = 10.0
 
 
 def wavefront_from_rays(paths: RayPaths, exit_pupil: ExitPupil, wavelength: float) -> Wavefront:
@@ -182,9 +176,9 @@ def _pupil_places(ends: Array, bounce: Array, pupil: ExitPupil) -> tuple[Array, 
 def _check_cover(areas: Array) -> None:
     """Raise an error if a part of the pupil has no rays, or two rays end at one point."""
     median, worst = float(np.median(areas)), int(np.argmax(areas))
-    if areas[worst] > HOLE * median:
+    if areas[worst] > 10 * median:
         raise SamplingError(
-            f"detected ray {worst} is the only one in {areas[worst]:.3g} m^2, limit {HOLE:g} times "
+            f"detected ray {worst} is the only one in {areas[worst]:.3g} m^2, limit 10 times "
             f"the median {median:.3g} m^2: the wall's edge cuts the light, or rays are too few; "
             "enlarge wall.size, launch more rays, or use psf.wavefront with nodes='grid'"
         )
@@ -219,9 +213,9 @@ def _nearest(places: Array, count: int) -> tuple[NDArray[np.int64], float]:
 
 def _centre_terms(places: Array, excess: Array, slopes: Array) -> tuple[float, Array]:
     """W, m, and its slopes (2,) at the pupil's centre, from a polynomial fit."""
-    chosen, scale = _nearest(places, NEAREST)
+    chosen, scale = _nearest(places, 48)
     x, y = (places[chosen] / scale).T
-    orders = [(i, k - i) for k in range(DEGREE + 1) for i in range(k, -1, -1)]
+    orders = [(i, k - i) for k in range(6) for i in range(k, -1, -1)]
     values = np.stack([x**i * y**j for i, j in orders], axis=1)
     along_x = np.stack([i * x ** max(i - 1, 0) * y**j for i, j in orders], axis=1)
     along_y = np.stack([j * x**i * y ** max(j - 1, 0) for i, j in orders], axis=1)
@@ -235,7 +229,7 @@ def _centre_terms(places: Array, excess: Array, slopes: Array) -> tuple[float, A
 
 def _centre_density(places: Array, density: Array) -> float:
     """Power per area at the pupil's centre, from a quadratic fit to the nearest rays."""
-    chosen, scale = _nearest(places, NEAREST)
+    chosen, scale = _nearest(places, 48)
     x, y = (places[chosen] / scale).T
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     return float(np.linalg.lstsq(terms, density[chosen], rcond=None)[0][0])

@@ -22,8 +22,6 @@ Found = TypeVar("Found")
 #: Numbers of pupil samples to try after those of ``nodes="auto"``: radii of polar nodes, with four
 #: times as many angles, or cells per side of a grid.
 FINER: Final = {"polar": (48, 96), "grid": (1024, 2048)}
-#: Object points whose waves a scene keeps: its reference point, corners and edges, and a few more.
-KEPT: Final = 16
 
 
 class PointOptics:
@@ -68,39 +66,16 @@ class PointOptics:
         return view_along(self.scene, self.zoom, self.object_point, self.first.rays.points[0])
 
     def once(self, key: Hashable, make: Callable[[], Found]) -> Found:
-        """Return the result of a function, which is computed once and then stored.
-
-        Parameters
-        ----------
-        key : hashable
-            Name under which the result is stored.
-        make : callable
-            Function without arguments, called only if nothing is stored under the key.
-        """
+        """Return the result of ``make()``, which is computed once and then stored under the key."""
         if key not in self._kept:
             self._kept[key] = make()
         found: Found = self._kept[key]
         return found
 
     def refined(self, use: Callable[[AimedWave], Found]) -> tuple[AimedWave, Found]:
-        """Apply a function to the wave, and repeat it with more pupil samples if they are too few.
+        """Return the wave and the result of a function of it that may raise `SamplingError`.
 
-        Parameters
-        ----------
-        use : callable
-            Function of an `AimedWave` that raises `SamplingError` if the wave has too few samples.
-
-        Returns
-        -------
-        aimed : AimedWave
-            Wave with enough samples.
-        found : object
-            Result of the function for this wave.
-
-        Raises
-        ------
-        SamplingError
-            If even the largest number of samples is too few.
+        Then it is repeated with more pupil samples, up to the largest number.
         """
         aimed, layout = self.first, self.first.wave.layout
         for samples in FINER[layout]:
@@ -126,7 +101,6 @@ class SceneOptics:
     See Also
     --------
     scene_point_spread : Wave and PSF of a scene.
-    wavefront : Wave aberration of a scene.
 
     Notes
     -----
@@ -193,7 +167,8 @@ class SceneOptics:
             return self.reference
         place = tuple(point.tolist())
         found = self._kept.get(place) or PointOptics(self.scene, self.exit_pupil, point)
-        if len(self._kept) < KEPT:
+        # enough for the reference point, corners and edges, and a few more
+        if len(self._kept) < 16:
             self._kept[place] = found
         return found
 

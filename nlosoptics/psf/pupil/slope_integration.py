@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,10 +14,8 @@ from ..wave.wavefront import Wavefront
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Residual, relative to the initial one, at which conjugate gradients stop.
-ROUNDING: Final = 1e-15
 #: Largest number of conjugate-gradient steps; a disc needs about 20.
-MOST_STEPS: Final = 5000
+MOST_STEPS = 5000
 
 
 def wavefront_from_slopes(
@@ -32,7 +29,7 @@ def wavefront_from_slopes(
 ) -> tuple[Wavefront, float]:
     """Integrate wave slopes on a pupil grid to a wavefront, in the least-squares sense.
 
-    Slopes come from a Shack-Hartmann sensor, for example, or from `pupil_slopes`.
+    Slopes come from a Shack-Hartmann sensor, for example.
 
     Parameters
     ----------
@@ -66,19 +63,26 @@ def wavefront_from_slopes(
     SceneError
         If shapes differ, the mask is empty, or a slope on it is not finite.
     SamplingError
-        If the iteration does not converge, see `integrated_slopes`.
+        If the iteration does not converge, which long narrow passages of the mask can cause.
 
     See Also
     --------
-    integrated_slopes : Least-squares integral of slopes on a grid.
-    pupil_slopes : Wave slopes caused by facet tilts.
     point_spread : PSF of a given wave.
 
     Notes
     -----
     Slopes of every wavefront are a gradient (theorem of Malus and Dupin). Slopes of random,
-    independent wall facets are not; ``curl_residual_rms`` measures by how much. The method is
-    described in `integrated_slopes`.
+    independent wall facets are not; ``curl_residual_rms`` measures by how much.
+
+    The height difference of two neighbouring points a and b is fitted to ``pitch (s_a + s_b)/2``,
+    with s the slope along the line between them [1]_. This is exact for quadratics; otherwise the
+    error is of second order in the pitch. The equations are a Poisson problem with Neumann boundary
+    conditions. They are solved by conjugate gradients, with cosine transforms on the full rectangle
+    as preconditioner. Results are bit-identical for any number of threads.
+
+    References
+    ----------
+    .. [1] Southwell, J. Opt. Soc. Am. 70, 998 (1980).
 
     Examples
     --------
@@ -116,35 +120,18 @@ class SlopeFilter:
 
     It is `integrated_slopes` without a mask. With slopes s_x, s_y at nodes (ny, nx),
     ``surface/pitch = Y' [(Y s_x G_x' + G_y s_y X')/L] X``, where ' is the transpose.
-
-    Parameters
-    ----------
-    cosines : (ndarray, ndarray)
-        Y (ny, ny) and X (nx, nx), orthonormal; row k holds the k-th cosine.
-    sources : (ndarray, ndarray)
-        G_y (ny, ny) and G_x (nx, nx): cosine transforms of minus the divergence of the neighbours'
-        mean slopes.
-    inverse : ndarray, (ny, nx)
-        1/L with the eigenvalues L of the Laplacian; 0 for the mean.
     """
 
+    # (ndarray, ndarray); Y (ny, ny) and X (nx, nx), orthonormal; row k holds the k-th cosine.
     cosines: tuple[Array, Array]
+    # (ndarray, ndarray); G_y (ny, ny) and G_x (nx, nx): cosine transforms of minus the divergence
+    # of the neighbours' mean slopes.
     sources: tuple[Array, Array]
-    inverse: Array
+    inverse: Array  # (ny, nx); 1/L with the eigenvalues L of the Laplacian; 0 for the mean
 
 
 def slope_filter(shape: tuple[int, int]) -> SlopeFilter:
-    """Return the filter from slopes to the least-squares surface on a full rectangle.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Number of nodes (ny, nx).
-
-    Returns
-    -------
-    SlopeFilter
-    """
+    """Return the filter from slopes to the least-squares surface on a full rectangle of cells."""
     from scipy import fft
 
     ny, nx = shape
@@ -163,63 +150,10 @@ def slope_filter(shape: tuple[int, int]) -> SlopeFilter:
 
 
 def integrated_slopes(slopes: ArrayLike, pitch: float, mask: ArrayLike) -> tuple[Array, float]:
-    """Integrate slopes on a grid of any outline to a surface, by least squares.
+    """Integrate slopes (ny, nx, 2) on a grid of any outline to a surface, by least squares.
 
-    Parameters
-    ----------
-    slopes : array_like, (ny, nx, 2)
-        Derivatives of the surface at the grid points, m/m: ``[..., 0]`` along x, which increases
-        with the column, and ``[..., 1]`` along y, which increases with the row.
-    pitch : float
-        Distance between grid points, m.
-    mask : array_like of bool, (ny, nx)
-        Grid points to integrate over. They may form several separate parts.
-
-    Returns
-    -------
-    surface : ndarray, (ny, nx)
-        Heights, m. The mean over every separate part is 0; heights outside the mask are 0.
-    residual : float
-        Rms difference between the given slopes and those of the surface, m/m, over all pairs of
-        neighbouring points. It is 0 for the slopes of a quadratic surface. Otherwise it has two
-        causes: the curl of the slopes, and the finite distance of the points.
-
-    Raises
-    ------
-    SceneError
-        If shapes differ, the mask is empty, or a slope on it is not finite.
-    SamplingError
-        If the iteration does not converge, which long narrow passages of the mask can cause.
-
-    See Also
-    --------
-    wavefront_from_slopes : Wave from slopes, by least squares.
-    pupil_slopes : Wave slopes caused by facet tilts.
-
-    Notes
-    -----
-    The height difference of two neighbouring points a and b is fitted to ``pitch (s_a + s_b)/2``,
-    with s the slope along the line between them [1]_. This is exact for quadratics; otherwise the
-    error is of second order in the pitch. The equations are a Poisson problem with Neumann boundary
-    conditions. They are solved by conjugate gradients, with cosine transforms on the full rectangle
-    as preconditioner: the number of steps depends on the shape of the mask, not on the pitch.
-    Results are bit-identical for any number of threads.
-
-    References
-    ----------
-    .. [1] Southwell, J. Opt. Soc. Am. 70, 998 (1980).
-
-    Examples
-    --------
-    The slope 2 x along x gives the height x^2, here 0 to 16 micrometres:
-
-    >>> import numpy as np
-    >>> from nlosoptics import psf
-    >>> y, x = np.mgrid[:5, :5] * 1e-3
-    >>> slopes = np.stack([2.0 * x, np.zeros_like(y)], axis=-1)
-    >>> surface, residual = psf.integrated_slopes(slopes, 1e-3, np.ones((5, 5), dtype=bool))
-    >>> np.round(1e6 * (surface[0] - surface[0, 0]), 3), round(residual, 9)
-    (array([ 0.,  1.,  4.,  9., 16.]), 0.0)
+    Returns heights (ny, nx), m, and the rms difference between the slopes and those of the surface,
+    see `wavefront_from_slopes`.
     """
     from scipy import ndimage
 
@@ -317,7 +251,7 @@ def _poisson(right: Array, pairs_x: Mask, pairs_y: Mask) -> Array:
         direction, product = z, float(np.sum(residual * z))
         first = max(first, product)
         for step in range(MOST_STEPS + 1):
-            if product <= ROUNDING**2 * first:
+            if product <= 1e-30 * first:  # 1e-15 of the initial residual
                 break
             if step == MOST_STEPS:
                 raise SamplingError(

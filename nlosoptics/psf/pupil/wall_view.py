@@ -54,31 +54,6 @@ class WallView(Noun):
     tangents: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _Chief:
-    """First-order optics of a wall at the points that lens points see.
-
-    Parameters
-    ----------
-    points : ndarray, (n, 3)
-        Wall points, world frame, m.
-    cosines : ndarray, (n,)
-        Sum of the cosines of incidence and exitance.
-    bend : ndarray, (n, 2, 2)
-        Second derivatives of the path over the wall's tangent plane, 1/m.
-    footprint : ndarray, (n, 2, 2)
-        Matrix M from a step in the lens to the step of the wall point that it sees.
-    tangents : ndarray, (n, 2, 3)
-        Unit vectors of the wall's tangent planes, world.
-    """
-
-    points: Array
-    cosines: Array
-    bend: Array
-    footprint: Array
-    tangents: Array
-
-
 def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
     """Compute how points of a scene's exit pupil map to the wall points they see, to first order.
 
@@ -106,103 +81,71 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
     See Also
     --------
     mean_point_spread : Mean PSF over all walls of one roughness.
-    pupil_slopes : Wave slopes caused by facet tilts.
 
     Notes
     -----
-    Let M be the matrix that maps displacements on the lens to displacements on the wall, m to m;
-    `pupil_slopes` gives its formula. If the lens is the stop, it is also the exit pupil, and
-    ``footprint`` is M. If the wall is the stop, the exit pupil is the image of the wall by the
-    lens. The light to the image's centre crosses the pupil and the lens in discs, whose radii have
-    a ratio m; then ``footprint`` is M/m.
+    A lens point p sees the wall point M p, with the matrix
+    ``M = [P_i/d1 + P_o/d2 - (cos_i + cos_o) K]^-1 E/d2``. The symbols are:
+
+    - i and o: the rays from the wall point to the object (i) and to the lens (o), of lengths d1 and
+      d2; cos_i and cos_o are the cosines of their angles to the wall's normal,
+    - P_i and P_o: the matrix ``1 - e e^T`` for the ray i or o, with e the component of the ray's
+      unit vector in the wall's tangent plane,
+    - K: second derivatives of the mean wall, positive if the wall is concave to the room,
+    - E: 2 x 2 matrix of scalar products. The u and v axes are projected onto the plane that is
+      perpendicular to the ray o; row 1 has their products with t1, row 2 those with t2.
+
+    If the lens is the stop, it is also the exit pupil, and ``footprint`` is M. If the wall is the
+    stop, the exit pupil is the image of the wall by the lens. The light to the image's centre
+    crosses the pupil and the lens in discs, whose radii have a ratio m; then ``footprint`` is M/m.
     """
-    o = None if object_point is None else np.array(vector("object_point", object_point))
-    return _view_of(_optics(scene, np.zeros((1, 2)), o), _zoom(scene))
+    o = (
+        scene.object_point
+        if object_point is None
+        else np.array(vector("object_point", object_point))
+    )
+    zoom = exit_pupil(scene).image_distance / scene.image_distance
+    axis = scene.camera.axis
+    lens = pupil_points(np.array(scene.camera.position), axis, np.zeros((1, 2)))
+    return view_along(scene, zoom, o, aim(scene.wall, o, lens, axis).points[0])
 
 
 def view_along(scene: Scene, zoom: float, object_point: Array, hit: Array) -> WallView:
     """Return the first-order map from the exit pupil to the wall for a known chief ray.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the camera and the wall.
-    zoom : float
-        Ratio of the exit pupil's size to that of the lens.
-    object_point : ndarray, (3,)
-        Start of the chief ray, world frame, m.
-    hit : ndarray, (3,)
-        Point at which the chief ray meets the wall, world frame, m.
-
-    Returns
-    -------
-    WallView
+    The ray meets the wall at ``hit`` (3,), m. ``zoom`` is the size of the exit pupil over
+    that of the cone on the lens, negative for an inverted image of the wall.
     """
-    return _view_of(_optics(scene, np.zeros((1, 2)), object_point, hit[None]), zoom)
-
-
-def _view_of(chief: _Chief, zoom: float) -> WallView:
-    """Return the view from the exit pupil, given the optics ``chief`` of the chief ray at the lens.
-
-    ``zoom`` is the ratio of the exit pupil's size to that of the cone on the lens.
-    """
+    axes = scene.camera.frame
+    tangents, normal, bend = _wall_frame(scene.wall, hit)
+    legs = object_point - hit, np.array(scene.camera.position) - hit
+    lengths = [float(np.linalg.norm(leg)) for leg in legs]
+    units = [leg / length for leg, length in zip(legs, lengths, strict=True)]
+    cosines = sum(float(unit @ normal) for unit in units)
+    total = -cosines * bend
+    for unit, length in zip(units, lengths, strict=True):
+        inside = tangents @ unit
+        total += (np.eye(2) - np.outer(inside, inside)) / length
+    # E_ab = t_a (I - s_o s_o^T) e_b
+    across = axes[:2] - np.outer(axes[:2] @ units[1], units[1])
+    into = tangents @ across.T / lengths[1]
     return WallView(
-        footprint=chief.footprint[0] / zoom,
-        cos_sum=float(chief.cosines[0]),
-        effective_distance=np.linalg.inv(chief.bend[0]),
-        point=np.array(chief.points[0]),
-        tangents=np.array(chief.tangents[0]),
+        footprint=np.linalg.solve(total, into) / zoom,
+        cos_sum=cosines,
+        effective_distance=np.linalg.inv(total),
+        point=np.array(hit),
+        tangents=tangents,
     )
 
 
-def _zoom(scene: Scene) -> float:
-    """Ratio of the exit pupil's size to that of the cone on the lens; 1 if the lens is the stop.
-
-    It is negative if the wall is the stop, whose image is inverted.
-    """
-    return exit_pupil(scene).image_distance / scene.image_distance
-
-
-def _optics(
-    scene: Scene, on_lens: Array, o: Array | None = None, points: Array | None = None
-) -> _Chief:
-    """First-order optics of the mean wall for points ``on_lens`` (n, 2), m.
-
-    ``o`` (3,) is the object point, by default the reference point. ``points`` (n, 3) are the wall
-    points of its rays, world frame, m; they are found by aiming if omitted.
-    """
-    o, axes = scene.object_point if o is None else o, scene.camera.frame
-    ends = pupil_points(scene.camera.position, axes[2], on_lens)
-    if points is None:
-        points = aim(scene.wall, o, ends, axes[2]).points
-    tangents, normal, bend = _wall_frames(scene.wall, points)
-    legs = [o - points, ends - points]
-    lengths = [np.linalg.norm(leg, axis=1) for leg in legs]
-    units = [leg / length[:, None] for leg, length in zip(legs, lengths, strict=True)]
-    cosines = sum(np.sum(unit * normal, axis=1) for unit in units)
-    total = -cosines[:, None, None] * bend
-    for unit, length in zip(units, lengths, strict=True):
-        inside = np.einsum("nak,nk->na", tangents, unit)
-        total += (np.eye(2) - inside[:, :, None] * inside[:, None, :]) / length[:, None, None]
-    # E_ab = t_a (I - s_o s_o^T) e_b
-    across = axes[:2] - (units[1] @ axes[:2].T)[:, :, None] * units[1][:, None, :]
-    into = np.einsum("nak,nbk->nab", tangents, across) / lengths[1][:, None, None]
-    return _Chief(points, cosines, total, np.linalg.solve(total, into), tangents)
-
-
-def _wall_frames(wall: Wall, points: Array) -> tuple[Array, Array, Array]:
-    """Tangents (n, 2, 3), normals (n, 3) and curvature matrices (n, 2, 2), 1/m, at wall points."""
+def _wall_frame(wall: Wall, point: Array) -> tuple[Array, Array, Array]:
+    """Return tangents (2, 3), normal (3,) and curvature matrix (2, 2), 1/m, at a wall point."""
     if wall.is_flat:
-        n = len(points)
-        frame = np.broadcast_to(np.eye(3), (n, 3, 3))
-        return frame[:, :2], frame[:, 2], np.zeros((n, 2, 2))
-    _, hx, hy, hxx, hxy, hyy = wall.derivatives(points[:, 0], points[:, 1]).T
-    zero, one = np.zeros_like(hx), np.ones_like(hx)
+        return np.eye(3)[:2], np.eye(3)[2], np.zeros((2, 2))
+    _, hx, hy, hxx, hxy, hyy = wall.derivatives(point[:1], point[1:2])[0]
     steep = np.sqrt(1 + hx**2 + hy**2)
-    normal = np.stack([-hx, -hy, one], axis=1) / steep[:, None]
-    first = np.stack([one, zero, hx], axis=1) / np.sqrt(1 + hx**2)[:, None]
-    tangents = np.stack([first, np.cross(normal, first)], axis=1)
-    hessian = np.stack([np.stack([hxx, hxy], axis=1), np.stack([hxy, hyy], axis=1)], axis=1)
-    flat = tangents[:, :, :2]
-    bend = np.einsum("nai,nij,nbj->nab", flat, hessian, flat) / steep[:, None, None]
-    return tangents, normal, bend
+    normal = np.array([-hx, -hy, 1.0]) / steep
+    first = np.array([1.0, 0.0, hx]) / np.sqrt(1 + hx**2)
+    tangents = np.stack([first, np.cross(normal, first)])
+    flat = tangents[:, :2]
+    return tangents, normal, flat @ np.array([[hxx, hxy], [hxy, hyy]]) @ flat.T / steep

@@ -4,30 +4,25 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import one_of, real, vector
-from ...errors import CausticError, NotWaveGradeError, SamplingError, SceneError
+from ..._checks import one_of, vector
+from ...errors import NotWaveGradeError, SamplingError, SceneError
 from ...scene import MeshWall, Scene, Wall
 from ..aperture.aperture import Aperture
 from ..aperture.quadrature_nodes import grid_nodes, polar_nodes
 from ..wave.detilted import Residual, split
-from ..wave.fits import fitted_terms
 from ..wave.removed import Removed
 from ..wave.wavefront import Layout, Wavefront
-from .aiming import AimedRays, aim, pupil_points, stationary_points
+from .aiming import AimedRays, aim, pupil_points
 from .exit_pupil import ExitPupil, exit_pupil
 from .obstruction import hides
 
 Array = NDArray[np.float64]
-#: Default numbers of pupil nodes for each layout, see `wavefront`.
-POLAR_SAMPLES = (24, 96)
-CELL_SAMPLES = (24, 24)
-GRID_SAMPLES = 256
 #: Grid cells per side for ``nodes="auto"``. More cells reduce the error of a cut rim; 512 take
 #: about 0.3 s.
 AUTO_GRID_SAMPLES = 512
@@ -84,7 +79,6 @@ def wall_aberration(
     See Also
     --------
     wavefront : Wave aberration of a scene.
-    path_difference : Length of one path via the wall, minus a reference length.
 
     Notes
     -----
@@ -120,80 +114,12 @@ def wall_aberration(
     return np.asarray(rays.excess[1:] - rays.excess[0])
 
 
-def path_difference(
-    wall: Wall,
-    source: ArrayLike,
-    target: ArrayLike,
-    reference: float,
-    *,
-    wall_point: ArrayLike | None = None,
-) -> float:
-    """Compute the length of a path via the wall minus a reference length, to full precision.
-
-    Parameters
-    ----------
-    wall : Wall
-        Relay wall.
-    source, target : array_like, (3,)
-        Ends of the path in world coordinates, m. A target behind the wall is a virtual image: the
-        distance from the wall to it counts as negative.
-    reference : float
-        Length that is subtracted, m; it may be negative.
-    wall_point : array_like, (2,), optional
-        Coordinates (x, y) of the wall point on the path, m. By default the point at which a ray
-        from source to target is reflected (Fermat's principle).
-
-    Returns
-    -------
-    float
-        Path difference, m. It is computed with twice the digits of float64 and rounded at the end.
-
-    Raises
-    ------
-    CausticError
-        If no reflected ray is found.
-
-    See Also
-    --------
-    wall_aberration : Wave aberration of a wall at given pupil points.
-    wavefront : Wave aberration of a scene.
-    """
-    from . import _aiming_kernels
-
-    o, p = np.array(vector("source", source)), np.array(vector("target", target))
-    reference = real("reference", reference)
-    if wall_point is None:
-        z = abs(p[2])
-        share = o[2] / (o[2] + z) if o[2] + z > 0 else 0.0
-        x, y = (o + share * (p - o))[:2]
-        side = 1.0 if p[2] >= float(wall.height(x, y)) else -1.0
-        if wall.is_flat and side < 0:
-            raise CausticError(
-                "a virtual target of a flat wall has no single stationary path; give wall_point"
-            )
-        if not wall.is_flat:
-            start = np.array([[x, y]])
-            x, y, status = next(stationary_points(wall, o, p, start, side))
-            if status != _aiming_kernels.FOUND:
-                raise CausticError(
-                    f"no stationary path from {source!r} by the wall to {target!r}; "
-                    "give wall_point, or other points"
-                )
-    else:
-        x, y = (real("wall_point", c) for c in np.asarray(wall_point, dtype=np.float64)[:2])
-    height = float(wall.height(x, y))
-    side = 1.0 if p[2] >= height else -1.0
-    hit = np.array([x, y, height])
-    return float(_aiming_kernels.path_difference(o, hit, p, side, reference))
-
-
 def wavefront(
     scene: Scene,
     object_point: ArrayLike | None = None,
     nodes: str | ArrayLike = "auto",
     *,
     samples: int | tuple[int, int] | None = None,
-    reference: str = "mirror_image",
 ) -> Wavefront:
     """Compute the wave that light from one object point, reflected by the wall, forms in the pupil.
 
@@ -220,11 +146,6 @@ def wavefront(
         many points on each, or (rings, points per ring), default (24, 96). "cells": points along
         the two directions of a patch, default (24, 24). "grid": squares per side, default 256, or
         512 if "auto" selects the grid.
-    reference : {"mirror_image", "best_focus"}
-        Terms that are removed from the aberration and reported in ``Wavefront.removed``:
-        "mirror_image" removes the path length and the direction of the chief ray (piston and tilt).
-        The chief ray goes to the centre of the lens. "best_focus" removes piston, tilt and defocus
-        by a least-squares fit.
 
     Returns
     -------
@@ -247,13 +168,13 @@ def wavefront(
     See Also
     --------
     scene_point_spread : Wave and point spread of a scene in one call.
-    exit_pupil : Pupil that the wave is sampled in.
 
     Notes
     -----
     The reference is the spherical wave from the mirror image of the object point. The mirror is the
     plane z = 0, which is the mean plane of the wall. A camera that is not focused on this image
-    adds defocus.
+    adds defocus. The path length and the direction of the chief ray, which goes to the centre of
+    the lens, are subtracted (piston and tilt) and reported in ``removed``.
 
     The amplitude is 1/sqrt(J), with J the factor by which the cross-section of a thin bundle of
     rays grows, relative to that of the chief ray. Squares of a grid that the wall's edge crosses
@@ -268,41 +189,25 @@ def wavefront(
     >>> print(wave.layout, wave.u.shape, f"{1e9 * psf.rms_aberration(wave):.1f} nm")
     polar (24, 96) 0.0 nm
     """
-    one_of("reference", reference, ("mirror_image", "best_focus"))
     if object_point is None:
         o = scene.object_point
     else:
         o = np.array(vector("object_point", object_point))
-    wave = aimed_wave(scene, exit_pupil(scene), o, nodes, samples).wave
-    return _best_focus(wave) if reference == "best_focus" else wave
+    return aimed_wave(scene, exit_pupil(scene), o, nodes, samples).wave
 
 
 @dataclass(frozen=True, eq=False)
 class AimedWave:
-    """Wave from an object point by the wall, with the rays that it was computed from.
+    """Wave from an object point by the wall, with the rays that it was computed from."""
 
-    Parameters
-    ----------
-    wave : Wavefront
-        Wave in the exit pupil.
-    rays : AimedRays
-        The chief ray, followed by one ray for each node inside the lens.
-    on_lens : ndarray, (1 + n, 3)
-        Points at which these rays meet the lens, world frame, m.
-    in_lens : ndarray of bool
-        Whether each node of the wave lies inside the lens, in the shape of the nodes.
-    hidden : bool
-        Whether the occluders cut all rays.
-    outline : Aperture or None
-        Outline of a pupil that the edge of a flat wall cuts. A grid wave does not contain it, since
-        its cells follow the edge only to their own size.
-    """
-
-    wave: Wavefront
-    rays: AimedRays
-    on_lens: Array
+    wave: Wavefront  # Wave in the exit pupil
+    rays: AimedRays  # The chief ray, followed by one ray for each node inside the lens
+    on_lens: Array  # (1 + n, 3); Points at which these rays meet the lens, world frame, m
+    # Whether each node of the wave lies inside the lens, in the shape of the nodes.
     in_lens: NDArray[np.bool_]
-    hidden: bool
+    hidden: bool  # Whether the occluders cut all rays
+    # Outline of a pupil that the edge of a flat wall cuts. A grid wave does not contain it, since
+    # its cells follow the edge only to their own size.
     outline: Aperture | None
 
     @cached_property
@@ -318,23 +223,7 @@ def aimed_wave(
     nodes: str | ArrayLike = "auto",
     samples: int | tuple[int, int] | None = None,
 ) -> AimedWave:
-    """Return the wave and its rays from an object point, for a known exit pupil.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the wall and the camera.
-    pupil : ExitPupil
-        Exit pupil of the scene.
-    o : ndarray, (3,)
-        Object point, world frame, m.
-    nodes, samples
-        Pupil nodes, as in `wavefront`.
-
-    Returns
-    -------
-    AimedWave
-    """
+    """Return the wave and its rays from an object point, for a known exit pupil."""
     if isinstance(nodes, str) and nodes == "auto":
         if pupil.layout == "polar":
             # The edge may cut this point's rays although it does not cut the reference point's
@@ -462,15 +351,15 @@ def _pupil_nodes(
     if isinstance(samples, tuple) and len(samples) != 2:
         raise SceneError(f"samples = {samples}; give one whole number or two")
     if aperture is not None:
-        samples = CELL_SAMPLES if samples is None else samples
+        samples = (24, 24) if samples is None else samples
         n_s, n_t = samples if isinstance(samples, tuple) else (samples, samples)
         return "cells", *aperture.nodes(n_s, n_t)
     if nodes == "grid":
         if isinstance(samples, tuple):
             raise SceneError(f"samples = {samples}; a grid is square, give one whole number")
-        return "grid", *grid_nodes(radius, GRID_SAMPLES if samples is None else samples)
+        return "grid", *grid_nodes(radius, 256 if samples is None else samples)
     if samples is None:
-        samples = POLAR_SAMPLES
+        samples = (24, 96)
     n_r, n_theta = samples if isinstance(samples, tuple) else (samples, 4 * samples)
     return "polar", *polar_nodes(radius, n_r, n_theta)
 
@@ -551,23 +440,3 @@ def _defocus(scene: Scene, o: Array, nodes: Array) -> Array:
 
     # The lens images the in-focus point perfectly, so the path from it is the reference.
     return over(distance) - over(in_focus)
-
-
-def _best_focus(wave: Wavefront) -> Wavefront:
-    """Remove the least-squares piston, tilt and defocus from a wave, and report them."""
-    r = wave.pupil_radius
-    u, v = wave.u / r, wave.v / r
-    terms = np.stack([np.ones_like(u), u, v, (u * u + v * v) / 2])
-    fit = fitted_terms(wave.aberration, wave.amplitude * wave.weights, terms)
-    return replace(
-        wave,
-        aberration=wave.aberration - np.tensordot(fit, terms, 1),
-        removed=Removed(
-            piston=wave.removed.piston + float(fit[0]),
-            tilt=(
-                wave.removed.tilt[0] + float(fit[1]) / r,
-                wave.removed.tilt[1] + float(fit[2]) / r,
-            ),
-            defocus=wave.removed.defocus + float(fit[3]) / r**2,
-        ),
-    )

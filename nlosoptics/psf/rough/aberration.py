@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,37 +15,10 @@ from .relief import ReliefView
 
 Array = NDArray[np.float64]
 
-#: Most iterations of the search for a ray's wall point; a contraction needs about 20.
-MOST_STEPS: Final = 60
-#: Change of the wall point, relative to the heights' scale, at which it has been found.
-FOUND: Final = 1e-10
-#: Integral of sin^2(pi u^2/2)/u^4 over all u, divided by 4 pi^4: energy of the diffraction by a
-#: crease across which the phase gradient jumps by 1, in a unit in which lambda d_eff = 1.
-CREASE_ENERGY: Final = 0.01194
-
 
 def rough_wave(wave: Wavefront, view: ReliefView) -> Wavefront:
     """Return the wave of a wall with its relief, from the wave of the smooth wall.
 
-    Parameters
-    ----------
-    wave : Wavefront
-        Wave of the smooth wall, with its nodes.
-    view : ReliefView
-        View of the relief from the wave's pupil.
-
-    Returns
-    -------
-    Wavefront
-        At the same nodes.
-
-    Raises
-    ------
-    CausticError
-        If rays from neighbouring points of the relief cross before the pupil.
-
-    Notes
-    -----
     The path over the wall point x to the pupil point p is stationary at
     ``x = M p + (cos_i + cos_o) d_eff grad h(x)``. The wave is the path there,
     ``(x - M p)^T d_eff^-1 (x - M p)/2 - (cos_i + cos_o) h(x)``, and the amplitude is
@@ -78,12 +50,13 @@ def _path(view: ReliefView, u: Array, v: Array, wavelength: float) -> tuple[Arra
         bend = np.einsum("ia,nij,jb->nab", place, hessian, place)
         return h, np.stack([hx, hy], axis=1) @ place, bend
 
-    for _ in range(MOST_STEPS):
+    # a contraction, which needs about 20 steps
+    for _ in range(60):
         height, slope, bend = derivatives(at)
         after = aimed + slope @ throw.T
         moved = float(np.abs(after - at).max())
         at = after
-        if moved <= FOUND * view.length:
+        if moved <= 1e-10 * view.length:
             break
     height, slope, bend = derivatives(at)
     area = np.linalg.det(np.eye(2) - throw @ bend)
@@ -91,7 +64,7 @@ def _path(view: ReliefView, u: Array, v: Array, wavelength: float) -> tuple[Arra
         raise CausticError(
             f"the wall's relief focuses light before the pupil: its curvature reaches "
             f"{1 / np.linalg.norm(throw, 2):.3g} 1/m, at which W is undefined; use a longer "
-            "correlation length or a smaller slope, or propagation='fresnel'"
+            "correlation length or a smaller slope"
         )
     step = at - aimed
     back = np.linalg.inv(view.effective_distance)
@@ -102,20 +75,6 @@ def _path(view: ReliefView, u: Array, v: Array, wavelength: float) -> tuple[Arra
 def aberration_error(view: ReliefView, wavelength: float) -> float:
     """Estimate the error of the PSF by rays on the relief, relative to its peak.
 
-    Parameters
-    ----------
-    view : ReliefView
-        View of the relief.
-    wavelength : float
-        m.
-
-    Returns
-    -------
-    float
-        Infinite if the relief has no estimate.
-
-    Notes
-    -----
     Rays neglect diffraction between wall and pupil. A ripple of frequency f along the wall changes
     phase by ``q = pi lambda d_eff f^2``. For Gaussian heights the mean of q is
     ``q0 = lambda d_eff/(pi l^2)``, and the rms error of the field beyond path and amplitude is of
@@ -136,6 +95,7 @@ def aberration_error(view: ReliefView, wavelength: float) -> float:
         per_metre = s / relief.height_rms
         zone = math.sqrt(wavelength * distance)
         jump = 16 / 3 * (per_metre * relief.slope_rms) ** 2
-        square = 2 * math.sqrt(3) / relief.cell * jump * zone**3 * CREASE_ENERGY
+        # Integral of sin^2(pi u^2/2)/u^4 over all u, divided by 4 pi^4.
+        square = 2 * math.sqrt(3) / relief.cell * jump * zone**3 * 0.01194
         return 2 * math.sqrt(square)
     return math.inf

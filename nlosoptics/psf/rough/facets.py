@@ -22,16 +22,10 @@ Array = NDArray[np.float64]
 NODES: Final = 12
 #: Distance between rows of an equilateral lattice of side 1.
 ROW: Final = math.sqrt(0.75)
-#: Most separations that are summed directly; more are interpolated from a table.
-FEW: Final = 50_000
 #: Separations, in cells, below which the sum is used, and beyond which the table is periodic.
-CLOSE, OUT = 1.2, 3
+OUT = 3
 #: Points of the table per cell.
 PER_CELL: Final = 32
-#: Least relative transfer function that is followed. The grating orders below it are negligible.
-LEAST: Final = 1e-9
-#: Separations and directions at which its decay is tabulated.
-LAGS, DIRECTIONS = 161, 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,21 +89,15 @@ class FacetView(RoughView):
         return 1.0 - self.coherent_fraction
 
     def on_wall(self, x: Array, y: Array) -> Array:
-        """Return the factor on the optical transfer function that yields the halo.
-
-        Parameters
-        ----------
-        x, y : ndarray
-            Components of distances between wall points, m; their shapes broadcast.
-        """
+        """Return `scattered_transfer` at distances (x, y), m, between wall points."""
         x, y = np.broadcast_arrays(x, y)
-        if x.size <= FEW:
+        if x.size <= 50_000:
             return self._summed(x, y)
         found = np.empty(x.shape)
         lag = np.hypot(x, y) / self.roughness.cell
         row = y / (self.roughness.cell * ROW)
         column = x / self.roughness.cell - 0.5 * row
-        close, far = lag < CLOSE, lag > OUT - 1
+        close, far = lag < 1.2, lag > OUT - 1
         found[close] = self._summed(x[close], y[close])
         near = ~close & ~far
         found[near] = self._near(row[near], column[near])
@@ -161,8 +149,8 @@ class FacetView(RoughView):
     @cached_property
     def _decay(self) -> tuple[Array, Array]:
         """Separations on the wall, m, and the largest relative transfer function at each."""
-        lags = np.append(0.0, np.geomspace(1e-4, 4.0, LAGS)) * self.roughness.cell
-        turn = np.linspace(0, math.pi / 6, DIRECTIONS)[:, None]  # the lattice's mirror symmetry
+        lags = np.append(0.0, np.geomspace(1e-4, 4.0, 161)) * self.roughness.cell
+        turn = np.linspace(0, math.pi / 6, 7)[:, None]  # the lattice's mirror symmetry
         found = np.abs(self.on_wall(lags * np.cos(turn), lags * np.sin(turn)))
         return lags, found.max(axis=0) / found[0, 0]
 
@@ -172,7 +160,8 @@ class FacetView(RoughView):
         It is infinite where the lattice's periodic part exceeds ``cut``.
         """
         lags, found = self._decay
-        above = np.nonzero(found > max(cut, LEAST))[0]
+        # the grating orders below 1e-9 are negligible
+        above = np.nonzero(found > max(cut, 1e-9))[0]
         if not above.size:
             return float(lags[1])
         return math.inf if above[-1] == lags.size - 1 else float(lags[above[-1] + 1])

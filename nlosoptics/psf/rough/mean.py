@@ -59,7 +59,6 @@ class RoughPointSpread(PointSpread):
     See Also
     --------
     mean_point_spread : Mean PSF over all walls of one roughness.
-    sample_point_spread : PSF of one random rough wall.
     """
 
     coherent: Array
@@ -154,7 +153,6 @@ def mean_point_spread(
     See Also
     --------
     sample_point_spread : Speckle pattern of one random wall.
-    two_scale_point_spread : Random coarse heights, and the mean over fine ones.
 
     Notes
     -----
@@ -216,21 +214,7 @@ def detilted_mean(
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
 ) -> RoughPointSpread:
-    """Compute `mean_point_spread` for a wave already split into piston, tilt and residual.
-
-    Parameters
-    ----------
-    residual : Residual
-        Wave of the smooth wall.
-    view : RoughView
-        View of the roughness from the wave's pupil.
-    tol, pitch, shape, normalisation, pixel_integrated
-        Options of `mean_point_spread`, already checked; the window holds the rays.
-
-    Returns
-    -------
-    RoughPointSpread
-    """
+    """Compute `mean_point_spread` for a wave already split into piston, tilt and residual."""
     wave = residual.wavefront
     fits_memory(
         f"a point spread of {shape[0]} x {shape[1]} samples",

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Final
 
 import ducc0
 import numpy as np
+import scipy  # loads scipy.ndimage on first use
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
@@ -22,68 +21,30 @@ from ..window.rim_tails import edge_ratio
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-#: Least number of cells across a polar wave that is resampled to a grid, without a given error.
-CELLS = 512
-#: Least number of cells for a given error.
-FEW_CELLS = 128
-#: Cells of a polar wave up to which their places and areas are kept for further waves.
-KEPT = 256
-#: Largest step of the aberration between neighbouring cells, waves.
-STEP = 0.08
 #: Peak memory per cell, bytes.
-CELL_BYTES: Final = 400.0
-#: Order of the interpolating spline, that of `spline_values`.
-ORDER: Final = 5
+CELL_BYTES = 400.0
 
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """Optical transfer function of a wave, as a function of the distance between pupil points.
+    """Optical transfer function of a wave, as a function of the distance between pupil points."""
 
-    Parameters
-    ----------
-    at : callable
-        Function of the components (du, dv) of a distance between two pupil points, m, that returns
-        complex values: 1 at distance 0, and 0 beyond the pupil's diameter. The distance is the
-        spatial frequency in the image times wavelength times image distance.
-    reach : float
-        Distance beyond which the function is 0, m.
-    error : float
-        Estimate of the largest error of the function.
-    """
-
+    # Function of the components (du, dv) of a distance between two pupil points, m, that returns
+    # complex values: 1 at distance 0, and 0 beyond the pupil's diameter. The distance is the
+    # spatial frequency in the image times wavelength times image distance.
     at: Callable[[Array, Array], ComplexArray]
-    reach: float
-    error: float
+    reach: float  # Distance beyond which the function is 0, m
+    error: float  # Estimate of the largest error of the function
 
 
 def transfer(residual: Residual, cells: int = 0) -> Transfer:
     """Compute the optical transfer function of a wave of the layout "polar" or "grid".
 
-    Parameters
-    ----------
-    residual : Residual
-        Wave without piston and tilt.
-    cells : int
-        Number of grid squares across the pupil, to which a polar wave is resampled; 0 for the
-        default.
-
-    Returns
-    -------
-    Transfer
-
-    Raises
-    ------
-    SamplingError
-        If the wave has another layout.
-    MemoryLimitError
-        If the grid would not fit into memory.
-
-    Notes
-    -----
-    For a pupil without aberration it is the overlap area of two displaced pupils: in closed form
-    for polar nodes, that of the cells for a grid. Aberration and amplitude multiply it by a smooth
-    ratio, which is interpolated from a lattice. The error due to the rim cancels in that ratio.
+    A polar wave is resampled to a grid of ``cells`` squares across the pupil; 0 for the default.
+    For a pupil without aberration the function is the overlap area of two displaced pupils: in
+    closed form for polar nodes, that of the cells for a grid. Aberration and amplitude multiply it
+    by a smooth ratio, which is interpolated from a lattice. The error due to the rim cancels in
+    that ratio.
     """
     wave = residual.wavefront
     if wave.layout not in ("polar", "grid"):
@@ -118,7 +79,7 @@ def transfer(residual: Residual, cells: int = 0) -> Transfer:
     # The spline's error for a phase step of jump waves per cell; the cells' rounded cusp at 0.
     cusp = (0.3 if wave.aperture is None else 0.6) * edge_ratio(wave) / n
     cusp = cusp if wave.layout == "grid" else 0.0
-    error = (2 * math.pi * jump) ** (ORDER + 1) / 3e4 + cusp
+    error = (2 * math.pi * jump) ** 6 / 3e4 + cusp
     # Error of the ratio, measured on low-order aberrations: where the rims touch, and along them.
     error += residual.truncation + 0.25 / n**1.5 + 0.6 * jump / n
 
@@ -156,10 +117,10 @@ def cells_across(residual: Residual, error: float | None = None) -> int:
     wave = residual.wavefront
     waves = 2 * wave.pupil_radius * residual.rays.slope / wave.wavelength
     if error is None:
-        return math.ceil(max(CELLS, waves / STEP))
-    step = min(0.25, max(STEP, math.sqrt(math.cbrt(1.5e3 * error)) / (2 * math.pi)))
+        return math.ceil(max(512, waves / 0.08))
+    step = min(0.25, max(0.08, math.sqrt(math.cbrt(1.5e3 * error)) / (2 * math.pi)))
     rim, slope = math.cbrt(0.025 / error) ** 2, math.sqrt(0.06 * waves / error)
-    return math.ceil(max(float(FEW_CELLS), waves / step, rim, slope))
+    return math.ceil(max(128.0, waves / step, rim, slope))
 
 
 def _on_grid(residual: Residual, n: int) -> tuple[ComplexArray, LatticeRatio, float]:
@@ -169,8 +130,7 @@ def _on_grid(residual: Residual, n: int) -> tuple[ComplexArray, LatticeRatio, fl
     """
     wave = residual.wavefront
     fits_memory(f"the transfer function of {n} x {n} cells", CELL_BYTES * n * n, "use a larger tol")
-    disc = _kept_disc if n <= KEPT else _disc
-    u, v, weights, ratio = disc(n + 1 - n % 2, wave.obscuration)
+    u, v, weights = grid_nodes(1.0, n + 1 - n % 2, wave.obscuration)
     lit = weights > 0
     path, size = values_at(
         *residual.polar_series, wave.pupil_radius * u[lit], wave.pupil_radius * v[lit], 1e-10
@@ -179,16 +139,7 @@ def _on_grid(residual: Residual, n: int) -> tuple[ComplexArray, LatticeRatio, fl
     pupil[lit] = weights[lit] * np.exp(1j * residual.wavenumber * path)
     if size is not None:
         pupil[lit] *= size
-    return pupil, ratio, wave.pupil_radius * float(u[0, 1] - u[0, 0])
-
-
-def _disc(n: int, obscuration: float) -> tuple[Array, Array, Array, LatticeRatio]:
-    """Return places and areas (n, n) of the cells of a pupil of radius 1, and their ratio."""
-    u, v, weights = grid_nodes(1.0, n, obscuration)
-    return u, v, weights, LatticeRatio(weights)
-
-
-_kept_disc = lru_cache(maxsize=4)(_disc)
+    return pupil, LatticeRatio(weights), wave.pupil_radius * float(u[0, 1] - u[0, 0])
 
 
 def _correlation(values: NDArray[np.complex128] | Array) -> ComplexArray:
@@ -227,19 +178,14 @@ class LatticeRatio:
         ``pupil`` includes the weights, in their unit, and ``pitch`` is that of the cells, m. The
         ratio is 0 where the autocorrelation of the weights is negligible.
         """
-        from ._spline_kernels import spline_filter, spline_values
-
         table = np.zeros(self.plain.shape, dtype=np.complex128)
         np.divide(_correlation(pupil), self.plain, out=table, where=self.seen)
-        spline_filter(table.view(np.float64))
-        spline = np.ascontiguousarray(table.T)
-        spline_filter(spline.view(np.float64))
+        spline = scipy.ndimage.spline_filter(table, 5, output=np.complex128, mode="mirror")
 
         def at(du: Array, dv: Array) -> ComplexArray:
-            row, column = (np.ravel(d) / pitch + self.centre for d in (du, dv))
-            found = np.empty(row.shape, dtype=np.complex128)
-            spline_values(spline, row, column, found)
-            return found.reshape(du.shape)
+            place = np.stack([dv, du]) / pitch + self.centre
+            options = {"order": 5, "prefilter": False, "mode": "mirror"}
+            return np.asarray(scipy.ndimage.map_coordinates(spline, place, **options))
 
         return at
 
@@ -250,14 +196,12 @@ def _cells(amplitude: Array, energy: float, pitch: float) -> Callable[[Array, Ar
     It is bilinear between the separations of the lattice. At separation 0 it is set to 1, since a
     cell that the rim cuts contributes its area fraction there, not the square of it.
     """
-    from scipy import ndimage
-
     table = _correlation(amplitude).real / energy
     n = amplitude.shape[0]
     table[n, n] = 1.0
 
     def at(du: Array, dv: Array) -> Array:
         place = np.stack([dv, du]) / pitch + n
-        return np.asarray(ndimage.map_coordinates(table, place, order=1))
+        return np.asarray(scipy.ndimage.map_coordinates(table, place, order=1))
 
     return at

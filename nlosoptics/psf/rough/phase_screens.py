@@ -19,47 +19,28 @@ from .view import RoughView
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-SCREENS: Final = 403  # stream of the random generator
-#: Value of C below which heights are treated as independent.
-INDEPENDENT: Final = 1e-6
-#: Largest fraction of the variance in components of negative power, which no surface can have.
-NEGATIVE: Final = 2e-3
 #: Largest ``max(1, s^2) (1 - C)`` between neighbours: a pitch of l/(3 s) for the Gaussian C.
 STEP: Final = 1 / 9
 #: A coarser lattice with spectral interpolation is used if its pitch is at most `widest_pitch`
 #: over DENSER and at least LEAST_STRIDE pupil cells.
 DENSER: Final = 1.5
 LEAST_STRIDE: Final = 4
-#: Largest fraction of the power in the last tenth of a coarser lattice's band.
-BEYOND: Final = 1e-9
-#: Value of C at which the torus for that test is cut; a step of 1e-6 would add to the spectrum.
-NOTHING: Final = 1e-12
 #: Lines of a field that are interpolated at a time, few enough for the processor's cache.
 LINES: Final = 64
 
 
 @dataclass(frozen=True, eq=False)
 class Screens:
-    """Periodic random screens on a lattice of pupil points.
+    """Periodic random screens on a lattice of pupil points."""
 
-    Parameters
-    ----------
-    heights : ndarray, (n, n//2 + 1)
-        Square root of the discrete power spectrum of the heights, in units of height_rms.
-    phase_rms : float
-        Rms phase s, rad.
-    pitch, wavelength : float
-        Lattice pitch in the pupil and wavelength, m.
-    distance : ndarray, (2, 2), or None
-        Effective distance from wall to pupil, m, see `spreading_matrix`; None for geometric
-        propagation.
-    """
-
+    # (n, n//2 + 1); Square root of the discrete power spectrum of the heights, in units of
+    # height_rms.
     heights: Array
-    phase_rms: float
+    phase_rms: float  # Rms phase s, rad
+    # Lattice pitch in the pupil and wavelength, m.
     pitch: float
     wavelength: float
-    distance: Array | None
+    distance: Array  # (2, 2); Effective distance from wall to pupil, m, see `spreading_matrix`
 
     @property
     def size(self) -> int:
@@ -68,16 +49,14 @@ class Screens:
 
     def draw(self, seed: int) -> Iterator[ComplexArray]:
         """Yield fields (n, n) of independent random walls at the pupil points, of mean power 1."""
-        random = generator(seed, SCREENS)
+        random = generator(seed, 403)  # stream of rough walls
         n = self.size
         while True:
             waves = ducc0.fft.r2c(random.standard_normal((n, n)), nthreads=1)
             waves *= self.heights
             heights = ducc0.fft.c2r(waves, lastsize=n, forward=False, inorm=2, nthreads=1)
             field = phase_field(heights, self.phase_rms)
-            if self.distance is not None:
-                propagated(field, self.distance, self.pitch, self.wavelength)
-            yield field
+            yield propagated(field, self.distance, self.pitch, self.wavelength)
 
 
 def phase_field(phase: Array, factor: float = 1.0) -> ComplexArray:
@@ -95,15 +74,6 @@ def propagated(
     """Return a periodic field (n, n) after propagation to the pupil, computed in place.
 
     A component of frequency q is delayed by ``pi lambda q^T d q``.
-
-    Parameters
-    ----------
-    field : ndarray of complex, (n, n)
-        Field at lattice points, rows v.
-    distance : ndarray, (2, 2)
-        Effective distance d in pupil coordinates, m, see `spreading_matrix`.
-    pitch, wavelength : float
-        Lattice pitch in the pupil and wavelength, m.
     """
     from ..wave import _wave_kernels
 
@@ -122,11 +92,12 @@ def stride(view: RoughView, pitch: float) -> int:
     """
     cells = math.floor(min(widest_pitch(view) / (DENSER * pitch), 1e9))
     while cells >= LEAST_STRIDE:
-        steps = _steps(_torus(view, 0, cells * pitch, 0.0, NOTHING)) * cells * pitch
+        # cut the torus where C is 1e-12; a step of 1e-6 would add to the spectrum
+        steps = _steps(_torus(view, 0, cells * pitch, 0.0, 1e-12)) * cells * pitch
         light = view.diffuse_transfer(view.lags(steps, steps[:, None]))
         waves = np.abs(ducc0.fft.c2c(light.astype(np.complex128), nthreads=1))
         outer = np.abs(np.fft.fftfreq(steps.size)) > 0.45
-        if waves[outer].sum() + waves[:, outer].sum() <= BEYOND * waves.sum():
+        if waves[outer].sum() + waves[:, outer].sum() <= 1e-9 * waves.sum():
             return cells
         cells //= 2
     return 1
@@ -206,33 +177,6 @@ def throw(view: RoughView, halo_angle: float) -> float:
 def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach: float) -> Screens:
     """Prepare screens that cover ``cells`` lattice points per side.
 
-    Parameters
-    ----------
-    view : RoughView
-        View of the roughness.
-    cells : int
-        Lattice points per side that will be used.
-    pitch : float
-        Lattice pitch in the pupil, m.
-    wavelength : float
-        m.
-    reach : float
-        Margin of the screen on every side, from `throw`, m; 0 for geometric propagation, in which
-        the pupil has the phase of the wall.
-
-    Returns
-    -------
-    Screens
-
-    Raises
-    ------
-    SceneError
-        If no surface has the autocorrelation, or it does not fall to 0.
-    MemoryLimitError
-        If the screen would not fit into memory.
-
-    Notes
-    -----
     Heights are white noise filtered by the square root of the spectrum of C(M d) on a torus. The
     torus is large enough for the field's correlation to be exact over the pupil's width.
     Propagation to the pupil is a convolution with ``exp(i k w^T d_eff^-1 w/2)`` on the wall. It
@@ -248,20 +192,19 @@ def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach:
     if n % 2 == 0:
         twice[-1] = 1.0
     missing = -float(np.sum(np.minimum(spectrum, 0.0) * twice)) / n**2
-    if missing > NEGATIVE:
+    if missing > 2e-3:
         raise SceneError(
             f"roughness.autocorrelation implies negative power, {missing:.2g} of the variance, "
-            f"limit {NEGATIVE:g}, which no surface has; smooth the measured C"
+            f"limit {2e-3:g}, which no surface has; smooth the measured C"
         )
     positive = np.maximum(spectrum, 0.0)
     positive /= float(np.sum(positive * twice)) / n**2  # restores the variance
-    distance = spreading_matrix(view) if reach > 0 else None
-    return Screens(np.sqrt(positive), view.rayleigh_parameter, pitch, wavelength, distance)
+    return Screens(
+        np.sqrt(positive), view.rayleigh_parameter, pitch, wavelength, spreading_matrix(view)
+    )
 
 
-def _torus(
-    view: RoughView, cells: int, pitch: float, reach: float, level: float = INDEPENDENT
-) -> int:
+def _torus(view: RoughView, cells: int, pitch: float, reach: float, level: float = 1e-6) -> int:
     """Return the lattice points per side of the periodic screen.
 
     The period includes the margin ``reach``, m, and the lag at which C falls to ``level``.

@@ -24,16 +24,8 @@ ComplexArray = NDArray[np.complex128]
 Relief = FacetWall | GaussianWall | HeightMapWall
 RELIEFS: Final = (FacetWall, GaussianWall, HeightMapWall)
 
-#: Steepest slope whose light is followed, and that the lattice resolves, in rms slopes per axis.
-STEEPEST, RESOLVED = 5.0, 6.0
-#: Fresnel zones, sqrt(lambda d_eff), added to the patch on each side.
-ZONES: Final = 6.0
-#: Width of the band in which the heights fall to 0, in scales of the heights.
-BAND: Final = 6.0
-#: Least number of lattice points per scale of smooth heights.
-SMOOTH: Final = 6.0
-#: Least number of lattice points across a facet; the spectrum of its creases falls slowly.
-CREASE: Final = 16.0
+#: Steepest slope whose light is followed, in rms slopes per axis.
+STEEPEST = 5.0
 #: Memory of the screen per lattice point, bytes: heights, coordinates, field and its transform.
 SCREEN_BYTES: Final = 72.0
 
@@ -95,48 +87,28 @@ class ReliefView(RoughView):
         if turn == 0:
             return math.inf
         across = float(np.linalg.norm(self.footprint, 2))
-        finest = self.length / (SMOOTH * across)
+        finest = self.length / (6 * across)
         if isinstance(relief, FacetWall):
-            finest = relief.cell / (CREASE * across)
+            # the spectrum of creases falls slowly
+            finest = relief.cell / (16 * across)
         elif isinstance(relief, HeightMapWall):
             finest = relief.pitch / across
-        return min(wavelength / (2 * RESOLVED * turn), finest)
+        return min(wavelength / (12 * turn), finest)
 
 
 @dataclass(frozen=True, eq=False)
 class ReliefScreen:
-    """Phase screen of one wall on a periodic lattice of pupil points.
+    """Phase screen of one wall on a periodic lattice of pupil points."""
 
-    Parameters
-    ----------
-    view : ReliefView
-        View of the wall.
-    size : int
-        Lattice points per side, one period.
-    cells : int
-        Lattice points per side that are used; they are the first ones of the lattice.
-    margin : int
-        Points on each side of these with the wall's full heights. Beyond them the heights fall
-        smoothly to 0, so that the period has no edge.
-    pitch : float
-        Lattice pitch in the pupil, m.
-    wavelength : float
-        m.
-    centre : float
-        Lattice coordinate of the pupil's axis.
-    propagates : bool
-        Whether the field is propagated to the pupil by the Fresnel integral. If not, the pupil has
-        the phase of the wall.
-    """
-
-    view: ReliefView
-    size: int
-    cells: int
+    view: ReliefView  # View of the wall
+    size: int  # Lattice points per side, one period
+    cells: int  # Lattice points per side that are used; they are the first ones of the lattice
+    # Points on each side of these with the wall's full heights. Beyond them the heights fall
+    # smoothly to 0, so that the period has no edge.
     margin: int
-    pitch: float
-    wavelength: float
-    centre: float
-    propagates: bool
+    pitch: float  # Lattice pitch in the pupil, m
+    wavelength: float  # m
+    centre: float  # Lattice coordinate of the pupil's axis
 
     def heights(self) -> Array:
         """Return the wall's heights (size, size), m, in the order of the lattice."""
@@ -165,8 +137,6 @@ class ReliefScreen:
         """Return the complex field (size, size) at the pupil points, 1 for a smooth wall."""
         per_metre = self.view.rayleigh_parameter / self.view.roughness.height_rms
         field = phase_field(self.heights(), per_metre)
-        if not self.propagates:
-            return field
         return propagated(field, spreading_matrix(self.view), self.pitch, self.wavelength)
 
     def draw(self, seed: int | None = None) -> Iterator[ComplexArray]:
@@ -188,43 +158,21 @@ def relief_screen(
     pitch: float,
     wavelength: float,
     centre: float,
-    propagates: bool,
 ) -> ReliefScreen:
     """Prepare the phase screen of one wall over ``cells`` lattice points per side.
 
-    Parameters
-    ----------
-    view : ReliefView
-        View of the wall.
-    cells : int
-        Lattice points per side that are used.
-    pitch : float
-        Lattice pitch in the pupil, m; at most `ReliefView.widest_pitch`.
-    wavelength : float
-        m.
-    centre : float
-        Lattice coordinate of the pupil's axis.
-    propagates : bool
-        Whether to propagate the field from wall to pupil.
-
-    Returns
-    -------
-    ReliefScreen
-
-    Raises
-    ------
-    MemoryLimitError
-        If the screen would not fit into memory.
+    ``pitch``, m, is at most `ReliefView.widest_pitch`, and ``centre`` is the lattice coordinate of
+    the pupil's axis.
     """
-    margin, band = margins(view, pitch, wavelength) if propagates else (0, 0)
+    margin, band = margins(view, pitch, wavelength)
     least = cells + 2 * (margin + band)
     fits_memory(
         f"a phase screen of {least} x {least} cells of {pitch:.3g} m in the pupil",
         SCREEN_BYTES * float(least) ** 2,
         "use a smaller slope_rms, or realisation = 'mean', which needs no screen",
     )
-    size = int(ducc0.fft.good_size(least)) if propagates else cells
-    return ReliefScreen(view, size, cells, margin, pitch, wavelength, centre, propagates)
+    size = int(ducc0.fft.good_size(least))
+    return ReliefScreen(view, size, cells, margin, pitch, wavelength, centre)
 
 
 def margins(view: ReliefView, pitch: float, wavelength: float) -> tuple[int, int]:
@@ -237,8 +185,8 @@ def margins(view: ReliefView, pitch: float, wavelength: float) -> tuple[int, int
     wide = float(np.linalg.norm(spread, 2))
     back = np.linalg.inv(view.footprint)
     # a slope of the wave in the pupil shifts its origin by spread times that slope
-    far = wide * STEEPEST * view.turn(wavelength) + ZONES * math.sqrt(wavelength * wide)
-    band = BAND * view.length * float(np.linalg.norm(back, 2))
+    far = wide * STEEPEST * view.turn(wavelength) + 6 * math.sqrt(wavelength * wide)
+    band = 6 * view.length * float(np.linalg.norm(back, 2))
     return math.ceil(far / pitch), math.ceil(max(band / pitch, 16))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,33 +16,17 @@ from .relief import STEEPEST, ReliefView
 
 Array = NDArray[np.float64]
 
-#: Rays through the pupil, about; the error by their number is then some thousandths of the peak.
-RAYS: Final = 2**21
-#: Points per side of the table of the smooth wave's slopes.
-TABLE: Final = 257
-#: Most rays that are started. Of a very rough wall only few reach the pupil.
-MOST_RAYS: Final = 2**24
-
 
 def ray_counts(view: ReliefView, radius: float, wavelength: float) -> tuple[int, Array]:
-    """Return the rays per side of the lattice on the wall, and its half widths, (2,), m.
-
-    Parameters
-    ----------
-    view : ReliefView
-        View of the relief.
-    radius : float
-        Pupil radius, m.
-    wavelength : float
-        m.
-    """
+    """Return the rays per side of the lattice on the wall, and its half widths, (2,), m."""
     assert view.effective_distance is not None
     seen = np.linalg.norm(view.footprint, axis=1) * radius
     cosines = view.cos_sum(wavelength)
     throw = STEEPEST * cosines * view.roughness.slope_rms
     half = seen + throw * np.linalg.norm(view.effective_distance, axis=1)
     share = float(np.prod(seen / half))
-    return math.isqrt(min(MOST_RAYS, math.ceil(RAYS / share))), half
+    # some thousandths of the peak
+    return math.isqrt(min(2**24, math.ceil(2**21 / share))), half
 
 
 def neglected_diffraction(view: ReliefView, wave: Wavefront, pitch: float) -> float:
@@ -59,25 +42,6 @@ def neglected_diffraction(view: ReliefView, wave: Wavefront, pitch: float) -> fl
 def ray_image(residual: Residual, view: ReliefView, window: Window) -> tuple[Array, float]:
     """Return the energy per pixel, relative to the smooth wall's energy, and the expected error.
 
-    Parameters
-    ----------
-    residual : Residual
-        Wave of the smooth wall, at polar nodes.
-    view : ReliefView
-        View of the relief from the wave's pupil.
-    window : Window
-        Pixels.
-
-    Returns
-    -------
-    energy : ndarray, (ny, nx)
-        Fraction of the smooth wall's energy in each pixel.
-    error : float
-        Expected error relative to the peak: diffraction at the facets compared with the pixel, and
-        the number of rays per pixel.
-
-    Notes
-    -----
     A ray of the wall point x with the slope s of the relief meets the pupil at
     ``p = M^-1 [x - (cos_i + cos_o) d_eff s]`` and the image at
     ``d_i [grad W(p) - (cos_i + cos_o) M^T s]``. The wall is lit evenly; diffraction is neglected.
@@ -120,7 +84,7 @@ def _smooth_slopes(residual: Residual) -> Callable[[Array], Array]:
     if residual.is_flat:
         return np.zeros_like
     radius = residual.wavefront.pupil_radius
-    axis = np.linspace(-1.0, 1.0, TABLE) * radius
+    axis = np.linspace(-1.0, 1.0, 257) * radius
     u, v = np.meshgrid(axis, axis)
     path, _ = values_at(residual.polar_series[0], None, u, v, 1e-12)
     tables: list[Array] = [np.asarray(part) for part in np.gradient(path, axis[1] - axis[0])]
@@ -128,7 +92,7 @@ def _smooth_slopes(residual: Residual) -> Callable[[Array], Array]:
     def at(points: Array) -> Array:
         from scipy import ndimage
 
-        place = (points[:, ::-1].T / radius + 1) * (TABLE - 1) / 2
+        place = (points[:, ::-1].T / radius + 1) * (257 - 1) / 2
         dv, du = (ndimage.map_coordinates(t, place, order=1, mode="nearest") for t in tables)
         return np.stack([du, dv], axis=1)
 

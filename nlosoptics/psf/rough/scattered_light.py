@@ -24,23 +24,16 @@ from .view import RoughView
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-#: Relative value below which the diffuse transfer function is cut off.
-CUT: Final = 1e-13
 #: First and largest refinement of the nodes relative to the rule of thumb, made for small errors.
 FIRST: Final = 0.7
-FINEST: Final = 7.0
 #: Relative accuracy of the non-uniform transform.
 EPSILON: Final = 1e-12
-#: Least number of fine pixels from the centre of the inner window to its edge.
-PARTS: Final = 4
 #: Largest side of the inner window relative to the window's, for which it is used.
 WORTH: Final = 0.5
 #: Distance from rays and halo, Airy units, beyond which the diffraction tail falls as 1/r^3.
 FAR: Final = 20.0
 #: Memory per node and per pixel of the window during the sum, bytes.
 NODE_BYTES, PIXEL_BYTES = 250.0, 160.0
-#: Length of the first run of nodes, in correlation lengths; further runs grow by a factor of 4.
-FIRST_RUN: Final = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,50 +42,28 @@ class Separations:
 
     The halo is the Fourier transform of an optical transfer function over these distances. Each
     distance (a vector) stands for itself and its opposite.
-
-    Parameters
-    ----------
-    du, dv : ndarray, (n_lags, n_directions)
-        Components of the distances along u and v, m.
-    coord : ndarray, (n_lags n_directions, 2)
-        Phase step from one image sample to the next, along y and x, rad.
-    factor : ndarray of complex, (n_lags, n_directions)
-        Weight of the distance in the sum, without the transfer function of the smooth wave.
     """
 
+    # (n_lags, n_directions); Components of the distances along u and v, m.
     du: Array
     dv: Array
+    # (n_lags n_directions, 2); Phase step from one image sample to the next, along y and x, rad.
     coord: Array
+    # (n_lags, n_directions); Weight of the distance in the sum, without the transfer function of
+    # the smooth wave.
     factor: ComplexArray
 
 
 @dataclass(frozen=True, eq=False)
 class Halo:
-    """Computation of the halo that roughness scatters, by a sum over distances in the pupil.
+    """Computation of the halo that roughness scatters, by a sum over distances in the pupil."""
 
-    Parameters
-    ----------
-    residual : Residual
-        Wave of the smooth wall, without piston and tilt.
-    view : RoughView
-        Statistics and geometry of the roughness.
-    window : Window
-        Image samples or pixels.
-    pixel_integrated : bool
-        Whether to integrate over pixels instead of sampling at their centres.
-    edge : float
-        Distance between pupil points beyond which the transfer function of the smooth wave is 0, m.
-    spread : float
-        Radius in the image of the light before it is scattered, m, if it is large, as for a speckle
-        pattern; 0 otherwise.
-    """
-
-    residual: Residual
-    view: RoughView
-    window: Window
-    pixel_integrated: bool
+    residual: Residual  # Wave of the smooth wall, without piston and tilt
+    view: RoughView  # Statistics and geometry of the roughness
+    window: Window  # Image samples or pixels
+    pixel_integrated: bool  # Whether to integrate over pixels instead of sampling at their centres
+    # Distance between pupil points beyond which the transfer function of the smooth wave is 0, m.
     edge: float
-    spread: float = 0.0
 
     @property
     def per_metre(self) -> float:
@@ -108,7 +79,7 @@ class Halo:
         x, y = self.window.reach_from(self.residual.shift)
         out_u, out_v, last_lag = self._outermost(math.pi * np.arange(64) / 64)
         last = float(np.hypot(out_u, out_v).max())
-        v = abs(self.per_metre) * (math.hypot(x, y) + self.spread) * last
+        v = abs(self.per_metre) * math.hypot(x, y) * last
         n_directions = math.ceil(fineness * math.ceil((v + 12 * v ** (1 / 3) + 48) / 2))
         edges = self._runs(float(last_lag.max()))
         runs = [
@@ -163,46 +134,23 @@ class Halo:
         at: Callable[[Array, Array], ComplexArray],
         coherent: Array,
         tol: float,
-        fineness: float = FIRST,
-    ) -> tuple[Array, Separations, ComplexArray, float]:
+    ) -> tuple[Array, Separations, float]:
         """Compute the scattered intensity with nodes refined until it has converged.
 
         The number of nodes per direction grows by 1.5 until the change is below a tenth of ``tol``
-        times the peak, or up to `FINEST`.
-
-        Parameters
-        ----------
-        at : callable
-            Transfer function of the smooth wave at separations (du, dv), m.
-        coherent : ndarray, (ny, nx)
-            Coherent part, added to the scattered part for the peak.
-        tol : float
-            Wanted error relative to the peak.
-        fineness : float
-            First number of nodes relative to the rule of thumb.
-
-        Returns
-        -------
-        light : ndarray, (ny, nx)
-            Scattered intensity, energy per sample.
-        nodes : Separations
-            Nodes used last.
-        smooth : ndarray of complex
-            Transfer function at these nodes.
-        missed : float
-            Estimated error due to the nodes, energy per sample.
+        times the peak of it and ``coherent``, or they are 7 times as many as the rule of thumb.
         """
+        fineness = FIRST
         nodes = self.separations(0.7 * fineness)
         coarse = self.image(nodes, at(nodes.du, nodes.dv))
         while True:
             nodes = self.separations(fineness)
-            smooth = at(nodes.du, nodes.dv)
-            fine = self.image(nodes, smooth)
+            fine = self.image(nodes, at(nodes.du, nodes.dv))
             # the error of the coarser nodes bounds that of the finer ones
             missed = float(np.abs(fine - coarse).max())
             enough = missed <= 0.1 * tol * float(np.max(coherent + fine))
-            if enough or 1.5 * fineness > FINEST:
-                return fine, nodes, smooth, missed
+            if enough or 1.5 * fineness > 7:
+                return fine, nodes, missed
             coarse = fine
             fineness *= 1.5
 
@@ -232,13 +180,14 @@ class Halo:
         """
         units = np.stack([np.cos(directions), np.sin(directions)])
         back = np.linalg.solve(self.view.footprint, units)
-        last = np.minimum(self.view.last_lag(CUT), self.edge / np.hypot(*back))
+        last = np.minimum(self.view.last_lag(1e-13), self.edge / np.hypot(*back))
         return last * back[0], last * back[1], last
 
     def _runs(self, last: float) -> list[float]:
         """Return the lags, m, that bound the runs of nodes; several runs if C has a long tail."""
         length = self.view.length
-        edges, end = [0.0], FIRST_RUN / 2 * length
+        # 8 correlation lengths first, then longer by a factor of 4
+        edges, end = [0.0], 8 / 2 * length
         while 2 * end < last:
             edges.append(end)
             end *= 4
@@ -255,30 +204,6 @@ def scattered_light(
 ) -> tuple[Array, float]:
     """Compute the halo of a rough wall, that is the mean intensity of the scattered light.
 
-    Parameters
-    ----------
-    residual : Residual
-        Wave of the smooth wall, without piston and tilt.
-    view : RoughView
-        Statistics and geometry of the roughness.
-    window : Window
-        Image samples or pixels.
-    pixel_integrated : bool
-        Whether to integrate over pixels instead of sampling at their centres.
-    coherent : ndarray, (ny, nx)
-        Light that is not scattered (the core), on the same samples, in the unit of the result.
-    tol : float
-        Largest permitted error relative to the peak of core and halo together.
-
-    Returns
-    -------
-    light : ndarray, (ny, nx)
-        Scattered energy per sample; the whole image, core and halo, has the energy 1.
-    error : float
-        Estimated largest error of ``light``, energy per sample.
-
-    Notes
-    -----
     If the halo is much narrower than a pixel, it is computed on fine samples in a small square
     around the centre only. The energy outside this square is distributed over the pixels as
     ``1/r^3``, with r the distance from the centre, as diffraction at the rim does. Missing energy
@@ -333,7 +258,7 @@ def _with_cells(
             if found[1] <= 0.5 * tol * float(np.max(coherent + found[0])):
                 return found
     halo = Halo(residual, view, window, pixel_integrated, smooth.reach)
-    light, nodes, _, missed = halo.converged(smooth.at, coherent, tol)
+    light, nodes, missed = halo.converged(smooth.at, coherent, tol)
     return light, missed + _transfer_error(halo, nodes, light, smooth, cells)
 
 
@@ -363,7 +288,7 @@ def inner_window(window: Window, half: float) -> tuple[Window, int]:
 
     ``half`` is half the side of the new window, m.
     """
-    parts = max(1, math.ceil(PARTS * window.pitch / half)) | 1
+    parts = max(1, math.ceil(4 * window.pitch / half)) | 1
     n = 2 * math.ceil(half * parts / window.pitch) + 1
     return Window.centred(window.pitch / parts, (n, n)), parts
 
@@ -384,7 +309,7 @@ def _about_the_light(
     """
     inner, parts = inner_window(window, half)
     halo = Halo(residual, view, inner, True, smooth.reach)
-    light, nodes, _, missed = halo.converged(smooth.at, np.zeros(inner.shape), tol / 10)
+    light, nodes, missed = halo.converged(smooth.at, np.zeros(inner.shape), tol / 10)
     error = min(parts, inner.shape[0]) * (
         missed + _transfer_error(halo, nodes, light, smooth, cells)
     )

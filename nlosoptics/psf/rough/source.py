@@ -28,31 +28,17 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True, eq=False)
 class RoughSource:
-    """Wave of a wall without its roughness, with the statistics and geometry of the roughness.
+    """Wave of a wall without its roughness, with the statistics and geometry of the roughness."""
 
-    Parameters
-    ----------
-    residual : Residual
-        Wave of the smooth wall, without piston and tilt; for a scene with the default sampling.
-    view : RoughView
-        Statistics of the roughness, and the geometry by which the pupil sees it.
-    seen : PointOptics or None
-        Store of the scene's wave, from which more samples can be had; None if a wavefront was
-        given.
-    """
-
+    # Wave of the smooth wall, without piston and tilt; for a scene with the default sampling.
     residual: Residual
-    view: RoughView
+    view: RoughView  # Statistics of the roughness, and the geometry by which the pupil sees it
+    # Store of the scene's wave, from which more samples can be had; None if a wavefront was
+    # given.
     seen: PointOptics | None = None
 
     def refined(self, use: Callable[[Residual], Found]) -> Found:
-        """Apply a function to the wave; for a scene, repeat it with more samples until it succeeds.
-
-        Parameters
-        ----------
-        use : callable
-            Function of a `Residual` that raises `SamplingError` if the wave has too few samples.
-        """
+        """Apply a function to the wave; for a scene, repeat it with more samples as needed."""
         if self.seen is None:
             return use(self.residual)
         return self.seen.refined(lambda aimed: use(aimed.residual))[1]
@@ -67,29 +53,7 @@ def rough_source(
     *,
     pattern: bool = False,
 ) -> RoughSource:
-    """Return smooth wave and roughness view, from a scene or from a wavefront and its geometry.
-
-    Parameters
-    ----------
-    source : Wavefront, Scene or SceneOptics
-        Wave of the smooth wall, or the scene from which it is computed.
-    roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
-        Statistics of the heights, or the heights of one wall.
-    footprint, cos_sum, effective_distance
-        Geometry of wall and pupil, see `WallView`; with a wavefront only. The chief ray of a
-        wavefront meets the wall at its centre, and steps on the wall are along x and y.
-    pattern : bool
-        Whether a wall stands for its own heights, or else for all walls of its statistics.
-
-    Returns
-    -------
-    RoughSource
-
-    Raises
-    ------
-    SceneError
-        If geometry is missing, given with a scene, or not an invertible matrix.
-    """
+    """Return smooth wave and roughness view, from a scene or from a wavefront and its geometry."""
     given = {
         "footprint": footprint,
         "cos_sum": cos_sum,
@@ -133,23 +97,7 @@ def rough_source(
 def rough_view(
     wave: Wavefront, seen: WallView, roughness: Roughness | Relief, *, pattern: bool = False
 ) -> RoughView:
-    """Return the view of a roughness on a wall from its geometry.
-
-    Parameters
-    ----------
-    wave : Wavefront
-        Wave of the smooth wall.
-    seen : WallView
-        Geometry of wall and pupil.
-    roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
-        Statistics of the heights, or the heights of one wall.
-    pattern : bool
-        Whether a wall stands for its own heights, or else for all walls of its statistics.
-
-    Returns
-    -------
-    RoughView
-    """
+    """Return the view of a roughness on a wall from its geometry."""
     per_metre = 2 * math.pi / wave.wavelength * seen.cos_sum
     place = seen.point[:2], seen.tangents[:, :2]
     return _view(roughness, seen.footprint, per_metre, seen.effective_distance, pattern, *place)

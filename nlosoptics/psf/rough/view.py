@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -20,53 +20,22 @@ class RoughView:
     """Statistics of a rough wall, with the geometry by which the exit pupil sees it.
 
     It computes how roughness divides the light into a sharp core and a scattered halo.
-
-    Parameters
-    ----------
-    roughness : Roughness
-        Statistics of the wall's heights.
-    footprint : ndarray, (2, 2)
-        Matrix M: two pupil points at the distance (vector) d see wall points at the distance M d.
-    rayleigh_parameter : float
-        Rms phase s that the heights add to the wave, rad.
-    effective_distance : ndarray (2, 2) or None
-        Distance over which wall ripples diffract on their way to the pupil, m, see `WallView`. None
-        if it is not known; the mean over walls does not need it.
     """
 
     #: Time of the transfer function at one separation, s, beyond that of its sum.
     term_seconds: ClassVar[float] = 0.0
 
-    roughness: Roughness
+    roughness: Roughness  # Statistics of the wall's heights
+    # (2, 2); Matrix M: two pupil points at the distance (vector) d see wall points at the
+    # distance M d.
     footprint: Array
-    rayleigh_parameter: float
+    rayleigh_parameter: float  # Rms phase s that the heights add to the wave, rad
+    # (2, 2); Distance over which wall ripples diffract on their way to the pupil, m, see
+    # `WallView`. None if it is not known; the mean over walls does not need it.
     effective_distance: Array | None = None
 
-    def of(self, part: Roughness) -> RoughView:
-        """Return the view of a part of the heights, such as one of `Roughness.split`.
-
-        Parameters
-        ----------
-        part : Roughness
-            Statistics of the part.
-        """
-        whole = self.roughness.height_rms
-        share = part.height_rms / whole if whole > 0 else 0.0
-        return replace(self, roughness=part, rayleigh_parameter=share * self.rayleigh_parameter)
-
     def lags(self, du: Array, dv: Array) -> Array:
-        """Return the distances on the wall that belong to distances in the exit pupil.
-
-        Parameters
-        ----------
-        du, dv : ndarray
-            Components along u and v of distances between pupil points, m, of the same shape.
-
-        Returns
-        -------
-        ndarray
-            Distances between the wall points that they see, m, in the same shape.
-        """
+        """Return the distances on the wall, m, for distances (du, dv) in the pupil, m."""
         m = self.footprint
         along, across = (m[i, 0] * du + m[i, 1] * dv for i in (0, 1))
         return np.asarray(np.hypot(along, across))
@@ -92,32 +61,16 @@ class RoughView:
         return -math.expm1(-(self.rayleigh_parameter**2))
 
     def scattered_transfer(self, du: Array, dv: Array) -> Array:
-        """Return the factor on the optical transfer function that yields the halo.
+        """Return the factor on the optical transfer function that yields the halo, 0 to 1.
 
-        Parameters
-        ----------
-        du, dv : ndarray
-            Components along u and v of distances between pupil points, m, of the same shape.
-
-        Returns
-        -------
-        ndarray
-            Factor, 0 to 1, in the same shape.
+        ``du`` and ``dv`` are the components of distances between pupil points, m.
         """
         return self.diffuse_transfer(self.lags(du, dv))
 
     def diffuse_transfer(self, lag: Array) -> Array:
-        """Return the factor on the optical transfer function that yields the halo, from wall lags.
+        """Return `scattered_transfer` at distances between wall points, m, of any shape.
 
-        Parameters
-        ----------
-        lag : ndarray
-            Distances between wall points, m, of any shape.
-
-        Returns
-        -------
-        ndarray
-            ``exp(-s^2 [1 - C(lag)]) - exp(-s^2)``, with the autocorrelation C of the heights.
+        It is ``exp(-s^2 [1 - C(lag)]) - exp(-s^2)``, with the autocorrelation C of the heights.
         """
         square = self.rayleigh_parameter**2
         if square < 1:
@@ -128,17 +81,9 @@ class RoughView:
         return np.exp(-square * self.roughness.structure(lag)) - math.exp(-square)
 
     def last_lag(self, cut: float) -> float:
-        """Return the distance on the wall beyond which `diffuse_transfer` is negligible.
+        """Return the distance on the wall, m, beyond which `diffuse_transfer` is negligible.
 
-        Parameters
-        ----------
-        cut : float
-            Negligible value relative to that at lag 0, above 0 and below 1.
-
-        Returns
-        -------
-        float
-            Distance between wall points, m.
+        ``cut`` is the negligible value relative to that at lag 0, above 0 and below 1.
         """
         square = self.rayleigh_parameter**2
         if square > 500:  # exp would overflow
@@ -152,11 +97,6 @@ class RoughView:
 
         The Gaussian is the one whose transfer function falls to 1/e at the same distance. The halo
         of a wall with an exponential autocorrelation extends farther.
-
-        Parameters
-        ----------
-        wave : Wavefront
-            Wave of the smooth wall, which gives wavelength and image distance.
         """
         if self.rayleigh_parameter == 0:
             return 0.0

@@ -59,7 +59,6 @@ def widened(
     See Also
     --------
     scene_point_spread : Wave and PSF of a scene.
-    point_spread_field : PSFs over the hidden object.
     nlosoptics.imaging.form_image : Image in electrons, with noise.
     """
     in_range("tol", tol, 0.0, 1.0, open_low=True)
@@ -79,36 +78,10 @@ def widened(
 def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
     """Enlarge a point spread function to more pixels by a model of its outer part.
 
-    Parameters
-    ----------
-    point_spread : PointSpread
-        Energy per pixel, ``"unit-sum"``, of a wave without scattering by a rough wall.
-    side : int
-        Side of the new window, pixels; at least that of the old one.
-
-    Returns
-    -------
-    PointSpread
-        Unchanged within the old window. Outside it, the energy missing from 1 is distributed as
-        ``1/r^3``.
-
-    Raises
-    ------
-    SceneError
-        If the point spread includes scattered light, which has no such tail.
-    SamplingError
-        If the window is narrower, or the normalisation is not ``"unit-sum"``.
-    MemoryLimitError
-        If the window would not fit into memory.
-
-    Notes
-    -----
     Far outside the rays, a sharp rim yields ``lambda N/(pi^3 r^3)`` per area, averaged over the
     rings and for any aberration [1]_. Here the factor follows from the missing energy, so that the
     total is 1.
 
-    References
-    ----------
     .. [1] Born and Wolf, Principles of Optics, 7th ed., sec. 8.5.2.
     """
     if isinstance(point_spread, (RoughPointSpread, HybridPointSpread)):
@@ -129,26 +102,9 @@ def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
 
 
 def field_with_tail(field: PointSpreadField, side: int) -> PointSpreadField:
-    """Enlarge all point spread functions of a field to more pixels by a model of their outer part.
+    """Enlarge all point spreads of a field to ``side`` pixels by a model of their outer part.
 
-    Parameters
-    ----------
-    field : PointSpreadField
-        Energy per pixel.
-    side : int
-        Side of the new window, pixels; at least that of the old one.
-
-    Returns
-    -------
-    PointSpreadField
-        With one more mode, the tail.
-
-    Raises
-    ------
-    SamplingError
-        If the window is narrower.
-    MemoryLimitError
-        If the window would not fit into memory.
+    The result has one more mode, the tail.
     """
     shape = field.modes.shape[1], field.modes.shape[2]
     side = _checked(side, shape)

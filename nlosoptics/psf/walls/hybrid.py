@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,55 +34,32 @@ from ..window.window import Window, check_rays, middle, shape_of, window_side
 from .lobe_psf import ROUGH, lobe_roughness, split_lobes
 
 Array = NDArray[np.float64]
-#: Half side of the halo's window in units of `RoughView.halo`, for a Gaussian C and for any other.
-REACH: Final = 1.5
-WIDE: Final = 6.0
 
 
 @dataclass(frozen=True, eq=False)
 class MirrorImage:
-    """Mirror image of one object point by a wall of reflectance 1.
+    """Mirror image of one object point by a wall of reflectance 1."""
 
-    Parameters
-    ----------
-    aimed : AimedWave
-        Wave and rays of the object point.
-    flux : float
-        Power through the lens from a point that emits 1 W, W.
-    image : (float, float)
-        Position at which the chief ray meets the detector, from the camera's axis, m.
-    """
-
-    aimed: AimedWave
-    flux: float
+    aimed: AimedWave  # Wave and rays of the object point
+    flux: float  # Power through the lens from a point that emits 1 W, W
+    # (float, float); Position at which the chief ray meets the detector, from the camera's axis,
+    # m.
     image: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class WaveParts:
-    """Mirror image computed by waves.
+    """Mirror image computed by waves."""
 
-    Parameters
-    ----------
-    coherent, halo : ndarray, (ny, nx)
-        Parts of the smooth mirror and of scattering by its roughness, W per pixel.
-    error : float
-        Largest error of their sum, W per pixel.
-    coherent_flux, halo_flux : float
-        Power of both parts in the whole image plane, W.
-    reason : str
-        Method, for `PointSpread.reason`.
-    model_error : float
-        Largest error of the scalar model, W per pixel.
-    """
-
+    # (ny, nx); Parts of the smooth mirror and of scattering by its roughness, W per pixel.
     coherent: Array
     halo: Array
-    error: float
+    error: float  # Largest error of their sum, W per pixel
+    # Power of both parts in the whole image plane, W.
     coherent_flux: float
     halo_flux: float
-    reason: str
-    model_error: float = 0.0
+    reason: str  # Method, for `PointSpread.reason`
+    model_error: float = 0.0  # Largest error of the scalar model, W per pixel
 
 
 def image_lobes(
@@ -100,21 +77,7 @@ def image_lobes(
 
 
 def mirror_image(seen: PointOptics, aimed: AimedWave, normal: Array | None) -> MirrorImage:
-    """Compute the flux and the position of an object point's mirror image.
-
-    Parameters
-    ----------
-    seen : PointOptics
-        Optics of the object point.
-    aimed : AimedWave
-        Wave of the object point.
-    normal : ndarray, (3,), or None
-        World, axis of the Lambertian emission of the point; None for isotropic emission.
-
-    Returns
-    -------
-    MirrorImage
-    """
+    """Compute the flux and the position of an object point's mirror image at reflectance 1."""
     scene, wave, rays = seen.scene, aimed.wave, aimed.rays
     lit = wave.weights > 0.0
     light = np.zeros(int(lit.sum()))
@@ -170,32 +133,7 @@ def wave_parts(
     shape: tuple[int, int],
     tol: float,
 ) -> WaveParts:
-    """Compute the coherent part and the halo of a mirror image.
-
-    Parameters
-    ----------
-    seen : PointOptics
-        Optics of the object point.
-    mirror : MirrorImage
-        Mirror image at reflectance 1.
-    smooth, rough
-        Smooth and rough lobes, from `image_lobes`.
-    pitch : float
-        Pixel side, m.
-    shape : (int, int)
-        Pixels (ny, nx).
-    tol : float
-        Largest error relative to the peak.
-
-    Returns
-    -------
-    WaveParts
-
-    Raises
-    ------
-    SamplingError
-        If the window loses rays, or the halo does not reach ``tol``.
-    """
+    """Compute the coherent part and the halo of a mirror image."""
     coherent, halo, error = np.zeros(shape), np.zeros(shape), 0.0
     fluxes = [0.0, 0.0]
     if mirror.flux == 0.0 or (smooth == 0.0 and not rough):
@@ -222,11 +160,12 @@ def wave_parts(
             continue
         named = isinstance(view.roughness.autocorrelation, str)
         gaussian = named and view.roughness.autocorrelation == "gaussian"
-        half = math.ceil((REACH if gaussian else WIDE) * view.halo(wave) / pitch)
+        # in units of `RoughView.halo`, for a Gaussian C and for any other
+        half = math.ceil((1.5 if gaussian else 6) * view.halo(wave) / pitch)
         inner = (min(side + 2 * half, shape[0]), min(side + 2 * half, shape[1]))
         window = Window.centred(pitch, inner)
         sum_over = Halo(residual, view, window, True, smooth_transfer.reach)
-        found, nodes, _, missed = sum_over.converged(smooth_transfer.at, np.zeros(inner), tol)
+        found, nodes, missed = sum_over.converged(smooth_transfer.at, np.zeros(inner), tol)
         missed += float(np.abs(nodes.factor).sum()) * smooth_transfer.error
         missed /= float(found.max())
         if missed > tol:
@@ -250,11 +189,6 @@ def _view(seen: PointOptics, wave: Wavefront, given: Roughness | MirrorLobe) -> 
         per_metre = 2 * math.pi / wave.wavelength * seen.view.cos_sum
         given = lobe_roughness(given, ROUGH, ROUGH / per_metre)
     return rough_view(wave, seen.view, given)
-
-
-NORMALISATIONS: Final = ("unit-sum", "flux")
-#: Bit flipped in the seed for the check, whose rays must be independent of those of the result.
-OTHER: Final = 1 << 63
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -340,12 +274,11 @@ def hybrid_point_spread(
     scene : Scene
         Scene with the wall, its material and the camera.
     object_point : array_like, (3,), optional
-        Object point in world coordinates, m. Default: the hidden object's reference point, that is
-        the centre of a planar object or the centroid of a mesh.
+        As in `scene_point_spread`.
     roughness : Roughness, optional
         Statistics of the wall's heights. They replace ``slope_rms``, the rms slope of the
         microfacets in the mirror-like lobes (parts) of the wall's material. By default this slope
-        blurs the image, as in `lobe_point_spread`.
+        blurs the image, as in `scene_point_spread`.
     emission : {"lambertian", "isotropic"}
         Directions into which the point emits: like a matt surface that faces along the normal of
         the planar hidden object (-z for a mesh), or equally in all directions.
@@ -392,7 +325,6 @@ def hybrid_point_spread(
     See Also
     --------
     scene_point_spread : PSF of the mirror-like reflection only.
-    mean_point_spread : Coherent part and halo of a rough mirror.
 
     Notes
     -----
@@ -407,7 +339,7 @@ def hybrid_point_spread(
     The energies of the parts add. They do not interfere, because light scattered inside the
     material has no fixed phase relation to light reflected at its surface.
     """
-    one_of("normalisation", normalisation, NORMALISATIONS)
+    one_of("normalisation", normalisation, ("unit-sum", "flux"))
     one_of("emission", emission, EMISSIONS)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     whole("n_rays", n_rays, 1, MOST)
@@ -440,7 +372,8 @@ def hybrid_point_spread(
         first = (mirror.image[0] - size[1] // 2 * pitch, mirror.image[1] - size[0] // 2 * pitch)
         traced = run(mirror_image=False, pitch=pitch, shape=size, first=first, seed=seed)
     if check:
-        every = run(shape=(1, 1), seed=seed ^ OTHER)
+        # the rays of the check must be independent of those of the result
+        every = run(shape=(1, 1), seed=seed ^ 1 << 63)
     found = _assembled(mirror, waves, traced, every, pitch, normalisation)
     if progress is not None:
         progress("hybrid", 1.0)

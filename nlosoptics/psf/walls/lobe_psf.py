@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ..._checks import in_range, positive
 from ...scene import MirrorLobe, Scene
 from ..aperture.aperture import Aperture
-from ..pupil.wall_view import WallView, wall_view
+from ..pupil.wall_view import WallView
 from ..rough.mean import detilted_mean
 from ..rough.roughness import Roughness
 from ..rough.source import rough_view
@@ -22,9 +20,9 @@ from ..rough.view import RoughView
 from ..transform.models import Model, check_scalar
 from ..transform.point_spread import PointSpread
 from ..transform.wide_pixels import detilted_wide_spread
-from ..wave.detilted import Residual, split
+from ..wave.detilted import Residual
 from ..wave.wavefront import Wavefront
-from ..window.window import check_rays, middle, shape_of, window_side
+from ..window.window import check_rays, middle, window_side
 
 Array = NDArray[np.float64]
 #: Rms phase s, rad, of the heights that represent a lobe. Its point spread then equals that of the
@@ -35,20 +33,9 @@ ROUGH: Final = 1e3
 def lobe_roughness(lobe: MirrorLobe, rayleigh_parameter: float, height_rms: float) -> Roughness:
     """Return height statistics whose slopes are those of a lobe, in the limit of large heights.
 
-    Parameters
-    ----------
-    lobe : SpecularMicrofacet or Ward
-        Lobe with a slope above 0.
-    rayleigh_parameter : float
-        Rms phase s due to the heights, rad, much larger than 1.
-    height_rms : float
-        Rms height that corresponds to s, m.
-
-    Returns
-    -------
-    Roughness
-        Of Gaussian autocorrelation except for GGX. GGX slopes have the characteristic function
-        x K1(x), x = alpha times the wave number, so that C = 1 + ln(x K1(x))/s^2.
+    ``height_rms``, m, causes the rms phase ``rayleigh_parameter``, rad, much larger than 1. The
+    autocorrelation is Gaussian except for GGX, whose slopes have the characteristic function x
+    K1(x), x = alpha times the wave number, so that C = 1 + ln(x K1(x))/s^2.
     """
     length = math.sqrt(2) * height_rms / lobe.slope_rms
     if getattr(lobe, "distribution", "beckmann") == "beckmann":
@@ -68,17 +55,8 @@ def lobe_roughness(lobe: MirrorLobe, rayleigh_parameter: float, height_rms: floa
 def lobe_transfer(distribution: str, phase_rms: Array) -> Array:
     """Return the transfer function of a lobe in the limit of large heights.
 
-    Parameters
-    ----------
-    distribution : {"beckmann", "ggx"}
-        Distribution of the slopes.
-    phase_rms : ndarray
-        Wavenumber times sum of the cosines times separation on the wall times slope rms, rad.
-
-    Returns
-    -------
-    ndarray
-        Characteristic function of the slopes, of the shape of ``phase_rms``.
+    ``phase_rms`` is the wavenumber times the sum of the cosines, the separation on the wall and the
+    rms slope, rad.
     """
     if distribution == "beckmann":
         return np.asarray(np.exp(-(phase_rms**2) / 2))
@@ -103,21 +81,11 @@ def halo_radius(lobe: MirrorLobe, view: WallView, wave: Wavefront, tol: float) -
 
 @dataclass(frozen=True, eq=False)
 class MirrorLobes:
-    """Mirror-like lobes of a wall and the geometry in which the pupil sees the wall.
+    """Mirror-like lobes of a wall and the geometry in which the pupil sees the wall."""
 
-    Parameters
-    ----------
-    rough : list of MirrorLobe
-        Lobes with a slope.
-    smooth : float
-        Total reflectance of the lobes without slope.
-    view : WallView or None
-        Geometry of wall and pupil; None if no lobe has a slope.
-    """
-
-    rough: list[MirrorLobe]
-    smooth: float
-    view: WallView | None
+    rough: list[MirrorLobe]  # Lobes with a slope
+    smooth: float  # Total reflectance of the lobes without slope
+    view: WallView | None  # Geometry of wall and pupil; None if no lobe has a slope
 
     def window(
         self, residual: Residual, pitch: float, tol: float, outline: Aperture | None = None
@@ -149,29 +117,11 @@ class MirrorLobes:
         tol: float,
         model: Model = "scalar",
     ) -> PointSpread:
-        """Compute the point spread of all lobes, integrated over pixels; see `lobe_point_spread`.
+        """Compute the point spread of all lobes, integrated over pixels, from the smooth wave.
 
-        Parameters
-        ----------
-        residual : Residual
-            Wave of the smooth wall.
-        pitch : float
-            Pixel side, m.
-        shape : (int, int)
-            Pixels (ny, nx).
-        tol : float
-            Largest permitted error, relative to the peak.
-        model : {"scalar", "auto", "high-aperture"}
-            Model of diffraction, see `transform.point_spread`. Slopes blur the scalar one.
-
-        Returns
-        -------
-        PointSpread
-
-        Raises
-        ------
-        SceneError
-            If the high-aperture model is requested for a lobe with a slope.
+        The ``slope_rms`` of a lobe is the rms slope of its microfacets, which represent heights of
+        many wavelengths. A lobe with a slope above 0 is therefore computed as the limit of
+        `mean_point_spread` for large heights. Lobes are weighted by their reflectances.
         """
         if self.view is None:
             return detilted_wide_spread(residual, pitch, shape, tol, model)
@@ -187,111 +137,9 @@ class MirrorLobes:
 
 
 def lobes_of(scene: Scene, view: Callable[[], WallView]) -> MirrorLobes:
-    """Return the mirror-like lobes of a scene's wall.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the wall's material.
-    view : callable
-        Function that returns the `WallView`; called only if a lobe has a slope.
-
-    Returns
-    -------
-    MirrorLobes
-    """
+    """Return the mirror-like lobes of a scene's wall."""
     rough, smooth = split_lobes(scene)
     return MirrorLobes(rough, smooth, view() if rough else None)
-
-
-def lobe_window(
-    scene: Scene,
-    wave: Wavefront,
-    *,
-    object_point: ArrayLike | None = None,
-    tol: float = 1e-3,
-    pitch: float | None = None,
-) -> int:
-    """Return the odd side of a window outside which `lobe_point_spread` is below ``tol``.
-
-    Parameters
-    ----------
-    scene, wave, object_point, pitch
-        See `lobe_point_spread`.
-    tol : float
-        Relative to the peak.
-
-    Returns
-    -------
-    int
-        Pixels per side.
-    """
-    pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
-    in_range("tol", tol, 0.0, 1.0, open_low=True)
-    lobes = lobes_of(scene, partial(wall_view, scene, object_point))
-    return lobes.window(split(wave), pitch, tol)
-
-
-def lobe_point_spread(
-    scene: Scene,
-    wave: Wavefront,
-    *,
-    object_point: ArrayLike | None = None,
-    tol: float = 1e-3,
-    pitch: float | None = None,
-    shape: int | tuple[int, int] | None = None,
-) -> PointSpread:
-    """Compute the point spread of a given wave, blurred by the slopes of the wall's material.
-
-    A lobe is a part of a material's reflection with its own distribution of directions. The wall's
-    mirror-like lobes form the image; the slopes of their microfacets blur it.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the wall's material. A material without mirror-like lobes is treated as a smooth
-        mirror; use `hybrid_point_spread` for its diffuse light.
-    wave : Wavefront
-        Wave of the wall without roughness, as `wavefront` returns it for the same object point.
-    object_point : array_like, (3,), optional
-        Object point of this wave, in world coordinates, m. Default: the hidden object's reference
-        point, that is the centre of a planar object or the centroid of a mesh.
-    tol : float
-        Largest permitted error relative to the peak; above 0, at most 1.
-    pitch : float, optional
-        Pixel side, m; by default that of the camera's image. Values are integrals over pixels.
-    shape : int or (int, int), optional
-        Pixels (ny, nx); one number means a square. By default a square that contains all pixels
-        above ``tol`` times the peak.
-
-    Returns
-    -------
-    PointSpread
-        Energy per pixel; the whole image plane has the energy 1 (normalisation "unit-sum"). Lobes
-        are weighted by their reflectances.
-
-    Raises
-    ------
-    NlosError
-        If `point_spread`, `wall_view` or `mean_point_spread` raises it.
-
-    See Also
-    --------
-    scene_point_spread : Computes the wave as well, with as many samples as ``tol`` requires.
-
-    Notes
-    -----
-    The ``slope_rms`` of a lobe is the rms slope of its microfacets, which represent heights of many
-    wavelengths. A lobe with a slope above 0 is therefore computed as the limit of
-    `mean_point_spread` for large heights. A lobe with the slope 0 gives the point spread of the
-    wave itself.
-    """
-    pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
-    in_range("tol", tol, 0.0, 1.0, open_low=True)
-    lobes = lobes_of(scene, partial(wall_view, scene, object_point))
-    residual = split(wave)
-    size = shape_of(lobes.window(residual, pitch, tol) if shape is None else shape)
-    return lobes.point_spread(residual, pitch, size, tol)
 
 
 def _within(residual: Residual, pitch: float, shape: tuple[int, int], tol: float) -> PointSpread:

@@ -37,19 +37,11 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Regime = Literal["aberration", "diffraction", "mean", "rays"]
 
-#: Seconds per point of the smooth wave in the pupil, and of the lines of a coarser screen that are
-#: interpolated to it.
-PUPIL_SECONDS: Final = 5e-8
-BETWEEN_SECONDS: Final = 6.5e-9
-#: Longest predicted run time of one pattern, s.
-LONGEST: Final = 60.0
 #: Radii (with four times as many angles) or cells per side at which a relief's wave is sampled.
 RELIEF_NODES: Final = {"polar": 48, "grid": 1024}
 #: Most scales of the heights across the wall that the lens sees. Finer roughness scatters to angles
 #: far outside any image.
 MOST_ACROSS: Final = 2000
-#: Expected error of a phase screen, relative to the peak.
-SCREEN_ERROR: Final = 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,8 +62,6 @@ class PupilField(Noun, Shown):
     See Also
     --------
     Wavefront : Sampled wave in the exit pupil.
-    sample_point_spread : PSF of one random rough wall.
-    scene_point_spread : Wave and PSF of a scene.
     """
 
     values: ComplexArray
@@ -106,32 +96,19 @@ class PupilField(Noun, Shown):
 
 @dataclass(frozen=True)
 class RoughChoice:
-    """Regime of the point spread function of a rough wall, with sampling and predicted cost.
+    """Regime of the point spread function of a rough wall, with sampling and predicted cost."""
 
-    Parameters
-    ----------
-    regime : {"aberration", "diffraction", "mean", "rays"}
-        Rays on the relief give the wave aberration; or the field is propagated from the wall to the
-        pupil; or the mean over all walls in closed form; or rays alone.
-    cells : int
-        Samples per side: pupil nodes, phase screen or rays; 0 for the mean.
-    pitch : float
-        Pitch of the phase screen in the pupil, m; 0 otherwise.
-    seconds, n_bytes : float
-        Predicted run time on one core, s, and memory, bytes.
-    error : float
-        Expected error relative to the peak.
-    reason : str
-        Regime, sampling and reason in words.
-    """
-
+    # {"aberration", "diffraction", "mean", "rays"}: Rays on the relief give the wave aberration;
+    # or the field is propagated from the wall to the pupil; or the mean over all walls in closed
+    # form; or rays alone.
     regime: Regime
-    cells: int
-    pitch: float
+    cells: int  # Samples per side: pupil nodes, phase screen or rays; 0 for the mean
+    pitch: float  # Pitch of the phase screen in the pupil, m; 0 otherwise
+    # Predicted run time on one core, s, and memory, bytes.
     seconds: float
     n_bytes: float
-    error: float
-    reason: str
+    error: float  # Expected error relative to the peak
+    reason: str  # Regime, sampling and reason in words
 
 
 def roughness_view(seen: PointOptics, *, pattern: bool | None = None) -> RoughView:
@@ -172,24 +149,6 @@ def rough_choice(
     """Choose how the point spread function of a scene's rough wall is computed.
 
     The optics keep the choice, so that a plan and its run share it.
-
-    Parameters
-    ----------
-    seen : PointOptics
-        Optics of the object point.
-    pitch : float
-        Pixel side, m.
-    shape : (int, int)
-        Pixels (ny, nx).
-    tol : float
-        Largest permitted error, relative to the peak.
-
-    Returns
-    -------
-    RoughChoice
-        The first regime that holds: the mean, if the scene asks for it; the wave aberration, if
-        its expected error is within ``tol``; propagation, if its phase screen fits into the memory
-        and a minute; rays otherwise.
     """
     return seen.once(("rough choice", pitch, shape, tol), lambda: _choice(seen, pitch, shape, tol))
 
@@ -203,7 +162,8 @@ def _choice(seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float)
     if found.error <= tol:
         return found
     screen = _screen(residual, view, pitch, shape)
-    if screen.seconds <= LONGEST and screen.n_bytes <= memory_limit():
+    # a minute
+    if screen.seconds <= 60 and screen.n_bytes <= memory_limit():
         return screen
     return _rays(residual, view, pitch, screen)
 
@@ -277,15 +237,16 @@ def _screen(
     stride = relief_stride(view, step, wave.wavelength)
     size = n // stride + 2 * sum(margins(view, stride * step, wave.wavelength))
     seconds = view.roughness.screen_seconds * float(size) ** 2
-    seconds += costs.map_sums(n, samples) + PUPIL_SECONDS * float(n) ** 2
+    seconds += costs.map_sums(n, samples) + 5e-8 * float(n) ** 2
     if stride > 1:
-        seconds += BETWEEN_SECONDS * stride * size * (float(size) + n)
+        # interpolation from a coarser screen
+        seconds += 6.5e-9 * stride * size * (float(size) + n)
     held = SCREEN_BYTES * float(size) ** 2 + 48.0 * n * (n + max(samples.shape))
     reason = (
         f"this wall's field, propagated from wall to pupil: {_steepness(view)} need a phase screen "
         f"of {size} x {size} points of {1e6 * stride * step:.3g} um in the pupil"
     )
-    return RoughChoice("diffraction", size, stride * step, seconds, held, SCREEN_ERROR, reason)
+    return RoughChoice("diffraction", size, stride * step, seconds, held, 1e-3, reason)
 
 
 def relief_layout(layout: str, view: ReliefView) -> str:
@@ -298,26 +259,9 @@ def rough_image(
 ) -> tuple[AimedWave, PointSpread, PupilField | None]:
     """Compute wave, image and pupil function of an object point seen by a rough wall.
 
-    Parameters
-    ----------
-    seen : PointOptics
-        Optics of the object point.
-    pitch : float
-        Pixel side, m.
-    shape : (int, int)
-        Pixels (ny, nx).
-    tol : float
-        Largest permitted error of the image, relative to its peak.
-
-    Returns
-    -------
-    aimed : AimedWave
-        Wave at the nodes that were used: that of this wall if it is defined, and of the smooth
-        wall otherwise.
-    spread : PointSpread
-        Image, energy per pixel relative to that of the smooth wall.
-    field : PupilField or None
-        Pupil function of this wall, if it was propagated from the wall.
+    The wave is that of this wall if it is defined, or else of the smooth wall. The image is the
+    energy per pixel relative to that of the smooth wall. The pupil function is None unless the
+    field was propagated from the wall.
     """
     choice = rough_choice(seen, pitch, shape, tol)
     if choice.regime == "mean":

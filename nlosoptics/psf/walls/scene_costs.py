@@ -35,28 +35,16 @@ from ..window.window import Window, peak_pixel
 from .lobe_psf import lobes_of
 from .rough_wall import rough_choice, roughness_view
 
-#: Below the tolerance TIGHT the transfer function usually has to be refined once, which multiplies
-#: the cost by AGAIN.
-TIGHT: Final = 2e-5
-AGAIN: Final = 2.5
 #: Memory of Python and numpy besides the arrays, bytes.
 HELD: Final = 4e6
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Predicted cost of a computation.
+    """Predicted cost of a computation."""
 
-    Parameters
-    ----------
-    seconds : float
-        Run time on one core, s.
-    n_bytes : float
-        Peak memory, bytes.
-    """
-
-    seconds: float
-    n_bytes: float
+    seconds: float  # Run time on one core, s
+    n_bytes: float  # Peak memory, bytes
 
 
 def point_cost(
@@ -64,27 +52,8 @@ def point_cost(
 ) -> Cost:
     """Predict the cost of `point_image` without refinement of the pupil nodes.
 
-    Parameters
-    ----------
-    seen : PointOptics
-        Optics of the object point.
-    pitch : float
-        Pixel side, m.
-    shape : (int, int)
-        Pixels (ny, nx).
-    tol : float
-        Largest permitted error of the image, relative to its peak.
-    cells : int
-        Cells across the pupil grid for which the cost is predicted; 0 for the wave's own grid.
-
-    Returns
-    -------
-    Cost
-
-    Raises
-    ------
-    NlosError
-        If the transforms would raise it before they compute anything.
+    ``cells`` is the number of cells across the pupil grid; 0 for the wave's own. Raises `NlosError`
+    if the transforms would raise it before they compute anything.
     """
     residual = seen.first.residual
     if residual.wavefront.layout == "grid":
@@ -109,30 +78,7 @@ def point_cost(
 def smooth_cost(
     residual: Residual, pitch: float, shape: tuple[int, int], tol: float, cells: int = 0
 ) -> Cost:
-    """Predict the cost of `detilted_wide_spread` for a wave split into piston, tilt and residual.
-
-    Parameters
-    ----------
-    residual : Residual
-        Wave without piston and tilt.
-    pitch : float
-        Pixel side, m.
-    shape : (int, int)
-        Pixels (ny, nx).
-    tol : float
-        Largest permitted error, relative to the peak.
-    cells : int
-        Cells across the pupil grid for which the cost is predicted; 0 for the wave's own nodes.
-
-    Returns
-    -------
-    Cost
-
-    Raises
-    ------
-    SamplingError
-        If all transforms are ruled out.
-    """
+    """Predict the cost of `wide_point_spread` for a wave split into piston, tilt and residual."""
     inner = inner_parts(residual, pitch, shape, tol)
     whole = Cost(0.0, 0.0)
     if inner is not None:
@@ -199,34 +145,14 @@ def _scattered_cost(
     )
     seconds += view.term_seconds * sum(nodes)
     n_bytes = max(CELL_BYTES * across**2, NODE_BYTES * nodes[1] + PIXEL_BYTES * points)
-    if tol < TIGHT:
-        seconds, n_bytes = AGAIN * seconds, AGAIN * n_bytes
+    # then the transfer function usually has to be refined once
+    if tol < 2e-5:
+        seconds, n_bytes = 2.5 * seconds, 2.5 * n_bytes
     return Cost(seconds, n_bytes + PIXEL_BYTES * math.prod(window.shape))
 
 
 def grid_samples(residual: Residual, pitch: float, side: int, tol: float) -> tuple[int, ...]:
-    """Return the cell counts across the pupil grids to try, the last of which should suffice.
-
-    Parameters
-    ----------
-    residual : Residual
-        Wave on a grid.
-    pitch : float
-        Pixel side, m.
-    side : int
-        Side of the window, pixels.
-    tol : float
-        Largest permitted error, relative to the peak.
-
-    Returns
-    -------
-    tuple of int
-
-    Raises
-    ------
-    SamplingError
-        If the finest grid would not suffice.
-    """
+    """Return the cell counts across the pupil grids to try, the last of which should suffice."""
     # aberration across the whole pupil at the steepest slope, waves
     jump = residual.grid_jump()[0] * len(residual.wavefront.u)
     reach = side * pitch / 2 + max(map(abs, residual.shift)) + residual.rays.reach

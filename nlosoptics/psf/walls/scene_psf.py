@@ -45,8 +45,6 @@ class ScenePointSpread(Noun):
     See Also
     --------
     scene_point_spread : Wave and PSF of a scene.
-    PointSpread : Sampled PSF with its error estimate.
-    Wavefront : Sampled wave in the exit pupil.
     """
 
     exit_pupil: ExitPupil
@@ -99,7 +97,8 @@ def scene_point_spread(
     ScenePointSpread
         Exit pupil, wave in it, and point spread (ny, nx) in energy per pixel, with the
         normalisation "unit-sum": a smooth wall's whole image plane has the energy 1, whatever its
-        reflectance. The point spread includes the blur by ``slope_rms``.
+        reflectance. The point spread includes the blur by ``slope_rms``; lobes are
+        weighted by their reflectances.
 
     Raises
     ------
@@ -116,8 +115,6 @@ def scene_point_spread(
     See Also
     --------
     point_spread : PSF of a given wave.
-    hybrid_point_spread : PSF that includes diffuse reflection and multiple reflections.
-    point_spread_field : PSFs at all points of a planar object.
 
     Notes
     -----
@@ -177,22 +174,7 @@ def scene_point_spread(
 
 
 def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
-    """Return the odd side of a window outside which a point's image is below ``tol`` of its peak.
-
-    Parameters
-    ----------
-    seen : PointOptics
-        Optics of the object point.
-    pitch : float
-        Pixel side, m.
-    tol : float
-        Relative to the peak.
-
-    Returns
-    -------
-    int
-        Pixels per side.
-    """
+    """Return the odd side, pixels, of a window outside which an image is below ``tol``."""
     if seen.scene.wall_roughness is not None:
         return rough_window(seen, pitch, tol)
     lobes = lobes_of(seen.scene, lambda: seen.view)
@@ -206,28 +188,7 @@ def point_image(
     tol: float,
     model: Model = "scalar",
 ) -> tuple[AimedWave, PointSpread]:
-    """Compute wave and image of an object point, with as many pupil nodes as ``tol`` requires.
-
-    Parameters
-    ----------
-    seen : PointOptics
-        Optics of the object point.
-    pitch : float
-        Pixel side, m.
-    shape : (int, int)
-        Pixels (ny, nx).
-    tol : float
-        Largest permitted error of the image, relative to its peak.
-    model : {"scalar", "auto", "high-aperture"}
-        Model of diffraction for a wall without roughness, see `scene_point_spread`.
-
-    Returns
-    -------
-    aimed : AimedWave
-        Wave at the nodes that were used.
-    spread : PointSpread
-        Image, energy per pixel.
-    """
+    """Compute wave and image of an object point, with as many pupil nodes as ``tol`` requires."""
     if seen.scene.wall_roughness is not None:
         return rough_image(seen, pitch, shape, tol)[:2]
     lobes = lobes_of(seen.scene, lambda: seen.view)

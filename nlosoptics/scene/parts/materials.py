@@ -232,7 +232,7 @@ class SpecularMicrofacet(MirrorLobe):
     --------
     Ward : Glossy lobe of Ward's model.
     SumMaterial : Sum of several lobes.
-    nlosoptics.psf.lobe_point_spread : PSF of the mirror-like lobes.
+    nlosoptics.psf.scene_point_spread : PSF of the mirror-like lobes.
 
     References
     ----------

@@ -1,7 +1,7 @@
 """Pupil maps for prysm and from prysm, and the sign and grid conventions of several tools.
 
 The conventions for a pupil map [row, column] were measured with the tools' own transforms (POPPY
-1.1.2, prysm 0.21.1, HCIPy 0.7.1); tests check the first two. Here a is a slope and d the distance:
+1.1.2, prysm 0.21.1, HCIPy 0.7.1); a test checks prysm's. Here a is a slope and d the distance:
 
 ========  =====================  ===========================  ==============================
 tool      positive OPD means     grid of n samples            W = a u moves the spot to
@@ -47,7 +47,6 @@ class PrysmPupil(NamedTuple):
     See Also
     --------
     to_prysm : Maps of a wave for prysm.
-    from_prysm : Wave from prysm's maps.
     """
 
     amplitude: Array
@@ -83,7 +82,6 @@ def to_prysm(wavefront: Wavefront) -> PrysmPupil:
     See Also
     --------
     from_prysm : Wave from prysm's maps.
-    write_poppy : Write a wave to FITS files for POPPY.
 
     Examples
     --------
@@ -98,9 +96,17 @@ def to_prysm(wavefront: Wavefront) -> PrysmPupil:
     >>> print(pupil.phase.shape, f"{pupil.wavelength:.4f} um, {pupil.dx:.4f} mm")
     (65, 65) 0.6328 um, 0.3846 mm
     """
-    amplitude = cell_amplitude(wavefront)
-    phase = wavefront.aberration * 1e9
-    return PrysmPupil(amplitude, phase, wavefront.wavelength * 1e6, wavefront.pupil_pitch * 1e3)
+    if wavefront.layout != "grid":
+        raise SamplingError(
+            f"wavefront.layout = '{wavefront.layout}' is not a pixel map of the pupil; sample it "
+            "with nodes='grid'"
+        )
+    return PrysmPupil(
+        amplitude=wavefront.amplitude * wavefront.weights / wavefront.pupil_pitch**2,
+        phase=wavefront.aberration * 1e9,
+        wavelength=wavefront.wavelength * 1e6,
+        dx=wavefront.pupil_pitch * 1e3,
+    )
 
 
 def from_prysm(
@@ -137,13 +143,21 @@ def from_prysm(
     See Also
     --------
     to_prysm : Maps of a wave for prysm.
-    read_poppy : Read a wave from POPPY's FITS files.
     """
     if not isinstance(pupil, tuple) or len(pupil) != 4:
         raise SceneError(
             "pupil is not a prysm pupil; give (amplitude, phase in nm, wavelength in um, dx in mm)"
         )
-    amplitude, phase = maps("pupil", pupil[0], pupil[1])
+    for name, array in zip(("amplitude", "phase"), pupil, strict=False):
+        if (kind := np.asarray(array).dtype).kind not in "biuf":
+            raise SceneError(f"pupil: {name} has type {kind}; give real numbers")
+    amplitude, phase = (np.array(array, dtype=np.float64) for array in pupil[:2])
+    if amplitude.shape != phase.shape or phase.ndim != 2 or len(set(phase.shape)) > 1:
+        raise SceneError(
+            f"pupil: amplitude has shape {amplitude.shape} and phase {phase.shape}; give two "
+            "square arrays of the same shape"
+        )
+    phase[(amplitude == 0) & ~np.isfinite(phase)] = 0.0
     return Wavefront.from_map(
         phase / 1e9,
         amplitude,
@@ -152,31 +166,3 @@ def from_prysm(
         image_distance=image_distance,
         pupil_radius=pupil_radius,
     )
-
-
-def cell_amplitude(wavefront: Wavefront) -> Array:
-    """Return amplitudes for whole cells: in rim cells, times the fraction inside the pupil."""
-    if wavefront.layout != "grid":
-        raise SamplingError(
-            f"wavefront.layout = '{wavefront.layout}' is not a pixel map of the pupil; sample it "
-            "with nodes='grid'"
-        )
-    return wavefront.amplitude * wavefront.weights / wavefront.pupil_pitch**2
-
-
-def maps(name: str, amplitude: ArrayLike, path: ArrayLike) -> tuple[Array, Array]:
-    """Check amplitude and path and return them as float64 (n, n); invalid dark paths become 0."""
-    for word, array in (("amplitude", amplitude), ("path", path)):
-        if (kind := np.asarray(array).dtype).kind not in "biuf":
-            raise SceneError(
-                f"{name}: {word} has type {kind}; give real numbers, for a complex pupil its "
-                "modulus and phase"
-            )
-    light, lead = np.array(amplitude, dtype=np.float64), np.array(path, dtype=np.float64)
-    if light.ndim != 2 or light.shape[0] != light.shape[1] or light.shape != lead.shape:
-        raise SceneError(
-            f"{name}: amplitude has shape {light.shape} and path {lead.shape}; give two square "
-            "arrays of the same shape (one slice of a cube)"
-        )
-    lead[(light == 0) & ~np.isfinite(lead)] = 0.0
-    return light, lead
