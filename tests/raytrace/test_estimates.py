@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections import Counter
 from dataclasses import replace
 
@@ -12,7 +11,6 @@ import pytest
 from scipy.stats import skew
 
 from nlosoptics.errors import SceneError
-from nlosoptics.raytrace import trace_lasers, trace_polarised
 from nlosoptics.raytrace.light import trace as tracing
 from nlosoptics.raytrace.light.trace import GROUPS, mean_map, mean_of, skewness_of
 from nlosoptics.scene import Lambert
@@ -129,30 +127,3 @@ def test_a_dark_detector_is_given_up(job):
     with pytest.raises(SceneError, match=f"no light of {tracing.GIVE_UP} rays reached the dete"):
         run(job, 0.0, [], tol=0.1)
     assert run(job, 0.0, [], tol=0.1, n_rays=tracing.GIVE_UP // 2).flux == 0.0
-
-
-def test_crossed_analysers_pass_all_light_between_them():
-    """Any Stokes vector, also of circular light, of which each passes half."""
-    camera = {"pixels": (8, 6), "binning": 1, "pixel_pitch": 5e-3}
-    matt = scene(paint=Lambert(0.5), material=Lambert(0.5), **camera)
-    seen = trace_polarised(replace(matt, occluders=()), n_rays=256)
-    draw = np.random.default_rng(2).random(seen.groups.shape)
-    mixed = replace(seen, groups=draw)
-    whole, _ = mean_map(draw[:, 1, ..., 0] * (256 / GROUPS), 256)
-    for angle in (0.0, 0.3, 1.2):
-        pair = [mixed.through(angle + turn)[0] for turn in (0.0, math.pi / 2)]
-        assert np.add(*pair) == pytest.approx(whole, rel=1e-12)
-    along = mean_map(0.5 * (draw[:, 1] @ [1.0, 1.0, 0.0, 0.0]) * (256 / GROUPS), 256)
-    power, error = mixed.through(0.0)
-    assert power == pytest.approx(along[0], rel=1e-12)
-    assert error**2 == pytest.approx(along[1], rel=1e-9)
-    circular = draw * (np.arange(4) == 3)
-    assert not replace(seen, groups=circular).through(0.4)[0].any()
-
-
-def test_the_time_of_several_lasers_is_shared_by_them():
-    begun = time.perf_counter()
-    one = scene(paint=Lambert(0.5), material=Lambert(0.5))
-    found = trace_lasers(one, [one.laser] * 2, n_rays=64, max_bounces=3)
-    assert 0.0 < found.together.seconds < time.perf_counter() - begun
-    assert [each.seconds for each in found.each] == [found.together.seconds / 2] * 2

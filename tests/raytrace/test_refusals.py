@@ -39,31 +39,19 @@ def mesh(bad):
     return trimesh.Trimesh(tent, [[0, 1, 2], [0, 1, 3]], process=False)
 
 
-def aimed(z):
-    return [replace(SCENE.laser, aim=(0.1, 0.0, z))]
-
-
 PATHS = 64 * (3 + 4) * 26 * 3
 
 TABLE = {
-    "light without colour": (
-        lambda: raytrace.trace_colours(SCENE, [5e-7, 6e-7], n_rays=64, max_bounces=1).ratio(0, 1),
-        "no light of the object was detected at 600 nm, but a ratio needs a power above 0",
-    ),
-    "colours of no scene": (
-        lambda: raytrace.trace_colours("scene.toml", [5e-7]),
+    "image of no scene": (
+        lambda: raytrace.trace_image("scene.toml", wavelengths=[5e-7]),
         "scene is a str; give a Scene, such as Scene.load()",
     ),
     "no wavelengths": (
-        lambda: raytrace.trace_colours(SCENE, []),
+        lambda: raytrace.trace_image(SCENE, wavelengths=[]),
         "wavelengths is []; give a list of wavelengths in m",
     ),
-    "one wavelength": (
-        lambda: raytrace.trace_colours(SCENE, 5e-7),
-        "wavelengths is 5e-07; give a list of wavelengths in m",
-    ),
     "wavelength of nothing": (
-        lambda: raytrace.trace_colours(SCENE, [5e-7, 0.0]),
+        lambda: raytrace.trace_image(SCENE, wavelengths=[5e-7, 0.0]),
         "wavelengths[1]: laser.wavelength = 0",
     ),
     "lens in the wall": (
@@ -77,22 +65,6 @@ TABLE = {
     "mesh of lines": (
         lambda: Facets(trimesh.Trimesh(np.eye(3), [[0, 0, 1]], process=False)),
         "the mesh has no triangle with an area; give a surface mesh",
-    ),
-    "laser aimed into the room": (
-        lambda: raytrace.trace_lasers(SCENE, aimed(0.1), **SHORT),
-        "lasers[0].aim has z = 0.1 m; give a point of the plane z = 0",
-    ),
-    "no lasers": (
-        lambda: raytrace.trace_lasers(SCENE, [], **SHORT),
-        "lasers is []; give a list of at least one Laser",
-    ),
-    "one laser": (
-        lambda: raytrace.trace_lasers(SCENE, SCENE.laser, **SHORT),
-        "give a list of at least one Laser",
-    ),
-    "places of lasers": (
-        lambda: raytrace.trace_lasers(SCENE, [SCENE.laser, (0.0, 0.0)], **SHORT),
-        "lasers[1] is a tuple; give a Laser",
     ),
     "paths to keep": (
         lambda: in_memory(PATHS - 1, lambda: raytrace.trace(SCENE, keep_paths=True, **SHORT)),
@@ -154,7 +126,6 @@ def test_refused_in_one_line(name):
 LAST = {
     "lens above the wall": lambda: lens_at(0.0501),
     "every vertex a number": lambda: Facets(mesh(2.0)),
-    "laser aimed at the wall": lambda: raytrace.trace_lasers(SCENE, aimed(0.0), **SHORT),
     "paths to keep": lambda: in_memory(
         PATHS, lambda: raytrace.trace(SCENE, keep_paths=True, **SHORT)
     ),

@@ -97,10 +97,7 @@ def lens_footprint(wall: Wall, object_point: Array, camera: Camera) -> Footprint
 
 
 def _mirror_box(wall: Wall, o: Array, camera: Camera) -> tuple[Array, Array]:
-    """Return the corners (2,) of a search rectangle in x and y, m.
-
-    It contains the reflection of the point into the lens by the plane z = 0, plus a margin.
-    """
+    """Return the corners (2,) of a search rectangle in x and y, m."""
     angle = 2 * np.pi * np.arange(16) / 16
     across = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ camera.frame[:2]
     rim = np.array(camera.position) + camera.stop_diameter / 2 * across
@@ -122,12 +119,7 @@ def _mirror_box(wall: Wall, o: Array, camera: Camera) -> tuple[Array, Array]:
 
 
 def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -> Array:
-    """Return wall points (n, 3), m, close to those that reflect light of the object into the lens.
-
-    The rectangle from ``low`` to ``high``, (2,), m, is divided into cells, and cells whose
-    reflected light overlaps the lens are subdivided. The points are the corners of the last cells.
-    ``o`` (3,) is the object point, m.
-    """
+    """Return wall points (n, 3), m, close to those that reflect the object into the lens."""
     radius = camera.stop_diameter / 2
     counts = _counts(wall, low, high)
     _fit(float(counts.prod()))
@@ -159,11 +151,7 @@ def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -
 
 
 def _counts(wall: Wall, low: Array, high: Array) -> Array:
-    """Return the number of cells along x and y of a search rectangle, (2,).
-
-    There are at least 8 cells per period of the wall, because coarser corners would miss its waves.
-    ``low`` and ``high`` (2,) are the rectangle's corners, m.
-    """
+    """Return the number of cells along x and y of a search rectangle, (2,)."""
     return np.asarray(np.maximum(CELLS, np.ceil(8 * (high - low) / wall.finest_period)))
 
 
@@ -173,23 +161,7 @@ def _fit(n_cells: float) -> None:
 
 
 def _landings(wall: Wall, o: Array, camera: Camera, places: Array) -> tuple[Array, Array]:
-    """Return wall points and the points where their reflected light meets the lens plane.
-
-    Parameters
-    ----------
-    o : ndarray, (3,)
-        Object point, world frame, m.
-    places : ndarray, (..., 2)
-        Coordinates x and y on the wall, m.
-
-    Returns
-    -------
-    points : ndarray, (..., 3)
-        Wall points, world frame, m.
-    landed : ndarray, (..., 2)
-        Coordinates u and v in the lens plane about the centre of the lens, m; NaN for light that
-        does not reach this plane.
-    """
+    """Return wall points and the points where their reflected light meets the lens plane."""
     surface = surfaces(wall, places[..., 0], places[..., 1])
     points = np.concatenate([places, surface[..., :1]], axis=-1)
     normals = np.stack([-surface[..., 1], -surface[..., 2], np.ones(places.shape[:-1])], axis=-1)

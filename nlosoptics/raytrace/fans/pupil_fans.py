@@ -136,11 +136,7 @@ def _fan(scene: Scene, o: Array, n_rays: int, seed: int) -> tuple[Array, float]:
 
 
 def _lattice(n: int, seed: int) -> Array:
-    """Return the points (n, 2) of a rank-1 lattice in the unit square with a random shift.
-
-    The generator is the integer near n divided by the golden ratio with the largest distance
-    between neighbouring points.
-    """
+    """Return the points (n, 2) of a rank-1 lattice in the unit square with a random shift."""
     near = round(n / ((1 + math.sqrt(5)) / 2))
     best, generator = -1.0, 1
     multiple = np.arange(1, min(n, 4 * math.isqrt(n) + 2))
@@ -159,11 +155,7 @@ def _lattice(n: int, seed: int) -> Array:
 
 
 def _met_again(scene: Scene, starts: Array, directions: Array, reach: Array) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the rays that hit the wall a second time before the lens plane.
-
-    ``starts`` (n, 3) are their reflection points, m, ``directions`` (n, 3) unit vectors after the
-    reflection, and ``reach`` (n,) the distances to the plane of the lens, m.
-    """
+    """Return a mask (n,) of the rays that hit the wall a second time before the lens plane."""
     if scene.wall.is_flat or not len(starts):
         return np.zeros(len(starts), dtype=bool)
     second = intersect(scene.wall, starts, directions)
@@ -179,11 +171,7 @@ def _with_ledger(
     status: NDArray[np.int8],
     solid_angle: float,
 ) -> RayPaths:
-    """Return `RayPaths` with the power balance of an isotropic source of 1 W/sr.
-
-    Each ray carries the same part of ``solid_angle``, sr. Arrays hold one row per ray: points (m),
-    path length (m), number of reflections and status.
-    """
+    """Return `RayPaths` with the power balance of an isotropic source of 1 W/sr."""
     n = len(status)
     counts = np.bincount(status, minlength=len(STATUS))
     share = counts / n

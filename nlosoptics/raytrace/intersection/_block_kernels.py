@@ -157,11 +157,7 @@ def wave_hits(terms, box, w, state):
 
 @njit(cache=True, error_model="numpy")
 def _cells(row, w, cells):
-    """Find the cells of a grid over which the rays of a block are, and their places in these.
-
-    ``cells`` (BLOCK,) receives the numbers of the cells' first nodes. The places U and V, 0 to 1,
-    are beyond these limits for a ray that is off the grid.
-    """
+    """Find the cells of a grid over which the rays of a block are, and their places in these."""
     across, up, nx = 1.0 / row[3], 1.0 / row[4], int(row[5])
     for i in range(BLOCK):
         fx = (w[OX + i] + w[T + i] * w[DX + i] - row[1]) * across
@@ -175,13 +171,7 @@ def _cells(row, w, cells):
 
 @njit(cache=True, error_model="numpy")
 def grid_hits(row, tables, bound, box, slab, w, state):
-    """Fill distance, slopes and status of a block of rays at a bicubic surface by `newton_hit`.
-
-    ``row`` is the wall's only term, and ``bound`` its largest curvature, 1/m. Status -1 marks rays
-    that must be searched one by one instead. ``w`` holds the data of the rays in rows of BLOCK
-    numbers, OX to HY and LOW to the 16 rows from NODES on. These are the values of a ray's cell,
-    fetched again when it passes into another. All other loops vectorise over rays.
-    """
+    """Fill distance, slopes and status of a block of rays at a bicubic surface by `newton_hit`."""
     cells, known = np.empty(BLOCK, dtype=np.int32), np.full(BLOCK, -1, dtype=np.int32)
     step_x, step_y, nx = row[3], row[4], int(row[5])
     channel, offset = nx * int(row[6]), int(row[7])
@@ -261,11 +251,7 @@ def grid_hits(row, tables, bound, box, slab, w, state):
 
 @njit(cache=True)
 def block_hits(terms, tables, grid_bounds, box, slab, w, state):
-    """Fill distance, slopes and status of a block of rays by the method for this kind of wall.
-
-    ``w`` holds the rays in its rows OX to DZ, and receives the distance T and the slopes HX and HY.
-    Status -1 marks rays that must be searched one by one.
-    """
+    """Fill distance, slopes and status of a block of rays by the method for this kind of wall."""
     state[:] = -1
     if only_waves(terms):
         wave_hits(terms, box, w, state)
@@ -288,11 +274,7 @@ def intersect(
     normals,
     status,
 ):
-    """Fill distance (n,), points and normals (n, 3) and status (n,) with the first hits.
-
-    Directions may have any length. Returns the number of invalid rays: those with NaN, infinity or
-    a zero direction. ``tables`` and ``grid_bounds`` may be None as in `wall_hit`.
-    """
+    """Fill distance (n,), points and normals (n, 3) and status (n,) with the first hits."""
     count = distance.size
     bad = 0
     for block in prange((count + BLOCK - 1) // BLOCK):

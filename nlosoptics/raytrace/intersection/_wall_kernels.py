@@ -82,11 +82,7 @@ def conic_hit(row, box, o, d):
 
 @njit(cache=True)
 def _span(half, o, d, low, high):
-    """Return the part of the interval [low, high] of t in which |o + t d| <= half.
-
-    ``o`` and ``d`` are one coordinate of origin and direction. The part is empty, low > high, if
-    the ray never comes that close.
-    """
+    """Return the part of the interval [low, high] of t in which |o + t d| <= half."""
     if d == 0.0:
         return (low, high) if abs(o) <= half else (1.0, 0.0)
     first, last = (-half - o) / d, (half - o) / d
@@ -95,10 +91,7 @@ def _span(half, o, d, low, high):
 
 @njit(cache=True)
 def _search_interval(box, slab, rim, o, d):
-    """Return the interval of t, m, in which the ray is over the wall and within its height limits.
-
-    It is empty, low > high, if the ray does not pass through this region.
-    """
+    """Return the interval of t, m, in which the ray is over the wall and within its height limits."""
     low, high = 0.0, math.inf
     for i in range(2):
         if box[i] < math.inf:
@@ -300,11 +293,7 @@ def _unit(d):
 
 @njit(cache=True)
 def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
-    """Return distance (m), status and the wall's slopes dh/dx, dh/dy at the first hit of one ray.
-
-    ``grid_bounds`` is None for a single sphere or cylinder, and ``tables`` without grids and
-    reliefs. Then numba does not compile the march, or the search of facets, which takes seconds.
-    """
+    """Return distance (m), status and the wall's slopes dh/dx, dh/dy at the first hit of one ray."""
     if grid_bounds is None:
         t, condition = conic_hit(terms[0], box, o, d)
     else:

@@ -56,12 +56,7 @@ def _number(seed, ray, bounce, m, k):
 
 @njit(cache=True)
 def _set_frame(world, kind, u, frame, bounds):
-    """Fill the frame (12,) of a surface and its bounds (8,); return the reciprocal of its chance.
-
-    A triangle of a mesh is drawn by area with the random number ``u``. Its bounds are the rows of
-    the matrix that gives its barycentric coordinates. The bounds of the planar object are its half
-    width and height.
-    """
+    """Fill the frame (12,) of a surface and its bounds (8,); return the reciprocal of its chance."""
     if kind == WALL:
         frame[:] = 0.0
         frame[3] = frame[7] = frame[11] = 1.0
@@ -89,11 +84,7 @@ def _set_frame(world, kind, u, frame, bounds):
 
 @njit(cache=True)
 def _set_facet(lobes, seed, ray, address, wider, slope):
-    """Draw a narrow lobe and the slope (2,) of a facet; return the lobe or -1, and 1/density.
-
-    ``address`` is (bounce, m, first random number). ``wider`` scales the width of the density. The
-    lobe's chance is part of the density; the slope of a smooth mirror is 0 with density 1.
-    """
+    """Draw a narrow lobe and the slope (2,) of a facet; return the lobe or -1, and 1/density."""
     bounce, m, first = address
     some = 0
     for j in range(lobes.shape[0]):
@@ -128,12 +119,7 @@ def _set_facet(lobes, seed, ray, address, wider, slope):
 
 @njit(cache=True)
 def _widening(walls, at, steepest):
-    """Return how much wider the slopes of facets are drawn where the wall itself has a slope.
-
-    A facet of a tilted wall has the slope d about the plane z = 0 beyond the wall's own slope s,
-    and up to d/(1 + s^2) about the wall. ``at`` (2,) is a point near the reflection, and
-    ``steepest`` the largest slope of the wall.
-    """
+    """Return how much wider the slopes of facets are drawn where the wall itself has a slope."""
     if steepest == 0.0:
         return 1.0
     values = surface(walls[0], walls[1], at[0], at[1])
@@ -143,10 +129,7 @@ def _widening(walls, at, steepest):
 
 @njit(cache=True)
 def _unfold(frames, a, p, u):
-    """Fill the coordinates (m, 2) at which plane mirrors in the frames reflect light from a to p.
-
-    Where the planes do not reflect it, the coordinates are merely a start for Newton steps.
-    """
+    """Fill the coordinates (m, 2) at which plane mirrors in the frames reflect light from a to p."""
     m = u.shape[0]
     images = np.empty((m, 3))
     image = p
@@ -246,10 +229,7 @@ def _equations(walls, kinds, frames, slopes, a, p, u, x, g, own, back, ahead):
 
 @njit(cache=True)
 def _steps(g, own, back, ahead, step):
-    """Fill the Newton step (m, 2) of a chain, and return the determinant of its Jacobian.
-
-    The Jacobian is block tridiagonal and is eliminated block by block.
-    """
+    """Fill the Newton step (m, 2) of a chain, and return the determinant of its Jacobian."""
     m = g.shape[0]
     side, whole = np.zeros((m, 2, 2)), 1.0
     for i in range(m):
@@ -282,11 +262,7 @@ def _steps(g, own, back, ahead, step):
 
 @njit(cache=True)
 def _solve(walls, kinds, frames, slopes, a, p, u, x, g, steps, halvings):
-    """Move the coordinates ``u`` (m, 2) to a solution; return the Jacobian's determinant, or 0.
-
-    Newton steps are halved until the sum of squares falls. ``steps`` and ``halvings`` are their
-    largest numbers; without a solution within them the result is 0.
-    """
+    """Move the coordinates ``u`` (m, 2) to a solution; return the Jacobian's determinant, or 0."""
     m = u.shape[0]
     own, back, ahead = np.zeros((m, 2, 2)), np.zeros((m, 2, 2)), np.zeros((m, 2, 2))
     step, old = np.zeros((m, 2)), np.empty((m, 2))
@@ -339,11 +315,7 @@ def _inside(walls, kind, is_plate, bounds, u, v):
 
 @njit(cache=True)
 def _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inverse):
-    """Return the power per unit of solid angle at ``a`` and area at ``p`` of a solved chain, 1/m^2.
-
-    Divided by the Jacobian's determinant it is the transmitted share times solid angle per area,
-    without the cosines at both ends. It is 0 if a point is beyond its surface or behind it.
-    """
+    """Return the power per unit of solid angle at ``a`` and area at ``p`` of a solved chain, 1/m^2."""
     m, value = u.shape[0], 1.0
     for i in range(m):
         kind = kinds[i]
@@ -378,11 +350,7 @@ def _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inver
 
 @njit(cache=True)
 def _shift(walls, seed, ray, address, kinds, reach, start, u):
-    """Fill ``u`` (m, 2) with a random start: the coordinates ``start`` with shifted wall points.
-
-    One half of the wall points are spread over the wall if it is bounded. The others are shifted by
-    ``reach`` or less, m, uniform in the logarithm over four decades.
-    """
+    """Fill ``u`` (m, 2) with a random start: the coordinates ``start`` with shifted wall points."""
     bounce, m, first = address
     box = walls[2]
     for i in range(u.shape[0]):

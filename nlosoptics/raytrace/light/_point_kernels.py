@@ -44,10 +44,7 @@ from ._surround_kernels import (
 
 @njit(cache=True, nogil=True)
 def glow(world, sampler, first, power, new):
-    """Fill vertices on the hidden object's front, as if lit at normal incidence.
-
-    Their points are drawn by area times brightness, and each gets the same ``power``, W.
-    """
+    """Fill vertices on the hidden object's front, as if lit at normal incidence."""
     for i in range(new.shape[0]):
         ray = first + i
         group, index = ray % GROUPS, ray // GROUPS
@@ -62,10 +59,7 @@ def glow(world, sampler, first, power, new):
 
 @njit(cache=True)
 def spots(sampler, first, corner, size, xy):
-    """Fill ``xy`` (n, 2) with points spread uniformly over a rectangle, m.
-
-    ``corner`` (2,) is its lowest x and y and ``size`` (2,) its sides, m.
-    """
+    """Fill ``xy`` (n, 2) with points spread uniformly over a rectangle, m."""
     for i in range(xy.shape[0]):
         ray = first + i
         group, index = ray % GROUPS, ray // GROUPS
@@ -76,11 +70,7 @@ def spots(sampler, first, corner, size, xy):
 
 @njit(cache=True, nogil=True)
 def to_wall(world, light, targets, value, starts, ends):
-    """Fill the power, W, that light vertices send directly to chosen wall points.
-
-    The ``targets`` are vertices with known DENSITY. The balance heuristic weights this light
-    against light that reaches the wall by scattering; see `arrivals`.
-    """
+    """Fill the power, W, that light vertices send directly to chosen wall points."""
     for i in range(light.shape[0]):
         value[i] = 0.0
         a, b = light[i], targets[i]
@@ -102,11 +92,7 @@ def to_wall(world, light, targets, value, starts, ends):
 
 @njit(cache=True, nogil=True)
 def arrivals(vertices, evenly, power):
-    """Fill the power, W, of light that reaches the wall by scattering, weighted against `to_wall`.
-
-    ``evenly`` is the density of the points of `to_wall` per area of the mean plane, 1/m^2. The
-    wall's cosine, column 5 of a vertex, converts it to the density per wall area.
-    """
+    """Fill the power, W, of light that reaches the wall by scattering, weighted against `to_wall`."""
     for i in range(vertices.shape[0]):
         power[i] = 0.0
         if vertices[i, SURFACE] == WALL:
@@ -118,12 +104,7 @@ def arrivals(vertices, evenly, power):
 
 @njit(cache=True, nogil=True)
 def cells_of(points, power, first, corner, step, shape, cells, powers):
-    """Find the map cells of light that arrives at wall points; return how many lie on the map.
-
-    ``cells`` and ``powers`` (n,) are filled for the points on the map; a cell is (group, row,
-    column) as one number. ``corner`` and ``step``, (2,), m, are the map's lowest corner and cell
-    sides.
-    """
+    """Find the map cells of light that arrives at wall points; return how many lie on the map."""
     count = 0
     ny, nx = shape
     for i in range(power.size):
@@ -157,13 +138,7 @@ def _along(a, b, n, x, y, z):
 
 @njit(cache=True, nogil=True)
 def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
-    """Draw directions of light that leaves a source, or the wall points at which it is aimed.
-
-    A fraction ``share`` of the rays is aimed at the part ``box`` = (low x, low y, width, height),
-    m, of the wall. The others are aimed uniformly at the whole wall, ``whole``, or follow the
-    emission of the source if ``whole`` has no width. ``aimed`` marks the rays with a point (x, y)
-    in ``aims``.
-    """
+    """Draw directions of light that leaves a source, or the wall points at which it is aimed."""
     n = three(source, 3)
     a, b = tangents(n)
     for i in range(directions.shape[0]):
@@ -194,11 +169,7 @@ def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
 
 @njit(cache=True, nogil=True)
 def toward(source, aims, aimed, directions, reach, live):
-    """Fill directions and distances, m, from a source to the wall points at which it is aimed.
-
-    ``aims`` (n, 3) are the points, m, and ``aimed`` (n,) marks their rays. ``live`` is cleared for
-    rays aimed at points where the wall has no height.
-    """
+    """Fill directions and distances, m, from a source to the wall points at which it is aimed."""
     for i in range(live.size):
         live[i], reach[i] = True, -1.0
         if not aimed[i]:
@@ -212,10 +183,7 @@ def toward(source, aims, aimed, directions, reach, live):
 
 @njit(cache=True, nogil=True)
 def arrive(source, whole, box, share, directions, reach, live, hits, new):
-    """Fill the first vertices of a source's light on the wall.
-
-    The sampling strategies of `shine` are combined by the balance heuristic.
-    """
+    """Fill the first vertices of a source's light on the wall."""
     distance, kind, normal, _, _ = hits
     for i in range(new.shape[0]):
         new[i, SURFACE] = NOTHING
@@ -261,11 +229,7 @@ def _lens_point(camera, sampler, group, index, ray):
 
 @njit(cache=True, inline="always")
 def landing(camera, point, d):
-    """Return the point (x, y) of the detector plane, m, at which light along a ray is imaged.
-
-    ``point`` is a point of the lens and ``d`` the unit vector from there back along the ray. The
-    ray's point in the plane in focus is projected through the centre of the lens.
-    """
+    """Return the point (x, y) of the detector plane, m, at which light along a ray is imaged."""
     cosine = dot(d, three(camera, 9))
     apart = (point[0] - camera[0], point[1] - camera[1], point[2] - camera[2])
     far, zoom = camera[13] / cosine, camera[14] / camera[13]
@@ -278,10 +242,7 @@ def landing(camera, point, d):
 
 @njit(cache=True, nogil=True)
 def look_around(world, sampler, first, origins, directions, powers):
-    """Fill rays from random lens points, with cosine-weighted directions over its front hemisphere.
-
-    ``powers`` are the transmitted powers per unit radiance, m^2 sr.
-    """
+    """Fill rays from random lens points, with cosine-weighted directions over its front hemisphere."""
     camera = world.camera
     axis, e1, e2 = three(camera, 9), three(camera, 3), three(camera, 6)
     for i in range(powers.size):
@@ -302,13 +263,7 @@ def look_around(world, sampler, first, origins, directions, powers):
 
 @njit(cache=True, nogil=True)
 def look_at_pixels(world, sampler, first, each, window, origins, directions, powers):
-    """Fill rays from the lens into the fields of view of pixels, ``each`` rays per pixel.
-
-    Rays form antithetic pairs: the second ray of a pair uses the points of lens and pixel opposite
-    to those of the first, so that linear variations over a pixel cancel. ``window`` is (low x,
-    low y, pitch, columns) in the detector plane, m. ``powers`` are the detected powers per unit
-    radiance, m^2 sr.
-    """
+    """Fill rays from the lens into the fields of view of pixels, ``each`` rays per pixel."""
     camera = world.camera
     zoom, c = camera[13] / camera[14], camera[13]
     low_x, low_y, pitch, columns = window
@@ -378,11 +333,7 @@ def from_source(source, lobes, eye, value, starts, ends):
 
 @njit(cache=True, inline="always")
 def _imaged(lobes, matt, mu, cosine, turn, f):
-    """Return the part of ``f``, the sum of all lobes (1/sr), that is due to mirror-like lobes.
-
-    ``matt`` are the other lobes; ``mu``, ``cosine`` and ``turn`` the cosines of incidence, of
-    exitance, and between both directions.
-    """
+    """Return the part of ``f``, the sum of all lobes (1/sr), that is due to mirror-like lobes."""
     if matt.shape[0] == lobes.shape[0] or f <= 0.0:
         return 0.0
     return 1.0 - material(matt, mu, cosine, turn) / f
@@ -390,12 +341,7 @@ def _imaged(lobes, matt, mu, cosine, turn, f):
 
 @njit(cache=True, nogil=True)
 def to_lens(world, sampler, first, counted, glossy, light, value, starts, ends, x, y, imaged):
-    """Fill power, detector position and imaged fraction of connections from the wall to the lens.
-
-    The imaged fraction is what mirror-like lobes reflect. ``counted`` is (all lobes to count, those
-    of them that are not mirror-like). If ``glossy``, the balance heuristic weights this light
-    against light that reaches the lens by scattering.
-    """
+    """Fill power, detector position and imaged fraction of connections from the wall to the lens."""
     lobes, matt = counted
     camera = world.camera
     area, axis = math.pi * camera[12] ** 2, three(camera, 9)
@@ -447,12 +393,7 @@ def image_hits(world, directions, origins, powers, hits, value, x, y, imaged):
 def lens_hits(
     world, counted, glossy, first_one, old, leave, new, fates, by_mirrors, value, x, y, imaged
 ):
-    """Fill power, detector position and imaged fraction of scattered rays that hit the lens.
-
-    Light sent by a smooth mirror counts only if it has met nothing but mirrors (``by_mirrors``,
-    updated here) and has at least two reflections. `image_hits` counts the first reflection, and
-    connections count all other light.
-    """
+    """Fill power, detector position and imaged fraction of scattered rays that hit the lens."""
     lobes, matt = counted
     camera = world.camera
     area, axis = math.pi * camera[12] ** 2, three(camera, 9)
@@ -511,11 +452,7 @@ def landings(world, points, directions, x, y):
 
 @njit(cache=True, nogil=True)
 def book(value, x, y, window, rows, bounce, most, first, path_sums, cells):
-    """Add power to the sum of its number of reflections, and find its pixels.
-
-    ``value`` (n,) is in W; ``x`` and ``y`` (n,) are detector positions, m. Light outside the window
-    of pixels gets the pixel -1 and is added to the sum of missed light.
-    """
+    """Add power to the sum of its number of reflections, and find its pixels."""
     low_x, low_y, pitch, columns = window
     for i in range(value.size):
         cells[i] = -1

@@ -44,7 +44,7 @@ class World(NamedTuple):
     rows, columns : ndarray, (ny + 1,) and (ny, nx + 1)
         Cumulative brightness of the rows, and of the pixels within each row, 0 to 1.
     triangles, areas, firsts, splits, patches : ndarray
-        Mesh object: `kept_meshes.Chart` of its triangles, whose ``shares`` are ``areas``.
+        Mesh object: `prepared_meshes.Chart` of its triangles, whose ``shares`` are ``areas``.
     lit_splits, lit : ndarray, (p,)
         Mesh object: splits of the chart, and densities on the patches, 1/m^2, with which rays from
         the laser spot are aimed; see `surroundings.lit_patches`.
@@ -112,10 +112,7 @@ def three(row, start):
 
 @njit(cache=True)
 def interval(shares, u):
-    """Return the number of the interval of cumulative ``shares``, from 0 to 1, in which u lies.
-
-    It is that of `numpy.searchsorted` from the right, which takes longer to compile.
-    """
+    """Return the number of the interval of cumulative ``shares``, from 0 to 1, in which u lies."""
     low, high = 0, shares.size
     while low < high:
         middle = (low + high) >> 1
@@ -143,11 +140,7 @@ def beam(laser, sampler, first, origins, directions):
 
 @njit(cache=True, nogil=True)
 def sight(camera, sampler, first, origins, directions, powers, densities):
-    """Fill rays from the lens into the scene, uniform over lens and detector (or field stop).
-
-    ``powers`` are the detected powers per unit radiance, m^2 sr; ``densities`` are the sampling
-    densities per solid angle, 1/sr.
-    """
+    """Fill rays from the lens into the scene, uniform over lens and detector (or field stop)."""
     lens_area, zoom, baffle = math.pi * camera[12] ** 2, camera[13] / camera[14], camera[20]
     for i in range(origins.shape[0]):
         ray = first + i
@@ -180,10 +173,7 @@ def sight(camera, sampler, first, origins, directions, powers, densities):
 
 @njit(cache=True)
 def on_detector(camera, point, direction):
-    """Return the density of `sight` for a direction from a point of the lens, 1/sr.
-
-    It is 0 if the light misses the detector or is blocked by the field stop.
-    """
+    """Return the density of `sight` for a direction from a point of the lens, 1/sr."""
     cosine = dot(direction, three(camera, 9))
     if cosine <= 0.0 or cosine < camera[17]:
         return 0.0
@@ -225,10 +215,7 @@ def texel(plate, picture, point):
 
 @njit(cache=True)
 def _lens(camera, o, d, low, high):
-    """Return the distance, m, from low to high at which a ray hits the lens, else inf.
-
-    Hits from both sides count.
-    """
+    """Return the distance, m, from low to high at which a ray hits the lens, else inf."""
     axis = three(camera, 9)
     along = dot(d, axis)
     if along == 0.0:
@@ -245,11 +232,7 @@ def _lens(camera, o, d, low, high):
 def wall_hits(
     terms, tables, grid_bounds, box, slab, rim, origins, directions, live, distance, kind, normal
 ):
-    """Fill distance, kind and normal of those ``live`` rays that hit a compiled wall.
-
-    Rays without a hit keep their values. The first six arguments are those of
-    `_wall_kernels.wall_hit`; ``terms`` is None for a flat wall.
-    """
+    """Fill distance, kind and normal of those ``live`` rays that hit a compiled wall."""
     if grid_bounds is not None:
         w, state = np.zeros(ROWS * BLOCK), np.full(BLOCK, -1)
     count = distance.size
@@ -322,12 +305,7 @@ def plate_and_lens(
 
 @njit(cache=True, nogil=True)
 def mesh_hits(world, rows, found, away, normals, directions, distance, kind, normal, scale, lit):
-    """Replace the hits of the rays ``rows`` by nearer ones on triangles.
-
-    ``found`` and ``away`` are the triangles (-1 for none) and their distances, m. The first ones
-    belong to the hidden object if it is a mesh, the others to occluders or wall, whose two sides
-    are alike.
-    """
+    """Replace the hits of the rays ``rows`` by nearer ones on triangles."""
     thing_faces = world.patches.size
     for j in range(rows.size):
         i, k = rows[j], found[j]
@@ -351,11 +329,7 @@ def mesh_hits(world, rows, found, away, normals, directions, distance, kind, nor
 
 @njit(cache=True, inline="always")
 def _triangle(world, splits, u, v):
-    """Return the triangle that the mesh's chart has at a point of the unit square, and its place.
-
-    ``splits`` are those of the chart or ``lit_splits``. The place is the point's two coordinates
-    within the part of the square that is the triangle.
-    """
+    """Return the triangle that the mesh's chart has at a point of the unit square, and its place."""
     areas, node = world.areas, 1
     along = True
     while node < splits.size:
@@ -381,10 +355,7 @@ def _triangle(world, splits, u, v):
 
 @njit(cache=True, inline="always")
 def object_point(world, splits, u, v):
-    """Draw a point of the object's front by area times brightness; return it and its normal.
-
-    On a mesh, ``splits`` are those of the chart, or ``lit_splits`` to draw by `World.lit` instead.
-    """
+    """Draw a point of the object's front by area times brightness; return it and its normal."""
     if world.plate.size > 0:
         plate = world.plate
         ny, nx = world.picture.shape
@@ -416,10 +387,7 @@ def object_point(world, splits, u, v):
 
 @njit(cache=True, nogil=True)
 def clear(plate, camera, starts, ends, value):
-    """Set to zero the values of connections that the planar object or the lens blocks.
-
-    ``starts`` and ``ends`` (n, 3) are the connections' ends, m, and ``value`` (n,) their powers.
-    """
+    """Set to zero the values of connections that the planar object or the lens blocks."""
     has_plate = plate.size > 0
     for i in range(value.size):
         if value[i] <= 0.0:

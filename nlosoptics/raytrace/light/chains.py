@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -110,15 +110,6 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
     )
 
 
-def joint_chains(found: list[Chains]) -> Chains:
-    """Return the treatment that serves several scenes, which differ in their lasers alone."""
-    surfaces = 0
-    for chains in found:
-        surfaces |= chains.surfaces
-    unreached = dict.fromkeys(path for chains in found for path in chains.unreached)
-    return replace(found[0], surfaces=surfaces, both=surfaces == 3, unreached=tuple(unreached))
-
-
 def _obstacle(scene: Scene, hills: float) -> str:
     """Return why reflection points on the wall cannot be solved for, or an empty string."""
     if not scene.wall.is_compiled:
@@ -134,11 +125,7 @@ def _obstacle(scene: Scene, hills: float) -> str:
 
 
 def _slopes(scene: Scene) -> tuple[float, float]:
-    """Return the largest slope of the wall, and its number of hills and hollows, on a grid.
-
-    Hills and hollows are counted by the changes of the slope's sign along the rows and columns of
-    the grid, on average, and multiplied.
-    """
+    """Return the largest slope of the wall, and its number of hills and hollows, on a grid."""
     size = scene.wall.size or (2.0 * UNBOUNDED, 2.0 * UNBOUNDED)
     x, y = (np.linspace(-0.5 * s, 0.5 * s, GRID) for s in size)
     # The values of a compiled wall are NaN beyond the rim of a sphere, and infinite on it.
@@ -163,10 +150,7 @@ def _lens_elevation(scene: Scene) -> float:
 
 
 def _meets_object(scene: Scene, spread: float, *, mirrored: bool) -> bool:
-    """Return whether the laser beam may meet the object, directly or mirrored by the wall.
-
-    ``spread`` is the largest angle, rad, between the light and the beam (mirrored at z = 0).
-    """
+    """Return whether the laser beam may meet the object, directly or mirrored by the wall."""
     laser, hidden = scene.laser, scene.hidden
     start, aim = np.array(laser.position), np.array(laser.aim)
     beam = (aim - start) / np.linalg.norm(aim - start)
@@ -183,15 +167,3 @@ def _meets_object(scene: Scene, spread: float, *, mirrored: bool) -> bool:
         return True
     angle = math.acos(float(np.clip(beam @ away / distance, -1.0, 1.0)))
     return angle <= math.asin(radius / distance) + spread
-
-
-def left_to_chance(chains: Chains) -> Chains:
-    """Return the chains of a tracer that does not solve for their reflection points."""
-    if not chains.surfaces:
-        return chains
-    why = (
-        "light that narrow lobes of wall and object reflect one after the other, or that one of "
-        "them sends to the lens from where another or the laser brought it, since this method does "
-        "not solve for reflection points"
-    )
-    return replace(chains, surfaces=0, both=False, unreached=(*chains.unreached, (2, why)))

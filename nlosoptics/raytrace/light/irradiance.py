@@ -176,10 +176,7 @@ def wall_irradiance(
 
 
 def _upright(scene: Scene, x: Array, y: Array) -> Array:
-    """Return the cosine of the wall's tilt at the map's cell centres, (ny, nx).
-
-    ``x`` (nx,) and ``y`` (ny,) are in m. It is 1 where the wall has no height.
-    """
+    """Return the cosine of the wall's tilt at the map's cell centres, (ny, nx)."""
     if scene.wall.is_flat:
         return np.ones((len(y), len(x)))
     xs, ys = np.meshgrid(x, y)
@@ -195,11 +192,7 @@ def _arrivals(
     max_bounces: int,
     grid: tuple[Array, Array, tuple[int, int]],
 ) -> tuple[NDArray[np.int64], Array]:
-    """Return map cells and powers, W, of all light that a block of rays brings to the wall.
-
-    The rays ``first`` to ``end - 1`` are traced. A cell is (group, row, column) as one number.
-    ``grid`` is the map's lowest corner (2,), its cell sides (2,), m, and its shape.
-    """
+    """Return map cells and powers, W, of all light that a block of rays brings to the wall."""
     from . import _light_kernels as kernels
     from . import _point_kernels as arriving
     from . import _surround_kernels as surround

@@ -75,10 +75,7 @@ def kept_paths(
 
 
 def _strongest(table: Array, come: Array, go: Array, normals: Array) -> NDArray[np.int8]:
-    """Return the row of a table of lobes that reflects most of the light of each path, (n,).
-
-    ``come`` and ``go`` (n, 3) are unit vectors to the previous and the next point.
-    """
+    """Return the row of a table of lobes that reflects most of the light of each path, (n,)."""
     evaluate: Any = brdf.evaluate  # untyped
     cosines = dot(come, normals), dot(go, normals), dot(come, go)
     off = go + come - 2.0 * cosines[0][:, None] * normals

@@ -170,11 +170,7 @@ def pixels_of(task: Task, first: int, end: int) -> tuple[Array, Array, Counter[s
 
 
 def _seen_by_pixels(task: Task, first: int, n: int) -> tuple[Array, Counter[str]]:
-    """Return an estimate of the pixel's power from each ray, (n,), W, and the test counts.
-
-    The rays have the numbers ``first`` to ``first + n - 1``. The counts are numbers of intersection
-    tests by kind of surface.
-    """
+    """Return an estimate of the pixel's power from each ray, (n,), W, and the test counts."""
     block, world = _Block(task, first, n), task.job.around.world
     most = task.job.max_bounces
     eyes = [block.look_at_pixels()]
@@ -226,10 +222,7 @@ class _Block:
         return self._shine(self.task.gloss_box, AIM if self.task.gloss_box.all() else 0.0)
 
     def _shine(self, box: Array, share: float) -> Array:
-        """Return first vertices on the wall; a fraction ``share`` of the rays is aimed at ``box``.
-
-        ``box`` is (low x, low y, width, height), m.
-        """
+        """Return first vertices on the wall; a fraction ``share`` of the rays is aimed at ``box``."""
         task, rays, n = self.task, self.rays, self.n
         aims, aimed = np.zeros((n, 3)), np.zeros(n, dtype=bool)
         where = (task.whole, box, share)
@@ -281,11 +274,7 @@ class _Block:
             yield eye
 
     def _seen(self, powers: Array, left: Array | None = None) -> Array:
-        """Return the vertices that eye rays hit.
-
-        The rays start at the vertices ``left``, or at the lens if it is None. ``powers`` (n,) are
-        their detected powers per unit radiance, m^2 sr.
-        """
+        """Return the vertices that eye rays hit."""
         rays, new = self.rays, np.zeros((self.n, light_kernels.VERTEX))
         np.greater(powers, 0.0, out=rays.live)
         hits = rays._hits(left)

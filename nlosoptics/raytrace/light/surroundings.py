@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -20,17 +20,18 @@ from ...scene import (
     PlanarObject,
     Scene,
 )
-from ..intersection.intersections import HIT, UNRESOLVED, compiled_wall, intersect
-from ..intersection.kept_meshes import (
+from ..intersection.intersections import Hits as WallHits
+from ..intersection.intersections import compiled_wall, intersect
+from ..intersection.meshes import blocked, first_triangles, intersect_mesh
+from ..intersection.prepared_meshes import (
     Chart,
-    KeptMesh,
+    PreparedMesh,
     ball_around,
     chart_splits,
     cumulative,
-    kept_mesh,
+    prepared_mesh,
 )
-from ..intersection.meshes import blocked, first_triangles, intersect_mesh
-from .chains import Chains, joint_chains, left_to_chance, mirror_chains
+from .chains import mirror_chains
 
 if TYPE_CHECKING:
     from ._surround_kernels import World
@@ -194,10 +195,7 @@ def ray_plan(scene: Scene) -> RayPlan:
 
 
 def _within_hollow(wall: ConcaveWall, scene: Scene) -> bool:
-    """Return whether all that sends light lies inside the convex room of a concave wall.
-
-    The room is the interior of the sphere or cylinder, extended toward +z from its widest level.
-    """
+    """Return whether all that sends light lies inside the convex room of a concave wall."""
     hidden, camera = scene.hidden, scene.camera
     thing = hidden.corners if isinstance(hidden, PlanarObject) else hidden.surface.vertices
     things = [np.asarray(thing, dtype=np.float64)]
@@ -222,29 +220,16 @@ class Surroundings:
         Scene to trace.
     analog : bool
         Whether no rays are aimed at the object, so that directions follow the lobes alone.
-    lasers : tuple of Laser
-        Lasers to trace instead of the scene's own; `World.laser` is the first of them.
     chained : bool
         Whether chains of mirror-like reflections are solved for.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        analog: bool = False,
-        lasers: tuple[Laser, ...] = (),
-        chained: bool = True,
-    ) -> None:
+    def __init__(self, scene: Scene, *, analog: bool = False, chained: bool = True) -> None:
         self.plan = ray_plan(scene)
-        scenes = [replace(scene, laser=laser) for laser in lasers] or [scene]
-        between = self.plan.wall_to_wall
-        self.chains = joint_chains([mirror_chains(s, wall_to_wall=between) for s in scenes])
-        if not chained:
-            self.chains = left_to_chance(self.chains)
-        hidden = scene.hidden
-        thing = hidden if isinstance(hidden, PlanarObject) else kept_mesh(hidden.surface)
-        self.world = _world(scenes, self.plan, self.chains, analog, thing)
+        self.chains = mirror_chains(scene, wall_to_wall=self.plan.wall_to_wall)
+        self.world = _world(
+            scene, self.plan, self.chains.surfaces * (chained and not analog), analog
+        )
         self._wall = scene.wall
         self._walls: Any = None
         self.chain_wall: Any = (None, None, np.full(2, math.inf), 0.0)
@@ -338,7 +323,7 @@ class Surroundings:
 
         rows = np.flatnonzero(asking)
         hits = intersect(self._wall, origins[rows], directions[rows])
-        met, lost = rows[hits.status == HIT], rows[hits.status == UNRESOLVED]
+        met, lost = rows[hits.hit], rows[hits.status == WallHits.UNRESOLVED]
         distance[met], normal[met] = hits.distance[hits.hit], hits.normals[hits.hit]
         kind[met], kind[lost], distance[lost] = kernels.WALL, kernels.LOST, 0.0
 
@@ -406,21 +391,21 @@ class Surroundings:
         if self._walls is None:
             hits = intersect(self._wall, starts, lines)
             near = hits.hit & (np.nan_to_num(hits.distance) < length * (1.0 - 1e-9))
-            return np.asarray(near | (hits.status == UNRESOLVED))
+            return np.asarray(near | (hits.status == WallHits.UNRESOLVED))
         distance, kind = np.full(len(length), math.inf), np.full(len(length), -1, dtype=np.int16)
         live = np.ones(len(length), dtype=bool)
         kernels.wall_hits(*self._walls, starts, lines, live, distance, kind, np.zeros_like(starts))
         return np.asarray(distance < length * (1.0 - 1e-9))
 
 
-def _triangles(scene: Scene) -> KeptMesh | None:
+def _triangles(scene: Scene) -> PreparedMesh | None:
     """Return all triangles as one mesh: of the hidden object, the occluders, and the wall."""
     meshes = [] if isinstance(scene.hidden, PlanarObject) else [scene.hidden.surface]
     if scene.occluding_mesh is not None:
         meshes.append(scene.occluding_mesh)
     if scene.wall.true_triangles is not None:
         meshes.append(scene.wall.true_triangles)
-    return kept_mesh(*meshes) if meshes else None
+    return prepared_mesh(*meshes) if meshes else None
 
 
 def _room(scene: Scene) -> tuple[Array, NDArray[np.int16]]:
@@ -485,22 +470,12 @@ def laser_row(laser: Laser) -> Array:
     return np.concatenate([laser.position, *sides, [laser.beam_diameter / 2, laser.power]])
 
 
-def _world(
-    scenes: list[Scene],
-    plan: RayPlan,
-    chains: Chains,
-    analog: bool,
-    thing: PlanarObject | KeptMesh,
-) -> World:
-    """Return the data of scenes as arrays for the kernels.
-
-    The scenes differ in their lasers alone, of which the first is stored. Their hidden object is
-    ``thing``.
-    """
+def _world(scene: Scene, plan: RayPlan, chains: int, analog: bool) -> World:
+    """Return the data of a scene as arrays for the kernels; ``chains`` is `World.chains`."""
     from ._surround_kernels import World
 
-    scene = scenes[0]
-    camera = scene.camera
+    camera, hidden = scene.camera, scene.hidden
+    thing = hidden if isinstance(hidden, PlanarObject) else prepared_mesh(hidden.surface)
     ny, nx = camera.shape
     half = 0.5 * camera.image_pitch * np.array([nx, ny])
     stop, area, baffle = -1.0, 4.0 * float(half.prod()), 0.0
@@ -524,7 +499,7 @@ def _world(
         ball = ball_around(thing.corners)
     else:
         chart, total, ball = thing.chart, thing.chart.area, thing.ball
-        lit = np.mean([lit_patches(s, chart) for s in scenes], axis=0)
+        lit = lit_patches(scene, chart)
     return World(
         wall=scene.wall_material.lobe_table(),
         thing=scene.hidden.material.lobe_table(),
@@ -546,7 +521,7 @@ def _world(
             AIMED[plan.wall_to_wall or len(room) > 0] if total > 0.0 and not analog else (0.0, 0.0)
         ),
         glossy=plan.glossy,
-        chains=0 if analog else chains.surfaces,
+        chains=chains,
         ball=ball,
         camera=np.concatenate(
             [

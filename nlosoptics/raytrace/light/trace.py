@@ -6,7 +6,6 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal, TypeVar
@@ -19,7 +18,7 @@ from ..._progress import Progress
 from ..._random import checked_seed, scrambled_sobol
 from ...errors import SceneError
 from ...kernels.codes import GROUPS
-from ...scene import Laser, Scene
+from ...scene import Scene
 from ..fans.paths import RayPaths
 from ..intersection.meshes import worker_pool
 from .surroundings import Surroundings
@@ -241,21 +240,18 @@ def job_of(
     *,
     analog: bool = False,
     keep_paths: bool = False,
-    lasers: tuple[Laser, ...] = (),
     chained: bool = True,
 ) -> Job:
     """Check the options common to all tracers, and return the prepared scene with its relief.
 
-    ``lasers`` are those to trace instead of the scene's own, and ``chained`` tells whether chains
-    of mirror-like reflections are solved for.
+    ``chained`` tells whether chains of mirror-like reflections are solved for.
     """
     from .blocks import Job
 
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
     scene = scene.with_relief()
-    for laser in lasers or (scene.laser,):
-        replace(scene, laser=laser).check_in_front()
+    scene.check_in_front()
     whole("max_bounces", max_bounces, 1, MOST_BOUNCES)
     one_of("sampler", sampler, ("sobol", "philox"))
     seed = checked_seed(seed)
@@ -264,7 +260,7 @@ def job_of(
         columns, shifts = columns[:, :0], shifts[:, :0]
     return Job(
         scene=scene,
-        around=Surroundings(scene, analog=analog, lasers=lasers, chained=chained),
+        around=Surroundings(scene, analog=analog, chained=chained),
         sampler=(np.uint64(seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts)),
         max_bounces=max_bounces,
         analog=analog,

@@ -312,10 +312,7 @@ def point_normal(scene: Scene) -> Array:
 
 
 def _whole(scene: Scene) -> Array:
-    """Return the wall's rectangle (low x, low y, width, height), m, for uniform sampling.
-
-    It is all zero for a wall too wide to be sampled uniformly.
-    """
+    """Return the wall's rectangle (low x, low y, width, height), m, for uniform sampling."""
     size, distance = scene.wall.size, float(scene.object_point[2])
     if size is None or max(size) > WIDE * distance:
         return np.zeros(4)
@@ -323,12 +320,7 @@ def _whole(scene: Scene) -> Array:
 
 
 def _boxes(scene: Scene) -> tuple[Array, Array]:
-    """Return the rectangles of the wall in which the lens sees the point mirrored.
-
-    The first is for smooth mirrors, the second for glossy mirror-like lobes. Each holds (low x,
-    low y, width, height), m, and is all zero without such a lobe or mirror image. A relief widens
-    the first around the reflection by the mean wall.
-    """
+    """Return the rectangles of the wall in which the lens sees the point mirrored."""
     relieved = scene.with_relief()
     slopes = [lobe.slope_rms for lobe in relieved.wall_material.mirror_lobes]
     none = np.zeros(4)

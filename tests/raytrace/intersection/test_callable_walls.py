@@ -9,10 +9,12 @@ import pytest
 import trimesh
 
 from nlosoptics import raytrace
-from nlosoptics.raytrace import BEHIND, HIT, MISS, OUTSIDE
+from nlosoptics.raytrace import Hits
 from nlosoptics.raytrace.intersection import meshes
 from nlosoptics.raytrace.intersection.meshes import CHUNK, SHARE
 from nlosoptics.scene import CallableWall, ConvexWall, FlatWall, WavyWall
+
+BEHIND, HIT, MISS, OUTSIDE = Hits.BEHIND, Hits.HIT, Hits.MISS, Hits.OUTSIDE
 
 
 def of_functions(wall, top, curvature, size):

@@ -13,10 +13,12 @@ import pytest
 from numba import njit
 
 from nlosoptics import raytrace
-from nlosoptics.raytrace import HIT, OUTSIDE, UNRESOLVED
+from nlosoptics.raytrace import Hits
 from nlosoptics.raytrace.intersection import _wall_kernels
 from nlosoptics.raytrace.intersection.intersections import search_bounds
 from nlosoptics.scene import ConcaveWall, ConvexWall, HeightMapWall, MeshWall, SumWall, WavyWall
+
+HIT, OUTSIDE, UNRESOLVED = Hits.HIT, Hits.OUTSIDE, Hits.UNRESOLVED
 
 RANDOM = np.random.default_rng(1)
 WALLS = {

@@ -11,7 +11,7 @@ import pytest
 
 from nlosoptics import raytrace
 from nlosoptics.errors import SceneError
-from nlosoptics.raytrace import BEHIND, HIT, MISS, UNRESOLVED
+from nlosoptics.raytrace import Hits
 from nlosoptics.scene import (
     CallableWall,
     ConcaveWall,
@@ -22,6 +22,8 @@ from nlosoptics.scene import (
     SumWall,
     WavyWall,
 )
+
+BEHIND, HIT, MISS, UNRESOLVED = Hits.BEHIND, Hits.HIT, Hits.MISS, Hits.UNRESOLVED
 
 mpmath.mp.dps = 50
 mpf = mpmath.mpf

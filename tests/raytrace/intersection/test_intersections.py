@@ -13,7 +13,7 @@ import pytest
 
 from nlosoptics import raytrace
 from nlosoptics.errors import SceneError
-from nlosoptics.raytrace import BEHIND, HIT, MISS, OUTSIDE, UNRESOLVED
+from nlosoptics.raytrace import Hits
 from nlosoptics.scene import (
     CallableWall,
     ConcaveWall,
@@ -22,6 +22,14 @@ from nlosoptics.scene import (
     MeshWall,
     SumWall,
     WavyWall,
+)
+
+BEHIND, HIT, MISS, OUTSIDE, UNRESOLVED = (
+    Hits.BEHIND,
+    Hits.HIT,
+    Hits.MISS,
+    Hits.OUTSIDE,
+    Hits.UNRESOLVED,
 )
 
 mpmath.mp.dps = 50

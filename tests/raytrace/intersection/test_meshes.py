@@ -13,10 +13,12 @@ import trimesh
 
 from nlosoptics import raytrace
 from nlosoptics.errors import SceneError
-from nlosoptics.raytrace import HIT, MISS
+from nlosoptics.raytrace import Hits
 from nlosoptics.raytrace.intersection import meshes
 from nlosoptics.raytrace.intersection._triangle_kernels import SIDE, _bin
 from nlosoptics.scene import FlatWall
+
+HIT, MISS = Hits.HIT, Hits.MISS
 
 
 def brute(mesh, origins, directions, *, tolerance=1e-13):

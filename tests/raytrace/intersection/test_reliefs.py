@@ -9,8 +9,10 @@ import pytest
 import trimesh
 
 from nlosoptics import raytrace
-from nlosoptics.raytrace import HIT, MISS
+from nlosoptics.raytrace import Hits
 from nlosoptics.scene import ConcaveWall, ConvexWall, FacetWall, FlatWall, GaussianWall, SumWall
+
+HIT, MISS = Hits.HIT, Hits.MISS
 
 
 def facet_mesh(wall, half):

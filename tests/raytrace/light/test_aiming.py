@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from nlosoptics.raytrace.intersection.kept_meshes import chart_splits, kept_mesh
 
 from nlosoptics.raytrace import trace
-from nlosoptics.raytrace.intersection.kept_meshes import chart_splits, kept_mesh
 from nlosoptics.raytrace.light import _surround_kernels as kernels
 from nlosoptics.raytrace.light import blocks, surroundings
 from nlosoptics.raytrace.light.surroundings import Surroundings, lit_patches

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from nlosoptics.raytrace.intersection.kept_meshes import kept_mesh
 
 from nlosoptics import Scene, raytrace
 from nlosoptics.raytrace.intersection import kept_meshes
-from nlosoptics.raytrace.intersection.kept_meshes import kept_mesh
 from nlosoptics.raytrace.intersection.triangles import Facets, _Room
 from nlosoptics.scene import Camera, FlatWall, Lambert, Laser, MeshObject, Occluder
 
