@@ -13,11 +13,7 @@ from ...errors import SceneError
 from ...scene import Camera, Wall
 
 Array = NDArray[np.float64]
-CELLS: Final = 48  # smallest number of cells per side of the searched rectangle
-GROWTHS: Final = 24  # largest number of doublings of the rectangle
-LEVELS: Final = 9  # largest number of subdivisions of its cells
-MOST: Final = 2_000_000  # largest number of cells after doubling the rectangle
-FINE: Final = 0.125  # width of a cell's light at the lens, in lens radii, that ends subdivision
+LEVELS: Final = 9  # largest number of subdivisions of the cells of a searched rectangle
 CORNERS: Final = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 
 
@@ -75,7 +71,7 @@ def lens_footprint(wall: Wall, object_point: Array, camera: Camera) -> Footprint
         raise SceneError(f"object_point has z = {o[2]:g} m, behind the wall; must be above 0 m")
     low, high = _mirror_box(wall, o, camera)
     edge = np.array([np.inf, np.inf] if wall.size is None else wall.size) / 2
-    for _ in range(GROWTHS):
+    for _ in range(24):
         inner_low, inner_high = np.maximum(low, -edge), np.minimum(high, edge)
         if (inner_low < inner_high).all():
             points = _lit_points(wall, o, camera, inner_low, inner_high)
@@ -87,7 +83,7 @@ def lens_footprint(wall: Wall, object_point: Array, camera: Camera) -> Footprint
                 if not (open_low | open_high).any():
                     return Footprint(first, last, points)
             whole = (inner_low == -edge).all() and (inner_high == edge).all()
-            if whole or _counts(wall, inner_low, inner_high).prod() > MOST / 4:
+            if whole or _counts(wall, inner_low, inner_high).prod() > 500_000:
                 break
         low, high = low - (high - low) / 2, high + (high - low) / 2
     raise SceneError(
@@ -138,7 +134,7 @@ def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -
         lit = lit.all(axis=1) & some
         # at the last level accept wider cells; those still wider, as at the rim of a sphere, send
         # a negligible part of their light into the lens
-        limit = FINE * radius if level < LEVELS - 1 else radius
+        limit = 0.125 * radius if level < LEVELS - 1 else radius
         fine: NDArray[np.bool_] = np.logical_and(lit, (spread <= limit).all(axis=1))
         found.append(points[fine[:, None] & ~dark.any(axis=-1)])
         cells = cells[lit & ~fine]
@@ -152,7 +148,7 @@ def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -
 
 def _counts(wall: Wall, low: Array, high: Array) -> Array:
     """Return the number of cells along x and y of a search rectangle, (2,)."""
-    return np.asarray(np.maximum(CELLS, np.ceil(8 * (high - low) / wall.finest_period)))
+    return np.asarray(np.maximum(48, np.ceil(8 * (high - low) / wall.finest_period)))
 
 
 def _fit(n_cells: float) -> None:

@@ -7,7 +7,7 @@ import math
 from ...kernels.codes import GROUPS
 from ...kernels.compiling import njit
 from ..light._point_kernels import landing
-from ..light._surround_kernels import three
+from ..light._surround_kernels import three, unit
 
 
 @njit(cache=True, nogil=True)
@@ -34,10 +34,9 @@ def sort_light(
     for i in range(power.size):
         if power[i] <= 0.0:
             continue
-        p, a = three(ends[i], 0), three(last[i], 0)
-        d = (a[0] - p[0], a[1] - p[1], a[2] - p[2])
-        r = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-        x, y = landing(camera, p, (d[0] / r, d[1] / r, d[2] / r))
+        p = three(ends[i], 0)
+        d, r = unit(p, last[i])
+        x, y = landing(camera, p, d)
         # the point is on the detector, but rounding may move it across the edge
         column = min(max(int(math.floor(x / pitch + 0.5 * nx)), 0), nx - 1)
         row = min(max(int(math.floor(y / pitch + 0.5 * ny)), 0), ny - 1)

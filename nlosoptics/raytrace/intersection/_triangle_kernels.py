@@ -36,7 +36,7 @@ def _across(d):
 
 @njit(cache=True, error_model="numpy")
 def _entry(boxes, node, o, inverse, low, high):
-    """Return the distance at which a ray enters an axis-parallel box, m; inf if it misses the box."""
+    """Return the distance at which a ray enters an axis-parallel box, m; inf if it misses."""
     for k in range(3):
         near, far = boxes[node, k] - o[k], boxes[node, k + 3] - o[k]
         if abs(inverse[k]) == math.inf:
@@ -305,7 +305,7 @@ def after(node):
 
 @njit(cache=True, error_model="numpy")
 def _strike(row, edge, o, d):
-    """Return the distance to a triangle, m, including its edges and corners; NaN if it is missed."""
+    """Return the distance to a triangle, m, including its edges; NaN if it is missed."""
     u, v, w, det, t, _ = _facet(row, o, d)
     away = abs(o[0] - row[0]) + abs(o[1] - row[1]) + abs(o[2] - row[2])
     # the rounding error of the volumes, so that no ray passes between adjacent triangles

@@ -128,14 +128,14 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
         return _plane(wall, *_rays(origins, directions))
     if isinstance(wall, CallableWall):
         return _callable(wall, *_rays(origins, directions))
-    from . import _block_kernels
+    from . import _wall_kernels
 
     o, d, shape = flat_rays(origins, directions)
     count = math.prod(shape)
     distance, status = np.empty(count), np.empty(count, dtype=np.int8)
     points, normals = np.empty((count, 3)), np.empty((count, 3))
     compiled = compiled_wall(wall, 8.0 * count)  # a march takes some 8 heights
-    bad = _block_kernels.intersect(*compiled, o, d, distance, points, normals, status)
+    bad = _wall_kernels.intersect(*compiled, o, d, distance, points, normals, status)
     if bad:
         _rays(origins, directions)  # raises an error that names the first bad ray
     return Hits(

@@ -33,30 +33,23 @@ from ._light_kernels import (
     lobes_of,
 )
 from ._lobe_kernels import STEEPEST, facet_slope_sq, is_narrow
-from ._surround_kernels import OBJECT, ROOM, WALL, dot, interval, on_detector, texel, three
-
-STREAM = np.uint64(303)  # stream of the random numbers
-# Largest numbers of Newton steps and of halvings of a step. A search tries many starts, and some
-# have no solution. Elsewhere a solution that is missed would be lost.
-SEARCH, SOLVE = (20, 6), (60, 12)
-MARGIN = 0.3  # added to the slope of the wall at the start, to bound that at the solution
-ZERO = 1e-20  # sum of the squared equations (direction cosines) at a solution
-SAME = 1e-6  # distance of equal solutions relative to the length of the path
-TRIALS = 1 << 16  # largest number of starts for one solution
-THINNED = 8.0  # search one of so many chains for each reflection at the wall after the first
-LONG = 4  # reflections beyond which one of two chains is traced, for each further reflection
+from ._surround_kernels import OBJECT, ROOM, WALL, dot, interval, on_detector, texel, three, unit
 
 
 @njit(cache=True)
 def _number(seed, ray, bounce, m, k):
     """Return random number ``k`` of a ray's chain of m reflections after ``bounce`` reflections."""
     address = ((np.uint64(bounce) << np.uint64(8)) | np.uint64(m)) << np.uint64(32)
-    return uniform(seed, STREAM, np.uint64(ray), address | np.uint64(k))
+    return uniform(seed, np.uint64(303), np.uint64(ray), address | np.uint64(k))
 
 
 @njit(cache=True)
 def _set_frame(world, kind, u, frame, bounds):
-    """Fill the frame (12,) of a surface and its bounds (8,); return the reciprocal of its chance."""
+    """Fill the frame (12,) of a surface and its bounds (8,); return 1 / its chance.
+
+    A triangle of a mesh is drawn by area with the random number ``u``. Its bounds give barycentric
+    coordinates; those of the planar object are its half width and height.
+    """
     if kind == WALL:
         frame[:] = 0.0
         frame[3] = frame[7] = frame[11] = 1.0
@@ -123,13 +116,14 @@ def _widening(walls, at, steepest):
     if steepest == 0.0:
         return 1.0
     values = surface(walls[0], walls[1], at[0], at[1])
-    slope = math.hypot(values[1], values[2]) + MARGIN
+    # the margin bounds the slope at the solution
+    slope = math.hypot(values[1], values[2]) + 0.3
     return 1.0 + (slope if slope < steepest else steepest) ** 2
 
 
 @njit(cache=True)
 def _unfold(frames, a, p, u):
-    """Fill the coordinates (m, 2) at which plane mirrors in the frames reflect light from a to p."""
+    """Fill the coordinates (m, 2) at which plane mirrors in the frames reflect from a to p."""
     m = u.shape[0]
     images = np.empty((m, 3))
     image = p
@@ -271,8 +265,8 @@ def _solve(walls, kinds, frames, slopes, a, p, u, x, g, steps, halvings):
         if not worst < math.inf:
             return 0.0
         det = _steps(g, own, back, ahead, step)
-        if worst < ZERO or det == 0.0:
-            return det if worst < ZERO else 0.0
+        if worst < 1e-20 or det == 0.0:
+            return det if worst < 1e-20 else 0.0
         for i in range(m):
             old[i, 0], old[i, 1] = u[i, 0], u[i, 1]
         share, better = 1.0, math.inf
@@ -315,7 +309,10 @@ def _inside(walls, kind, is_plate, bounds, u, v):
 
 @njit(cache=True)
 def _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inverse):
-    """Return the power per unit of solid angle at ``a`` and area at ``p`` of a solved chain, 1/m^2."""
+    """Return the power per solid angle at ``a`` and area at ``p`` of a solved chain, 1/m^2.
+
+    It lacks the cosines at both ends, and is still to be divided by the Jacobian's determinant.
+    """
     m, value = u.shape[0], 1.0
     for i in range(m):
         kind = kinds[i]
@@ -323,10 +320,7 @@ def _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inver
             return 0.0
         before = a if i == 0 else three(x[i - 1], 0)
         after = p if i == m - 1 else three(x[i + 1], 0)
-        d = (before[0] - x[i, 0], before[1] - x[i, 1], before[2] - x[i, 2])
-        e = (after[0] - x[i, 0], after[1] - x[i, 1], after[2] - x[i, 2])
-        r, s = math.sqrt(dot(d, d)), math.sqrt(dot(e, e))
-        d, e = (d[0] / r, d[1] / r, d[2] / r), (e[0] / s, e[1] / s, e[2] / s)
+        (d, r), (e, s) = unit(x[i], before), unit(x[i], after)
         f, tilt = frames[i], 1.0 / math.sqrt(1.0 + g[i, 0] ** 2 + g[i, 1] ** 2)
         n = _normal(f, g[i])
         mu_i, mu_o, between = dot(d, n), dot(e, n), dot(d, e)
@@ -427,8 +421,10 @@ def chain_to_lens(
             kinds[k] = begin if k % 2 == 0 else WALL + OBJECT - begin
             on_wall += 1 if kinds[k] == WALL else 0
         search = several and on_wall > 0
-        keep = THINNED ** (1 - on_wall) if search else 1.0
-        keep *= 0.5 ** max(0, m - LONG)
+        # keep one of eight searches for each reflection at the wall after the first, and one of two
+        # chains for each reflection after the fourth
+        keep = 8.0 ** (1 - on_wall) if search else 1.0
+        keep *= 0.5 ** max(0, m - 4)
         if keep < 1.0 and _number(seed, ray, bounce, m, 4 * m) >= keep:
             continue
         share /= keep
@@ -447,11 +443,11 @@ def chain_to_lens(
             ready = ready and lobes_at[k] >= 0
         if not ready:
             continue
-        reach = math.sqrt((a[0] - p[0]) ** 2 + (a[1] - p[1]) ** 2 + (a[2] - p[2]) ** 2)
-        reach += abs(a[2]) + abs(p[2])
+        reach = unit(a, p)[1] + abs(a[2]) + abs(p[2])
         for k in range(m):
             u[k, 0], u[k, 1] = start[k, 0], start[k, 1]
-        steps, halvings = SEARCH if search else SOLVE
+        # a search tries many starts, of which some have no solution; elsewhere it would be lost
+        steps, halvings = (20, 6) if search else (60, 12)
         if search:
             _shift(walls, seed, ray, (bounce, m, 4 * m + 1), kinds, reach, start, u)
         det = _solve(walls, kinds, frames, slopes, a, p, u, x, g, steps, halvings)
@@ -460,16 +456,7 @@ def chain_to_lens(
         carried = _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inverse)
         if carried <= 0.0:
             continue
-        d, e = (
-            (x[0, 0] - a[0], x[0, 1] - a[1], x[0, 2] - a[2]),
-            (
-                x[m - 1, 0] - p[0],
-                x[m - 1, 1] - p[1],
-                x[m - 1, 2] - p[2],
-            ),
-        )
-        r, s = math.sqrt(dot(d, d)), math.sqrt(dot(e, e))
-        d, e = (d[0] / r, d[1] / r, d[2] / r), (e[0] / s, e[1] / s, e[2] / s)
+        (d, r), (e, s) = unit(a, x[0]), unit(p, x[m - 1])
         cosine = dot(d, three(vertex, 3))
         if cosine <= 0.0 or on_detector(camera, p, e) <= 0.0:
             continue
@@ -481,8 +468,8 @@ def chain_to_lens(
         if f <= 0.0:
             continue
         if search:
-            trials = TRIALS
-            for trial in range(1, TRIALS + 1):
+            trials = 1 << 16  # at most
+            for trial in range(1, trials + 1):
                 address = (bounce, m, (4 + 3 * trial) * m + 1)
                 _shift(walls, seed, ray, address, kinds, reach, start, again)
                 found = _solve(walls, kinds, frames, slopes, a, p, again, y, other, steps, halvings)
@@ -491,7 +478,7 @@ def chain_to_lens(
                     for k in range(m):
                         for c in range(3):
                             off += abs(x[k, c] - y[k, c])
-                    if off < SAME * m * reach:
+                    if off < 1e-6 * m * reach:
                         trials = trial
                         break
             f *= trials
@@ -503,5 +490,4 @@ def chain_to_lens(
             mirror[SURFACE] = kinds[k]
             mirror[MET] = 1.0 if kinds[k] == OBJECT or k > 0 else vertex[MET]
             if k > 0:
-                away = (x[k, 0] - x[k - 1, 0], x[k, 1] - x[k - 1, 1], x[k, 2] - x[k - 1, 2])
-                length[i] += math.sqrt(dot(away, away))
+                length[i] += unit(x[k - 1], x[k])[1]

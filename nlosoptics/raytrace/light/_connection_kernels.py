@@ -30,12 +30,12 @@ from ._light_kernels import (
     target_density,
 )
 from ._lobe_kernels import lobe_density
-from ._surround_kernels import OBJECT, dot, on_detector, three
+from ._surround_kernels import OBJECT, dot, on_detector, three, unit
 
 
 @njit(cache=True)
 def reflected(lobes, vertex, direction, cosine):
-    """Return f_r times brightness of a vertex toward a unit vector, 1/sr; smooth mirrors excluded."""
+    """Return f_r times brightness of a vertex toward a unit vector, 1/sr, without mirrors."""
     incident = three(vertex, 6)
     mu = dot(incident, three(vertex, 3))
     f = material(lobes, mu, cosine, dot(incident, direction))
@@ -154,11 +154,8 @@ def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
         a, p = light[i], three(lens[i], 0)
         if a[SURFACE] < 0.0:
             continue
-        d = (p[0] - a[0], p[1] - a[1], p[2] - a[2])
-        square = dot(d, d)
-        r = math.sqrt(square)
-        d = (d[0] / r, d[1] / r, d[2] / r)
-        cosine = dot(d, three(a, 3))
+        d, r = unit(a, p)
+        square, cosine = r * r, dot(d, three(a, 3))
         if cosine <= 0.0:
             continue
         seen = on_detector(camera, p, (-d[0], -d[1], -d[2]))
@@ -189,7 +186,7 @@ def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
 
 @njit(cache=True, nogil=True)
 def book(light, eye, bounce, most, first, value, length, path_sums):
-    """Add the power of connections to the sums of their number of reflections, or to stray light."""
+    """Add the power of connections to the sum of their number of reflections, or stray light."""
     for i in range(value.size):
         if value[i] > 0.0:
             sums = sums_of(path_sums, first, i)

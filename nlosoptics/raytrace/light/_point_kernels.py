@@ -11,7 +11,7 @@ import math
 from ...kernels.brdf import is_mirror, material, material_pdf
 from ...kernels.codes import GROUPS, UNIT
 from ...kernels.compiling import njit
-from ...kernels.random import disc, draw
+from ...kernels.random import disc
 from ..fans import paths
 from ._connection_kernels import between, next_density, reflected
 from ._light_kernels import (
@@ -38,7 +38,9 @@ from ._surround_kernels import (
     WALL,
     dot,
     object_point,
+    pair,
     three,
+    unit,
 )
 
 
@@ -46,10 +48,7 @@ from ._surround_kernels import (
 def glow(world, sampler, first, power, new):
     """Fill vertices on the hidden object's front, as if lit at normal incidence."""
     for i in range(new.shape[0]):
-        ray = first + i
-        group, index = ray % GROUPS, ray // GROUPS
-        u = draw(sampler, group, index, ray, DRAW_PIXEL)
-        v = draw(sampler, group, index, ray, DRAW_PIXEL + 1)
+        u, v = pair(sampler, first + i, DRAW_PIXEL)
         point, normal = object_point(world, world.splits, u, v)
         for k in range(3):
             new[i, k], new[i, 3 + k], new[i, 6 + k] = point[k], normal[k], normal[k]
@@ -61,16 +60,16 @@ def glow(world, sampler, first, power, new):
 def spots(sampler, first, corner, size, xy):
     """Fill ``xy`` (n, 2) with points spread uniformly over a rectangle, m."""
     for i in range(xy.shape[0]):
-        ray = first + i
-        group, index = ray % GROUPS, ray // GROUPS
-        for k in range(2):
-            u = draw(sampler, group, index, ray, DRAW_LENS + k)
-            xy[i, k] = corner[k] + u * size[k]
+        u, v = pair(sampler, first + i, DRAW_LENS)
+        xy[i, 0], xy[i, 1] = corner[0] + u * size[0], corner[1] + v * size[1]
 
 
 @njit(cache=True, nogil=True)
 def to_wall(world, light, targets, value, starts, ends):
-    """Fill the power, W, that light vertices send directly to chosen wall points."""
+    """Fill the power, W, that light vertices send directly to chosen wall points.
+
+    The balance heuristic weights it against light that reaches the wall by scattering.
+    """
     for i in range(light.shape[0]):
         value[i] = 0.0
         a, b = light[i], targets[i]
@@ -92,7 +91,10 @@ def to_wall(world, light, targets, value, starts, ends):
 
 @njit(cache=True, nogil=True)
 def arrivals(vertices, evenly, power):
-    """Fill the power, W, of light that reaches the wall by scattering, weighted against `to_wall`."""
+    """Fill the power, W, of light that reaches the wall by scattering; see `to_wall`.
+
+    ``evenly`` is the density of the points of `to_wall` per area of the mean plane, 1/m^2.
+    """
     for i in range(vertices.shape[0]):
         power[i] = 0.0
         if vertices[i, SURFACE] == WALL:
@@ -138,14 +140,16 @@ def _along(a, b, n, x, y, z):
 
 @njit(cache=True, nogil=True)
 def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
-    """Draw directions of light that leaves a source, or the wall points at which it is aimed."""
+    """Draw directions of light that leaves a source, or the wall points at which it is aimed.
+
+    A fraction ``share`` of the rays is aimed at the part ``box`` = (low x, low y, width, height),
+    m, of the wall. The others are aimed uniformly at the whole wall, ``whole``, or follow the
+    emission of the source if ``whole`` has no width.
+    """
     n = three(source, 3)
     a, b = tangents(n)
     for i in range(directions.shape[0]):
-        ray = first + i
-        group, index = ray % GROUPS, ray // GROUPS
-        u = draw(sampler, group, index, ray, DRAW_BEAM)
-        v = draw(sampler, group, index, ray, DRAW_BEAM + 1)
+        u, v = pair(sampler, first + i, DRAW_BEAM)
         aimed[i] = u < share
         if aimed[i]:
             aims[i, 0], aims[i, 1] = box[0] + u / share * box[2], box[1] + v * box[3]
@@ -213,12 +217,9 @@ def arrive(source, whole, box, share, directions, reach, live, hits, new):
 
 
 @njit(cache=True, inline="always")
-def _lens_point(camera, sampler, group, index, ray):
+def _lens_point(camera, sampler, ray):
     """Draw a point from the uniform distribution over the lens."""
-    u, v = disc(
-        draw(sampler, group, index, ray, DRAW_LENS),
-        draw(sampler, group, index, ray, DRAW_LENS + 1),
-    )
+    u, v = disc(*pair(sampler, ray, DRAW_LENS))
     u, v = u * camera[12], v * camera[12]
     return (
         camera[0] + u * camera[3] + v * camera[6],
@@ -229,7 +230,7 @@ def _lens_point(camera, sampler, group, index, ray):
 
 @njit(cache=True, inline="always")
 def landing(camera, point, d):
-    """Return the point (x, y) of the detector plane, m, at which light along a ray is imaged."""
+    """Return the detector point (x, y), m, of light that goes back along ``d`` from the lens."""
     cosine = dot(d, three(camera, 9))
     apart = (point[0] - camera[0], point[1] - camera[1], point[2] - camera[2])
     far, zoom = camera[13] / cosine, camera[14] / camera[13]
@@ -242,17 +243,12 @@ def landing(camera, point, d):
 
 @njit(cache=True, nogil=True)
 def look_around(world, sampler, first, origins, directions, powers):
-    """Fill rays from random lens points, with cosine-weighted directions over its front hemisphere."""
+    """Fill rays from random lens points, cosine-weighted over the front hemisphere."""
     camera = world.camera
     axis, e1, e2 = three(camera, 9), three(camera, 3), three(camera, 6)
     for i in range(powers.size):
-        ray = first + i
-        group, index = ray % GROUPS, ray // GROUPS
-        point = _lens_point(camera, sampler, group, index, ray)
-        x, y = disc(
-            draw(sampler, group, index, ray, DRAW_PIXEL),
-            draw(sampler, group, index, ray, DRAW_PIXEL + 1),
-        )
+        point = _lens_point(camera, sampler, first + i)
+        x, y = disc(*pair(sampler, first + i, DRAW_PIXEL))
         cosine = math.sqrt(max(0.0, 1.0 - x * x - y * y))
         d = _along(e1, e2, axis, x, y, cosine)
         for k in range(3):
@@ -274,15 +270,11 @@ def look_at_pixels(world, sampler, first, each, window, origins, directions, pow
         sign = 1.0
         if ray % 2 == 1:
             sign, ray = -1.0, ray - 1
-        group, index = ray % GROUPS, ray // GROUPS
-        u, v = disc(
-            draw(sampler, group, index, ray, DRAW_LENS),
-            draw(sampler, group, index, ray, DRAW_LENS + 1),
-        )
+        u, v = disc(*pair(sampler, ray, DRAW_LENS))
         u, v = sign * camera[12] * u, sign * camera[12] * v
-        x = sign * (draw(sampler, group, index, ray, DRAW_PIXEL) - 0.5)
-        y = sign * (draw(sampler, group, index, ray, DRAW_PIXEL + 1) - 0.5)
-        x, y = low_x + pitch * (column + 0.5 + x), low_y + pitch * (row + 0.5 + y)
+        x, y = pair(sampler, ray, DRAW_PIXEL)
+        x = low_x + pitch * (column + 0.5 + sign * (x - 0.5))
+        y = low_y + pitch * (row + 0.5 + sign * (y - 0.5))
         # toward the image of the detector point in the plane in focus
         a, b = -x * zoom - u, -y * zoom - v
         norm = math.sqrt(a * a + b * b + c * c)
@@ -318,15 +310,12 @@ def from_source(source, lobes, eye, value, starts, ends):
         b = eye[i]
         if b[SURFACE] != WALL:
             continue
-        d = (b[0] - source[0], b[1] - source[1], b[2] - source[2])
-        square = dot(d, d)
-        r = math.sqrt(square)
-        d = (d[0] / r, d[1] / r, d[2] / r)
+        d, r = unit(source, b)
         cosine, incident = -dot(d, three(b, 3)), three(b, 6)
         if cosine <= 0.0:
             continue
         f = material(lobes, cosine, dot(incident, three(b, 3)), -dot(incident, d))
-        value[i] = f * b[POWER] * _intensity(source, d) * cosine / square
+        value[i] = f * b[POWER] * _intensity(source, d) * cosine / (r * r)
         for k in range(3):
             starts[i, k], ends[i, k] = source[k], b[k]
 
@@ -341,30 +330,30 @@ def _imaged(lobes, matt, mu, cosine, turn, f):
 
 @njit(cache=True, nogil=True)
 def to_lens(world, sampler, first, counted, glossy, light, value, starts, ends, x, y, imaged):
-    """Fill power, detector position and imaged fraction of connections from the wall to the lens."""
+    """Fill power, detector position and imaged share of connections from the wall to the lens.
+
+    The imaged share is what mirror-like lobes reflect. ``counted`` is (all lobes to count, those of
+    them that are not mirror-like).
+    """
     lobes, matt = counted
     camera = world.camera
     area, axis = math.pi * camera[12] ** 2, three(camera, 9)
     for i in range(value.size):
         value[i] = 0.0
-        a, ray = light[i], first + i
+        a = light[i]
         if a[SURFACE] != WALL:
             continue
-        group, index = ray % GROUPS, ray // GROUPS
-        p = _lens_point(camera, sampler, group, index, ray)
-        d = (p[0] - a[0], p[1] - a[1], p[2] - a[2])
-        square = dot(d, d)
-        r = math.sqrt(square)
-        d = (d[0] / r, d[1] / r, d[2] / r)
+        p = _lens_point(camera, sampler, first + i)
+        d, r = unit(a, p)
         cosine, at_lens = dot(d, three(a, 3)), -dot(d, axis)
         if cosine <= 0.0 or at_lens <= 0.0 or at_lens < camera[17]:
             continue
         mu, turn = dot(three(a, 6), three(a, 3)), dot(three(a, 6), d)
         f = material(lobes, mu, cosine, turn)
         imaged[i] = _imaged(lobes, matt, mu, cosine, turn, f)
-        f *= cosine * a[POWER] * at_lens * area / square
+        f *= cosine * a[POWER] * at_lens * area / (r * r)
         if glossy:
-            here = square / (at_lens * area)
+            here = r * r / (at_lens * area)
             f /= 1.0 + material_pdf(world.wall, mu, cosine, turn) / here
         value[i] = f * camera[18]
         x[i], y[i] = landing(camera, p, (-d[0], -d[1], -d[2]))
@@ -422,25 +411,6 @@ def lens_hits(
             value[i] = sent * f * cosine / leave[i, LOBE]
             value[i] *= leave[i, PDF] / (leave[i, PDF] + here)
         x[i], y[i] = landing(camera, three(new[i], 0), (-d[0], -d[1], -d[2]))
-
-
-@njit(cache=True, nogil=True)
-def connect(world, light, eye, value, starts, ends):
-    """Fill the detected power, W, of connections between light vertices and eye vertices."""
-    for i in range(value.size):
-        value[i] = 0.0
-        a, b = light[i], eye[i]
-        if a[SURFACE] < 0.0 or b[SURFACE] < 0.0:
-            continue
-        d, square, cos_a, cos_b = between(a, b)
-        if cos_a <= 0.0 or cos_b <= 0.0:
-            continue
-        f = reflected(lobes_of(world, int(a[SURFACE])), a, d, cos_a)
-        back = (-d[0], -d[1], -d[2])
-        f *= reflected(lobes_of(world, int(b[SURFACE])), b, back, cos_b)
-        value[i] = f * a[POWER] * b[POWER] * cos_a * cos_b / square
-        for k in range(3):
-            starts[i, k], ends[i, k] = a[k], b[k]
 
 
 @njit(cache=True, nogil=True)

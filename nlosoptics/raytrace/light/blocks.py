@@ -223,7 +223,7 @@ class Rays:
                     self._chain(light, bounce, m, True)
 
     def _chain(self, light: Array, bounce: int, m: int, at_wall: bool) -> None:
-        """Add the power of chains of ``m`` mirror-like reflections from light vertices to the lens."""
+        """Add the power of chains of ``m`` mirror-like reflections from vertices to the lens."""
         mirrors, chains = np.zeros((m, self.n, kernels.VERTEX)), self.around.chains
         chaining.chain_to_lens(
             self.around.world,

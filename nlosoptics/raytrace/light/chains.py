@@ -4,24 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from ...kernels.codes import BUMPS, FACETS
 from ...scene import ConvexWall, PlanarObject, Scene
-
-#: Largest number of triangles of a mirror-like object from which a chain draws one at random.
-TRIANGLES: Final = 128
-#: Points per side of the grid on which the slopes of a wall are looked up.
-GRID: Final = 129
-#: Largest number of hills and hollows of a wall, along x times along y, between which a chain
-#: searches for its reflection points.
-HILLS: Final = 100.0
-#: Half width, m, of the part of an unbounded wall whose slopes are looked up.
-UNBOUNDED: Final = 2.0
-#: Standard deviations of the facet slope within which a mirror-like lobe sends its light.
-DEVIATIONS: Final = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +66,7 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
         )
         missing.append((3 if _meets_object(scene, 0.0, mirrored=False) else 4, text))
     # chains of one reflection matter if the laser's glint on the wall reaches the object
-    facets = DEVIATIONS * max((x.slope_rms for x in scene.wall_material.mirror_lobes), default=0.0)
+    facets = 5.0 * max((x.slope_rms for x in scene.wall_material.mirror_lobes), default=0.0)
     spread = 2.0 * (math.atan(steepest) + facets)
     room = bool(scene.room_materials)
     wall = wall and (thing or room or _meets_object(scene, spread, mirrored=True))
@@ -90,9 +77,9 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
         missing.append((3, text))
     if thing and not isinstance(scene.hidden, PlanarObject):
         count = len(scene.hidden.surface.faces)
-        if count > TRIANGLES:
+        if count > 128:  # of which a chain draws one at random
             text = "light that mirror-like lobes of the object reflect to the wall or the lens: it "
-            missing.append((2, f"{text}has {count} triangles, limit {TRIANGLES}"))
+            missing.append((2, f"{text}has {count} triangles, limit 128"))
             thing = False
         elif not scene.hidden.surface.is_convex:
             text = "light that the object's mirror-like lobes reflect twice in a row: its mesh is "
@@ -119,23 +106,24 @@ def _obstacle(scene: Scene, hills: float) -> str:
     terms = scene.wall.compiled()[0]
     if np.isin(terms[:, 0], (FACETS, BUMPS)).any():
         return "the wall has a rough relief"
-    if hills > HILLS:
-        return f"the wall has some {hills:.0f} hills and hollows, limit {HILLS:g}"
+    if hills > 100.0:
+        return f"the wall has some {hills:.0f} hills and hollows, limit 100"
     return ""
 
 
 def _slopes(scene: Scene) -> tuple[float, float]:
     """Return the largest slope of the wall, and its number of hills and hollows, on a grid."""
-    size = scene.wall.size or (2.0 * UNBOUNDED, 2.0 * UNBOUNDED)
-    x, y = (np.linspace(-0.5 * s, 0.5 * s, GRID) for s in size)
+    n = 129  # points of the grid along a side
+    size = scene.wall.size or (4.0, 4.0)
+    x, y = (np.linspace(-0.5 * s, 0.5 * s, n) for s in size)
     # The values of a compiled wall are NaN beyond the rim of a sphere, and infinite on it.
     values = scene.wall.surface_values if scene.wall.is_compiled else scene.wall.derivatives
     slopes = values(*(a.ravel() for a in np.meshgrid(x, y)))[:, 1:3]
     slopes = np.where(np.isfinite(slopes), slopes, 0.0)
     norms = np.hypot(slopes[:, 0], slopes[:, 1])
-    signs = np.sign(slopes.reshape(GRID, GRID, 2))
+    signs = np.sign(slopes.reshape(n, n, 2))
     turns = [float((np.abs(np.diff(signs[..., k], axis=1 - k)) == 2.0).mean()) for k in (0, 1)]
-    hills = (1.0 + turns[0] * (GRID - 1)) * (1.0 + turns[1] * (GRID - 1))
+    hills = (1.0 + turns[0] * (n - 1)) * (1.0 + turns[1] * (n - 1))
     return float(np.max(norms, initial=0.0, where=np.isfinite(norms))), hills
 
 

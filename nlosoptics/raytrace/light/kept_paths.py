@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,6 @@ from . import _light_kernels as kernels
 from . import _surround_kernels as surround
 
 Array = NDArray[np.float64]
-#: Angle to the direction of a mirror, rad, within which a smooth mirror must have reflected light.
-#: Rounding of points leaves less, and any other lobe reaches it once in 10^12 reflections.
-EXACT: Final = 1e-6
 #: Points (m), surfaces and lobes, then lengths (m), powers (W), reflections and status of paths.
 Kept = tuple[
     Array,
@@ -79,7 +76,8 @@ def _strongest(table: Array, come: Array, go: Array, normals: Array) -> NDArray[
     evaluate: Any = brdf.evaluate  # untyped
     cosines = dot(come, normals), dot(go, normals), dot(come, go)
     off = go + come - 2.0 * cosines[0][:, None] * normals
-    mirrored = dot(off, off) < EXACT**2
+    # rounding leaves less, and any other lobe comes as close once in 10^12 reflections
+    mirrored = dot(off, off) < 1e-12
     values = np.empty((len(table), len(come)))
     for j in range(len(table)):
         smooth = table[j, 0] >= BECKMANN and table[j, 2] == 0.0

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...kernels.codes import BECKMANN, GROUPS
+from . import _connection_kernels as connecting
 from . import _light_kernels as light_kernels
 from . import _point_kernels as kernels
 from . import _surround_kernels as surround
@@ -18,9 +18,6 @@ from .blocks import Job, Rays
 from .trace import BLOCK
 
 Array = NDArray[np.float64]
-#: Share of the rays aimed at the part of the wall from which mirror-like lobes reflect them to the
-#: lens; a binary fraction splits Sobol points exactly.
-AIM: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -209,7 +206,7 @@ class _Block:
         """Add the image that smooth mirrors form by one reflection."""
         rays, powers, world = self.rays, np.empty(self.n), self.task.job.around.world
         # a curved wall may form further images outside the box, so that only a share is aimed
-        light = self._shine(self.task.image_box, AIM if self.task.image_box.all() else 0.0)
+        light = self._shine(self.task.image_box, 0.5 if self.task.image_box.all() else 0.0)
         kernels.mirrored(world, light, rays.origins, rays.directions, powers, rays.live)
         hits = rays._hits(light)
         found = (self.value, *self.at, self.imaged)
@@ -219,10 +216,10 @@ class _Block:
 
     def start(self) -> Array:
         """Return the first vertices, (n, VERTEX), of the object point's light."""
-        return self._shine(self.task.gloss_box, AIM if self.task.gloss_box.all() else 0.0)
+        return self._shine(self.task.gloss_box, 0.5 if self.task.gloss_box.all() else 0.0)
 
     def _shine(self, box: Array, share: float) -> Array:
-        """Return first vertices on the wall; a fraction ``share`` of the rays is aimed at ``box``."""
+        """Return first vertices on the wall; a ``share`` of the rays is aimed at ``box``."""
         task, rays, n = self.task, self.rays, self.n
         aims, aimed = np.zeros((n, 3)), np.zeros(n, dtype=bool)
         where = (task.whole, box, share)
@@ -290,7 +287,9 @@ class _Block:
 
     def connect(self, light: Array, eye: Array) -> Array:
         """Return the power that light vertices send to the detector via the vertices ``eye``, W."""
-        kernels.connect(self.task.job.around.world, light, eye, *self.ends)
+        world, length = self.task.job.around.world, self.rays.length
+        value, *ends = self.ends
+        connecting.connect(world, light, eye, eye, False, False, value, length, *ends)
         self.clear(light)
         return self.value
 

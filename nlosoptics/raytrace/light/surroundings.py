@@ -44,9 +44,6 @@ Hits = tuple[Array, NDArray[np.int16], Array, Array, Array]
 # themselves, or occluders that reflect light, which need more of the other rays. Binary fractions
 # split Sobol points exactly.
 AIMED: Final = ((0.75, 0.75), (0.5, 0.25))
-#: Share of the rays aimed from the laser spot at a mesh that are spread evenly over its area, so
-#: that shadows, glossy lobes and inclined parts of a patch cost little where the others miss them.
-ANYWHERE: Final = 0.125
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,46 +90,28 @@ class RayPlan:
     unreached: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        rows = [
-            ("wall hits", True, self.wall_hits),
-            (
-                "triangles",
-                self.embree,
-                "object and occluders hold none"
-                if not self.embree
-                else "Embree finds the triangle, float64 computes the hit",
-            ),
+        hits, lobe = "object and occluders hold none", "whose reflection points can be solved for"
+        rows = (
+            ("wall hits", True, self.wall_hits, ""),
+            ("triangles", self.embree, "float64 computes the hits", hits),
             (
                 "wall to wall",
                 self.wall_to_wall,
-                "light from the wall may meet it again"
-                if self.wall_to_wall
-                else "no part of the wall sees another",
+                "light from the wall may meet it again",
+                "no part of the wall sees another",
             ),
             (
                 "wall shadows",
                 self.wall_shadows,
-                "crests or the rim may block light"
-                if self.wall_shadows
-                else "the wall, or the room in front of it, is convex",
+                "crests or the rim may block light",
+                "the wall, or the room in front of it, is convex",
             ),
-            (
-                "three strategies",
-                self.glossy,
-                "a lobe is glossy"
-                if self.glossy
-                else "all lobes are wide: connections to points seen from the lens suffice",
-            ),
-            (
-                "mirror chains",
-                self.chains,
-                "reflection points are solved for"
-                if self.chains
-                else "no mirror-like lobe whose reflection points can be solved for",
-            ),
-        ]
+            ("three strategies", self.glossy, "a lobe is glossy", "all lobes are wide"),
+            ("mirror chains", self.chains, "points are solved for", f"no mirror-like lobe {lobe}"),
+        )
         lines = [
-            f"{name:16s}  {'runs' if runs else 'skipped':7s}  {why}" for name, runs, why in rows
+            f"{name:16s}  {'runs' if runs else 'skipped':7s}  {why if runs else why_not}"
+            for name, runs, why, why_not in rows
         ]
         return "\n".join(lines + [f"{'unreached':16s}  {'':7s}  {why}" for why in self.unreached])
 
@@ -431,7 +410,7 @@ def _room(scene: Scene) -> tuple[Array, NDArray[np.int16]]:
 def lit_patches(scene: Scene, chart: Chart) -> Array:
     """Return the densities, (p,), 1/m^2, with which the laser spot aims rays at patches of a mesh.
 
-    All but a share `ANYWHERE` of the rays are drawn in proportion to the light of a point at the
+    All but an eighth of the rays are drawn in proportion to the light of a point at the
     laser spot that a patch would send to the point of the wall on the optical axis, both matt and
     nothing in between.
     """
@@ -446,7 +425,8 @@ def lit_patches(scene: Scene, chart: Chart) -> Array:
     weights /= np.where(chart.areas > 0.0, chart.areas, 1.0)
     uniform = chart.areas / chart.area
     total = float(weights.sum())
-    share = (1.0 - ANYWHERE) * weights / total + ANYWHERE * uniform if total > 0.0 else uniform
+    # an eighth is spread evenly, so that shadows and glossy lobes cost little elsewhere
+    share = 0.875 * weights / total + 0.125 * uniform if total > 0.0 else uniform
     return np.asarray(share / np.where(chart.areas > 0.0, chart.areas, 1.0))
 
 

@@ -38,9 +38,6 @@ GIVE_UP: Final = 1 << 18  # rays without any detected light after which tracing 
 MOST_BOUNCES: Final = 64  # largest number of reflections
 #: Skewness of the groups above which errors are widened; 1.4 % of normal groups exceed it.
 SKEWED: Final = 1.0
-#: Added to the squared relative width of an error, per squared skewness above the limit. Chosen so
-#: that 95 % intervals of rare reflections hold; see benchmarks/trace_coverage.py.
-WIDER: Final = 0.75
 
 
 def trace(
@@ -330,7 +327,8 @@ def mean_of(sums: Array, rays: int) -> tuple[float, float]:
         return mean, math.inf
     spread = math.fsum((group_means(sums, rays) - mean) ** 2) / (groups * (groups - 3))
     excess = max(0.0, skewness_of(sums, rays) ** 2 - SKEWED**2)
-    return mean, math.sqrt(spread * (1.0 + WIDER * excess))
+    # so that 95 % intervals of rare reflections hold; see benchmarks/trace_coverage.py
+    return mean, math.sqrt(spread * (1.0 + 0.75 * excess))
 
 
 def skewness_of(sums: Array, rays: int) -> float:

@@ -27,12 +27,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Emission = Literal["lambertian", "isotropic"]
 EMISSIONS = ("lambertian", "isotropic")
-#: Smallest number of rays per pixel; with fewer pairs of rays the standard error is unreliable.
-LEAST = 16
-#: Largest number of rays per pixel, since all rays of a pixel are in memory at the same time.
-LARGEST = 1 << 16
-#: Largest side of a wall, relative to the point's distance, that is sampled uniformly.
-WIDE = 4.0
 SPECK = 1e-9  # m, side of the black square that replaces the hidden object
 
 
@@ -215,9 +209,10 @@ def trace_point(
     whole("n_rays", n_rays, 1, MOST)
     smooth = point_scene(scene, object_point)
     alone = smooth.with_relief()
-    job = job_of(alone, max_bounces, "sobol", seed)
+    job = job_of(alone, max_bounces, "sobol", seed, chained=False)
     pitch, (ny, nx), first = _window(alone, pitch, shape, first)
-    each = min(max(LEAST, n_rays // (ny * nx) // 2 * 2), LARGEST)
+    # fewer pairs have unreliable errors; all rays of a pixel are in memory at the same time
+    each = min(max(16, n_rays // (ny * nx) // 2 * 2), 1 << 16)
     image_box, gloss_box = _boxes(smooth)
     matt = alone.wall_material.diffuse
     task = Task(
@@ -314,7 +309,7 @@ def point_normal(scene: Scene) -> Array:
 def _whole(scene: Scene) -> Array:
     """Return the wall's rectangle (low x, low y, width, height), m, for uniform sampling."""
     size, distance = scene.wall.size, float(scene.object_point[2])
-    if size is None or max(size) > WIDE * distance:
+    if size is None or max(size) > 4.0 * distance:
         return np.zeros(4)
     return np.array([-size[0] / 2, -size[1] / 2, size[0], size[1]])
 
