@@ -19,15 +19,9 @@ CORNERS: Final = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """Rectangle of the wall that contains all mirror reflections of a point into a lens.
+    """Rectangle (corners, m) of all mirror reflections of a point into a lens, and such points.
 
-    Parameters
-    ----------
-    low, high : ndarray, (2,)
-        Corners of the rectangle with the lowest and highest x and y, m.
-    points : ndarray, (n, 3)
-        Wall points, world frame, m, whose reflected light passes through the lens or close to its
-        edge.
+    The ``points`` (n, 3), m, reflect light through the lens or close to its edge.
     """
 
     low: Array
@@ -36,35 +30,13 @@ class Footprint:
 
 
 def lens_footprint(wall: Wall, object_point: Array, camera: Camera) -> Footprint:
-    """Find the part of the wall that reflects light from an object point into a lens.
+    """Find the part of the wall that reflects light from an object point (world, m) into a lens.
 
-    Parameters
-    ----------
-    wall : Wall
-        Relay wall, used as a mirror of its exact shape.
-    object_point : ndarray, (3,)
-        Object point in front of the wall, world frame, m.
-    camera : Camera
-        Camera with the lens.
-
-    Returns
-    -------
-    Footprint
-        Rectangle around the reflecting points, and the points found.
-
-    Raises
-    ------
-    SceneError
-        If the point is behind the wall, or none of its light is reflected into the lens.
-    MemoryLimitError
-        If the wall needs more cells than fit in memory.
-
-    Notes
-    -----
     The search starts with a rectangle around the reflection in the plane z = 0, enlarged for the
     wall's slopes, and divides it into cells. A cell counts as lit if the light reflected at its
     corners overlaps the lens, with a margin. Lit cells are subdivided until their light is much
     narrower than the lens. The rectangle is doubled until no cell at its border is lit.
+    `SceneError` if the point is behind the wall, or none of its light is reflected into the lens.
     """
     o = np.asarray(object_point, dtype=np.float64)
     if o[2] <= 0:
@@ -170,50 +142,22 @@ def _landings(wall: Wall, o: Array, camera: Camera, places: Array) -> tuple[Arra
 
 
 def surfaces(wall: Wall, x: Array, y: Array) -> Array:
-    """Return the height and its derivatives, (..., 6), with NaN where the wall has no height.
-
-    Parameters
-    ----------
-    wall : Wall
-        Relay wall.
-    x, y : ndarray, (...)
-        World coordinates, m.
-    """
+    """Return the height and its derivatives, (..., 6), with NaN where the wall has no height."""
     if not wall.is_compiled:
         return wall.derivatives(x, y)
     return wall.surface_values(np.ravel(x), np.ravel(y)).reshape(*x.shape, 6)
 
 
 def reflected(directions: Array, normals: Array) -> Array:
-    """Return the unit directions, (..., 3), of rays after specular reflection.
-
-    Parameters
-    ----------
-    directions : ndarray, (..., 3)
-        Directions of the incident rays, of any length.
-    normals : ndarray, (..., 3)
-        Unit normals.
-    """
+    """Return unit directions after specular reflection at surfaces with unit normals, (..., 3)."""
     d = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
     return np.asarray(d - 2 * np.sum(d * normals, axis=-1, keepdims=True) * normals)
 
 
 def lens_plane(points: Array, directions: Array, camera: Camera) -> tuple[Array, Array]:
-    """Intersect rays with the plane of the lens.
+    """Return where rays meet the plane of the lens, (..., 3), m, and their lengths (...), m.
 
-    Parameters
-    ----------
-    points, directions : ndarray, (..., 3)
-        Starts, world frame, m, and unit directions of the rays.
-    camera : Camera
-        Camera with the lens.
-
-    Returns
-    -------
-    ends : ndarray, (..., 3)
-        Intersections, world frame, m; NaN for rays that do not approach the plane from the front.
-    length : ndarray, (...)
-        Distances from the starts, m; NaN for the same rays.
+    Both are NaN for rays that do not approach the plane from the front.
     """
     axis = camera.axis
     toward = directions @ axis

@@ -24,29 +24,14 @@ class Film:
 
     Layer 0 is the light that never met the hidden object; layer k is the other light after k
     reflections.
-
-    Parameters
-    ----------
-    job : Job
-        Scene and options.
-    shape : (int, int)
-        Rows and columns of the image.
-    bins : (float, float, int, bool)
-        Start of the first bin and width of a bin, m, number of bins, and whether path lengths
-        include the outer legs.
-
-    Attributes
-    ----------
-    image : ndarray, (groups, layers, ny, nx)
-        Sums of pixels, W times rays.
-    histogram : ndarray, (groups, layers, n_bins + 2)
-        Sums of bins, W times rays; the first and the last one are of the light outside all bins.
     """
 
     job: Job
     shape: tuple[int, int]
+    #: Start and width of a bin, m, number of bins, and whether lengths include the outer legs.
     bins: tuple[float, float, int, bool]
-    image: Array = field(init=False)
+    image: Array = field(init=False)  # (groups, layers, ny, nx), W times rays
+    #: (groups, layers, n_bins + 2), W times rays; the first and last are outside all bins.
     histogram: Array = field(init=False)
 
     def __post_init__(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,10 @@ from ...kernels.codes import GROUPS
 from ...scene import Scene
 from ..fans.paths import RayPaths
 from ..light.trace import group_means, job_of, mean_map, until_done
+
+if TYPE_CHECKING:
+    from ..light.blocks import Job
+    from .image_blocks import Film
 
 Array = NDArray[np.float64]
 
@@ -312,61 +316,52 @@ def trace_image(
     >>> round(ratio, 6), error < 1e-9
     (4.0, True)
     """
+    exposure = None if exposure is None else positive("exposure", exposure, unit="s")
+    bins = *_bins(t_start, delta_t, n_bins), bool(outer_legs)
+    scenes = [scene] if wavelengths is None else _coloured(scene, wavelengths)
+    images: list[TracedImage] = []
+
+    def advance(stage: str, share: float) -> None:
+        if progress is not None:
+            progress(stage, (len(images) + share) / len(scenes))
+
+    for one in scenes:
+        job = job_of(one, max_bounces, sampler, seed, analog=analog)
+        film = _film(job, bins)
+        paths = until_done(job, film.exposed, n_rays, tol, max_seconds, advance)
+        images.append(_image(film, paths, exposure))
+    return images[0] if wavelengths is None else replace(images[0], colours=tuple(images))
+
+
+def _film(job: Job, bins: tuple[float, float, int, bool]) -> Film:
+    """Return an empty film for the detector, if it fits in memory."""
     from .image_blocks import Film
 
-    if wavelengths is not None:
-        colours: list[TracedImage] = []
-        scenes = _coloured(scene, wavelengths)
-
-        def advance(stage: str, share: float) -> None:
-            if progress is not None:
-                progress(stage, (len(colours) + share) / len(scenes))
-
-        for one in scenes:
-            colours.append(
-                trace_image(
-                    one,
-                    n_rays=n_rays,
-                    tol=tol,
-                    max_seconds=max_seconds,
-                    max_bounces=max_bounces,
-                    t_start=t_start,
-                    delta_t=delta_t,
-                    n_bins=n_bins,
-                    outer_legs=outer_legs,
-                    exposure=exposure,
-                    analog=analog,
-                    sampler=sampler,
-                    seed=seed,
-                    progress=advance,
-                )
-            )
-        return replace(colours[0], colours=tuple(colours))
-    job = job_of(scene, max_bounces, sampler, seed, analog=analog)
-    camera = job.scene.camera
-    exposure = positive("exposure", camera.exposure if exposure is None else exposure, unit="s")
-    bins = _bins(t_start, delta_t, n_bins)
-    (ny, nx), layers = camera.shape, max_bounces + 1
-    sizes = (layers + 1) * nx * ny + layers * bins[2]
+    (ny, nx), layers, n_bins = job.scene.camera.shape, job.max_bounces + 1, bins[2]
     fits_memory(
         f"a traced image of {nx} x {ny} pixels (camera.pixels, camera.binning) with max_bounces = "
-        f"{max_bounces} and {counted(bins[2], 'bin')}",
-        8.0 * (GROUPS + 6) * sizes,
+        f"{job.max_bounces} and {counted(n_bins, 'bin')}",
+        8.0 * (GROUPS + 6) * ((layers + 1) * nx * ny + layers * n_bins),
         "bin more pixels, or lower max_bounces or n_bins",
     )
-    film = Film(job, (ny, nx), (*bins, bool(outer_legs)))
-    paths = until_done(job, film.exposed, n_rays, tol, max_seconds, progress)
-    parts = _means(film.image, paths.n_rays)
-    everything, variance = mean_map(film.image.sum(axis=1), paths.n_rays)
+    return Film(job, (ny, nx), bins)
+
+
+def _image(film: Film, paths: RayPaths, exposure: float | None) -> TracedImage:
+    """Return the image of a film that ``paths`` have exposed."""
+    scene, n_rays = film.job.scene, paths.n_rays
+    camera = scene.camera
+    exposure = camera.exposure if exposure is None else exposure
+    everything, variance = mean_map(film.image.sum(axis=1), n_rays)
     gain = exposure * camera.quantum_efficiency * photon_rate(1.0, scene.laser.wavelength)
     return TracedImage(
         expected=gain * everything + camera.dark_current * exposure * camera.binning**2,
         expected_error=gain * np.sqrt(variance),
-        **parts,
-        group_power=group_means(film.image[:, 1:].sum(axis=(1, 2, 3)), paths.n_rays),
+        **_means(film.image, n_rays),
+        group_power=group_means(film.image[:, 1:].sum(axis=(1, 2, 3)), n_rays),
         pitch=camera.image_pitch,
         exposure=exposure,
-        histogram=None if n_bins is None else _histogram(film.histogram, paths.n_rays, film.bins),
+        histogram=_histogram(film.histogram, n_rays, film.bins) if film.bins[2] else None,
         paths=paths,
     )
 

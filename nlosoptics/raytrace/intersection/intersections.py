@@ -290,16 +290,8 @@ def compiled_wall(wall: Wall, uses: float) -> tuple[Any, ...]:
 def search_bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Array, Array, Array, float]:
     """Return the limits within which a wall is searched for hits.
 
-    Returns
-    -------
-    curvature : ndarray, (n,)
-        Upper bound on the curvature of each gridded or random term, 1/m; 0 for other terms.
-    box : ndarray, (2,)
-        Half sizes in x and y, m; infinite if unbounded.
-    slab : ndarray, (2,)
-        Lowest and highest height, m.
-    rim : float
-        Largest distance from the z axis, m; infinite if unbounded.
+    These are upper bounds on the curvature of each gridded or random term (n,), 1/m, half sizes in
+    x and y (2,), lowest and highest height (2,), and the largest distance from the z axis, m.
     """
     margin = 0.999  # relative to the radius, since the slope is infinite at the rim itself
     size = wall.size

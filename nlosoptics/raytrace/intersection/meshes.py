@@ -53,11 +53,7 @@ class MeshHits(Hits):
 
 
 def intersect_mesh(
-    mesh: trimesh.Trimesh,
-    origins: ArrayLike,
-    directions: ArrayLike,
-    *,
-    min_distance: float = 0.0,
+    mesh: trimesh.Trimesh, origins: ArrayLike, directions: ArrayLike, *, min_distance: float = 0.0
 ) -> MeshHits:
     """Find the first triangle that every ray hits, from either side.
 
@@ -187,11 +183,7 @@ class AllHits(Noun):
 
 
 def all_hits(
-    mesh: trimesh.Trimesh,
-    origins: ArrayLike,
-    directions: ArrayLike,
-    *,
-    min_distance: float = 0.0,
+    mesh: trimesh.Trimesh, origins: ArrayLike, directions: ArrayLike, *, min_distance: float = 0.0
 ) -> AllHits:
     """Find all intersections of every ray with a mesh, from either side.
 

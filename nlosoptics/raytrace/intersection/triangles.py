@@ -35,34 +35,16 @@ class NoRayError(Exception):
 
 
 class Facets:
-    """Search structures of a mesh: an Embree scene, float64 triangles and a tree of boxes.
+    """Search structures of a mesh, or of ``some`` of its triangles.
 
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        Triangle mesh, m.
-    some : ndarray of int, (n,), optional
-        Indices of the triangles to use; by default all.
-    exact : bool
-        Whether all rays are searched in float64, without Embree; always if it is not installed.
-
-    Raises
-    ------
-    SceneError
-        If vertices are not finite or no triangle has an area.
-
-    Notes
-    -----
     Embree's errors are relative to the extent of its scene. Parts that are far smaller than the
-    mesh, such as a bead on a floor, are kept as ``parts``, each with its own structures.
+    mesh, such as a bead on a floor, are kept as ``parts``, each with its own structures. If
+    ``exact``, or if Embree is not installed, all rays are searched in float64. `SceneError` if
+    vertices are not finite or no triangle has an area.
     """
 
     def __init__(
-        self,
-        mesh: trimesh.Trimesh,
-        some: NDArray[np.int64] | None = None,
-        *,
-        exact: bool = False,
+        self, mesh: trimesh.Trimesh, some: NDArray[np.int64] | None = None, *, exact: bool = False
     ) -> None:
         faces = np.asarray(mesh.faces)
         some = np.arange(len(faces)) if some is None else some
@@ -123,27 +105,12 @@ class Facets:
         hits: Found,
         fresh: bool = True,
     ) -> None:
-        """Find the first triangle of every ray between its distance limits.
+        """Find the first triangle of every ray from ``nearest`` to ``farthest``, m.
 
-        Parameters
-        ----------
-        origins, directions : ndarray, (n, 3)
-            Starts, m, and directions of any length.
-        nearest : float
-            Smallest distance, m.
-        farthest : ndarray, (n,)
-            Largest distances, m; empty without a limit.
-        hits : tuple of ndarray
-            Filled with distances (n,), m, hit points (n, 3), m, unit normals (n, 3) and triangles
-            (n,), their indices in the mesh; -1 without a hit, when the others are NaN. Points and
-            normals are skipped if they have no rows.
-        fresh : bool
-            Whether ``hits`` is to be overwritten for rays without a hit too.
-
-        Raises
-        ------
-        NoRayError
-            If a ray has NaN, infinity or a zero direction.
+        An empty ``farthest`` is no limit. ``hits`` is filled with distances (n,), m, points and
+        unit normals (n, 3), unless these have no rows, and triangles (n,) of the mesh, -1 without a
+        hit. Only if ``fresh`` are rays without a hit overwritten. `NoRayError` if a ray has NaN,
+        infinity or a zero direction.
         """
         from . import _triangle_kernels
 
@@ -208,18 +175,9 @@ class Facets:
     def all(
         self, origins: Array, directions: Array, nearest: float
     ) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.int32]]:
-        """Find all hits of all rays beyond the distance ``nearest``, m.
+        """Find all hits of all rays beyond the distance ``nearest``, m, sorted by ray and distance.
 
-        Returns
-        -------
-        counts : ndarray of int64, (n,)
-            Number of hits of each ray.
-        distance : ndarray, (h,)
-            Distances of all hits, m, ray by ray and increasing.
-        points : ndarray, (h, 3)
-            Hit points, m.
-        triangle : ndarray of int32, (h,)
-            Indices of the triangles in the mesh.
+        Return the number of hits of each ray, and distances, points (m) and triangles of all hits.
         """
         from . import _triangle_kernels
 

@@ -23,15 +23,7 @@ from ...kernels.compiling import njit
 from ...kernels.heights import surface
 from ...kernels.random import uniform
 from ._connection_kernels import narrow_at, reflected
-from ._light_kernels import (
-    LENGTH,
-    MET,
-    NARROW,
-    POWER,
-    SURFACE,
-    chained_at,
-    lobes_of,
-)
+from ._light_kernels import LENGTH, MET, NARROW, POWER, SURFACE, chained_at, lobes_of
 from ._lobe_kernels import STEEPEST, facet_slope_sq, is_narrow
 from ._surround_kernels import OBJECT, ROOM, WALL, dot, interval, on_detector, texel, three, unit
 
@@ -368,38 +360,16 @@ def chain_to_lens(
 ):
     """Fill the detected power and length of chains of narrow reflections to points of the lens.
 
-    Parameters
-    ----------
-    world : World
-        Data of the scene.
-    walls : tuple
-        Terms and tables, see `kernels.heights`, box and rim of the wall.
-    sampler : tuple
-        Its first element is the seed.
-    first : int
-        Number of the first ray.
-    light : ndarray, (n, VERTEX)
-        Light vertices at which wide lobes begin the chains.
-    lens : ndarray, (n, 3)
-        Points of the lens, m.
-    order : (int, int, bool)
-        Number of reflections up to the light vertices; m, that of a chain; and whether the first
-        reflection is at the wall, from light vertices on occluders alone. Otherwise the first
-        reflection is at the hidden object, or at the wall from light vertices on the object.
-    several : bool
-        Whether a chain of given slopes may have several solutions.
-    steepest : float
-        Largest slope of the wall.
-    value, length : ndarray, (n,)
-        Detected power, W, and length, m; filled.
-    mirrors : ndarray, (m, n, VERTEX)
-        Vertices of the chains: point, m, normal and surface; filled where the value is above 0.
+    ``walls`` are terms and tables (`kernels.heights`), box and rim of the wall. ``light`` are the
+    vertices at which wide lobes begin the chains, ``lens`` (n, 3) points of the lens, m. ``order``
+    is the number of reflections up to the light vertices; m, that of a chain; and whether the first
+    reflection is at the wall, from occluders alone. Otherwise it is at the hidden object, or at the
+    wall from the object. ``value`` (W), ``length`` (m) and, where the value is above 0, the
+    vertices ``mirrors`` (m, n, VERTEX) are filled.
 
-    Notes
-    -----
-    Several solutions are found from random starts. A solution is weighted by the number of further
-    starts until it is found again, whose mean is the reciprocal of its chance (Zeltner et al.,
-    Specular manifold sampling, 2020).
+    If ``several``, solutions are found from random starts. A solution is weighted by the number of
+    further starts until it is found again, whose mean is the reciprocal of its chance (Zeltner et
+    al., Specular manifold sampling, 2020).
     """
     seed, camera, (bounce, m, at_wall) = sampler[0], world.camera, order
     area, axis = math.pi * camera[12] ** 2 * camera[18], three(camera, 9)

@@ -29,27 +29,11 @@ Traced = tuple[Array, Counter[str], list[Kept]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Job:
-    """Scene and options common to all blocks of rays.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene to trace.
-    around : Surroundings
-        Intersection tests of the scene.
-    sampler : tuple
-        Seed, Sobol columns and shifts; see `kernels.random.draw`.
-    max_bounces : int
-        Largest number of reflections.
-    analog : bool
-        Whether rays propagate as physical light, without connections and roulette.
-    keep_paths : bool
-        Whether to keep single paths.
-    """
+    """Scene and options common to all blocks of rays."""
 
     scene: Scene
     around: Surroundings
-    sampler: tuple[Any, ...]
+    sampler: tuple[Any, ...]  # seed, Sobol columns and shifts; see `kernels.random.draw`
     max_bounces: int
     analog: bool
     keep_paths: bool
@@ -103,17 +87,7 @@ def _partners(n: int, count: int) -> list[tuple[NDArray[np.int64], Array]]:
 
 
 class Rays:
-    """Block of rays: light paths from the laser, eye paths from the lens, and their connections.
-
-    Parameters
-    ----------
-    job : Job
-        Scene and options.
-    first : int
-        Number of the first ray.
-    n : int
-        Number of rays.
-    """
+    """Block of n rays: light paths from the laser, eye paths from the lens, and connections."""
 
     def __init__(self, job: Job, first: int, n: int) -> None:
         self.job, self.first, self.n, self.around = job, first, n, job.around
@@ -303,14 +277,7 @@ class Rays:
             on_wall = light[:, kernels.SURFACE] == surround.WALL
         self.around.clear(self.starts, self.ends, on_wall, self.value, self.counts)
         connecting.book(
-            light,
-            eye,
-            bounce,
-            self.job.max_bounces,
-            self.first,
-            self.value,
-            self.length,
-            self.sums,
+            light, eye, bounce, self.job.max_bounces, self.first, self.value, self.length, self.sums
         )
         if self.watched:
             self.take_detected(self.value, self.length, [*self.walked, *seen], lens, bounce)
@@ -341,18 +308,9 @@ class Rays:
     ) -> None:
         """Store the paths of detected light if wanted; called once for each set of such paths.
 
-        Parameters
-        ----------
-        power : ndarray, (n,)
-            Detected power of each ray's path, W times rays; 0 without a path.
-        length : ndarray, (n,)
-            Length from the laser to the lens, m.
-        vertices : list of ndarray, (n, VERTEX)
-            Reflecting vertices in the order of the light, with point, normal, SURFACE and MET.
-        ends : ndarray, (n, 3)
-            Points of the lens, world frame, m.
-        bounce : int
-            Number of reflections.
+        ``power`` (n,) is the detected power of each ray's path, W times rays, 0 without a path;
+        ``length`` (n,) its length from the laser to the lens, m; ``vertices`` are the reflecting
+        vertices in the order of the light, and ``ends`` (n, 3) the points of the lens, m.
         """
         if self.job.keep_paths:
             rows = np.flatnonzero(power > 0.0)

@@ -13,40 +13,18 @@ from ...scene import ConvexWall, PlanarObject, Scene
 
 @dataclass(frozen=True, kw_only=True)
 class Chains:
-    """Treatment of light that mirror-like lobes reflect several times in a row.
+    """Treatment of light that mirror-like lobes reflect several times in a row."""
 
-    Parameters
-    ----------
-    surfaces : int
-        Surfaces whose reflection points are solved for: 1 for the wall, plus 2 for the object.
-    both : bool
-        Whether both surfaces take part, so that chains have more than one reflection.
-    several : bool
-        Whether a chain may have several solutions.
-    steepest : float
-        Largest slope of the wall.
-    unreached : tuple of (int, str)
-        Paths that no sampling method aims at: the least number of their reflections, and the
-        reason.
-    """
-
-    surfaces: int
-    both: bool
-    several: bool
-    steepest: float
+    surfaces: int  # whose reflection points are solved for: 1 for the wall, plus 2 for the object
+    both: bool  # whether both take part, so that chains have more than one reflection
+    several: bool  # whether a chain may have several solutions
+    steepest: float  # largest slope of the wall
+    #: Paths that no sampling method aims at: the least number of reflections, and the reason.
     unreached: tuple[tuple[int, str], ...]
 
 
 def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
-    """Return which chains of mirror-like reflections are traced and which are left to chance.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with its relief, if any.
-    wall_to_wall : bool
-        Whether light from the wall can meet the wall again.
-    """
+    """Return which chains of mirror-like reflections are traced and which are left to chance."""
     wall, thing = bool(scene.wall_material.mirror_lobes), bool(scene.hidden.material.mirror_lobes)
     missing: list[tuple[int, str]] = []
     steepest = hills = 0.0

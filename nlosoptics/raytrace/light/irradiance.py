@@ -94,12 +94,8 @@ def wall_irradiance(
     max_bounces : int
         Largest number of reflections before light arrives at the wall: 1 to 62, or 0 to 62 with
         ``source="object"``, where 0 gives the direct light of the object alone.
-    sampler : {"sobol", "philox"}
-        ``"sobol"``: scrambled Sobol points, which usually give less noise. ``"philox"``:
-        independent random numbers.
-    seed : int
-        Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bitwise identical results
-        for any number of threads.
+    sampler, seed
+        Random numbers, as for `trace`.
 
     Returns
     -------

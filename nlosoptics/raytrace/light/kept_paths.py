@@ -17,42 +17,17 @@ from . import _surround_kernels as surround
 Array = NDArray[np.float64]
 #: Points (m), surfaces and lobes, then lengths (m), powers (W), reflections and status of paths.
 Kept = tuple[
-    Array,
-    NDArray[np.int8],
-    NDArray[np.int8],
-    Array,
-    Array,
-    NDArray[np.int32],
-    NDArray[np.int8],
+    Array, NDArray[np.int8], NDArray[np.int8], Array, Array, NDArray[np.int32], NDArray[np.int8]
 ]
 
 
 def kept_paths(
-    world: surround.World,
-    most: int,
-    sources: Array,
-    vertices: list[Array],
-    ends: Array,
+    world: surround.World, most: int, sources: Array, vertices: list[Array], ends: Array
 ) -> tuple[Array, NDArray[np.int8], NDArray[np.int8]]:
-    """Return points, surfaces and lobes of paths with the same number of reflections.
+    """Return points, surfaces and lobes (n, most + 2) of paths with the same number of reflections.
 
-    Parameters
-    ----------
-    world : World
-        Scene data with the lobes.
-    most : int
-        Largest number of reflections of any path; shorter paths repeat their last point.
-    sources, ends : ndarray, (n, 3)
-        First and last points, world frame, m.
-    vertices : list of ndarray, (n, VERTEX)
-        Reflecting vertices in the order of the light; point, normal and surface are read.
-
-    Returns
-    -------
-    points : ndarray, (n, most + 2, 3)
-        Points, world frame, m.
-    surfaces, lobes : ndarray of int8, (n, most + 2)
-        As ``RayPaths.surface`` and ``RayPaths.lobe``.
+    Shorter paths repeat their last point. ``sources`` and ``ends`` (n, 3) are first and last
+    points, m, and ``vertices`` the reflecting vertices in the order of the light.
     """
     corners = [sources, *(vertex[:, kernels.P] for vertex in vertices), ends]
     points = np.stack([*corners, *[ends] * (most + 2 - len(corners))], axis=1)

@@ -22,42 +22,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """Data common to all blocks of rays of one object point.
-
-    Parameters
-    ----------
-    job : Job
-        Scene and options.
-    source : ndarray, (7,)
-        Position (m) and normal of the point, and 1 for isotropic or 0 for Lambertian emission.
-    whole : ndarray, (4,)
-        Rectangle of the whole wall (low x, low y, width, height), m, to be sampled uniformly; all
-        zero to sample directions as the point emits.
-    image_box, gloss_box : ndarray, (4,)
-        Rectangles of the wall, m, in which the lens sees the point mirrored by smooth mirrors, and
-        by glossy mirror-like lobes up to three slope rms; all zero without such lobes.
-    matt : ndarray, (n, 7)
-        Lobes of the wall that are not mirror-like.
-    mirror_image : bool
-        Whether to include the mirror image of the point.
-    window : (float, float, float, int)
-        Low x and y of the pixels in the detector plane, m, their pitch, m, and number of columns.
-    rows : int
-        Number of pixel rows.
-    each : int
-        Rays per pixel, an even number.
-    """
+    """Data common to all blocks of rays of one object point."""
 
     job: Job
-    source: Array
+    source: Array  # (7,): position (m) and normal, 1 for isotropic or 0 for Lambertian emission
+    #: Rectangles of the wall (low x, low y, width, height), m, or 0: the whole wall, to be sampled
+    #: uniformly, and where the lens sees the point by smooth mirrors and by glossy lobes.
     whole: Array
     image_box: Array
     gloss_box: Array
-    matt: Array
-    mirror_image: bool
-    window: tuple[float, float, float, int]
-    rows: int
-    each: int
+    matt: Array  # lobes of the wall that are not mirror-like
+    mirror_image: bool  # whether to include the mirror image of the point
+    window: tuple[float, float, float, int]  # low x and y of the pixels, pitch (m), columns
+    rows: int  # of pixels
+    each: int  # rays per pixel, an even number
 
     @property
     def columns(self) -> int:
@@ -82,16 +60,9 @@ def flux_of(
 ) -> tuple[Array, NDArray[np.int64], Array, Counter[str]]:
     """Trace the rays from ``first`` up to ``end`` for the flux through the lens.
 
-    Returns
-    -------
-    sums : ndarray, (units, groups, columns)
-        Powers by number of reflections, and the power outside the pixels, W times rays.
-    cells : ndarray of int64, (n,)
-        Group and pixel, as one number, of each contribution to the mirror image.
-    powers : ndarray, (n,)
-        Powers of these contributions, W times rays.
-    counts : Counter
-        Numbers of intersection tests.
+    Return the sums (units, groups, columns) of powers, W times rays; the cells (group and pixel as
+    one number) and powers of the contributions to the mirror image; and numbers of intersection
+    tests.
     """
     block = _Block(task, first, end - first)
     most, plan = task.job.max_bounces, task.job.around.plan

@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 
 from ..._checks import Vector
 from ...kernels.codes import BECKMANN
-from ...scene import (
-    CallableWall,
-    ConcaveWall,
-    ConvexWall,
-    Laser,
-    PlanarObject,
-    Scene,
-)
+from ...scene import CallableWall, ConcaveWall, ConvexWall, Laser, PlanarObject, Scene
 from ..intersection.intersections import Hits as WallHits
 from ..intersection.intersections import compiled_wall, intersect
 from ..intersection.meshes import blocked, first_triangles, intersect_mesh
@@ -191,17 +184,7 @@ def _within_hollow(wall: ConcaveWall, scene: Scene) -> bool:
 
 
 class Surroundings:
-    """Intersection and occlusion tests of blocks of rays with all surfaces of a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene to trace.
-    analog : bool
-        Whether no rays are aimed at the object, so that directions follow the lobes alone.
-    chained : bool
-        Whether chains of mirror-like reflections are solved for.
-    """
+    """Intersection and occlusion tests of blocks of rays with all surfaces of a scene."""
 
     def __init__(self, scene: Scene, *, analog: bool = False, chained: bool = True) -> None:
         self.plan = ray_plan(scene)
@@ -230,29 +213,11 @@ class Surroundings:
     ) -> Hits:
         """Return distance, kind of surface, normal and brightness of the first hits of rays.
 
-        Parameters
-        ----------
-        origins, directions : ndarray, (n, 3)
-            Starts, world frame, m, and unit directions.
-        live : ndarray of bool, (n,)
-            Rays to trace; the others get no hit.
-        on_wall : ndarray of bool, (n,)
-            Rays that start on the wall.
-        counts : Counter
-            Number of rays tested against each kind of surface; updated.
-
-        Returns
-        -------
-        distance : ndarray, (n,)
-            Distance to the hit, m; infinite without one.
-        kind : ndarray of int16, (n,)
-            Kind of surface, from ``NOTHING`` to ``ROOM`` and beyond in `_surround_kernels`.
-        normal : ndarray, (n, 3)
-            Unit normal at the hit, world.
-        scale : ndarray, (n,)
-            Brightness of a planar object at the hit, else 1.
-        lit : ndarray, (n,)
-            Density, 1/m^2, with which rays aimed from the laser spot meet the object at the hit.
+        Rays that are not ``live`` get no hit, and ``on_wall`` marks rays that start on the wall.
+        The result has distances (n,), m, infinite without a hit; kinds (n,) as in
+        `_surround_kernels`; unit normals (n, 3); the brightness of a planar object (n,); and the
+        density, 1/m^2, with which rays aimed from the laser spot meet the object at the hit (n,).
+        ``counts`` is updated.
         """
         from . import _surround_kernels as kernels
 
@@ -307,11 +272,9 @@ class Surroundings:
         kind[met], kind[lost], distance[lost] = kernels.WALL, kernels.LOST, 0.0
 
     def settle(self, points: Array, on_wall: NDArray[np.bool_]) -> None:
-        """Move points (n, 3), where ``on_wall`` (n,) is set, exactly onto the wall.
+        """Move points (n, 3), where ``on_wall`` is set, exactly onto the wall.
 
-        The points lie on the wall to rounding. On a wall that sees itself, rays that start slightly
-        behind it would miss it. The rounding error is relative to the distance travelled, which
-        near the origin is far larger than the height.
+        On a wall that sees itself, rays that start slightly behind it would miss it.
         """
         from . import _surround_kernels as kernels
 
@@ -328,18 +291,9 @@ class Surroundings:
         value: Array,
         counts: Counter[str],
     ) -> None:
-        """Set the values of blocked connections to zero.
+        """Set the ``value`` (n,) of blocked lines from ``starts`` to ``ends`` (n, 3), m, to zero.
 
-        Parameters
-        ----------
-        starts, ends : ndarray, (n, 3)
-            Ends of the connecting lines, world frame, m.
-        on_wall : ndarray of bool, (n,)
-            Whether the start is on the wall.
-        value : ndarray, (n,)
-            Powers of the connections; changed in place, values of 0 are not tested.
-        counts : Counter
-            Number of rays tested against each kind of surface; updated.
+        ``on_wall`` marks lines that start on the wall. ``counts`` is updated.
         """
         from . import _surround_kernels as kernels
 

@@ -366,12 +366,7 @@ def mean_map(sums: Array, rays: int) -> tuple[Array, Array]:
 
 
 def result_of(
-    job: Job,
-    total: Array,
-    counts: Counter[str],
-    kept: list[Kept],
-    stopped: str,
-    seconds: float,
+    job: Job, total: Array, counts: Counter[str], kept: list[Kept], stopped: str, seconds: float
 ) -> RayPaths:
     """Return the means and standard errors of all sums, and the paths that were kept."""
     from . import _light_kernels as kernels

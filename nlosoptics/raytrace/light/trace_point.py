@@ -145,8 +145,7 @@ def trace_point(
         Largest number of reflections at the wall, 1 to 64. More than one occurs only on walls that
         can illuminate themselves.
     seed : int
-        Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bitwise identical results
-        for any number of threads.
+        Seed of the random numbers, as for `trace`.
     progress : callable(str, float), optional
         Called with ``"flux"`` or ``"pixels"`` and the completed fraction, 0 to 1.
 
@@ -257,20 +256,8 @@ def trace_point(
 def point_scene(scene: Scene, object_point: ArrayLike | None) -> Scene:
     """Return the scene with a tiny black square at the object point as its hidden object.
 
-    The camera keeps its focus distance.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with any hidden object.
-    object_point : array_like, (3,), or None
-        Object point, world frame, m; None for the hidden object's reference point.
-
-    Raises
-    ------
-    SceneError
-        If ``scene`` is no `Scene`, the point is not finite or behind the wall, or an occluder
-        reflects light.
+    The camera keeps its focus distance. `SceneError` if the point is behind the wall, or an
+    occluder reflects light.
     """
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
@@ -294,13 +281,7 @@ def point_scene(scene: Scene, object_point: ArrayLike | None) -> Scene:
 
 
 def point_normal(scene: Scene) -> Array:
-    """Return the axis of a point's emission, (3,): the normal of the hidden image, -z for a mesh.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the hidden object.
-    """
+    """Return the axis of a point's emission, (3,): normal of the image, -z for a mesh."""
     if isinstance(scene.hidden, PlanarObject):
         return np.array(scene.hidden.axes[2])
     return np.array([0.0, 0.0, -1.0])

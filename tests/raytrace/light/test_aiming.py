@@ -117,11 +117,7 @@ GLOSS = SpecularMicrofacet(0.6, 0.2, distribution="ggx")
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {},
-        {"wall_material": GLOSS},
-        {"wall": ConcaveWall(3.0, size=2.0)},
-    ],
+    [{}, {"wall_material": GLOSS}, {"wall": ConcaveWall(3.0, size=2.0)}],
     ids=["matt", "glossy", "hollow"],
 )
 def test_flux_does_not_depend_on_where_rays_are_aimed(changes, monkeypatch):

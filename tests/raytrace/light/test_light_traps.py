@@ -11,15 +11,7 @@ import pytest
 from pytest import approx
 
 from nlosoptics.raytrace import trace
-from nlosoptics.scene import (
-    Camera,
-    Lambert,
-    Laser,
-    OrenNayar,
-    PlanarObject,
-    Scene,
-    WavyWall,
-)
+from nlosoptics.scene import Camera, Lambert, Laser, OrenNayar, PlanarObject, Scene, WavyWall
 
 PERIOD = 20e-3
 DEPTHS = (0.0, 0.1, 0.25, 0.5, 1.0)  # periods, peak to valley; slopes up to pi
