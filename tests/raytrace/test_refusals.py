@@ -80,26 +80,6 @@ TABLE = {
         ),
         "a map of 6 x 4 cells (shape) needs",
     ),
-    "reflections of a map": (
-        lambda: raytrace.wall_irradiance(SCENE, shape=(4, 6), n_rays=64, max_bounces=63),
-        "max_bounces = 63 is out of range, must be from 1 to 62",
-    ),
-    "map of direct laser light": (
-        lambda: raytrace.wall_irradiance(SCENE, shape=(4, 6), n_rays=64, max_bounces=0),
-        "max_bounces = 0 is out of range, must be from 1 to 62",
-    ),
-    "reflections of a ray": (
-        lambda: raytrace.trace(SCENE, n_rays=64, max_bounces=65),
-        "max_bounces = 65 is out of range, must be from 1 to 64",
-    ),
-    "close tolerance": (
-        lambda: raytrace.trace(SCENE, tol=0.99e-6, max_bounces=2),
-        "tol = 9.9e-07 is out of range, must be from 1e-06 to 1",
-    ),
-    "no time": (
-        lambda: raytrace.trace(SCENE, max_seconds=0.0),
-        "max_seconds = 0 s is out of range, must be above 0",
-    ),
     "black picture": (
         lambda: raytrace.trace(replace(SCENE, hidden=black()), tol=0.1),
         "hidden.image is black, so no light can arrive; give an image with bright pixels",
@@ -121,27 +101,3 @@ def test_refused_in_one_line(name):
         call()
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-LAST = {
-    "lens above the wall": lambda: lens_at(0.0501),
-    "every vertex a number": lambda: Facets(mesh(2.0)),
-    "paths to keep": lambda: in_memory(
-        PATHS, lambda: raytrace.trace(SCENE, keep_paths=True, **SHORT)
-    ),
-    "cells of a map": lambda: in_memory(
-        8 * 32 * 24, lambda: raytrace.wall_irradiance(SCENE, shape=(4, 6), n_rays=64)
-    ),
-    "reflections of a map": lambda: raytrace.wall_irradiance(
-        SCENE, shape=(2, 2), n_rays=1, max_bounces=62
-    ),
-    "map of direct light": lambda: raytrace.wall_irradiance(
-        SCENE, shape=(2, 2), n_rays=64, max_bounces=0, source="object"
-    ),
-    "reflections of a ray": lambda: raytrace.trace(SCENE, n_rays=1, max_bounces=64),
-}
-
-
-@pytest.mark.parametrize("name", LAST)
-def test_the_last_value_is_accepted(name):
-    assert LAST[name]() is not None

@@ -19,8 +19,7 @@ from ...kernels.compiling import njit
 from ._wall_kernels import _unit
 
 BLOCK = 64  # rays processed at once
-OX, OY, OZ, DX, DY, DZ, T, DEPTH, NX, NY, NZ, PX, PY, PZ, FACET = range(0, 15 * BLOCK, BLOCK)
-ROWS = 24
+OX, OY, OZ, DX, DY, DZ, T, DEPTH, PX, PY, PZ = range(0, 11 * BLOCK, BLOCK)
 SIDE = 144  # cells along a side of the octahedral map by which rays are sorted
 INDEX = 6  # column of ``rays`` with the number of the ray, as an integer
 MISSED = (math.nan, math.nan, math.nan)
@@ -136,7 +135,7 @@ def enter(origins, directions, limits, centre, scale, aside, loose, bins, rays, 
     numbers, starts, ways = target.view(np.int32), origins.reshape(-1), directions.reshape(-1)
     counts = np.zeros(SIDE * SIDE + 1 if sorting else 1, dtype=np.int32)
     half = 0.5 * (limits[0, 3:] - limits[0, :3])
-    w, cells = np.ones(ROWS * BLOCK), np.empty(BLOCK, dtype=np.int32)
+    w, cells = np.ones(11 * BLOCK), np.empty(BLOCK, dtype=np.int32)
     for start in range(0, origins.shape[0], BLOCK):
         n = min(BLOCK, origins.shape[0] - start)
         for i in range(n):
@@ -212,33 +211,13 @@ def _landing(normal, o, d, t):
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
-def _row(numbers, start, step):
-    """Return nine numbers of a flat array, ``step`` apart from index ``start`` on, as a tuple."""
-    return (
-        numbers[start],
-        numbers[start + step],
-        numbers[start + 2 * step],
-        numbers[start + 3 * step],
-        numbers[start + 4 * step],
-        numbers[start + 5 * step],
-        numbers[start + 6 * step],
-        numbers[start + 7 * step],
-        numbers[start + 8 * step],
-    )
+def _row(numbers, k):
+    """Return nine numbers of a flat array from index ``k`` on as a tuple.
 
-
-@njit(cache=True, inline="always", error_model="numpy")
-def _land(w):
-    """Compute where the rays of a block meet the planes of their triangles."""
-    for i in range(BLOCK):
-        o, d = (w[OX + i], w[OY + i], w[OZ + i]), _unit((w[DX + i], w[DY + i], w[DZ + i]))
-        row = _row(w, FACET + i, BLOCK)
-        a, b, c, _, t, normal = _facet(row, o, d)
-        a = b if b < a else a
-        w[T + i], w[DEPTH + i] = t, c if c < a else a
-        p, n = _landing(normal, o, d, t)
-        w[PX + i], w[PY + i], w[PZ + i] = p
-        w[NX + i], w[NY + i], w[NZ + i] = n
+    Array views would be reference-counted by atomic operations, which slow down parallel threads.
+    """
+    first = (numbers[k], numbers[k + 1], numbers[k + 2], numbers[k + 3], numbers[k + 4])
+    return (*first, numbers[k + 5], numbers[k + 6], numbers[k + 7], numbers[k + 8])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -247,37 +226,26 @@ def place(facets, edges, names, origins, directions, rays, ids, margin, near, fa
     doubtful, found = 0, _flat(hits)
     numbers, rows = rays.reshape(-1).view(np.int32), rays.view(np.int64)
     starts, ways, corners = origins.reshape(-1), directions.reshape(-1), facets.reshape(-1)
-    w = np.ones(ROWS * BLOCK)
-    for start in range(0, ids.size, BLOCK):
-        count = min(BLOCK, ids.size - start)
-        for n in range(count):
-            i, k = numbers[8 * (start + n) + INDEX], max(ids[start + n], 0)
-            for m in range(3):
-                w[m * BLOCK + n] = starts[3 * i + m]
-                w[DX + m * BLOCK + n] = ways[3 * i + m]
-            for m in range(9):
-                w[FACET + m * BLOCK + n] = corners[9 * k + m]
-        _land(w)
-        for n in range(count):
-            j = start + n
-            i, k = numbers[8 * j + INDEX], ids[j]
-            t, depth = w[T + n], w[DEPTH + n]
-            # a hit must be inside the triangle by more than ``margin``; a strip of this width along
-            # a side has at most the volume margin * edge
-            if k >= 0 and depth > margin * edges[k] and t >= near:
-                if far.size == 0 or t <= far[i]:
-                    point = (w[PX + n], w[PY + n], w[PZ + n])
-                    normal = (w[NX + n], w[NY + n], w[NZ + n])
-                    _record(found, i, t, point, normal, names[k])
-                elif fresh:
-                    _record(found, i, math.nan, MISSED, MISSED, -1)
-                continue
-            if fresh:
+    for j in range(ids.size):
+        i, k = numbers[8 * j + INDEX], ids[j]
+        o = (starts[3 * i], starts[3 * i + 1], starts[3 * i + 2])
+        d = _unit((ways[3 * i], ways[3 * i + 1], ways[3 * i + 2]))
+        u, v, w, _, t, normal = _facet(_row(corners, 9 * max(k, 0)), o, d)
+        # a hit must be inside the triangle by more than ``margin``; a strip of this width along a
+        # side has at most the volume margin * edge
+        if k >= 0 and min(u, v, w) > margin * edges[k] and t >= near:
+            if far.size == 0 or t <= far[i]:
+                point, normal = _landing(normal, o, d, t)
+                _record(found, i, t, point, normal, names[k])
+            elif fresh:
                 _record(found, i, math.nan, MISSED, MISSED, -1)
-            ids[doubtful] = k
-            for m in range(4):
-                rows[doubtful, m] = rows[j, m]
-            doubtful += 1
+            continue
+        if fresh:
+            _record(found, i, math.nan, MISSED, MISSED, -1)
+        ids[doubtful] = k
+        for m in range(4):
+            rows[doubtful, m] = rows[j, m]
+        doubtful += 1
     return doubtful
 
 
@@ -351,11 +319,11 @@ def search(facets, edges, names, boxes, origins, directions, index, nearest, far
                 continue
             start = 4 * (node - first_leaf)
             for m in range(start, min(start + 4, facets.shape[0])):
-                t = _strike(_row(corners, 9 * m, 1), edges[m], o, d)
+                t = _strike(_row(corners, 9 * m), edges[m], o, d)
                 if nearest <= t <= best and (t < best or chosen < 0 or m < chosen):
                     best, chosen = t, m
         if chosen >= 0:
-            normal = _facet(_row(corners, 9 * chosen, 1), o, d)[5]
+            normal = _facet(_row(corners, 9 * chosen), o, d)[5]
             point, normal = _landing(normal, o, d, best)
             _record(found, i, best, point, normal, names[chosen])
 
@@ -419,7 +387,7 @@ def search_all(facets, edges, boxes, origins, directions, nearest, units, counts
                 continue
             start = 4 * (node - first_leaf)
             for m in range(start, min(start + 4, facets.shape[0])):
-                t = _strike(_row(corners, 9 * m, 1), edges[m], o, d)
+                t = _strike(_row(corners, 9 * m), edges[m], o, d)
                 if not t >= nearest:
                     continue
                 if end == hits.shape[0]:
@@ -434,7 +402,7 @@ def search_all(facets, edges, boxes, origins, directions, nearest, units, counts
                     j -= 1
                 hits[j, 0], hits[j, 1], hits[j, 2] = (
                     t,
-                    _blur(_row(corners, 9 * m, 1), edges[m], o, d),
+                    _blur(_row(corners, 9 * m), edges[m], o, d),
                     m,
                 )
                 end += 1

@@ -74,7 +74,7 @@ def flux_of(
     for depth, eye in enumerate(eyes, start=1):
         if depth + 1 <= most:
             block.from_source(eye, world.wall)
-            block.book_seen(depth + 1)
+            block.book(depth + 1, block.seen_at)
     by_mirrors = np.ones(block.n, dtype=bool)
     for bounce in range(1, most + 1):
         image = task.mirror_image or bounce > 1
@@ -87,7 +87,7 @@ def flux_of(
         for depth, eye in enumerate(eyes, start=1):
             if bounce + depth + 1 <= most:
                 block.connect(light, eye)
-                block.book_seen(bounce + depth + 1)
+                block.book(bounce + depth + 1, block.seen_at)
         if not (plan.glossy or plan.wall_to_wall):
             break
         onward = block.rays.onward(light, bounce)
@@ -275,37 +275,14 @@ class _Block:
         rays = self.rays
         self.task.job.around.clear(rays.starts, rays.ends, on_wall, self.value, rays.counts)
 
-    def book(self, bounce: int) -> None:
-        """Add the powers in ``value`` to the sums of light after ``bounce`` reflections.
+    def book(self, bounce: int, at: tuple[Array, Array] | None = None) -> None:
+        """Add the attribute ``value`` to the sums of light after ``bounce`` reflections.
 
-        This light arrives at the detector points in the attribute ``at``.
+        ``at`` is the pair (x, y) of detector positions, m, by default the attribute.
         """
-        self._book(bounce, self.at)
-
-    def book_seen(self, bounce: int) -> None:
-        """Add the powers in ``value`` to the sums of light after ``bounce`` reflections.
-
-        This light arrives at the detector points in the attribute ``seen_at``.
-        """
-        self._book(bounce, self.seen_at)
-
-    def _book(self, bounce: int, at: tuple[Array, Array]) -> None:
-        """Add the powers in the attribute ``value`` to a sum, and find their pixels.
-
-        ``bounce`` is the number of reflections and ``at`` the pair (x, y) of detector positions, m.
-        """
-        task = self.task
-        kernels.book(
-            self.value,
-            *at,
-            task.window,
-            task.rows,
-            bounce,
-            task.job.max_bounces,
-            self.first,
-            self.sums,
-            self.cells,
-        )
+        task, (x, y) = self.task, self.at if at is None else at
+        where = (task.window, task.rows, bounce, task.job.max_bounces, self.first)
+        kernels.book(self.value, x, y, *where, self.sums, self.cells)
 
     def keep(self) -> None:
         """Store group, pixel and power of the light that mirror-like lobes image."""

@@ -421,9 +421,10 @@ def _world(scene: Scene, plan: RayPlan, chains: int, analog: bool) -> World:
             area, baffle = math.pi * (slope * scene.image_distance) ** 2, slope
     baffle *= scene.focus_distance
     optics = (camera.stop_diameter / 2, scene.focus_distance, scene.image_distance)
+    rest = (stop, camera.transmission, area, baffle)
     picture, rows, columns = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
-    plate = np.zeros(0)
-    chart, lit = None, np.zeros(0)
+    plate, lit, none = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64)
+    chart = Chart(np.zeros((0, 9)), lit, none, lit, none.astype(np.int32), lit, lit, lit)
     room, kinds = _room(scene)
     if isinstance(thing, PlanarObject):
         picture = np.array(thing.reflectance)
@@ -443,12 +444,12 @@ def _world(scene: Scene, plan: RayPlan, chains: int, analog: bool) -> World:
         picture=picture,
         rows=rows,
         columns=columns,
-        triangles=np.zeros((0, 9)) if chart is None else chart.triangles,
-        areas=np.zeros(0) if chart is None else chart.shares,
-        firsts=np.zeros(0, dtype=np.int64) if chart is None else chart.firsts,
-        splits=np.zeros(0) if chart is None else chart.splits,
-        patches=np.zeros(0, dtype=np.int32) if chart is None else chart.patches,
-        lit_splits=np.zeros(0) if chart is None else chart_splits(lit * chart.areas),
+        triangles=chart.triangles,
+        areas=chart.shares,
+        firsts=chart.firsts,
+        splits=chart.splits,
+        patches=chart.patches,
+        lit_splits=chart_splits(lit * chart.areas),
         lit=lit,
         norm=1.0 / total if total > 0.0 else 0.0,
         aimed=np.array(
@@ -457,14 +458,6 @@ def _world(scene: Scene, plan: RayPlan, chains: int, analog: bool) -> World:
         glossy=plan.glossy,
         chains=chains,
         ball=ball,
-        camera=np.concatenate(
-            [
-                camera.position,
-                camera.frame.ravel(),
-                optics,
-                half,
-                [stop, camera.transmission, area, baffle],
-            ]
-        ),
+        camera=np.concatenate([camera.position, camera.frame.ravel(), optics, half, rest]),
         laser=laser_row(scene.laser),
     )

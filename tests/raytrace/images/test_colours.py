@@ -6,24 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
 from pytest import approx
 
 from nlosoptics.errors import SceneError
 from nlosoptics.raytrace import trace, trace_image
 from nlosoptics.scene import (
     Camera,
-    FacetWall,
     FlatWall,
     Lambert,
     Laser,
-    Occluder,
     PlanarObject,
     Scene,
     Spectrum,
     SpecularMicrofacet,
     SumMaterial,
-    WallRoughness,
     Ward,
 )
 
@@ -134,33 +130,6 @@ def test_rays_take_the_same_paths_at_all_wavelengths():
     assert len(found[0].points) > 1000
     assert np.array_equal(found[0].points, found[1].points, equal_nan=True)
     assert (found[0].weight < found[1].weight).all()
-
-
-def test_samples_of_a_coloured_sum_have_its_albedo():
-    """The mean weight is the albedo, although the lobes are not chosen by their strengths."""
-    draws = np.random.default_rng(0).random((200_000, 3))
-    up = (0.0, 0.0, 1.0)
-    tint = Spectrum((BLUE, RED), (0.0, 0.9))
-    for wavelength in (BLUE, GREEN, RED):
-        material = SumMaterial(Lambert(tint), Ward(0.1, 0.2, variant="bounded")).at(wavelength)
-        _, weight = material.sample(up, up, draws)
-        error = weight.std() / np.sqrt(len(draws))
-        assert weight.mean() == approx(float(material.albedo(0.0)), abs=4 * error)
-
-
-def test_roughness_and_rooms_keep_the_colours():
-    rough = WallRoughness(FacetWall(cell=5e-3, slope_rms=0.01))
-    gloss = SumMaterial(Lambert(0.2), SpecularMicrofacet(PAINT, 0.01))
-    scene = room(wall_material=gloss, wall_roughness=rough).with_relief()
-    for wavelength, expected in ((BLUE, 0.2), (RED, 0.6)):
-        coloured = replace(scene, laser=replace(scene.laser, wavelength=wavelength))
-        assert coloured.wall_material.specular_reflectance == expected
-
-    box = Occluder(
-        trimesh.creation.box((0.1, 0.1, 0.1)), position=(0.0, 0.3, 0.5), material=Lambert(SKIN)
-    )
-    scene = room(occluders=(box,), laser=replace(room().laser, wavelength=RED))
-    assert scene.room_materials[0].rho == 0.8
 
 
 def test_a_file_restores_the_table(tmp_path):
