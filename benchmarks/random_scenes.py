@@ -1,7 +1,6 @@
 """Whether plans keep their word: random scenes planned and, where the plan accepts, simulated.
 
 python benchmarks/random_scenes.py FILE [--first N] [--count N] [--most-seconds S] [--memory GIB]
-    [--rough]
 
 Writes one JSON line a scene: even numbers at ordinary scales, odd ones wild. Scenes that FILE
 holds are not run again. Every scene runs in a worker process of bounded memory, so that a crash
@@ -23,6 +22,7 @@ import sys
 import time
 import traceback
 import warnings
+from collections import Counter
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
@@ -65,7 +65,7 @@ def told(error, stage):
     }
 
 
-def run(number, most_seconds, memory, rough):
+def run(number, most_seconds, memory):
     """One scene's row."""
     from random_scenes import random_case
 
@@ -74,11 +74,11 @@ def run(number, most_seconds, memory, rough):
 
     row = {"number": number}
     try:
-        case = random_case(number, wild=number % 2 == 1, rough=rough)
+        case = random_case(number, wild=number % 2 == 1)
     except Exception as error:
         return row | told(error, "drawing")
     row |= case.drawn | {"tol": case.tol, "shape": list(case.scene.camera.shape)}
-    with warnings.catch_warnings(record=True) as heard:
+    with warnings.catch_warnings(record=True):
         warnings.simplefilter("error")
         warnings.simplefilter("always", ValidityWarning)
         start = time.process_time()
@@ -89,14 +89,12 @@ def run(number, most_seconds, memory, rough):
         start = time.process_time()
         nlos.plan(case.scene, case.tol, memory=memory)
         row["plan_seconds"] = time.process_time() - start
-        row["predicted"] = {s.name: s.seconds for s in plan.stages}
         row["predicted_total"] = plan.seconds
         row["memory"] = plan.memory
         if not plan.runs("wave aberration"):
             return row | {"outcome": "plan says it cannot"}
         if plan.seconds > most_seconds:
             return row | {"outcome": "too long to be run"}
-        print(json.dumps({"predicted": plan.seconds}), file=sys.stderr, flush=True)
         before = resident("VmRSS")
         Path("/proc/self/clear_refs").write_text("5")
         try:
@@ -105,29 +103,21 @@ def run(number, most_seconds, memory, rough):
             row["first"] = time.process_time() - start
             row["peak"] = resident("VmHWM") - before
             bad = not_finite(result)
-            if row["first"] < 0.5 or 2 * plan.seconds < row["first"] < 4.0:
-                start = time.process_time()
-                result = nlos.simulate(case.scene, case.tol, seed=number, memory=memory)
-                row["warm"] = min(row["first"], time.process_time() - start)
-            else:
-                row["warm"] = row["first"]
+            start = time.process_time()
+            result = nlos.simulate(case.scene, case.tol, seed=number, memory=memory)
+            row["warm"] = min(row["first"], time.process_time() - start)
         except Exception as error:
             return row | told(error, "simulate")
-    row["timings"] = dict(result.timings)
-    row["method"] = result.point_spread.method
-    row["window"] = list(result.point_spread.shape)
-    row["field"] = 0 if result.field is None else int(result.field.weights[0].size)
-    row["errors"] = result.errors
-    row["warned"] = sorted({str(w.message)[:80] for w in heard})
+    row["method"], row["errors"] = result.point_spread.method, result.errors
     return row | {"outcome": "NaN in " + ", ".join(bad) if bad else "done"}
 
 
-def worker(most_seconds, memory, rough):
+def worker(most_seconds, memory):
     """Rows of the numbers that come by the standard input."""
     limit = int(memory + 6 * 2**30)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     for line in sys.stdin:
-        print(json.dumps(run(int(line), most_seconds, memory, rough)), flush=True)
+        print(json.dumps(run(int(line), most_seconds, memory)), flush=True)
 
 
 class Worker:
@@ -168,27 +158,16 @@ def rows_of(path):
 
 
 def summary(rows):
-    """Counts of outcomes, and how good the predictions are."""
-    for kind, ours in (("ordinary", 0), ("wild", 1)):
-        part = [r for r in rows if r["number"] % 2 == ours]
-        counts = {}
-        for row in part:
-            name = row["outcome"] + (f" ({row['error']})" if "error" in row else "")
-            counts[name] = counts.get(name, 0) + 1
-        print(f"{kind}: {len(part)} scenes")
-        for name, count in sorted(counts.items(), key=lambda item: -item[1]):
-            print(f"  {count:5d}  {name}")
-        timed = [(r["predicted_total"], r["warm"]) for r in part if "warm" in r]
-        if timed:
-            ratios = sorted(p / w for p, w in timed)
-            for factor in (2, 4):
-                good = sum(1 / factor <= r <= factor for r in ratios) / len(ratios)
-                print(f"  predicted seconds within a factor of {factor}: {100 * good:.1f} %")
-            at = [ratios[int(q * (len(ratios) - 1))] for q in (0.02, 0.1, 0.5, 0.9, 0.98)]
-            print("  predicted/warm at 2, 10, 50, 90, 98 %:", *(f"{r:.2f}" for r in at))
-        over = [r for r in part if "peak" in r and r["peak"] > max(r["memory"], 1)]
-        held = sum("peak" in r for r in part)
-        print(f"  memory above what was predicted: {len(over)} of {held}")
+    """Print counts of outcomes."""
+    counts = Counter(r["outcome"] + (f" ({r['error']})" if "error" in r else "") for r in rows)
+    for name, count in counts.most_common():
+        print(f"{count:5d}  {name}")
+    ratios = sorted(r["predicted_total"] / r["warm"] for r in rows if "warm" in r)
+    if ratios:
+        at = [ratios[int(q * (len(ratios) - 1))] for q in (0.02, 0.1, 0.5, 0.9, 0.98)]
+        print("predicted/warm seconds at 2, 10, 50, 90, 98 %:", *(f"{r:.2f}" for r in at))
+    over = sum(r["peak"] > max(r["memory"], 1) for r in rows if "peak" in r)
+    print(f"memory above what was predicted: {over}")
 
 
 def main():
@@ -199,17 +178,15 @@ def main():
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--most-seconds", type=float, default=20.0)
     parser.add_argument("--memory", type=float, default=3.0, help="GiB")
-    parser.add_argument("--rough", action="store_true", help="walls with a roughness of their own")
     parser.add_argument("--worker", action="store_true")
     parser.add_argument("--summary", action="store_true")
     args = parser.parse_args()
     if args.worker:
-        return worker(args.most_seconds, args.memory * 2**30, args.rough)
+        return worker(args.most_seconds, args.memory * 2**30)
     done = rows_of(args.file)
     if args.summary:
         return summary(list(done.values()))
     options = ["--most-seconds", str(args.most_seconds), "--memory", str(args.memory)]
-    options += ["--rough"] * args.rough
     one = Worker(options)
     with args.file.open("a") as out:
         for number in range(args.first, args.first + args.count):

@@ -215,11 +215,7 @@ def main():
     for index in range(len(rows), options.scenes):
         row = compared(index)
         rows.append(row)
-        print(
-            f"{index:3d} {row['drawn']['kind']:10s} {row['modes']:4d} {row['brute_force']:4d} "
-            f"{row['cpu_seconds']:.2f} s, brute force {row['brute_force_cpu_seconds']:.1f} s",
-            flush=True,
-        )
+        print(row, flush=True)
         options.json.write_text("".join(json.dumps(row) + "\n" for row in rows))
     off = [abs(row["modes"] / max(row["brute_force"], 1) - 1.0) for row in rows]
     print(f"{sum(d <= 0.1 for d in off)} of {len(off)} within 10 %, largest {max(off):.0%}")

@@ -1,6 +1,6 @@
 """Memory of a process over repeated calls of simulate, point_spread, trace and render.
 
-python benchmarks/repeats.py [--calls 500] [--stages NAME ...] [--json FILE]
+python benchmarks/repeats.py [--calls 500] [--stages NAME ...]
 
 No call repeats an earlier input: walls, waves, seeds or plates differ a little, so that anything
 that is kept for an input is seen. Resident memory and the number of objects that Python has
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
 import os
 import sys
 from collections.abc import Callable
@@ -80,15 +79,7 @@ def stages() -> dict[str, Callable[[int], object]]:
 
 
 def fitted(values: np.ndarray, allowed: float) -> Growth:
-    """Return the growth of a quantity over calls.
-
-    Parameters
-    ----------
-    values : (n,) array
-        Quantity after each call.
-    allowed : float
-        Growth in `WHOLE` calls that is no fault.
-    """
+    """Return the growth of a quantity over calls; ``allowed`` in `WHOLE` calls is no fault."""
     settled = values[2 * len(values) // 5 :]
     parts = np.array_split(settled, min(BLOCKS, len(settled)))
     means = np.array([part.mean() for part in parts])
@@ -121,12 +112,10 @@ def main() -> int:
     known = stages()
     parser.add_argument("--calls", type=int, default=WHOLE, help="calls of each stage, at least 40")
     parser.add_argument("--stages", nargs="*", choices=known, default=list(known))
-    parser.add_argument("--json", type=Path, help="also write the table to this file")
     options = parser.parse_args()
-    rows, grows = {}, False
+    grows = False
     for name in options.stages:
-        rows[name] = repeated(known[name], options.calls)
-        bytes_, objects = rows[name]["bytes"], rows[name]["objects"]
+        bytes_, objects = repeated(known[name], options.calls).values()
         grows |= bytes_.grows or objects.grows
         print(
             f"{name:12} {options.calls} calls: {bytes_.slope:8.0f} +- {bytes_.error:.0f} B and "
@@ -134,9 +123,6 @@ def main() -> int:
             f"{'  GROWS' if bytes_.grows or objects.grows else ''}",
             flush=True,
         )
-    if options.json is not None:
-        told = {name: {k: v._asdict() for k, v in row.items()} for name, row in rows.items()}
-        options.json.write_text(json.dumps({"calls": options.calls, "growth": told}, indent=1))
     return 1 if grows else 0
 
 

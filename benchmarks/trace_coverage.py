@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import time
 from pathlib import Path
 
@@ -130,12 +129,6 @@ def main():
     parser.add_argument("--seeds", type=int, default=300)
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
-    print(
-        f"shares of {options.seeds} runs; their own spread is {math.sqrt(0.05 / options.seeds):.3f}"
-    )
-    print(
-        f"{'scene':28s} {'rays':>5s} {'error':>6s}  flux 68  95 unsure  worst bounce 68  95 unsure"
-    )
     held = {}
     if options.json and options.json.exists():
         rows = map(json.loads, options.json.read_text().splitlines())
@@ -145,13 +138,7 @@ def main():
         if options.json and case[0] not in held:
             with options.json.open("a") as file:
                 file.write(json.dumps(row) + "\n")
-        print(
-            f"{row['scene']:28s} {row['n_rays']:5d} {row['relative_error']:6.3f}  "
-            f"{row['within_68']:.2f} {row['within_95']:.2f} {row['flux_uncertain']:.2f}   "
-            f"{row['worst_bounce']:d}: {row['worst_68']:.2f} {row['worst_95']:.2f} "
-            f"{row['worst_uncertain']:.2f}   {row['cpu_seconds']:.0f} s",
-            flush=True,
-        )
+        print(row, flush=True)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,6 @@ from .shell import (
 
 if TYPE_CHECKING:
     from ..raytrace import TracedImage
-    from ..scene import Scene
 
 
 @app.command("trace", short_help="Compute the camera image of a scene by ray tracing.")
@@ -84,8 +83,7 @@ def trace_command(
         str | None,
         typer.Option(
             help="Trace at these wavelengths, nm, for example '450, 550, 650', instead of the "
-            "laser's; for materials whose albedo depends on the wavelength. Give --n-rays, not "
-            "--tol or --max-seconds."
+            "laser's; for materials whose albedo depends on the wavelength."
         ),
     ] = None,
     debug: Debug = False,
@@ -108,6 +106,9 @@ def trace_command(
         drawn = can_draw()
         with progress_bar() as progress:
             options: dict[str, Any] = {
+                "n_rays": n_rays,
+                "tol": tol,
+                "max_seconds": max_seconds,
                 "max_bounces": max_bounces,
                 "t_start": t_start,
                 "delta_t": delta_t,
@@ -117,13 +118,12 @@ def trace_command(
                 "progress": progress,
             }
             if wavelengths_nm is None:
-                images = {
-                    "": raytrace.trace_image(
-                        scene, n_rays=n_rays, tol=tol, max_seconds=max_seconds, **options
-                    )
-                }
+                images = {"": raytrace.trace_image(scene, **options)}
             else:
-                images = _colours(scene, wavelengths_nm, n_rays, tol, max_seconds, options)
+                nm = numbers("--wavelengths-nm", wavelengths_nm)
+                options["wavelengths"] = [one / 1e9 for one in nm]
+                colours = raytrace.trace_image(scene, **options).colours
+                images = {f"{one:g}nm_": image for one, image in zip(nm, colours, strict=True)}
             image = next(iter(images.values()))
             progress("writing", 1.0)
             report = _report(image) | {
@@ -145,31 +145,6 @@ def trace_command(
             typer.echo(f"nlosoptics: rays find by chance only {text}", err=True)
         for name, one in images.items():
             print_table(_image_rows(one, report, folder, name[:-1]))
-
-
-def _colours(
-    scene: Scene,
-    wavelengths_nm: str,
-    n_rays: int | None,
-    tol: float | None,
-    max_seconds: float | None,
-    options: dict[str, Any],
-) -> dict[str, TracedImage]:
-    """Return the image at each wavelength, by the beginning of its file names, such as 450nm_."""
-    from ..raytrace import trace_colours
-
-    for option, value in (("--tol", tol), ("--max-seconds", max_seconds)):
-        if value is not None:
-            raise typer.BadParameter(
-                f"{option} {value:g} does not go with --wavelengths-nm, whose images need equally "
-                "many rays; give --n-rays",
-                param_hint=option,
-            )
-    given = numbers("--wavelengths-nm", wavelengths_nm)
-    if n_rays is not None:
-        options = options | {"n_rays": n_rays}
-    traced = trace_colours(scene, [nm / 1e9 for nm in given], **options)
-    return {f"{nm:g}nm_": image for nm, image in zip(given, traced.each, strict=True)}
 
 
 def _report(image: TracedImage) -> dict[str, Any]:

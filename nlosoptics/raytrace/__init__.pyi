@@ -1,17 +1,8 @@
 from .fans.paths import RayPaths as RayPaths
 from .fans.pupil_fans import pupil_rays as pupil_rays
-from .images.trace_colours import ColourTraces as ColourTraces
-from .images.trace_colours import trace_colours as trace_colours
 from .images.trace_image import PathHistogram as PathHistogram
 from .images.trace_image import TracedImage as TracedImage
 from .images.trace_image import trace_image as trace_image
-from .images.trace_polarised import PolarisedImage as PolarisedImage
-from .images.trace_polarised import trace_polarised as trace_polarised
-from .intersection.intersections import BEHIND as BEHIND
-from .intersection.intersections import HIT as HIT
-from .intersection.intersections import MISS as MISS
-from .intersection.intersections import OUTSIDE as OUTSIDE
-from .intersection.intersections import UNRESOLVED as UNRESOLVED
 from .intersection.intersections import Hits as Hits
 from .intersection.intersections import intersect as intersect
 from .intersection.meshes import AllHits as AllHits
@@ -24,7 +15,5 @@ from .light.irradiance import wall_irradiance as wall_irradiance
 from .light.surroundings import RayPlan as RayPlan
 from .light.surroundings import ray_plan as ray_plan
 from .light.trace import trace as trace
-from .light.trace_lasers import LaserTraces as LaserTraces
-from .light.trace_lasers import trace_lasers as trace_lasers
 from .light.trace_point import PointTrace as PointTrace
 from .light.trace_point import trace_point as trace_point

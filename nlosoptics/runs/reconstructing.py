@@ -54,7 +54,6 @@ BLIND = ("evidence", "wu2024")
 METHODS = (*KNOWN, *BLIND)
 MODES = tuple(range(4, 22))  # Noll indices that a blind method fits: radial orders 2 to 5
 CHECKPOINT, PREVIEW = "checkpoint.npz", "preview.png"
-KEPT_EVERY = 5.0  # s between two saved states
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -340,7 +339,7 @@ def carry_out(
     started = time.perf_counter()
     stop = interrupted or (lambda: False)
     identity = f"{scene_hash(task.scene)} {task.identity()}"
-    start = kept_state(folder, identity) if resume else None
+    start = _saved_state(folder, identity) if resume else None
     report = {
         "program": "nlosoptics",
         "command": "reconstruct",
@@ -359,7 +358,7 @@ def carry_out(
         model = known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
     if stop():
         raise KeyboardInterrupt
-    keeper = Keeper(folder, identity, report, progress, stop)
+    keeper = _Keeper(folder, identity, report, progress, stop)
     try:
         result = reconstructed(task, model=model, start=start, progress=keeper)
     except Stop:
@@ -410,8 +409,8 @@ def _finite(values: NDArray[Any]) -> Any:
     return values.tolist()
 
 
-class Keeper:
-    """Progress callback of solvers that saves the state of the fit every `KEPT_EVERY` seconds.
+class _Keeper:
+    """Progress callback of solvers that saves the state of the fit every five seconds.
 
     ``report`` becomes the record of the folder, unless it holds an older result. That stays as it
     is until the fit has ended.
@@ -449,7 +448,7 @@ class Keeper:
 
         self._unseen = 0
         self.stopped = self._stop()
-        if self.stopped or time.monotonic() - self._last >= KEPT_EVERY:
+        if self.stopped or time.monotonic() - self._last >= 5.0:
             self.state = snapshot()
             self._save()
             self._last = time.monotonic()
@@ -468,7 +467,6 @@ class Keeper:
         try:
             record = json.loads(own.read_bytes())
             listed = {*record["files"], RECORD, CHECKPOINT, PREVIEW}
-            record = self._report if record["status"] == "running" else record
         except (OSError, ValueError, KeyError, TypeError):
             record, listed = self._report, {RECORD, CHECKPOINT, PREVIEW}
         self._folder.mkdir(exist_ok=True)
@@ -476,8 +474,14 @@ class Keeper:
         write_whole({own: record_text({**record, "files": sorted(listed)}), **contents})
 
 
-def kept_state(folder: Path, identity: str) -> dict[str, Array]:
-    """Load the state that the same task saved in a folder, or raise `SceneError`."""
+def _saved_state(folder: Path, identity: str) -> dict[str, Array]:
+    """Load the state that the same task saved in a folder.
+
+    Raises
+    ------
+    SceneError
+        If there is no readable state, or it was saved with another scene, image or option.
+    """
     path = folder / CHECKPOINT
     if not path.is_file():
         raise SceneError(f"there is no {path} to resume from; run without --resume")

@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 import math
-import time
-from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import skew
 
-from nlosoptics.errors import SceneError
-from nlosoptics.raytrace import trace_lasers, trace_polarised
-from nlosoptics.raytrace.light import trace as tracing
-from nlosoptics.raytrace.light.trace import GROUPS, mean_map, mean_of, skewness_of
-from nlosoptics.scene import Lambert
-
-from .light.draws import scene
+from nlosoptics.raytrace.light.trace import mean_map, mean_of, skewness_of
 
 EVEN = 5.0 + np.sin(np.arange(32.0) ** 2)  # sums of groups, hardly skewed
 SKEWED = np.exp(np.sin(np.arange(32.0) ** 2) * 2.0) ** 2
@@ -61,98 +52,3 @@ def test_errors_of_a_map_are_those_of_its_pixels():
             assert mean[place] == pytest.approx(part.sum() / rays, rel=1e-14)
             assert variance[place] == pytest.approx(error_of(part, groups, rays) ** 2, rel=1e-9)
     assert np.isinf(mean_map(sums, 3)[1]).all()
-
-
-@pytest.fixture(scope="module")
-def job():
-    matt = scene(paint=Lambert(0.5), material=Lambert(0.5))
-    return tracing.job_of(replace(matt, occluders=()), 2, "sobol", 0)
-
-
-def run(job, power, told, spread=0.3, **limits):
-    """Trace rays whose light has a mean and a relative spread per ray, in blocks."""
-
-    def blocks(start, end):
-        for first in range(start, end, tracing.FIRST):
-            n = min(tracing.FIRST, end - first)
-            sums = np.zeros((GROUPS, job.columns))
-            light = 1.0 + spread * math.sqrt(GROUPS / n) * np.cos(np.arange(GROUPS) + first)
-            sums[:, 1] = power * n / GROUPS * light
-            yield [sums], Counter(rays=n), []
-
-    asked = {"n_rays": None, "tol": None, "max_seconds": None} | limits
-    return tracing.until_done(job, blocks, progress=lambda *step: told.append(step), **asked)
-
-
-def test_a_number_of_rays_is_traced_and_told(job):
-    told = []
-    found = run(job, 2.0, told, n_rays=10000)
-    assert (found.n_rays, found.stopped) == (10000, "rays")
-    done = [*range(tracing.FIRST, 10000, tracing.FIRST), 10000, 10000]
-    assert told == [("rays", n / 10000) for n in done]
-    assert found.flux == pytest.approx(2.0, rel=0.02)
-    assert run(job, 2.0, []).n_rays == 1 << 16
-
-
-@pytest.mark.parametrize("tol", [0.02, 0.002])
-def test_rays_are_doubled_until_the_error_is_met(job, tol):
-    """The fraction told before is what the last error says of the next."""
-    told = []
-    found = run(job, 2.0, told, tol=tol, n_rays=1 << 24)
-    assert found.stopped == "tol"
-    assert found.standard_error <= tol * found.flux
-    rays = tracing.FIRST
-    for text, share in told[:-1]:
-        before = run(job, 2.0, [], n_rays=rays)
-        assert before.standard_error > tol * before.flux
-        wanted = min(0.99, (tol * before.flux / before.standard_error) ** 2)
-        assert (text, share) == ("rays", pytest.approx(wanted, rel=1e-9))
-        rays *= 2
-    assert told[-1] == ("rays", 1.0)
-    assert found.n_rays == rays
-
-
-def test_rays_end_where_the_error_is_not_met(job):
-    found = run(job, 2.0, [], tol=1e-6, n_rays=3 * tracing.FIRST)
-    assert (found.stopped, found.n_rays) == ("rays", 3 * tracing.FIRST)
-
-
-def test_a_time_is_kept(job):
-    """It ends the first block that takes longer."""
-    told = []
-    found = run(job, 2.0, told, max_seconds=1e-9)
-    assert (found.stopped, found.n_rays) == ("time", tracing.FIRST)
-    assert told == [("rays", 1.0)] * 2
-
-
-def test_a_dark_detector_is_given_up(job):
-    with pytest.raises(SceneError, match=f"no light of {tracing.GIVE_UP} rays reached the dete"):
-        run(job, 0.0, [], tol=0.1)
-    assert run(job, 0.0, [], tol=0.1, n_rays=tracing.GIVE_UP // 2).flux == 0.0
-
-
-def test_crossed_analysers_pass_all_light_between_them():
-    """Any Stokes vector, also of circular light, of which each passes half."""
-    camera = {"pixels": (8, 6), "binning": 1, "pixel_pitch": 5e-3}
-    matt = scene(paint=Lambert(0.5), material=Lambert(0.5), **camera)
-    seen = trace_polarised(replace(matt, occluders=()), n_rays=256)
-    draw = np.random.default_rng(2).random(seen.groups.shape)
-    mixed = replace(seen, groups=draw)
-    whole, _ = mean_map(draw[:, 1, ..., 0] * (256 / GROUPS), 256)
-    for angle in (0.0, 0.3, 1.2):
-        pair = [mixed.through(angle + turn)[0] for turn in (0.0, math.pi / 2)]
-        assert np.add(*pair) == pytest.approx(whole, rel=1e-12)
-    along = mean_map(0.5 * (draw[:, 1] @ [1.0, 1.0, 0.0, 0.0]) * (256 / GROUPS), 256)
-    power, error = mixed.through(0.0)
-    assert power == pytest.approx(along[0], rel=1e-12)
-    assert error**2 == pytest.approx(along[1], rel=1e-9)
-    circular = draw * (np.arange(4) == 3)
-    assert not replace(seen, groups=circular).through(0.4)[0].any()
-
-
-def test_the_time_of_several_lasers_is_shared_by_them():
-    begun = time.perf_counter()
-    one = scene(paint=Lambert(0.5), material=Lambert(0.5))
-    found = trace_lasers(one, [one.laser] * 2, n_rays=64, max_bounces=3)
-    assert 0.0 < found.together.seconds < time.perf_counter() - begun
-    assert [each.seconds for each in found.each] == [found.together.seconds / 2] * 2

@@ -39,31 +39,19 @@ def mesh(bad):
     return trimesh.Trimesh(tent, [[0, 1, 2], [0, 1, 3]], process=False)
 
 
-def aimed(z):
-    return [replace(SCENE.laser, aim=(0.1, 0.0, z))]
-
-
 PATHS = 64 * (3 + 4) * 26 * 3
 
 TABLE = {
-    "light without colour": (
-        lambda: raytrace.trace_colours(SCENE, [5e-7, 6e-7], n_rays=64, max_bounces=1).ratio(0, 1),
-        "no light of the object was detected at 600 nm, but a ratio needs a power above 0",
-    ),
-    "colours of no scene": (
-        lambda: raytrace.trace_colours("scene.toml", [5e-7]),
+    "image of no scene": (
+        lambda: raytrace.trace_image("scene.toml", wavelengths=[5e-7]),
         "scene is a str; give a Scene, such as Scene.load()",
     ),
     "no wavelengths": (
-        lambda: raytrace.trace_colours(SCENE, []),
+        lambda: raytrace.trace_image(SCENE, wavelengths=[]),
         "wavelengths is []; give a list of wavelengths in m",
     ),
-    "one wavelength": (
-        lambda: raytrace.trace_colours(SCENE, 5e-7),
-        "wavelengths is 5e-07; give a list of wavelengths in m",
-    ),
     "wavelength of nothing": (
-        lambda: raytrace.trace_colours(SCENE, [5e-7, 0.0]),
+        lambda: raytrace.trace_image(SCENE, wavelengths=[5e-7, 0.0]),
         "wavelengths[1]: laser.wavelength = 0",
     ),
     "lens in the wall": (
@@ -78,22 +66,6 @@ TABLE = {
         lambda: Facets(trimesh.Trimesh(np.eye(3), [[0, 0, 1]], process=False)),
         "the mesh has no triangle with an area; give a surface mesh",
     ),
-    "laser aimed into the room": (
-        lambda: raytrace.trace_lasers(SCENE, aimed(0.1), **SHORT),
-        "lasers[0].aim has z = 0.1 m; give a point of the plane z = 0",
-    ),
-    "no lasers": (
-        lambda: raytrace.trace_lasers(SCENE, [], **SHORT),
-        "lasers is []; give a list of at least one Laser",
-    ),
-    "one laser": (
-        lambda: raytrace.trace_lasers(SCENE, SCENE.laser, **SHORT),
-        "give a list of at least one Laser",
-    ),
-    "places of lasers": (
-        lambda: raytrace.trace_lasers(SCENE, [SCENE.laser, (0.0, 0.0)], **SHORT),
-        "lasers[1] is a tuple; give a Laser",
-    ),
     "paths to keep": (
         lambda: in_memory(PATHS - 1, lambda: raytrace.trace(SCENE, keep_paths=True, **SHORT)),
         "paths of 64 rays (n_rays) needs",
@@ -107,26 +79,6 @@ TABLE = {
             8 * 32 * 24 - 1, lambda: raytrace.wall_irradiance(SCENE, shape=(4, 6), n_rays=64)
         ),
         "a map of 6 x 4 cells (shape) needs",
-    ),
-    "reflections of a map": (
-        lambda: raytrace.wall_irradiance(SCENE, shape=(4, 6), n_rays=64, max_bounces=63),
-        "max_bounces = 63 is out of range, must be from 1 to 62",
-    ),
-    "map of direct laser light": (
-        lambda: raytrace.wall_irradiance(SCENE, shape=(4, 6), n_rays=64, max_bounces=0),
-        "max_bounces = 0 is out of range, must be from 1 to 62",
-    ),
-    "reflections of a ray": (
-        lambda: raytrace.trace(SCENE, n_rays=64, max_bounces=65),
-        "max_bounces = 65 is out of range, must be from 1 to 64",
-    ),
-    "close tolerance": (
-        lambda: raytrace.trace(SCENE, tol=0.99e-6, max_bounces=2),
-        "tol = 9.9e-07 is out of range, must be from 1e-06 to 1",
-    ),
-    "no time": (
-        lambda: raytrace.trace(SCENE, max_seconds=0.0),
-        "max_seconds = 0 s is out of range, must be above 0",
     ),
     "black picture": (
         lambda: raytrace.trace(replace(SCENE, hidden=black()), tol=0.1),
@@ -149,28 +101,3 @@ def test_refused_in_one_line(name):
         call()
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-LAST = {
-    "lens above the wall": lambda: lens_at(0.0501),
-    "every vertex a number": lambda: Facets(mesh(2.0)),
-    "laser aimed at the wall": lambda: raytrace.trace_lasers(SCENE, aimed(0.0), **SHORT),
-    "paths to keep": lambda: in_memory(
-        PATHS, lambda: raytrace.trace(SCENE, keep_paths=True, **SHORT)
-    ),
-    "cells of a map": lambda: in_memory(
-        8 * 32 * 24, lambda: raytrace.wall_irradiance(SCENE, shape=(4, 6), n_rays=64)
-    ),
-    "reflections of a map": lambda: raytrace.wall_irradiance(
-        SCENE, shape=(2, 2), n_rays=1, max_bounces=62
-    ),
-    "map of direct light": lambda: raytrace.wall_irradiance(
-        SCENE, shape=(2, 2), n_rays=64, max_bounces=0, source="object"
-    ),
-    "reflections of a ray": lambda: raytrace.trace(SCENE, n_rays=1, max_bounces=64),
-}
-
-
-@pytest.mark.parametrize("name", LAST)
-def test_the_last_value_is_accepted(name):
-    assert LAST[name]() is not None

@@ -25,7 +25,6 @@ RESULTS = {
     "paths": lambda: raytrace.trace(SCENE, keep_paths=True, **FEW),
     "image": lambda: raytrace.trace_image(SCENE, **FEW, **BINS),
     "histogram": lambda: raytrace.trace_image(SCENE, **FEW, **BINS).histogram,
-    "polarised": lambda: raytrace.trace_polarised(SCENE, **FEW),
     "point": lambda: raytrace.trace_point(SCENE, n_rays=256),
     "irradiance": lambda: raytrace.wall_irradiance(SCENE, shape=(3, 4), n_rays=64),
 }

@@ -126,8 +126,9 @@ MADE: Mapping[str, Any] = {
         wl_sigma=0.1,
     ),
     "TracedImage": lambda: raytrace.trace_image(
-        room(), n_rays=256, max_bounces=3, t_start=3.0, delta_t=1.0, n_bins=4
+        room(), wavelengths=[5e-7], n_rays=256, max_bounces=3, t_start=3.0, delta_t=1.0, n_bins=4
     ),
+    "Spectrum": lambda: scene.Spectrum((4e-7, 6e-7), (0.2, 0.5)),
     "Plan": lambda: nlos.plan(room()),
     "Study": lambda: study.Study.from_tables(
         {

@@ -1,7 +1,6 @@
-"""Whole tasks: commands from start to exit, tolerances, growth with size, pictures of a room."""
+"""Whole commands from start to exit."""
 
-from .cells import Cell, Row, listed
-from .figures import curves
+from .cells import Row
 from .page import Section
 
 
@@ -10,21 +9,6 @@ def longest_stages(row: Row) -> str:
     stages = {k: v for k, v in row.get("stages", {}).items() if k not in ("total", "outside")}
     longest = sorted(stages, key=lambda name: -stages[name])[:3]
     return ", ".join(f"{name} {stages[name]:.2g} s" for name in longest)
-
-
-def pictures(found: Row) -> str:
-    """Return seconds, sizes and frame rate of a room."""
-    png, frames = found["png_seconds"], found["frames"]
-    renderer = f"{frames['renderer'].split(' (')[0]}, {found['cores']} cores"
-    cells: dict[str, Cell] = {
-        "PNG, including the import of pyvista and a test of the renderer": "{drawn:time}",
-        "HTML page": "{files[html_megabytes]:n} MB",
-        "glTF": "{files[glb_megabytes]:n} MB",
-        f"{frames['segments']} segments, {renderer}": "{frames[frames_per_second]:n} frames per "
-        "second",
-    }
-    drawn = png["trial_of_rendering"] + png["picture_with_pyvista"]
-    return listed(cells, found | {"drawn": drawn})
 
 
 SECTIONS = (
@@ -43,50 +27,5 @@ SECTIONS = (
             "memory": lambda row: f"{row['peak_mib']:.0f} MiB" if "peak_mib" in row else "",
             "longest stages": longest_stages,
         },
-    ),
-    Section(
-        "tolerances.json",
-        "What a tolerance costs",
-        "How much longer does a more accurate result take? Point spreads over the object (fields) "
-        "and traced light were computed with two tolerances `tol`. The estimate is the error that "
-        "the result states, the error its difference from an accurate reference.",
-        "python benchmarks/tolerances.py --json {file}",
-        table={
-            "stage": "{stage}",
-            "tol": "{tol:n}",
-            "run time": "{seconds:time}",
-            "error estimate": "{estimate:n2}",
-            "error": "{error:n2}",
-            "work": "{work}",
-        },
-        figure=curves("{stage}", lambda row: row["error"], "relative error"),
-        alternative="Seconds against error of fields of point spreads and of traces at two "
-        "tolerances",
-    ),
-    Section(
-        "growth.json",
-        "Growth with pixels and field points",
-        "How do time and memory grow with the size of a task? The table has the processor time of "
-        "all threads and the memory of numpy's arrays, for one call after all functions are "
-        "compiled. The exponents are fitted to four sizes. If an exponent is below 1, a part of "
-        "the work does not depend on the size.",
-        "python benchmarks/growth.py --json {file}",
-        table={
-            "stage": "{stage}",
-            "number n": "{numbers:first} to {numbers:last} {against}",
-            "processor time": "{seconds:first time} to {seconds:last time}",
-            "time grows as": "n^{seconds_exponent:.2f}",
-            "memory": "{bytes:first MiB .3g} to {bytes:last MiB .3g} MiB",
-            "memory grows as": "n^{bytes_exponent:.2f}",
-        },
-    ),
-    Section(
-        "views.json",
-        "Pictures in three dimensions",
-        "A room with a wavy wall and 500 light paths. If the table names no graphics card, the "
-        "pictures were rendered by the processor. HTML pages and glTF models are written without "
-        "rendering.",
-        "python benchmarks/views.py",
-        table=pictures,
     ),
 )

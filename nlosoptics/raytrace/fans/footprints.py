@@ -13,25 +13,15 @@ from ...errors import SceneError
 from ...scene import Camera, Wall
 
 Array = NDArray[np.float64]
-CELLS: Final = 48  # smallest number of cells per side of the searched rectangle
-GROWTHS: Final = 24  # largest number of doublings of the rectangle
-LEVELS: Final = 9  # largest number of subdivisions of its cells
-MOST: Final = 2_000_000  # largest number of cells after doubling the rectangle
-FINE: Final = 0.125  # width of a cell's light at the lens, in lens radii, that ends subdivision
+LEVELS: Final = 9  # largest number of subdivisions of the cells of a searched rectangle
 CORNERS: Final = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """Rectangle of the wall that contains all mirror reflections of a point into a lens.
+    """Rectangle (corners, m) of all mirror reflections of a point into a lens, and such points.
 
-    Parameters
-    ----------
-    low, high : ndarray, (2,)
-        Corners of the rectangle with the lowest and highest x and y, m.
-    points : ndarray, (n, 3)
-        Wall points, world frame, m, whose reflected light passes through the lens or close to its
-        edge.
+    The ``points`` (n, 3), m, reflect light through the lens or close to its edge.
     """
 
     low: Array
@@ -40,42 +30,20 @@ class Footprint:
 
 
 def lens_footprint(wall: Wall, object_point: Array, camera: Camera) -> Footprint:
-    """Find the part of the wall that reflects light from an object point into a lens.
+    """Find the part of the wall that reflects light from an object point (world, m) into a lens.
 
-    Parameters
-    ----------
-    wall : Wall
-        Relay wall, used as a mirror of its exact shape.
-    object_point : ndarray, (3,)
-        Object point in front of the wall, world frame, m.
-    camera : Camera
-        Camera with the lens.
-
-    Returns
-    -------
-    Footprint
-        Rectangle around the reflecting points, and the points found.
-
-    Raises
-    ------
-    SceneError
-        If the point is behind the wall, or none of its light is reflected into the lens.
-    MemoryLimitError
-        If the wall needs more cells than fit in memory.
-
-    Notes
-    -----
     The search starts with a rectangle around the reflection in the plane z = 0, enlarged for the
     wall's slopes, and divides it into cells. A cell counts as lit if the light reflected at its
     corners overlaps the lens, with a margin. Lit cells are subdivided until their light is much
     narrower than the lens. The rectangle is doubled until no cell at its border is lit.
+    `SceneError` if the point is behind the wall, or none of its light is reflected into the lens.
     """
     o = np.asarray(object_point, dtype=np.float64)
     if o[2] <= 0:
         raise SceneError(f"object_point has z = {o[2]:g} m, behind the wall; must be above 0 m")
     low, high = _mirror_box(wall, o, camera)
     edge = np.array([np.inf, np.inf] if wall.size is None else wall.size) / 2
-    for _ in range(GROWTHS):
+    for _ in range(24):
         inner_low, inner_high = np.maximum(low, -edge), np.minimum(high, edge)
         if (inner_low < inner_high).all():
             points = _lit_points(wall, o, camera, inner_low, inner_high)
@@ -87,7 +55,7 @@ def lens_footprint(wall: Wall, object_point: Array, camera: Camera) -> Footprint
                 if not (open_low | open_high).any():
                     return Footprint(first, last, points)
             whole = (inner_low == -edge).all() and (inner_high == edge).all()
-            if whole or _counts(wall, inner_low, inner_high).prod() > MOST / 4:
+            if whole or _counts(wall, inner_low, inner_high).prod() > 500_000:
                 break
         low, high = low - (high - low) / 2, high + (high - low) / 2
     raise SceneError(
@@ -97,10 +65,7 @@ def lens_footprint(wall: Wall, object_point: Array, camera: Camera) -> Footprint
 
 
 def _mirror_box(wall: Wall, o: Array, camera: Camera) -> tuple[Array, Array]:
-    """Return the corners (2,) of a search rectangle in x and y, m.
-
-    It contains the reflection of the point into the lens by the plane z = 0, plus a margin.
-    """
+    """Return the corners (2,) of a search rectangle in x and y, m."""
     angle = 2 * np.pi * np.arange(16) / 16
     across = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ camera.frame[:2]
     rim = np.array(camera.position) + camera.stop_diameter / 2 * across
@@ -122,12 +87,7 @@ def _mirror_box(wall: Wall, o: Array, camera: Camera) -> tuple[Array, Array]:
 
 
 def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -> Array:
-    """Return wall points (n, 3), m, close to those that reflect light of the object into the lens.
-
-    The rectangle from ``low`` to ``high``, (2,), m, is divided into cells, and cells whose
-    reflected light overlaps the lens are subdivided. The points are the corners of the last cells.
-    ``o`` (3,) is the object point, m.
-    """
+    """Return wall points (n, 3), m, close to those that reflect the object into the lens."""
     radius = camera.stop_diameter / 2
     counts = _counts(wall, low, high)
     _fit(float(counts.prod()))
@@ -146,7 +106,7 @@ def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -
         lit = lit.all(axis=1) & some
         # at the last level accept wider cells; those still wider, as at the rim of a sphere, send
         # a negligible part of their light into the lens
-        limit = FINE * radius if level < LEVELS - 1 else radius
+        limit = 0.125 * radius if level < LEVELS - 1 else radius
         fine: NDArray[np.bool_] = np.logical_and(lit, (spread <= limit).all(axis=1))
         found.append(points[fine[:, None] & ~dark.any(axis=-1)])
         cells = cells[lit & ~fine]
@@ -159,12 +119,8 @@ def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -
 
 
 def _counts(wall: Wall, low: Array, high: Array) -> Array:
-    """Return the number of cells along x and y of a search rectangle, (2,).
-
-    There are at least 8 cells per period of the wall, because coarser corners would miss its waves.
-    ``low`` and ``high`` (2,) are the rectangle's corners, m.
-    """
-    return np.asarray(np.maximum(CELLS, np.ceil(8 * (high - low) / wall.finest_period)))
+    """Return the number of cells along x and y of a search rectangle, (2,)."""
+    return np.asarray(np.maximum(48, np.ceil(8 * (high - low) / wall.finest_period)))
 
 
 def _fit(n_cells: float) -> None:
@@ -173,23 +129,7 @@ def _fit(n_cells: float) -> None:
 
 
 def _landings(wall: Wall, o: Array, camera: Camera, places: Array) -> tuple[Array, Array]:
-    """Return wall points and the points where their reflected light meets the lens plane.
-
-    Parameters
-    ----------
-    o : ndarray, (3,)
-        Object point, world frame, m.
-    places : ndarray, (..., 2)
-        Coordinates x and y on the wall, m.
-
-    Returns
-    -------
-    points : ndarray, (..., 3)
-        Wall points, world frame, m.
-    landed : ndarray, (..., 2)
-        Coordinates u and v in the lens plane about the centre of the lens, m; NaN for light that
-        does not reach this plane.
-    """
+    """Return wall points and the points where their reflected light meets the lens plane."""
     surface = surfaces(wall, places[..., 0], places[..., 1])
     points = np.concatenate([places, surface[..., :1]], axis=-1)
     normals = np.stack([-surface[..., 1], -surface[..., 2], np.ones(places.shape[:-1])], axis=-1)
@@ -202,50 +142,22 @@ def _landings(wall: Wall, o: Array, camera: Camera, places: Array) -> tuple[Arra
 
 
 def surfaces(wall: Wall, x: Array, y: Array) -> Array:
-    """Return the height and its derivatives, (..., 6), with NaN where the wall has no height.
-
-    Parameters
-    ----------
-    wall : Wall
-        Relay wall.
-    x, y : ndarray, (...)
-        World coordinates, m.
-    """
+    """Return the height and its derivatives, (..., 6), with NaN where the wall has no height."""
     if not wall.is_compiled:
         return wall.derivatives(x, y)
     return wall.surface_values(np.ravel(x), np.ravel(y)).reshape(*x.shape, 6)
 
 
 def reflected(directions: Array, normals: Array) -> Array:
-    """Return the unit directions, (..., 3), of rays after specular reflection.
-
-    Parameters
-    ----------
-    directions : ndarray, (..., 3)
-        Directions of the incident rays, of any length.
-    normals : ndarray, (..., 3)
-        Unit normals.
-    """
+    """Return unit directions after specular reflection at surfaces with unit normals, (..., 3)."""
     d = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
     return np.asarray(d - 2 * np.sum(d * normals, axis=-1, keepdims=True) * normals)
 
 
 def lens_plane(points: Array, directions: Array, camera: Camera) -> tuple[Array, Array]:
-    """Intersect rays with the plane of the lens.
+    """Return where rays meet the plane of the lens, (..., 3), m, and their lengths (...), m.
 
-    Parameters
-    ----------
-    points, directions : ndarray, (..., 3)
-        Starts, world frame, m, and unit directions of the rays.
-    camera : Camera
-        Camera with the lens.
-
-    Returns
-    -------
-    ends : ndarray, (..., 3)
-        Intersections, world frame, m; NaN for rays that do not approach the plane from the front.
-    length : ndarray, (...)
-        Distances from the starts, m; NaN for the same rays.
+    Both are NaN for rays that do not approach the plane from the front.
     """
     axis = camera.axis
     toward = directions @ axis

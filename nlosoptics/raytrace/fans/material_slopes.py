@@ -12,13 +12,7 @@ from ...scene import Scene
 
 
 def material_slope(scene: Scene) -> float:
-    """Return the slope rms per axis, rad, of the wall's strongest lobe that has a slope.
-
-    Raises
-    ------
-    SceneError
-        If no lobe has a slope.
-    """
+    """Return the slope rms per axis, rad, of the wall's strongest lobe that has a slope."""
     lobes = scene.wall_material.lobe_table()
     rough = lobes[(lobes[:, 0] != LAMBERT) & (lobes[:, 2] > 0)]
     if not len(rough):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,29 +13,10 @@ from ..._nouns import Noun
 
 Array = NDArray[np.float64]
 
-DETECTED: Final = 0
-ESCAPED: Final = 1
-ABSORBED: Final = 2
-LEFT: Final = 3
-BLOCKED: Final = 4
-#: Names of the status numbers of a path.
-STATUS: Final = ("detected", "escaped", "absorbed", "left", "blocked")
-
+#: Status numbers of a path.
+DETECTED, ESCAPED, ABSORBED, LEFT, BLOCKED = range(5)
 #: Surfaces of the points of a path.
-NO_SURFACE: Final = -1
-ON_WALL: Final = 0
-ON_OBJECT: Final = 1
-ON_OCCLUDER: Final = 2
-
-
-def _no_numbers() -> NDArray[np.int8]:
-    """Return an empty array of surfaces or lobes, as a default."""
-    return np.zeros((0, 0), dtype=np.int8)
-
-
-def _nothing() -> Mapping[str, float]:
-    """Return an empty read-only mapping, as a default."""
-    return MappingProxyType({})
+NO_SURFACE, ON_WALL, ON_OBJECT, ON_OCCLUDER = range(-1, 3)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -129,10 +109,10 @@ class RayPaths(Noun):
     weight: Array
     n_bounces: NDArray[np.int32]
     status: NDArray[np.int8]
-    surface: NDArray[np.int8] = field(default_factory=_no_numbers)
-    lobe: NDArray[np.int8] = field(default_factory=_no_numbers)
-    ledger: Mapping[str, float] = field(default_factory=_nothing)
-    ledger_error: Mapping[str, float] = field(default_factory=_nothing)
+    surface: NDArray[np.int8] = field(default_factory=lambda: np.zeros((0, 0), np.int8))
+    lobe: NDArray[np.int8] = field(default_factory=lambda: np.zeros((0, 0), np.int8))
+    ledger: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    ledger_error: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     flux: float = 0.0
     standard_error: float = 0.0
     by_bounce: Array = field(default_factory=lambda: np.zeros(0))
@@ -152,8 +132,8 @@ class RayPaths(Noun):
 
     def __post_init__(self) -> None:
         arrays = (self.points, self.path_length, self.weight, self.n_bounces, self.status)
-        found = (self.surface, self.lobe, self.by_bounce, self.by_bounce_error)
-        for array in (*arrays, *found):
+        arrays += (self.surface, self.lobe, self.by_bounce, self.by_bounce_error)
+        for array in arrays:
             array.flags.writeable = False
 
     @property

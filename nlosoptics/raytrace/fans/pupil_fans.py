@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from types import MappingProxyType
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,13 +13,9 @@ from ..._random import checked_seed, philox
 from ...scene import Scene, pupil_frame
 from ..intersection.intersections import intersect
 from .footprints import lens_footprint, lens_plane, reflected
-from .paths import DETECTED, ESCAPED, LEFT, STATUS, RayPaths
+from .paths import DETECTED, ESCAPED, LEFT, RayPaths
 
 Array = NDArray[np.float64]
-
-FANS: Final = 402  # stream number of the random generator
-MARGIN: Final = 0.05  # added on each side of the fan, relative to its width
-ABOVE: Final = 1e-9  # m, height above the wall at which reflected rays start
 
 
 def pupil_rays(
@@ -101,7 +96,7 @@ def pupil_rays(
     ends, reach = lens_plane(wall_points, onward, scene.camera)
     points[met, 1:] = wall_points[:, None]
     path_length[met], n_bounces[met] = hits.distance[met], 1
-    again = _met_again(scene, wall_points + ABOVE * normals, onward, reach)
+    again = _met_again(scene, wall_points + 1e-9 * normals, onward, reach)
     status[met[again]] = LEFT
     arrived = ~np.isnan(reach) & ~again
     points[met[arrived], 2] = ends[arrived]
@@ -123,7 +118,7 @@ def _fan(scene: Scene, o: Array, n_rays: int, seed: int) -> tuple[Array, float]:
     flat *= np.sqrt(2 / (1 + toward @ axis))[:, None]
     low, high = flat.min(axis=0), flat.max(axis=0)
     # at least 1.5 ray spacings outside the lens, so that rays at its rim have neighbours
-    margin = max(MARGIN, 1.5 / (math.sqrt(n_rays) - 3))
+    margin = max(0.05, 1.5 / (math.sqrt(n_rays) - 3))
     width = (1 + 2 * margin) * (high - low)
     middle = (low + high) / 2
     # the projection ends at radius 2, the backward direction
@@ -136,11 +131,7 @@ def _fan(scene: Scene, o: Array, n_rays: int, seed: int) -> tuple[Array, float]:
 
 
 def _lattice(n: int, seed: int) -> Array:
-    """Return the points (n, 2) of a rank-1 lattice in the unit square with a random shift.
-
-    The generator is the integer near n divided by the golden ratio with the largest distance
-    between neighbouring points.
-    """
+    """Return the points (n, 2) of a rank-1 lattice in the unit square with a random shift."""
     near = round(n / ((1 + math.sqrt(5)) / 2))
     best, generator = -1.0, 1
     multiple = np.arange(1, min(n, 4 * math.isqrt(n) + 2))
@@ -152,18 +143,14 @@ def _lattice(n: int, seed: int) -> Array:
         shortest = float((x**2 + np.minimum(y, 1 - y) ** 2).min())
         if shortest > best:
             best, generator = shortest, candidate
-    words = philox(np.array([0, 0, 0, FANS], dtype=np.uint32), seed)
+    words = philox(np.array([0, 0, 0, 402], dtype=np.uint32), seed)
     index = np.arange(n, dtype=np.int64)
     places = np.stack([index / n, (index * generator % n) / n], axis=1)
     return np.asarray((places + words[:2] / 2.0**32) % 1.0)
 
 
 def _met_again(scene: Scene, starts: Array, directions: Array, reach: Array) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the rays that hit the wall a second time before the lens plane.
-
-    ``starts`` (n, 3) are their reflection points, m, ``directions`` (n, 3) unit vectors after the
-    reflection, and ``reach`` (n,) the distances to the plane of the lens, m.
-    """
+    """Return a mask (n,) of the rays that hit the wall a second time before the lens plane."""
     if scene.wall.is_flat or not len(starts):
         return np.zeros(len(starts), dtype=bool)
     second = intersect(scene.wall, starts, directions)
@@ -179,17 +166,14 @@ def _with_ledger(
     status: NDArray[np.int8],
     solid_angle: float,
 ) -> RayPaths:
-    """Return `RayPaths` with the power balance of an isotropic source of 1 W/sr.
-
-    Each ray carries the same part of ``solid_angle``, sr. Arrays hold one row per ray: points (m),
-    path length (m), number of reflections and status.
-    """
+    """Return `RayPaths` with the power balance of an isotropic source of 1 W/sr."""
     n = len(status)
-    counts = np.bincount(status, minlength=len(STATUS))
+    names = ("detected", "escaped", "absorbed", "left")
+    counts = np.bincount(status, minlength=len(names))
     share = counts / n
     errors = solid_angle * np.sqrt(share * (1 - share) / n)
     flux = float(solid_angle * share[DETECTED])
-    named = {name: k for k, name in enumerate(STATUS) if counts[k]}
+    named = {name: k for k, name in enumerate(names) if counts[k]}
     detected = status == DETECTED
     error = float(errors[DETECTED])
     return RayPaths(

@@ -1,1 +1,1 @@
-"""Images of traced light: pixels, path lengths, colours, polarisation."""
+"""Images of traced light: pixels, path lengths, colours."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +21,11 @@ from ...scene import Scene
 from ..fans.paths import RayPaths
 from ..light.trace import group_means, job_of, mean_map, until_done
 
+if TYPE_CHECKING:
+    from ..light.blocks import Job
+    from .image_blocks import Film
+
 Array = NDArray[np.float64]
-MOST_BINS = 1 << 20  # largest number of bins of a histogram
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -102,8 +107,7 @@ class TracedImage(Noun, Shown):
         Power on each pixel of light that never met the hidden object, and its standard error, W.
     group_power : ndarray, (32,)
         Power of light that met the hidden object, on all pixels, for each of the 32 groups of rays
-        from which the standard errors come, W. Images by the same rays, such as those of
-        `trace_colours`, differ by less than their errors; this difference follows from the groups.
+        from which the standard errors come, W; for `ratio`.
     pitch : float
         Side of an image pixel, m: that of a detector pixel times ``camera.binning``.
     exposure : float
@@ -113,6 +117,8 @@ class TracedImage(Noun, Shown):
     paths : RayPaths
         Flux, power balance and number of the rays that formed the image. The pixels of ``power``
         add up to ``paths.flux``. Single paths are not kept.
+    colours : tuple of TracedImage
+        Image at each of the ``wavelengths`` of `trace_image`; empty if none were given.
 
     See Also
     --------
@@ -134,12 +140,43 @@ class TracedImage(Noun, Shown):
     exposure: float
     histogram: PathHistogram | None
     paths: RayPaths
+    colours: tuple[TracedImage, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("expected", "power", "by_bounce", "stray"):
             getattr(self, name).flags.writeable = False
             getattr(self, f"{name}_error").flags.writeable = False
         self.group_power.flags.writeable = False
+
+    def ratio(self, to: TracedImage) -> tuple[float, float]:
+        """Return the ratio of the object's light in two images by the same rays, and its error.
+
+        Parameters
+        ----------
+        to : TracedImage
+            Image in the denominator, another one of the same ``colours``.
+
+        Returns
+        -------
+        ratio, error : float
+            Ratio of the powers ``paths.flux``, and its standard error, which takes into account
+            that the rays are the same.
+        """
+        groups = min(self.paths.n_rays, GROUPS)
+        one, other = self.group_power[:groups], to.group_power[:groups]
+        mean = float(other.mean())
+        if mean <= 0.0 or to.paths.n_rays != self.paths.n_rays:
+            raise SceneError(
+                f"a ratio needs light of the object and equally many rays, but the image in the "
+                f"denominator has {mean:.3g} W and {to.paths.n_rays} rays against "
+                f"{self.paths.n_rays}; give n_rays, without tol or max_seconds"
+            )
+        ratio = float(one.mean()) / mean
+        if groups < 4:
+            return ratio, math.inf
+        # the factor of Student's distribution as for all other errors
+        spread = float(((one - ratio * other) ** 2).sum()) / (groups * (groups - 3))
+        return ratio, math.sqrt(spread) / mean
 
     def _figures(self) -> Figures:
         ny, nx = self.expected.shape
@@ -166,6 +203,7 @@ class TracedImage(Noun, Shown):
 def trace_image(
     scene: Scene,
     *,
+    wavelengths: Sequence[float] | None = None,
     n_rays: int | None = None,
     tol: float | None = None,
     max_seconds: float | None = None,
@@ -188,16 +226,12 @@ def trace_image(
     ----------
     scene : Scene
         Scene to trace; its camera defines the pixels.
-    n_rays : int, optional
-        Number of rays. With ``tol`` or ``max_seconds`` it is the largest number. None: 65536, or
-        2^36 with ``tol`` or ``max_seconds``.
-    tol : float, optional
-        Target for the relative standard error of the hidden object's light summed over all pixels,
-        1e-6 to 1. Single pixels have larger errors. None: no target.
-    max_seconds : float, optional
-        Time limit, s; the result of the rays traced by then is returned. None: no limit.
-    max_bounces : int, default 5
-        Largest number of reflections, 1 to 64. Three correspond to wall, object, wall.
+    wavelengths : sequence of float, optional
+        Vacuum wavelengths, m, at each of which the laser has its power in turn. The image is that
+        at the first one, and ``colours`` has one image for each. By default the laser's.
+    n_rays, tol, max_seconds, max_bounces, analog, sampler, seed, progress
+        Number of rays, its limits, and random numbers, as for `trace`. Single pixels have larger
+        errors than ``tol``, which is that of the light on all pixels.
     t_start, delta_t : float, optional
         Start of bin 0 and width of a bin of the histogram, m of optical path.
     n_bins : int, optional
@@ -209,19 +243,6 @@ def trace_image(
         reflections.
     exposure : float, optional
         Exposure time of the expected electrons, s; by default the camera's.
-    analog : bool
-        Whether to follow rays only as physical light propagates. Such rays meet the object and the
-        lens by chance alone, which is slow, but serves as an independent check. By default, rays
-        are also aimed at the object and connected to the lens, and weak rays are ended at random;
-        the expected results are the same.
-    sampler : {"sobol", "philox"}
-        ``"sobol"``: scrambled Sobol points, which usually give less noise. ``"philox"``:
-        independent random numbers.
-    seed : int
-        Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bitwise identical results
-        for any number of threads.
-    progress : callable(str, float), optional
-        Called with ``"rays"`` and the completed fraction, 0 to 1.
 
     Returns
     -------
@@ -232,10 +253,8 @@ def trace_image(
     Raises
     ------
     SceneError
-        If an option is out of range, a part of the scene is behind the wall, or some but not all of
-        ``t_start``, ``delta_t`` and ``n_bins`` are given. With ``tol``, also if no light reaches
-        the detector via the hidden object, or if light can take paths that no sampling method aims
-        at, so that rays find them only rarely (`RayPlan.unreached`).
+        As for `trace`, or if some but not all of ``t_start``, ``delta_t`` and ``n_bins`` are given,
+        or a material's albedo is not known at a wavelength.
     MemoryLimitError
         If the sums would not fit in memory. They take ``304 (max_bounces + 2)`` bytes per pixel
         and ``304 (max_bounces + 1)`` per bin.
@@ -243,7 +262,7 @@ def trace_image(
     See Also
     --------
     trace : Power without an image, for the same rays.
-    trace_colours : Images at several wavelengths.
+    nlosoptics.scene.Spectrum : Albedo that depends on the wavelength.
     trace_point : Light of a single object point, resolved by pixels.
     nlosoptics.imaging.form_image : Image by waves, with the noise of the camera.
     nlosoptics.transient.render : Intensity at the wall in bins of path length.
@@ -262,6 +281,12 @@ def trace_image(
     seen in a mirror, a pixel receives bright light from few rays. Until enough of them have hit the
     pixel, its value and its standard error are too small.
 
+    Images at several ``wavelengths`` are by the same rays, up to the fourth reflection. Then weak
+    rays are ended at random, which is decided by their power. If all materials have a single lobe
+    and ``max_bounces`` is 3, the ratio of two powers (`TracedImage.ratio`) is therefore exact.
+    Otherwise it depends on the mix of paths. Quantum efficiency and transmission of the camera are
+    the same at all wavelengths, but the same power has more photons at longer ones.
+
     `nlosoptics.imaging.form_image` computes the image from point spread functions. It includes
     diffraction and glare, but takes the lens as small and the laser spot as a point, and stops at
     three reflections. The ray trace has none of these limits, but no diffraction and no glare.
@@ -276,36 +301,84 @@ def trace_image(
     ((16, 16), (4, 16, 16), (40,))
     >>> bool(abs(image.power.sum() / image.paths.flux - 1.0) < 1e-12)
     True
+
+    A hidden object whose albedo depends on the wavelength:
+
+    >>> from dataclasses import replace
+    >>> from nlosoptics.scene import Lambert, Spectrum
+    >>> red = Lambert(Spectrum((450e-9, 650e-9), (0.2, 0.8)))
+    >>> scene = replace(scene, hidden=replace(scene.hidden, material=red))
+    >>> both = (450e-9, 650e-9)
+    >>> blue, red = raytrace.trace_image(
+    ...     scene, wavelengths=both, n_rays=1024, max_bounces=3
+    ... ).colours
+    >>> ratio, error = red.ratio(blue)
+    >>> round(ratio, 6), error < 1e-9
+    (4.0, True)
     """
+    exposure = None if exposure is None else positive("exposure", exposure, unit="s")
+    bins = *_bins(t_start, delta_t, n_bins), bool(outer_legs)
+    scenes = [scene] if wavelengths is None else _coloured(scene, wavelengths)
+    images: list[TracedImage] = []
+
+    def advance(stage: str, share: float) -> None:
+        if progress is not None:
+            progress(stage, (len(images) + share) / len(scenes))
+
+    for one in scenes:
+        job = job_of(one, max_bounces, sampler, seed, analog=analog)
+        film = _film(job, bins)
+        paths = until_done(job, film.exposed, n_rays, tol, max_seconds, advance)
+        images.append(_image(film, paths, exposure))
+    return images[0] if wavelengths is None else replace(images[0], colours=tuple(images))
+
+
+def _film(job: Job, bins: tuple[float, float, int, bool]) -> Film:
+    """Return an empty film for the detector, if it fits in memory."""
     from .image_blocks import Film
 
-    job = job_of(scene, max_bounces, sampler, seed, analog=analog)
-    camera = job.scene.camera
-    exposure = positive("exposure", camera.exposure if exposure is None else exposure, unit="s")
-    bins = _bins(t_start, delta_t, n_bins)
-    (ny, nx), layers = camera.shape, max_bounces + 1
-    sizes = (layers + 1) * nx * ny + layers * bins[2]
+    (ny, nx), layers, n_bins = job.scene.camera.shape, job.max_bounces + 1, bins[2]
     fits_memory(
         f"a traced image of {nx} x {ny} pixels (camera.pixels, camera.binning) with max_bounces = "
-        f"{max_bounces} and {counted(bins[2], 'bin')}",
-        8.0 * (GROUPS + 6) * sizes,
+        f"{job.max_bounces} and {counted(n_bins, 'bin')}",
+        8.0 * (GROUPS + 6) * ((layers + 1) * nx * ny + layers * n_bins),
         "bin more pixels, or lower max_bounces or n_bins",
     )
-    film = Film(job, (ny, nx), (*bins, bool(outer_legs)))
-    paths = until_done(job, film.exposed, n_rays, tol, max_seconds, progress)
-    parts = _means(film.image, paths.n_rays)
-    everything, variance = mean_map(film.image.sum(axis=1), paths.n_rays)
+    return Film(job, (ny, nx), bins)
+
+
+def _image(film: Film, paths: RayPaths, exposure: float | None) -> TracedImage:
+    """Return the image of a film that ``paths`` have exposed."""
+    scene, n_rays = film.job.scene, paths.n_rays
+    camera = scene.camera
+    exposure = camera.exposure if exposure is None else exposure
+    everything, variance = mean_map(film.image.sum(axis=1), n_rays)
     gain = exposure * camera.quantum_efficiency * photon_rate(1.0, scene.laser.wavelength)
     return TracedImage(
         expected=gain * everything + camera.dark_current * exposure * camera.binning**2,
         expected_error=gain * np.sqrt(variance),
-        **parts,
-        group_power=group_means(film.image[:, 1:].sum(axis=(1, 2, 3)), paths.n_rays),
+        **_means(film.image, n_rays),
+        group_power=group_means(film.image[:, 1:].sum(axis=(1, 2, 3)), n_rays),
         pitch=camera.image_pitch,
         exposure=exposure,
-        histogram=None if n_bins is None else _histogram(film.histogram, paths.n_rays, film.bins),
+        histogram=_histogram(film.histogram, n_rays, film.bins) if film.bins[2] else None,
         paths=paths,
     )
+
+
+def _coloured(scene: Scene, wavelengths: Sequence[float]) -> list[Scene]:
+    """Return the scene at each wavelength; raise `SceneError` for anything else."""
+    if not isinstance(scene, Scene):
+        raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
+    if not isinstance(wavelengths, Sequence | np.ndarray) or not len(wavelengths):
+        raise SceneError(f"wavelengths is {wavelengths!r}; give a list of wavelengths in m")
+    scenes = []
+    for index, wavelength in enumerate(wavelengths):
+        try:
+            scenes.append(replace(scene, laser=replace(scene.laser, wavelength=wavelength)))
+        except SceneError as error:
+            raise SceneError(f"wavelengths[{index}]: {error}") from None
+    return scenes
 
 
 def _bins(
@@ -325,15 +398,12 @@ def _bins(
     return (
         real("t_start", t_start),
         positive("delta_t", delta_t, unit="m"),
-        whole("n_bins", n_bins, 1, MOST_BINS),
+        whole("n_bins", n_bins, 1, 1 << 20),
     )
 
 
 def _means(sums: Array, rays: int) -> dict[str, Array]:
-    """Return the means of `Film` sums (groups, layers, ...), W, with their errors, by field name.
-
-    ``rays`` is the number of all rays.
-    """
+    """Return the means of `Film` sums (groups, layers, ...), W, and their errors, by field."""
     power, variance = mean_map(sums[:, 1:].sum(axis=1), rays)
     layers = [mean_map(sums[:, k], rays) for k in range(sums.shape[1])]
     stray, stray_variance = layers[0]
@@ -349,17 +419,14 @@ def _means(sums: Array, rays: int) -> dict[str, Array]:
 
 
 def _histogram(sums: Array, rays: int, bins: tuple[float, float, int, bool]) -> PathHistogram:
-    """Return the histogram of `Film` sums (groups, layers, n_bins + 2); ``rays`` is their number.
-
-    ``bins`` are those of `Film`.
-    """
-    found = _means(sums, rays)
-    before, after = (float(found["power"][k]) for k in (0, -1))
+    """Return the histogram of `Film` sums (groups, layers, n_bins + 2) and its bins."""
+    means = _means(sums, rays)
+    before, after = (float(means["power"][k]) for k in (0, -1))
     return PathHistogram(
         t_start=bins[0],
         delta_t=bins[1],
         outer_legs=bins[3],
         before=before,
         after=after,
-        **{name: values[..., 1:-1].copy() for name, values in found.items()},
+        **{name: values[..., 1:-1].copy() for name, values in means.items()},
     )

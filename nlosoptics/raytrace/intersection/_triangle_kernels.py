@@ -19,8 +19,7 @@ from ...kernels.compiling import njit
 from ._wall_kernels import _unit
 
 BLOCK = 64  # rays processed at once
-OX, OY, OZ, DX, DY, DZ, T, DEPTH, NX, NY, NZ, PX, PY, PZ, FACET = range(0, 15 * BLOCK, BLOCK)
-ROWS = 24
+OX, OY, OZ, DX, DY, DZ, T, DEPTH, PX, PY, PZ = range(0, 11 * BLOCK, BLOCK)
 SIDE = 144  # cells along a side of the octahedral map by which rays are sorted
 INDEX = 6  # column of ``rays`` with the number of the ray, as an integer
 MISSED = (math.nan, math.nan, math.nan)
@@ -28,10 +27,7 @@ MISSED = (math.nan, math.nan, math.nan)
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def _across(d):
-    """Return a unit vector perpendicular to the unit vector d, without branches.
-
-    Duff et al., J. Comput. Graph. Tech. 6(1), 2017.
-    """
+    """Return a unit vector perpendicular to the unit vector d, without branches."""
     sign = math.copysign(1.0, d[2])
     a = -sign / (1.0 + abs(d[2]))
     return 1.0 + sign * a * d[0] * d[0], sign * a * d[0] * d[1], -sign * d[0]
@@ -39,11 +35,7 @@ def _across(d):
 
 @njit(cache=True, error_model="numpy")
 def _entry(boxes, node, o, inverse, low, high):
-    """Return the distance at which a ray enters an axis-parallel box, m; inf if it misses the box.
-
-    Row ``node`` of ``boxes`` (n, 6) holds the low and the high corner. Only distances from ``low``
-    to ``high`` count. ``inverse`` (3,) is 1 / d, infinite for a component of d that is zero.
-    """
+    """Return the distance at which a ray enters an axis-parallel box, m; inf if it misses."""
     for k in range(3):
         near, far = boxes[node, k] - o[k], boxes[node, k + 3] - o[k]
         if abs(inverse[k]) == math.inf:
@@ -58,12 +50,7 @@ def _entry(boxes, node, o, inverse, low, high):
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def _bin(x, y, z, dx, dy, dz):
-    """Return the number of the cell, 0 to SIDE^2 - 1, by which a ray is sorted.
-
-    Rays of one cell pass through much the same part of the mesh. The point (x, y, z), scaled to the
-    mesh's size, is moved along the unit vector (dx, dy, dz) to a sphere around the mesh. The sphere
-    is mapped to a square by unfolding an octahedron (Meyer et al. 2010).
-    """
+    """Return the number of the cell, 0 to SIDE^2 - 1, by which a ray is sorted."""
     b, c = x * dx + y * dy + z * dz, x * x + y * y + z * z
     t = math.sqrt(max(b * b - c + 1.5, 0.0)) - b
     x, y, z = x + t * dx, y + t * dy, z + t * dz
@@ -78,12 +65,7 @@ def _bin(x, y, z, dx, dy, dz):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _head(w, centre, half):
-    """Normalise the directions of a block of rays, and count the rays that start outside a box.
-
-    The box has the centre ``centre`` and the half sides ``half``, both (3,), m. The count is -1 if
-    a ray is invalid. ``w`` holds rows of BLOCK numbers at the offsets OX, OY, and so on. Fixed
-    distances between the rows and loops without branches let the compiler vectorise over rays.
-    """
+    """Normalise the directions of a block of rays, and count the rays that start outside a box."""
     outside = bad = 0  # whole numbers, since the order of their sum may change
     for i in range(BLOCK):
         x, y, z = _unit((w[DX + i], w[DY + i], w[DZ + i]))
@@ -98,11 +80,7 @@ def _head(w, centre, half):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _prepare(w, centre, shrink, aside):
-    """Compute the displaced starts of a block of rays for Embree.
-
-    The starts go to the rows PX, PY and PZ of ``w``, in units of 1 / ``shrink`` about ``centre``
-    (3,). They are displaced by ``aside``, m, sideways and by 8 times as much backward.
-    """
+    """Compute the displaced starts of a block of rays for Embree."""
     for i in range(BLOCK):
         d, back = (w[DX + i], w[DY + i], w[DZ + i]), w[T + i] - 8.0 * aside
         e = _across(d)
@@ -157,7 +135,7 @@ def enter(origins, directions, limits, centre, scale, aside, loose, bins, rays, 
     numbers, starts, ways = target.view(np.int32), origins.reshape(-1), directions.reshape(-1)
     counts = np.zeros(SIDE * SIDE + 1 if sorting else 1, dtype=np.int32)
     half = 0.5 * (limits[0, 3:] - limits[0, :3])
-    w, cells = np.ones(ROWS * BLOCK), np.empty(BLOCK, dtype=np.int32)
+    w, cells = np.ones(11 * BLOCK), np.empty(BLOCK, dtype=np.int32)
     for start in range(0, origins.shape[0], BLOCK):
         n = min(BLOCK, origins.shape[0] - start)
         for i in range(n):
@@ -224,11 +202,7 @@ def _facet(row, o, d):
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def _landing(normal, o, d, t):
-    """Return point (m) and unit normal of a hit at the distance t, m.
-
-    ``normal`` is that of the triangle, of any length. The unit normal points to the side the ray
-    comes from.
-    """
+    """Return point (m) and unit normal of a hit at the distance t, m."""
     nx, ny, nz = normal
     along = nx * d[0] + ny * d[1] + nz * d[2]
     size = math.copysign(1.0 / math.sqrt(nx * nx + ny * ny + nz * nz), -along)
@@ -237,96 +211,47 @@ def _landing(normal, o, d, t):
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
-def _row(numbers, start, step):
-    """Return nine numbers of a flat array, ``step`` apart from index ``start`` on, as a tuple.
+def _row(numbers, k):
+    """Return nine numbers of a flat array from index ``k`` on as a tuple.
 
     Array views would be reference-counted by atomic operations, which slow down parallel threads.
     """
-    return (
-        numbers[start],
-        numbers[start + step],
-        numbers[start + 2 * step],
-        numbers[start + 3 * step],
-        numbers[start + 4 * step],
-        numbers[start + 5 * step],
-        numbers[start + 6 * step],
-        numbers[start + 7 * step],
-        numbers[start + 8 * step],
-    )
-
-
-@njit(cache=True, inline="always", error_model="numpy")
-def _land(w):
-    """Compute where the rays of a block meet the planes of their triangles.
-
-    In ``w``, rows of BLOCK numbers, the rows OX to DZ hold the rays and nine rows from FACET on the
-    triangles. The results are distance (T, m), smallest signed volume of `_facet` (DEPTH), unit
-    normal (NX to NZ) and point (PX to PZ, m). Fixed distances between the rows and a loop without
-    branches let the compiler vectorise over rays.
-    """
-    for i in range(BLOCK):
-        o, d = (w[OX + i], w[OY + i], w[OZ + i]), _unit((w[DX + i], w[DY + i], w[DZ + i]))
-        row = _row(w, FACET + i, BLOCK)
-        a, b, c, _, t, normal = _facet(row, o, d)
-        a = b if b < a else a
-        w[T + i], w[DEPTH + i] = t, c if c < a else a
-        p, n = _landing(normal, o, d, t)
-        w[PX + i], w[PY + i], w[PZ + i] = p
-        w[NX + i], w[NY + i], w[NZ + i] = n
+    first = (numbers[k], numbers[k + 1], numbers[k + 2], numbers[k + 3], numbers[k + 4])
+    return (*first, numbers[k + 5], numbers[k + 6], numbers[k + 7], numbers[k + 8])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place(facets, edges, names, origins, directions, rays, ids, margin, near, far, hits, fresh):
-    """Accept the triangles that Embree found if float64 arithmetic confirms them beyond doubt.
-
-    ``ids`` (n,) are the positions in ``facets`` of the triangles found for ``rays``, or -1.
-    ``margin`` is the largest lateral error of Embree, m. ``near``, m, and ``far`` (n,), m, limit
-    the distance; an empty ``far`` is no limit. Doubtful rays and rays without a triangle are moved
-    to the front of ``rays`` and ``ids``; their number is returned. If ``fresh``, they get no hit.
-    """
+    """Accept the triangles that Embree found if float64 arithmetic confirms them beyond doubt."""
     doubtful, found = 0, _flat(hits)
     numbers, rows = rays.reshape(-1).view(np.int32), rays.view(np.int64)
     starts, ways, corners = origins.reshape(-1), directions.reshape(-1), facets.reshape(-1)
-    w = np.ones(ROWS * BLOCK)
-    for start in range(0, ids.size, BLOCK):
-        count = min(BLOCK, ids.size - start)
-        for n in range(count):
-            i, k = numbers[8 * (start + n) + INDEX], max(ids[start + n], 0)
-            for m in range(3):
-                w[m * BLOCK + n] = starts[3 * i + m]
-                w[DX + m * BLOCK + n] = ways[3 * i + m]
-            for m in range(9):
-                w[FACET + m * BLOCK + n] = corners[9 * k + m]
-        _land(w)
-        for n in range(count):
-            j = start + n
-            i, k = numbers[8 * j + INDEX], ids[j]
-            t, depth = w[T + n], w[DEPTH + n]
-            # a hit must be inside the triangle by more than ``margin``; a strip of this width along
-            # a side has at most the volume margin * edge
-            if k >= 0 and depth > margin * edges[k] and t >= near:
-                if far.size == 0 or t <= far[i]:
-                    point = (w[PX + n], w[PY + n], w[PZ + n])
-                    normal = (w[NX + n], w[NY + n], w[NZ + n])
-                    _record(found, i, t, point, normal, names[k])
-                elif fresh:
-                    _record(found, i, math.nan, MISSED, MISSED, -1)
-                continue
-            if fresh:
+    for j in range(ids.size):
+        i, k = numbers[8 * j + INDEX], ids[j]
+        o = (starts[3 * i], starts[3 * i + 1], starts[3 * i + 2])
+        d = _unit((ways[3 * i], ways[3 * i + 1], ways[3 * i + 2]))
+        u, v, w, _, t, normal = _facet(_row(corners, 9 * max(k, 0)), o, d)
+        # a hit must be inside the triangle by more than ``margin``; a strip of this width along a
+        # side has at most the volume margin * edge
+        if k >= 0 and min(u, v, w) > margin * edges[k] and t >= near:
+            if far.size == 0 or t <= far[i]:
+                point, normal = _landing(normal, o, d, t)
+                _record(found, i, t, point, normal, names[k])
+            elif fresh:
                 _record(found, i, math.nan, MISSED, MISSED, -1)
-            ids[doubtful] = k
-            for m in range(4):
-                rows[doubtful, m] = rows[j, m]
-            doubtful += 1
+            continue
+        if fresh:
+            _record(found, i, math.nan, MISSED, MISSED, -1)
+        ids[doubtful] = k
+        for m in range(4):
+            rows[doubtful, m] = rows[j, m]
+        doubtful += 1
     return doubtful
 
 
 @njit(cache=True, nogil=True)
 def aside(rays, shift, turn, out):
-    """Fill ``out`` (n, 6) with copies of rays that are displaced sideways by ``shift``.
-
-    ``turn`` is the azimuth of the displacement, rad. ``shift`` has the unit of the rays' starts.
-    """
+    """Fill ``out`` (n, 6) with copies of rays that are displaced sideways by ``shift``."""
     cosine, sine = math.cos(turn), math.sin(turn)
     for j in range(rays.shape[0]):
         d = (rays[j, 3], rays[j, 4], rays[j, 5])
@@ -340,10 +265,7 @@ def aside(rays, shift, turn, out):
 
 @njit(cache=True, inline="always")
 def after(node):
-    """Return the node that follows the subtree of ``node`` in depth-first order; -1 at the end.
-
-    The nodes of the complete binary tree are numbered level by level from the root, 0.
-    """
+    """Return the node that follows the subtree of ``node`` in depth-first order; -1 at the end."""
     while node > 0 and node & 1 == 0:  # a second child ends the subtree of its parent too
         node = (node >> 1) - 1
     return node + 1 if node > 0 else -1
@@ -351,10 +273,7 @@ def after(node):
 
 @njit(cache=True, error_model="numpy")
 def _strike(row, edge, o, d):
-    """Return the distance to a triangle, m, including its edges and corners; NaN if it is missed.
-
-    ``edge`` is the length of the triangle's longest side, m, which scales the rounding error.
-    """
+    """Return the distance to a triangle, m, including its edges; NaN if it is missed."""
     u, v, w, det, t, _ = _facet(row, o, d)
     away = abs(o[0] - row[0]) + abs(o[1] - row[1]) + abs(o[2] - row[2])
     # the rounding error of the volumes, so that no ray passes between adjacent triangles
@@ -400,21 +319,18 @@ def search(facets, edges, names, boxes, origins, directions, index, nearest, far
                 continue
             start = 4 * (node - first_leaf)
             for m in range(start, min(start + 4, facets.shape[0])):
-                t = _strike(_row(corners, 9 * m, 1), edges[m], o, d)
+                t = _strike(_row(corners, 9 * m), edges[m], o, d)
                 if nearest <= t <= best and (t < best or chosen < 0 or m < chosen):
                     best, chosen = t, m
         if chosen >= 0:
-            normal = _facet(_row(corners, 9 * chosen, 1), o, d)[5]
+            normal = _facet(_row(corners, 9 * chosen), o, d)[5]
             point, normal = _landing(normal, o, d, best)
             _record(found, i, best, point, normal, names[chosen])
 
 
 @njit(cache=True, error_model="numpy")
 def _blur(row, edge, o, d):
-    """Return the rounding error of a hit's distance, m, with the sign of the triangle's side.
-
-    ``edge`` is the length of the triangle's longest side, m.
-    """
+    """Return the rounding error of a hit's distance, m, with the sign of the triangle's side."""
     nx = row[4] * row[8] - row[5] * row[7]
     ny = row[5] * row[6] - row[3] * row[8]
     nz = row[3] * row[7] - row[4] * row[6]
@@ -425,12 +341,7 @@ def _blur(row, edge, o, d):
 
 @njit(cache=True, nogil=True)
 def _once(hits, begin, end):
-    """Remove repeated hits of one ray from the rows ``begin`` to ``end``; return the new end.
-
-    Rows of ``hits`` are (distance, signed rounding error, triangle), sorted by distance. A hit is
-    repeated if an earlier one is on the same side at the same distance within rounding, as on the
-    common edge of two triangles.
-    """
+    """Remove repeated hits of one ray from the rows ``begin`` to ``end``; return the new end."""
     kept = begin
     for j in range(begin, end):
         t, blur = hits[j, 0], hits[j, 1]
@@ -476,7 +387,7 @@ def search_all(facets, edges, boxes, origins, directions, nearest, units, counts
                 continue
             start = 4 * (node - first_leaf)
             for m in range(start, min(start + 4, facets.shape[0])):
-                t = _strike(_row(corners, 9 * m, 1), edges[m], o, d)
+                t = _strike(_row(corners, 9 * m), edges[m], o, d)
                 if not t >= nearest:
                     continue
                 if end == hits.shape[0]:
@@ -491,7 +402,7 @@ def search_all(facets, edges, boxes, origins, directions, nearest, units, counts
                     j -= 1
                 hits[j, 0], hits[j, 1], hits[j, 2] = (
                     t,
-                    _blur(_row(corners, 9 * m, 1), edges[m], o, d),
+                    _blur(_row(corners, 9 * m), edges[m], o, d),
                     m,
                 )
                 end += 1

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import math
 
+from numba import prange
+
 from ...kernels.codes import BUMPS, CYLINDER, EXTREME, FACETS, GRID, SPHERE, WAVE
 from ...kernels.compiling import njit
 from ...kernels.heights import partial_surface, tangent
+from ...kernels.parallel import threaded
 from ...kernels.relief import facet_edge
 
 HIT, MISS, OUTSIDE, UNRESOLVED, BEHIND = 0, 1, 2, 3, 4
@@ -82,11 +85,7 @@ def conic_hit(row, box, o, d):
 
 @njit(cache=True)
 def _span(half, o, d, low, high):
-    """Return the part of the interval [low, high] of t in which |o + t d| <= half.
-
-    ``o`` and ``d`` are one coordinate of origin and direction. The part is empty, low > high, if
-    the ray never comes that close.
-    """
+    """Return the part of the interval [low, high] of t in which |o + t d| <= half."""
     if d == 0.0:
         return (low, high) if abs(o) <= half else (1.0, 0.0)
     first, last = (-half - o) / d, (half - o) / d
@@ -95,10 +94,7 @@ def _span(half, o, d, low, high):
 
 @njit(cache=True)
 def _search_interval(box, slab, rim, o, d):
-    """Return the interval of t, m, in which the ray is over the wall and within its height limits.
-
-    It is empty, low > high, if the ray does not pass through this region.
-    """
+    """Return the interval of t, m, in which the ray is over the wall, within its heights."""
     low, high = 0.0, math.inf
     for i in range(2):
         if box[i] < math.inf:
@@ -300,7 +296,7 @@ def _unit(d):
 
 @njit(cache=True)
 def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
-    """Return distance (m), status and the wall's slopes dh/dx, dh/dy at the first hit of one ray.
+    """Return distance (m), status and the wall's slopes dh/dx, dh/dy at the first hit of a ray.
 
     ``grid_bounds`` is None for a single sphere or cylinder, and ``tables`` without grids and
     reliefs. Then numba does not compile the march, or the search of facets, which takes seconds.
@@ -331,3 +327,39 @@ def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
         if not math.isfinite(hx):
             condition = UNRESOLVED
     return t, condition, hx, hy
+
+
+@threaded(error_model="numpy")
+def intersect(
+    terms,
+    tables,
+    grid_bounds,
+    box,
+    slab,
+    rim,
+    origins,
+    directions,
+    distance,
+    points,
+    normals,
+    status,
+):
+    """Fill distance (n,), points and normals (n, 3) and status (n,) with the first hits.
+
+    Directions may have any length. Returns the number of invalid rays: those with NaN, infinity or
+    a zero direction. ``tables`` and ``grid_bounds`` may be None as in `wall_hit`.
+    """
+    bad = 0
+    for i in prange(distance.size):
+        o = (origins[i, 0], origins[i, 1], origins[i, 2])
+        d = _unit((directions[i, 0], directions[i, 1], directions[i, 2]))
+        bad += 0 if math.isfinite(o[0] + o[1] + o[2] + d[0] + d[1] + d[2]) else 1
+        t, condition, hx, hy = wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
+        norm = 1.0 / math.sqrt(1.0 + hx * hx + hy * hy)
+        if condition != HIT:
+            t = norm = math.nan
+        distance[i], status[i] = t, condition
+        for k in range(3):
+            points[i, k] = o[k] + t * d[k]
+        normals[i, 0], normals[i, 1], normals[i, 2] = -hx * norm, -hy * norm, norm
+    return bad

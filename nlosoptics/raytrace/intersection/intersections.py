@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,14 +18,6 @@ from ...scene.walls.height_maps import CallableWall, grid_limits
 from ...scene.walls.relief import relief_limits
 
 Array = NDArray[np.float64]
-
-# Outcomes for a ray; `Hits` describes them.
-HIT: Final = 0
-MISS: Final = 1
-OUTSIDE: Final = 2
-UNRESOLVED: Final = 3
-BEHIND: Final = 4
-MARCH: Final = 8.0  # evaluations of a wall's height that a ray takes
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,16 +36,23 @@ class Hits(Noun):
     normals : ndarray, shape (..., 3)
         Unit normals of the wall at the hits, toward the room, world frame; NaN without a hit.
     status : ndarray of int8, shape (...)
-        Outcome for each ray. 0 (`HIT`): hit. 1 (`MISS`): no hit, and the ray does not travel toward
-        the wall's mean plane z = 0. 2 (`OUTSIDE`): no hit, because the ray meets that plane outside
-        the wall's edges. 3 (`UNRESOLVED`): the ray touches or grazes the wall, so that float64
-        cannot resolve the hit. 4 (`BEHIND`): the ray starts behind the wall or arrives from behind.
+        Outcome for each ray. 0 (``Hits.HIT``): hit. 1 (``Hits.MISS``): no hit, and the ray does not
+        travel toward the wall's mean plane z = 0. 2 (``Hits.OUTSIDE``): no hit, because the ray
+        meets that plane outside the wall's edges. 3 (``Hits.UNRESOLVED``): the ray touches or
+        grazes the wall, so that float64 cannot resolve the hit. 4 (``Hits.BEHIND``): the ray starts
+        behind the wall or arrives from behind.
 
     See Also
     --------
     intersect : Hits of rays on a relay wall.
     MeshHits : First hits on a mesh.
     """
+
+    HIT: ClassVar = 0
+    MISS: ClassVar = 1
+    OUTSIDE: ClassVar = 2
+    UNRESOLVED: ClassVar = 3
+    BEHIND: ClassVar = 4
 
     distance: Array
     points: Array
@@ -67,7 +66,7 @@ class Hits(Noun):
     @property
     def hit(self) -> NDArray[np.bool_]:
         """Whether each ray hits the surface, (...) bool."""
-        return np.asarray(self.status == HIT)
+        return np.asarray(self.status == Hits.HIT)
 
 
 def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
@@ -129,14 +128,14 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
         return _plane(wall, *_rays(origins, directions))
     if isinstance(wall, CallableWall):
         return _callable(wall, *_rays(origins, directions))
-    from . import _block_kernels
+    from . import _wall_kernels
 
     o, d, shape = flat_rays(origins, directions)
     count = math.prod(shape)
     distance, status = np.empty(count), np.empty(count, dtype=np.int8)
     points, normals = np.empty((count, 3)), np.empty((count, 3))
-    compiled = compiled_wall(wall, MARCH * count)
-    bad = _block_kernels.intersect(*compiled, o, d, distance, points, normals, status)
+    compiled = compiled_wall(wall, 8.0 * count)  # a march takes some 8 heights
+    bad = _wall_kernels.intersect(*compiled, o, d, distance, points, normals, status)
     if bad:
         _rays(origins, directions)  # raises an error that names the first bad ray
     return Hits(
@@ -186,14 +185,16 @@ def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Array, Array]:
 
 def _plane(wall: Wall, o: Array, d: Array) -> Hits:
     """Return the hits on the plane z = 0, without compiled code."""
-    status = np.where(o[..., 2] < 0, BEHIND, np.where(d[..., 2] < 0, HIT, MISS)).astype(np.int8)
-    down = status == HIT
+    status = np.where(
+        o[..., 2] < 0, Hits.BEHIND, np.where(d[..., 2] < 0, Hits.HIT, Hits.MISS)
+    ).astype(np.int8)
+    down = status == Hits.HIT
     distance = np.full(status.shape, np.nan)
     np.divide(o[..., 2], -d[..., 2], out=distance, where=down)
     points = o + distance[..., None] * d
     points[..., 2] = np.where(down, 0.0, np.nan)
-    status[down & ~wall.contains(points[..., 0], points[..., 1])] = OUTSIDE
-    missed = status != HIT
+    status[down & ~wall.contains(points[..., 0], points[..., 1])] = Hits.OUTSIDE
+    missed = status != Hits.HIT
     distance[missed] = np.nan
     points[missed] = np.nan
     normals = np.zeros_like(points)
@@ -218,13 +219,13 @@ def _callable(wall: CallableWall, origins: Array, directions: Array) -> Hits:
         low = np.where(level, np.where(inside, low, math.inf), np.maximum(low, ends.min(axis=0)))
         high = np.where(level, high, np.minimum(high, ends.max(axis=0)))
     over = (np.abs(o[:, :2]) <= half).all(axis=1)
-    missed = np.where(d[:, 2] < 0, OUTSIDE, MISS)
-    status = np.where(over & (o[:, 2] < -top), BEHIND, missed)
+    missed = np.where(d[:, 2] < 0, Hits.OUTSIDE, Hits.MISS)
+    status = np.where(over & (o[:, 2] < -top), Hits.BEHIND, missed)
     scale = 1e-13 * np.maximum(np.sqrt((o * o).sum(axis=1)), 1e-3)
     bound = wall.max_curvature * (d[:, 0] ** 2 + d[:, 1] ** 2)
     t, distance = low.copy(), np.full(len(o), np.nan)
     active = np.flatnonzero((low <= high) & (low < math.inf))  # not level beside an endless wall
-    status[active] = UNRESOLVED
+    status[active] = Hits.UNRESOLVED
     for step in range(500):
         if not len(active):
             break
@@ -237,12 +238,12 @@ def _callable(wall: CallableWall, origins: Array, directions: Array) -> Hits:
         if step == 0:
             under = f < -scale[active]
             back = under & ((low[active] == 0) | (o[active, 2] < -top))
-            status[active[under]] = np.where(back, BEHIND, missed[active])[under]
+            status[active[under]] = np.where(back, Hits.BEHIND, missed[active])[under]
             going &= ~under
         landed = going & touching & (slope < 0)
         rows = active[landed]
         distance[rows] = np.maximum(t[rows] - f[landed] / slope[landed], 0.0)
-        status[rows] = HIT
+        status[rows] = Hits.HIT
         going &= ~landed & ~(touching & (t[active] > 0))  # a ray that only touches stays unresolved
         f = np.where(touching, 0.0, f)
         gone = going & (t[active] >= high[active])
@@ -258,7 +259,7 @@ def _callable(wall: CallableWall, origins: Array, directions: Array) -> Hits:
         t[active] = nearer
     points = o + distance[:, None] * d
     normals = np.full_like(points, np.nan)
-    hit = status == HIT
+    hit = status == Hits.HIT
     normals[hit] = wall.normal(points[hit, 0], points[hit, 1])
     return Hits(
         distance.reshape(shape),
@@ -271,8 +272,8 @@ def _callable(wall: CallableWall, origins: Array, directions: Array) -> Hits:
 def compiled_wall(wall: Wall, uses: float) -> tuple[Any, ...]:
     """Return a wall as its kernels take it: terms, tables and the limits of `search_bounds`.
 
-    ``uses`` is the expected number of evaluations, see `with_draws`. What the wall does not need is
-    None, for which numba compiles a shorter function: for a flat wall terms, tables and curvature.
+    ``uses`` is the expected number of evaluations. What the wall does not need is None, for which
+    numba compiles a shorter function.
     """
     if wall.is_flat:
         return None, None, None, *search_bounds(wall, np.zeros((0, 8)), np.zeros(0))[1:]
@@ -289,16 +290,8 @@ def compiled_wall(wall: Wall, uses: float) -> tuple[Any, ...]:
 def search_bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Array, Array, Array, float]:
     """Return the limits within which a wall is searched for hits.
 
-    Returns
-    -------
-    curvature : ndarray, (n,)
-        Upper bound on the curvature of each gridded or random term, 1/m; 0 for other terms.
-    box : ndarray, (2,)
-        Half sizes in x and y, m; infinite if unbounded.
-    slab : ndarray, (2,)
-        Lowest and highest height, m.
-    rim : float
-        Largest distance from the z axis, m; infinite if unbounded.
+    These are upper bounds on the curvature of each gridded or random term (n,), 1/m, half sizes in
+    x and y (2,), lowest and highest height (2,), and the largest distance from the z axis, m.
     """
     margin = 0.999  # relative to the radius, since the slope is infinite at the rim itself
     size = wall.size

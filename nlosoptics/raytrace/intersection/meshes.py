@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,7 @@ from ..._checks import in_range
 from ..._nouns import Noun
 from ...errors import SceneError
 from .intersections import Hits, _rays, flat_rays
-from .kept_meshes import kept_mesh
+from .prepared_meshes import prepared_mesh
 from .triangles import NO_LIMIT, Facets, Found, NoRayError
 
 if TYPE_CHECKING:
@@ -25,30 +25,17 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Array = NDArray[np.float64]
-#: Rays processed at once. The more, the more alike are sorted neighbours, and the less often Embree
-#: and the kernels displace each other's data of the mesh from the processor's caches.
-CHUNK: Final = 1 << 17
-SHARE: Final = 1 << 13  # rays for which another thread is worth its start
-OFFSET: Final = 1e-9  # hits nearer than this to an end of a path count as on it; in half extents
 
 
 @dataclass(frozen=True, eq=False)
 class MeshHits(Hits):
     """First intersections of rays with a triangle mesh, as `intersect_mesh` returns them.
 
-    The arrays are read-only. Their shapes begin with that of the array of rays, written (...).
+    The other fields are those of `Hits`; its ``normals`` are on the side from which the ray comes,
+    and its ``status`` is ``Hits.HIT`` or ``Hits.MISS``.
 
     Parameters
     ----------
-    distance : ndarray, shape (...)
-        Distance from the origin of each ray to its hit, m; NaN without a hit.
-    points : ndarray, shape (..., 3)
-        Hit points, world frame, m; NaN without a hit.
-    normals : ndarray, shape (..., 3)
-        Unit normals of the triangles, on the side from which the ray comes, world frame; NaN
-        without a hit.
-    status : ndarray of int8, shape (...)
-        0 (`HIT`): the ray hits the mesh. 1 (`MISS`): it does not.
     triangle : ndarray of int32, shape (...)
         Row of ``mesh.faces`` that holds the triangle; -1 without a hit.
 
@@ -66,19 +53,14 @@ class MeshHits(Hits):
 
 
 def intersect_mesh(
-    mesh: trimesh.Trimesh,
-    origins: ArrayLike,
-    directions: ArrayLike,
-    *,
-    min_distance: float = 0.0,
+    mesh: trimesh.Trimesh, origins: ArrayLike, directions: ArrayLike, *, min_distance: float = 0.0
 ) -> MeshHits:
     """Find the first triangle that every ray hits, from either side.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        Triangle mesh, world frame, m. Its search structures are kept for later calls with an equal
-        mesh, among those of the latest meshes.
+        Triangle mesh, world frame, m. The search structures of the latest meshes are cached.
     origins : array_like, (..., 3)
         Starting points of the rays, world frame, m.
     directions : array_like, (..., 3)
@@ -127,30 +109,17 @@ def intersect_mesh(
     ([True, False], 1.5)
     """
     nearest = in_range("min_distance", min_distance, 0.0, unit="m")
-    distance, points, normals, triangle = _first(_facets(mesh), origins, directions, nearest)
-    return MeshHits(
-        distance,
-        points,
-        normals,
-        np.asarray(triangle < 0, dtype=np.int8),  # HIT or MISS
-        triangle,
+    distance, points, normals, triangle = _first(
+        prepared_mesh(mesh).facets, origins, directions, nearest
     )
+    status = np.where(triangle < 0, Hits.MISS, Hits.HIT).astype(np.int8)
+    return MeshHits(distance, points, normals, status, triangle)
 
 
 def first_triangles(
     facets: Facets, origins: Array, directions: Array, *, min_distance: float
 ) -> tuple[Array, NDArray[np.int32]]:
-    """Return distance (n,), m, and triangle (n,) of the first hits, as `intersect_mesh` finds them.
-
-    Parameters
-    ----------
-    facets : Facets
-        Search structures of the mesh.
-    origins, directions : ndarray, (n, 3)
-        Starts, m, and directions of any length but zero.
-    min_distance : float
-        Hits at a smaller distance are ignored, m.
-    """
+    """Return distance (n,), m, and triangle (n,) of the first hits, as for `intersect_mesh`."""
     distance, _, _, triangle = _first(facets, origins, directions, min_distance, placed=False)
     return distance, triangle
 
@@ -164,11 +133,7 @@ def _first(
     *,
     placed: bool = True,
 ) -> Found:
-    """Return the first hits of rays (..., 3) as `Facets.first` does, in the shape of the rays.
-
-    ``nearest``, m, and ``farthest`` (n,), m, limit the distances. Points and normals have no rows
-    unless ``placed``.
-    """
+    """Return the first hits of `Facets.first` in the shape of the rays; points only if placed."""
     o, d, shape = flat_rays(origins, directions)
     count = len(o)
     rows = count if placed else 0
@@ -218,26 +183,14 @@ class AllHits(Noun):
 
 
 def all_hits(
-    mesh: trimesh.Trimesh,
-    origins: ArrayLike,
-    directions: ArrayLike,
-    *,
-    min_distance: float = 0.0,
+    mesh: trimesh.Trimesh, origins: ArrayLike, directions: ArrayLike, *, min_distance: float = 0.0
 ) -> AllHits:
     """Find all intersections of every ray with a mesh, from either side.
 
     Parameters
     ----------
-    mesh : trimesh.Trimesh
-        Triangle mesh, world frame, m. Its search structures are kept for later calls with an equal
-        mesh, among those of the latest meshes.
-    origins : array_like, (..., 3)
-        Starting points of the rays, world frame, m.
-    directions : array_like, (..., 3)
-        Direction vectors in the world frame, of any length but zero. The shapes of ``origins`` and
-        ``directions`` broadcast.
-    min_distance : float
-        Hits closer to the origin of the ray than this are ignored, m. The default 0 keeps all.
+    mesh, origins, directions, min_distance
+        Triangle mesh and rays, as for `intersect_mesh`.
 
     Returns
     -------
@@ -273,7 +226,7 @@ def all_hits(
     """
     nearest = in_range("min_distance", min_distance, 0.0, unit="m")
     o, d, _ = flat_rays(origins, directions)
-    facets = _facets(mesh)
+    facets = prepared_mesh(mesh).facets
 
     def work(part: slice) -> tuple[NDArray[Any], ...]:
         return facets.all(o[part], d[part], nearest)
@@ -326,20 +279,13 @@ def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> N
         raise SceneError(
             f"origins {o.shape} and targets {p.shape} do not broadcast; give equal shapes"
         ) from None
-    return blocked(_facets(mesh), np.broadcast_to(o, paths.shape), paths)
+    return blocked(prepared_mesh(mesh).facets, np.broadcast_to(o, paths.shape), paths)
 
 
 def blocked(facets: Facets, origins: Array, paths: Array) -> NDArray[np.bool_]:
-    """Return whether a mesh blocks straight paths (...), as `occluded` says of their ends.
-
-    Parameters
-    ----------
-    facets : Facets
-        Search structures of the mesh.
-    origins, paths : ndarray, (..., 3)
-        Starts and vectors to the ends, m.
-    """
-    gap = OFFSET * facets.reach + 1e-14 * float(np.abs(origins).max(initial=0.0))
+    """Return whether a mesh blocks paths (..., 3) from origins (..., 3), m; see `occluded`."""
+    # hits nearer than this to an end count as on it
+    gap = 1e-9 * facets.reach + 1e-14 * float(np.abs(origins).max(initial=0.0))
     lengths = np.sqrt((paths * paths).sum(axis=-1)) - gap
     triangle = _first(facets, origins, paths, gap, lengths.reshape(-1), placed=False)[3]
     return np.asarray(triangle.reshape(lengths.shape) >= 0)
@@ -348,12 +294,9 @@ def blocked(facets: Facets, origins: Array, paths: Array) -> NDArray[np.bool_]:
 def _in_parts(
     work: Callable[[slice], T], count: int, origins: ArrayLike, directions: ArrayLike
 ) -> list[T]:
-    """Return the results of ``work`` for consecutive slices of the rays, computed on all cores.
-
-    ``count`` is the number of rays. ``origins`` and ``directions``, (n, 3), are only used for an
-    error that names an invalid ray.
-    """
-    pieces = max(-(-count // CHUNK), min(threads(), -(-count // SHARE)))
+    """Return the results of ``work`` for consecutive slices of the rays, computed on all cores."""
+    # more rays at once are better sorted; fewer are not worth another thread
+    pieces = max(-(-count // (1 << 17)), min(threads(), -(-count // (1 << 13))))
     ends = [count * k // max(pieces, 1) for k in range(pieces + 1)]
     parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
     try:
@@ -386,8 +329,3 @@ def worker_pool() -> ThreadPoolExecutor:
 if hasattr(os, "register_at_fork"):
     # a forked child has none of the parent's threads and must create its own pool
     os.register_at_fork(after_in_child=_threads.clear)
-
-
-def _facets(mesh: trimesh.Trimesh) -> Facets:
-    """Return the search structures of a mesh, kept ones if there are any."""
-    return kept_mesh(mesh).facets

@@ -2,13 +2,14 @@
 
 Embree computes in float32 and finds the triangle; the hit point is computed in float64. If Embree's
 hit is so close to an edge that its rounding matters, or if it finds no hit close to an edge, a
-float64 search decides.
+float64 search decides. Where Embree is not installed, the float64 search finds all hits, more
+slowly.
 """
 
 from __future__ import annotations
 
 import math
-import threading
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -23,43 +24,9 @@ Array = NDArray[np.float64]
 Found = tuple[Array, Array, Array, NDArray[np.int32]]
 ASIDE: Final = 1e-6  # lateral displacement of rays, in half extents; 16 roundings of float32
 MARGIN: Final = 3e-6  # largest lateral error of Embree, in half extents, including ASIDE
-SORTED: Final = 10_000  # above this many triangles, sorting the rays saves more than it costs
 SMALL: Final = 1e-3  # parts below this share of the mesh's extent need a finer scale than Embree's
-MOST_PARTS: Final = 16  # with Embree scenes of their own; each costs every ray the test of a box
-FEW: Final = 256  # up to this many triangles a float64 search is faster than displaced rays
-TURNS: Final = (0.0, 2 * math.pi / 3, 4 * math.pi / 3)  # azimuths of the displaced rays, rad
 
 
-class _Room(threading.local):
-    """Buffers of one thread, kept between calls.
-
-    Allocating them anew would add a fifth to the time of a mesh intersection.
-    """
-
-    count = -1
-    kept: tuple[NDArray[Any], ...] = ()
-
-    def arrays(self, count: int) -> tuple[NDArray[Any], ...]:
-        """Return buffers for ``count`` rays: unsorted rays, their cells, and sorted rays."""
-        if count > self.count:
-            self.count = count
-            self.kept = (
-                _aligned((count, 8), np.float32),
-                np.empty(count, dtype=np.int16),
-                _aligned((count, 8), np.float32),
-            )
-        return tuple(array[:count] for array in self.kept)
-
-
-def _aligned(shape: tuple[int, int], kind: type) -> NDArray[Any]:
-    """Return an uninitialised array that starts at a cache line, a multiple of 64 bytes."""
-    size = shape[0] * shape[1] * np.dtype(kind).itemsize
-    whole = np.empty(size + 64, dtype=np.uint8)
-    start = -whole.ctypes.data % 64
-    return whole[start : start + size].view(kind).reshape(shape)
-
-
-_room = _Room()
 NO_LIMIT: Final = np.empty(0)
 
 
@@ -68,34 +35,16 @@ class NoRayError(Exception):
 
 
 class Facets:
-    """Search structures of a mesh: an Embree scene, float64 triangles and a tree of boxes.
+    """Search structures of a mesh, or of ``some`` of its triangles.
 
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        Triangle mesh, m.
-    some : ndarray of int, (n,), optional
-        Indices of the triangles to use; by default all.
-    exact : bool
-        Whether all rays are searched in float64, without Embree.
-
-    Raises
-    ------
-    SceneError
-        If vertices are not finite or no triangle has an area.
-
-    Notes
-    -----
     Embree's errors are relative to the extent of its scene. Parts that are far smaller than the
-    mesh, such as a bead on a floor, are kept as ``parts``, each with its own structures.
+    mesh, such as a bead on a floor, are kept as ``parts``, each with its own structures. If
+    ``exact``, or if Embree is not installed, all rays are searched in float64. `SceneError` if
+    vertices are not finite or no triangle has an area.
     """
 
     def __init__(
-        self,
-        mesh: trimesh.Trimesh,
-        some: NDArray[np.int64] | None = None,
-        *,
-        exact: bool = False,
+        self, mesh: trimesh.Trimesh, some: NDArray[np.int64] | None = None, *, exact: bool = False
     ) -> None:
         faces = np.asarray(mesh.faces)
         some = np.arange(len(faces)) if some is None else some
@@ -114,7 +63,7 @@ class Facets:
         order = _along_a_curve(corners.mean(axis=1), low, high)
         corners = corners[order]
         self.names = some[proper[order]].astype(np.int32)
-        self.sorts = len(order) > SORTED
+        self.sorts = len(order) > 10_000  # sorting the rays then saves more than it costs
         sides = corners - corners[:, [1, 2, 0]]
         self.edges = np.sqrt((sides * sides).sum(axis=-1).max(axis=1))
         self.rows = np.ascontiguousarray(
@@ -127,6 +76,7 @@ class Facets:
         self.boxes = _tree(corners, rounding)
         pad = 4 * MARGIN * self.reach + rounding
         self.limits = np.concatenate([low - pad, high + pad])[None]
+        exact = exact or find_spec("embreex") is None
         self.exact = exact
         parts, many = ([], []) if exact else _small_parts(corners, self.edges)
         self.parts = [Facets(mesh, self.names[part].astype(np.int64)) for part in parts]
@@ -155,27 +105,12 @@ class Facets:
         hits: Found,
         fresh: bool = True,
     ) -> None:
-        """Find the first triangle of every ray between its distance limits.
+        """Find the first triangle of every ray from ``nearest`` to ``farthest``, m.
 
-        Parameters
-        ----------
-        origins, directions : ndarray, (n, 3)
-            Starts, m, and directions of any length.
-        nearest : float
-            Smallest distance, m.
-        farthest : ndarray, (n,)
-            Largest distances, m; empty without a limit.
-        hits : tuple of ndarray
-            Filled with distances (n,), m, hit points (n, 3), m, unit normals (n, 3) and triangles
-            (n,), their indices in the mesh; -1 without a hit, when the others are NaN. Points and
-            normals are skipped if they have no rows.
-        fresh : bool
-            Whether ``hits`` is to be overwritten for rays without a hit too.
-
-        Raises
-        ------
-        NoRayError
-            If a ray has NaN, infinity or a zero direction.
+        An empty ``farthest`` is no limit. ``hits`` is filled with distances (n,), m, points and
+        unit normals (n, 3), unless these have no rows, and triangles (n,) of the mesh, -1 without a
+        hit. Only if ``fresh`` are rays without a hit overwritten. `NoRayError` if a ray has NaN,
+        infinity or a zero direction.
         """
         from . import _triangle_kernels
 
@@ -185,7 +120,8 @@ class Facets:
             farthest = np.where(hits[3] >= 0, hits[0], beyond)
         if self.parts:
             return
-        loose, bins, rays = _room.arrays(len(origins))
+        loose, rays = np.empty((2, len(origins), 8), dtype=np.float32)
+        bins = np.empty(len(origins), dtype=np.int16)
         kept = _triangle_kernels.enter(
             origins,
             directions,
@@ -218,7 +154,7 @@ class Facets:
         rays, ids = rays[:doubtful], ids[:doubtful]
         unsure = ids >= 0
         missed = np.flatnonzero(~unsure)
-        if self.exact or len(self.rows) <= FEW:
+        if self.exact or len(self.rows) <= 256:  # faster than displaced rays
             unsure[:] = True
         elif len(missed):
             unsure[missed] = self._near(rays[missed])
@@ -226,16 +162,12 @@ class Facets:
         _triangle_kernels.search(*facets, self.boxes, *ends, index, nearest, farthest, hits)
 
     def _near(self, rays: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Return a mask (n,) of rays close to a triangle's edge, for rays without a hit by Embree.
-
-        Rows of ``rays`` are as in `_triangle_kernels.enter`. Displaced copies of each ray are
-        tested; a ray is close to an edge if one of them hits.
-        """
+        """Return a mask (n,) of the rays without a hit of which a displaced copy has one."""
         from . import _triangle_kernels
 
         near = np.zeros(len(rays), dtype=bool)
         moved = np.empty((len(rays), 6), np.float32)
-        for turn in TURNS:
+        for turn in (0.0, 2 * math.pi / 3, 4 * math.pi / 3):
             _triangle_kernels.aside(rays, 3 * MARGIN, turn, moved)
             near |= self.scene.run(moved[:, :3], moved[:, 3:]) >= 0
         return near
@@ -243,18 +175,9 @@ class Facets:
     def all(
         self, origins: Array, directions: Array, nearest: float
     ) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.int32]]:
-        """Find all hits of all rays beyond the distance ``nearest``, m.
+        """Find all hits of all rays beyond the distance ``nearest``, m, sorted by ray and distance.
 
-        Returns
-        -------
-        counts : ndarray of int64, (n,)
-            Number of hits of each ray.
-        distance : ndarray, (h,)
-            Distances of all hits, m, ray by ray and increasing.
-        points : ndarray, (h, 3)
-            Hit points, m.
-        triangle : ndarray of int32, (h,)
-            Indices of the triangles in the mesh.
+        Return the number of hits of each ray, and distances, points (m) and triangles of all hits.
         """
         from . import _triangle_kernels
 
@@ -271,12 +194,7 @@ class Facets:
 
 
 def _small_parts(corners: Array, edges: Array) -> tuple[list[NDArray[np.int64]], ...]:
-    """Return groups of triangles that need search structures of their own; none for most meshes.
-
-    ``corners`` (n, 3, 3) are the triangles' corners and ``edges`` (n,) their longest sides, m. The
-    second list holds small parts that are too many and too far apart for Embree scenes. Unless both
-    lists are empty, each triangle is in one of the groups.
-    """
+    """Return groups of triangles that need search structures of their own; none for most meshes."""
     span = float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
     if edges.min() >= SMALL * span:
         return [], []
@@ -304,7 +222,7 @@ def _small_parts(corners: Array, edges: Array) -> tuple[list[NDArray[np.int64]],
     groups = [rest] if len(rest) else []
     if (high[small].max(axis=0) - low[small].min(axis=0)).max() < 0.5 * span:
         return [*groups, np.flatnonzero(within)], []
-    if small.sum() > MOST_PARTS:
+    if small.sum() > 16:  # each Embree scene costs every ray the test of a box
         return groups, [np.flatnonzero(within)]
     return [*groups, *(np.flatnonzero(label == k) for k in np.flatnonzero(small))], []
 
@@ -330,10 +248,7 @@ def _along_a_curve(points: Array, low: Array, high: Array) -> NDArray[np.int64]:
 
 
 def _tree(corners: Array, rounding: float) -> Array:
-    """Return the boxes (m, 6) of a complete binary tree, root first, four triangles per leaf.
-
-    ``corners`` (n, 3, 3) are the triangles' corners, m. Each box is enlarged by ``rounding``, m.
-    """
+    """Return the boxes (m, 6) of a complete binary tree, root first, four triangles per leaf."""
     leaves = 1 << max(0, math.ceil(math.log2(max(1, math.ceil(len(corners) / 4)))))
     # empty leaves are filled with a corner of the last triangle, which enlarges no box
     fill = np.broadcast_to(corners[-1, 0], (4 * leaves - len(corners), 3))

@@ -23,44 +23,24 @@ from ...kernels.compiling import njit
 from ...kernels.heights import surface
 from ...kernels.random import uniform
 from ._connection_kernels import narrow_at, reflected
-from ._light_kernels import (
-    LENGTH,
-    MET,
-    NARROW,
-    POWER,
-    SURFACE,
-    chained_at,
-    lobes_of,
-)
+from ._light_kernels import LENGTH, MET, NARROW, POWER, SURFACE, chained_at, lobes_of
 from ._lobe_kernels import STEEPEST, facet_slope_sq, is_narrow
-from ._surround_kernels import OBJECT, ROOM, WALL, dot, interval, on_detector, texel, three
-
-STREAM = np.uint64(303)  # stream of the random numbers
-# Largest numbers of Newton steps and of halvings of a step. A search tries many starts, and some
-# have no solution. Elsewhere a solution that is missed would be lost.
-SEARCH, SOLVE = (20, 6), (60, 12)
-MARGIN = 0.3  # added to the slope of the wall at the start, to bound that at the solution
-ZERO = 1e-20  # sum of the squared equations (direction cosines) at a solution
-SAME = 1e-6  # distance of equal solutions relative to the length of the path
-TRIALS = 1 << 16  # largest number of starts for one solution
-THINNED = 8.0  # search one of so many chains for each reflection at the wall after the first
-LONG = 4  # reflections beyond which one of two chains is traced, for each further reflection
+from ._surround_kernels import OBJECT, ROOM, WALL, dot, interval, on_detector, texel, three, unit
 
 
 @njit(cache=True)
 def _number(seed, ray, bounce, m, k):
     """Return random number ``k`` of a ray's chain of m reflections after ``bounce`` reflections."""
     address = ((np.uint64(bounce) << np.uint64(8)) | np.uint64(m)) << np.uint64(32)
-    return uniform(seed, STREAM, np.uint64(ray), address | np.uint64(k))
+    return uniform(seed, np.uint64(303), np.uint64(ray), address | np.uint64(k))
 
 
 @njit(cache=True)
 def _set_frame(world, kind, u, frame, bounds):
-    """Fill the frame (12,) of a surface and its bounds (8,); return the reciprocal of its chance.
+    """Fill the frame (12,) of a surface and its bounds (8,); return 1 / its chance.
 
-    A triangle of a mesh is drawn by area with the random number ``u``. Its bounds are the rows of
-    the matrix that gives its barycentric coordinates. The bounds of the planar object are its half
-    width and height.
+    A triangle of a mesh is drawn by area with the random number ``u``. Its bounds give barycentric
+    coordinates; those of the planar object are its half width and height.
     """
     if kind == WALL:
         frame[:] = 0.0
@@ -89,11 +69,7 @@ def _set_frame(world, kind, u, frame, bounds):
 
 @njit(cache=True)
 def _set_facet(lobes, seed, ray, address, wider, slope):
-    """Draw a narrow lobe and the slope (2,) of a facet; return the lobe or -1, and 1/density.
-
-    ``address`` is (bounce, m, first random number). ``wider`` scales the width of the density. The
-    lobe's chance is part of the density; the slope of a smooth mirror is 0 with density 1.
-    """
+    """Draw a narrow lobe and the slope (2,) of a facet; return the lobe or -1, and 1/density."""
     bounce, m, first = address
     some = 0
     for j in range(lobes.shape[0]):
@@ -128,25 +104,18 @@ def _set_facet(lobes, seed, ray, address, wider, slope):
 
 @njit(cache=True)
 def _widening(walls, at, steepest):
-    """Return how much wider the slopes of facets are drawn where the wall itself has a slope.
-
-    A facet of a tilted wall has the slope d about the plane z = 0 beyond the wall's own slope s,
-    and up to d/(1 + s^2) about the wall. ``at`` (2,) is a point near the reflection, and
-    ``steepest`` the largest slope of the wall.
-    """
+    """Return how much wider the slopes of facets are drawn where the wall itself has a slope."""
     if steepest == 0.0:
         return 1.0
     values = surface(walls[0], walls[1], at[0], at[1])
-    slope = math.hypot(values[1], values[2]) + MARGIN
+    # the margin bounds the slope at the solution
+    slope = math.hypot(values[1], values[2]) + 0.3
     return 1.0 + (slope if slope < steepest else steepest) ** 2
 
 
 @njit(cache=True)
 def _unfold(frames, a, p, u):
-    """Fill the coordinates (m, 2) at which plane mirrors in the frames reflect light from a to p.
-
-    Where the planes do not reflect it, the coordinates are merely a start for Newton steps.
-    """
+    """Fill the coordinates (m, 2) at which plane mirrors in the frames reflect from a to p."""
     m = u.shape[0]
     images = np.empty((m, 3))
     image = p
@@ -246,10 +215,7 @@ def _equations(walls, kinds, frames, slopes, a, p, u, x, g, own, back, ahead):
 
 @njit(cache=True)
 def _steps(g, own, back, ahead, step):
-    """Fill the Newton step (m, 2) of a chain, and return the determinant of its Jacobian.
-
-    The Jacobian is block tridiagonal and is eliminated block by block.
-    """
+    """Fill the Newton step (m, 2) of a chain, and return the determinant of its Jacobian."""
     m = g.shape[0]
     side, whole = np.zeros((m, 2, 2)), 1.0
     for i in range(m):
@@ -282,11 +248,7 @@ def _steps(g, own, back, ahead, step):
 
 @njit(cache=True)
 def _solve(walls, kinds, frames, slopes, a, p, u, x, g, steps, halvings):
-    """Move the coordinates ``u`` (m, 2) to a solution; return the Jacobian's determinant, or 0.
-
-    Newton steps are halved until the sum of squares falls. ``steps`` and ``halvings`` are their
-    largest numbers; without a solution within them the result is 0.
-    """
+    """Move the coordinates ``u`` (m, 2) to a solution; return the Jacobian's determinant, or 0."""
     m = u.shape[0]
     own, back, ahead = np.zeros((m, 2, 2)), np.zeros((m, 2, 2)), np.zeros((m, 2, 2))
     step, old = np.zeros((m, 2)), np.empty((m, 2))
@@ -295,8 +257,8 @@ def _solve(walls, kinds, frames, slopes, a, p, u, x, g, steps, halvings):
         if not worst < math.inf:
             return 0.0
         det = _steps(g, own, back, ahead, step)
-        if worst < ZERO or det == 0.0:
-            return det if worst < ZERO else 0.0
+        if worst < 1e-20 or det == 0.0:
+            return det if worst < 1e-20 else 0.0
         for i in range(m):
             old[i, 0], old[i, 1] = u[i, 0], u[i, 1]
         share, better = 1.0, math.inf
@@ -339,10 +301,9 @@ def _inside(walls, kind, is_plate, bounds, u, v):
 
 @njit(cache=True)
 def _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inverse):
-    """Return the power per unit of solid angle at ``a`` and area at ``p`` of a solved chain, 1/m^2.
+    """Return the power per solid angle at ``a`` and area at ``p`` of a solved chain, 1/m^2.
 
-    Divided by the Jacobian's determinant it is the transmitted share times solid angle per area,
-    without the cosines at both ends. It is 0 if a point is beyond its surface or behind it.
+    It lacks the cosines at both ends, and is still to be divided by the Jacobian's determinant.
     """
     m, value = u.shape[0], 1.0
     for i in range(m):
@@ -351,10 +312,7 @@ def _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inver
             return 0.0
         before = a if i == 0 else three(x[i - 1], 0)
         after = p if i == m - 1 else three(x[i + 1], 0)
-        d = (before[0] - x[i, 0], before[1] - x[i, 1], before[2] - x[i, 2])
-        e = (after[0] - x[i, 0], after[1] - x[i, 1], after[2] - x[i, 2])
-        r, s = math.sqrt(dot(d, d)), math.sqrt(dot(e, e))
-        d, e = (d[0] / r, d[1] / r, d[2] / r), (e[0] / s, e[1] / s, e[2] / s)
+        (d, r), (e, s) = unit(x[i], before), unit(x[i], after)
         f, tilt = frames[i], 1.0 / math.sqrt(1.0 + g[i, 0] ** 2 + g[i, 1] ** 2)
         n = _normal(f, g[i])
         mu_i, mu_o, between = dot(d, n), dot(e, n), dot(d, e)
@@ -378,11 +336,7 @@ def _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inver
 
 @njit(cache=True)
 def _shift(walls, seed, ray, address, kinds, reach, start, u):
-    """Fill ``u`` (m, 2) with a random start: the coordinates ``start`` with shifted wall points.
-
-    One half of the wall points are spread over the wall if it is bounded. The others are shifted by
-    ``reach`` or less, m, uniform in the logarithm over four decades.
-    """
+    """Fill ``u`` (m, 2) with a random start: the coordinates ``start`` with shifted wall points."""
     bounce, m, first = address
     box = walls[2]
     for i in range(u.shape[0]):
@@ -406,38 +360,16 @@ def chain_to_lens(
 ):
     """Fill the detected power and length of chains of narrow reflections to points of the lens.
 
-    Parameters
-    ----------
-    world : World
-        Data of the scene.
-    walls : tuple
-        Terms and tables, see `kernels.heights`, box and rim of the wall.
-    sampler : tuple
-        Its first element is the seed.
-    first : int
-        Number of the first ray.
-    light : ndarray, (n, VERTEX)
-        Light vertices at which wide lobes begin the chains.
-    lens : ndarray, (n, 3)
-        Points of the lens, m.
-    order : (int, int, bool)
-        Number of reflections up to the light vertices; m, that of a chain; and whether the first
-        reflection is at the wall, from light vertices on occluders alone. Otherwise the first
-        reflection is at the hidden object, or at the wall from light vertices on the object.
-    several : bool
-        Whether a chain of given slopes may have several solutions.
-    steepest : float
-        Largest slope of the wall.
-    value, length : ndarray, (n,)
-        Detected power, W, and length, m; filled.
-    mirrors : ndarray, (m, n, VERTEX)
-        Vertices of the chains: point, m, normal and surface; filled where the value is above 0.
+    ``walls`` are terms and tables (`kernels.heights`), box and rim of the wall. ``light`` are the
+    vertices at which wide lobes begin the chains, ``lens`` (n, 3) points of the lens, m. ``order``
+    is the number of reflections up to the light vertices; m, that of a chain; and whether the first
+    reflection is at the wall, from occluders alone. Otherwise it is at the hidden object, or at the
+    wall from the object. ``value`` (W), ``length`` (m) and, where the value is above 0, the
+    vertices ``mirrors`` (m, n, VERTEX) are filled.
 
-    Notes
-    -----
-    Several solutions are found from random starts. A solution is weighted by the number of further
-    starts until it is found again, whose mean is the reciprocal of its chance (Zeltner et al.,
-    Specular manifold sampling, 2020).
+    If ``several``, solutions are found from random starts. A solution is weighted by the number of
+    further starts until it is found again, whose mean is the reciprocal of its chance (Zeltner et
+    al., Specular manifold sampling, 2020).
     """
     seed, camera, (bounce, m, at_wall) = sampler[0], world.camera, order
     area, axis = math.pi * camera[12] ** 2 * camera[18], three(camera, 9)
@@ -459,8 +391,10 @@ def chain_to_lens(
             kinds[k] = begin if k % 2 == 0 else WALL + OBJECT - begin
             on_wall += 1 if kinds[k] == WALL else 0
         search = several and on_wall > 0
-        keep = THINNED ** (1 - on_wall) if search else 1.0
-        keep *= 0.5 ** max(0, m - LONG)
+        # keep one of eight searches for each reflection at the wall after the first, and one of two
+        # chains for each reflection after the fourth
+        keep = 8.0 ** (1 - on_wall) if search else 1.0
+        keep *= 0.5 ** max(0, m - 4)
         if keep < 1.0 and _number(seed, ray, bounce, m, 4 * m) >= keep:
             continue
         share /= keep
@@ -479,11 +413,11 @@ def chain_to_lens(
             ready = ready and lobes_at[k] >= 0
         if not ready:
             continue
-        reach = math.sqrt((a[0] - p[0]) ** 2 + (a[1] - p[1]) ** 2 + (a[2] - p[2]) ** 2)
-        reach += abs(a[2]) + abs(p[2])
+        reach = unit(a, p)[1] + abs(a[2]) + abs(p[2])
         for k in range(m):
             u[k, 0], u[k, 1] = start[k, 0], start[k, 1]
-        steps, halvings = SEARCH if search else SOLVE
+        # a search tries many starts, of which some have no solution; elsewhere it would be lost
+        steps, halvings = (20, 6) if search else (60, 12)
         if search:
             _shift(walls, seed, ray, (bounce, m, 4 * m + 1), kinds, reach, start, u)
         det = _solve(walls, kinds, frames, slopes, a, p, u, x, g, steps, halvings)
@@ -492,16 +426,7 @@ def chain_to_lens(
         carried = _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inverse)
         if carried <= 0.0:
             continue
-        d, e = (
-            (x[0, 0] - a[0], x[0, 1] - a[1], x[0, 2] - a[2]),
-            (
-                x[m - 1, 0] - p[0],
-                x[m - 1, 1] - p[1],
-                x[m - 1, 2] - p[2],
-            ),
-        )
-        r, s = math.sqrt(dot(d, d)), math.sqrt(dot(e, e))
-        d, e = (d[0] / r, d[1] / r, d[2] / r), (e[0] / s, e[1] / s, e[2] / s)
+        (d, r), (e, s) = unit(a, x[0]), unit(p, x[m - 1])
         cosine = dot(d, three(vertex, 3))
         if cosine <= 0.0 or on_detector(camera, p, e) <= 0.0:
             continue
@@ -513,8 +438,8 @@ def chain_to_lens(
         if f <= 0.0:
             continue
         if search:
-            trials = TRIALS
-            for trial in range(1, TRIALS + 1):
+            trials = 1 << 16  # at most
+            for trial in range(1, trials + 1):
                 address = (bounce, m, (4 + 3 * trial) * m + 1)
                 _shift(walls, seed, ray, address, kinds, reach, start, again)
                 found = _solve(walls, kinds, frames, slopes, a, p, again, y, other, steps, halvings)
@@ -523,7 +448,7 @@ def chain_to_lens(
                     for k in range(m):
                         for c in range(3):
                             off += abs(x[k, c] - y[k, c])
-                    if off < SAME * m * reach:
+                    if off < 1e-6 * m * reach:
                         trials = trial
                         break
             f *= trials
@@ -535,5 +460,4 @@ def chain_to_lens(
             mirror[SURFACE] = kinds[k]
             mirror[MET] = 1.0 if kinds[k] == OBJECT or k > 0 else vertex[MET]
             if k > 0:
-                away = (x[k, 0] - x[k - 1, 0], x[k, 1] - x[k - 1, 1], x[k, 2] - x[k - 1, 2])
-                length[i] += math.sqrt(dot(away, away))
+                length[i] += unit(x[k - 1], x[k])[1]

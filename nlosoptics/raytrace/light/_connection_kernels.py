@@ -30,16 +30,12 @@ from ._light_kernels import (
     target_density,
 )
 from ._lobe_kernels import lobe_density
-from ._surround_kernels import OBJECT, dot, on_detector, three
+from ._surround_kernels import OBJECT, dot, on_detector, three, unit
 
 
 @njit(cache=True)
 def reflected(lobes, vertex, direction, cosine):
-    """Return f_r times brightness of a vertex toward a unit vector, 1/sr; smooth mirrors excluded.
-
-    ``lobes`` are those of its surface; ``cosine`` is that of the angle between direction and
-    normal.
-    """
+    """Return f_r times brightness of a vertex toward a unit vector, 1/sr, without mirrors."""
     incident = three(vertex, 6)
     mu = dot(incident, three(vertex, 3))
     f = material(lobes, mu, cosine, dot(incident, direction))
@@ -87,11 +83,7 @@ def between(a, b):
 
 @njit(cache=True, inline="always")
 def _chained(world, a, b, seen, second, d, cos_a, cos_b):
-    """Return the share of a connection by `connect` that is traced as a chain of narrow lobes.
-
-    The connection goes from the light vertex ``a`` to the eye vertex ``b`` along the unit vector
-    ``d``. ``seen`` is the first eye vertex, and ``b`` the second one if ``second``.
-    """
+    """Return the share of a connection by `connect` that is traced as a chain of narrow lobes."""
     kind_a, kind_b = int(a[SURFACE]), int(b[SURFACE])
     chained = chained_at(world.chains, kind_a)
     narrow = narrow_at(lobes_of(world, kind_a), chained, a, d, cos_a)
@@ -107,13 +99,7 @@ def _chained(world, a, b, seen, second, d, cos_a, cos_b):
 
 @njit(cache=True, nogil=True)
 def connect(world, light, eye, seen, second, glossy, value, length, starts, ends):
-    """Fill the detected power and length of connections between light vertices and eye vertices.
-
-    ``seen`` holds the first vertices of the eye paths; ``eye`` holds the same, or the second ones
-    if ``second``. With glossy lobes, three strategies find the same paths and are weighted by the
-    balance heuristic. The light path contributes all vertices but the last two (``second``), all
-    but the last one (not ``second``), or all (`to_lens`).
-    """
+    """Fill the detected power and length of connections between light vertices and eye vertices."""
     for i in range(light.shape[0]):
         value[i] = 0.0
         a, b = light[i], eye[i]
@@ -160,10 +146,7 @@ def connect(world, light, eye, seen, second, glossy, value, length, starts, ends
 
 @njit(cache=True, nogil=True)
 def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
-    """Fill the detected power and length of connections between light vertices and lens points.
-
-    With glossy lobes they are weighted against `connect` by the balance heuristic.
-    """
+    """Fill the detected power and length of connections between light vertices and lens points."""
     camera = world.camera
     area, axis = math.pi * camera[12] ** 2 * camera[18], three(camera, 9)
     for i in range(light.shape[0]):
@@ -171,11 +154,8 @@ def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
         a, p = light[i], three(lens[i], 0)
         if a[SURFACE] < 0.0:
             continue
-        d = (p[0] - a[0], p[1] - a[1], p[2] - a[2])
-        square = dot(d, d)
-        r = math.sqrt(square)
-        d = (d[0] / r, d[1] / r, d[2] / r)
-        cosine = dot(d, three(a, 3))
+        d, r = unit(a, p)
+        square, cosine = r * r, dot(d, three(a, 3))
         if cosine <= 0.0:
             continue
         seen = on_detector(camera, p, (-d[0], -d[1], -d[2]))
@@ -206,11 +186,7 @@ def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
 
 @njit(cache=True, nogil=True)
 def book(light, eye, bounce, most, first, value, length, path_sums):
-    """Add the power of connections to the sums of their number of reflections, or to stray light.
-
-    Light that has never met the hidden object is stray light. ``value`` (n,) is in W and ``length``
-    (n,) in m.
-    """
+    """Add the power of connections to the sum of their number of reflections, or stray light."""
     for i in range(value.size):
         if value[i] > 0.0:
             sums = sums_of(path_sums, first, i)

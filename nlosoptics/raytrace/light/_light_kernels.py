@@ -58,11 +58,7 @@ SUMS = 11
 
 @njit(cache=True, inline="always")
 def sums_of(path_sums, first, i):
-    """Return the row of ``path_sums`` to which the power of ray ``first + i`` is added.
-
-    Rays are summed in units of UNIT rays, and each unit in groups for the standard error. ``first``
-    is the number of the block's first ray, a multiple of UNIT.
-    """
+    """Return the row of ``path_sums`` to which the power of ray ``first + i`` is added."""
     return path_sums[i // UNIT * GROUPS + (first + i) % GROUPS]
 
 
@@ -96,11 +92,7 @@ def _is_spot(vertex, eye):
 
 @njit(cache=True)
 def target_density(norm, vertex, eye, scale, lit):
-    """Return the density, 1/m^2, with which rays aimed from a vertex meet a point of the object.
-
-    ``norm`` is that of `World`, ``scale`` the brightness at the point, and ``lit`` the density for
-    the laser spot.
-    """
+    """Return the density, 1/m^2, with which rays aimed from a vertex meet a point of the object."""
     return lit if _is_spot(vertex, eye) else norm * scale
 
 
@@ -129,11 +121,7 @@ def chain_shares(vertex, narrow, kind):
 
 @njit(cache=True, inline="always")
 def _far(world, p):
-    """Return whether only rays aimed at the hidden object may reach it from the point ``p``.
-
-    That is so if no lobe is glossy and ``p`` is more than 1.5 radii from the centre of the sphere
-    around the object.
-    """
+    """Return whether only rays aimed at the hidden object may reach it from the point ``p``."""
     ball = world.ball
     away = (p[0] - ball[0], p[1] - ball[1], p[2] - ball[2])
     return not world.glossy and dot(away, away) > 2.25 * ball[3] * ball[3]
@@ -224,11 +212,7 @@ def _passed_on(leave, distance, kind, normal, target):
 
 @njit(cache=True)
 def _arrive(old, new, origin, direction, distance, kind, normal, scale, power, density):
-    """Fill the vertex ``new`` at which a ray from the vertex ``old`` arrives.
-
-    ``power`` and ``density`` become its POWER and DENSITY; the other arguments describe ray and
-    hit.
-    """
+    """Fill the vertex ``new`` at which a ray from the vertex ``old`` arrives."""
     for k in range(3):
         new[k] = origin[k] + distance * direction[k]
         new[3 + k], new[6 + k] = normal[k], -direction[k]
@@ -241,10 +225,7 @@ def _arrive(old, new, origin, direction, distance, kind, normal, scale, power, d
 
 @njit(cache=True)
 def _end(old, new, origin, direction, distance, power):
-    """Fill point, power and length of a vertex at which a path ends unless it is continued.
-
-    The end of a path that leaves the scene is drawn 1 m from its last vertex.
-    """
+    """Fill point, power and length of a vertex at which a path ends unless it is continued."""
     t = distance if distance < math.inf else 1.0
     for k in range(3):
         new[k] = origin[k] + t * direction[k]
@@ -253,10 +234,7 @@ def _end(old, new, origin, direction, distance, power):
 
 @njit(cache=True, nogil=True)
 def thin(sampler, first, share, vertices):
-    """Keep a random part of the vertices and divide their power by its fraction ``share``.
-
-    The expected power is unchanged (Russian roulette).
-    """
+    """Keep a random part of the vertices and divide their power by its fraction ``share``."""
     for i in range(vertices.shape[0]):
         if vertices[i, SURFACE] >= 0.0:
             ray = first + i
@@ -366,11 +344,7 @@ def _enter_lens(camera, sums, tail, old, leave, bounce, distance, sent, analog):
 
 @njit(cache=True, nogil=True)
 def start(power, first, most, origins, directions, hits, new, path_sums, fates):
-    """Fill the first vertices of the laser's light, and add lost power to the power balance.
-
-    ``power`` is that of the laser, W, and ``most`` is the largest number of reflections. ``fates``
-    receives the status of paths that end here, else -1.
-    """
+    """Fill the first vertices of the laser's light, and add lost power to the power balance."""
     distance, kind, normal, scale, _ = hits
     source = np.zeros(VERTEX)
     source[HISTORY], source[BEFORE], source[SURFACE] = 1.0, NOTHING, NOTHING
@@ -408,11 +382,7 @@ def start(power, first, most, origins, directions, hits, new, path_sums, fates):
 
 @njit(cache=True, nogil=True)
 def look(origins, directions, powers, densities, hits, new):
-    """Fill the first vertices of eye paths, which are paths traced backward from the lens.
-
-    ``powers`` (n,) are detected powers per unit radiance, m^2 sr, and ``densities`` (n,) the
-    densities of the directions, 1/sr.
-    """
+    """Fill the first vertices of eye paths, which are paths traced backward from the lens."""
     distance, kind, normal, scale, lit = hits
     source = np.zeros(VERTEX)
     source[BEFORE], source[SURFACE] = NOTHING, NOTHING
@@ -429,10 +399,7 @@ def look(origins, directions, powers, densities, hits, new):
 
 @njit(cache=True, nogil=True)
 def look_on(norm, old, leave, origins, directions, hits, new):
-    """Fill the second vertices of eye paths, after scattering at the first ones ``old``.
-
-    ``norm`` is that of `World`.
-    """
+    """Fill the second vertices of eye paths, after scattering at the first ones ``old``."""
     distance, kind, normal, scale, lit = hits
     for i in range(new.shape[0]):
         new[i, SURFACE] = NOTHING

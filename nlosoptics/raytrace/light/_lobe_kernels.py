@@ -17,10 +17,7 @@ STEEPEST = 0.3
 
 @njit(cache=True)
 def tangents(n):
-    """Return two unit vectors perpendicular to n and to each other.
-
-    Duff et al., J. Comput. Graph. Tech. 6(1), 2017.
-    """
+    """Return two unit vectors perpendicular to n and to each other."""
     sign = math.copysign(1.0, n[2])
     p = -1.0 / (sign + n[2])
     q = n[0] * n[1] * p
@@ -33,12 +30,7 @@ def tangents(n):
 
 @njit(cache=True)
 def lobe_chance(lobes, j, total, eye):
-    """Return the probability of drawing lobe ``j`` of a table of lobes.
-
-    ``total`` is their `total_strength`. Light paths (``eye`` False) draw lobes in proportion to
-    their strength, to follow the power. Eye paths do so for one half and choose uniformly for the
-    other, since a faint mirror can form the whole image.
-    """
+    """Return the probability of drawing lobe ``j`` of a table of lobes."""
     strength = lobes[j, 4]
     if strength <= 0.0:
         return 0.0
@@ -52,11 +44,7 @@ def lobe_chance(lobes, j, total, eye):
 
 @njit(cache=True)
 def lobe_density(lobes, mu_i, mu_o, cos_between, eye):
-    """Return the probability density, 1/sr, with which `lobe_direction` draws a direction.
-
-    Smooth mirrors are excluded. ``mu_i`` and ``mu_o`` are the cosines of incidence and exitance,
-    ``cos_between`` that of the angle between both directions.
-    """
+    """Return the probability density, 1/sr, with which `lobe_direction` draws a direction."""
     total = total_strength(lobes)
     density = 0.0
     for j in range(lobes.shape[0]):
@@ -68,11 +56,7 @@ def lobe_density(lobes, mu_i, mu_o, cos_between, eye):
 
 @njit(cache=True)
 def lobe_direction(lobes, incident, n, u, v, w, eye):
-    """Draw a direction from the lobes; return it with the weight of a chosen mirror, else -1.
-
-    ``incident`` and ``n`` are unit vectors, toward the previous vertex and along the normal. ``u``,
-    ``v`` and ``w`` are random numbers from 0 to 1.
-    """
+    """Draw a direction from the lobes; return it with the weight of a chosen mirror, else -1."""
     a, b = tangents(n)
     ix, iy, iz = dot(incident, a), dot(incident, b), dot(incident, n)
     total = total_strength(lobes)

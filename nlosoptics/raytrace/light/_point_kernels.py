@@ -11,7 +11,7 @@ import math
 from ...kernels.brdf import is_mirror, material, material_pdf
 from ...kernels.codes import GROUPS, UNIT
 from ...kernels.compiling import njit
-from ...kernels.random import disc, draw
+from ...kernels.random import disc
 from ..fans import paths
 from ._connection_kernels import between, next_density, reflected
 from ._light_kernels import (
@@ -38,21 +38,17 @@ from ._surround_kernels import (
     WALL,
     dot,
     object_point,
+    pair,
     three,
+    unit,
 )
 
 
 @njit(cache=True, nogil=True)
 def glow(world, sampler, first, power, new):
-    """Fill vertices on the hidden object's front, as if lit at normal incidence.
-
-    Their points are drawn by area times brightness, and each gets the same ``power``, W.
-    """
+    """Fill vertices on the hidden object's front, as if lit at normal incidence."""
     for i in range(new.shape[0]):
-        ray = first + i
-        group, index = ray % GROUPS, ray // GROUPS
-        u = draw(sampler, group, index, ray, DRAW_PIXEL)
-        v = draw(sampler, group, index, ray, DRAW_PIXEL + 1)
+        u, v = pair(sampler, first + i, DRAW_PIXEL)
         point, normal = object_point(world, world.splits, u, v)
         for k in range(3):
             new[i, k], new[i, 3 + k], new[i, 6 + k] = point[k], normal[k], normal[k]
@@ -62,24 +58,17 @@ def glow(world, sampler, first, power, new):
 
 @njit(cache=True)
 def spots(sampler, first, corner, size, xy):
-    """Fill ``xy`` (n, 2) with points spread uniformly over a rectangle, m.
-
-    ``corner`` (2,) is its lowest x and y and ``size`` (2,) its sides, m.
-    """
+    """Fill ``xy`` (n, 2) with points spread uniformly over a rectangle, m."""
     for i in range(xy.shape[0]):
-        ray = first + i
-        group, index = ray % GROUPS, ray // GROUPS
-        for k in range(2):
-            u = draw(sampler, group, index, ray, DRAW_LENS + k)
-            xy[i, k] = corner[k] + u * size[k]
+        u, v = pair(sampler, first + i, DRAW_LENS)
+        xy[i, 0], xy[i, 1] = corner[0] + u * size[0], corner[1] + v * size[1]
 
 
 @njit(cache=True, nogil=True)
 def to_wall(world, light, targets, value, starts, ends):
     """Fill the power, W, that light vertices send directly to chosen wall points.
 
-    The ``targets`` are vertices with known DENSITY. The balance heuristic weights this light
-    against light that reaches the wall by scattering; see `arrivals`.
+    The balance heuristic weights it against light that reaches the wall by scattering.
     """
     for i in range(light.shape[0]):
         value[i] = 0.0
@@ -102,10 +91,9 @@ def to_wall(world, light, targets, value, starts, ends):
 
 @njit(cache=True, nogil=True)
 def arrivals(vertices, evenly, power):
-    """Fill the power, W, of light that reaches the wall by scattering, weighted against `to_wall`.
+    """Fill the power, W, of light that reaches the wall by scattering; see `to_wall`.
 
-    ``evenly`` is the density of the points of `to_wall` per area of the mean plane, 1/m^2. The
-    wall's cosine, column 5 of a vertex, converts it to the density per wall area.
+    ``evenly`` is the density of the points of `to_wall` per area of the mean plane, 1/m^2.
     """
     for i in range(vertices.shape[0]):
         power[i] = 0.0
@@ -118,12 +106,7 @@ def arrivals(vertices, evenly, power):
 
 @njit(cache=True, nogil=True)
 def cells_of(points, power, first, corner, step, shape, cells, powers):
-    """Find the map cells of light that arrives at wall points; return how many lie on the map.
-
-    ``cells`` and ``powers`` (n,) are filled for the points on the map; a cell is (group, row,
-    column) as one number. ``corner`` and ``step``, (2,), m, are the map's lowest corner and cell
-    sides.
-    """
+    """Find the map cells of light that arrives at wall points; return how many lie on the map."""
     count = 0
     ny, nx = shape
     for i in range(power.size):
@@ -161,16 +144,12 @@ def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
 
     A fraction ``share`` of the rays is aimed at the part ``box`` = (low x, low y, width, height),
     m, of the wall. The others are aimed uniformly at the whole wall, ``whole``, or follow the
-    emission of the source if ``whole`` has no width. ``aimed`` marks the rays with a point (x, y)
-    in ``aims``.
+    emission of the source if ``whole`` has no width.
     """
     n = three(source, 3)
     a, b = tangents(n)
     for i in range(directions.shape[0]):
-        ray = first + i
-        group, index = ray % GROUPS, ray // GROUPS
-        u = draw(sampler, group, index, ray, DRAW_BEAM)
-        v = draw(sampler, group, index, ray, DRAW_BEAM + 1)
+        u, v = pair(sampler, first + i, DRAW_BEAM)
         aimed[i] = u < share
         if aimed[i]:
             aims[i, 0], aims[i, 1] = box[0] + u / share * box[2], box[1] + v * box[3]
@@ -194,11 +173,7 @@ def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
 
 @njit(cache=True, nogil=True)
 def toward(source, aims, aimed, directions, reach, live):
-    """Fill directions and distances, m, from a source to the wall points at which it is aimed.
-
-    ``aims`` (n, 3) are the points, m, and ``aimed`` (n,) marks their rays. ``live`` is cleared for
-    rays aimed at points where the wall has no height.
-    """
+    """Fill directions and distances, m, from a source to the wall points at which it is aimed."""
     for i in range(live.size):
         live[i], reach[i] = True, -1.0
         if not aimed[i]:
@@ -212,10 +187,7 @@ def toward(source, aims, aimed, directions, reach, live):
 
 @njit(cache=True, nogil=True)
 def arrive(source, whole, box, share, directions, reach, live, hits, new):
-    """Fill the first vertices of a source's light on the wall.
-
-    The sampling strategies of `shine` are combined by the balance heuristic.
-    """
+    """Fill the first vertices of a source's light on the wall."""
     distance, kind, normal, _, _ = hits
     for i in range(new.shape[0]):
         new[i, SURFACE] = NOTHING
@@ -245,12 +217,9 @@ def arrive(source, whole, box, share, directions, reach, live, hits, new):
 
 
 @njit(cache=True, inline="always")
-def _lens_point(camera, sampler, group, index, ray):
+def _lens_point(camera, sampler, ray):
     """Draw a point from the uniform distribution over the lens."""
-    u, v = disc(
-        draw(sampler, group, index, ray, DRAW_LENS),
-        draw(sampler, group, index, ray, DRAW_LENS + 1),
-    )
+    u, v = disc(*pair(sampler, ray, DRAW_LENS))
     u, v = u * camera[12], v * camera[12]
     return (
         camera[0] + u * camera[3] + v * camera[6],
@@ -261,11 +230,7 @@ def _lens_point(camera, sampler, group, index, ray):
 
 @njit(cache=True, inline="always")
 def landing(camera, point, d):
-    """Return the point (x, y) of the detector plane, m, at which light along a ray is imaged.
-
-    ``point`` is a point of the lens and ``d`` the unit vector from there back along the ray. The
-    ray's point in the plane in focus is projected through the centre of the lens.
-    """
+    """Return the detector point (x, y), m, of light that goes back along ``d`` from the lens."""
     cosine = dot(d, three(camera, 9))
     apart = (point[0] - camera[0], point[1] - camera[1], point[2] - camera[2])
     far, zoom = camera[13] / cosine, camera[14] / camera[13]
@@ -278,20 +243,12 @@ def landing(camera, point, d):
 
 @njit(cache=True, nogil=True)
 def look_around(world, sampler, first, origins, directions, powers):
-    """Fill rays from random lens points, with cosine-weighted directions over its front hemisphere.
-
-    ``powers`` are the transmitted powers per unit radiance, m^2 sr.
-    """
+    """Fill rays from random lens points, cosine-weighted over the front hemisphere."""
     camera = world.camera
     axis, e1, e2 = three(camera, 9), three(camera, 3), three(camera, 6)
     for i in range(powers.size):
-        ray = first + i
-        group, index = ray % GROUPS, ray // GROUPS
-        point = _lens_point(camera, sampler, group, index, ray)
-        x, y = disc(
-            draw(sampler, group, index, ray, DRAW_PIXEL),
-            draw(sampler, group, index, ray, DRAW_PIXEL + 1),
-        )
+        point = _lens_point(camera, sampler, first + i)
+        x, y = disc(*pair(sampler, first + i, DRAW_PIXEL))
         cosine = math.sqrt(max(0.0, 1.0 - x * x - y * y))
         d = _along(e1, e2, axis, x, y, cosine)
         for k in range(3):
@@ -302,13 +259,7 @@ def look_around(world, sampler, first, origins, directions, powers):
 
 @njit(cache=True, nogil=True)
 def look_at_pixels(world, sampler, first, each, window, origins, directions, powers):
-    """Fill rays from the lens into the fields of view of pixels, ``each`` rays per pixel.
-
-    Rays form antithetic pairs: the second ray of a pair uses the points of lens and pixel opposite
-    to those of the first, so that linear variations over a pixel cancel. ``window`` is (low x,
-    low y, pitch, columns) in the detector plane, m. ``powers`` are the detected powers per unit
-    radiance, m^2 sr.
-    """
+    """Fill rays from the lens into the fields of view of pixels, ``each`` rays per pixel."""
     camera = world.camera
     zoom, c = camera[13] / camera[14], camera[13]
     low_x, low_y, pitch, columns = window
@@ -319,15 +270,11 @@ def look_at_pixels(world, sampler, first, each, window, origins, directions, pow
         sign = 1.0
         if ray % 2 == 1:
             sign, ray = -1.0, ray - 1
-        group, index = ray % GROUPS, ray // GROUPS
-        u, v = disc(
-            draw(sampler, group, index, ray, DRAW_LENS),
-            draw(sampler, group, index, ray, DRAW_LENS + 1),
-        )
+        u, v = disc(*pair(sampler, ray, DRAW_LENS))
         u, v = sign * camera[12] * u, sign * camera[12] * v
-        x = sign * (draw(sampler, group, index, ray, DRAW_PIXEL) - 0.5)
-        y = sign * (draw(sampler, group, index, ray, DRAW_PIXEL + 1) - 0.5)
-        x, y = low_x + pitch * (column + 0.5 + x), low_y + pitch * (row + 0.5 + y)
+        x, y = pair(sampler, ray, DRAW_PIXEL)
+        x = low_x + pitch * (column + 0.5 + sign * (x - 0.5))
+        y = low_y + pitch * (row + 0.5 + sign * (y - 0.5))
         # toward the image of the detector point in the plane in focus
         a, b = -x * zoom - u, -y * zoom - v
         norm = math.sqrt(a * a + b * b + c * c)
@@ -363,26 +310,19 @@ def from_source(source, lobes, eye, value, starts, ends):
         b = eye[i]
         if b[SURFACE] != WALL:
             continue
-        d = (b[0] - source[0], b[1] - source[1], b[2] - source[2])
-        square = dot(d, d)
-        r = math.sqrt(square)
-        d = (d[0] / r, d[1] / r, d[2] / r)
+        d, r = unit(source, b)
         cosine, incident = -dot(d, three(b, 3)), three(b, 6)
         if cosine <= 0.0:
             continue
         f = material(lobes, cosine, dot(incident, three(b, 3)), -dot(incident, d))
-        value[i] = f * b[POWER] * _intensity(source, d) * cosine / square
+        value[i] = f * b[POWER] * _intensity(source, d) * cosine / (r * r)
         for k in range(3):
             starts[i, k], ends[i, k] = source[k], b[k]
 
 
 @njit(cache=True, inline="always")
 def _imaged(lobes, matt, mu, cosine, turn, f):
-    """Return the part of ``f``, the sum of all lobes (1/sr), that is due to mirror-like lobes.
-
-    ``matt`` are the other lobes; ``mu``, ``cosine`` and ``turn`` the cosines of incidence, of
-    exitance, and between both directions.
-    """
+    """Return the part of ``f``, the sum of all lobes (1/sr), that is due to mirror-like lobes."""
     if matt.shape[0] == lobes.shape[0] or f <= 0.0:
         return 0.0
     return 1.0 - material(matt, mu, cosine, turn) / f
@@ -390,35 +330,30 @@ def _imaged(lobes, matt, mu, cosine, turn, f):
 
 @njit(cache=True, nogil=True)
 def to_lens(world, sampler, first, counted, glossy, light, value, starts, ends, x, y, imaged):
-    """Fill power, detector position and imaged fraction of connections from the wall to the lens.
+    """Fill power, detector position and imaged share of connections from the wall to the lens.
 
-    The imaged fraction is what mirror-like lobes reflect. ``counted`` is (all lobes to count, those
-    of them that are not mirror-like). If ``glossy``, the balance heuristic weights this light
-    against light that reaches the lens by scattering.
+    The imaged share is what mirror-like lobes reflect. ``counted`` is (all lobes to count, those of
+    them that are not mirror-like).
     """
     lobes, matt = counted
     camera = world.camera
     area, axis = math.pi * camera[12] ** 2, three(camera, 9)
     for i in range(value.size):
         value[i] = 0.0
-        a, ray = light[i], first + i
+        a = light[i]
         if a[SURFACE] != WALL:
             continue
-        group, index = ray % GROUPS, ray // GROUPS
-        p = _lens_point(camera, sampler, group, index, ray)
-        d = (p[0] - a[0], p[1] - a[1], p[2] - a[2])
-        square = dot(d, d)
-        r = math.sqrt(square)
-        d = (d[0] / r, d[1] / r, d[2] / r)
+        p = _lens_point(camera, sampler, first + i)
+        d, r = unit(a, p)
         cosine, at_lens = dot(d, three(a, 3)), -dot(d, axis)
         if cosine <= 0.0 or at_lens <= 0.0 or at_lens < camera[17]:
             continue
         mu, turn = dot(three(a, 6), three(a, 3)), dot(three(a, 6), d)
         f = material(lobes, mu, cosine, turn)
         imaged[i] = _imaged(lobes, matt, mu, cosine, turn, f)
-        f *= cosine * a[POWER] * at_lens * area / square
+        f *= cosine * a[POWER] * at_lens * area / (r * r)
         if glossy:
-            here = square / (at_lens * area)
+            here = r * r / (at_lens * area)
             f /= 1.0 + material_pdf(world.wall, mu, cosine, turn) / here
         value[i] = f * camera[18]
         x[i], y[i] = landing(camera, p, (-d[0], -d[1], -d[2]))
@@ -447,12 +382,7 @@ def image_hits(world, directions, origins, powers, hits, value, x, y, imaged):
 def lens_hits(
     world, counted, glossy, first_one, old, leave, new, fates, by_mirrors, value, x, y, imaged
 ):
-    """Fill power, detector position and imaged fraction of scattered rays that hit the lens.
-
-    Light sent by a smooth mirror counts only if it has met nothing but mirrors (``by_mirrors``,
-    updated here) and has at least two reflections. `image_hits` counts the first reflection, and
-    connections count all other light.
-    """
+    """Fill power, detector position and imaged fraction of scattered rays that hit the lens."""
     lobes, matt = counted
     camera = world.camera
     area, axis = math.pi * camera[12] ** 2, three(camera, 9)
@@ -484,25 +414,6 @@ def lens_hits(
 
 
 @njit(cache=True, nogil=True)
-def connect(world, light, eye, value, starts, ends):
-    """Fill the detected power, W, of connections between light vertices and eye vertices."""
-    for i in range(value.size):
-        value[i] = 0.0
-        a, b = light[i], eye[i]
-        if a[SURFACE] < 0.0 or b[SURFACE] < 0.0:
-            continue
-        d, square, cos_a, cos_b = between(a, b)
-        if cos_a <= 0.0 or cos_b <= 0.0:
-            continue
-        f = reflected(lobes_of(world, int(a[SURFACE])), a, d, cos_a)
-        back = (-d[0], -d[1], -d[2])
-        f *= reflected(lobes_of(world, int(b[SURFACE])), b, back, cos_b)
-        value[i] = f * a[POWER] * b[POWER] * cos_a * cos_b / square
-        for k in range(3):
-            starts[i, k], ends[i, k] = a[k], b[k]
-
-
-@njit(cache=True, nogil=True)
 def landings(world, points, directions, x, y):
     """Fill the detector positions, m, of light that arrives along rays traced from the lens."""
     for i in range(x.size):
@@ -511,11 +422,7 @@ def landings(world, points, directions, x, y):
 
 @njit(cache=True, nogil=True)
 def book(value, x, y, window, rows, bounce, most, first, path_sums, cells):
-    """Add power to the sum of its number of reflections, and find its pixels.
-
-    ``value`` (n,) is in W; ``x`` and ``y`` (n,) are detector positions, m. Light outside the window
-    of pixels gets the pixel -1 and is added to the sum of missed light.
-    """
+    """Add power to the sum of its number of reflections, and find its pixels."""
     low_x, low_y, pitch, columns = window
     for i in range(value.size):
         cells[i] = -1

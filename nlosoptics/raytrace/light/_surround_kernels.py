@@ -12,8 +12,6 @@ from ...kernels.codes import GROUPS
 from ...kernels.compiling import njit
 from ...kernels.heights import tangent
 from ...kernels.random import disc, draw
-from ..intersection._block_kernels import BLOCK, DX, DY, DZ, HX, HY, OX, OY, OZ, ROWS, block_hits
-from ..intersection._block_kernels import T as DISTANCE
 from ..intersection._wall_kernels import HIT, UNRESOLVED, wall_hit
 
 # kinds of hit: OCCLUDER is a black occluder, BACK the back of the hidden object, LOST a hit that
@@ -44,7 +42,7 @@ class World(NamedTuple):
     rows, columns : ndarray, (ny + 1,) and (ny, nx + 1)
         Cumulative brightness of the rows, and of the pixels within each row, 0 to 1.
     triangles, areas, firsts, splits, patches : ndarray
-        Mesh object: `kept_meshes.Chart` of its triangles, whose ``shares`` are ``areas``.
+        Mesh object: `prepared_meshes.Chart` of its triangles, whose ``shares`` are ``areas``.
     lit_splits, lit : ndarray, (p,)
         Mesh object: splits of the chart, and densities on the patches, 1/m^2, with which rays from
         the laser spot are aimed; see `surroundings.lit_patches`.
@@ -112,10 +110,7 @@ def three(row, start):
 
 @njit(cache=True)
 def interval(shares, u):
-    """Return the number of the interval of cumulative ``shares``, from 0 to 1, in which u lies.
-
-    It is that of `numpy.searchsorted` from the right, which takes longer to compile.
-    """
+    """Return the number of the interval of cumulative ``shares``, from 0 to 1, in which u lies."""
     low, high = 0, shares.size
     while low < high:
         middle = (low + high) >> 1
@@ -126,16 +121,26 @@ def interval(shares, u):
     return min(low - 1, shares.size - 2)
 
 
+@njit(cache=True, inline="always")
+def pair(sampler, ray, number):
+    """Return the random numbers ``number`` and ``number + 1`` of a ray."""
+    group, index = ray % GROUPS, ray // GROUPS
+    return draw(sampler, group, index, ray, number), draw(sampler, group, index, ray, number + 1)
+
+
+@njit(cache=True)
+def unit(start, end):
+    """Return the unit vector from one point to another, and their distance."""
+    d = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
+    r = math.sqrt(dot(d, d))
+    return (d[0] / r, d[1] / r, d[2] / r), r
+
+
 @njit(cache=True, nogil=True)
 def beam(laser, sampler, first, origins, directions):
     """Fill the rays of the laser, distributed uniformly over the beam."""
     for i in range(origins.shape[0]):
-        ray = first + i
-        group, index = ray % GROUPS, ray // GROUPS
-        x, y = disc(
-            draw(sampler, group, index, ray, DRAW_BEAM),
-            draw(sampler, group, index, ray, DRAW_BEAM + 1),
-        )
+        x, y = disc(*pair(sampler, first + i, DRAW_BEAM))
         for k in range(3):
             origins[i, k] = laser[k] + laser[12] * (x * laser[6 + k] + y * laser[9 + k])
             directions[i, k] = laser[3 + k]
@@ -143,21 +148,11 @@ def beam(laser, sampler, first, origins, directions):
 
 @njit(cache=True, nogil=True)
 def sight(camera, sampler, first, origins, directions, powers, densities):
-    """Fill rays from the lens into the scene, uniform over lens and detector (or field stop).
-
-    ``powers`` are the detected powers per unit radiance, m^2 sr; ``densities`` are the sampling
-    densities per solid angle, 1/sr.
-    """
+    """Fill rays from the lens into the scene, uniform over lens and detector (or field stop)."""
     lens_area, zoom, baffle = math.pi * camera[12] ** 2, camera[13] / camera[14], camera[20]
     for i in range(origins.shape[0]):
-        ray = first + i
-        group, index = ray % GROUPS, ray // GROUPS
-        x = draw(sampler, group, index, ray, DRAW_PIXEL)
-        y = draw(sampler, group, index, ray, DRAW_PIXEL + 1)
-        u, v = disc(
-            draw(sampler, group, index, ray, DRAW_LENS),
-            draw(sampler, group, index, ray, DRAW_LENS + 1),
-        )
+        x, y = pair(sampler, first + i, DRAW_PIXEL)
+        u, v = disc(*pair(sampler, first + i, DRAW_LENS))
         u, v = u * camera[12], v * camera[12]
         # toward the image of the detector point in the plane in focus
         c = camera[13]
@@ -180,10 +175,7 @@ def sight(camera, sampler, first, origins, directions, powers, densities):
 
 @njit(cache=True)
 def on_detector(camera, point, direction):
-    """Return the density of `sight` for a direction from a point of the lens, 1/sr.
-
-    It is 0 if the light misses the detector or is blocked by the field stop.
-    """
+    """Return the density of `sight` for a direction from a point of the lens, 1/sr."""
     cosine = dot(direction, three(camera, 9))
     if cosine <= 0.0 or cosine < camera[17]:
         return 0.0
@@ -225,10 +217,7 @@ def texel(plate, picture, point):
 
 @njit(cache=True)
 def _lens(camera, o, d, low, high):
-    """Return the distance, m, from low to high at which a ray hits the lens, else inf.
-
-    Hits from both sides count.
-    """
+    """Return the distance, m, from low to high at which a ray hits the lens, else inf."""
     axis = three(camera, 9)
     along = dot(d, axis)
     if along == 0.0:
@@ -245,44 +234,26 @@ def _lens(camera, o, d, low, high):
 def wall_hits(
     terms, tables, grid_bounds, box, slab, rim, origins, directions, live, distance, kind, normal
 ):
-    """Fill distance, kind and normal of those ``live`` rays that hit a compiled wall.
-
-    Rays without a hit keep their values. The first six arguments are those of
-    `_wall_kernels.wall_hit`; ``terms`` is None for a flat wall.
-    """
-    if grid_bounds is not None:
-        w, state = np.zeros(ROWS * BLOCK), np.full(BLOCK, -1)
-    count = distance.size
-    for start in range(0, count, BLOCK):
-        n = min(BLOCK, count - start)
-        if grid_bounds is not None:
-            for i in range(n):
-                j = start + i
-                w[OX + i], w[OY + i], w[OZ + i] = three(origins[j], 0)
-                w[DX + i], w[DY + i], w[DZ + i] = three(directions[j], 0)
-            block_hits(terms, tables, grid_bounds, box, slab, w, state)
-        for i in range(n):
-            j = start + i
-            if not live[j]:
-                continue
-            o, d = three(origins[j], 0), three(directions[j], 0)
-            hx = hy = 0.0
-            if terms is None:
-                t = -o[2] / d[2] if d[2] < 0.0 else math.nan
-                on = abs(o[0] + t * d[0]) <= box[0] and abs(o[1] + t * d[1]) <= box[1]
-                condition = HIT if on and t >= 0.0 else -1
-            elif grid_bounds is not None and state[i] >= 0:
-                t, condition, hx, hy = w[DISTANCE + i], state[i], w[HX + i], w[HY + i]
-            else:
-                t, condition, hx, hy = wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
-            if condition == HIT:
-                norm = 1.0 / math.sqrt(1.0 + hx * hx + hy * hy)
-                distance[j], kind[j] = t, WALL
-                normal[j, 0], normal[j, 1], normal[j, 2] = -hx * norm, -hy * norm, norm
-                if dot(d, three(normal[j], 0)) >= 0.0:
-                    kind[j] = LOST
-            elif condition == UNRESOLVED:
-                distance[j], kind[j] = 0.0, LOST
+    """Fill distance, kind and normal of those ``live`` rays that hit a compiled wall."""
+    for i in range(distance.size):
+        if not live[i]:
+            continue
+        o, d = three(origins[i], 0), three(directions[i], 0)
+        hx = hy = 0.0
+        if terms is None:
+            t = -o[2] / d[2] if d[2] < 0.0 else math.nan
+            on = abs(o[0] + t * d[0]) <= box[0] and abs(o[1] + t * d[1]) <= box[1]
+            condition = HIT if on and t >= 0.0 else -1
+        else:
+            t, condition, hx, hy = wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
+        if condition == HIT:
+            norm = 1.0 / math.sqrt(1.0 + hx * hx + hy * hy)
+            distance[i], kind[i] = t, WALL
+            normal[i, 0], normal[i, 1], normal[i, 2] = -hx * norm, -hy * norm, norm
+            if dot(d, three(normal[i], 0)) >= 0.0:
+                kind[i] = LOST
+        elif condition == UNRESOLVED:
+            distance[i], kind[i] = 0.0, LOST
 
 
 @njit(cache=True, nogil=True)
@@ -322,12 +293,7 @@ def plate_and_lens(
 
 @njit(cache=True, nogil=True)
 def mesh_hits(world, rows, found, away, normals, directions, distance, kind, normal, scale, lit):
-    """Replace the hits of the rays ``rows`` by nearer ones on triangles.
-
-    ``found`` and ``away`` are the triangles (-1 for none) and their distances, m. The first ones
-    belong to the hidden object if it is a mesh, the others to occluders or wall, whose two sides
-    are alike.
-    """
+    """Replace the hits of the rays ``rows`` by nearer ones on triangles."""
     thing_faces = world.patches.size
     for j in range(rows.size):
         i, k = rows[j], found[j]
@@ -351,11 +317,7 @@ def mesh_hits(world, rows, found, away, normals, directions, distance, kind, nor
 
 @njit(cache=True, inline="always")
 def _triangle(world, splits, u, v):
-    """Return the triangle that the mesh's chart has at a point of the unit square, and its place.
-
-    ``splits`` are those of the chart or ``lit_splits``. The place is the point's two coordinates
-    within the part of the square that is the triangle.
-    """
+    """Return the triangle at a point of the chart's unit square, and the place within it."""
     areas, node = world.areas, 1
     along = True
     while node < splits.size:
@@ -381,10 +343,7 @@ def _triangle(world, splits, u, v):
 
 @njit(cache=True, inline="always")
 def object_point(world, splits, u, v):
-    """Draw a point of the object's front by area times brightness; return it and its normal.
-
-    On a mesh, ``splits`` are those of the chart, or ``lit_splits`` to draw by `World.lit` instead.
-    """
+    """Draw a point of the object's front by area times brightness; return it and its normal."""
     if world.plate.size > 0:
         plate = world.plate
         ny, nx = world.picture.shape
@@ -416,10 +375,7 @@ def object_point(world, splits, u, v):
 
 @njit(cache=True, nogil=True)
 def clear(plate, camera, starts, ends, value):
-    """Set to zero the values of connections that the planar object or the lens blocks.
-
-    ``starts`` and ``ends`` (n, 3) are the connections' ends, m, and ``value`` (n,) their powers.
-    """
+    """Set to zero the values of connections that the planar object or the lens blocks."""
     has_plate = plate.size > 0
     for i in range(value.size):
         if value[i] <= 0.0:

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...kernels.codes import GROUPS, UNIT
-from ...scene import Laser, Scene
+from ...scene import Scene
 from ..fans.paths import DETECTED
 from . import _chain_kernels as chaining
 from . import _connection_kernels as connecting
 from . import _light_kernels as kernels
 from . import _surround_kernels as surround
 from .kept_paths import Kept, kept_paths
-from .surroundings import Surroundings, laser_row
+from .surroundings import Surroundings
 
 Array = NDArray[np.float64]
 LEDGER: Final = 0.25  # share of the rays continued when only the ledger still needs them
@@ -29,27 +29,11 @@ Traced = tuple[Array, Counter[str], list[Kept]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Job:
-    """Scene and options common to all blocks of rays.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene to trace.
-    around : Surroundings
-        Intersection tests of the scene.
-    sampler : tuple
-        Seed, Sobol columns and shifts; see `kernels.random.draw`.
-    max_bounces : int
-        Largest number of reflections.
-    analog : bool
-        Whether rays propagate as physical light, without connections and roulette.
-    keep_paths : bool
-        Whether to keep single paths.
-    """
+    """Scene and options common to all blocks of rays."""
 
     scene: Scene
     around: Surroundings
-    sampler: tuple[Any, ...]
+    sampler: tuple[Any, ...]  # seed, Sobol columns and shifts; see `kernels.random.draw`
     max_bounces: int
     analog: bool
     keep_paths: bool
@@ -57,12 +41,7 @@ class Job:
     @property
     def columns(self) -> int:
         """Number of sums: one per number of reflections, and those of the power balance."""
-        return columns_of(self.max_bounces)
-
-
-def columns_of(max_bounces: int) -> int:
-    """Return the number of `Job.columns` for a largest number of reflections."""
-    return max_bounces + 1 + kernels.SUMS
+        return self.max_bounces + 1 + kernels.SUMS
 
 
 def traced(job: Job, first: int, end: int) -> Traced:
@@ -70,25 +49,11 @@ def traced(job: Job, first: int, end: int) -> Traced:
     return follow(Rays(job, first, end - first))
 
 
-def traced_lasers(job: Job, first: int, end: int, *, lasers: tuple[Laser, ...]) -> list[Traced]:
-    """Trace rays of several lasers, which share their paths from the lens; see `traced`."""
-    eyes = Rays(job, first, end - first)
-    eyes.look()
-    found = []
-    for laser in lasers:
-        block = Rays(job, first, end - first, laser_row(laser))
-        block.share(eyes)
-        found.append(follow(block))
-    # the intersection tests of the eye paths are counted once
-    found[0][1].update({name: count for name, count in eyes.counts.items() if name != "rays"})
-    return found
-
-
 def follow(block: Rays) -> Traced:
     """Trace a block of rays from the laser, and return its sums and paths."""
     job, first = block.job, block.first
     light = block.from_laser()
-    if not (job.analog or block.partners):
+    if not job.analog:
         block.look()
     before = np.zeros_like(light)
     before[:, kernels.DENSITY] = -1.0
@@ -122,23 +87,10 @@ def _partners(n: int, count: int) -> list[tuple[NDArray[np.int64], Array]]:
 
 
 class Rays:
-    """Block of rays: light paths from the laser, eye paths from the lens, and their connections.
+    """Block of n rays: light paths from the laser, eye paths from the lens, and connections."""
 
-    Parameters
-    ----------
-    job : Job
-        Scene and options.
-    first : int
-        Number of the first ray.
-    n : int
-        Number of rays.
-    laser : ndarray, (14,), optional
-        The laser, as `World.laser`; by default that of the scene.
-    """
-
-    def __init__(self, job: Job, first: int, n: int, laser: Array | None = None) -> None:
+    def __init__(self, job: Job, first: int, n: int) -> None:
         self.job, self.first, self.n, self.around = job, first, n, job.around
-        self.laser = job.around.world.laser if laser is None else laser
         self.sums = np.zeros((-(-n // UNIT) * GROUPS, job.columns))
         self.counts = Counter[str](rays=n)
         self.origins, self.directions, self.starts, self.ends = np.empty((4, n, 3))
@@ -154,12 +106,14 @@ class Rays:
     def from_laser(self) -> Array:
         """Return the first vertices of the light paths, where the laser's rays hit a surface."""
         job, rays = self.job, (self.origins, self.directions)
-        surround.beam(self.laser, job.sampler, self.first, *rays)
+        laser = job.around.world.laser
+        surround.beam(laser, job.sampler, self.first, *rays)
         self.sources = self.origins.copy()
         hits = self._hits(None)
         new = np.zeros((self.n, kernels.VERTEX))
-        power = self.laser[13]
-        kernels.start(power, self.first, job.max_bounces, *rays, hits, new, self.sums, self.fates)
+        kernels.start(
+            laser[13], self.first, job.max_bounces, *rays, hits, new, self.sums, self.fates
+        )
         self._settle(new)
         self._take_ended(new, 0)
         return new
@@ -187,11 +141,6 @@ class Rays:
             hits = self._hits(self.seen)
             kernels.look_on(world.norm, self.seen, self.leave, *rays, hits, self.further)
             self._settle(self.further)
-
-    def share(self, other: Rays) -> None:
-        """Use the eye paths of another block of the same rays."""
-        self.lens, self.seen, self.further = other.lens, other.seen, other.further
-        self.partners = other.partners
 
     def onward(self, light: Array, bounce: int) -> Array:
         """Return the next vertices of the light paths, after scattering at those in ``light``."""
@@ -248,11 +197,7 @@ class Rays:
                     self._chain(light, bounce, m, True)
 
     def _chain(self, light: Array, bounce: int, m: int, at_wall: bool) -> None:
-        """Add the power of chains of ``m`` mirror-like reflections from light vertices to the lens.
-
-        ``bounce`` is the number of reflections up to the light vertices, and ``at_wall`` says which
-        of the chains from occluders are traced; see `_chain_kernels.chain_to_lens`.
-        """
+        """Add the power of chains of ``m`` mirror-like reflections from vertices to the lens."""
         mirrors, chains = np.zeros((m, self.n, kernels.VERTEX)), self.around.chains
         chaining.chain_to_lens(
             self.around.world,
@@ -332,14 +277,7 @@ class Rays:
             on_wall = light[:, kernels.SURFACE] == surround.WALL
         self.around.clear(self.starts, self.ends, on_wall, self.value, self.counts)
         connecting.book(
-            light,
-            eye,
-            bounce,
-            self.job.max_bounces,
-            self.first,
-            self.value,
-            self.length,
-            self.sums,
+            light, eye, bounce, self.job.max_bounces, self.first, self.value, self.length, self.sums
         )
         if self.watched:
             self.take_detected(self.value, self.length, [*self.walked, *seen], lens, bounce)
@@ -370,18 +308,9 @@ class Rays:
     ) -> None:
         """Store the paths of detected light if wanted; called once for each set of such paths.
 
-        Parameters
-        ----------
-        power : ndarray, (n,)
-            Detected power of each ray's path, W times rays; 0 without a path.
-        length : ndarray, (n,)
-            Length from the laser to the lens, m.
-        vertices : list of ndarray, (n, VERTEX)
-            Reflecting vertices in the order of the light, with point, normal, SURFACE and MET.
-        ends : ndarray, (n, 3)
-            Points of the lens, world frame, m.
-        bounce : int
-            Number of reflections.
+        ``power`` (n,) is the detected power of each ray's path, W times rays, 0 without a path;
+        ``length`` (n,) its length from the laser to the lens, m; ``vertices`` are the reflecting
+        vertices in the order of the light, and ``ends`` (n, 3) the points of the lens, m.
         """
         if self.job.keep_paths:
             rows = np.flatnonzero(power > 0.0)

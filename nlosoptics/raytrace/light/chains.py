@@ -3,63 +3,28 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import dataclass
 
 import numpy as np
 
 from ...kernels.codes import BUMPS, FACETS
 from ...scene import ConvexWall, PlanarObject, Scene
 
-#: Largest number of triangles of a mirror-like object from which a chain draws one at random.
-TRIANGLES: Final = 128
-#: Points per side of the grid on which the slopes of a wall are looked up.
-GRID: Final = 129
-#: Largest number of hills and hollows of a wall, along x times along y, between which a chain
-#: searches for its reflection points.
-HILLS: Final = 100.0
-#: Half width, m, of the part of an unbounded wall whose slopes are looked up.
-UNBOUNDED: Final = 2.0
-#: Standard deviations of the facet slope within which a mirror-like lobe sends its light.
-DEVIATIONS: Final = 5.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class Chains:
-    """Treatment of light that mirror-like lobes reflect several times in a row.
+    """Treatment of light that mirror-like lobes reflect several times in a row."""
 
-    Parameters
-    ----------
-    surfaces : int
-        Surfaces whose reflection points are solved for: 1 for the wall, plus 2 for the object.
-    both : bool
-        Whether both surfaces take part, so that chains have more than one reflection.
-    several : bool
-        Whether a chain may have several solutions.
-    steepest : float
-        Largest slope of the wall.
-    unreached : tuple of (int, str)
-        Paths that no sampling method aims at: the least number of their reflections, and the
-        reason.
-    """
-
-    surfaces: int
-    both: bool
-    several: bool
-    steepest: float
+    surfaces: int  # whose reflection points are solved for: 1 for the wall, plus 2 for the object
+    both: bool  # whether both take part, so that chains have more than one reflection
+    several: bool  # whether a chain may have several solutions
+    steepest: float  # largest slope of the wall
+    #: Paths that no sampling method aims at: the least number of reflections, and the reason.
     unreached: tuple[tuple[int, str], ...]
 
 
 def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
-    """Return which chains of mirror-like reflections are traced and which are left to chance.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with its relief, if any.
-    wall_to_wall : bool
-        Whether light from the wall can meet the wall again.
-    """
+    """Return which chains of mirror-like reflections are traced and which are left to chance."""
     wall, thing = bool(scene.wall_material.mirror_lobes), bool(scene.hidden.material.mirror_lobes)
     missing: list[tuple[int, str]] = []
     steepest = hills = 0.0
@@ -79,7 +44,7 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
         )
         missing.append((3 if _meets_object(scene, 0.0, mirrored=False) else 4, text))
     # chains of one reflection matter if the laser's glint on the wall reaches the object
-    facets = DEVIATIONS * max((x.slope_rms for x in scene.wall_material.mirror_lobes), default=0.0)
+    facets = 5.0 * max((x.slope_rms for x in scene.wall_material.mirror_lobes), default=0.0)
     spread = 2.0 * (math.atan(steepest) + facets)
     room = bool(scene.room_materials)
     wall = wall and (thing or room or _meets_object(scene, spread, mirrored=True))
@@ -90,9 +55,9 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
         missing.append((3, text))
     if thing and not isinstance(scene.hidden, PlanarObject):
         count = len(scene.hidden.surface.faces)
-        if count > TRIANGLES:
+        if count > 128:  # of which a chain draws one at random
             text = "light that mirror-like lobes of the object reflect to the wall or the lens: it "
-            missing.append((2, f"{text}has {count} triangles, limit {TRIANGLES}"))
+            missing.append((2, f"{text}has {count} triangles, limit 128"))
             thing = False
         elif not scene.hidden.surface.is_convex:
             text = "light that the object's mirror-like lobes reflect twice in a row: its mesh is "
@@ -110,15 +75,6 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
     )
 
 
-def joint_chains(found: list[Chains]) -> Chains:
-    """Return the treatment that serves several scenes, which differ in their lasers alone."""
-    surfaces = 0
-    for chains in found:
-        surfaces |= chains.surfaces
-    unreached = dict.fromkeys(path for chains in found for path in chains.unreached)
-    return replace(found[0], surfaces=surfaces, both=surfaces == 3, unreached=tuple(unreached))
-
-
 def _obstacle(scene: Scene, hills: float) -> str:
     """Return why reflection points on the wall cannot be solved for, or an empty string."""
     if not scene.wall.is_compiled:
@@ -128,27 +84,24 @@ def _obstacle(scene: Scene, hills: float) -> str:
     terms = scene.wall.compiled()[0]
     if np.isin(terms[:, 0], (FACETS, BUMPS)).any():
         return "the wall has a rough relief"
-    if hills > HILLS:
-        return f"the wall has some {hills:.0f} hills and hollows, limit {HILLS:g}"
+    if hills > 100.0:
+        return f"the wall has some {hills:.0f} hills and hollows, limit 100"
     return ""
 
 
 def _slopes(scene: Scene) -> tuple[float, float]:
-    """Return the largest slope of the wall, and its number of hills and hollows, on a grid.
-
-    Hills and hollows are counted by the changes of the slope's sign along the rows and columns of
-    the grid, on average, and multiplied.
-    """
-    size = scene.wall.size or (2.0 * UNBOUNDED, 2.0 * UNBOUNDED)
-    x, y = (np.linspace(-0.5 * s, 0.5 * s, GRID) for s in size)
+    """Return the largest slope of the wall, and its number of hills and hollows, on a grid."""
+    n = 129  # points of the grid along a side
+    size = scene.wall.size or (4.0, 4.0)
+    x, y = (np.linspace(-0.5 * s, 0.5 * s, n) for s in size)
     # The values of a compiled wall are NaN beyond the rim of a sphere, and infinite on it.
     values = scene.wall.surface_values if scene.wall.is_compiled else scene.wall.derivatives
     slopes = values(*(a.ravel() for a in np.meshgrid(x, y)))[:, 1:3]
     slopes = np.where(np.isfinite(slopes), slopes, 0.0)
     norms = np.hypot(slopes[:, 0], slopes[:, 1])
-    signs = np.sign(slopes.reshape(GRID, GRID, 2))
+    signs = np.sign(slopes.reshape(n, n, 2))
     turns = [float((np.abs(np.diff(signs[..., k], axis=1 - k)) == 2.0).mean()) for k in (0, 1)]
-    hills = (1.0 + turns[0] * (GRID - 1)) * (1.0 + turns[1] * (GRID - 1))
+    hills = (1.0 + turns[0] * (n - 1)) * (1.0 + turns[1] * (n - 1))
     return float(np.max(norms, initial=0.0, where=np.isfinite(norms))), hills
 
 
@@ -163,10 +116,7 @@ def _lens_elevation(scene: Scene) -> float:
 
 
 def _meets_object(scene: Scene, spread: float, *, mirrored: bool) -> bool:
-    """Return whether the laser beam may meet the object, directly or mirrored by the wall.
-
-    ``spread`` is the largest angle, rad, between the light and the beam (mirrored at z = 0).
-    """
+    """Return whether the laser beam may meet the object, directly or mirrored by the wall."""
     laser, hidden = scene.laser, scene.hidden
     start, aim = np.array(laser.position), np.array(laser.aim)
     beam = (aim - start) / np.linalg.norm(aim - start)
@@ -183,15 +133,3 @@ def _meets_object(scene: Scene, spread: float, *, mirrored: bool) -> bool:
         return True
     angle = math.acos(float(np.clip(beam @ away / distance, -1.0, 1.0)))
     return angle <= math.asin(radius / distance) + spread
-
-
-def left_to_chance(chains: Chains) -> Chains:
-    """Return the chains of a tracer that does not solve for their reflection points."""
-    if not chains.surfaces:
-        return chains
-    why = (
-        "light that narrow lobes of wall and object reflect one after the other, or that one of "
-        "them sends to the lens from where another or the laser brought it, since this method does "
-        "not solve for reflection points"
-    )
-    return replace(chains, surfaces=0, both=False, unreached=(*chains.unreached, (2, why)))

@@ -94,12 +94,8 @@ def wall_irradiance(
     max_bounces : int
         Largest number of reflections before light arrives at the wall: 1 to 62, or 0 to 62 with
         ``source="object"``, where 0 gives the direct light of the object alone.
-    sampler : {"sobol", "philox"}
-        ``"sobol"``: scrambled Sobol points, which usually give less noise. ``"philox"``:
-        independent random numbers.
-    seed : int
-        Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bitwise identical results
-        for any number of threads.
+    sampler, seed
+        Random numbers, as for `trace`.
 
     Returns
     -------
@@ -176,10 +172,7 @@ def wall_irradiance(
 
 
 def _upright(scene: Scene, x: Array, y: Array) -> Array:
-    """Return the cosine of the wall's tilt at the map's cell centres, (ny, nx).
-
-    ``x`` (nx,) and ``y`` (ny,) are in m. It is 1 where the wall has no height.
-    """
+    """Return the cosine of the wall's tilt at the map's cell centres, (ny, nx)."""
     if scene.wall.is_flat:
         return np.ones((len(y), len(x)))
     xs, ys = np.meshgrid(x, y)
@@ -195,11 +188,7 @@ def _arrivals(
     max_bounces: int,
     grid: tuple[Array, Array, tuple[int, int]],
 ) -> tuple[NDArray[np.int64], Array]:
-    """Return map cells and powers, W, of all light that a block of rays brings to the wall.
-
-    The rays ``first`` to ``end - 1`` are traced. A cell is (group, row, column) as one number.
-    ``grid`` is the map's lowest corner (2,), its cell sides (2,), m, and its shape.
-    """
+    """Return map cells and powers, W, of all light that a block of rays brings to the wall."""
     from . import _light_kernels as kernels
     from . import _point_kernels as arriving
     from . import _surround_kernels as surround

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,47 +15,19 @@ from . import _light_kernels as kernels
 from . import _surround_kernels as surround
 
 Array = NDArray[np.float64]
-#: Angle to the direction of a mirror, rad, within which a smooth mirror must have reflected light.
-#: Rounding of points leaves less, and any other lobe reaches it once in 10^12 reflections.
-EXACT: Final = 1e-6
 #: Points (m), surfaces and lobes, then lengths (m), powers (W), reflections and status of paths.
 Kept = tuple[
-    Array,
-    NDArray[np.int8],
-    NDArray[np.int8],
-    Array,
-    Array,
-    NDArray[np.int32],
-    NDArray[np.int8],
+    Array, NDArray[np.int8], NDArray[np.int8], Array, Array, NDArray[np.int32], NDArray[np.int8]
 ]
 
 
 def kept_paths(
-    world: surround.World,
-    most: int,
-    sources: Array,
-    vertices: list[Array],
-    ends: Array,
+    world: surround.World, most: int, sources: Array, vertices: list[Array], ends: Array
 ) -> tuple[Array, NDArray[np.int8], NDArray[np.int8]]:
-    """Return points, surfaces and lobes of paths with the same number of reflections.
+    """Return points, surfaces and lobes (n, most + 2) of paths with the same number of reflections.
 
-    Parameters
-    ----------
-    world : World
-        Scene data with the lobes.
-    most : int
-        Largest number of reflections of any path; shorter paths repeat their last point.
-    sources, ends : ndarray, (n, 3)
-        First and last points, world frame, m.
-    vertices : list of ndarray, (n, VERTEX)
-        Reflecting vertices in the order of the light; point, normal and surface are read.
-
-    Returns
-    -------
-    points : ndarray, (n, most + 2, 3)
-        Points, world frame, m.
-    surfaces, lobes : ndarray of int8, (n, most + 2)
-        As ``RayPaths.surface`` and ``RayPaths.lobe``.
+    Shorter paths repeat their last point. ``sources`` and ``ends`` (n, 3) are first and last
+    points, m, and ``vertices`` the reflecting vertices in the order of the light.
     """
     corners = [sources, *(vertex[:, kernels.P] for vertex in vertices), ends]
     points = np.stack([*corners, *[ends] * (most + 2 - len(corners))], axis=1)
@@ -75,14 +47,12 @@ def kept_paths(
 
 
 def _strongest(table: Array, come: Array, go: Array, normals: Array) -> NDArray[np.int8]:
-    """Return the row of a table of lobes that reflects most of the light of each path, (n,).
-
-    ``come`` and ``go`` (n, 3) are unit vectors to the previous and the next point.
-    """
+    """Return the row of a table of lobes that reflects most of the light of each path, (n,)."""
     evaluate: Any = brdf.evaluate  # untyped
     cosines = dot(come, normals), dot(go, normals), dot(come, go)
     off = go + come - 2.0 * cosines[0][:, None] * normals
-    mirrored = dot(off, off) < EXACT**2
+    # rounding leaves less, and any other lobe comes as close once in 10^12 reflections
+    mirrored = dot(off, off) < 1e-12
     values = np.empty((len(table), len(come)))
     for j in range(len(table)):
         smooth = table[j, 0] >= BECKMANN and table[j, 2] == 0.0

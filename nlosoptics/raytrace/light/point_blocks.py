@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...kernels.codes import BECKMANN, GROUPS
+from . import _connection_kernels as connecting
 from . import _light_kernels as light_kernels
 from . import _point_kernels as kernels
 from . import _surround_kernels as surround
@@ -18,49 +18,24 @@ from .blocks import Job, Rays
 from .trace import BLOCK
 
 Array = NDArray[np.float64]
-#: Share of the rays aimed at the part of the wall from which mirror-like lobes reflect them to the
-#: lens; a binary fraction splits Sobol points exactly.
-AIM: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """Data common to all blocks of rays of one object point.
-
-    Parameters
-    ----------
-    job : Job
-        Scene and options.
-    source : ndarray, (7,)
-        Position (m) and normal of the point, and 1 for isotropic or 0 for Lambertian emission.
-    whole : ndarray, (4,)
-        Rectangle of the whole wall (low x, low y, width, height), m, to be sampled uniformly; all
-        zero to sample directions as the point emits.
-    image_box, gloss_box : ndarray, (4,)
-        Rectangles of the wall, m, in which the lens sees the point mirrored by smooth mirrors, and
-        by glossy mirror-like lobes up to three slope rms; all zero without such lobes.
-    matt : ndarray, (n, 7)
-        Lobes of the wall that are not mirror-like.
-    mirror_image : bool
-        Whether to include the mirror image of the point.
-    window : (float, float, float, int)
-        Low x and y of the pixels in the detector plane, m, their pitch, m, and number of columns.
-    rows : int
-        Number of pixel rows.
-    each : int
-        Rays per pixel, an even number.
-    """
+    """Data common to all blocks of rays of one object point."""
 
     job: Job
-    source: Array
+    source: Array  # (7,): position (m) and normal, 1 for isotropic or 0 for Lambertian emission
+    #: Rectangles of the wall (low x, low y, width, height), m, or 0: the whole wall, to be sampled
+    #: uniformly, and where the lens sees the point by smooth mirrors and by glossy lobes.
     whole: Array
     image_box: Array
     gloss_box: Array
-    matt: Array
-    mirror_image: bool
-    window: tuple[float, float, float, int]
-    rows: int
-    each: int
+    matt: Array  # lobes of the wall that are not mirror-like
+    mirror_image: bool  # whether to include the mirror image of the point
+    window: tuple[float, float, float, int]  # low x and y of the pixels, pitch (m), columns
+    rows: int  # of pixels
+    each: int  # rays per pixel, an even number
 
     @property
     def columns(self) -> int:
@@ -85,16 +60,9 @@ def flux_of(
 ) -> tuple[Array, NDArray[np.int64], Array, Counter[str]]:
     """Trace the rays from ``first`` up to ``end`` for the flux through the lens.
 
-    Returns
-    -------
-    sums : ndarray, (units, groups, columns)
-        Powers by number of reflections, and the power outside the pixels, W times rays.
-    cells : ndarray of int64, (n,)
-        Group and pixel, as one number, of each contribution to the mirror image.
-    powers : ndarray, (n,)
-        Powers of these contributions, W times rays.
-    counts : Counter
-        Numbers of intersection tests.
+    Return the sums (units, groups, columns) of powers, W times rays; the cells (group and pixel as
+    one number) and powers of the contributions to the mirror image; and numbers of intersection
+    tests.
     """
     block = _Block(task, first, end - first)
     most, plan = task.job.max_bounces, task.job.around.plan
@@ -106,7 +74,7 @@ def flux_of(
     for depth, eye in enumerate(eyes, start=1):
         if depth + 1 <= most:
             block.from_source(eye, world.wall)
-            block.book_seen(depth + 1)
+            block.book(depth + 1, block.seen_at)
     by_mirrors = np.ones(block.n, dtype=bool)
     for bounce in range(1, most + 1):
         image = task.mirror_image or bounce > 1
@@ -119,7 +87,7 @@ def flux_of(
         for depth, eye in enumerate(eyes, start=1):
             if bounce + depth + 1 <= most:
                 block.connect(light, eye)
-                block.book_seen(bounce + depth + 1)
+                block.book(bounce + depth + 1, block.seen_at)
         if not (plan.glossy or plan.wall_to_wall):
             break
         onward = block.rays.onward(light, bounce)
@@ -170,11 +138,7 @@ def pixels_of(task: Task, first: int, end: int) -> tuple[Array, Array, Counter[s
 
 
 def _seen_by_pixels(task: Task, first: int, n: int) -> tuple[Array, Counter[str]]:
-    """Return an estimate of the pixel's power from each ray, (n,), W, and the test counts.
-
-    The rays have the numbers ``first`` to ``first + n - 1``. The counts are numbers of intersection
-    tests by kind of surface.
-    """
+    """Return an estimate of the pixel's power from each ray, (n,), W, and the test counts."""
     block, world = _Block(task, first, n), task.job.around.world
     most = task.job.max_bounces
     eyes = [block.look_at_pixels()]
@@ -213,7 +177,7 @@ class _Block:
         """Add the image that smooth mirrors form by one reflection."""
         rays, powers, world = self.rays, np.empty(self.n), self.task.job.around.world
         # a curved wall may form further images outside the box, so that only a share is aimed
-        light = self._shine(self.task.image_box, AIM if self.task.image_box.all() else 0.0)
+        light = self._shine(self.task.image_box, 0.5 if self.task.image_box.all() else 0.0)
         kernels.mirrored(world, light, rays.origins, rays.directions, powers, rays.live)
         hits = rays._hits(light)
         found = (self.value, *self.at, self.imaged)
@@ -223,13 +187,10 @@ class _Block:
 
     def start(self) -> Array:
         """Return the first vertices, (n, VERTEX), of the object point's light."""
-        return self._shine(self.task.gloss_box, AIM if self.task.gloss_box.all() else 0.0)
+        return self._shine(self.task.gloss_box, 0.5 if self.task.gloss_box.all() else 0.0)
 
     def _shine(self, box: Array, share: float) -> Array:
-        """Return first vertices on the wall; a fraction ``share`` of the rays is aimed at ``box``.
-
-        ``box`` is (low x, low y, width, height), m.
-        """
+        """Return first vertices on the wall; a ``share`` of the rays is aimed at ``box``."""
         task, rays, n = self.task, self.rays, self.n
         aims, aimed = np.zeros((n, 3)), np.zeros(n, dtype=bool)
         where = (task.whole, box, share)
@@ -281,11 +242,7 @@ class _Block:
             yield eye
 
     def _seen(self, powers: Array, left: Array | None = None) -> Array:
-        """Return the vertices that eye rays hit.
-
-        The rays start at the vertices ``left``, or at the lens if it is None. ``powers`` (n,) are
-        their detected powers per unit radiance, m^2 sr.
-        """
+        """Return the vertices that eye rays hit."""
         rays, new = self.rays, np.zeros((self.n, light_kernels.VERTEX))
         np.greater(powers, 0.0, out=rays.live)
         hits = rays._hits(left)
@@ -301,7 +258,9 @@ class _Block:
 
     def connect(self, light: Array, eye: Array) -> Array:
         """Return the power that light vertices send to the detector via the vertices ``eye``, W."""
-        kernels.connect(self.task.job.around.world, light, eye, *self.ends)
+        world, length = self.task.job.around.world, self.rays.length
+        value, *ends = self.ends
+        connecting.connect(world, light, eye, eye, False, False, value, length, *ends)
         self.clear(light)
         return self.value
 
@@ -316,37 +275,14 @@ class _Block:
         rays = self.rays
         self.task.job.around.clear(rays.starts, rays.ends, on_wall, self.value, rays.counts)
 
-    def book(self, bounce: int) -> None:
-        """Add the powers in ``value`` to the sums of light after ``bounce`` reflections.
+    def book(self, bounce: int, at: tuple[Array, Array] | None = None) -> None:
+        """Add the attribute ``value`` to the sums of light after ``bounce`` reflections.
 
-        This light arrives at the detector points in the attribute ``at``.
+        ``at`` is the pair (x, y) of detector positions, m, by default the attribute.
         """
-        self._book(bounce, self.at)
-
-    def book_seen(self, bounce: int) -> None:
-        """Add the powers in ``value`` to the sums of light after ``bounce`` reflections.
-
-        This light arrives at the detector points in the attribute ``seen_at``.
-        """
-        self._book(bounce, self.seen_at)
-
-    def _book(self, bounce: int, at: tuple[Array, Array]) -> None:
-        """Add the powers in the attribute ``value`` to a sum, and find their pixels.
-
-        ``bounce`` is the number of reflections and ``at`` the pair (x, y) of detector positions, m.
-        """
-        task = self.task
-        kernels.book(
-            self.value,
-            *at,
-            task.window,
-            task.rows,
-            bounce,
-            task.job.max_bounces,
-            self.first,
-            self.sums,
-            self.cells,
-        )
+        task, (x, y) = self.task, self.at if at is None else at
+        where = (task.window, task.rows, bounce, task.job.max_bounces, self.first)
+        kernels.book(self.value, x, y, *where, self.sums, self.cells)
 
     def keep(self) -> None:
         """Store group, pixel and power of the light that mirror-like lobes image."""

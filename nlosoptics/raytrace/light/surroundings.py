@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -12,25 +12,19 @@ from numpy.typing import NDArray
 
 from ..._checks import Vector
 from ...kernels.codes import BECKMANN
-from ...scene import (
-    CallableWall,
-    ConcaveWall,
-    ConvexWall,
-    Laser,
-    PlanarObject,
-    Scene,
-)
-from ..intersection.intersections import HIT, UNRESOLVED, compiled_wall, intersect
-from ..intersection.kept_meshes import (
+from ...scene import CallableWall, ConcaveWall, ConvexWall, Laser, PlanarObject, Scene
+from ..intersection.intersections import Hits as WallHits
+from ..intersection.intersections import compiled_wall, intersect
+from ..intersection.meshes import blocked, first_triangles, intersect_mesh
+from ..intersection.prepared_meshes import (
     Chart,
-    KeptMesh,
+    PreparedMesh,
     ball_around,
     chart_splits,
     cumulative,
-    kept_mesh,
+    prepared_mesh,
 )
-from ..intersection.meshes import blocked, first_triangles, intersect_mesh
-from .chains import Chains, joint_chains, left_to_chance, mirror_chains
+from .chains import mirror_chains
 
 if TYPE_CHECKING:
     from ._surround_kernels import World
@@ -43,9 +37,6 @@ Hits = tuple[Array, NDArray[np.int16], Array, Array, Array]
 # themselves, or occluders that reflect light, which need more of the other rays. Binary fractions
 # split Sobol points exactly.
 AIMED: Final = ((0.75, 0.75), (0.5, 0.25))
-#: Share of the rays aimed from the laser spot at a mesh that are spread evenly over its area, so
-#: that shadows, glossy lobes and inclined parts of a patch cost little where the others miss them.
-ANYWHERE: Final = 0.125
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,46 +83,28 @@ class RayPlan:
     unreached: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        rows = [
-            ("wall hits", True, self.wall_hits),
-            (
-                "triangles",
-                self.embree,
-                "object and occluders hold none"
-                if not self.embree
-                else "Embree finds the triangle, float64 computes the hit",
-            ),
+        hits, lobe = "object and occluders hold none", "whose reflection points can be solved for"
+        rows = (
+            ("wall hits", True, self.wall_hits, ""),
+            ("triangles", self.embree, "float64 computes the hits", hits),
             (
                 "wall to wall",
                 self.wall_to_wall,
-                "light from the wall may meet it again"
-                if self.wall_to_wall
-                else "no part of the wall sees another",
+                "light from the wall may meet it again",
+                "no part of the wall sees another",
             ),
             (
                 "wall shadows",
                 self.wall_shadows,
-                "crests or the rim may block light"
-                if self.wall_shadows
-                else "the wall, or the room in front of it, is convex",
+                "crests or the rim may block light",
+                "the wall, or the room in front of it, is convex",
             ),
-            (
-                "three strategies",
-                self.glossy,
-                "a lobe is glossy"
-                if self.glossy
-                else "all lobes are wide: connections to points seen from the lens suffice",
-            ),
-            (
-                "mirror chains",
-                self.chains,
-                "reflection points are solved for"
-                if self.chains
-                else "no mirror-like lobe whose reflection points can be solved for",
-            ),
-        ]
+            ("three strategies", self.glossy, "a lobe is glossy", "all lobes are wide"),
+            ("mirror chains", self.chains, "points are solved for", f"no mirror-like lobe {lobe}"),
+        )
         lines = [
-            f"{name:16s}  {'runs' if runs else 'skipped':7s}  {why}" for name, runs, why in rows
+            f"{name:16s}  {'runs' if runs else 'skipped':7s}  {why if runs else why_not}"
+            for name, runs, why, why_not in rows
         ]
         return "\n".join(lines + [f"{'unreached':16s}  {'':7s}  {why}" for why in self.unreached])
 
@@ -194,10 +167,7 @@ def ray_plan(scene: Scene) -> RayPlan:
 
 
 def _within_hollow(wall: ConcaveWall, scene: Scene) -> bool:
-    """Return whether all that sends light lies inside the convex room of a concave wall.
-
-    The room is the interior of the sphere or cylinder, extended toward +z from its widest level.
-    """
+    """Return whether all that sends light lies inside the convex room of a concave wall."""
     hidden, camera = scene.hidden, scene.camera
     thing = hidden.corners if isinstance(hidden, PlanarObject) else hidden.surface.vertices
     things = [np.asarray(thing, dtype=np.float64)]
@@ -214,37 +184,14 @@ def _within_hollow(wall: ConcaveWall, scene: Scene) -> bool:
 
 
 class Surroundings:
-    """Intersection and occlusion tests of blocks of rays with all surfaces of a scene.
+    """Intersection and occlusion tests of blocks of rays with all surfaces of a scene."""
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene to trace.
-    analog : bool
-        Whether no rays are aimed at the object, so that directions follow the lobes alone.
-    lasers : tuple of Laser
-        Lasers to trace instead of the scene's own; `World.laser` is the first of them.
-    chained : bool
-        Whether chains of mirror-like reflections are solved for.
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        analog: bool = False,
-        lasers: tuple[Laser, ...] = (),
-        chained: bool = True,
-    ) -> None:
+    def __init__(self, scene: Scene, *, analog: bool = False, chained: bool = True) -> None:
         self.plan = ray_plan(scene)
-        scenes = [replace(scene, laser=laser) for laser in lasers] or [scene]
-        between = self.plan.wall_to_wall
-        self.chains = joint_chains([mirror_chains(s, wall_to_wall=between) for s in scenes])
-        if not chained:
-            self.chains = left_to_chance(self.chains)
-        hidden = scene.hidden
-        thing = hidden if isinstance(hidden, PlanarObject) else kept_mesh(hidden.surface)
-        self.world = _world(scenes, self.plan, self.chains, analog, thing)
+        self.chains = mirror_chains(scene, wall_to_wall=self.plan.wall_to_wall)
+        self.world = _world(
+            scene, self.plan, self.chains.surfaces * (chained and not analog), analog
+        )
         self._wall = scene.wall
         self._walls: Any = None
         self.chain_wall: Any = (None, None, np.full(2, math.inf), 0.0)
@@ -266,29 +213,11 @@ class Surroundings:
     ) -> Hits:
         """Return distance, kind of surface, normal and brightness of the first hits of rays.
 
-        Parameters
-        ----------
-        origins, directions : ndarray, (n, 3)
-            Starts, world frame, m, and unit directions.
-        live : ndarray of bool, (n,)
-            Rays to trace; the others get no hit.
-        on_wall : ndarray of bool, (n,)
-            Rays that start on the wall.
-        counts : Counter
-            Number of rays tested against each kind of surface; updated.
-
-        Returns
-        -------
-        distance : ndarray, (n,)
-            Distance to the hit, m; infinite without one.
-        kind : ndarray of int16, (n,)
-            Kind of surface, from ``NOTHING`` to ``ROOM`` and beyond in `_surround_kernels`.
-        normal : ndarray, (n, 3)
-            Unit normal at the hit, world.
-        scale : ndarray, (n,)
-            Brightness of a planar object at the hit, else 1.
-        lit : ndarray, (n,)
-            Density, 1/m^2, with which rays aimed from the laser spot meet the object at the hit.
+        Rays that are not ``live`` get no hit, and ``on_wall`` marks rays that start on the wall.
+        The result has distances (n,), m, infinite without a hit; kinds (n,) as in
+        `_surround_kernels`; unit normals (n, 3); the brightness of a planar object (n,); and the
+        density, 1/m^2, with which rays aimed from the laser spot meet the object at the hit (n,).
+        ``counts`` is updated.
         """
         from . import _surround_kernels as kernels
 
@@ -338,16 +267,14 @@ class Surroundings:
 
         rows = np.flatnonzero(asking)
         hits = intersect(self._wall, origins[rows], directions[rows])
-        met, lost = rows[hits.status == HIT], rows[hits.status == UNRESOLVED]
+        met, lost = rows[hits.hit], rows[hits.status == WallHits.UNRESOLVED]
         distance[met], normal[met] = hits.distance[hits.hit], hits.normals[hits.hit]
         kind[met], kind[lost], distance[lost] = kernels.WALL, kernels.LOST, 0.0
 
     def settle(self, points: Array, on_wall: NDArray[np.bool_]) -> None:
-        """Move points (n, 3), where ``on_wall`` (n,) is set, exactly onto the wall.
+        """Move points (n, 3), where ``on_wall`` is set, exactly onto the wall.
 
-        The points lie on the wall to rounding. On a wall that sees itself, rays that start slightly
-        behind it would miss it. The rounding error is relative to the distance travelled, which
-        near the origin is far larger than the height.
+        On a wall that sees itself, rays that start slightly behind it would miss it.
         """
         from . import _surround_kernels as kernels
 
@@ -364,18 +291,9 @@ class Surroundings:
         value: Array,
         counts: Counter[str],
     ) -> None:
-        """Set the values of blocked connections to zero.
+        """Set the ``value`` (n,) of blocked lines from ``starts`` to ``ends`` (n, 3), m, to zero.
 
-        Parameters
-        ----------
-        starts, ends : ndarray, (n, 3)
-            Ends of the connecting lines, world frame, m.
-        on_wall : ndarray of bool, (n,)
-            Whether the start is on the wall.
-        value : ndarray, (n,)
-            Powers of the connections; changed in place, values of 0 are not tested.
-        counts : Counter
-            Number of rays tested against each kind of surface; updated.
+        ``on_wall`` marks lines that start on the wall. ``counts`` is updated.
         """
         from . import _surround_kernels as kernels
 
@@ -406,21 +324,21 @@ class Surroundings:
         if self._walls is None:
             hits = intersect(self._wall, starts, lines)
             near = hits.hit & (np.nan_to_num(hits.distance) < length * (1.0 - 1e-9))
-            return np.asarray(near | (hits.status == UNRESOLVED))
+            return np.asarray(near | (hits.status == WallHits.UNRESOLVED))
         distance, kind = np.full(len(length), math.inf), np.full(len(length), -1, dtype=np.int16)
         live = np.ones(len(length), dtype=bool)
         kernels.wall_hits(*self._walls, starts, lines, live, distance, kind, np.zeros_like(starts))
         return np.asarray(distance < length * (1.0 - 1e-9))
 
 
-def _triangles(scene: Scene) -> KeptMesh | None:
+def _triangles(scene: Scene) -> PreparedMesh | None:
     """Return all triangles as one mesh: of the hidden object, the occluders, and the wall."""
     meshes = [] if isinstance(scene.hidden, PlanarObject) else [scene.hidden.surface]
     if scene.occluding_mesh is not None:
         meshes.append(scene.occluding_mesh)
     if scene.wall.true_triangles is not None:
         meshes.append(scene.wall.true_triangles)
-    return kept_mesh(*meshes) if meshes else None
+    return prepared_mesh(*meshes) if meshes else None
 
 
 def _room(scene: Scene) -> tuple[Array, NDArray[np.int16]]:
@@ -446,7 +364,7 @@ def _room(scene: Scene) -> tuple[Array, NDArray[np.int16]]:
 def lit_patches(scene: Scene, chart: Chart) -> Array:
     """Return the densities, (p,), 1/m^2, with which the laser spot aims rays at patches of a mesh.
 
-    All but a share `ANYWHERE` of the rays are drawn in proportion to the light of a point at the
+    All but an eighth of the rays are drawn in proportion to the light of a point at the
     laser spot that a patch would send to the point of the wall on the optical axis, both matt and
     nothing in between.
     """
@@ -461,7 +379,8 @@ def lit_patches(scene: Scene, chart: Chart) -> Array:
     weights /= np.where(chart.areas > 0.0, chart.areas, 1.0)
     uniform = chart.areas / chart.area
     total = float(weights.sum())
-    share = (1.0 - ANYWHERE) * weights / total + ANYWHERE * uniform if total > 0.0 else uniform
+    # an eighth is spread evenly, so that shadows and glossy lobes cost little elsewhere
+    share = 0.875 * weights / total + 0.125 * uniform if total > 0.0 else uniform
     return np.asarray(share / np.where(chart.areas > 0.0, chart.areas, 1.0))
 
 
@@ -485,22 +404,12 @@ def laser_row(laser: Laser) -> Array:
     return np.concatenate([laser.position, *sides, [laser.beam_diameter / 2, laser.power]])
 
 
-def _world(
-    scenes: list[Scene],
-    plan: RayPlan,
-    chains: Chains,
-    analog: bool,
-    thing: PlanarObject | KeptMesh,
-) -> World:
-    """Return the data of scenes as arrays for the kernels.
-
-    The scenes differ in their lasers alone, of which the first is stored. Their hidden object is
-    ``thing``.
-    """
+def _world(scene: Scene, plan: RayPlan, chains: int, analog: bool) -> World:
+    """Return the data of a scene as arrays for the kernels; ``chains`` is `World.chains`."""
     from ._surround_kernels import World
 
-    scene = scenes[0]
-    camera = scene.camera
+    camera, hidden = scene.camera, scene.hidden
+    thing = hidden if isinstance(hidden, PlanarObject) else prepared_mesh(hidden.surface)
     ny, nx = camera.shape
     half = 0.5 * camera.image_pitch * np.array([nx, ny])
     stop, area, baffle = -1.0, 4.0 * float(half.prod()), 0.0
@@ -512,9 +421,10 @@ def _world(
             area, baffle = math.pi * (slope * scene.image_distance) ** 2, slope
     baffle *= scene.focus_distance
     optics = (camera.stop_diameter / 2, scene.focus_distance, scene.image_distance)
+    rest = (stop, camera.transmission, area, baffle)
     picture, rows, columns = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
-    plate = np.zeros(0)
-    chart, lit = None, np.zeros(0)
+    plate, lit, none = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64)
+    chart = Chart(np.zeros((0, 9)), lit, none, lit, none.astype(np.int32), lit, lit, lit)
     room, kinds = _room(scene)
     if isinstance(thing, PlanarObject):
         picture = np.array(thing.reflectance)
@@ -524,7 +434,7 @@ def _world(
         ball = ball_around(thing.corners)
     else:
         chart, total, ball = thing.chart, thing.chart.area, thing.ball
-        lit = np.mean([lit_patches(s, chart) for s in scenes], axis=0)
+        lit = lit_patches(scene, chart)
     return World(
         wall=scene.wall_material.lobe_table(),
         thing=scene.hidden.material.lobe_table(),
@@ -534,28 +444,20 @@ def _world(
         picture=picture,
         rows=rows,
         columns=columns,
-        triangles=np.zeros((0, 9)) if chart is None else chart.triangles,
-        areas=np.zeros(0) if chart is None else chart.shares,
-        firsts=np.zeros(0, dtype=np.int64) if chart is None else chart.firsts,
-        splits=np.zeros(0) if chart is None else chart.splits,
-        patches=np.zeros(0, dtype=np.int32) if chart is None else chart.patches,
-        lit_splits=np.zeros(0) if chart is None else chart_splits(lit * chart.areas),
+        triangles=chart.triangles,
+        areas=chart.shares,
+        firsts=chart.firsts,
+        splits=chart.splits,
+        patches=chart.patches,
+        lit_splits=chart_splits(lit * chart.areas),
         lit=lit,
         norm=1.0 / total if total > 0.0 else 0.0,
         aimed=np.array(
             AIMED[plan.wall_to_wall or len(room) > 0] if total > 0.0 and not analog else (0.0, 0.0)
         ),
         glossy=plan.glossy,
-        chains=0 if analog else chains.surfaces,
+        chains=chains,
         ball=ball,
-        camera=np.concatenate(
-            [
-                camera.position,
-                camera.frame.ravel(),
-                optics,
-                half,
-                [stop, camera.transmission, area, baffle],
-            ]
-        ),
+        camera=np.concatenate([camera.position, camera.frame.ravel(), optics, half, rest]),
         laser=laser_row(scene.laser),
     )

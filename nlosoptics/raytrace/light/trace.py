@@ -6,7 +6,6 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal, TypeVar
@@ -19,7 +18,7 @@ from ..._progress import Progress
 from ..._random import checked_seed, scrambled_sobol
 from ...errors import SceneError
 from ...kernels.codes import GROUPS
-from ...scene import Laser, Scene
+from ...scene import Scene
 from ..fans.paths import RayPaths
 from ..intersection.meshes import worker_pool
 from .surroundings import Surroundings
@@ -39,9 +38,6 @@ GIVE_UP: Final = 1 << 18  # rays without any detected light after which tracing 
 MOST_BOUNCES: Final = 64  # largest number of reflections
 #: Skewness of the groups above which errors are widened; 1.4 % of normal groups exceed it.
 SKEWED: Final = 1.0
-#: Added to the squared relative width of an error, per squared skewness above the limit. Chosen so
-#: that 95 % intervals of rare reflections hold; see benchmarks/trace_coverage.py.
-WIDER: Final = 0.75
 
 
 def trace(
@@ -241,21 +237,18 @@ def job_of(
     *,
     analog: bool = False,
     keep_paths: bool = False,
-    lasers: tuple[Laser, ...] = (),
     chained: bool = True,
 ) -> Job:
     """Check the options common to all tracers, and return the prepared scene with its relief.
 
-    ``lasers`` are those to trace instead of the scene's own, and ``chained`` tells whether chains
-    of mirror-like reflections are solved for.
+    ``chained`` tells whether chains of mirror-like reflections are solved for.
     """
     from .blocks import Job
 
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
     scene = scene.with_relief()
-    for laser in lasers or (scene.laser,):
-        replace(scene, laser=laser).check_in_front()
+    scene.check_in_front()
     whole("max_bounces", max_bounces, 1, MOST_BOUNCES)
     one_of("sampler", sampler, ("sobol", "philox"))
     seed = checked_seed(seed)
@@ -264,7 +257,7 @@ def job_of(
         columns, shifts = columns[:, :0], shifts[:, :0]
     return Job(
         scene=scene,
-        around=Surroundings(scene, analog=analog, lasers=lasers, chained=chained),
+        around=Surroundings(scene, analog=analog, chained=chained),
         sampler=(np.uint64(seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts)),
         max_bounces=max_bounces,
         analog=analog,
@@ -334,7 +327,8 @@ def mean_of(sums: Array, rays: int) -> tuple[float, float]:
         return mean, math.inf
     spread = math.fsum((group_means(sums, rays) - mean) ** 2) / (groups * (groups - 3))
     excess = max(0.0, skewness_of(sums, rays) ** 2 - SKEWED**2)
-    return mean, math.sqrt(spread * (1.0 + WIDER * excess))
+    # so that 95 % intervals of rare reflections hold; see benchmarks/trace_coverage.py
+    return mean, math.sqrt(spread * (1.0 + 0.75 * excess))
 
 
 def skewness_of(sums: Array, rays: int) -> float:
@@ -372,12 +366,7 @@ def mean_map(sums: Array, rays: int) -> tuple[Array, Array]:
 
 
 def result_of(
-    job: Job,
-    total: Array,
-    counts: Counter[str],
-    kept: list[Kept],
-    stopped: str,
-    seconds: float,
+    job: Job, total: Array, counts: Counter[str], kept: list[Kept], stopped: str, seconds: float
 ) -> RayPaths:
     """Return the means and standard errors of all sums, and the paths that were kept."""
     from . import _light_kernels as kernels

@@ -27,12 +27,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Emission = Literal["lambertian", "isotropic"]
 EMISSIONS = ("lambertian", "isotropic")
-#: Smallest number of rays per pixel; with fewer pairs of rays the standard error is unreliable.
-LEAST = 16
-#: Largest number of rays per pixel, since all rays of a pixel are in memory at the same time.
-LARGEST = 1 << 16
-#: Largest side of a wall, relative to the point's distance, that is sampled uniformly.
-WIDE = 4.0
 SPECK = 1e-9  # m, side of the black square that replaces the hidden object
 
 
@@ -151,8 +145,7 @@ def trace_point(
         Largest number of reflections at the wall, 1 to 64. More than one occurs only on walls that
         can illuminate themselves.
     seed : int
-        Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bitwise identical results
-        for any number of threads.
+        Seed of the random numbers, as for `trace`.
     progress : callable(str, float), optional
         Called with ``"flux"`` or ``"pixels"`` and the completed fraction, 0 to 1.
 
@@ -215,9 +208,10 @@ def trace_point(
     whole("n_rays", n_rays, 1, MOST)
     smooth = point_scene(scene, object_point)
     alone = smooth.with_relief()
-    job = job_of(alone, max_bounces, "sobol", seed)
+    job = job_of(alone, max_bounces, "sobol", seed, chained=False)
     pitch, (ny, nx), first = _window(alone, pitch, shape, first)
-    each = min(max(LEAST, n_rays // (ny * nx) // 2 * 2), LARGEST)
+    # fewer pairs have unreliable errors; all rays of a pixel are in memory at the same time
+    each = min(max(16, n_rays // (ny * nx) // 2 * 2), 1 << 16)
     image_box, gloss_box = _boxes(smooth)
     matt = alone.wall_material.diffuse
     task = Task(
@@ -262,20 +256,8 @@ def trace_point(
 def point_scene(scene: Scene, object_point: ArrayLike | None) -> Scene:
     """Return the scene with a tiny black square at the object point as its hidden object.
 
-    The camera keeps its focus distance.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with any hidden object.
-    object_point : array_like, (3,), or None
-        Object point, world frame, m; None for the hidden object's reference point.
-
-    Raises
-    ------
-    SceneError
-        If ``scene`` is no `Scene`, the point is not finite or behind the wall, or an occluder
-        reflects light.
+    The camera keeps its focus distance. `SceneError` if the point is behind the wall, or an
+    occluder reflects light.
     """
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
@@ -299,36 +281,22 @@ def point_scene(scene: Scene, object_point: ArrayLike | None) -> Scene:
 
 
 def point_normal(scene: Scene) -> Array:
-    """Return the axis of a point's emission, (3,): the normal of the hidden image, -z for a mesh.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the hidden object.
-    """
+    """Return the axis of a point's emission, (3,): normal of the image, -z for a mesh."""
     if isinstance(scene.hidden, PlanarObject):
         return np.array(scene.hidden.axes[2])
     return np.array([0.0, 0.0, -1.0])
 
 
 def _whole(scene: Scene) -> Array:
-    """Return the wall's rectangle (low x, low y, width, height), m, for uniform sampling.
-
-    It is all zero for a wall too wide to be sampled uniformly.
-    """
+    """Return the wall's rectangle (low x, low y, width, height), m, for uniform sampling."""
     size, distance = scene.wall.size, float(scene.object_point[2])
-    if size is None or max(size) > WIDE * distance:
+    if size is None or max(size) > 4.0 * distance:
         return np.zeros(4)
     return np.array([-size[0] / 2, -size[1] / 2, size[0], size[1]])
 
 
 def _boxes(scene: Scene) -> tuple[Array, Array]:
-    """Return the rectangles of the wall in which the lens sees the point mirrored.
-
-    The first is for smooth mirrors, the second for glossy mirror-like lobes. Each holds (low x,
-    low y, width, height), m, and is all zero without such a lobe or mirror image. A relief widens
-    the first around the reflection by the mean wall.
-    """
+    """Return the rectangles of the wall in which the lens sees the point mirrored."""
     relieved = scene.with_relief()
     slopes = [lobe.slope_rms for lobe in relieved.wall_material.mirror_lobes]
     none = np.zeros(4)

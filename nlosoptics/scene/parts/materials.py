@@ -216,9 +216,8 @@ class SpecularMicrofacet(MirrorLobe):
     distribution : {"beckmann", "ggx"}
         Distribution of the facet normals: Gaussian slopes, or GGX with longer tails.
     index : complex, optional
-        Refractive index n + ik of the surface at the wavelength used, such as 1.5 for paint. It
-        determines the polarisation of reflected light in `nlosoptics.raytrace.trace_polarised`,
-        and nothing else: for unpolarised light the reflectance is always ``reflectance``.
+        Refractive index n + ik of the surface at the wavelength used, such as 1.5 for paint, as a
+        record: no computation reads it, since the reflectance is always ``reflectance``.
     spectrum : Spectrum, optional
         Table of reflectances whose value is ``reflectance``, as `dataclasses.replace` passes it;
         otherwise give it as ``reflectance``.

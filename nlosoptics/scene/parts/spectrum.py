@@ -38,7 +38,7 @@ class Spectrum:
     See Also
     --------
     Lambert : Ideal diffuse reflection.
-    nlosoptics.raytrace.trace_colours : Images at several wavelengths.
+    nlosoptics.raytrace.trace_image : Images at several wavelengths.
 
     Notes
     -----

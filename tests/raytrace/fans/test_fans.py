@@ -8,7 +8,6 @@ import pytest
 from pytest import approx
 
 from nlosoptics import psf, raytrace
-from nlosoptics._random import philox
 from nlosoptics.errors import SceneError
 from nlosoptics.psf.pupil import aiming
 from nlosoptics.raytrace.fans import pupil_fans
@@ -20,7 +19,6 @@ from nlosoptics.scene import (
     ConcaveWall,
     ConvexWall,
     FlatWall,
-    HeightMapWall,
     Lambert,
     OrenNayar,
     SpecularMicrofacet,
@@ -50,24 +48,6 @@ WALLS = [
 
 def name(value):
     return type(value).__name__
-
-
-@pytest.mark.parametrize(
-    ("counter", "seed", "expected"),
-    [
-        ([0, 0, 0, 0], 0, "6627e8d5 e169c58d bc57ac4c 9b00dbd8"),
-        ([0xFFFFFFFF] * 4, 2**64 - 1, "408f276d 41c83b0e a20bc7c6 6d5451fd"),
-        (
-            [0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344],
-            0x299F31D0A4093822,
-            "d16cfe09 94fdcceb 5001e420 24126ea1",
-        ),
-    ],
-)
-def test_philox_gives_the_words_of_its_authors(counter, seed, expected):
-    """Known answers of Random123, philox4x32-10."""
-    words = philox(np.array(counter, dtype=np.uint32), seed)
-    assert " ".join(f"{word:08x}" for word in words) == expected
 
 
 # ---------------------------------------------------------------- footprints and slopes
@@ -184,18 +164,6 @@ def test_fan_is_wider_than_the_lens_by_its_margin(flat_scene):
     expected = ((1 + 2 * 1.5 / (8 - 3)) / (1 + 2 * pupil_fans.MARGIN)) ** 2
     # one product of two widths divided by the other: rounding
     assert few / many == approx(expected, rel=1e-13)
-
-
-def test_rays_depend_on_their_seed_alone(flat_scene, on_threads):
-    wall = HeightMapWall.random(
-        height_rms=1e-6, correlation_length=0.01, size=0.6, pitch=2e-3, seed=1
-    )
-    scene = replace(flat_scene, wall=wall)
-    found = [on_threads(n, lambda: raytrace.pupil_rays(scene, n_rays=500, seed=5)) for n in (1, 2)]
-    assert np.array_equal(found[0].points, found[1].points)
-    assert not np.array_equal(
-        found[0].points, raytrace.pupil_rays(scene, n_rays=500, seed=6).points
-    )
 
 
 def test_light_that_meets_the_wall_again_does_not_arrive(flat_scene):

@@ -6,24 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
 from pytest import approx
 
 from nlosoptics.errors import SceneError
-from nlosoptics.raytrace import trace, trace_colours, trace_image, trace_lasers
+from nlosoptics.raytrace import trace, trace_image
 from nlosoptics.scene import (
     Camera,
-    FacetWall,
     FlatWall,
     Lambert,
     Laser,
-    Occluder,
     PlanarObject,
     Scene,
     Spectrum,
     SpecularMicrofacet,
     SumMaterial,
-    WallRoughness,
     Ward,
 )
 
@@ -75,24 +71,25 @@ def test_a_scene_has_the_albedos_at_its_wavelength():
 
 def test_three_matt_reflections_have_the_ratio_of_the_albedos():
     """Wall twice and object once: the power is proportional to rho_w^2 rho_h."""
-    found = trace_colours(room(), (BLUE, GREEN, RED), n_rays=2000, max_bounces=3, seed=4)
-    assert found.wavelengths == (BLUE, GREEN, RED)
-    for index, expected in ((1, 4 * 3), (2, 9 * 8)):
-        ratio, error = found.ratio(index)
+    options = {"n_rays": 2000, "max_bounces": 3, "seed": 4}
+    blue, *others = trace_image(room(), wavelengths=(BLUE, GREEN, RED), **options).colours
+    for image, expected in zip(others, (4 * 3, 9 * 8), strict=True):
+        ratio, error = image.ratio(blue)
         # rounding of sums of some 2000 terms
         assert ratio == approx(expected, rel=1e-12)
         assert error < 1e-12 * expected
-        power = found.each[index].paths.by_bounce[3] / found.each[0].paths.by_bounce[3]
+        power = image.paths.by_bounce[3] / blue.paths.by_bounce[3]
         assert power == approx(expected, rel=1e-12)
 
 
 def test_each_image_has_the_bits_of_its_own_trace():
     scene = room(wall_material=PAINTED)
-    found = trace_colours(scene, (BLUE, RED), n_rays=1000, seed=2)
+    found = trace_image(scene, wavelengths=(BLUE, RED), n_rays=1000, seed=2)
     red = replace(scene, laser=replace(scene.laser, wavelength=RED))
     alone = trace_image(red, n_rays=1000, seed=2)
-    assert np.array_equal(found.each[1].power, alone.power)
-    assert np.array_equal(found.each[1].expected, alone.expected)
+    assert np.array_equal(found.colours[1].power, alone.power)
+    assert np.array_equal(found.colours[1].expected, alone.expected)
+    assert np.array_equal(found.power, found.colours[0].power)
 
 
 @pytest.mark.parametrize("wavelength", [BLUE, RED])
@@ -113,12 +110,13 @@ def test_choice_of_lobes_changes_no_result(wavelength, analog):
 
 def test_ratios_of_glossy_walls_have_smaller_errors_than_powers():
     scene = room(wall_material=PAINTED)
-    found = trace_colours(scene, (BLUE, RED), n_rays=4096, max_bounces=3, seed=1)
-    ratio, error = found.ratio(1)
-    apart = np.hypot(*(one.paths.standard_error / one.paths.flux for one in found.each))
+    options = {"wavelengths": (BLUE, RED), "max_bounces": 3}
+    blue, red = trace_image(scene, n_rays=4096, seed=1, **options).colours
+    ratio, error = red.ratio(blue)
+    apart = np.hypot(*(one.paths.standard_error / one.paths.flux for one in (blue, red)))
     assert error / ratio < 0.6 * apart
-    many = trace_colours(scene, (BLUE, RED), n_rays=1 << 16, max_bounces=3, seed=2)
-    exact, rest = many.ratio(1)
+    blue, red = trace_image(scene, n_rays=1 << 16, seed=2, **options).colours
+    exact, rest = red.ratio(blue)
     assert abs(ratio - exact) < 4 * np.hypot(error, rest)
 
 
@@ -132,33 +130,6 @@ def test_rays_take_the_same_paths_at_all_wavelengths():
     assert len(found[0].points) > 1000
     assert np.array_equal(found[0].points, found[1].points, equal_nan=True)
     assert (found[0].weight < found[1].weight).all()
-
-
-def test_samples_of_a_coloured_sum_have_its_albedo():
-    """The mean weight is the albedo, although the lobes are not chosen by their strengths."""
-    draws = np.random.default_rng(0).random((200_000, 3))
-    up = (0.0, 0.0, 1.0)
-    tint = Spectrum((BLUE, RED), (0.0, 0.9))
-    for wavelength in (BLUE, GREEN, RED):
-        material = SumMaterial(Lambert(tint), Ward(0.1, 0.2, variant="bounded")).at(wavelength)
-        _, weight = material.sample(up, up, draws)
-        error = weight.std() / np.sqrt(len(draws))
-        assert weight.mean() == approx(float(material.albedo(0.0)), abs=4 * error)
-
-
-def test_roughness_and_rooms_keep_the_colours():
-    rough = WallRoughness(FacetWall(cell=5e-3, slope_rms=0.01))
-    gloss = SumMaterial(Lambert(0.2), SpecularMicrofacet(PAINT, 0.01))
-    scene = room(wall_material=gloss, wall_roughness=rough).with_relief()
-    for wavelength, expected in ((BLUE, 0.2), (RED, 0.6)):
-        coloured = replace(scene, laser=replace(scene.laser, wavelength=wavelength))
-        assert coloured.wall_material.specular_reflectance == expected
-
-    box = Occluder(
-        trimesh.creation.box((0.1, 0.1, 0.1)), position=(0.0, 0.3, 0.5), material=Lambert(SKIN)
-    )
-    scene = room(occluders=(box,), laser=replace(room().laser, wavelength=RED))
-    assert scene.room_materials[0].rho == 0.8
 
 
 def test_a_file_restores_the_table(tmp_path):
@@ -187,46 +158,14 @@ def replace_parts(wall):
 
 def test_what_cannot_be_evaluated_is_refused():
     with pytest.raises(SceneError, match=r"wavelengths\[1\]: .*700 nm is unknown, .*450 to 650 nm"):
-        trace_colours(room(), (BLUE, 700e-9), n_rays=100)
+        trace_image(room(), wavelengths=(BLUE, 700e-9), n_rays=100)
     with pytest.raises(SceneError, match="wavelengths is 5e-07; give a list"):
-        trace_colours(room(), 500e-9)
+        trace_image(room(), wavelengths=500e-9)
+    blue, red = trace_image(room(), wavelengths=(BLUE, RED), n_rays=64, max_bounces=2).colours
+    with pytest.raises(SceneError, match="a ratio needs light of the object"):
+        red.ratio(blue)
     with pytest.raises(SceneError, match="limit 1"):
         room(
             wall_material=SumMaterial(Lambert(SKIN), Lambert(Spectrum((BLUE, RED), (0.2, 0.9)))),
             laser=replace(room().laser, wavelength=RED),
         )
-    lasers = [room().laser, replace(room().laser, wavelength=RED)]
-    with pytest.raises(SceneError, match=r"lasers\[1\]\.wavelength = 650 nm differs"):
-        trace_lasers(room(), lasers, n_rays=100)
-    for wavelengths, values, told in (
-        ((BLUE, BLUE), (0.1, 0.2), "is not above"),
-        ((BLUE,), (0.1,), "at least 2"),
-        ((BLUE, RED), (0.1,), "equally many"),
-        ((BLUE, RED), (0.1, 1.2), "out of range"),
-        (BLUE, (0.1, 0.2), "give a list"),
-    ):
-        with pytest.raises(SceneError, match=told):
-            Spectrum(wavelengths, values)
-
-
-def test_lasers_of_one_wavelength_see_its_colours():
-    lasers = [replace(room().laser, wavelength=RED)]
-    found = trace_lasers(room(), lasers, n_rays=1000, seed=3).each[0]
-    red = replace(room(), laser=lasers[0])
-    assert found.flux == trace(red, n_rays=1000, seed=3).flux
-
-
-def test_a_part_that_is_black_at_one_wavelength_is_coloured():
-    shade = trimesh.creation.box((0.1, 0.1, 0.01)).apply_translation((0.0, 0.3, 0.5))
-    orange = Lambert(Spectrum((BLUE, RED), (0.0, 0.9)))
-    scene = room(
-        laser=replace(room().laser, wavelength=BLUE),
-        hidden=replace(room().hidden, material=Lambert(0.3)),
-        occluders=(Occluder(shade, material=orange),),
-        wall_material=Lambert(0.4),
-    )
-    assert scene.room_materials == ()
-    assert scene.is_coloured
-    lasers = (scene.laser, replace(scene.laser, wavelength=RED))
-    with pytest.raises(SceneError, match=r"lasers\[1\].wavelength = 650 nm differs"):
-        trace_lasers(scene, lasers, n_rays=64)

@@ -12,14 +12,12 @@ import trimesh
 from pytest import approx
 
 from nlosoptics import imaging, psf, views
-from nlosoptics.errors import MemoryLimitError, SceneError
+from nlosoptics.errors import SceneError
 from nlosoptics.imaging.geometry import chief_rays, pixel_centres
 from nlosoptics.imaging.radiometry import laser_spot, spot_power_through_lens
 from nlosoptics.imaging.stray import spot_image
 from nlosoptics.psf.pupil.exit_pupil import working_f_number
 from nlosoptics.raytrace import trace, trace_image
-from nlosoptics.raytrace.images import image_blocks
-from nlosoptics.raytrace.light import trace as tracing
 from nlosoptics.scene import (
     Camera,
     ConvexWall,
@@ -294,62 +292,7 @@ def test_electrons_are_those_of_power_exposure_and_dark_current():
 # statistics
 
 
-def test_standard_errors_cover_the_truth():
-    """Of pixels and bins, over 120 seeds; the truth has 128 times the rays."""
-    scene = wide_room(Lambert(0.8))
-    truth = trace_image(scene, n_rays=1 << 18, max_bounces=3, seed=999, **BINS)
-    filled = truth.histogram.power > 0.1 * truth.histogram.power.max()
-    pixels, bins = [], []
-    for seed in range(120):
-        found = trace_image(scene, n_rays=2048, max_bounces=3, seed=seed, **BINS)
-        pixels.append((found.power - truth.power) / found.power_error)
-        off = (found.histogram.power - truth.histogram.power)[filled]
-        bins.append(off / found.histogram.power_error[filled])
-    for deviations in (np.abs(pixels), np.abs(bins)):
-        # 1,000 and more deviations tell these shares to 1.5 % and 0.7 %; two pixels at the corners,
-        # which few rays reach, have heavier tails
-        assert np.mean(deviations < 1.0) == approx(0.683, abs=0.04)
-        assert np.mean(deviations < 1.96) == approx(0.95, abs=0.03)
-
-
-def test_threads_and_blocks_change_no_bit(monkeypatch):
-    """Blocks in another order of work, on one thread, and of another size."""
-    scene = wide_room(GLOSS)
-    options = {"n_rays": 9000, "max_bounces": 4, "seed": 3, **BINS}
-    found = trace_image(scene, **options)
-    monkeypatch.setattr(tracing, "BLOCK", 1024)
-    smaller = trace_image(scene, **options)
-
-    def serial(work, job, start, end):
-        yield from (work(job, a, min(a + 2048, end)) for a in range(start, end, 2048))
-
-    monkeypatch.setattr(image_blocks, "in_blocks", serial)
-    alone = trace_image(scene, **options)
-    for other in (smaller, alone):
-        assert other.by_bounce.tobytes() == found.by_bounce.tobytes()
-        assert other.expected_error.tobytes() == found.expected_error.tobytes()
-        assert other.histogram.by_bounce.tobytes() == found.histogram.by_bounce.tobytes()
-
-
 # what is shown and what is refused
-
-
-def test_card_and_pictures():
-    found = trace_image(wide_room(), n_rays=2048, max_bounces=3, **BINS)
-    axes = views.traced_image(found)
-    assert [a.get_title() for a in axes] == ["traced image", "relative standard error"]
-    # -y points up: the array is drawn with row 0 on top
-    assert axes[0].images[0].get_array().tobytes() == found.expected.tobytes()
-    object_alone = views.traced_image(found, quantity="power")[0]
-    assert object_alone.images[0].get_array().tobytes() == found.power.tobytes()
-    with pytest.raises(SceneError, match="quantity = 'flux'"):
-        views.traced_image(found, quantity="flux")
-    curves = views.path_lengths(found.histogram)
-    labels = [text.get_text() for text in curves.get_legend().get_texts()]
-    assert labels == ["2 reflections", "3 reflections", "stray light"]
-    told = found._repr_html_()
-    assert "20 bins of 250 mm, 1.5 to 6.5 m" in told
-    assert "<img" in told
 
 
 def test_dark_histogram_is_refused():
@@ -379,12 +322,3 @@ def test_bad_input_is_one_line(options, message):
         trace_image(wide_room(), **options)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_other_refusals():
-    with pytest.raises(SceneError, match="scene is a str"):
-        trace_image("letter.toml")
-    huge = wide_room()
-    huge = replace(huge, camera=replace(huge.camera, pixels=(1 << 17, 1 << 17), binning=1))
-    with pytest.raises(MemoryLimitError, match=r"131072 x 131072 pixels .*max_bounces = 5"):
-        trace_image(huge)

@@ -13,10 +13,12 @@ import pytest
 from numba import njit
 
 from nlosoptics import raytrace
-from nlosoptics.raytrace import HIT, OUTSIDE, UNRESOLVED
+from nlosoptics.raytrace import Hits
 from nlosoptics.raytrace.intersection import _wall_kernels
 from nlosoptics.raytrace.intersection.intersections import search_bounds
 from nlosoptics.scene import ConcaveWall, ConvexWall, HeightMapWall, MeshWall, SumWall, WavyWall
+
+HIT, OUTSIDE, UNRESOLVED = Hits.HIT, Hits.OUTSIDE, Hits.UNRESOLVED
 
 RANDOM = np.random.default_rng(1)
 WALLS = {
@@ -36,8 +38,7 @@ WALLS = {
     "mesh": MeshWall(ConvexWall(2.0, size=1.2).to_mesh(max_sag_error=1e-4)),
     "wave on a sphere": SumWall(WavyWall(0.01, 0.1), ConcaveWall(4.0), size=1.2),
     "height map on a cylinder": SumWall(
-        HeightMapWall(8e-3 * RANDOM.normal(size=(61, 61)), 0.02),
-        ConvexWall(5.0, shape="cylinder"),
+        HeightMapWall(8e-3 * RANDOM.normal(size=(61, 61)), 0.02), ConvexWall(5.0, shape="cylinder")
     ),
 }
 

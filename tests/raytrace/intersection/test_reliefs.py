@@ -9,8 +9,10 @@ import pytest
 import trimesh
 
 from nlosoptics import raytrace
-from nlosoptics.raytrace import HIT, MISS
+from nlosoptics.raytrace import Hits
 from nlosoptics.scene import ConcaveWall, ConvexWall, FacetWall, FlatWall, GaussianWall, SumWall
+
+HIT, MISS = Hits.HIT, Hits.MISS
 
 
 def facet_mesh(wall, half):
@@ -155,22 +157,6 @@ def test_grazing_rays_end_and_hit_or_miss_as_triangles_do():
         one = raytrace.intersect(wall, start, line)
         assert one.status == HIT
         assert abs(one.points[2] - wall.height(*one.points[:2])) < 1e-14
-
-
-def test_exact_nodes_and_edges_are_hit():
-    wall = FacetWall(1e-2, 0.3, seed=11)
-    row = wall.compiled()[0][0]
-    i, j = (v.ravel() for v in np.meshgrid(np.arange(-8, 8), np.arange(-8, 8)))
-    x, y = row[5] + wall.cell * (i + j / 2), row[6] + wall.cell * math.sqrt(0.75) * j
-    points = np.stack([x, y, wall.height(x, y)], axis=1)
-    for direction in ((0.0, 0.0, -1.0), (0.05, 0.02, -1.0), (0.2, 0.0, -1.0)):
-        unit = np.array(direction) / np.linalg.norm(direction)
-        hits = raytrace.intersect(wall, points - 0.7 * unit, unit)
-        # 0.3 is steep: some nodes are hidden from oblique rays by facets in front of them
-        assert hits.hit.all()
-        seen = np.abs(hits.distance - 0.7) < 1e-12
-        assert seen.mean() > (0.99 if unit[0] == 0 else 0.6)
-        assert (hits.distance < 0.7 + 1e-12).all()
 
 
 def test_flat_reliefs_are_planes():

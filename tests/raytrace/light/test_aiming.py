@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from nlosoptics.raytrace import trace
-from nlosoptics.raytrace.intersection.kept_meshes import chart_splits, kept_mesh
+from nlosoptics.raytrace.intersection.prepared_meshes import prepared_mesh
 from nlosoptics.raytrace.light import _surround_kernels as kernels
 from nlosoptics.raytrace.light import blocks, surroundings
 from nlosoptics.raytrace.light.surroundings import Surroundings, lit_patches
@@ -63,7 +63,7 @@ def drawn(world, splits, count):
 
 def test_chart_keeps_areas_and_neighbours():
     scene = room()
-    chart, world = kept_mesh(scene.hidden.surface).chart, Surroundings(scene).world
+    chart, world = prepared_mesh(scene.hidden.surface).chart, Surroundings(scene).world
     areas = np.diff(chart.shares)
     triangles, points = drawn(world, world.splits, 256)
     found = np.bincount(triangles, minlength=len(areas)) / len(triangles)
@@ -75,20 +75,9 @@ def test_chart_keeps_areas_and_neighbours():
     assert (steps > 0.25 * extent).mean() < 0.03  # seams
 
 
-def test_patches_are_numbered_as_the_mesh_numbers_its_triangles():
-    mesh = room().hidden.surface
-    chart = kept_mesh(mesh).chart
-    sums = np.zeros(len(chart.areas))
-    np.add.at(sums, chart.patches, mesh.area_faces)
-    np.testing.assert_allclose(sums, chart.areas, rtol=1e-12)
-    for k in (0, len(mesh.faces) // 2, len(mesh.faces) - 1):
-        rows = slice(*chart.firsts[chart.patches[k] : chart.patches[k] + 2])
-        assert (np.abs(chart.triangles[rows, :3] - mesh.triangles[k, 0]).max(axis=1) == 0).any()
-
-
 def test_lit_patches_are_a_density_and_prefer_what_the_spot_lights():
     scene = room()
-    chart = kept_mesh(scene.hidden.surface).chart
+    chart = prepared_mesh(scene.hidden.surface).chart
     lit = lit_patches(scene, chart)
     assert lit @ chart.areas == pytest.approx(1.0, rel=1e-12)
     assert lit.min() >= surroundings.ANYWHERE / chart.area * (1 - 1e-12)
@@ -103,25 +92,12 @@ def test_lit_patches_are_a_density_and_prefer_what_the_spot_lights():
     np.testing.assert_allclose(shares / len(triangles), lit * chart.areas, atol=0.01)
 
 
-def test_a_part_without_weight_is_never_drawn():
-    splits = chart_splits(np.array([0.0, 1.0, 0.0, 0.0]))
-    world = Surroundings(room()).world._replace(
-        firsts=np.arange(5), areas=np.linspace(0, 1, 5), triangles=np.ones((4, 9))
-    )
-    found = {kernels._triangle(world, splits, u, v)[0] for u in (0, 0.5, 1) for v in (0, 0.5, 1)}
-    assert found == {1}
-
-
 GLOSS = SpecularMicrofacet(0.6, 0.2, distribution="ggx")
 
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {},
-        {"wall_material": GLOSS},
-        {"wall": ConcaveWall(3.0, size=2.0)},
-    ],
+    [{}, {"wall_material": GLOSS}, {"wall": ConcaveWall(3.0, size=2.0)}],
     ids=["matt", "glossy", "hollow"],
 )
 def test_flux_does_not_depend_on_where_rays_are_aimed(changes, monkeypatch):

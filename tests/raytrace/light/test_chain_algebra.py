@@ -8,9 +8,8 @@ from pytest import approx
 
 from nlosoptics.raytrace.intersection.intersections import compiled_wall
 from nlosoptics.raytrace.light import _chain_kernels as chains
-from nlosoptics.raytrace.light import _light_kernels
-from nlosoptics.raytrace.light._surround_kernels import OBJECT, OCCLUDER, WALL
-from nlosoptics.scene import ConcaveWall, FlatWall, SumWall, WavyWall
+from nlosoptics.raytrace.light._surround_kernels import OBJECT, WALL
+from nlosoptics.scene import ConcaveWall, SumWall, WavyWall
 
 WORLD = np.array([0.0, 0.0, 0.0, *np.eye(3).ravel()])
 
@@ -104,40 +103,3 @@ def test_plane_mirrors_reflect_where_their_images_say(m):
         before, after = path[i - 1] - x[i - 1], path[i + 1] - x[i - 1]
         before, after = before / np.linalg.norm(before), after / np.linalg.norm(after)
         assert np.cross(before + after, frames[i - 1, 9:]) == approx(np.zeros(3), abs=1e-12)
-
-
-def test_surfaces_end_at_their_edges():
-    """A triangle by its barycentric coordinates, a plate by its half sides, a wall by its rim."""
-    draw = np.random.default_rng(5)
-    side, bx, by = 0.7, -0.2, 0.5  # corners (0, 0), (side, 0) and (bx, by)
-    bounds = np.array([1 / side, -bx / (side * by), 1 / by])
-    walls = compiled(SumWall(WavyWall(1e-3, 0.5), ConcaveWall(0.6), size=(1.0, 1.4)))
-    flat = compiled(FlatWall(size=1.0))
-    assert flat[3] == math.inf
-    inside = np.zeros(3, dtype=int)
-    for u, v in draw.uniform(-0.8, 0.8, (2000, 2)):
-        second = v / by
-        first = (u - second * bx) / side
-        seen = first >= 0 and second >= 0 and first + second <= 1
-        assert chains._inside(walls, OBJECT, False, bounds, u, v) == seen
-        plate = abs(u) <= 0.3 and abs(v) <= 0.6
-        assert chains._inside(walls, OBJECT, True, np.array([0.3, 0.6]), u, v) == plate
-        within = abs(u) <= 0.5 and abs(v) <= 0.7 and math.hypot(u, v) <= 0.999 * 0.6
-        assert chains._inside(walls, WALL, False, bounds, u, v) == within
-        inside += (seen, plate, within)
-    assert (inside > 100).all()
-
-
-@pytest.mark.parametrize("bits", range(4))
-def test_chains_at_the_wall_and_at_other_surfaces_are_told_apart(bits):
-    """One bit for the wall, one for the object; occluders have none."""
-    found = [bool(_light_kernels.chained_at(bits, kind)) for kind in (WALL, OBJECT, OCCLUDER)]
-    assert found == [bits in (1, 3), bits in (2, 3), False]
-
-
-def test_normal_of_a_facet_is_across_its_tangents():
-    """On a frame without symmetry, whose normal and axes all have three components."""
-    own, slopes = frame((0.1, 0.2, 0.3), (0.4, -0.5, 0.7), 0.8), (0.3, -0.6)
-    tangents = [chains._tangent(own, k, slopes[k]) for k in range(2)]
-    across = np.cross(*tangents)
-    assert chains._normal(own, slopes) == approx(across / np.linalg.norm(across), abs=1e-14)

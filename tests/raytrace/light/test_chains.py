@@ -13,7 +13,6 @@ from pytest import approx
 from nlosoptics.errors import SceneError
 from nlosoptics.raytrace import ray_plan, trace
 from nlosoptics.raytrace.light._chain_kernels import _set_facet
-from nlosoptics.raytrace.light.trace import mean_of, skewness_of
 from nlosoptics.scene import (
     CallableWall,
     Camera,
@@ -287,21 +286,6 @@ def test_nothing_is_refused_without_need():
 # the tail of a sum
 
 
-def test_skewed_groups_widen_the_error():
-    rng = np.random.default_rng(4)
-    even = rng.normal(5.0, 1.0, 32)
-    even += even.mean() - np.median(even)
-    sums = np.concatenate([5.0 + 1e-3 * np.arange(31), [50.0]])
-    plain = sums.std() / math.sqrt(29)
-    # the closed form of a single outlier: skewness (n - 2)/sqrt(n - 1)
-    skewness = 30 / math.sqrt(31)
-    assert skewness_of(sums, 32) == approx(skewness, rel=1e-3)
-    widened = plain * math.sqrt(1 + 0.75 * (skewness**2 - 1))
-    assert mean_of(sums, 32)[1] == approx(widened, rel=1e-3)
-    assert mean_of(even, 32)[1] == approx(even.std() / math.sqrt(29), rel=1e-12)
-    assert skewness_of(np.full(32, 7.0), 32) == 0.0
-
-
 def test_rare_paths_are_said_to_be_uncertain():
     """The fifth reflection of a deep wave with few rays, against the third one."""
     scene = room(WavyWall(0.1, 0.4, size=(2.0, 2.0)), Lambert(0.7), Lambert(0.8), stop=0.05)
@@ -309,15 +293,6 @@ def test_rare_paths_are_said_to_be_uncertain():
     often = [sum(name in run.uncertain for run in runs) for name in ("bounce 3", "bounce 5")]
     assert often[0] < 5
     assert often[1] > 15
-
-
-def test_every_uncertain_result_exists():
-    """Few rays make most results uncertain, the stray light as well; no other sum is a result."""
-    scene = room(WavyWall(0.1, 0.4, size=(2.0, 2.0)), Lambert(0.7), Lambert(0.8), stop=0.05)
-    runs = [trace(scene, n_rays=64, max_bounces=3, seed=k) for k in range(8)]
-    named = {name for run in runs for name in run.uncertain}
-    assert {"flux", "stray", "bounce 3"} <= named
-    assert named <= {"flux", "stray", "bounce 1", "bounce 2", "bounce 3"}
 
 
 def test_slopes_of_a_single_chain_follow_the_lobe():

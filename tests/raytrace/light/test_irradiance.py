@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -150,8 +149,3 @@ def test_unbounded_wall_needs_a_size():
 def test_bad_option_is_refused(options, message):
     with pytest.raises(SceneError, match=message):
         wall_irradiance(plate_scene(), **options)
-
-
-def test_few_rays_have_no_error_bar():
-    found = wall_irradiance(plate_scene(), n_rays=2, shape=(2, 2))
-    assert (found.standard_error == math.inf).all()

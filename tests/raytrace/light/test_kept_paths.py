@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from nlosoptics.scene import (
     SpecularMicrofacet,
     SumMaterial,
 )
-from nlosoptics.views.rays import chosen_paths
 
 MIRROR = SumMaterial(Lambert(0.4), SpecularMicrofacet(0.4, 0.0))
 
@@ -110,31 +108,3 @@ def test_lobe_is_the_strongest_of_the_wall():
     assert (found.lobe[wall & (off < 0.1)] == 1).all()
     assert (found.lobe[wall & (off > 0.7)] == 0).all()
     assert (found.lobe[wall] == 1).any()
-
-
-def test_hidden_object_is_drawn_before_stray_light():
-    """Of many paths the object's, in proportion to power; stray light only if there is room."""
-    scene = room(wall=Lambert(0.7), thing=Lambert(0.5))
-    scene = replace(scene, camera=replace(scene.camera, field_stop=None))
-    found = raytrace.trace(scene, n_rays=400, keep_paths=True, seed=3)
-    met = found.met_object
-    assert found.stray > 5 * found.flux
-    assert 60 < met.sum() < len(met)
-    options = {"n_bounces": None, "only_detected": True}
-    few = chosen_paths(found, most=60, **options)
-    assert len(few) == 60
-    assert met[few].all()
-    assert (np.diff(few) > 0).all()
-    more = chosen_paths(found, most=int(met.sum()) + 20, **options)
-    assert met[more].sum() == met.sum()
-    assert (~met[more]).sum() == 20
-    assert len(chosen_paths(found, most=10_000, **options)) == len(met)
-    one = chosen_paths(found, n_bounces=1, only_detected=True, most=5)
-    assert not met[one].any()
-
-
-def test_unknown_surfaces_are_no_object():
-    fan = raytrace.pupil_rays(room(), n_rays=64)
-    assert fan.surface.size == fan.lobe.size == 0
-    assert fan.met_object.shape == (64,)
-    assert not fan.met_object.any()

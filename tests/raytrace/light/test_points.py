@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -11,22 +10,15 @@ import pytest
 import trimesh
 from pytest import approx
 
-from nlosoptics.errors import MemoryLimitError, SceneError
-from nlosoptics.imaging.geometry import chief_rays
+from nlosoptics.errors import SceneError
 from nlosoptics.raytrace import trace_point
-from nlosoptics.raytrace.light._point_kernels import landings
-from nlosoptics.raytrace.light.trace import job_of
-from nlosoptics.raytrace.light.trace_point import _boxes
-from nlosoptics.raytrace.light.trace_point import point_scene as moved_point
 from nlosoptics.scene import (
     Camera,
     ConcaveWall,
-    ConvexWall,
     FlatWall,
     Lambert,
     Laser,
     MeshObject,
-    OrenNayar,
     PlanarObject,
     Scene,
     SpecularMicrofacet,
@@ -196,34 +188,6 @@ def test_defocus_makes_a_disc():
     inside = found.energy[away < blur - found.pitch]
     assert (inside > 0).all()
     assert inside.std() < 0.3 * inside.mean()
-
-
-def test_rays_from_all_over_the_lens_land_on_the_pixel_in_focus():
-    scene = point_scene(PAINT)
-    x, y = (scene.image_distance * np.array(part) for part in ((-0.2, 0.1, 0.3), (0.0, 0.25)))
-    chief = chief_rays(scene, x, y)
-    focus = LENS + chief.directions * (scene.focus_distance / chief.cos_axis)[..., None]
-    e1, e2, _ = frame(scene)
-    for u, v in ((0.0, 0.0), (12e-3, 0.0), (-5e-3, 9e-3)):
-        start = np.broadcast_to(LENS + u * e1 + v * e2, (6, 3)).copy()
-        toward = focus.reshape(-1, 3) - start
-        toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
-        found = np.empty((2, 6))
-        landings(job_of(scene, 1, "sobol", 0).around.world, start, toward, *found)
-        np.testing.assert_allclose(found[0].reshape(2, 3), np.tile(x, (2, 1)), rtol=0, atol=1e-15)
-        np.testing.assert_allclose(found[1].reshape(2, 3).T, np.tile(y, (3, 1)), rtol=0, atol=1e-15)
-
-
-def test_box_of_mirror_images_moves_with_the_scene():
-    """An unbounded wall is the same everywhere, so a shift of all else shifts only the corner."""
-    scene = point_scene(SpecularMicrofacet(0.5, 0.02), wall=FlatWall())
-    shift = np.array([0.7, -0.4, 0.0])
-    camera = replace(scene.camera, position=tuple(LENS + shift), aim=tuple(AIM + shift))
-    moved = replace(scene, camera=camera)
-    _, box = _boxes(moved_point(scene, POINT))
-    _, there = _boxes(moved_point(moved, POINT + shift))
-    # positions of about 1 m are rounded to 1e-16 m
-    np.testing.assert_allclose(there, box + np.append(shift[:2], [0.0, 0.0]), rtol=0, atol=1e-14)
 
 
 def test_lobes_add():
@@ -412,42 +376,6 @@ def test_field_stop_cuts_the_light():
     assert trace_point(point_scene(MIRROR, field_stop=0.01)).flux == 0.0
 
 
-def test_error_falls_with_rays():
-    """By at least the square root; Sobol points do better."""
-    scene = point_scene(SumMaterial(OrenNayar(0.6, 0.3), MIRROR))
-    few, many = (trace_point(scene, n_rays=n, shape=(1, 1)) for n in (1 << 12, 1 << 16))
-    # 32 groups tell an error to 13 %; four times less is the law of independent numbers
-    assert many.flux_error < few.flux_error / 4 * 1.5
-    few, many = (trace_point(scene, n_rays=256 * n, mirror_image=False) for n in (16, 256))
-    middle = few.energy > 0.5 * few.energy.max()
-    ratio = np.median((many.energy_error / few.energy_error)[middle])
-    assert 0.1 < ratio < 0.3
-
-
-def test_threads_change_no_bit(on_threads):
-    one, two = (
-        on_threads(n, lambda: trace_point(hollow_scene(PAINT), n_rays=20000, seed=5))
-        for n in (1, 2)
-    )
-    for name in ("by_bounce", "energy", "energy_error"):
-        assert getattr(one, name).tobytes() == getattr(two, name).tobytes()
-    assert one.energy.size > 200
-    assert (one.flux, one.flux_error, one.missed) == (two.flux, two.flux_error, two.missed)
-
-
-def test_seeds_differ():
-    a, b = (trace_point(point_scene(PAINT), n_rays=4096, seed=seed) for seed in (0, 1))
-    assert a.flux != b.flux
-    assert (a.energy != b.energy).any()
-
-
-def test_progress_ends_at_one():
-    told = []
-    trace_point(point_scene(PAINT), n_rays=20000, progress=lambda *at: told.append(at))
-    assert ("flux", 1.0) in told
-    assert told[-1] == ("pixels", 1.0)
-
-
 def test_point_of_a_mesh_shines_at_the_wall():
     """Its own faces are not in the way, and it shines about -z as the picture does."""
     scene = point_scene(PAINT)
@@ -479,31 +407,3 @@ def test_point_of_a_mesh_shines_at_the_wall():
 def test_bad_input_is_told(options, message):
     with pytest.raises(SceneError, match=message):
         trace_point(point_scene(PAINT), **options)
-
-
-def test_point_behind_a_bulge_is_told():
-    scene = point_scene(PAINT, wall=ConvexWall(1.0, size=(0.8, 0.8)))
-    with pytest.raises(SceneError, match=r"object_point .* behind the wall"):
-        trace_point(scene, (0.0, 0.0, -1e-3))
-
-
-def test_too_many_pixels_are_told():
-    with pytest.raises(MemoryLimitError, match="shape"):
-        trace_point(point_scene(PAINT), shape=(1 << 20, 1 << 20))
-
-
-def test_memory_stays_below_what_is_checked():
-    """Pixels that get mirror images by groups: few arrays of all groups at a time."""
-    scene, shape = point_scene(PAINT), (256, 256)
-    trace_point(scene, n_rays=64)  # compiles
-    tracemalloc.start()
-    trace_point(scene, n_rays=64, shape=shape)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    # 32 groups and 8 more; beside them, blocks of 4096 rays on a few threads
-    assert peak < 8.0 * (32 + 8) * shape[0] * shape[1] + 2e7
-
-
-def test_scene_is_needed():
-    with pytest.raises(SceneError, match="give a Scene"):
-        trace_point("scene")

@@ -10,10 +10,8 @@ import pytest
 import trimesh
 from pytest import approx
 
-from nlosoptics import imaging, limits, psf
-from nlosoptics import plan as plan_of
 from nlosoptics.errors import SceneError
-from nlosoptics.raytrace import ray_plan, trace, trace_image, trace_point, wall_irradiance
+from nlosoptics.raytrace import ray_plan, trace, wall_irradiance
 from nlosoptics.raytrace.fans.paths import ON_OCCLUDER
 from nlosoptics.scene import (
     Camera,
@@ -372,19 +370,6 @@ def test_connections_agree_with_rays_that_nothing_aims(scene):
         assert found.ledger[name] == approx(power, abs=5 * error + 1e-12)
 
 
-def test_image_and_histogram_are_those_of_the_trace():
-    """All pixels, and all bins, hold the flux and the stray light of the trace."""
-    scene = replace(ROOMS["matt"], camera=replace(ROOMS["matt"].camera, binning=16))
-    bins = {"t_start": 0.0, "delta_t": 0.25, "n_bins": 60}
-    image = trace_image(scene, n_rays=1 << 13, max_bounces=4, seed=1, **bins)
-    found = trace(scene, n_rays=1 << 13, max_bounces=4, seed=1)
-    assert image.paths.flux == found.flux
-    assert image.power.sum() == approx(found.flux, rel=1e-12)
-    assert image.stray.sum() == approx(found.stray, rel=1e-12)
-    assert image.histogram.power.sum() == approx(found.flux, rel=1e-12)
-    assert image.histogram.stray.sum() == approx(found.stray, rel=1e-12)
-
-
 def test_kept_paths_tell_the_occluders():
     found = trace(ROOMS["matt"], n_rays=2000, max_bounces=4, keep_paths=True, seed=1)
     assert found.weight.sum() == approx(found.flux + found.stray, rel=1e-12)
@@ -398,20 +383,6 @@ def test_kept_paths_tell_the_occluders():
 # black occluders, and methods that know no others
 
 
-@pytest.mark.parametrize(
-    "black", [SpecularMicrofacet(0.0, 0.05), OrenNayar(0.0, 0.3), SumMaterial(Lambert(0.0))]
-)
-def test_black_of_any_kind_changes_no_bit(black):
-    scene = room(Lambert(0.0), Lambert(0.0))
-    found = [trace(s, n_rays=3000, seed=2) for s in (scene, room(black, black))]
-    meshes = replace(scene, occluders=tuple(o.surface for o in scene.occluders))
-    found.append(trace(meshes, n_rays=3000, seed=2))
-    for other in found[1:]:
-        assert other.by_bounce.tobytes() == found[0].by_bounce.tobytes()
-        assert dict(other.ledger) == dict(found[0].ledger)
-        assert other.queries == found[0].queries
-
-
 def test_mirrors_among_occluders_are_named():
     scene = room(MIRROR, Lambert(0.5))
     words = "light that mirror-like lobes of occluders reflect"
@@ -419,32 +390,3 @@ def test_mirrors_among_occluders_are_named():
     with pytest.raises(SceneError, match=words):
         trace(scene, tol=0.1)
     assert not ray_plan(ROOMS["matt"]).unreached
-
-
-@pytest.mark.parametrize(
-    "use",
-    [
-        plan_of,
-        psf.scene_point_spread,
-        psf.wavefront,
-        psf.hybrid_point_spread,
-        psf.point_spread_field,
-        imaging.diffuse_background,
-        imaging.cast_shadows,
-        limits.feasibility,
-        imaging.image_field,
-        trace_point,
-    ],
-)
-def test_other_methods_refuse_light_of_occluders(use, examples):
-    scene = Scene.load(examples / "scenes" / "letter_flat.toml").resized(32)
-    floor = sheet((-0.7, -0.5, 0.0), (0.7, -0.5, 1.0), Lambert(0.3))
-    words = r"occluder\[1\]\.material reflects light, which only"
-    with pytest.raises(SceneError, match=words) as raised:
-        use(replace(scene, occluders=(replace(floor, material=Lambert(0.0)), floor)))
-    assert len(str(raised.value).splitlines()) == 1
-
-
-def test_wrong_material_is_refused():
-    with pytest.raises(SceneError, match=r"occluder\.material = 0\.3 is a float; give a Material"):
-        Occluder(trimesh.creation.box(), position=(0, 0, 1), material=0.3)

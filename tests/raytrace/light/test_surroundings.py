@@ -194,38 +194,3 @@ def test_density_is_zero_beside_the_detector_and_behind_the_lens():
         exact = scene.image_distance**2 / (area * cosine**3) if inside else 0.0
         assert seen == approx(exact)
     assert kernels.on_detector(found.world.camera, centre, tuple(-frame[2])) == 0.0
-
-
-def test_the_beam_is_even_and_parallel():
-    laser, n = Surroundings(room()).world.laser, 20_000
-    o, d = np.empty((n, 3)), np.empty((n, 3))
-    kernels.beam(laser, SAMPLER, 0, o, d)
-    axis = np.subtract((0.3, 0.1, 0.0), (0.8, 0.4, 1.2))
-    axis /= np.linalg.norm(axis)
-    assert np.abs(d - axis).max() < 1e-15
-    away = o - (0.8, 0.4, 1.2)
-    assert np.abs(away @ axis).max() < 1e-15
-    off = np.linalg.norm(away, axis=1)
-    assert off.max() <= 0.01
-    for share in (0.1, 0.5, 0.9):
-        assert (off < 0.01 * math.sqrt(share)).mean() == approx(share, abs=0.015)
-    assert np.abs(away.mean(axis=0)).max() < 2e-4
-
-
-def test_intervals_are_those_of_a_search_from_the_right():
-    shares = np.array([0.0, 0.1, 0.1, 0.4, 1.0])
-    for u in (0.0, 0.05, 0.1, 0.3, 0.4, 0.999):
-        assert kernels.interval(shares, u) == np.searchsorted(shares, u, side="right") - 1
-    assert kernels.interval(shares, 1.0) == 3
-
-
-def test_rays_that_start_on_a_wall_which_cannot_see_itself_are_not_held_against_it():
-    found = Surroundings(room())
-    counts = Counter()
-    o, d = np.zeros((4, 3)), np.tile((0.0, 0.0, -1.0), (4, 1))
-    o[2:, 2] = 1.0
-    on_wall = np.array([True, True, False, False])
-    distance, kind, *_ = found.first_hits(o, d, np.ones(4, dtype=bool), on_wall, counts)
-    assert kind.tolist() == [kernels.NOTHING] * 2 + [kernels.WALL] * 2
-    assert distance.tolist() == [math.inf] * 2 + [1.0] * 2
-    assert counts["wall"] == 2

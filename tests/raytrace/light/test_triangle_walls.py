@@ -10,16 +10,8 @@ import pytest
 import trimesh
 from pytest import approx
 
-from nlosoptics import imaging, limits, psf
-from nlosoptics import plan as plan_of
-from nlosoptics.errors import SceneError
 from nlosoptics.raytrace import (
-    intersect,
-    ray_plan,
     trace,
-    trace_image,
-    trace_point,
-    wall_irradiance,
 )
 from nlosoptics.scene import (
     Camera,
@@ -35,7 +27,6 @@ from nlosoptics.scene import (
     SumMaterial,
     WavyWall,
 )
-from nlosoptics.views.sketch import _profile
 
 POWER = 2.0
 PAINT = Lambert(0.7)
@@ -147,63 +138,3 @@ def test_connections_agree_with_rays_that_nothing_aims(changes):
     assert math.fsum(plain.ledger.values()) == approx(POWER, rel=1e-12)
     found = trace(scene, n_rays=1 << 16, max_bounces=5, seed=12)
     agree(found, plain, few=3 * POWER / plain.n_rays)
-
-
-def test_plan_and_images_of_triangles():
-    scene = room(FOLDED)
-    plan = ray_plan(scene)
-    assert (plan.wall_hits, plan.embree, plan.wall_to_wall, plan.wall_shadows, plan.unreached) == (
-        "triangles",
-        True,
-        True,
-        False,
-        (),
-    )
-    scene = replace(scene, camera=replace(scene.camera, binning=16))
-    image = trace_image(scene, n_rays=4096, max_bounces=4, seed=1)
-    assert image.power.sum() == approx(trace(scene, n_rays=4096, max_bounces=4, seed=1).flux)
-    mirror = SumMaterial(PAINT, SpecularMicrofacet(0.1, 0.0))
-    with pytest.raises(SceneError, match="mirror-like lobes of the wall .* consists of triangles"):
-        trace(replace(scene, wall_material=mirror), tol=0.1)
-
-
-@pytest.mark.parametrize(
-    "use",
-    [
-        plan_of,
-        psf.scene_point_spread,
-        psf.wavefront,
-        psf.hybrid_point_spread,
-        imaging.diffuse_background,
-        limits.feasibility,
-        trace_point,
-        wall_irradiance,
-        lambda scene: intersect(scene.wall, (0, 0, 1), (0, 0, -1)),
-    ],
-)
-def test_other_methods_refuse_triangles(use, examples):
-    scene = Scene.load(examples / "scenes" / "letter_flat.toml").resized(32)
-    with pytest.raises(
-        SceneError, match=r"wall\.smooth is false, .*set wall\.smooth = true"
-    ) as told:
-        use(replace(scene, wall=FOLDED))
-    assert len(str(told.value).splitlines()) == 1
-
-
-def test_scene_file_keeps_the_triangles(tmp_path):
-    scene = room(FOLDED)
-    scene.save(tmp_path / "scene.toml")
-    again = Scene.load(tmp_path / "scene.toml")
-    assert again.wall.smooth is False
-    assert np.array_equal(again.wall.triangles.triangles, FOLDED.triangles.triangles)
-    assert FOLDED != MeshWall(FOLDED.mesh)
-    with pytest.raises(SceneError, match="wall.smooth = 1; give True or False"):
-        MeshWall(FLAT, smooth=1)
-
-
-def test_pictures_show_the_triangles():
-    """A sketch holds the section of the wall, with the three parts of the shelf."""
-    points = _profile(room(FOLDED), along=1, reach=1.0)
-    ends = np.unique(points[np.isfinite(points[:, 0])].round(9), axis=0)
-    for y, z in ((-0.6, 0.0), (-0.2, 0.0), (-0.3, 0.3), (-0.15, 0.25)):
-        assert np.abs(ends - (0.0, y, z)).max(axis=1).min() < 1e-9

@@ -1,17 +1,11 @@
-"""Triangle meshes with the arrays that rays need of them, prepared once and kept between calls.
-
-A kept mesh is found by its contents: every lookup compares all vertices and faces with the copies
-that the structures were built from. A mesh that was changed, in whatever way, is therefore prepared
-anew, and an equal mesh in another scene, or from a pickle, is not.
-"""
+"""Triangle meshes with the arrays that rays need of them, prepared once and cached."""
 
 from __future__ import annotations
 
 import itertools
 import math
-import threading
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +16,6 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = NDArray[np.float64]
-MOST_TRIANGLES: Final = 1 << 20  # of all kept meshes but the latest, 0.5 kB each
-MOST_MESHES: Final = 32  # a lookup compares with each of them
-MOST_HALVINGS: Final = 12  # of a mesh into patches on which points are drawn
 
 
 class Chart(NamedTuple):
@@ -67,28 +58,14 @@ class Chart(NamedTuple):
         return float(self.areas.sum())
 
 
-class KeptMesh:
-    """Triangles of one or several meshes, and the arrays and search structures made from them.
+class PreparedMesh:
+    """Triangles of one or several meshes, with the arrays and search structures made from them.
 
-    Each of these is computed when it is first asked for.
-
-    Parameters
-    ----------
-    meshes : tuple of trimesh.Trimesh
-        Meshes to join in this order, world frame, m. Their vertices and faces are copied.
+    Each of these is computed when it is first asked for. ``mesh`` must not be changed later.
     """
 
-    def __init__(self, *meshes: trimesh.Trimesh) -> None:
-        # copied first and built from the copies, which then belong together whatever others write
-        self.parts = [(_bits(mesh.vertices).copy(), _faces(mesh).copy()) for mesh in meshes]
-        self.triangles = sum(len(faces) for _, faces in self.parts)
-
-    def holds(self, *meshes: trimesh.Trimesh) -> bool:
-        """Return whether these meshes have bitwise the vertices and faces that were copied."""
-        return len(meshes) == len(self.parts) and all(
-            np.array_equal(vertices, _bits(mesh.vertices)) and np.array_equal(faces, _faces(mesh))
-            for (vertices, faces), mesh in zip(self.parts, meshes, strict=True)
-        )
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        self._mesh = mesh
 
     @cached_property
     def facets(self) -> Facets:
@@ -140,43 +117,33 @@ class KeptMesh:
         """Centre (x, y, z) and radius of a sphere that holds all triangles, (4,), m."""
         return ball_around(np.asarray(self._mesh.triangles, dtype=np.float64).reshape(-1, 3))
 
-    @property
-    def _mesh(self) -> trimesh.Trimesh:
-        import trimesh
 
-        starts = np.cumsum([0, *(len(vertices) for vertices, _ in self.parts)])
-        vertices = np.concatenate([vertices.view(np.float64) for vertices, _ in self.parts])
-        faces = [faces + start for (_, faces), start in zip(self.parts, starts, strict=False)]
-        return trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
+def prepared_mesh(*meshes: trimesh.Trimesh) -> PreparedMesh:
+    """Return the prepared triangles of the meshes joined in this order (world frame, m).
 
-
-_kept: list[KeptMesh] = []  # the latest used last
-_lock = threading.Lock()
-
-
-def kept_mesh(*meshes: trimesh.Trimesh) -> KeptMesh:
-    """Return the prepared triangles of the meshes together, kept ones if there are any.
-
-    At most `MOST_TRIANGLES` triangles are kept beside the latest mesh; those not used for longest
-    go first.
-
-    Parameters
-    ----------
-    meshes : tuple of trimesh.Trimesh
-        Meshes to join in this order, world frame, m.
+    The latest ones are cached by their contents, so that a mesh which was changed, in whatever way,
+    is prepared anew, and an equal mesh of another scene is not.
     """
-    found = next((kept for kept in reversed(_kept.copy()) if kept.holds(*meshes)), None)
-    if found is None:
-        found = KeptMesh(*meshes)
-    with _lock:
-        if found in _kept:
-            _kept.remove(found)
-        _kept.append(found)
-        while len(_kept) > 1 and (
-            len(_kept) > MOST_MESHES or sum(k.triangles for k in _kept[:-1]) > MOST_TRIANGLES
-        ):
-            del _kept[0]
-    return found
+    parts = ((mesh.vertices, mesh.faces) for mesh in meshes)
+    return _prepared(
+        *(
+            (np.asarray(v, np.float64).tobytes(), np.asarray(f, np.int64).tobytes())
+            for v, f in parts
+        )
+    )
+
+
+@lru_cache(maxsize=8)
+def _prepared(*parts: tuple[bytes, bytes]) -> PreparedMesh:
+    """Return the triangles of meshes with these bytes of vertices and faces."""
+    import trimesh
+
+    vertices = [np.frombuffer(part, np.float64).reshape(-1, 3) for part, _ in parts]
+    faces = [np.frombuffer(part, np.int64).reshape(-1, 3) for _, part in parts]
+    starts = np.cumsum([0, *(len(part) for part in vertices[:-1])])
+    joined = [part + start for part, start in zip(faces, starts, strict=True)]
+    mesh = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(joined), process=False)
+    return PreparedMesh(mesh)
 
 
 def ball_around(points: Array) -> Array:
@@ -208,12 +175,9 @@ def cumulative(values: Array) -> Array:
 
 
 def _halved(points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return an order of points (n, 3) and the starts of its patches, made by repeated halving.
-
-    Each part is halved along its longest side.
-    """
+    """Return an order of points (n, 3) and the starts of its patches, made by repeated halving."""
     order, firsts = np.arange(len(points)), [0, len(points)]
-    for _ in range(min(MOST_HALVINGS, int(math.log2(len(points))))):
+    for _ in range(min(12, int(math.log2(len(points))))):
         finer = [0]
         for a, b in itertools.pairwise(firsts):
             part = points[order[a:b]]
@@ -222,13 +186,3 @@ def _halved(points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
             finer += [a + middle, b]
         firsts = finer
     return order, np.array(firsts, dtype=np.int64)
-
-
-def _bits(vertices: Any) -> NDArray[np.uint64]:
-    """Return the bits of coordinates, which also compare NaN and the sign of zero."""
-    return np.asarray(np.ascontiguousarray(vertices, dtype=np.float64)).view(np.uint64)
-
-
-def _faces(mesh: trimesh.Trimesh) -> NDArray[np.int64]:
-    """Return the faces of a mesh as a plain array."""
-    return np.asarray(mesh.faces, dtype=np.int64)
