@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import nlosoptics as nlos
-from nlosoptics import _whole_files, cli, imaging, inverse, psf, report, views
+from nlosoptics import _whole_files, cli, imaging, psf, report, views
 from nlosoptics.errors import SceneError
 from nlosoptics.scene import HeightMapWall, MeshObject, Occluder, PlanarObject
 from nlosoptics.study import Results, Study
@@ -41,8 +41,6 @@ TAKING_PATHS: dict[str, Callable[[Any], Any]] = {
     "read_zernikes": psf.read_zernikes,
     "write_zernikes": lambda path: psf.write_zernikes(path, {4: 5e-8}),
     "read_poppy": lambda path: psf.read_poppy(opd=path),
-    "CnnBaseline.load": lambda path: inverse.CnnBaseline.load(path),
-    "CnnBaseline.save": lambda path: inverse.CnnBaseline(base=8, depth=3).save(path),
     "Study.load": Study.load,
     "Results.load": Results.load,
     "report.page": report.page,

@@ -1,4 +1,4 @@
-"""Commands feasibility, reconstruct and train."""
+"""Commands feasibility and reconstruct."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from .shell import (
     Size,
     Tol,
     app,
-    check_file,
     check_target,
     errors_told,
     interruptible,
@@ -91,15 +90,9 @@ def reconstruct_command(
         typer.Option(
             help="Solver. If the scene file describes the wall: tv (total variation), wiener, "
             "inverse_filter, richardson_lucy, deep_image_prior, phase_retrieval. If the wall is "
-            "unknown and fitted too: evidence, wu2024. A trained network: cnn."
+            "unknown and fitted too: evidence, wu2024."
         ),
     ] = "tv",
-    network: Annotated[
-        Path | None,
-        typer.Option(
-            help="File of the trained network for method cnn, written by nlosoptics train."
-        ),
-    ] = None,
     iterations: Annotated[
         int | None,
         typer.Option(min=1, help="Maximum number of iterations; by default that of the method."),
@@ -136,8 +129,6 @@ def reconstruct_command(
     with errors_told(debug):
         if method != "tv":
             require("torch", "inverse")
-        if network is not None:
-            require("safetensors", "inverse")
         from ..runs import reconstructing
 
         folder = Path(images[0].stem) if out is None else out
@@ -151,7 +142,6 @@ def reconstruct_command(
             flat=flat,
             full=full,
             defocus=numbers("--defocus", defocus),
-            network=network,
             iterations=iterations,
             seed=seed,
             tol=tol,
@@ -175,75 +165,6 @@ def reconstruct_command(
                 "--resume continues",
                 err=True,
             )
-            raise typer.Exit(FAILED)
-
-
-@app.command("train", short_help="Train a network for nlosoptics reconstruct --method cnn.")
-def train_command(
-    scene_file: SceneFile,
-    changes: Changes = None,
-    out: Annotated[Path, typer.Option(help="File to write the network to (safetensors).")] = Path(
-        "cnn.safetensors"
-    ),
-    pairs: Annotated[
-        int,
-        typer.Option(min=2, help="Number of simulated pairs of image and object to train with."),
-    ] = 2000,
-    epochs: Annotated[int, typer.Option(min=1, help="Passes over all training pairs.")] = 20,
-    waves: Annotated[
-        float, typer.Option(help="Largest rms wave aberration of the random walls, wavelengths.")
-    ] = 0.5,
-    frame: Annotated[
-        int | None,
-        typer.Option(
-            help="Side of a square in the middle of the image to train with, pixels; the object is "
-            "scaled down with it. By default the whole image."
-        ),
-    ] = None,
-    base: Annotated[
-        int, typer.Option(help="Size of the network: channels at full resolution, 8, 16 or 32.")
-    ] = 16,
-    seed: Seed = 0,
-    size: Size = None,
-    debug: Debug = False,
-) -> None:
-    """Train a network for reconstruct --method cnn, on simulated images of random scenes.
-
-    Ctrl-C ends the training, writes the best network so far and exits with code 1.
-    """
-    with errors_told(debug):
-        require("torch", "inverse")
-        require("safetensors", "inverse")
-        scene = load(scene_file, size, changes)
-        check_file(out)
-        from .. import inverse
-
-        inverse.CnnBaseline(base=base)  # checks the option before the pairs are simulated
-        with progress_bar() as progress:
-            made = inverse.training_pairs(
-                scene,
-                pairs,
-                waves=waves,
-                size=frame,
-                seed=seed,
-                progress=lambda _, done: progress("training pairs", done),
-            )
-            training = inverse.train_cnn(
-                made,
-                base=base,
-                epochs=epochs,
-                seed=seed,
-                progress=lambda told, done: progress(told.removeprefix("training: "), done),
-            )
-            training.network.save(out)
-        error = training.history["validation"].min()
-        held, epochs = max(1, round(0.1 * pairs)), len(training.history["validation"])
-        typer.echo(
-            f"{out}: mean squared error {error:.4f} on {counted(held, 'validation pair')}, "
-            f"{counted(epochs, 'epoch')}, {training.seconds:.0f} s"
-        )
-        if training.interrupted:
-            typer.echo(f"nlosoptics: interrupted; the best network so far is in {out}", err=True)
             raise typer.Exit(FAILED)
 
 

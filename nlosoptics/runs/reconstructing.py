@@ -34,7 +34,7 @@ from .simulate import image_model, image_spreads
 from .veil import fitted_veil
 
 if TYPE_CHECKING:
-    from ..inverse import CnnBaseline, Reconstruction
+    from ..inverse import Reconstruction
     from ..inverse.data.checkpoints import Snapshot
 
 Array = NDArray[np.float64]
@@ -52,8 +52,7 @@ KNOWN = {
 SINGLE = ("inverse_filter", "phase_retrieval")
 #: Recipes of `inverse.pcin`, which fit the wall's wave as well as the object.
 BLIND = ("evidence", "wu2024")
-CNN = "cnn"
-METHODS = (*KNOWN, CNN, *BLIND)
+METHODS = (*KNOWN, *BLIND)
 #: Noll indices of the wave modes that a blind method fits: radial orders 2 to 5.
 MODES = tuple(range(4, 22))
 #: Parameters with more values than this are saved in the arrays, not in ``result.json``.
@@ -77,11 +76,9 @@ class Task:
         One image, or several for the methods "evidence" and "wu2024", which also fit the wall.
     method : str
         Name of the solver: "tv", "wiener", "inverse_filter", "richardson_lucy", "deep_image_prior",
-        "phase_retrieval", "cnn", "evidence" or "wu2024".
+        "phase_retrieval", "evidence" or "wu2024".
     defocus : tuple of float
         Known additional defocus of each image, waves rms; empty if the wall is known.
-    network : inverse.CnnBaseline or None
-        Trained network of the method "cnn".
     iterations : int or None
         Maximum number of iterations; None for the method's default.
     seed : int
@@ -94,7 +91,6 @@ class Task:
     images: tuple[CameraImage, ...]
     method: str
     defocus: tuple[float, ...] = ()
-    network: CnnBaseline | None = None
     iterations: int | None = None
     seed: int = 0
     tol: float = 1e-3
@@ -117,7 +113,6 @@ def prepared(
     flat: Path | None = None,
     full: float | None = None,
     defocus: Sequence[float] = (),
-    network: Path | None = None,
     iterations: int | None = None,
     seed: int = 0,
     tol: float = 1e-3,
@@ -139,8 +134,6 @@ def prepared(
         Count at which a pixel is saturated; by default the largest of the file's type.
     defocus : sequence of float
         Known additional defocus of each image, waves rms; for "evidence" and "wu2024" only.
-    network : Path, optional
-        File of the trained network; required by the method "cnn", invalid otherwise.
     iterations : int, optional
         Maximum number of iterations; by default the method's own.
     seed : int
@@ -184,9 +177,8 @@ def prepared(
             f"{len(paths)} images without defocus, but {method} needs the known defocus of each; "
             "give it, for example 0 and 0.5 waves rms, or average images of the same focus to one"
         )
-    if iterations is not None and method in (CNN, "inverse_filter"):
+    if iterations is not None and method == "inverse_filter":
         raise SceneError(f"iterations is given, but {method} does not iterate; leave it out")
-    loaded = _network(method, network)
     groups: list[Sequence[Path]] = [[path] for path in paths] if blind else [paths]
     images = tuple(
         camera_image(group, shape=scene.camera.shape, dark=dark, flat=flat, full=full)
@@ -197,24 +189,10 @@ def prepared(
         images=images,
         method=method,
         defocus=tuple(defocus),
-        network=loaded,
         iterations=iterations,
         seed=seed,
         tol=tol,
     )
-
-
-def _network(method: str, path: Path | None) -> CnnBaseline | None:
-    """Load the trained network if the method is "cnn"; reject one for any other method."""
-    if path is None and method == CNN:
-        raise SceneError("cnn needs a trained network; name a file written by nlosoptics train")
-    if path is not None and method != CNN:
-        raise SceneError(f"network is given, but {method} uses none; leave it out")
-    if path is None:
-        return None
-    from ..inverse import CnnBaseline
-
-    return CnnBaseline.load(path)
 
 
 def reconstructed(
@@ -247,8 +225,7 @@ def reconstructed(
 
     if task.method in BLIND:
         return _blind(task, start, progress)
-    network = task.network
-    solver = getattr(inverse, KNOWN[task.method]) if network is None else network.reconstruct
+    solver = getattr(inverse, KNOWN[task.method])
     (image,) = task.images
     model = model or known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
     noise = camera_noise(task.scene, image, model)

@@ -20,7 +20,6 @@ from ..imaging.images import mirror_image
 from ..imaging.radiometry import has_highlight, laser_spot, spot_irradiance
 from ..inverse.data.measurement import Measurement
 from ..inverse.data.noisy_image import noisy_image
-from ..inverse.data.signs import block_means
 from ..inverse.known.total_variation import sharpest
 from ..scene import PlanarObject, Scene
 
@@ -242,7 +241,10 @@ class _Binned:
         return np.where(self._count > 0.0, np.sqrt(variance) / np.maximum(self._count, 1.0), np.inf)
 
     def _sums(self, values: NDArray[Any]) -> Array:
-        return block_means(values, self._side) * self._side**2
+        side = self._side
+        rows, columns = (length // side for length in values.shape)
+        whole = values[: rows * side, : columns * side]
+        return np.asarray(whole.reshape(rows, side, columns, side).sum(axis=(1, 3)), dtype=float)
 
 
 class _Cells:

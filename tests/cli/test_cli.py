@@ -491,7 +491,7 @@ def test_missing_extra_is_told_before_any_work(
     """Exit code 1: the input is good, the installation is not."""
     before = contents(scene_file.parent)
     monkeypatch.setattr(shell.importlib.util, "find_spec", lambda name: name != "torch" or None)
-    answer = run("train", scene_file)
+    answer = run("reconstruct", scene_file, "--scene", scene_file, "--method", "wiener")
     assert answer.code == 1
     assert "pip install 'nlosoptics[inverse]'" in answer.err
     assert answer.err.count("\n") == 1

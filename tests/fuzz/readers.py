@@ -175,20 +175,6 @@ def _read_zernikes(_: Path, file: Path) -> Arrays:
     return [np.array(list(psf.read_zernikes(file).coefficients.values()), dtype=np.float64)]
 
 
-def _networks(folder: Path) -> list[Path]:
-    from nlosoptics import inverse
-
-    inverse.CnnBaseline(base=8, depth=3).save(folder / "net.safetensors")
-    return [folder / "net.safetensors"]
-
-
-def _read_network(_: Path, file: Path) -> Arrays:
-    from nlosoptics import inverse
-
-    network = inverse.CnnBaseline.load(file)
-    return [tensor.detach().numpy() for tensor in network.parameters()]
-
-
 def _results(folder: Path) -> list[Path]:
     import nlosoptics as nlos
 
@@ -258,7 +244,6 @@ READERS = {
     "capture": Reader(_captures, _read_capture),
     "poppy": Reader(_poppy, _read_poppy),
     "zernikes": Reader(_zernikes, _read_zernikes, text=True),
-    "network": Reader(_networks, _read_network),
     "result": Reader(_results, _read_result),
     "record": Reader(_records, _read_result, text=True),
     "study": Reader(_studies, _read_study, text=True),

@@ -122,21 +122,6 @@ def test_methods_that_know_the_point_spread(
     assert inverse.registered_correlation(found, letter) > least
 
 
-def test_network_from_its_file(letter: np.ndarray, capsys) -> None:
-    inverse.CnnBaseline(base=8, depth=2, seed=1).save("cnn.safetensors")
-    usual = ("reconstruct", "letter.npy", "--scene", "letter.toml", "--tol", 1e-2)
-    code, _, err = call(capsys, *usual, "--method", "cnn", "--network", "cnn.safetensors")
-    assert (code, err) == (0, "")
-    # weights that were never trained explain nothing
-    assert report_of("letter")["figures"]["reconstruction_status"] == "unconverged"
-    image = np.load("letter.npy")
-    with torch.no_grad():
-        network = inverse.CnnBaseline.load("cnn.safetensors")
-        own = network(torch.from_numpy(image)[None].float())[0].numpy()
-    # the command takes the wall's diffuse light out first, the network any unit and level
-    assert np.corrcoef(np.load("letter/object.npy").ravel(), own.ravel())[0, 1] > 0.9
-
-
 def test_frames_of_known_defocus(frames: np.ndarray, capsys) -> None:
     """A saturated pixel has no say."""
     hot = np.load("a.npy")
@@ -205,13 +190,6 @@ def test_methods_without_a_state_say_so(frames: np.ndarray, capsys) -> None:
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (["a.npy", "--method", "cnn"], ["cnn needs a trained network", "nlosoptics train"]),
-        (
-            ["a.npy", "--method", "cnn", "--network", "no.safetensors"],
-            ["no.safetensors", "No such"],
-        ),
-        (["a.npy", "--method", "cnn", "--network", "a.npy"], ["a.npy is no safetensors file"]),
-        (["a.npy", "--network", "a.npy"], ["network is given, but tv uses none"]),
         (
             ["a.npy", "b.npy", "--method", "evidence", "--defocus", "0"],
             ["defocus has 1 value for 2 images"],
@@ -246,5 +224,5 @@ def test_a_blur_wider_than_the_picture_is_refused(frames: np.ndarray, capsys) ->
 
 
 def test_every_method_is_tried_here() -> None:
-    tried = {"cnn", "evidence", "wu2024", *reconstructing.KNOWN}
+    tried = {"evidence", "wu2024", *reconstructing.KNOWN}
     assert set(reconstructing.METHODS) == tried

@@ -248,7 +248,6 @@ DRAWN: Mapping[str, Any] = {
     "Mapping[str, NDArray[np.float64]]": lambda: {"residual": RNG.random(5)},
     "tuple[ComparisonRow, ...]": lambda: (drawn(psf.ComparisonRow),),
     "Regime": lambda: drawn(psf.Regime),
-    "CnnBaseline": lambda: importlib.import_module("nlosoptics.inverse").CnnBaseline(base=8),
 }
 
 

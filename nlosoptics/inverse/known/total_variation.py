@@ -26,7 +26,7 @@ from ..data.driver import Iterate, Run, Solver, answered, reconstructed, run, so
 from ..data.models import AnyModel, image_of, mean_transfer, model_like
 from ..data.noisy_image import NoisyImage, with_plateau
 from ..data.reconstruction import Reconstruction
-from ..data.status import MOST_RESIDUAL, Ending
+from ..data.status import LIMITS, Ending
 from ._splitting_kernels import RELAXATION
 from .field_step import FieldStep
 from .splitting_steps import KernelSteps, Steps, gradient
@@ -415,7 +415,7 @@ class _Splitting(Solver[_Split]):
         )
         if self._given is None:
             again = partial(self.nearby, found.state)
-            ending = replace(ending, most_residual=MOST_RESIDUAL, again=again)
+            ending = replace(ending, most_residual=LIMITS.residual, again=again)
         background = self._background(found.state)
         return {"background": background, "tv_weight": tv_weight, "ending": ending}
 

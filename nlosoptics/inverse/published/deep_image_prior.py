@@ -22,7 +22,7 @@ from ..data.forward import TorchForwardModel, torch_model
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from ..data.scaled_images import ScaledImage, total_variation
-from ..data.status import MOST_RESIDUAL, Ending
+from ..data.status import LIMITS, Ending
 from ..known.total_variation import sharpest
 from ..known.wiener import wiener
 from .unet import UNetObject
@@ -279,7 +279,7 @@ class _Fit(Solver[_Weights]):
         ending = Ending(
             converged=score <= 1.0 + self._tolerance and not found.stopped,
             history=found.history,
-            most_residual=max(MOST_RESIDUAL, 1.0 + self._tolerance),
+            most_residual=max(LIMITS.residual, 1.0 + self._tolerance),
         )
         return {
             "background": strength,

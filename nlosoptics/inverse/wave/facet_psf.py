@@ -18,9 +18,6 @@ from ...psf.window.window import shape_of
 from .pupil_optics import centred, check_precision, checked_distance, checked_wavelength
 from .pupil_waves import checked_tangents
 
-#: Noll's defocus of 1 m rms is ``2 sqrt(3) (u^2 + v^2)/R^2`` m, apart from piston.
-_DEFOCUS = 2.0 * math.sqrt(3.0)
-
 
 class FacetPSF(nn.Module):
     """Differentiable point spread function (PSF) of a round pupil of independent facets.
@@ -128,8 +125,9 @@ class FacetPSF(nn.Module):
         axis = (np.arange(count, dtype=np.float64) - count // 2) * self.angle_pitch
         share = circle_shares(axis, axis, self.angle_pitch, self.pupil_radius)
         self.register_buffer("_share", torch.tensor(share / share.sum(), **like))
-        # displacement per metre of defocus, pixels
-        steepness = 2.0 * _DEFOCUS / self.pupil_radius**2 * self.image_distance / self.pitch
+        # displacement per metre of defocus, pixels: Noll's defocus of 1 m rms is
+        # 2 sqrt(3) (u^2 + v^2)/R^2 m, apart from piston
+        steepness = 4.0 * math.sqrt(3.0) / self.pupil_radius**2 * self.image_distance / self.pitch
         u, v = np.meshgrid(axis, axis)
         self.register_buffer("_slopes", torch.tensor(steepness * np.stack([u, v], -1), **like))
         self.wavelength = None
@@ -144,26 +142,11 @@ class FacetPSF(nn.Module):
     def forward(
         self, coefficients: Tensor | None = None, *, defocus: Tensor | Sequence[float] | None = None
     ) -> Tensor:
-        """Compute the PSF.
+        """Compute the PSF: energy per pixel, (..., H, W), or (..., K, H, W) with ``defocus``.
 
-        Parameters
-        ----------
-        coefficients : Tensor, optional
-            Displacements (..., g, g, 2), pixels; by default the attribute ``coefficients``.
-        defocus : Tensor or sequence of float, optional
-            K known additional defoci, (K,), m rms over the pupil (Noll 4), above 0 for a detector
-            too close to the lens. One PSF is computed for each.
-
-        Returns
-        -------
-        Tensor
-            Energy per pixel, (..., H, W), or (..., K, H, W) with ``defocus``. It sums to 1 and is
-            centred at [H//2, W//2].
-
-        Raises
-        ------
-        SamplingError
-            If the coefficients' shape does not match.
+        It sums to 1 and is centred at [H//2, W//2]. ``coefficients``, (..., g, g, 2) in pixels, are
+        by default the attribute of this name; ``defocus`` is that of `PupilPSF`. A `SamplingError`
+        is raised if the coefficients' shape does not match.
         """
         if self._facet is None:
             return centred(self._density(coefficients, defocus))
@@ -173,17 +156,9 @@ class FacetPSF(nn.Module):
     def transfer(
         self, coefficients: Tensor | None = None, *, defocus: Tensor | Sequence[float] | None = None
     ) -> Tensor:
-        """Compute the transfer function, (..., H, W//2 + 1), complex.
+        """Compute the transfer function, complex, (..., H, W//2 + 1) or (..., K, H, W//2 + 1).
 
-        The transfer function is the ``rfft2`` of the PSF, with the PSF's centre at sample [0, 0].
-
-        Parameters
-        ----------
-        coefficients : Tensor, optional
-            Displacements (..., g, g, 2), pixels; by default the attribute ``coefficients``.
-        defocus : Tensor or sequence of float, optional
-            K known additional defoci, (K,), m rms over the pupil (Noll 4), above 0 for a detector
-            too close to the lens. With them the shape is (..., K, H, W//2 + 1).
+        It is the ``rfft2`` of the PSF with its centre at sample [0, 0]; see `forward`.
         """
         spectrum: Tensor = torch.fft.rfft2(self._density(coefficients, defocus))
         return spectrum if self._facet is None else spectrum * self._facet

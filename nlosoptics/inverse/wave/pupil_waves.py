@@ -15,10 +15,11 @@ from torch import Tensor, nn
 from ..._checks import counted, fits_memory, real, whole
 from ...errors import SamplingError, SceneError
 from ...psf import Wavefront, fit_zernike
-from ...psf.pupil.slope_integration import integrated_slopes, slope_filter
+from ...psf.pupil.slope_integration import slope_filter
 from ...psf.wave.cell_series import CellSpectrum
 from ...psf.wave.polar_series import PolarSpectrum, values_at
 from ...psf.wave.zernikes import zernike
+from ..data.arrays import real_array
 from .pupil_optics import ImageOptions, PupilOptics
 
 Array = NDArray[np.float64]
@@ -158,16 +159,6 @@ class SlopeWaves(nn.Module):
         """Return aberration over wavelength, (..., n_v, n_u); equal to `forward`."""
         return self.forward(coefficients)
 
-    def curl_residual(self, coefficients: Tensor) -> float:
-        """Return the rms part of the slopes that no wave can have, waves per pupil radius.
-
-        The rms is over all pairs of neighbouring nodes.
-        """
-        tables = coefficients.detach().double().cpu().numpy().reshape(-1, *self.leaf_shape)
-        whole_grid = np.ones(self.leaf_shape[:2], dtype=bool)
-        squares = [integrated_slopes(table, 1.0, whole_grid)[1] ** 2 for table in tables]
-        return float(np.sqrt(np.mean(squares)))
-
 
 def fitted_modes(wave: Wavefront, modes: Sequence[int]) -> tuple[Rest, list[float]]:
     """Fit modes to a polar wave; return its residual as a function of optics, and the fit, waves.
@@ -219,38 +210,27 @@ def on_cells(series: PolarSpectrum | CellSpectrum, u: Array, v: Array) -> Array:
     return values_at(series, None, u, v, 1e-13)[0]
 
 
-def checked_slopes(name: str, slopes: Any, pitch: float, pupil_radius: float) -> Array:
-    """Return slopes or angles (g, g, 2), rad, checked to be finite and to cover the pupil.
+def checked_tangents(angles: Any, pitch: float, pupil_radius: float) -> Array:
+    """Return the tangents of exit angles (g, g, 2), rad, at nodes ``pitch`` m apart.
 
-    ``name`` is the plural used in messages, ``pitch`` the distance of the nodes, m.
+    They must be finite, below pi/2 and cover the pupil.
     """
-    try:
-        values = np.asarray(slopes, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise SceneError(f"{name} are not an array of real numbers; give (g, g, 2), rad") from None
+    values = real_array("angles", angles)
     if values.ndim != 3 or values.shape[0] != values.shape[1] or values.shape[2] != 2:
-        raise SceneError(f"{name} have shape {values.shape}; give (g, g, 2), rad")
-    if not np.isfinite(values).all():
-        place = np.argwhere(~np.isfinite(values))[0].tolist()
-        raise SceneError(f"{name}{place} hold NaN or infinity; give finite start values, 0 if none")
+        raise SceneError(f"angles have shape {values.shape}; give (g, g, 2), rad")
+    largest = float(np.abs(values).max(initial=0.0))
+    if not largest < np.pi / 2:
+        raise SceneError(
+            f"angles reach {largest:.3g} rad, must be finite and below pi/2; give angles from the "
+            "axis, 0 if there is no start value"
+        )
     count = values.shape[0]
     reach = ((count - 1) // 2 + 0.5) * pitch
     if count < 2 or reach < pupil_radius * (1 - 1e-9):
         need = 2 * math.ceil(pupil_radius / pitch - 0.5) + 1
         raise SamplingError(
-            f"{count} x {count} {name} {pitch:.3g} m apart reach {reach:.3g} m from the "
+            f"{count} x {count} angles {pitch:.3g} m apart reach {reach:.3g} m from the "
             f"axis, the pupil {pupil_radius:.3g} m; give {max(need, 2)} or more a side"
-        )
-    return values
-
-
-def checked_tangents(angles: Any, pitch: float, pupil_radius: float) -> Array:
-    """Return the tangents of exit angles (g, g, 2), rad, checked like `checked_slopes`."""
-    values = checked_slopes("angles", angles, pitch, pupil_radius)
-    if np.abs(values).max() >= np.pi / 2:
-        raise SceneError(
-            f"angles reach {np.abs(values).max():.3g} rad, must stay below pi/2; give finite "
-            "angles from the axis"
         )
     return np.tan(values)
 
