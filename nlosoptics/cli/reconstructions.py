@@ -89,7 +89,7 @@ def reconstruct_command(
         str,
         typer.Option(
             help="Solver. If the scene file describes the wall: tv (total variation), wiener, "
-            "inverse_filter, richardson_lucy, deep_image_prior, phase_retrieval. If the wall is "
+            "inverse_filter, richardson_lucy, phase_retrieval. If the wall is "
             "unknown and fitted too: evidence, wu2024."
         ),
     ] = "tv",

@@ -12,7 +12,6 @@ from .known.inverse_filter import inverse_filter as inverse_filter
 from .known.richardson_lucy import richardson_lucy as richardson_lucy
 from .known.total_variation import tv_deconvolve as tv_deconvolve
 from .known.wiener import wiener as wiener
-from .published.deep_image_prior import deep_image_prior as deep_image_prior
 from .published.phase_retrieval import object_from_autocorrelation as object_from_autocorrelation
 from .published.phase_retrieval import phase_retrieval as phase_retrieval
 from .published.unet import UNet as UNet

@@ -45,7 +45,6 @@ KNOWN = {
     "wiener": "wiener",
     "inverse_filter": "inverse_filter",
     "richardson_lucy": "richardson_lucy",
-    "deep_image_prior": "deep_image_prior",
     "phase_retrieval": "phase_retrieval",
 }
 #: Those that need a single point spread.
@@ -75,8 +74,8 @@ class Task:
     images : tuple of CameraImage
         One image, or several for the methods "evidence" and "wu2024", which also fit the wall.
     method : str
-        Name of the solver: "tv", "wiener", "inverse_filter", "richardson_lucy", "deep_image_prior",
-        "phase_retrieval", "evidence" or "wu2024".
+        Name of the solver: "tv", "wiener", "inverse_filter", "richardson_lucy", "phase_retrieval",
+        "evidence" or "wu2024".
     defocus : tuple of float
         Known additional defocus of each image, waves rms; empty if the wall is known.
     iterations : int or None

@@ -99,7 +99,6 @@ def report_of(folder: str) -> dict:
         # stopped by its tolerance before the residual reaches the noise of a sharp image
         ("richardson_lucy", (), "does_not_fit", 0.9),
         ("richardson_lucy", ("--iterations", 2), "unconverged", 0.8),
-        ("deep_image_prior", ("--iterations", 20), None, 0.8),
         # of a frame whose object fills half of it, phases are not told from one picture
         ("phase_retrieval", ("--iterations", 20), None, -1.0),
     ],

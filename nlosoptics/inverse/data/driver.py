@@ -164,7 +164,7 @@ def reconstructed(
     started = time.perf_counter()
     gain = measured(image).gain
     data = noisy_image(image, shape or model)
-    full = 0 if data.plateau is None else int(data.plateau.mask.sum())
+    full = 0 if data.saturated is None else int(data.saturated.sum())
     hidden = data.is_background(None if shape else model)
     if hidden and not full:
         answer = _no_object(data)

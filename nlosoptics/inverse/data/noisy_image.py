@@ -26,10 +26,9 @@ from .arrays import (
     total,
     weighted,
 )
-from .measurement import Measurement, measured
+from .measurement import measured
 from .models import AnyModel, model_shape
 from .noise import bad_pixels, clipped_pixels, lit_pixels, noise_and_bad_pixels, surrounded
-from .saturation import Plateau, noisy_plateau
 from .spectra import (
     beyond_optics,
     cosines_within,
@@ -78,8 +77,8 @@ class NoisyImage:
     bad_pixels : ndarray or None, (H, W)
         Mask of the pixels that were found to be dead, hot or saturated, and are excluded too; None
         if none was.
-    plateau : Plateau or None
-        Saturated pixels, which are excluded too; None if there are none.
+    saturated : ndarray or None, (H, W)
+        Mask of those of them that are saturated; None if no pixel is.
     least : ndarray, Tensor or None, (H, W)
         Values that the saturated pixels would at least have without saturation, in the unit of
         ``data``; not finite for all other pixels. None if no pixel is saturated.
@@ -93,7 +92,7 @@ class NoisyImage:
     background_shape: Values | None
     template: Values | None
     bad_pixels: NDArray[np.bool_] | None = None
-    plateau: Plateau | None = None
+    saturated: NDArray[np.bool_] | None = None
     least: Values | None = None
 
     def native(self) -> NoisyImage:
@@ -268,19 +267,6 @@ class NoisyImage:
         variance = (18.0 if self.sigma_estimated else 2.0) / self.counted
         return self.score(explained) ** 2 <= 1.0 + 3.0 * math.sqrt(variance)
 
-    def again(self) -> Measurement:
-        """Return the same image as input of another solver."""
-        sigmas: Any = self.sigma
-        if self.weights is not None:
-            with np.errstate(divide="ignore"):  # excluded pixels
-                sigmas = self.sigma / self.weights**0.5
-        return Measurement(
-            self.data,
-            noise_sigma=sigmas,
-            fit_background=self.fit_background,
-            background_shape=self.background_shape,
-        )
-
     def like_input(self, values: Values) -> Values:
         """Convert a result to the input's kind: array, or tensor of the same type and device."""
         if self.template is None:
@@ -320,14 +306,12 @@ def _chance(
     return upper_gamma_share(freedom, value)
 
 
-def noisy_image(
-    image: Any, model: AnyModel | tuple[int, int], plateau: Plateau | None = None
-) -> NoisyImage:
+def noisy_image(image: Any, model: AnyModel | tuple[int, int]) -> NoisyImage:
     """Check a `Measurement` of one image, or an image alone, against an image model.
 
     ``model`` may be the shape (H, W) if the point spread is unknown; the noise is then estimated
-    without it, and no bad pixels are sought. ``plateau`` are the saturated pixels, by default those
-    that the measurement states, or the `clipped_pixels`.
+    without it, and no bad pixels are sought. Saturated pixels are those that the measurement
+    states, by default the `clipped_pixels`.
     """
     given = measured(image)
     shape, passed = (
@@ -340,21 +324,20 @@ def noisy_image(
     stated = None if stated is None else _stated_noise(stated, shape, masked)
     valid = ~masked
     if full.any():
-        lit = full if passed is None else lit_pixels(data, passed, valid, full)
-        masked, plateau = masked | full, Plateau(lit, data, 0.0)
-    elif plateau is None and passed is not None and given.saturated is None:
+        masked = masked | full
+        full = full if passed is None else lit_pixels(data, passed, valid, full)
+    elif passed is not None and given.saturated is None:
         noise = np.broadcast_to(0.0 if stated is None else stated, shape)
         valid &= np.isfinite(noise)
-        plateau = clipped_pixels(data, passed, valid, float(noise[valid].max()) or math.inf)
+        full = clipped_pixels(data, passed, valid, float(noise[valid].max()) or math.inf)
+        masked = masked | full
     background = given.background
     if shape_of("background", background):
         background = _picture("background", background, shape, masked)
     else:
         background = real("background", background)
-    data, least = data - background, None
-    if plateau is not None:
-        masked = masked | plateau.mask
-        least = np.where(plateau.mask, plateau.level - plateau.sigma, -np.inf) - background
+    data = data - background
+    least = np.where(full, data, -np.inf) if full.any() else None
     if not np.any(~masked if stated is None else ~masked & np.isfinite(stated)):
         raise SceneError(
             "every pixel is masked, saturated or of infinite noise, so that none counts; expose "
@@ -374,8 +357,7 @@ def noisy_image(
     ignored = bad | masked
     if ignored.any() and np.any(sigmas):
         sigmas = np.where(ignored, np.inf, sigmas)
-    if plateau is not None:
-        bad = bad | plateau.mask
+    bad = bad | full
     data, sigma, weights = _weighed(data, sigmas)
     return NoisyImage(
         data=data,
@@ -386,18 +368,9 @@ def noisy_image(
         background_shape=_background_shape(given.background_shape, shape),
         template=given.image if is_tensor(given.image) else None,
         bad_pixels=bad if bad.any() else None,
-        plateau=plateau,
+        saturated=full if full.any() else None,
         least=least,
     )
-
-
-def with_plateau(data: NoisyImage, image: Any, model: AnyModel) -> NoisyImage | None:
-    """Return ``data``, of an image, without the pixels of its `noisy_plateau`, if it has one."""
-    values = real_array("image", measured(image).image)
-    valid = data.in_numpy().weighted(np.ones(values.shape)) > 0.0
-    known = data.least is not None or measured(image).saturated is not None
-    plateau = None if known else noisy_plateau(values, valid)
-    return None if plateau is None else noisy_image(image, model, plateau)
 
 
 def _stated_noise(

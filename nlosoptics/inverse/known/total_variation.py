@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -22,32 +21,37 @@ from ..data.arrays import (
     like,
     rfft2,
 )
-from ..data.driver import Iterate, Run, Solver, answered, reconstructed, run, solved, stop_rule
-from ..data.models import AnyModel, image_of, mean_transfer, model_like
-from ..data.noisy_image import NoisyImage, with_plateau
+from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
+from ..data.models import AnyModel, mean_transfer, model_like
+from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 from ..data.status import LIMITS, Ending
 from ._splitting_kernels import RELAXATION
 from .field_step import FieldStep
 from .splitting_steps import KernelSteps, Steps, gradient
 
-# Penalties of the splitting x = p (sign) and grad x = d (edges), per unit of the object's
-# brightness. From sweeps over smooth and speckle kernels, 128^2 and 512^2.
-_SIGN_PENALTY = 5.0
-_EDGE_PENALTY = 10.0
-# The data penalty follows the data multiplier for the first iterations, then stays: with
-# constant penalties the method of multipliers converges.
-_DATA_SHARE = 0.2
-_ADAPT_EVERY = 10
-_ADAPT_UNTIL = 100
-# Weight of the residual mismatch in the stopping criterion.
-_RESIDUAL_SHARE = 0.05
 _RULE = (700, 5e-4)  # default number of iterations and tolerance
-# Tolerance of the second fit, which serves the status, relative to that of the first.
-_COARSER = 8.0
-# Least mean of a fitted image above a plateau that it was not fitted to, noise sigmas of a pixel;
-# largest correlation of two objects, with and without the plateau, that are not the same.
-_LEAST_RISE, _ALIKE = 1.5, 0.975
+
+
+@dataclass(frozen=True)
+class _Tuning:
+    """Numbers of the splitting, from sweeps over smooth and speckle kernels, 128^2 and 512^2.
+
+    ``sign`` and ``edge`` are the penalties of x = p and grad x = d, per unit of the object's
+    brightness. The data penalty is ``data`` of the multiplier in every tenth of the first hundred
+    iterations, then stays: with constant penalties the method of multipliers converges.
+    ``residual`` weighs the mismatch of the residual in the stopping criterion. The second fit,
+    which serves the status, is ``coarser``.
+    """
+
+    sign: float = 5.0
+    edge: float = 10.0
+    data: float = 0.2
+    residual: float = 0.05
+    coarser: float = 8.0
+
+
+_TUNING = _Tuning()
 
 
 def tv_deconvolve(
@@ -109,7 +113,6 @@ def tv_deconvolve(
     --------
     wiener : Linear filter that weighs the noise.
     richardson_lucy : Multiplicative, non-negative iteration.
-    deep_image_prior : Untrained network fitted to one image.
     registered_scores : Correlation, PSNR and SSIM with the truth.
 
     Notes
@@ -135,10 +138,7 @@ def tv_deconvolve(
     from the first object, and the wider point spread takes a similar amount from this object:
     ``object_error`` is the modulus of the difference. This takes about as long as half the fit.
 
-    Saturated pixels count only where the fitted image is below their level. If the image has a
-    plateau that may be saturated, and the weight is automatic, a fit to all other pixels is made as
-    well, a coarse one first. It is the answer if its image exceeds the plateau by 1.5 times the
-    noise.
+    Saturated pixels count only where the fitted image is below their level.
 
     The computation runs on one thread in single precision, or in double precision if the noise is
     below 1e-4 of the image's range. Only an image on a GPU is processed by torch. ``objective`` in
@@ -166,53 +166,9 @@ def tv_deconvolve(
     tv_weight = None if tv_weight is None else positive("tv_weight", tv_weight)
 
     def solve(data: NoisyImage) -> dict[str, Any]:
-        fit = _Splitting(data, model, rule, tv_weight)
-        found = run(fit, start, progress)
-        answer = answered(fit, found)
-        alone = tv_weight is None and not found.stopped
-        other = with_plateau(data, image, model) if alone else None
-        if other is None or other.is_background(model):
-            return answer
-        if answer["ending"].converged:  # a coarse fit from here shows most even objects
-            level, background = fit.nearby(deepcopy(found.state), other, model)
-            if not _rises(level, background, other, model):
-                return answer | _doubts(answer["level"], level, other)
-        second = solved(_Splitting(other.native(), model, rule, None), None, None)
-        if _rises(second["level"], second["background"], other, model):
-            return {"data": other, **second}
-        return answer | _doubts(answer["level"], second["level"], other)
+        return solved(_Splitting(data, model, rule, tv_weight), start, progress)
 
     return reconstructed(solve, image, model, in_numpy=True)
-
-
-def _rises(level: Values, background: float, data: NoisyImage, model: AnyModel) -> bool:
-    """Return whether the image of a fit rises above the plateau of ``data``, which it ignored.
-
-    If it does, the camera has clipped it. An object of few edges that is bright and even stays at
-    its level.
-    """
-    plateau, own = data.plateau, data.in_numpy()
-    assert plateau is not None  # of `with_plateau`
-    seen = image_of(model, as_double(as_numpy(level))) + own.background(background)
-    rise = float((seen - own.least)[plateau.mask].mean()) / plateau.sigma
-    return rise > 1.0 + _LEAST_RISE  # `least` is one sigma below the plateau
-
-
-def _doubts(level: Values, other: Values, data: NoisyImage) -> dict[str, Any]:
-    """Return a doubt in an object if without the plateau of ``data`` it is another one."""
-    plateau = data.plateau
-    assert plateau is not None
-    alike = float(np.corrcoef(*(as_double(as_numpy(one)).ravel() for one in (level, other)))[0, 1])
-    if alike > _ALIKE:
-        return {}
-    return {
-        "doubts": (
-            f"{int(plateau.mask.sum())} pixels are as bright as {plateau.level:.4g} within the "
-            f"noise, and without them the object is another one (correlation {alike:.2f}, limit "
-            f"{_ALIKE:g}): if the camera is saturated there, give them as saturated in "
-            "Measurement",
-        )
-    }
 
 
 def sharpest(
@@ -342,10 +298,10 @@ class _Splitting(Solver[_Split]):
         edges = gradient(signed)
         if self._given is None:
             data_penalty = 1.0 / (self._sigma * brightness)
-            multiplier = data_penalty / _DATA_SHARE
+            multiplier = data_penalty / _TUNING.data
         else:
             multiplier = self._given
-            data_penalty = _DATA_SHARE * multiplier
+            data_penalty = _TUNING.data * multiplier
         return _Split(
             signed=signed,
             predicted=predicted,
@@ -357,8 +313,8 @@ class _Splitting(Solver[_Split]):
             seen=None if self._field is None else self._dark + 0.0,
             multiplier=multiplier,
             data_penalty=data_penalty,
-            edge_penalty=_EDGE_PENALTY / brightness,
-            sign_penalty=_SIGN_PENALTY / brightness,
+            edge_penalty=_TUNING.edge / brightness,
+            sign_penalty=_TUNING.sign / brightness,
         )
 
     def resumed(self, state: _Split) -> None:
@@ -382,8 +338,8 @@ class _Splitting(Solver[_Split]):
         state.measure = max(change, distance)
         if self._given is None:
             expected = self._target / (self._sigma * math.sqrt(self._counted))
-            state.measure = max(state.measure, _RESIDUAL_SHARE * abs(residual - expected))
-        if state.count < _ADAPT_UNTIL and state.count % _ADAPT_EVERY == _ADAPT_EVERY - 1:
+            state.measure = max(state.measure, _TUNING.residual * abs(residual - expected))
+        if state.count < 100 and state.count % 10 == 9:
             _adapt(state)
         return variation, residual, change
 
@@ -414,7 +370,7 @@ class _Splitting(Solver[_Split]):
             history={"objective": objective, "residual": residuals, "change": changes},
         )
         if self._given is None:
-            again = partial(self.nearby, found.state)
+            again = partial(self._nearby, found.state)
             ending = replace(ending, most_residual=LIMITS.residual, again=again)
         background = self._background(found.state)
         return {"background": background, "tv_weight": tv_weight, "ending": ending}
@@ -422,12 +378,12 @@ class _Splitting(Solver[_Split]):
     def _background(self, state: _Split) -> float:
         return self._level + state.background * self._scale
 
-    def nearby(self, state: _Split, data: NoisyImage, model: AnyModel) -> tuple[Values, float]:
+    def _nearby(self, state: _Split, data: NoisyImage, model: AnyModel) -> tuple[Values, float]:
         """Return object (H, W) and background, image units, of a coarser fit to another image.
 
         It begins at a state of this fit, whose arrays it changes.
         """
-        rule = self.max_iterations, _COARSER * self._tolerance
+        rule = self.max_iterations, _TUNING.coarser * self._tolerance
         again = _Splitting(data.native(), model, rule, None)
         begun = replace(state, count=0, measure=math.inf)
         if state.free is not None:  # the last step's image is that of this fit's model
@@ -504,7 +460,7 @@ class _Splitting(Solver[_Split]):
 
 def _adapt(state: _Split) -> None:
     """Adapt the data penalty to the multiplier, by at most a factor of 3."""
-    ratio = _DATA_SHARE * state.multiplier / state.data_penalty
+    ratio = _TUNING.data * state.multiplier / state.data_penalty
     ratio = min(max(ratio, 1.0 / 3.0), 3.0)
     state.data_penalty *= ratio
     state.data_dual /= ratio

@@ -13,9 +13,7 @@ from ..._checks import one_of, whole
 from ..._random import generator
 from ...errors import SamplingError, SceneError
 
-# Stage of `_random` that draws a network's weights.
-WEIGHTS = 601
-_SLOPE = 0.1
+WEIGHTS = 601  # stream of a network's weights
 
 
 class UNet(nn.Module):
@@ -35,8 +33,7 @@ class UNet(nn.Module):
 
     See Also
     --------
-    CnnBaseline : Network from images to objects.
-    deep_image_prior : Untrained network fitted to one image.
+    wu2024_fit : Fit of object and wall, with the object from such a network.
 
     Notes
     -----
@@ -156,7 +153,7 @@ def _stage(entering: int, leaving: int, convolutions: int = 2) -> nn.Sequential:
             # no bias, since the following normalisation has its own offset
             nn.Conv2d(channels, leaving, 3, padding=1, bias=False, dtype=torch.float32),
             nn.GroupNorm(1, leaving, dtype=torch.float32),
-            nn.LeakyReLU(_SLOPE, inplace=True),
+            nn.LeakyReLU(0.1, inplace=True),
         ]
     return nn.Sequential(*layers)
 

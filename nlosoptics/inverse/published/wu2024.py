@@ -31,15 +31,10 @@ from ..wave.frames import known_defoci
 from ..wave.pupil_psf import PupilPSF
 from .unet import UNetObject
 
-NetworkInput = Literal["image", "reconstruction"]
+NetworkInput = Literal["image", "reconstruction", "noise"]
 AnyPSF = PupilPSF | FacetPSF
 
-ANGLES = 603  # stream of the random angles
-# Iterations of a first run and of a resumed run ("more than 4000", "approximately 1800" in the
-# paper).
-_COLD, _WARM = 4000, 1800
-# Correlation of object and image above which the answer counts as trivial (no blur).
-_TRIVIAL_CORRELATION = 0.95
+GUIDE, ANGLES = 602, 603  # streams of the random network input and of the random angles
 
 
 @single_thread()
@@ -95,8 +90,9 @@ def wu2024_fit(
     alternate : int
         Number of steps that fit the angles, followed by the same number of steps that fit the
         network.
-    network_input : {"image", "reconstruction"}
-        Input of the network while it is fitted: the camera image or the last reconstruction.
+    network_input : {"image", "reconstruction", "noise"}
+        Input of the network while it is fitted: the camera image, the last reconstruction, or eight
+        channels of random noise, as for a deep image prior [2]_.
     learning_rate : float
         Learning rate of the optimiser (Adam) for angles and network weights.
     tv_weight : float
@@ -177,15 +173,17 @@ def wu2024_fit(
     References
     ----------
     .. [1] Wu et al., Advanced Photonics Nexus 3 (2024) 026010, section 2.2.
+    .. [2] Ulyanov, Vedaldi and Lempitsky, Int. J. Comput. Vis. 128 (2020) 1867.
     """
     checked_seed(seed)
     alternate = whole("alternate", alternate)
     if max_iterations is None:
-        max_iterations = _WARM if isinstance(start, Reconstruction) else _COLD
+        # "approximately 1800" and "more than 4000" in the paper
+        max_iterations = 1800 if isinstance(start, Reconstruction) else 4000
     max_iterations = whole("max_iterations", max_iterations)
     tv_weight = in_range("tv_weight", tv_weight, 0.0)
     rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
-    one_of("network_input", network_input, ("image", "reconstruction"))
+    one_of("network_input", network_input, ("image", "reconstruction", "noise"))
     image = _only(measured(images), pupil_psf)
     if defocus is not None:
         defocus = np.atleast_1d(real_array("defocus", defocus))
@@ -193,11 +191,15 @@ def wu2024_fit(
 
     def solve(data: NoisyImage) -> dict[str, Any]:
         scaled = ScaledImage(data, float(data.data.max() - data.data.min()))
+        guide = scaled.image
+        if network_input == "noise":
+            noise = generator(seed, GUIDE).uniform(size=(8, *guide.shape))
+            guide = torch.from_numpy(noise).to(guide)
         if isinstance(start, Reconstruction):
-            angles, network = _from_earlier(start, pupil_psf, scaled.image)
+            angles, network = _from_earlier(start, pupil_psf, guide)
         else:
             angles = _random_angles(pupil_psf, start_rms, seed)
-            network = UNetObject(scaled.image, base=base, depth=depth, seed=seed)
+            network = UNetObject(guide, base=base, depth=depth, seed=seed)
         fit = _Pcin(
             data=data,
             image=scaled,
@@ -334,7 +336,7 @@ class _Pcin(Solver[_Turns]):
         return {
             "model": model,
             "background": beside(self.data, level, model)[0],
-            "status": "trivial" if alike > _TRIVIAL_CORRELATION else "unconverged",
+            "status": "trivial" if alike > 0.95 else "unconverged",
             "coefficients": _frozen(coefficients.to(torch.float64)),
             "network_weights": _frozen(joined(list(network.parameters()))),
             "network_base": float(network.base),
@@ -387,7 +389,7 @@ def _random_angles(pupil_psf: AnyPSF, start_rms: float | None, seed: int) -> Ten
 
 
 def _from_earlier(
-    start: Reconstruction, pupil_psf: AnyPSF, image: Tensor
+    start: Reconstruction, pupil_psf: AnyPSF, guide: Tensor
 ) -> tuple[Tensor, UNetObject]:
     """Return angles and network of an earlier result."""
     found = start.physical_parameters
@@ -403,7 +405,7 @@ def _from_earlier(
             f"{wanted}; give the pupil_psf of the earlier run"
         )
     base, depth = int(found["network_base"]), int(found["network_depth"])
-    network = UNetObject(image, base=base, depth=depth)
+    network = UNetObject(guide, base=base, depth=depth)
     spread("network_weights", found["network_weights"], list(network.network.parameters()))
     angles = torch.from_numpy(np.array(found["coefficients"])).to(pupil_psf.coefficients)
     return angles, network
