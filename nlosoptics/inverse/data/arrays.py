@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
-from ... import _fourier
 from ...errors import SamplingError, SceneError
 
 #: numpy array or torch tensor.
@@ -148,18 +148,15 @@ def norm(values: Values) -> float:
     return math.sqrt(total(values * values))
 
 
-def rfft2(values: Values, out: Values | None = None) -> Values:
+def rfft2(values: Values) -> Values:
     """Return the half spectra (..., rows, columns//2 + 1) of images (..., rows, columns)."""
-    if is_tensor(values):
-        return library(values).fft.rfft2(values, out=out)
-    return _fourier.rfft2(values, out=out)
+    return library(values).fft.rfft2(values) if is_tensor(values) else fft.rfft2(values)
 
 
-def irfft2(spectra: Values, columns: int, out: Values | None = None) -> Values:
+def irfft2(spectra: Values, columns: int) -> Values:
     """Return the images (..., rows, columns) of half spectra (..., rows, columns//2 + 1)."""
-    if is_tensor(spectra):
-        return library(spectra).fft.irfft2(spectra, s=(spectra.shape[-2], columns), out=out)
-    return _fourier.irfft2(spectra, columns, out)
+    transforms = library(spectra).fft if is_tensor(spectra) else fft
+    return transforms.irfft2(spectra, s=(spectra.shape[-2], columns))
 
 
 def half_spectrum_weights(columns: int) -> NDArray[np.float64]:

@@ -158,8 +158,7 @@ def reconstructed(
 
     ``solve`` returns the arguments of `concluded` or `assemble` for a checked image in torch; it is
     not called if no object is detected and no pixel is saturated. ``shape`` (H, W) is that of the
-    image if the point spread is unknown. With ``in_numpy`` the checked image is in numpy, unless
-    the given one is on a GPU.
+    image if the point spread is unknown. With ``in_numpy`` the checked image is in numpy.
     """
     started = time.perf_counter()
     gain = measured(image).gain
@@ -169,7 +168,7 @@ def reconstructed(
     if hidden and not full:
         answer = _no_object(data)
     else:
-        answer = solve(data.native() if in_numpy else data.in_torch())
+        answer = solve(data.in_numpy() if in_numpy else data.in_torch())
     finish = concluded if "ending" in answer else assemble
     found = finish(**{"data": data, "model": model, "gain": gain, "started": started, **answer})
     if not (hidden and full):

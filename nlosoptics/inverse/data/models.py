@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from ..._checks import counted
-from ..._fourier import irfft2, rfft2
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
-from .arrays import Values, as_double, is_tensor, library
+from .arrays import Values, as_double, irfft2, is_tensor, library, rfft2
 
 if TYPE_CHECKING:
     from .forward import TorchForwardModel

@@ -6,12 +6,11 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 from ..._checks import squarable
-from ..._fourier import irfft2, rfft2
-from ..._smoothing import gaussian_smoothed
 from ...errors import SamplingError
-from .arrays import MEDIAN_OVER_SIGMA, Values, check_finite, check_shape, real_array
+from .arrays import MEDIAN_OVER_SIGMA, Values, check_finite, check_shape, irfft2, real_array, rfft2
 from .models import AnyModel, model_shape
 from .spectra import (
     beyond_optics,
@@ -183,8 +182,8 @@ def surrounded(values: Array, masked: Mask) -> Array:
     """Return an image in which masked pixels hold the weighted mean of the others around them."""
     if not masked.any():
         return values
-    valid = gaussian_smoothed((~masked).astype(np.float64), _AROUND)
-    sums = gaussian_smoothed(np.where(masked, 0.0, values), _AROUND)
+    valid = ndimage.gaussian_filter((~masked).astype(np.float64), _AROUND)
+    sums = ndimage.gaussian_filter(np.where(masked, 0.0, values), _AROUND)
     mean = float(values[~masked].mean())
     around = np.where(valid > _LEAST_AROUND, sums / np.maximum(valid, _LEAST_AROUND), mean)
     return np.where(masked, around, values)

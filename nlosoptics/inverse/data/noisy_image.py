@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft, special
 
 from ..._checks import positive, real, squarable
-from ..._fourier import cosines2
-from ..._special import upper_gamma_share
 from ...errors import SceneError
 from .arrays import (
     Values,
@@ -39,16 +38,6 @@ from .spectra import (
     periodic_power,
     power,
 )
-
-# Noise below this part of the image's range is near float32's rounding in the transforms.
-_FLOAT32_NOISE = 1e-4
-# Sum of squared weights that is only rounding error.
-_ROUNDING = 1e-9
-# Standard errors by which the noise beyond the optics may differ from the stated noise; more is a
-# sign of light that the optics should not pass.
-_MOST_ERRORS = 3.0
-# Share of images of noise alone in which an object is detected.
-_FALSE_ALARMS = 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -94,11 +83,6 @@ class NoisyImage:
     bad_pixels: NDArray[np.bool_] | None = None
     saturated: NDArray[np.bool_] | None = None
     least: Values | None = None
-
-    def native(self) -> NoisyImage:
-        """Return the image with numpy arrays, or with tensors if the given image is on a GPU."""
-        on_processor = self.template is None or self.template.device.type == "cpu"
-        return self.in_numpy() if on_processor else self.in_torch()
 
     def in_torch(self) -> NoisyImage:
         """Return the image with tensors, on the device of the given image."""
@@ -186,7 +170,7 @@ class NoisyImage:
 
     def working_dtype(self) -> Any:
         """Return float32, or float64 if the noise is close to rounding errors of float32 FFTs."""
-        single = self.sigma > _FLOAT32_NOISE * self.span()
+        single = self.sigma > 1e-4 * self.span()
         return getattr(library(self.data), "float32" if single else "float64")
 
     def score(self, explained: Values | float) -> float:
@@ -221,11 +205,11 @@ class NoisyImage:
         relative = power(rest) * (rest.size / (self.counted * self.sigma**2))
         if not self.fit_background:  # even light is an object then
             strength = float(rest.mean()) * math.sqrt(rest.size) / self.sigma
-            if 0.5 * math.erfc(strength / math.sqrt(2.0)) < _FALSE_ALARMS:
+            if 0.5 * math.erfc(strength / math.sqrt(2.0)) < 1e-3:
                 return False
         kinds = [passed * object_power(shape) ** half for half in (0.0, 0.5, 1.0)]
         chances = [_chance(relative, kind, shape, self.sigma_estimated) for kind in kinds]
-        return len(kinds) * min(chances) > _FALSE_ALARMS
+        return len(kinds) * min(chances) > 1e-3
 
     def energies(self, model: AnyModel) -> tuple[float, float]:
         """Split the image's sum of squares over the noise's variance into noise and signal.
@@ -247,10 +231,11 @@ class NoisyImage:
             signal = expected_signal(periodic_power(rest), passed, unit, rest.shape, least)
             beyond = beyond_optics(signal, unit)
             cosines = cosines_within(beyond, rest.shape)
-            there = cosines2(rest)[cosines] ** 2 / unit
+            there = fft.dctn(rest, norm="ortho")[cosines] ** 2 / unit
             left = float(signal[beyond].mean()) / unit if beyond.any() else 0.0
             excess = float((there - 1.0 - left).sum())
-            if abs(excess) < _MOST_ERRORS * math.sqrt(2.0 * there.size):
+            # more is a sign of light that the optics should not pass
+            if abs(excess) < 3.0 * math.sqrt(2.0 * there.size):
                 noise += excess * self.counted / rest.size
                 inside -= there.size
         seen = max(whole - noise, math.sqrt(2.0 * inside))
@@ -297,13 +282,13 @@ def _chance(
         weights = weights - float((twice * weights).sum()) / count
     weights = weights / max(float(np.abs(weights).max()), 1e-300)
     squares, cubes = (float((twice * weights**k).sum()) for k in (2, 3))
-    if squares <= _ROUNDING or cubes <= _ROUNDING:  # all frequencies weigh the same
+    if min(squares, cubes) <= 1e-9:  # all frequencies weigh the same
         return 1.0
     variance, third = 2.0 * squares, 8.0 * cubes
     freedom = 4.0 * variance**3 / third**2
     deviation = float((twice * weights * (relative - 1.0)).sum()) / math.sqrt(variance)
     value = max(freedom + deviation * math.sqrt(freedom), 0.0)
-    return upper_gamma_share(freedom, value)
+    return float(special.gammaincc(freedom, value))
 
 
 def noisy_image(image: Any, model: AnyModel | tuple[int, int]) -> NoisyImage:

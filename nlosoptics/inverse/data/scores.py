@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ..._checks import positive, whole
-from ..._smoothing import gaussian_smoothed
 from ...errors import SamplingError
 from .arrays import check_finite, real_array
 from .reconstruction import Reconstruction
@@ -191,7 +191,7 @@ def _structural_similarity(first: Array, second: Array, offset: float, peak: flo
     """Return the mean SSIM of two mean-free images, whose common mean is ``offset``."""
 
     def local_mean(picture: Array) -> Array:
-        smooth = gaussian_smoothed(picture, 1.5, truncate=3.5)
+        smooth = ndimage.gaussian_filter(picture, 1.5, truncate=3.5)
         return smooth[_SSIM_EDGE:-_SSIM_EDGE, _SSIM_EDGE:-_SSIM_EDGE]
 
     means = local_mean(first), local_mean(second)

@@ -12,16 +12,11 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from ..._fourier import irfft2, rfft2
 from ...imaging.forward_model import ForwardModel
-from .arrays import half_spectrum_weights
+from .arrays import half_spectrum_weights, irfft2, rfft2
 from .models import AnyModel, numpy_model
 
 Array = NDArray[np.float64]
-
-# Largest power of an object's image, relative to the noise, at a frequency that counts as beyond
-# the optics.
-_NOTHING_PASSED = 0.05
 
 
 def passed_power(model: AnyModel) -> Array:
@@ -152,8 +147,8 @@ def expected_signal(
 
 
 def beyond_optics(signal: Array, variance: float) -> NDArray[np.bool_]:
-    """Return the mask of frequencies at which the `expected_signal` is far below the noise."""
-    return signal < _NOTHING_PASSED * variance
+    """Return the mask of frequencies at which the `expected_signal` is below 5 % of the noise."""
+    return signal < 0.05 * variance
 
 
 def cosines_within(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:

@@ -8,27 +8,21 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..._checks import positive
 from ..._progress import Progress
-from ..data.arrays import (
-    Values,
-    as_double,
-    as_numpy,
-    irfft2,
-    is_tensor,
-    library,
-    like,
-    rfft2,
-)
+from ..data.arrays import irfft2, rfft2
 from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
-from ..data.models import AnyModel, mean_transfer, model_like
+from ..data.models import AnyModel, mean_transfer, numpy_model
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 from ..data.status import LIMITS, Ending
-from ._splitting_kernels import RELAXATION
+from ._splitting_kernels import RELAXATION, mix, pull
 from .field_step import FieldStep
-from .splitting_steps import KernelSteps, Steps, gradient
+from .splitting_steps import Steps, gradient
+
+Array = NDArray[Any]
 
 _RULE = (700, 5e-4)  # default number of iterations and tolerance
 
@@ -141,7 +135,7 @@ def tv_deconvolve(
     Saturated pixels count only where the fitted image is below their level.
 
     The computation runs on one thread in single precision, or in double precision if the noise is
-    below 1e-4 of the image's range. Only an image on a GPU is processed by torch. ``objective`` in
+    below 1e-4 of the image's range. ``objective`` in
     the history is evaluated at the final weight, so it may rise while the weight is adjusted.
 
     References
@@ -173,9 +167,9 @@ def tv_deconvolve(
 
 def sharpest(
     data: NoisyImage, model: AnyModel, rule: tuple[int, float] = _RULE, tv_weight: Any = None
-) -> tuple[Values, float, float]:
+) -> tuple[Array, float, float]:
     """Return object, background and weight of `tv_deconvolve`, not judged; 0 if none is seen."""
-    data = data.native()
+    data = data.in_numpy()
     if data.is_background(model):
         return 0.0 * data.data, float(data.background_strength(data.data)), 0.0
     answer = solved(_Splitting(data, model, rule, tv_weight), None, None)
@@ -190,29 +184,20 @@ class _Split(Iterate):
     ``measure`` is compared with the tolerance.
     """
 
-    signed: Values
-    predicted: Values
-    edges: Values
-    data_dual: Values
-    sign_dual: Values
-    edge_dual: Values
-    free: Values | None
-    seen: Values | None
+    signed: Array
+    predicted: Array
+    edges: Array
+    data_dual: Array
+    sign_dual: Array
+    edge_dual: Array
+    free: Array | None
+    seen: Array | None
     background: float = 0.0
     multiplier: float
     data_penalty: float
     edge_penalty: float
     sign_penalty: float
     measure: float = math.inf
-
-
-class _Scratch:
-    """Arrays that each iteration fills anew; ``prototype`` is an array on the FFT grid."""
-
-    def __init__(self, prototype: Values) -> None:
-        empty = library(prototype).empty_like
-        self.wanted, self.pull, self.free, self.seen = (empty(prototype) for _ in range(4))
-        self.first, self.second = (rfft2(prototype) for _ in range(2))
 
 
 class _Splitting(Solver[_Split]):
@@ -238,33 +223,29 @@ class _Splitting(Solver[_Split]):
         self._scale = data.span()
         self._sigma = data.sigma / self._scale
         self._counted = data.counted
-        self._library = library(data.data)
         # A background far above the noise would exhaust single precision, so it is subtracted.
         self._level = data.border_strength()
-        image = (data.data - data.background(self._level)) / self._scale
         self._frame = tuple(slice(None, length) for length in model.shape)
-        working = self._library.zeros_like(image, dtype=data.working_dtype())
-        self._dark = like(np.zeros(model.grid), working)
-        self._image = like(image, working)
-        ones = 1.0 + 0.0 * image
-        self._shape = like(ones * data.background(1.0), working)
-        self._weights = like(data.weighted(ones), working)
+        kind = data.working_dtype()
+        self._dark = np.zeros(model.grid, kind)
+        ones = np.ones(model.shape)
+        self._image = ((data.data - data.background(self._level)) / self._scale).astype(kind)
+        self._shape = (ones * data.background(1.0)).astype(kind)
+        self._weights = data.weighted(ones).astype(kind)
         self._saturated = None
         if data.least is not None:
             least = (data.least - data.background(self._level)) / self._scale
-            saturated = self._library.isfinite(least)
-            self._saturated = self._library.where(saturated)
-            self._image = self._library.where(saturated, like(least, working), self._image)
-        given = self._image, self._shape, self._weights
-        self._steps = Steps(*given) if is_tensor(working) else KernelSteps(*given, model.grid[1])
-        twin = model_like(model, data.data)
+            saturated = np.isfinite(least)
+            self._saturated = np.where(saturated)
+            self._image = np.where(saturated, least.astype(kind), self._image)
+        self._steps = Steps(self._image, self._shape, self._weights, model.grid[1])
+        twin = numpy_model(model)
         transfer = mean_transfer(twin)
         self._response = float(abs(transfer).max())
         transfer = transfer / self._response
-        self._scratch = _Scratch(self._dark)
-        self._transfer = like(transfer, self._scratch.first)
-        self._power = like(transfer.real**2 + transfer.imag**2, self._dark)
-        self._laplacian = like(_laplacian(model.grid), self._dark)
+        self._transfer = transfer.astype(rfft2(self._dark).dtype)
+        self._power = (transfer.real**2 + transfer.imag**2).astype(kind)
+        self._laplacian = _laplacian(model.grid).astype(kind)
         self._field = None
         if twin.weights is not None:
             self._field = FieldStep(twin.weights, twin.transfer / self._response, self._dark)
@@ -273,9 +254,9 @@ class _Splitting(Solver[_Split]):
             noise, signal = data.energies(model)
             left = max(noise - _taken(signal, model.shape), data.counted / 2)
             self._target = self._sigma * math.sqrt(left)
-        self._factored: tuple[tuple[float, ...], tuple[Values, Values, Values]] | None = None
+        self._factored: tuple[tuple[float, ...], tuple[Array, Array, Array]] | None = None
 
-    def init(self, first: Values | None) -> _Split:
+    def init(self, first: Array | None) -> _Split:
         """Return the initial state, from an object or by a mild inverse filter.
 
         Negative values and values outside the frame are removed. The predicted image starts as the
@@ -289,10 +270,10 @@ class _Splitting(Solver[_Split]):
             spectrum /= self._power + 1e-2
             begun = irfft2(spectrum, predicted.shape[-1])[self._frame]
         else:
-            begun = like(first * (self._response / self._scale), self._dark)
+            begun = first * (self._response / self._scale)
         signed = self._dark + 0.0
-        signed[self._frame] = begun.clip(0.0, None)
-        framed = as_numpy(signed[self._frame]).ravel()
+        signed[self._frame] = np.maximum(begun, 0.0)
+        framed = signed[self._frame].ravel()
         highest = math.ceil(0.99 * framed.size) - 1
         brightness = float(np.partition(framed, highest)[highest]) or 1.0
         edges = gradient(signed)
@@ -324,12 +305,11 @@ class _Splitting(Solver[_Split]):
 
     def step(self, state: _Split) -> tuple[float, float, float]:
         """Make one iteration; return total variation, residual and change of the object."""
-        own, steps = self._scratch, self._steps
-        own.wanted[...] = state.predicted
-        own.wanted[self._frame] -= state.data_dual
+        steps, wanted, pulled = self._steps, state.predicted.copy(), np.empty_like(self._dark)
+        wanted[self._frame] -= state.data_dual
         edges = state.edges, state.edge_dual, state.edge_penalty
-        steps.pull(*edges, state.signed, state.sign_dual, state.sign_penalty, own.pull)
-        free, seen = self._object_step(state)
+        pull(*edges, state.signed, state.sign_dual, state.sign_penalty, pulled)
+        free, seen = self._object_step(state, wanted, pulled)
         residual = self._data_step(state, seen)
         variation = steps.shrink_edges(free, state.edges, state.edge_dual, 1 / state.edge_penalty)
         sums = steps.keep_positive(free, state.signed, state.sign_dual)
@@ -348,11 +328,11 @@ class _Splitting(Solver[_Split]):
         # The first change is due to the data alone and is tiny if the weight is large.
         return state.measure <= self._tolerance and state.count > 1
 
-    def level(self, state: _Split) -> Values:
+    def level(self, state: _Split) -> Array:
         """Return the object (H, W) in image units."""
-        return as_double(state.signed[self._frame]) * (self._scale / self._response)
+        return state.signed[self._frame].astype(np.float64) * (self._scale / self._response)
 
-    def answer(self, found: Run[_Split], level: Values) -> dict[str, Any]:
+    def answer(self, found: Run[_Split], level: Array) -> dict[str, Any]:
         """Return background, dimensionless weight of total variation, and history.
 
         The objective is computed with the final weight, since in some steps the weight is
@@ -378,20 +358,20 @@ class _Splitting(Solver[_Split]):
     def _background(self, state: _Split) -> float:
         return self._level + state.background * self._scale
 
-    def _nearby(self, state: _Split, data: NoisyImage, model: AnyModel) -> tuple[Values, float]:
+    def _nearby(self, state: _Split, data: NoisyImage, model: AnyModel) -> tuple[Array, float]:
         """Return object (H, W) and background, image units, of a coarser fit to another image.
 
         It begins at a state of this fit, whose arrays it changes.
         """
         rule = self.max_iterations, _TUNING.coarser * self._tolerance
-        again = _Splitting(data.native(), model, rule, None)
+        again = _Splitting(data, model, rule, None)
         begun = replace(state, count=0, measure=math.inf)
         if state.free is not None:  # the last step's image is that of this fit's model
             begun.free, begun.seen = self._dark + 0.0, self._dark + 0.0
         found = run(again, begun).state
         return again.level(found), again._background(found)
 
-    def _factors(self, state: _Split) -> tuple[Values, Values, Values]:
+    def _factors(self, state: _Split) -> tuple[Array, Array, Array]:
         """Return the half spectra of R, of the preconditioner and of the data filter.
 
         They are computed again only when a penalty has changed.
@@ -404,24 +384,24 @@ class _Splitting(Solver[_Split]):
             self._factored = penalties, (rest, inverse, filtered)
         return self._factored[1]
 
-    def _object_step(self, state: _Split) -> tuple[Values, Values]:
+    def _object_step(self, state: _Split, wanted: Array, pulled: Array) -> tuple[Array, Array]:
         """Return the object whose image and gradients best match their targets, and its image.
 
-        The targets are in the scratch, both on the FFT grid: the image, and gradients and values,
-        transposed and times their penalties.
+        The targets are on the FFT grid: the image, and gradients and values, transposed and times
+        their penalties.
         """
-        own, columns = self._scratch, self._dark.shape[-1]
         rest, inverse, filtered = self._factors(state)
         if self._field is not None and state.free is not None and state.seen is not None:
             state.free, state.seen = self._field.solve(
-                own.wanted, own.pull, state.data_penalty, rest, inverse, (state.free, state.seen)
+                wanted, pulled, state.data_penalty, rest, inverse, (state.free, state.seen)
             )
             return state.free, state.seen
-        spectra = rfft2(own.wanted, own.first), rfft2(own.pull, own.second)
-        self._steps.mix(*spectra, filtered, inverse, self._transfer)
-        return irfft2(spectra[0], columns, own.free), irfft2(spectra[1], columns, own.seen)
+        free, seen = rfft2(wanted), rfft2(pulled)
+        mix(free, seen, filtered, inverse, self._transfer)
+        columns = self._dark.shape[-1]
+        return irfft2(free, columns), irfft2(seen, columns)
 
-    def _data_step(self, state: _Split, seen: Values) -> float:
+    def _data_step(self, state: _Split, seen: Array) -> float:
         """Move the predicted image toward the measured one until the residual equals the noise.
 
         The background and, if searched for, the multiplier are updated too. Returns the rms
@@ -477,7 +457,7 @@ def _taken(signal: float, shape: tuple[int, int]) -> float:
     return values * (signal / (signal + values)) ** 2
 
 
-def _laplacian(grid: tuple[int, int]) -> Values:
+def _laplacian(grid: tuple[int, int]) -> Array:
     """Return the transfer function of the negative discrete Laplacian, (rows, columns//2 + 1)."""
     rows = np.arange(grid[0]) * (2.0 * math.pi / grid[0])
     columns = np.arange(grid[1] // 2 + 1) * (2.0 * math.pi / grid[1])
