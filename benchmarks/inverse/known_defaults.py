@@ -36,9 +36,9 @@ COLUMNS = ("ours", "ours_told", "deepinv_told", "deepinv_best", "lucy_best", "wi
 def by_deepinv(deepinv, data, model):
     """Correlations of deepinv's total variation: told the true noise, and the best."""
     import torch
+    from nlosoptics.inverse.data.deepinv import NlosPhysics
 
     from nlosoptics import inverse
-    from nlosoptics.inverse.data.deepinv import NlosPhysics
 
     physics, tried = NlosPhysics(model), []
     peak = data.image.max()

@@ -315,8 +315,9 @@ def disturbance(clean, kind, strength, rng):
 
 def signs_of(found, image, model):
     """Signs of a wrong model in a reconstruction, or None without an object or a second fit."""
-    from nlosoptics.inverse.data.noisy_image import noisy_image
     from nlosoptics.inverse.data.signs import LACK, LACK_POWER
+
+    from nlosoptics.inverse.data.noisy_image import noisy_image
     from nlosoptics.inverse.data.status import Spectra
 
     fitted = found.physical_parameters

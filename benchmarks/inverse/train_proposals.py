@@ -28,7 +28,7 @@ from pictures import SIDE, pictures
 from torch import nn
 
 from nlosoptics.inverse.blind.wall_network import MODES, WallNetwork, twin_signs
-from nlosoptics.inverse.blind.wall_proposals import saved_network
+from nlosoptics.inverse.blind.wall_proposals import FORMAT
 from nlosoptics.psf.aperture.quadrature_nodes import circle_shares
 from nlosoptics.psf.wave.zernikes import zernike, zernike_order
 
@@ -44,6 +44,27 @@ TESTED = (0.25, 0.5, 1.0)
 EVERY = 30.0  # seconds between reports
 BLOCK = 256  # pictures that a process draws at a time
 FINE = 2 * SIDE  # pixels of a drawn picture along each side
+
+
+def log_likelihood(found, walls):
+    """Logarithm of a mixture's density (B,) at coefficients (B, M) or at their twin.
+
+    A wave W(x) and its twin -W(-x) have the same point spread: an image cannot tell which made it.
+    """
+    twin = walls * twin_signs().to(walls.device)
+    pair = torch.stack([walls, twin], dim=1)[:, :, None]
+    offset = (pair - found.means[:, None]) / found.deviations[:, None]
+    each = -0.5 * offset.square() - found.deviations.log()[:, None]
+    density = each.sum(dim=3) + found.weights[:, None]
+    return density.flatten(1).logsumexp(dim=1) - math.log(2.0)
+
+
+def save(network, path):
+    """Write a network in half precision."""
+    from safetensors.torch import save_file
+
+    halves = {name: one.detach().half() for name, one in network.state_dict().items()}
+    save_file(halves, path, {"format": FORMAT})
 
 
 class Pictures:
@@ -181,7 +202,7 @@ def told(network: WallNetwork, images, noise, walls) -> str:
     rows = torch.arange(len(walls), device=walls.device)[:, None]
     spread = torch.randn(*parts.shape, len(MODES), generator=random, device=walls.device)
     draws = errors(found.means[rows, parts] + 0.5 * spread * found.deviations[rows, parts])
-    loss = -found.log_likelihood(walls).mean()
+    loss = -log_likelihood(found, walls).mean()
     three = [means[rows[:, 0], best], means.amin(dim=1), draws.amin(dim=1)]
     return " ".join(f"{one.median().item():.3f}" for one in three) + f" ({loss.item():.1f})"
 
@@ -230,7 +251,7 @@ def main() -> None:
             group["lr"] = RATE * rate(step, share)
         with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
             found = network(images, noise)
-        loss = -found.log_likelihood(walls).mean()
+        loss = -log_likelihood(found, walls).mean()
         adam.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(network.parameters(), 10.0)
@@ -258,7 +279,7 @@ def main() -> None:
             )
             reports = now // EVERY
             if options.weights is not None:
-                options.weights.write_bytes(saved_network(mean))
+                save(mean, options.weights)
     held.pool.terminate()
 
 

@@ -32,12 +32,6 @@ from .free_energy import Floats, FreeEnergy, Starts
 from .verdict import Verdict
 from .wall_proposals import wall_proposals
 
-#: Smallest range of the known defoci, waves rms, at which a wave without blur cannot explain all
-#: images.
-_DIVERSE = 0.1
-#: Largest accepted error of given coefficients, waves rms.
-_MOST_ERROR = 0.25
-
 
 @single_thread()
 @gradients()
@@ -221,7 +215,7 @@ def evidence_fit(
     if start_error is not None:
         remedy = "leave it out; a search needs no start"
         start_error = in_range(
-            "start_error", start_error, 0.0, _MOST_ERROR, open_low=True, unit="waves", remedy=remedy
+            "start_error", start_error, 0.0, 0.25, open_low=True, unit="waves", remedy=remedy
         )
     rounds = None if max_iterations is None else whole("max_iterations", max_iterations)
     seconds = math.inf if max_seconds is None else positive("max_seconds", max_seconds, unit="s")
@@ -313,7 +307,7 @@ def _diverse(frames: Frames, wavelength: float) -> bool:
             "and defocus: equal ones tell no more than their mean; average them, or give the known "
             "defocus of each image, for example [0, half a wavelength]"
         )
-    return frames.n_walls > 1 or bool(np.ptp(frames.defocus) >= _DIVERSE * wavelength)
+    return frames.n_walls > 1 or bool(np.ptp(frames.defocus) >= 0.1 * wavelength)
 
 
 def _first_coefficients(frames: Frames, pupil_psf: PupilPSF) -> Floats:

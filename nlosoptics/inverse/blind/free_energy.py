@@ -24,63 +24,15 @@ from ..wave.frames import Frames
 from ..wave.pupil_psf import PupilPSF
 from ..wave.pupil_waves import DEFOCUS, ZernikeWaves, noll_mode
 from . import _evidence_kernels as kernels
+from .search_settings import Stage
 
 Floats = NDArray[Any]
 #: Softness of the transition of object values to 0, relative to the image's maximum.
 _SOFTNESS = 0.1
-#: Largest step of an object value in one iteration, relative to the image's maximum.
-_OBJECT_RATE = 0.05
-#: Number of starts processed together, so that their arrays fit into the processor's cache.
-_CHUNK = 8
-#: Largest pitch relative to Nyquist's that is treated as Nyquist's: the transfer function 2 % below
-#: the cutoff is less than 1e-3.
-_NYQUIST_SLACK = 1.02
-_LEAST_VARIANCE = 1e-6
-#: Noise relative to the images' range below which single precision does not suffice.
-_FLOAT32_NOISE = 1e-4
-#: Largest change of an image's relative brightness in one iteration, and its limits.
-_GAIN_STEP, _MOST_GAIN = 1.2, 10.0
-_SHRINK = np.array([0.9, 0.99])
 
 
 class OutOfTime(Exception):
     """Raised by a descent that is to end without a result."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stage:
-    """Settings of one descent.
-
-    Parameters
-    ----------
-    iterations : int
-        Number of iterations.
-    kappa : float
-        Strength of the object's prior; 0.5 to compare answers, 1 to 1.5 to search.
-    first, last : float
-        Ratio of the assumed noise to the actual one, at the start and from ``share`` on.
-    share : float
-        Fraction of the iterations after which ``last`` is reached.
-    wave_rate : float
-        Largest step of a coefficient, waves; 0 keeps the coefficients.
-    """
-
-    iterations: int
-    kappa: float
-    first: float
-    last: float
-    share: float
-    wave_rate: float
-
-    def noise(self, iteration: int) -> float:
-        """Return the ratio of the assumed noise to the actual one in an iteration."""
-        done = min(1.0, iteration / (self.share * self.iterations))
-        return self.first * math.exp(done * math.log(self.last / self.first))
-
-    def pace(self, iteration: int) -> float:
-        """Return the factor of both rates: 1 in the first half, then a cosine down to 5 %."""
-        late = max(0.0, 2.0 * iteration / self.iterations - 1.0)
-        return 0.05 + 0.95 * 0.5 * (1.0 + math.cos(math.pi * late))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -185,7 +137,7 @@ class FreeEnergy:
         late: Callable[[], bool] = lambda: False,
     ) -> None:
         if dtype is None:
-            dtype = np.float32 if frames.sigmas.min() > _FLOAT32_NOISE else np.float64
+            dtype = np.float32 if frames.sigmas.min() > 1e-4 else np.float64
         self.sigma = float(np.mean(np.square(frames.sigmas)) ** 0.5)
         self._dtype, self.grid, self._shape = dtype, grid, frames.shape
         self._late = late
@@ -381,9 +333,10 @@ class FreeEnergy:
     def _spread(self, work: Any, rows: Any) -> list[Any]:
         """Apply ``work`` to chunks of rows, on several threads; the chunks do not depend on them.
 
-        Torch and the kernels release the interpreter lock.
+        Eight starts fit into the processor's cache. Torch and the kernels release the interpreter
+        lock.
         """
-        parts = [rows[first : first + _CHUNK] for first in range(0, len(rows), _CHUNK)]
+        parts = [rows[first : first + 8] for first in range(0, len(rows), 8)]
         threads = min(len(parts), numba.get_num_threads())
         # also for one chunk: numba's first question for threads gives torch in the calling thread
         # as many, and its small transforms then take ten times longer on a busy machine
@@ -411,15 +364,14 @@ class FreeEnergy:
             )
             along = (slope * placed).sum(axis=1, keepdims=True) * placed / radius**2
             slope = np.where(held, (slope - along) * (radius / np.maximum(length, 1e-12)), slope)
-            np.maximum(
-                0.5 * (now.variances + values["variances"]), _LEAST_VARIANCE, out=now.variances
-            )
+            np.maximum(0.5 * (now.variances + values["variances"]), 1e-6, out=now.variances)
             now.gains[:] = values["gains"]
-            bias, bias_square = 1.0 - _SHRINK ** (step + 1)
+            bias, bias_square = 1.0 - np.array([0.9, 0.99]) ** (step + 1)
             pace = stage.pace(step) / bias
+            rate = 0.05 * pace  # of the image's maximum
             kernels.object_step(
                 free, self._support, by_data, by_prior, first, second, _SOFTNESS,
-                _OBJECT_RATE * pace, bias_square,
+                rate, bias_square,
             )  # fmt: skip
             wall_first += 0.1 * (slope - wall_first)
             wall_second += 0.01 * (slope**2 - wall_second)
@@ -449,8 +401,8 @@ class FreeEnergy:
         ratio = np.maximum(cross, 1e-12) / np.maximum(norm, 1e-12)
         if self._known is None:
             ratio /= np.exp(np.log(ratio).mean(axis=1, keepdims=True))
-        found: Floats = gains * np.clip(ratio, 1.0 / _GAIN_STEP, _GAIN_STEP)
-        return found if self._known is not None else np.clip(found, 1.0 / _MOST_GAIN, _MOST_GAIN)
+        found: Floats = gains * np.clip(ratio, 1.0 / 1.2, 1.2)
+        return found if self._known is not None else np.clip(found, 0.1, 10.0)
 
     def _objects(self, wall: Floats, noise: float) -> Floats:
         """Return Wiener-filtered objects, (B, H, W), at least 0.01 of the image's range.
@@ -527,7 +479,8 @@ class FreeEnergy:
         """Sample pupil, modes and known waves for the FFT grid; ``defocus`` (K,) is in m rms."""
         given = pupil_psf.optics
         pitch = given.pitch
-        if given.nyquist_pitch < pitch <= given.nyquist_pitch * _NYQUIST_SLACK:
+        # the transfer function 2 % below the cutoff is less than 1e-3
+        if given.nyquist_pitch < pitch <= given.nyquist_pitch * 1.02:
             pitch = given.nyquist_pitch
         optics = given.resized(self.grid, pitch)
         side = math.copysign(2.0 * math.pi, given.image_distance)
