@@ -74,7 +74,7 @@ TABLE = {
         "angles reach 1.57 rad, must be finite and below pi/2; give angles from the axis",
     ),
     "start of a network": (
-        lambda: inverse.wu2024_fit(np.eye(16), zernike(), start=np.eye(16)),
+        lambda: inverse.wu2024_fit(np.kron(np.eye(2), np.ones((8, 8))), zernike(), start=EDGE),
         "start holds no ",
     ),
 }

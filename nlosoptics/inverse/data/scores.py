@@ -124,13 +124,8 @@ def registered_scores(
     ----------
     reconstruction : Reconstruction, ndarray or Tensor
         Reconstructed object, (H, W), at least 11 x 11.
-    truth : ndarray or Tensor
-        True object, (H, W).
-    upsampling : int
-        Number of steps per pixel in which the shift is searched; 1 for whole pixels.
-    flip : bool
-        Whether to try the reconstruction turned by half a turn as well. Phase retrieval needs this,
-        since an object and its turned copy have the same autocorrelation.
+    truth, upsampling, flip
+        See `registered_correlation`.
     data_range : float or None
         Range of values to which PSNR and SSIM refer, in the unit of the truth. None: the range of
         the truth.
@@ -139,14 +134,6 @@ def registered_scores(
     -------
     RegisteredScores
         Correlation, peak signal-to-noise ratio (PSNR) and structural similarity (SSIM).
-
-    Raises
-    ------
-    SamplingError
-        If the shapes differ, are not two-dimensional or are too small.
-    SceneError
-        If a value is not finite or not a real number, or the truth is uniform and ``data_range`` is
-        not given.
 
     See Also
     --------

@@ -43,6 +43,9 @@ class Limits:
     ----------
     residual : float
         Largest rms residual over the noise of a fit that is brought to the noise level.
+    unexplained : float
+        Power of the residual beyond the noise, over that of the image's detail, up to which a
+        larger residual is harmless.
     drift, change, iterations : float
         A fit that ran out of iterations is settled after at least so many, if the residual drifted
         by less than this fraction over the last fifth of them (the rms noise of 64 x 64 pixels has
@@ -63,6 +66,7 @@ class Limits:
     """
 
     residual: float = 1.05
+    unexplained: float = 1e-3
     drift: float = 0.02
     change: float = 5e-4
     iterations: int = 100
@@ -163,7 +167,8 @@ def judged(
     The image does not fit the model if
 
     - the noise beyond the optics' cut-off is not the stated one;
-    - the residual of a fit that is brought to the noise exceeds it;
+    - the residual of a fit that is brought to the noise exceeds it, by more than 0.1 % of the power
+      of the image's detail;
     - the object is bright at the edge of a padded frame, outside which the model assumes darkness;
     - more of the object's power is negative than noise makes negative.
 
@@ -200,6 +205,8 @@ class _Tests:
         self._background = data.background(strength)
         explained = image_of(model, level) + self._background
         self._rms = data.score(explained)
+        detail = float((self._twice * signal).sum()) / (variance * level.size)
+        self._unexplained = (self._rms**2 - 1.0) / max(detail, 1e-3)
         residual = data.whitened((data.data - explained) / data.sigma)
         self._left = power(residual) * (residual.size / data.counted)
         # Excluded pixels hold the mean, and their steps would spread over all frequencies.
@@ -286,7 +293,8 @@ class _Tests:
                     f"beyond the optics' cut-off the image has {max(beyond, 0.0):.2f} of the "
                     "stated noise's power; check noise_sigma, or whether the image is of this scene"
                 )
-        if ending.most_residual is not None and self._rms > ending.most_residual:
+        far = self._unexplained > LIMITS.unexplained
+        if ending.most_residual is not None and self._rms > ending.most_residual and far:
             yield (
                 f"the residual is {self._rms:.3g} times the noise, limit "
                 f"{ending.most_residual:g}; the point spread, the camera's response or the "

@@ -69,7 +69,7 @@ def tv_deconvolve(
         Camera image, (H, W), with its noise and background.
     model : ForwardModel or TorchForwardModel
         Image model of shape (H, W): the convolution of an object with the known point spread
-        function.
+        function, which may vary over the object.
     tv_weight : float or None
         Weight of the total variation, dimensionless; larger values give a smoother object. None:
         the weight at which the residual equals the noise (discrepancy principle).

@@ -166,14 +166,14 @@ def object_from_autocorrelation(
 ) -> Reconstruction:
     """Reconstruct an object from its measured autocorrelation, by phase retrieval.
 
-    Parameters that are not listed are those of `phase_retrieval`.
-
     Parameters
     ----------
     autocorrelation : array_like (rows, columns)
         Autocorrelation of the object, in any unit, with an arbitrary constant background. Rows and
         columns are odd numbers, with zero shift at the centre. The value at zero shift, which also
         contains noise, is ignored.
+    method, object_size, restarts, max_iterations, seed, progress
+        See `phase_retrieval`.
 
     Returns
     -------

@@ -72,8 +72,7 @@ def wu2024_fit(
         PSF. Use `FacetPSF`, in which parts of the pupil send light in independent directions, if
         the PSF is much wider than wavelength times F-number. ``pupil_psf`` is not modified.
     defocus : sequence of one float, or None
-        Known additional defocus of the image, m rms over the pupil (Noll 4). It is a sequence as in
-        solvers that take several images.
+        Known additional defocus of the image, m rms over the pupil, see `evidence_fit`.
     start : Reconstruction, mapping or None
         Reconstruction: warm start from an earlier result of this function for a similar object,
         which provides angles and network. Mapping: saved state of this solver with the same image

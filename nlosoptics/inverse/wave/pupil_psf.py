@@ -173,8 +173,6 @@ class PupilPSF(nn.Module):
     ) -> Self:
         """Build a PSF from the angles at which light leaves points of the exit pupil.
 
-        Parameters and errors that are not listed are those of `from_zernike`.
-
         Parameters
         ----------
         angles : array_like, (g, g, 2)
@@ -185,8 +183,8 @@ class PupilPSF(nn.Module):
             Between the points the wave is interpolated by splines.
         angle_pitch : float
             Distance between grid points, m; the grid must cover the pupil.
-        **options
-            ``pixel_integrated``, ``device`` and ``dtype``.
+        wavelength, pupil_radius, image_distance, pitch, shape, **options
+            See `from_zernike`.
 
         Returns
         -------
@@ -231,16 +229,11 @@ class PupilPSF(nn.Module):
         modes : sequence of int
             Noll indices of the Zernike modes to fit, from 2. Their coefficients start at the
             least-squares fit to W; the rest of W is kept as a fixed part of the wave.
-        pitch : float
-            Distance between the samples of the PSF, m; for camera images
-            ``scene.camera.image_pitch``.
-        shape : int or (int, int)
-            Rows H and columns W of the PSF; one number for a square.
+        pitch, shape, **options
+            See `from_zernike`; the pitch of camera images is ``scene.camera.image_pitch``.
         object_point : array_like, (3,), optional
             Object point, world frame, m; by default the centre of a planar hidden object or the
             centroid of a mesh.
-        **options
-            ``pixel_integrated``, ``device`` and ``dtype``, see `from_zernike`.
 
         Returns
         -------

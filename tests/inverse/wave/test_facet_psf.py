@@ -141,7 +141,7 @@ def test_batches_and_transfer_agree_with_single_point_spreads():
     [
         ({"angles": np.zeros((9, 9))}, SceneError, "shape"),
         ({"angles": np.full((COUNT, COUNT, 2), 1.6)}, SceneError, "pi/2"),
-        ({"angles": np.full((COUNT, COUNT, 2), np.nan)}, SceneError, "NaN"),
+        ({"angles": np.full((COUNT, COUNT, 2), np.nan)}, SceneError, "finite"),
         ({"angle_pitch": 1e-5}, SamplingError, "or more a side"),
         ({"image_distance": 0.0}, SceneError, "must not be 0"),
         ({"wavelength": 633.0}, SceneError, "metres"),
