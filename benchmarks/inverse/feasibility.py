@@ -135,8 +135,7 @@ def drawn_scene(index, *, tune=False, occluders=False):
     base = Scene.load(ROOT / "examples" / "scenes" / "letter_flat.toml").resized(PIXELS)
     z = drawn["distance"]
     camera = replace(
-        base.camera,
-        **{name: drawn[name] for name in ("exposure", "read_noise", "stop_diameter")},
+        base.camera, **{name: drawn[name] for name in ("exposure", "read_noise", "stop_diameter")}
     )
     hidden = PlanarObject(
         drawn_picture(drawn["object"], rng),

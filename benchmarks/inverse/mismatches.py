@@ -48,16 +48,8 @@ LIGHT = {
     "rows": (0.5, 1.5),  # noise of whole rows relative to that of pixels
     "surround": (0.3, 1.0),  # light of a scene that is wider than the frame
 }
-NOISE = {
-    "white_noise": (1.0, 1.0),
-    "exponential_noise": (1.0, 1.0),
-    "photon_noise": (1.0, 1.0),
-}
-FOREIGN = {
-    "unblurred_picture": (1.0, 1.0),
-    "blobs": (1.0, 1.0),
-    "other_speckle": (1.0, 1.0),
-}
+NOISE = {"white_noise": (1.0, 1.0), "exponential_noise": (1.0, 1.0), "photon_noise": (1.0, 1.0)}
+FOREIGN = {"unblurred_picture": (1.0, 1.0), "blobs": (1.0, 1.0), "other_speckle": (1.0, 1.0)}
 DRAWN = {"none": (1.0, 1.0), **OPTICS, **CAMERA, **LIGHT, **NOISE, **FOREIGN}
 # Kinds that only `--kinds` draws, so that the cases of earlier seeds stay the same.
 KINDS = {**DRAWN, "clipped": (0.4, 0.9)}  # by the converter, after the noise; of the maximum

@@ -13,10 +13,7 @@ from ..wave.pupil_psf import PupilPSF
 from .evidence import evidence_fit
 
 #: Solver of each recipe.
-RECIPES: dict[str, Callable[..., Reconstruction]] = {
-    "evidence": evidence_fit,
-    "wu2024": wu2024_fit,
-}
+RECIPES: dict[str, Callable[..., Reconstruction]] = {"evidence": evidence_fit, "wu2024": wu2024_fit}
 
 
 def pcin(
@@ -70,11 +67,5 @@ def pcin(
     if max_iterations is not None:
         options["max_iterations"] = max_iterations
     return solver(
-        images,
-        pupil_psf,
-        defocus=defocus,
-        seed=seed,
-        start=start,
-        progress=progress,
-        **options,
+        images, pupil_psf, defocus=defocus, seed=seed, start=start, progress=progress, **options
     )

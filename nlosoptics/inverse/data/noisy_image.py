@@ -262,10 +262,7 @@ class NoisyImage:
 
 
 def _chance(
-    relative: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    shape: tuple[int, ...],
-    own: bool,
+    relative: NDArray[np.float64], weights: NDArray[np.float64], shape: tuple[int, ...], own: bool
 ) -> float:
     """Return the probability that white noise has this weighted sum of power, or more.
 

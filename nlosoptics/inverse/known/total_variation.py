@@ -212,11 +212,7 @@ class _Splitting(Solver[_Split]):
     report = "total variation: residual {residual:.3f}, change {change:.1e}"
 
     def __init__(
-        self,
-        data: NoisyImage,
-        model: AnyModel,
-        rule: tuple[int, float],
-        tv_weight: float | None,
+        self, data: NoisyImage, model: AnyModel, rule: tuple[int, float], tv_weight: float | None
     ) -> None:
         self.data, self._model = data, model
         self.max_iterations, self._tolerance = rule

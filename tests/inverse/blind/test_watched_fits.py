@@ -57,13 +57,7 @@ def measured(image):
 def wu2024(**watched):
     options = {"depth": 3, "alternate": 5, "network_input": "reconstruction"}
     images = case()[0][:1]
-    return inverse.wu2024_fit(
-        measured(images),
-        pupil(),
-        max_iterations=40,
-        **options,
-        **watched,
-    )
+    return inverse.wu2024_fit(measured(images), pupil(), max_iterations=40, **options, **watched)
 
 
 @functools.cache
@@ -128,13 +122,7 @@ class Watch:
 
 @pytest.mark.parametrize(
     ("solver", "last"),
-    [
-        (wu2024, 2),
-        (evidence, 3),
-        (evidence, 4),
-        (evidence_near, 4),
-        (evidence_near_one, 3),
-    ],
+    [(wu2024, 2), (evidence, 3), (evidence, 4), (evidence_near, 4), (evidence_near_one, 3)],
 )
 def test_goes_on_bit_by_bit(solver, last) -> None:
     """A state holds all that the next step takes: weights, moments, counts."""

@@ -15,12 +15,7 @@ from nlosoptics.inverse.data.models import widened
 from nlosoptics.inverse.data.noisy_image import noisy_image
 from nlosoptics.inverse.data.status import Ending, _Tests
 
-SOLVERS = [
-    inverse.inverse_filter,
-    inverse.richardson_lucy,
-    inverse.tv_deconvolve,
-    inverse.wiener,
-]
+SOLVERS = [inverse.inverse_filter, inverse.richardson_lucy, inverse.tv_deconvolve, inverse.wiener]
 SIDE = 64
 NO_HISTORY = {"residual": [], "change": []}
 
@@ -70,10 +65,7 @@ def test_a_faint_object_is_shown_with_low_confidence():
     for seed in range(6):
         noise = np.random.default_rng(seed).normal(size=truth.shape)
         image = model.forward(truth) + noise
-        data = noisy_image(
-            Measurement(image, noise_sigma=1.0),
-            model,
-        )
+        data = noisy_image(Measurement(image, noise_sigma=1.0), model)
         detected += not data.is_background(model)
         assert data.is_noise_about(data.background(data.background_strength(data.data)))
     # about 17 standard errors of the strongest component; none is missed by chance
@@ -150,8 +142,7 @@ def test_a_repetition_has_the_noise_of_the_image():
     noise = rng.uniform(0.5, 5.0, truth.shape)
     noise[::9, ::9] = np.inf
     data = noisy_image(
-        Measurement(model.forward(truth) + rng.normal(size=truth.shape), noise_sigma=noise),
-        model,
+        Measurement(model.forward(truth) + rng.normal(size=truth.shape), noise_sigma=noise), model
     )
     again = _Tests(data, truth, 3.0, model).repetition(model)
     excluded = np.isinf(noise)

@@ -80,10 +80,7 @@ def test_modulus_of_a_known_wall_is_divided_out():
     truth = letter(128, 4)
     image, spread = diffused(truth, 2, 0.002)
     model = ForwardModel(spread, shape=truth.shape, boundary="circular")
-    data = noisy_image(
-        Measurement(image, noise_sigma=0.002 * image.max()),
-        truth.shape,
-    )
+    data = noisy_image(Measurement(image, noise_sigma=0.002 * image.max()), truth.shape)
     expected = autocorrelation(truth - truth.mean())
     expected[63, 63] = np.nan
 
@@ -102,10 +99,7 @@ def test_modulus_of_a_known_wall_is_divided_out():
 def test_extent_of_the_object_is_read_off_the_lags():
     truth = letter(256, 4)
     image, _ = diffused(truth, 3, 0.01)
-    data = noisy_image(
-        image,
-        image.shape,
-    )
+    data = noisy_image(image, image.shape)
     rows, columns = spectrum_modulus(image_lags(data, None), None).object_size
     # the letter is 20 x 16, and there is room of 0.4
     assert 20 <= rows <= 32

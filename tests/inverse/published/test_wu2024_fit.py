@@ -146,8 +146,7 @@ def test_cold_start_is_random_and_of_the_rms_asked_for(image, pupil_psf, sigma):
 def test_the_wall_is_not_kept(image, truth, pupil_psf, sigma, cold):
     """Started within 0.03 waves of the wall it drifts to "no blur", and says so."""
     start = replace(
-        cold,
-        physical_parameters={**cold.physical_parameters, "coefficients": COEFFICIENTS + 0.01},
+        cold, physical_parameters={**cold.physical_parameters, "coefficients": COEFFICIENTS + 0.01}
     )
     found = wu2024_fit(
         Measurement(image, noise_sigma=sigma), pupil_psf, start=start, max_iterations=600

@@ -58,12 +58,7 @@ def test_defocus_is_a_disc_of_the_closed_form_radius():
 def test_directions_and_defocus_are_those_of_the_wave():
     tilt = np.broadcast_to([0.6e-3, -0.3e-3], (COUNT, COUNT, 2)).copy()
     facets = FacetPSF(tilt, **FACETS)
-    wave = PupilPSF.from_angles(
-        tilt,
-        **FACETS,
-        wavelength=WAVELENGTH,
-        pixel_integrated=True,
-    )
+    wave = PupilPSF.from_angles(tilt, **FACETS, wavelength=WAVELENGTH, pixel_integrated=True)
     kept = facets.transfer(defocus=[3e-6]).detach()[0]
     other = wave.transfer(defocus=[3e-6]).detach()[0]
     # one cycle over the frame: phases by the same shift, moduli by the same defocus
@@ -116,9 +111,7 @@ def test_diffraction_of_a_facet_is_that_of_a_square_aperture():
 
 def test_gradients_are_those_of_finite_differences():
     module = FacetPSF(
-        drawn(5, count=5),
-        **{**FACETS, "angle_pitch": 2.5e-3, "shape": 12},
-        wavelength=WAVELENGTH,
+        drawn(5, count=5), **{**FACETS, "angle_pitch": 2.5e-3, "shape": 12}, wavelength=WAVELENGTH
     )
     weights = torch.randn(12, 12, dtype=torch.float64, generator=torch.manual_seed(1))
     start = module.coefficients.detach().requires_grad_()

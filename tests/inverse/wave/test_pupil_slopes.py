@@ -39,11 +39,7 @@ def test_slopes_on_the_pupil_cells_are_psf_wavefront_from_slopes():
     slopes = drawn(19)
     module = PupilPSF.from_angles(np.arctan(slopes), angle_pitch=CELL, **OPTICS)
     wave, _ = psf.wavefront_from_slopes(
-        slopes,
-        CELL,
-        np.ones((19, 19), dtype=bool),
-        wavelength=WAVELENGTH,
-        image_distance=DISTANCE,
+        slopes, CELL, np.ones((19, 19), dtype=bool), wavelength=WAVELENGTH, image_distance=DISTANCE
     )
     lit = module.optics.share > 0
     found = module.aberration().detach().numpy()
@@ -208,9 +204,5 @@ def test_a_scene_beyond_the_memory_is_refused_before_any_work(examples):
     scene = Scene.load(examples / "scenes" / "letter_flat.toml").resized(64)
     with pytest.raises(MemoryLimitError, match=r"pupil cells.*fewer pixels, a finer pitch"):
         PupilPSF.from_scene(
-            scene,
-            [4, 5],
-            pitch=scene.camera.image_pitch,
-            shape=2048,
-            pixel_integrated=True,
+            scene, [4, 5], pitch=scene.camera.image_pitch, shape=2048, pixel_integrated=True
         )
