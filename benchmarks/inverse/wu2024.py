@@ -2,14 +2,9 @@
 
 python benchmarks/inverse/wu2024.py [--walls 6] [--rms 0.25 0.5 1] [--objects F arrow ...]
     [--size 64] [--json FILE] [--jobs 2]
-python benchmarks/inverse/wu2024.py --scene examples/scenes/letter_rough.toml [--size 512]
 
 Data by the simulator (cases.py). Each object is seen by each wall. With --json, one line for each
 finished case, and those already there are not run again.
-
---scene: a scene with a wall of facets, its image made by the simulator. The exit angles of the
-facets that the lens sees are fitted, from random ones as strong as the wall's blur. For comparison,
-total variation with the wall's point spread.
 """
 
 from __future__ import annotations
@@ -17,13 +12,10 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
-
-SCENE_TOL = 1e-2  # of the image of a scene, whose noise is 3 % and more
 
 
 def pupil(data, size):
@@ -84,60 +76,6 @@ def keep(line, path):
             file.write(text + "\n")
 
 
-def of_scene(options):
-    """One line: the scene's image by the simulator, fitted with the facets of its wall."""
-    from nlosoptics import Scene, inverse, psf, reconstructing, simulate
-    from nlosoptics.runs.veil import veil_shape
-
-    scene = Scene.load(options.scene)
-    camera = scene.camera
-    size = options.size * camera.binning
-    scene = replace(scene, camera=replace(camera, pixels=(size, size)))
-    taken = simulate(scene, SCENE_TOL, seed=options.first_wall).image
-    image, truth = taken.electrons, taken.ideal
-    sigma = float(np.sqrt(image.mean() + (camera.read_noise * camera.binning) ** 2))
-    model, veil = reconstructing.known_model(scene, tol=SCENE_TOL), veil_shape(scene)
-    pupil = psf.exit_pupil(scene)
-    seen = psf.SceneOptics(scene, pupil).reference.view
-    # the facets are equilateral triangles; squares of the same area, as seen from the pupil
-    side = scene.wall_roughness.heights.cell * (3**0.25 / 2)
-    side /= np.sqrt(abs(np.linalg.det(seen.footprint)))
-    count = 2 * int(np.ceil(pupil.radius / side)) + 1
-    facets = inverse.FacetPSF(
-        np.zeros((count, count, 2)),
-        angle_pitch=side,
-        pupil_radius=pupil.radius,
-        image_distance=pupil.image_distance,
-        pitch=scene.camera.image_pitch,
-        shape=options.size,
-        wavelength=scene.laser.wavelength,
-    )
-    spread = model.kernel / model.kernel.sum()
-    x = np.arange(spread.shape[1]) - spread.shape[1] // 2
-    blur = float(np.sqrt(spread.sum(axis=0) @ x**2))
-    measured = inverse.Measurement(image, noise_sigma=sigma, background_shape=veil)
-    found = inverse.wu2024_fit(
-        measured, facets, start_rms=blur, seed=options.first_wall,
-        base=options.base, max_iterations=options.iterations,
-    )  # fmt: skip
-    best = inverse.tv_deconvolve(measured, model)
-    return {
-        "scene": options.scene.stem,
-        "seed": options.first_wall,
-        "blur": round(blur, 2),
-        "facets": count,
-        "size": options.size,
-        "image": round(inverse.registered_correlation(image, truth), 4),
-        "correlation": round(inverse.registered_correlation(found, truth), 4),
-        "known_wall": round(inverse.registered_correlation(best, truth), 4),
-        "like_image": round(inverse.registered_correlation(found, image), 4),
-        "status": found.status,
-        "score": round(found.score, 4),
-        "iterations": int(found.physical_parameters["iterations"]),
-        "seconds": round(found.seconds, 1),
-    }
-
-
 def main():
     """Print a line for each case."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -151,12 +89,7 @@ def main():
     parser.add_argument("--iterations", type=int, default=4000)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--scene", type=Path)
     options = parser.parse_args()
-    if options.scene:
-        torch.set_num_threads(1)
-        keep(of_scene(options), options.json)
-        return
     done = set()
     if options.json and options.json.exists():
         lines = map(json.loads, options.json.read_text().splitlines())

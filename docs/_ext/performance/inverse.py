@@ -250,24 +250,4 @@ SECTIONS = (
             "run time": "{seconds:time}",
         },
     ),
-    Section(
-        "wu2024_facets.jsonl",
-        "PCIN as published, with facets",
-        "As above, with a wall of facets and the geometry of the paper (F/2, pixels of 72 um, 40 "
-        "ms, 512 x 512). The image is a simulated one. The fit has a pair of exit angles for each "
-        "facet that the lens sees. It starts from random angles that blur as much as the wall "
-        'does. "With the true wall" is the correlation of `tv_deconvolve` with the true point '
-        "spread. The fitted object is the image itself.",
-        "python benchmarks/inverse/wu2024.py --scene examples/scenes/letter_rough.toml --size 512 "
-        "--json {file}",
-        table={
-            "case": "{scene}, {size} x {size}, blur of {blur:.1f} pixels rms",
-            "correlation": "{correlation:n}",
-            "with the true wall": "{known_wall:n}",
-            "of the image itself": "{image:n}",
-            "status": "{status}",
-            "iterations": "{iterations}",
-            "run time": "{seconds:time}",
-        },
-    ),
 )

@@ -26,13 +26,11 @@ from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from ..data.scaled_images import ScaledImage, total_variation
 from ..data.scores import registered_correlation
-from ..wave.facet_psf import FacetPSF
 from ..wave.frames import known_defoci
 from ..wave.pupil_psf import PupilPSF
 from .unet import UNetObject
 
 NetworkInput = Literal["image", "reconstruction", "noise"]
-AnyPSF = PupilPSF | FacetPSF
 
 GUIDE, ANGLES = 602, 603  # streams of the random network input and of the random angles
 
@@ -41,7 +39,7 @@ GUIDE, ANGLES = 602, 603  # streams of the random network input and of the rando
 @gradients()
 def wu2024_fit(
     images: Any,
-    pupil_psf: AnyPSF,
+    pupil_psf: PupilPSF,
     *,
     defocus: Any = None,
     start: Reconstruction | Mapping[str, Any] | None = None,
@@ -66,11 +64,9 @@ def wu2024_fit(
     ----------
     images : Measurement, ndarray or Tensor
         Camera image, (H, W) or (1, H, W), with its noise and background.
-    pupil_psf : PupilPSF or FacetPSF
+    pupil_psf : PupilPSF
         Point spread function (PSF) of shape (H, W) as a function of coefficients, which take the
-        role of the angles. Use `PupilPSF`, the PSF of a continuous wave, if the pixels resolve the
-        PSF. Use `FacetPSF`, in which parts of the pupil send light in independent directions, if
-        the PSF is much wider than wavelength times F-number. ``pupil_psf`` is not modified.
+        role of the angles. It is not modified.
     defocus : sequence of one float, or None
         Known additional defocus of the image, m rms over the pupil, see `evidence_fit`.
     start : Reconstruction, mapping or None
@@ -79,9 +75,7 @@ def wu2024_fit(
         and options (see `Stop`), from which the fit resumes with the same result bit for bit. None:
         cold start with random angles and weights.
     start_rms : float or None
-        Strength of a cold start's random angles. For `PupilPSF` the rms wave aberration, waves; by
-        default 0.5. For `FacetPSF` the rms displacement in the image along each axis, pixels; by
-        default 5.
+        Strength of a cold start's random angles: the rms wave aberration, waves; by default 0.5.
     base : {8, 16, 32}
         Number of channels of the U-net at full resolution. Not used in a warm start.
     depth : int
@@ -126,7 +120,7 @@ def wu2024_fit(
     --------
     pcin : Reconstruction via an unknown wall.
     evidence_fit : Fit of object and unknown wall to one or more images.
-    PupilPSF, FacetPSF : Differentiable PSF of a wave, and of independent facets.
+    PupilPSF : Differentiable PSF of a wave.
 
     Notes
     -----
@@ -221,7 +215,7 @@ def wu2024_fit(
 class _Optics:
     """Point spread of given coefficients, at a known defocus."""
 
-    pupil_psf: AnyPSF
+    pupil_psf: PupilPSF
     defocus: list[float]
 
     def transfer(self, coefficients: Tensor) -> Tensor:
@@ -351,12 +345,12 @@ def _seen(picture: Tensor, transfer: Tensor) -> Tensor:
     return seen
 
 
-def _only(images: Measurement, pupil_psf: AnyPSF) -> Measurement:
+def _only(images: Measurement, pupil_psf: PupilPSF) -> Measurement:
     """Return the single image, (H, W), of a measurement (H, W) or (1, H, W)."""
-    if not isinstance(pupil_psf, (PupilPSF, FacetPSF)):
+    if not isinstance(pupil_psf, PupilPSF):
         raise SceneError(
-            f"pupil_psf of type {type(pupil_psf).__name__} is neither a PupilPSF nor a FacetPSF; "
-            "build one with PupilPSF.from_zernike"
+            f"pupil_psf of type {type(pupil_psf).__name__} is no PupilPSF; build one with "
+            "PupilPSF.from_zernike"
         )
     one, *others = images.each()
     if others:
@@ -367,18 +361,14 @@ def _only(images: Measurement, pupil_psf: AnyPSF) -> Measurement:
     return one
 
 
-def _random_angles(pupil_psf: AnyPSF, start_rms: float | None, seed: int) -> Tensor:
-    """Return normally distributed angles, scaled to a given rms wave aberration or displacement.
+def _random_angles(pupil_psf: PupilPSF, start_rms: float | None, seed: int) -> Tensor:
+    """Return normally distributed angles, scaled to a given rms wave aberration, waves.
 
     One scaling suffices, since the wave is linear in the angles.
     """
-    if start_rms is None:
-        start_rms = 0.5 if isinstance(pupil_psf, PupilPSF) else 5.0
-    wanted = positive("start_rms", start_rms)
+    wanted = 0.5 if start_rms is None else positive("start_rms", start_rms)
     leaves = pupil_psf.coefficients
     drawn = torch.from_numpy(generator(seed, ANGLES).standard_normal(leaves.shape)).to(leaves)
-    if isinstance(pupil_psf, FacetPSF):
-        return drawn * wanted
     with torch.no_grad():
         aberration = pupil_psf.aberration(drawn) / pupil_psf.wavelength
     share = torch.as_tensor(pupil_psf.optics.share).to(aberration)
@@ -388,7 +378,7 @@ def _random_angles(pupil_psf: AnyPSF, start_rms: float | None, seed: int) -> Ten
 
 
 def _from_earlier(
-    start: Reconstruction, pupil_psf: AnyPSF, guide: Tensor
+    start: Reconstruction, pupil_psf: PupilPSF, guide: Tensor
 ) -> tuple[Tensor, UNetObject]:
     """Return angles and network of an earlier result."""
     found = start.physical_parameters
