@@ -32,31 +32,14 @@ _STREAM = {name: i if i < 4 else i + 4 for i, name in enumerate(STEPS[:9])}
 class Search:
     """Search of one fit, step by step; each step draws from its own stream of random numbers.
 
-    Parameters
-    ----------
-    energies : callable
-        Returns the free energy for a padding and Noll indices.
-    verdict : Verdict
-        Tests of answers.
-    first : ndarray, (M,)
-        Given coefficients of all walls, waves rms; zeros if there are none.
-    start_error : float or None
-        Expected rms error of the given coefficients, waves; None: they are only one more start.
-    strength : float or None
-        Known rms of the walls' waves, waves.
-    proposals : Proposals or None
-        Proposed walls for one image; None: there are none.
-    rounds : int or None
-        Largest number of rounds; None: the default.
-    seed : int
-        Seed of the random numbers.
-    state : mapping, optional
-        Saved state to resume from.
+    ``energies``: returns the free energy for a padding and Noll indices. ``verdict``: tests of
+    answers. ``first`` (M,): given coefficients of all walls, waves rms; zeros if there are none.
+    ``start_error``: expected rms error of the given coefficients, waves; None: they are only one
+    more start. ``strength``: known rms of the walls' waves, waves. ``proposals``: proposed walls
+    for one image; None: there are none. ``rounds``: largest number of rounds; None: the default.
+    ``seed``: seed of the random numbers. ``state``: saved state to resume from.
 
-    Attributes
-    ----------
-    place : Place
-        Position and results.
+    ``place``: position and results.
     """
 
     def __init__(

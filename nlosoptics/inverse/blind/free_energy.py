@@ -39,22 +39,13 @@ class OutOfTime(Exception):
 class Starts:
     """Walls and objects during a fit, one per row.
 
-    Parameters
-    ----------
-    coefficients : ndarray, (B, M)
-        Zernike coefficients of the walls, waves rms; those of several walls one after the other.
-    free : ndarray, (B, H, W)
-        Free parameters from which `softly_positive` computes the objects.
-    gains : ndarray, (B, K)
-        Relative brightness of the images.
-    variances : ndarray, (B, 2)
-        Posterior variances of the objects' differences along x and y.
-    energy : ndarray, (B,)
-        Free energy at the end of the last stage, infinite before.
-    chi_square : ndarray, (B, K)
-        Mean squared residual of each image over its noise variance.
-    radius : ndarray, (B,)
-        Fixed norm of the coefficients, waves rms; infinite if it is free.
+    ``coefficients`` (B, M): Zernike coefficients of the walls, waves rms; those of several walls
+    one after the other. ``free`` (B, H, W): free parameters from which `softly_positive` computes
+    the objects. ``gains`` (B, K): relative brightness of the images. ``variances`` (B, 2):
+    posterior variances of the objects' differences along x and y. ``energy`` (B,): free energy at
+    the end of the last stage, infinite before. ``chi_square`` (B, K): mean squared residual of each
+    image over its noise variance. ``radius`` (B,): fixed norm of the coefficients, waves rms;
+    infinite if it is free.
     """
 
     coefficients: Floats
@@ -85,26 +76,15 @@ def joined(parts: Iterable[Starts]) -> Starts:
 class FreeEnergy:
     """Free energy of images as a function of wall coefficients and mean object.
 
-    Parameters
-    ----------
-    frames : Frames
-        The images with their noise, walls and known defoci.
-    pupil_psf : PupilPSF
-        Point spread with Zernike coefficients, of any shape.
-    grid : (int, int)
-        Rows p and columns c of the padded FFT grid, at least those of the images; c is even.
-    modes : sequence of int, optional
-        Noll indices of the coefficients; by default those of ``pupil_psf``.
-    support : ndarray, optional
-        Mask, (H, W), 0 where the object is known to be dark.
-    known_object : ndarray, optional
-        Known object of unknown brightness, (H, W). Then F is half the squared residuals.
-    fit_gains : bool
-        Whether to fit the relative brightness of the images.
-    dtype : type, optional
-        ``numpy.float32`` or ``numpy.float64``; by default float32 unless the noise is too small.
-    late : callable, optional
-        Function that each iteration of a descent calls; if it returns True, `OutOfTime` is raised.
+    ``frames``: the images with their noise, walls and known defoci. ``pupil_psf``: point spread
+    with Zernike coefficients, of any shape. ``grid`` (int, int): rows p and columns c of the padded
+    FFT grid, at least those of the images; c is even. ``modes``: Noll indices of the coefficients;
+    by default those of ``pupil_psf``. ``support``: mask, (H, W), 0 where the object is known to be
+    dark. ``known_object``: known object of unknown brightness, (H, W). Then F is half the squared
+    residuals. ``fit_gains``: whether to fit the relative brightness of the images. ``dtype``:
+    ``numpy.float32`` or ``numpy.float64``; by default float32 unless the noise is too small.
+    ``late``: function that each iteration of a descent calls; if it returns True, `OutOfTime` is
+    raised.
 
     Notes
     -----
@@ -214,14 +194,9 @@ class FreeEnergy:
     def starts(self, coefficients: Floats, noise: float, radius: Any = np.inf) -> Starts:
         """Return starts with given walls and Wiener-filtered objects.
 
-        Parameters
-        ----------
-        coefficients : ndarray, (B, M)
-            Coefficients of the walls, waves rms.
-        noise : float
-            Ratio of the assumed noise to the actual one.
-        radius : float or ndarray, (B,)
-            Fixed norm of the coefficients, waves rms; infinite: free.
+        ``coefficients`` (B, M): coefficients of the walls, waves rms. ``noise``: ratio of the
+        assumed noise to the actual one. ``radius`` (B,): fixed norm of the coefficients, waves rms;
+        infinite: free.
         """
         wall = self._array(coefficients)
         mean = np.concatenate(self._spread(lambda w: self._objects(w, noise), wall))
@@ -258,31 +233,16 @@ class FreeEnergy:
     ) -> tuple[dict[str, Floats], Floats, Floats, Floats]:
         """Return energies and gradients for given walls.
 
-        Parameters
-        ----------
-        starts : Starts
-            Objects, variances and gains.
-        wall : ndarray, (B, M)
-            Coefficients, used instead of those of ``starts``.
-        noise : float
-            Ratio of the assumed noise to the actual one.
-        kappa : float
-            Strength of the object's prior.
-        want_energy : bool
-            Whether to compute the energies.
+        ``starts``: objects, variances and gains. ``wall`` (B, M): coefficients, used instead of
+        those of ``starts``. ``noise``: ratio of the assumed noise to the actual one. ``kappa``:
+        strength of the object's prior. ``want_energy``: whether to compute the energies.
 
-        Returns
-        -------
-        values : dict
-            ``energy`` (B,), without meaning if not wanted; ``squares`` (B, K), the squared
-            residuals over the noise variance; ``background`` (B, K), times the images' weights;
-            ``gains`` (B, K), for the next iteration; ``variances`` (B, 2).
-        by_data : ndarray, (B, p, c)
-            Gradient of the data term with respect to the mean object, in its first H x W samples.
-        by_prior : ndarray, (B, H, W)
-            Gradient of the prior with respect to the mean object.
-        by_wall : ndarray, (B, M)
-            Gradient with respect to the coefficients.
+        Returns: ``values``: ``energy`` (B,), without meaning if not wanted; ``squares`` (B, K), the
+        squared residuals over the noise variance; ``background`` (B, K), times the images' weights;
+        ``gains`` (B, K), for the next iteration; ``variances`` (B, 2). ``by_data`` (B, p, c):
+        gradient of the data term with respect to the mean object, in its first H x W samples.
+        ``by_prior`` (B, H, W): gradient of the prior with respect to the mean object. ``by_wall``
+        (B, M): gradient with respect to the coefficients.
         """
         mean, grid = self.objects(starts), self.grid
         count, frames = len(mean), len(self._images)

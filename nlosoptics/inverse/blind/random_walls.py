@@ -24,18 +24,10 @@ def children(
 ) -> Floats:
     """Return coefficients (count, M) that vary those of the best parents.
 
-    Parameters
-    ----------
-    parents : Starts
-        Parents by increasing energy; a better one is chosen with higher probability.
-    count : int
-        Number of children.
-    twin : ndarray, (M,)
-        Signs that convert a wall to the one with the same point spread, W(x) -> -W(-x).
-    near : Neighbourhood
-        Size of the changes.
-    random : Generator
-        Source of random numbers.
+    ``parents``: parents by increasing energy; a better one is chosen with higher probability.
+    ``count``: number of children. ``twin`` (M,): signs that convert a wall to the one with the same
+    point spread, W(x) -> -W(-x). ``near``: size of the changes. ``random``: source of random
+    numbers.
 
     Notes
     -----

@@ -10,18 +10,10 @@ from dataclasses import dataclass
 class Stage:
     """Settings of one descent.
 
-    Parameters
-    ----------
-    iterations : int
-        Number of iterations.
-    kappa : float
-        Strength of the object's prior; 0.5 to compare answers, 1 to 1.5 to search.
-    first, last : float
-        Ratio of the assumed noise to the actual one, at the start and from ``share`` on.
-    share : float
-        Fraction of the iterations after which ``last`` is reached.
-    wave_rate : float
-        Largest step of a coefficient, waves; 0 keeps the coefficients.
+    ``iterations``: number of iterations. ``kappa``: strength of the object's prior; 0.5 to compare
+    answers, 1 to 1.5 to search. ``first``, ``last``: ratio of the assumed noise to the actual one,
+    at the start and from ``share`` on. ``share``: fraction of the iterations after which ``last``
+    is reached. ``wave_rate``: largest step of a coefficient, waves; 0 keeps the coefficients.
     """
 
     iterations: int
@@ -46,14 +38,9 @@ class Stage:
 class Neighbourhood:
     """Generations near the best walls, with the random changes of one to the next.
 
-    Parameters
-    ----------
-    generations, litter : int
-        Largest number of generations, and children of each; they have a third as many parents.
-    flips : float
-        Probability that a coefficient changes its sign.
-    noise : float
-        Norm of a random change relative to the norm of the parent's coefficients.
+    ``generations``, ``litter``: largest number of generations, and children of each; they have a
+    third as many parents. ``flips``: probability that a coefficient changes its sign. ``noise``:
+    norm of a random change relative to the norm of the parent's coefficients.
     """
 
     generations: int

@@ -59,15 +59,9 @@ LIMITS = Limits()
 class Verdict:
     """Tests of the answers of one fit; the truth is not used.
 
-    Parameters
-    ----------
-    frames : Frames
-        The images.
-    modes : tuple of int
-        Noll indices of the given modes.
-    several : bool
-        Whether the images themselves exclude a wave without blur: by known defoci, by several
-        walls, or by a known object.
+    ``frames``: the images. ``modes``: Noll indices of the given modes. ``several``: whether the
+    images themselves exclude a wave without blur: by known defoci, by several walls, or by a known
+    object.
     """
 
     def __init__(self, frames: Frames, modes: tuple[int, ...], several: bool) -> None:
@@ -145,21 +139,12 @@ class Verdict:
     ) -> tuple[str, ...]:
         """Return the reason against an answer, or nothing if it passes all tests.
 
-        Parameters
-        ----------
-        best : Starts
-            The answer, one start.
-        margins : (float, float)
-            Its free energy minus those of the fits that start without blur and that stay sharp.
-        rival : float
-            For one image the least free energy of a different wall minus that of the answer; NaN if
-            none was searched for.
-        expected : float
-            Expected norm of the coefficients, waves rms; NaN if unknown.
-        held : float
-            Energy that the prior of the coefficients would add to the former.
-        start_error : float or None
-            Expected rms error of the given coefficients, waves; None without such a prior.
+        ``best``: the answer, one start. ``margins`` (float, float): its free energy minus those of
+        the fits that start without blur and that stay sharp. ``rival``: for one image the least
+        free energy of a different wall minus that of the answer; NaN if none was searched for.
+        ``expected``: expected norm of the coefficients, waves rms; NaN if unknown. ``held``: energy
+        that the prior of the coefficients would add to the former. ``start_error``: expected rms
+        error of the given coefficients, waves; None without such a prior.
         """
         error, most = self.model_error(best), self.model_limit(best, complete=self.several)
         if error > most:

@@ -22,12 +22,9 @@ PARTS = 16
 class Mixture(NamedTuple):
     """Gaussians over the coefficients of B images, waves rms.
 
-    Parameters
-    ----------
-    weights : Tensor, (B, PARTS)
-        Logarithms of the weights, of which the exponentials add up to 1.
-    means, deviations : Tensor, (B, PARTS, M)
-        Means and standard deviations of the coefficients of `MODES`.
+    ``weights`` (B, PARTS): logarithms of the weights, of which the exponentials add up to 1.
+    ``means``, ``deviations`` (B, PARTS, M): means and standard deviations of the coefficients of
+    `MODES`.
     """
 
     weights: Tensor

@@ -35,21 +35,11 @@ Turn = Callable[[Tensor], Tensor]
 class WallProposals:
     """Density of the waves of one image, from eight turned and mirrored copies of it.
 
-    Parameters
-    ----------
-    image : Tensor, (SIDE, SIDE)
-        Image at Nyquist's pitch with a dark background.
-    noise : float
-        Standard deviation of its noise, image units.
-    network : WallNetwork
-        Trained network.
+    ``image`` (SIDE, SIDE): image at Nyquist's pitch with a dark background. ``noise``: standard
+    deviation of its noise, image units. ``network``: trained network.
 
-    Attributes
-    ----------
-    mean : ndarray, (M,)
-        Most likely coefficients of `wall_network.MODES`, waves rms; their twin is as likely.
-    length : float
-        Expected norm of the coefficients, waves rms.
+    ``mean`` (M,): most likely coefficients of `wall_network.MODES`, waves rms; their twin is as
+    likely. ``length``: expected norm of the coefficients, waves rms.
     """
 
     def __init__(self, image: Tensor, noise: float, network: WallNetwork) -> None:
@@ -114,14 +104,7 @@ class WallProposals:
 class Proposals:
     """Source of proposed walls for one fit.
 
-    Parameters
-    ----------
-    density : WallProposals
-        Proposals for the image.
-    frames : Frames
-        The image.
-    pupil_psf : PupilPSF
-        Its point spread.
+    ``density``: proposals for the image. ``frames``: the image. ``pupil_psf``: its point spread.
     """
 
     density: WallProposals
@@ -176,14 +159,8 @@ def wall_proposals(frames: Frames, pupil_psf: PupilPSF) -> Proposals | None:
 def at_nyquist(image: Floats, noise: float, scale: float) -> tuple[Tensor, float]:
     """Resample an image to SIDE x SIDE pixels at Nyquist's pitch; return it and its noise.
 
-    Parameters
-    ----------
-    image : ndarray, (H, W)
-        Image, any unit.
-    noise : float
-        Standard deviation of its noise, image units.
-    scale : float
-        Its pitch relative to Nyquist's, at most about 1.
+    ``image`` (H, W): image, any unit. ``noise``: standard deviation of its noise, image units.
+    ``scale``: its pitch relative to Nyquist's, at most about 1.
 
     Notes
     -----

@@ -43,17 +43,7 @@ def as_numpy(values: Values) -> NDArray[Any]:
 def real_array(name: str, value: Any) -> NDArray[np.float64]:
     """Return an array, a tensor or nested sequences as a float64 array.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument in error messages.
-    value : array_like or Tensor
-        Real numbers.
-
-    Raises
-    ------
-    SceneError
-        If values are not real numbers, or rows differ in length.
+    ``name``: name of the argument in error messages. ``value``: real numbers.
     """
     try:
         values = as_numpy(value)
@@ -70,17 +60,7 @@ def real_array(name: str, value: Any) -> NDArray[np.float64]:
 def shape_of(name: str, value: Any) -> tuple[int, ...]:
     """Return the shape of a number, an array, a tensor or nested sequences.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument in error messages.
-    value : array_like or Tensor
-        Value to examine.
-
-    Raises
-    ------
-    SceneError
-        If rows differ in length.
+    ``name``: name of the argument in error messages. ``value``: value to examine.
     """
     try:
         return tuple(np.shape(value))

@@ -243,18 +243,11 @@ def lone_pixels(
 ) -> tuple[Mask, Array]:
     """Return the mask (H, W) of dead and hot pixels, and the image with predictions in their place.
 
-    Parameters
-    ----------
-    image : ndarray, (H, W)
-        Image; single pixels may have any value.
-    passed : ndarray, (H, W//2 + 1)
-        Squared modulus of the transfer function, from `passed_power`.
-    sigma : float
-        Rms noise, image units, by an estimate that single pixels hardly affect.
-    least : ndarray (H, W) or float
-        Rms noise that is stated for each pixel, image units: no pixel within six of it is bad.
-    masked : ndarray of bool (H, W), or False
-        Pixels that hold no measured value; they are not examined, and get predictions as well.
+    ``image`` (H, W): image; single pixels may have any value. ``passed`` (H, W//2 + 1): squared
+    modulus of the transfer function, from `passed_power`. ``sigma``: rms noise, image units, by an
+    estimate that single pixels hardly affect. ``least`` (H, W): rms noise that is stated for each
+    pixel, image units: no pixel within six of it is bad. ``masked`` (H, W): pixels that hold no
+    measured value; they are not examined, and get predictions as well.
 
     Notes
     -----

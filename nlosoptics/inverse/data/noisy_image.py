@@ -46,31 +46,17 @@ class NoisyImage:
 
     Its arrays are numpy's, or torch's after `in_torch`.
 
-    Parameters
-    ----------
-    data : ndarray or Tensor, (H, W)
-        Image minus the known background, float64. Excluded pixels hold the weighted mean.
-    sigma : float
-        Reference noise: 1/sigma^2 is the mean of 1/noise_sigma^2 over the pixels.
-    weights : ndarray, Tensor or None, (H, W)
-        (sigma/noise_sigma)^2, mean 1; None for uniform noise. Excluded pixels, which have infinite
-        noise, have weight 0.
-    sigma_estimated : bool
-        Whether the noise was estimated from the image.
-    fit_background : bool
-        Whether there is a further background of unknown strength.
-    background_shape : ndarray, Tensor or None, (H, W)
-        Shape of that background, mean 1; None if it is uniform.
-    template : Tensor or None
-        The image as given if it was a tensor; None for an array.
-    bad_pixels : ndarray or None, (H, W)
-        Mask of the pixels that were found to be dead, hot or saturated, and are excluded too; None
-        if none was.
-    saturated : ndarray or None, (H, W)
-        Mask of those of them that are saturated; None if no pixel is.
-    least : ndarray, Tensor or None, (H, W)
-        Values that the saturated pixels would at least have without saturation, in the unit of
-        ``data``; not finite for all other pixels. None if no pixel is saturated.
+    ``data`` (H, W): image minus the known background, float64. Excluded pixels hold the weighted
+    mean. ``sigma``: reference noise: 1/sigma^2 is the mean of 1/noise_sigma^2 over the pixels.
+    ``weights`` (H, W): (sigma/noise_sigma)^2, mean 1; None for uniform noise. Excluded pixels,
+    which have infinite noise, have weight 0. ``sigma_estimated``: whether the noise was estimated
+    from the image. ``fit_background``: whether there is a further background of unknown strength.
+    ``background_shape`` (H, W): shape of that background, mean 1; None if it is uniform.
+    ``template``: the image as given if it was a tensor; None for an array. ``bad_pixels`` (H, W):
+    mask of the pixels that were found to be dead, hot or saturated, and are excluded too; None if
+    none was. ``saturated`` (H, W): mask of those of them that are saturated; None if no pixel is.
+    ``least`` (H, W): values that the saturated pixels would at least have without saturation, in
+    the unit of ``data``; not finite for all other pixels. None if no pixel is saturated.
     """
 
     data: Values
@@ -182,10 +168,7 @@ class NoisyImage:
     def is_background(self, model: AnyModel | None = None) -> bool:
         """Return whether no object is detected against the unknown background and noise.
 
-        Parameters
-        ----------
-        model : ForwardModel or TorchForwardModel, optional
-            Image model; if omitted, all frequencies are taken to pass.
+        ``model``: image model; if omitted, all frequencies are taken to pass.
 
         Notes
         -----

@@ -127,18 +127,11 @@ def expected_signal(
 ) -> Array:
     """Return the power of the image of an object with spectrum `object_power`.
 
-    Parameters
-    ----------
-    image_power : ndarray, (H, W//2 + 1)
-        Power of the image, from `periodic_power`. Its excess over the noise is the object's.
-    passed : ndarray, (H, W//2 + 1)
-        Squared modulus of the transfer function.
-    variance : float
-        Variance of the noise, image units squared.
-    shape : (int, int)
-        Rows H and columns W of the image.
-    least : float
-        Least sum of the object's power over all frequencies, image units squared.
+    ``image_power`` (H, W//2 + 1): power of the image, from `periodic_power`. Its excess over the
+    noise is the object's. ``passed`` (H, W//2 + 1): squared modulus of the transfer function.
+    ``variance``: variance of the noise, image units squared. ``shape`` (int, int): rows H and
+    columns W of the image. ``least``: least sum of the object's power over all frequencies, image
+    units squared.
     """
     twice = half_weights(shape)
     signal = passed * object_power(shape)

@@ -39,30 +39,19 @@ Status = Literal["converged", "trivial", "unconverged", "too_few_photons", "does
 class Limits:
     """Limits of the tests.
 
-    Parameters
-    ----------
-    residual : float
-        Largest rms residual over the noise of a fit that is brought to the noise level.
-    unexplained : float
-        Power of the residual beyond the noise, over that of the image's detail, up to which a
-        larger residual is harmless.
-    drift, change, iterations : float
-        A fit that ran out of iterations is settled after at least so many, if the residual drifted
-        by less than this fraction over the last fifth of them (the rms noise of 64 x 64 pixels has
-        a standard error of 0.011), and if the median of the last changes is below ``change``.
-    border : float
-        Largest brightness of the object at the frame's edge over its mean, in a padded frame.
-    negative : float
-        Largest share of the object's power in negative pixels, apart from that of the noise.
-    share : float
-        Least correlation of a linear estimate with the truth, expected for a typical object.
-    expected : float
-        Least expected correlation of a fit with a second fit.
-    noise_ratio, errors, count : float
-        The noise beyond the optics' cut-off may differ from the stated one by this ratio and by so
-        many standard errors; at least so many frequencies are needed.
-    wider : float
-        Width of the point spread of the second fit, relative to the model's.
+    ``residual``: largest rms residual over the noise of a fit that is brought to the noise level.
+    ``unexplained``: power of the residual beyond the noise, over that of the image's detail, up to
+    which a larger residual is harmless. ``drift``, ``change``, ``iterations``: A fit that ran out
+    of iterations is settled after at least so many, if the residual drifted by less than this
+    fraction over the last fifth of them (the rms noise of 64 x 64 pixels has a standard error of
+    0.011), and if the median of the last changes is below ``change``. ``border``: largest
+    brightness of the object at the frame's edge over its mean, in a padded frame. ``negative``:
+    largest share of the object's power in negative pixels, apart from that of the noise. ``share``:
+    least correlation of a linear estimate with the truth, expected for a typical object.
+    ``expected``: least expected correlation of a fit with a second fit. ``noise_ratio``,
+    ``errors``, ``count``: the noise beyond the optics' cut-off may differ from the stated one by
+    this ratio and by so many standard errors; at least so many frequencies are needed. ``wider``:
+    width of the point spread of the second fit, relative to the model's.
     """
 
     residual: float = 1.05
@@ -87,19 +76,12 @@ LIMITS = Limits()
 class Ending:
     """End of a solver's iterations, as `judged` needs it.
 
-    Parameters
-    ----------
-    converged : bool
-        Whether it met its own tolerance.
-    history : mapping of str to sequence of float
-        Records of the iterations: ``residual`` (over the noise) and ``change`` (relative).
-    most_residual : float or None
-        Largest rms residual over the noise, for a solver that brings it to the noise level. None
-        for a filter and for a weight that the caller chose: residuals are then not tested.
-    again : callable or None
-        For a solver that brings the residual to the noise by its weight of edges: function of a
-        `NoisyImage` and an image model that returns the object (H, W) and the background, image
-        units, of the same fit to that image.
+    ``converged``: whether it met its own tolerance. ``history``: records of the iterations:
+    ``residual`` (over the noise) and ``change`` (relative). ``most_residual``: largest rms residual
+    over the noise, for a solver that brings it to the noise level. None for a filter and for a
+    weight that the caller chose: residuals are then not tested. ``again``: for a solver that brings
+    the residual to the noise by its weight of edges: function of a `NoisyImage` and an image model
+    that returns the object (H, W) and the background, image units, of the same fit to that image.
     """
 
     converged: bool
@@ -125,17 +107,11 @@ class Ending:
 class Judgement:
     """Status of a fit, the reasons against "converged", and the estimated error of a sharp fit.
 
-    Parameters
-    ----------
-    status : {"converged", "unconverged", "too_few_photons", "does_not_fit"}
-        "does_not_fit" if a test of the model failed; otherwise "too_few_photons" if the noise
-        hides most of the object.
-    reasons : tuple of str
-        A sentence for each failed test, with the value, the limit and a likely cause.
-    expected_correlation : float or None
-        Correlation with the truth to expect if the model is right; None without a second fit.
-    error : ndarray or None, (H, W)
-        Estimated error of each pixel of the object, image units; None without a second fit.
+    ``status``: "does_not_fit" if a test of the model failed; otherwise "too_few_photons" if the
+    noise hides most of the object. ``reasons``: A sentence for each failed test, with the value,
+    the limit and a likely cause. ``expected_correlation``: correlation with the truth to expect if
+    the model is right; None without a second fit. ``error`` (H, W): estimated error of each pixel
+    of the object, image units; None without a second fit.
     """
 
     status: Status
@@ -149,18 +125,10 @@ def judged(
 ) -> Judgement:
     """Return the status of a fit with a known point spread, and the reasons against "converged".
 
-    Parameters
-    ----------
-    data : NoisyImage
-        Image and noise.
-    level : ndarray or Tensor, (H, W)
-        Fitted object times gain, image units.
-    strength : float
-        Fitted strength of the unknown background, image units.
-    model : ForwardModel or TorchForwardModel
-        Image model, of which only the mean point spread is used in the tests of spectra.
-    ending : Ending
-        How the solver ended.
+    ``data``: image and noise. ``level`` (H, W): fitted object times gain, image units.
+    ``strength``: fitted strength of the unknown background, image units. ``model``: image model, of
+    which only the mean point spread is used in the tests of spectra. ``ending``: how the solver
+    ended.
 
     Notes
     -----

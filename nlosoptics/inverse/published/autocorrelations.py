@@ -23,15 +23,10 @@ Array = NDArray[np.float64]
 class SpectrumModulus:
     """Estimated modulus of the object's spectrum, the input of phase retrieval.
 
-    Parameters
-    ----------
-    modulus : ndarray, (g_y, g_x//2 + 1)
-        Modulus of the object's ``rfft2``, float64, any scale. The grid is at least 1.5 times as
-        wide as the object's autocorrelation.
-    grid : (int, int)
-        Rows and columns (g_y, g_x) of the grid.
-    object_size : (int, int)
-        Rows and columns of the rectangle that contains the object.
+    ``modulus`` (g_y, g_x//2 + 1): modulus of the object's ``rfft2``, float64, any scale. The grid
+    is at least 1.5 times as wide as the object's autocorrelation. ``grid`` (int, int): rows and
+    columns (g_y, g_x) of the grid. ``object_size`` (int, int): rows and columns of the rectangle
+    that contains the object.
     """
 
     modulus: Array

@@ -300,21 +300,13 @@ def spectral_start(objects: Tensor, modulus: Tensor, support: Tensor, used: Tens
 def stepped(objects: Tensor, modulus: Tensor, support: Tensor, method: str, share: float) -> Tensor:
     """Make one iteration towards objects (R, H, W) whose spectra have a given modulus.
 
-    Parameters
-    ----------
-    objects : Tensor, (R, H, W)
-        Objects of the restarts.
-    modulus : Tensor, (H, W//2 + 1)
-        Modulus of the object's ``rfft2``.
-    support : Tensor of bool, (H, W)
-        Pixels that may be bright.
-    method : {"alternating", "hio", "raar"}
-        Alternating minimisation (Netrapalli 2013) for objects of either sign, whose least-squares
-        solution is the adjoint, as the transform is unitary; hybrid input-output (Fienup 1982),
-        with feedback decreasing from 2 to 0; or relaxed averaged alternating reflections (Luke
-        2005), with relaxation decreasing from 0.9 to 0.5. The last two keep objects non-negative.
-    share : float
-        Completed fraction of the iterations.
+    ``objects`` (R, H, W): objects of the restarts. ``modulus`` (H, W//2 + 1): modulus of the
+    object's ``rfft2``. ``support`` (H, W): pixels that may be bright. ``method``: alternating
+    minimisation (Netrapalli 2013) for objects of either sign, whose least-squares solution is the
+    adjoint, as the transform is unitary; hybrid input-output (Fienup 1982), with feedback
+    decreasing from 2 to 0; or relaxed averaged alternating reflections (Luke 2005), with relaxation
+    decreasing from 0.9 to 0.5. The last two keep objects non-negative. ``share``: completed
+    fraction of the iterations.
     """
     projection = _with_modulus(objects, modulus)
     if method == "alternating":

@@ -109,15 +109,9 @@ class UNet(nn.Module):
 class UNetObject(nn.Module):
     """Object represented as the output of an untrained U-net, between 0 and 1.
 
-    Parameters
-    ----------
-    guide : Tensor, (H, W) or (C, H, W)
-        Input of the network; each channel is shifted and scaled to mean 0 and variance 1. The
-        object has the same device and precision.
-    base, depth : int
-        Size of the network, see `UNet`.
-    seed : int
-        Seed of its initial weights.
+    ``guide`` (H, W): input of the network; each channel is shifted and scaled to mean 0 and
+    variance 1. The object has the same device and precision. ``base``, ``depth``: size of the
+    network, see `UNet`. ``seed``: seed of its initial weights.
 
     Notes
     -----

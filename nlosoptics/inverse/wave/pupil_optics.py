@@ -38,35 +38,18 @@ class PupilOptics(nn.Module):
     It is a fast Fourier transform, of which the image is one period. All results are differentiable
     with respect to the wave.
 
-    Parameters
-    ----------
-    wavelength, pupil_radius, image_distance, pitch : float
-        Wavelength, radius, distance from pupil to image, and pixel pitch of the image, m.
-    shape : int or (int, int)
-        Rows H and columns W of the image.
-    pixel_integrated : bool
-        Whether values are integrals over square pixels of side ``pitch``, which may then be any
-        length; point samples need a pitch of at most lambda |d|/(4 radius).
-    transmission : callable, optional
-        Relative amplitude as a function of u, v, m; by default 1.
-    device : torch.device or str
-        Device of the tensors.
-    dtype : torch.dtype
-        ``torch.float32`` or ``torch.float64``.
+    ``wavelength``, ``pupil_radius``, ``image_distance``, ``pitch``: wavelength, radius, distance
+    from pupil to image, and pixel pitch of the image, m. ``shape`` (int, int): rows H and columns W
+    of the image. ``pixel_integrated``: whether values are integrals over square pixels of side
+    ``pitch``, which may then be any length; point samples need a pitch of at most lambda |d|/(4
+    radius). ``transmission``: relative amplitude as a function of u, v, m; by default 1.
+    ``device``: device of the tensors. ``dtype``: ``torch.float32`` or ``torch.float64``.
 
-    Attributes
-    ----------
-    u, v : ndarray, (n_u,) and (n_v,)
-        Coordinates of the pupil's cells, m, along columns and rows; cell [n_v//2, n_u//2] is on the
-        axis.
-    share : ndarray, (n_v, n_u)
-        Fraction of each cell that lies in the pupil.
-    amplitude : ndarray, (n_v, n_u)
-        This fraction times the transmission.
-    nyquist_pitch : float
-        Largest pitch of point samples, m.
-    fine_grid : (int, int)
-        Rows and columns of the fine samples; `shape` if pixels are small.
+    ``u``, ``v`` (n_u,): coordinates of the pupil's cells, m, along columns and rows; cell [n_v//2,
+    n_u//2] is on the axis. ``share`` (n_v, n_u): fraction of each cell that lies in the pupil.
+    ``amplitude`` (n_v, n_u): this fraction times the transmission. ``nyquist_pitch``: largest pitch
+    of point samples, m. ``fine_grid`` (int, int): rows and columns of the fine samples; `shape` if
+    pixels are small.
     """
 
     _amplitude: Tensor

@@ -32,21 +32,12 @@ DEFOCUS = 4
 class ZernikeWaves(nn.Module):
     """Sums of Zernike polynomials on the pupil's cells.
 
-    Parameters
-    ----------
-    modes : iterable of int
-        Distinct Noll indices, without 1, since piston does not affect the image.
-    optics : PupilOptics
-        Transform with the pupil's cells.
-    rest : callable, optional
-        Function of the optics that returns a fixed aberration to add, (n_v, n_u), m.
+    ``modes``: distinct Noll indices, without 1, since piston does not affect the image. ``optics``:
+    transform with the pupil's cells. ``rest``: function of the optics that returns a fixed
+    aberration to add, (n_v, n_u), m.
 
-    Attributes
-    ----------
-    leaf_shape : (int,)
-        Shape of one set of coefficients, in waves rms over the full disc.
-    rest : Tensor or None, (n_v, n_u)
-        Fixed aberration divided by the wavelength.
+    ``leaf_shape`` (int,): shape of one set of coefficients, in waves rms over the full disc.
+    ``rest`` (n_v, n_u): fixed aberration divided by the wavelength.
     """
 
     _basis: Tensor
@@ -102,21 +93,11 @@ class ZernikeWaves(nn.Module):
 class SlopeWaves(nn.Module):
     """Waves integrated from slopes on a square grid by least squares, interpolated by splines.
 
-    Parameters
-    ----------
-    count : int
-        Nodes per side; node [count//2, count//2] is on the axis.
-    slope_pitch : float
-        Distance of the nodes, m.
-    optics : PupilOptics
-        Transform with the pupil's cells.
+    ``count``: nodes per side; node [count//2, count//2] is on the axis. ``slope_pitch``: distance
+    of the nodes, m. ``optics``: transform with the pupil's cells.
 
-    Attributes
-    ----------
-    leaf_shape : (int, int, 2)
-        Shape of one set of slopes dW/du, dW/dv, in waves per pupil radius.
-    modes : tuple
-        Empty, since no Zernike polynomials are used.
+    ``leaf_shape`` (int, int, 2): shape of one set of slopes dW/du, dW/dv, in waves per pupil
+    radius. ``modes``: empty, since no Zernike polynomials are used.
     """
 
     _left: Tensor
