@@ -143,9 +143,14 @@ class NoisyImage:
         """Return the strength of the unknown background at the image's border; 0 if it is known."""
         if not self.fit_background:
             return 0.0
-        values = _border(self.data)
+
+        def border(picture: Values) -> NDArray[np.float64]:
+            edges = as_numpy(picture)
+            return np.concatenate((edges[0], edges[-1], edges[:, 0], edges[:, -1]))
+
+        values = border(self.data)
         if self.background_shape is not None:
-            shape = _border(self.background_shape)
+            shape = border(self.background_shape)
             lit = shape > 0.5
             values = values[lit] / shape[lit]
         return float(np.sort(values)[(len(values) - 1) // 2]) if len(values) else 0.0
@@ -342,16 +347,16 @@ def _stated_noise(
     value: Any, shape: tuple[int, int], masked: NDArray[np.bool_]
 ) -> float | NDArray[np.float64]:
     """Return the noise that the caller states: a number, or a map that may be infinite in parts."""
+    remedy = "give None to have it estimated"
     if not shape_of("noise_sigma", value):
-        return _positive_sigma(value)
+        return positive("noise_sigma", value, remedy=remedy)
     sigmas = np.where(masked, np.inf, _picture("noise_sigma", value, shape, masked, infinite=True))
-    least = float(sigmas.min())
-    if math.isinf(least):
+    if math.isinf(sigmas.min()):
         raise SceneError(
             "noise_sigma is infinite in every pixel, so that none counts; give finite noise "
             "for the valid pixels"
         )
-    _positive_sigma(least)
+    positive("noise_sigma", float(sigmas.min()), remedy=remedy)
     return sigmas
 
 
@@ -380,15 +385,6 @@ def _background_shape(value: Any, shape: tuple[int, int]) -> NDArray[np.float64]
             "non-negative with some light; leave it out for a uniform background"
         )
     return picture / mean
-
-
-def _border(picture: Values) -> NDArray[np.float64]:
-    values = as_numpy(picture)
-    return np.concatenate((values[0], values[-1], values[:, 0], values[:, -1]))
-
-
-def _positive_sigma(sigma: float) -> float:
-    return positive("noise_sigma", sigma, remedy="give None to have it estimated")
 
 
 def _mask(name: str, value: Any, shape: tuple[int, int]) -> NDArray[np.bool_]:

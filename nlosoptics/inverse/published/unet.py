@@ -153,20 +153,13 @@ def _stage(entering: int, leaving: int, convolutions: int = 2) -> nn.Sequential:
 
 
 def _batch(guide: Any) -> Tensor:
-    """Return the network's input, (1, C, H, W), for a guide (H, W) or (C, H, W)."""
-    if not isinstance(guide, Tensor) or not guide.is_floating_point():
+    """Return the network's input (1, C, H, W), of mean 0 and variance 1, for a guide."""
+    if not isinstance(guide, Tensor) or not guide.is_floating_point() or guide.ndim not in (2, 3):
         raise SceneError(
-            f"guide of type {type(guide).__name__} is not a tensor of floats; "
-            "give torch.from_numpy(picture)"
+            f"guide of type {type(guide).__name__} is not a tensor of floats, (H, W) or (C, H, W)"
         )
-    if guide.ndim not in (2, 3):
-        raise SamplingError(f"guide has shape {tuple(guide.shape)}, must be (H, W) or (C, H, W)")
-    return normalised(guide.detach().reshape(1, -1, *guide.shape[-2:]))
-
-
-def normalised(pictures: Tensor) -> Tensor:
-    """Return pictures (..., H, W), each shifted and scaled to mean 0 and variance 1."""
-    centred = pictures - pictures.mean(dim=(-2, -1), keepdim=True)
+    picture = guide.detach().reshape(1, -1, *guide.shape[-2:])
+    centred = picture - picture.mean(dim=(-2, -1), keepdim=True)
     spread = centred.square().mean(dim=(-2, -1), keepdim=True).sqrt()
     # a uniform picture has no information and becomes zero
-    return centred / torch.where(spread > 0.0, spread, torch.ones_like(spread))
+    return centred / torch.where(spread > 0.0, spread, 1.0)
