@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import interpolate
 
 from nlosoptics import Scene, imaging, psf
 
@@ -28,7 +27,6 @@ OBJECTS = ROOT / "examples" / "objects"
 WAVELENGTH = 632.8e-9
 MODES = tuple(range(4, 22))  # Noll, n = 2..5: what a smooth wall is made of, and is fitted by
 HIGHER = tuple(range(22, 46))  # n = 6..8
-READ_NOISE = 3.6  # electrons rms
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -75,14 +73,11 @@ def case(
     size: int = 64,
     noise: float = 0.01,
     defocus: tuple[float, ...] = (0.0,),
-    kind: str = "smooth",
     n_walls: int = 1,
     noise_seed: int | None = None,
-    poisson: bool = False,
     higher: float = 0.04,
     field_variation: float = 0.02,
     surround: float = 0.01,
-    grid: int = 12,
     fine: int = 4,
 ) -> Case:
     """Images of one object by one or more walls.
@@ -98,30 +93,22 @@ def case(
     size : int
         Image pixels along each side; the picture fills them.
     noise : float
-        rms over the blurred image's maximum; with ``poisson`` that of the brightest pixel.
+        rms over the blurred image's maximum.
     defocus : tuple of float
         Known extra Noll-4 of each image, m rms.
-    kind : {"smooth", "diffuser"}
-        18 Zernike modes, equally strong on average, or a bicubic surface through ``grid`` x
-        ``grid`` random nodes.
     n_walls : int
         Walls, each of which is seen with every defocus.
     noise_seed : int, optional
         By default made of the wall's and the object's.
-    poisson : bool
-        Photon and read noise in place of even noise.
     higher : float
         rms of the modes n = 6..8 of a smooth wall, over that of the wall.
     field_variation : float
         rms by which the wave changes from the frame's centre to its edges, waves.
     surround : float
         Radiance around the frame, over that of white.
-    grid : int
     fine : int
         Samples per pixel.
     """
-    if kind not in ("smooth", "diffuser"):
-        raise ValueError(f"kind = {kind!r}; give 'smooth' or 'diffuser'")
     if max(np.abs(defocus)) > 1e-4:
         raise ValueError(f"defocus = {defocus} m; give metres rms, waves * WAVELENGTH")
     scene = _scene(object_name, size, fine, surround)
@@ -136,8 +123,8 @@ def case(
     noise_seed = wall_seed if noise_seed is None else noise_seed
     rng = np.random.default_rng([noise_seed, number, 1])
     for wall in range(n_walls):
-        draw = np.random.default_rng([wall_seed, wall, ("smooth", "diffuser").index(kind)])
-        shape = _Wall(draw, kind, rms_waves, higher, field_variation, grid)
+        draw = np.random.default_rng([wall_seed, wall, 0])
+        shape = _Wall(draw, rms_waves, higher, field_variation)
         waves.append(shape.wave((0.0, 0.0), 0.0, optics))
         coefficients.append(_projected(waves[-1]))
         for extra in defocus:
@@ -145,9 +132,8 @@ def case(
             taken = imaging.form_image(scene, field, seed=0)
             clean = _binned(taken.signal + taken.background, size, fine)
             truth = _binned(taken.ideal, size, fine)
-            image, sigma = _noisy(clean, noise, poisson, rng)
-            images.append(image)
-            sigmas.append(sigma)
+            sigmas.append(float(noise * clean.max()))
+            images.append(clean + sigmas[-1] * rng.normal(size=clean.shape))
     return Case(
         images=np.array(images),
         truth=truth / truth.max(),
@@ -157,7 +143,7 @@ def case(
         coefficients=np.array(coefficients),
         pupil={**optics, "pitch": fine * scene.camera.image_pitch},
         wavefronts=tuple(waves),
-        name=f"{object_name}-{kind}-{wall_seed}-{rms_waves:g}w-{size}-{noise:g}",
+        name=f"{object_name}-{wall_seed}-{rms_waves:g}w-{size}-{noise:g}",
     )
 
 
@@ -172,15 +158,8 @@ class _Wall:
     """Wave of one wall as a function of the place in the frame."""
 
     def __init__(
-        self,
-        rng: np.random.Generator,
-        kind: str,
-        rms_waves: float,
-        higher: float,
-        field_variation: float,
-        grid: int,
+        self, rng: np.random.Generator, rms_waves: float, higher: float, field_variation: float
     ) -> None:
-        self._surface = None
         low = rng.normal(size=len(MODES))
         high = rng.normal(size=len(HIGHER))
         # one direction of change across the frame, one up it
@@ -192,41 +171,15 @@ class _Wall:
                 high * higher * rms_waves / np.linalg.norm(high),
             ]
         )
-        if kind == "diffuser":
-            self._modes[:] = 0.0
-            axis = np.linspace(-1.0, 1.0, grid)
-            nodes = rng.normal(size=(grid, grid))
-            self._surface = interpolate.RectBivariateSpline(axis, axis, nodes)
-            u, v, weights = psf.polar_nodes(1.0, 64, 256)
-            values = self._surface(v.ravel(), u.ravel(), grid=False).reshape(u.shape)
-            plane = np.stack([np.ones_like(u), u, v]).reshape(3, -1) * np.sqrt(weights.ravel())
-            flat = values.ravel() * np.sqrt(weights.ravel())
-            self._plane = np.linalg.lstsq(plane.T, flat, rcond=None)[0]
-            rest = flat - self._plane @ plane
-            self._scale = rms_waves / np.sqrt((rest**2).sum() / weights.sum())
 
     def wave(self, place: tuple[float, float], extra: float, optics: dict[str, Any]) -> Any:
         """Wavefront at a place of the frame, -1 to 1 across and up, with known defocus, m."""
-        length, radius = optics["wavelength"], optics["pupil_radius"]
+        length = optics["wavelength"]
         modes = self._modes.copy()
         modes[: len(MODES)] += place[0] * self._drift[0] + place[1] * self._drift[1]
         given = {j: float(c) * length for j, c in zip(MODES + HIGHER, modes, strict=True)}
         given[4] += extra
-        if self._surface is None:
-            return psf.Wavefront.from_zernike(given, **optics)
-        surface, plane, scale = self._surface, self._plane, self._scale * length
-
-        def aberration(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-            x, y = u / radius, v / radius
-            height = surface(np.ravel(y), np.ravel(x), grid=False).reshape(np.shape(x))
-            height = height - (plane[0] + plane[1] * x + plane[2] * y)
-            rho, theta = np.hypot(x, y), np.arctan2(y, x)
-            return scale * height + sum(
-                c * psf.zernike(j, rho, theta) for j, c in given.items() if c != 0.0
-            )
-
-        # a surface of pieces is no polynomial: a grid, and the transform that takes grids to pixels
-        return psf.Wavefront.from_function(aberration, **optics, nodes="grid", samples=512)
+        return psf.Wavefront.from_zernike(given, **optics)
 
 
 def _field(wall: _Wall, extra: float, optics: dict[str, Any], scene: Scene, fine: int) -> Any:
@@ -239,9 +192,8 @@ def _field(wall: _Wall, extra: float, optics: dict[str, Any], scene: Scene, fine
             wave = wall.wave((2.0 * across, 2.0 * up), extra, optics)
             wide = max(2 * side, psf.window_shape(wave, pitch=fine * pitch, tol=1e-2) * fine)
             wide += wide % 2
-            method = "mdft" if wave.layout == "grid" else "auto"
             spread = psf.point_spread(
-                wave, method=method, model="scalar", pitch=pitch, shape=wide, pixel_integrated=True
+                wave, model="scalar", pitch=pitch, shape=wide, pixel_integrated=True
             )
             cut = slice(wide // 2 - side, wide // 2 + side)
             modes.append(spread.intensity[cut, cut])
@@ -307,19 +259,6 @@ def _binned(fine_image: np.ndarray, size: int, fine: int) -> np.ndarray:
     pixels = fine_image.reshape(2 * size, fine, 2 * size, fine).sum(axis=(1, 3))
     inner = slice(size // 2, size // 2 + size)
     return pixels[inner, inner]
-
-
-def _noisy(
-    clean: np.ndarray, noise: float, poisson: bool, rng: np.random.Generator
-) -> tuple[np.ndarray, float]:
-    if not poisson:
-        sigma = noise * clean.max()
-        return clean + sigma * rng.normal(size=clean.shape), float(sigma)
-    # the exposure at which the brightest pixel's noise is what was asked for
-    peak = (1.0 + np.sqrt(1.0 + (2.0 * noise * READ_NOISE) ** 2)) / (2.0 * noise**2)
-    light = clean * peak / clean.max()
-    taken = rng.poisson(light) + READ_NOISE * rng.normal(size=light.shape)
-    return taken, float(np.sqrt(np.mean(light + READ_NOISE**2)))
 
 
 def _projected(wave: psf.Wavefront) -> np.ndarray:

@@ -22,8 +22,6 @@ from typing import Any
 
 import numpy as np
 
-SUCCESS = 0.9
-
 
 def solved(key: dict[str, Any], folder: Path | None) -> dict[str, Any]:
     """One case, solved; its object is a picture of a folder, if there is one."""
@@ -40,7 +38,6 @@ def solved(key: dict[str, Any], folder: Path | None) -> dict[str, Any]:
         size=key["size"],
         noise=key["noise"],
         defocus=defocus,
-        kind=key["kind"],
     )
     pupil = inverse.PupilPSF.from_zernike(
         MODES, **data.pupil, shape=key["size"], pixel_integrated=True
@@ -79,7 +76,6 @@ def keys(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
                     "frames": options.frames,
                     "noise": options.noise,
                     "size": options.size,
-                    "kind": options.kind,
                     "strength": options.strength,
                     "seed": options.seed,
                 }
@@ -108,22 +104,6 @@ def report(row: dict[str, Any]) -> str:
     )
 
 
-def summary(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Success and honesty by strength."""
-    for rms in sorted({row["rms"] for row in rows}):
-        part = [row for row in rows if row["rms"] == rms]
-        right = [row["correlation"] > SUCCESS for row in part]
-        sure = [row["status"] == "converged" for row in part]
-        false = sum(s and not r for s, r in zip(sure, right, strict=True))
-        seconds = np.array([row["cpu_seconds"] for row in part])
-        yield (
-            f"{rms:.2f} waves, {part[0]['frames']} frames: {sum(right)} of {len(part)} right, "
-            f"{sum(sure)} converged, of which {false} wrong; median correlation "
-            f"{np.median([row['correlation'] for row in part]):.3f}; seconds of processor "
-            f"{np.median(seconds):.0f} median, {seconds.max():.0f} most"
-        )
-
-
 def main() -> None:
     """Run what is not there yet and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -134,7 +114,6 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="of the objects' PNG files, see cases.py")
     parser.add_argument("--noise", type=float, default=0.01, help="over the image's maximum")
     parser.add_argument("--size", type=int, default=64)
-    parser.add_argument("--kind", choices=("smooth", "diffuser"), default="smooth")
     parser.add_argument("--strength", type=float, help="rms waves to tell the fit; default none")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
@@ -152,7 +131,6 @@ def main() -> None:
             if options.json is not None:
                 with options.json.open("a") as file:
                     file.write(json.dumps(rows[-1]) + "\n")
-    print("\n".join(summary(rows)))
 
 
 if __name__ == "__main__":

@@ -135,8 +135,7 @@ def drawn_scene(index, *, tune=False, occluders=False):
     base = Scene.load(ROOT / "examples" / "scenes" / "letter_flat.toml").resized(PIXELS)
     z = drawn["distance"]
     camera = replace(
-        base.camera,
-        **{name: drawn[name] for name in ("exposure", "read_noise", "stop_diameter")},
+        base.camera, **{name: drawn[name] for name in ("exposure", "read_noise", "stop_diameter")}
     )
     hidden = PlanarObject(
         drawn_picture(drawn["object"], rng),
@@ -200,35 +199,6 @@ def read_lines(path):
     return lines
 
 
-def summary(lines):
-    """Counts of right verdicts, and how near the predicted correlations are."""
-    right = sum(line["predicted"] == (line["correlation"] > GOOD) for line in lines)
-    done = sum(line["correlation"] > GOOD for line in lines)
-    found = [line for line in lines if line["correlation"] != 0.0]
-    text = [
-        f"{right} of {len(lines)} verdicts right, {done} of them can be done",
-        f"{len(lines) - len(found)} fits return no object",
-    ]
-    off = np.array([abs(line["score"] - line["correlation"]) for line in found])
-    reached = np.array([line["correlation"] for line in found])
-    spread = np.array([line["spread"] for line in found])
-    again = np.array([abs(line["correlation_again"] - line["correlation"]) for line in found])
-    between = (reached > 0.3) & (reached < 0.95)
-    for name, part in (
-        ("between 0.3 and 0.95", between),
-        ("of these, spread below 0.06", between & (spread < 0.06)),
-        ("all fits", np.ones(len(found), dtype=bool)),
-    ):
-        text.append(
-            f"{name}: {part.sum()} fits, {100 * (off[part] < 0.05).mean():.0f} % within 0.05, "
-            f"{100 * (off[part] < spread[part]).mean():.0f} % within the spread, "
-            f"{100 * (off[part] < 2 * spread[part]).mean():.0f} % within two, median "
-            f"{np.median(off[part]):.3f}; two fits of one scene are within 0.05 in "
-            f"{100 * (again[part] < 0.05).mean():.0f} %"
-        )
-    return "\n".join(text)
-
-
 def main():
     """Run the scenes that the file lacks, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -262,7 +232,6 @@ def main():
             f"+- {line['spread']:.3f} {line['correlation']:.3f} {line['status']:16s} "
             f"{line['verdict'][:90]}"
         )
-    print(summary(lines))
 
 
 if __name__ == "__main__":

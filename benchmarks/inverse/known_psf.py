@@ -217,7 +217,6 @@ def main():
             line["case"]: line for line in map(json.loads, options.json.read_text().splitlines())
         }
     print(f"{'case':34s} {'image':>6s} " + " ".join(f"{m:>15s}     s" for m in options.methods))
-    behind = []
     for noise in options.noise:
         for wall in ("smooth", "speckle"):
             for seed in range(options.seeds):
@@ -232,10 +231,6 @@ def main():
                     found = {m: row[m] for m in options.methods if m in row}
                     text = (f"{f['correlation']:15.4f} {f['seconds']:5.2f}" for f in found.values())
                     print(f"{name:34s} {row['image']:6.3f} " + " ".join(text), flush=True)
-                    best = max(found, key=lambda m: found[m]["correlation"])
-                    if best != "tv_deconvolve":
-                        behind.append(f"{name}: {best}")
-    print("tv_deconvolve is best in every row" if not behind else "\n".join(behind))
 
 
 if __name__ == "__main__":

@@ -1,14 +1,13 @@
 """Blind fits with prior knowledge: correlation with the truth, verdict and seconds, case by case.
 
 python benchmarks/inverse/known_start.py --json known_start.jsonl [--groups near10 ...] [--walls 6]
-    [--objects F arrow hanzi_zhong] [--sizes 64 128] [--jobs 1] [--summary]
+    [--objects F arrow hanzi_zhong] [--sizes 64 128] [--jobs 1]
 
 One line of JSON for each finished case; started again, it goes on where it was cut off. Groups:
-near10, near14, near25: the start is 0.10, 0.14, 0.25 wave rms off, one image; support: as near10,
+near10, near25: the start is 0.10, 0.25 wave rms off, one image; support: as near10,
 with the pixels around the object known to be dark; diversity3: nothing is known, three images at
 defoci 0 and +-0.5 wave; walls4: nothing is known, four walls; calibrate: the wall from one image of
-a known R, then another object; noise5: as near10 at 5 % noise, beside Wiener and Richardson-Lucy
-with the same start, noise5unet: the same with an untrained network's object.
+a known R, then another object; noise5: as near10 at 5 % noise.
 """
 
 from __future__ import annotations
@@ -29,18 +28,7 @@ from cases import MODES, WAVELENGTH, Case, case, start
 
 FIRST_WALL = 1  # the fit was tuned on walls 101 to 104
 RMS = 0.5  # waves
-GROUPS = (
-    "near10",
-    "near14",
-    "diversity3",
-    "walls4",
-    "calibrate",
-    "noise5",
-    "noise5unet",
-    "near25",
-    "support",
-)
-RIVALS = ("wiener", "richardson_lucy", "tv_deconvolve", "deep_image_prior")
+GROUPS = ("near10", "near25", "support", "diversity3", "walls4", "calibrate", "noise5")
 DIVERSITY = (0.0, 0.5 * WAVELENGTH, -0.5 * WAVELENGTH)
 
 
@@ -59,11 +47,6 @@ def pupil(data: Case, coefficients: np.ndarray) -> Any:
     return spread
 
 
-def decibels(correlation: float, truth: np.ndarray) -> float:
-    """PSNR after the best shift, scale and offset, of a picture whose range is 1."""
-    return -10.0 * math.log10(max(float(truth.var()) * (1.0 - correlation**2), 1e-12))
-
-
 def solved(group: str, name: str, wall: int, size: int) -> dict[str, Any]:
     """Figures of one case."""
     from nlosoptics.inverse import registered_correlation
@@ -80,8 +63,6 @@ def solved(group: str, name: str, wall: int, size: int) -> dict[str, Any]:
         options["start_error"] = error
         if group == "support":
             options["support"] = ndimage.binary_dilation(data.truth > 0.05, iterations=2)
-        if group == "noise5unet":
-            options["object_model"] = "unet"
     elif group == "calibrate":
         first, extra = _calibrated(wall, size)
         options["start_error"] = 0.1
@@ -90,13 +71,8 @@ def solved(group: str, name: str, wall: int, size: int) -> dict[str, Any]:
     found = _fit(data, first, **options)
     correlation = registered_correlation(found, data.truth)
     margin = found.physical_parameters["margin"]
-    if group == "noise5":
-        extra = _rivals(data, {"": first, "known_": data.coefficients[0]}, RIVALS)
-    elif group == "noise5unet":
-        extra = _rivals(data, {"": first}, RIVALS[:2])
     return {
         "correlation": correlation,
-        "decibels": decibels(correlation, data.truth),
         "image": registered_correlation(data.images[0], data.truth),
         "status": found.status,
         "score": found.score,
@@ -131,67 +107,11 @@ def _calibrated(wall: int, size: int) -> tuple[np.ndarray, dict[str, Any]]:
     }
 
 
-def _rivals(data: Case, walls: dict[str, np.ndarray], solvers: tuple[str, ...]) -> dict[str, Any]:
-    """Solvers that hold the start's point spread for the true one, or are told the true.
-
-    The best of the latter is about what a fit of the wall can reach at all.
-    """
-    from nlosoptics import imaging, inverse
-
-    figures = {}
-    for prefix, coefficients in walls.items():
-        spread = pupil(data, coefficients)
-        model = imaging.ForwardModel(
-            spread().detach().double().numpy(), shape=data.truth.shape, boundary="padded"
-        )
-        for name in solvers:
-            found = getattr(inverse, name)(data.images[0], model)
-            correlation = inverse.registered_correlation(found, data.truth)
-            figures[f"{prefix}{name}_decibels"] = decibels(correlation, data.truth)
-    return figures
-
-
 def work(key: tuple[str, str, int, int]) -> dict[str, Any]:
     """One line."""
     group, name, wall, size = key
     line = {"group": group, "object": name, "wall": wall, "size": size}
     return {**line, **solved(group, name, wall, size)}
-
-
-def known_gain(line: dict[str, Any]) -> float:
-    """Decibels between the best solver that knows the wall and Wiener's filter by the start."""
-    known = [value for name, value in line.items() if name.startswith("known_")]
-    return max(known) - line["wiener_decibels"]
-
-
-def summary(lines: list[dict[str, Any]]) -> None:
-    """Least and median correlation, successes and verdicts of each group and size."""
-    for group in GROUPS:
-        for size in sorted({line["size"] for line in lines}):
-            rows = [x for x in lines if x["group"] == group and x["size"] == size]
-            if not rows:
-                continue
-            values = np.array([x["correlation"] for x in rows])
-            said = np.array([x["status"] == "converged" for x in rows])
-            seconds = np.median([x["seconds"] for x in rows])
-            print(
-                f"{group:10s} {size:4d} n = {len(rows):3d}  correlation least {values.min():.4f} "
-                f"median {np.median(values):.4f}  >= 0.95: {np.mean(values >= 0.95):.2f}  "
-                f"verdict right: {np.mean(said == (values > 0.9)):.2f}, wrong 'converged': "
-                f"{int(np.sum(said & (values <= 0.9)))}  {seconds:.1f} s"
-            )
-            for name in sorted({name for x in rows for name in x if name.endswith("_decibels")}):
-                gains = [x["decibels"] - x[name] for x in rows if name in x]
-                print(
-                    f"{'':15s} dB above {name[:-9]}: least {min(gains):.1f}, median "
-                    f"{np.median(gains):.1f}"
-                )
-            bounds = [known_gain(x) for x in rows if "known_wiener_decibels" in x]
-            if bounds:
-                print(
-                    f"{'':15s} the best solver with the true wall is above Wiener with the start's "
-                    f"by: least {min(bounds):.1f}, median {np.median(bounds):.1f}"
-                )
 
 
 def main() -> None:
@@ -203,7 +123,6 @@ def main() -> None:
     parser.add_argument("--objects", nargs="+", default=["F", "arrow", "hanzi_zhong"])
     parser.add_argument("--sizes", nargs="+", type=int, default=[64, 128])
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--summary", action="store_true", help="print what the file holds, no more")
     options = parser.parse_args()
     lines = []
     if options.json.exists():
@@ -216,7 +135,7 @@ def main() -> None:
         for group in options.groups
         for name in options.objects
     ]
-    todo = [] if options.summary else [key for key in keys if key not in done]
+    todo = [key for key in keys if key not in done]
     with ProcessPoolExecutor(options.jobs) as pool, options.json.open("a") as file:
         for future in as_completed([pool.submit(work, key) for key in todo]):
             line = future.result()
@@ -225,7 +144,6 @@ def main() -> None:
             file.flush()
             short = {k: round(v, 4) if isinstance(v, float) else v for k, v in line.items()}
             print(" ".join(f"{k}={v}" for k, v in short.items()), flush=True)
-    summary(lines)
 
 
 if __name__ == "__main__":

@@ -1,27 +1,19 @@
 """Status of reconstructions on measurements that the model does not describe.
 
 python benchmarks/inverse/mismatches.py [--first 1000] [--cases 200] [--solver tv_deconvolve]
-    [--kinds NAME ...] [--json FILE] [--signs] [--fit]
+    [--kinds NAME ...] [--json FILE]
 
 Each seed draws an object, a wall, a noise level and one mismatch, and makes the image as
 `known_psf` does: four samples per pixel, linear convolution, integrated pixels, 64 x 64 pixels. The
 solver receives the image and the kernel that the scene would predict, not the noise. The table
 counts, for each kind of mismatch, the answers with a correlation below 0.85 and above 0.93, and
-those of them that were called "converged". Some wrong answers cannot be told, because another
-object that is as simple as the truth has the same image by the wrong model (a twin, see `twin`).
-`--fit` prints the constants of `nlosoptics.inverse.data.signs` that the rows of FILE give, if
-`--signs` stored the signs in them, and how many wrong answers they miss.
-The present ones are from these seeds: 30000 to 30209; 100000 to 100749; 500000 to 500219;
-700000 to 700219; 950000 to 950219; 970000 to 970219; 975000 to 975199; and, with `--kinds
-white_noise exponential_noise photon_noise unblurred_picture blobs other_speckle other_wall`, 800000
-to 800199 and 960000 to 960199. Other seeds test them.
+those of them that were called "converged".
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,11 +24,6 @@ from scipy import fft, ndimage, signal
 
 PIXELS = 64
 LOW, HIGH = 0.85, 0.93
-# Share of the answers above HIGH that may be doubted, and ridge of the regression.
-LOST, RIDGE = 0.05, 1.0
-# Distance of two images that no test tells reliably, noise sigmas of a pixel, in the whole frame. A
-# test that knows both images errs in 16 % of the cases.
-ALIKE = 2.0
 # Strength of each mismatch: least and largest, drawn evenly in the logarithm.
 OPTICS = {
     "vignetting": (0.2, 0.8),  # amplitude lost at the pupil's edge
@@ -61,21 +48,11 @@ LIGHT = {
     "rows": (0.5, 1.5),  # noise of whole rows relative to that of pixels
     "surround": (0.3, 1.0),  # light of a scene that is wider than the frame
 }
-NOISE = {
-    "white_noise": (1.0, 1.0),
-    "exponential_noise": (1.0, 1.0),
-    "photon_noise": (1.0, 1.0),
-}
-FOREIGN = {
-    "unblurred_picture": (1.0, 1.0),
-    "blobs": (1.0, 1.0),
-    "other_speckle": (1.0, 1.0),
-}
+NOISE = {"white_noise": (1.0, 1.0), "exponential_noise": (1.0, 1.0), "photon_noise": (1.0, 1.0)}
+FOREIGN = {"unblurred_picture": (1.0, 1.0), "blobs": (1.0, 1.0), "other_speckle": (1.0, 1.0)}
 DRAWN = {"none": (1.0, 1.0), **OPTICS, **CAMERA, **LIGHT, **NOISE, **FOREIGN}
 # Kinds that only `--kinds` draws, so that the cases of earlier seeds stay the same.
 KINDS = {**DRAWN, "clipped": (0.4, 0.9)}  # by the converter, after the noise; of the maximum
-#: Kinds that show nothing of the scene.
-NOTHING = (*NOISE, *FOREIGN, "other_wall")
 WALLS = ("smooth", "speckle", "weak", "lobe")
 SUBJECTS = ("glyph", "drawing", "grey", "dots")
 
@@ -313,162 +290,38 @@ def disturbance(clean, kind, strength, rng):
     return white
 
 
-def signs_of(found, image, model):
-    """Signs of a wrong model in a reconstruction, or None without an object or a second fit."""
-    from nlosoptics.inverse.data.noisy_image import noisy_image
-    from nlosoptics.inverse.data.signs import LACK, LACK_POWER
-    from nlosoptics.inverse.data.status import Spectra
-
-    fitted = found.physical_parameters
-    if "expected_correlation" not in fitted:
-        return None
-    data = noisy_image(image, model)
-    level = found.object * fitted["gain"]
-    spectra = Spectra(data, level, fitted["background"], model)
-    lack = ((1.0 - fitted["expected_correlation"]) / LACK) ** (1.0 / LACK_POWER)
-    return spectra.signs(level) | {"unsteady": math.sqrt(lack / (1.0 - spectra.share()))}
-
-
-def twin(data, model):
-    """Object of few edges whose image by the model is the true one within `ALIKE`, if one is found.
-
-    Returns its correlation with the truth, and its edges (total variation over the norm) relative
-    to the truth's; or None.
-    """
-    from nlosoptics import inverse
-
-    noise = ALIKE * data.noise_sigma / PIXELS
-    found = inverse.tv_deconvolve(
-        inverse.Measurement(data.clean, noise_sigma=noise), model, max_iterations=1500
-    )
-    level = found.object * found.physical_parameters["gain"]
-    image = model.forward(level) + found.physical_parameters["background"]
-    if not level.any() or np.linalg.norm(image - data.clean) > ALIKE * data.noise_sigma:
-        return None
-    edges = [
-        np.hypot(part - np.roll(part, 1, 0), part - np.roll(part, 1, 1)).sum()
-        / np.linalg.norm(part)
-        for part in (level, data.truth)
-    ]
-    return inverse.registered_correlation(level, data.truth), float(edges[0] / edges[1])
-
-
-def solved(seed, name, kind=None, *, signs=False):
+def solved(seed, name, kind=None):
     """Reconstruct the case of a seed by a solver; return one row of the table."""
     from nlosoptics import imaging, inverse
 
-    data, solver = case(seed, kind), getattr(inverse, name)
+    data = case(seed, kind)
     model = imaging.ForwardModel(data.kernel, shape=data.image.shape)
-    found = known = solver(data.image, model)
-    if data.kind == "none":
-        known = solver(inverse.Measurement(data.image, noise_sigma=data.noise_sigma), model)
-    row = {
+    found = getattr(inverse, name)(data.image, model)
+    return {
         "seed": seed,
         "kind": data.kind,
         "wall": data.wall,
         "subject": data.subject,
-        "strength": data.strength,
-        "noise": data.noise,
+        "strength": round(data.strength, 4),
+        "noise": round(data.noise, 4),
         "status": found.status,
-        "correlation": inverse.registered_correlation(found, data.truth),
-        "correlation_known_noise": inverse.registered_correlation(known, data.truth),
-        "noise_ratio": inverse.estimate_noise(data.image, model) / data.noise_sigma,
-        "noise_ratio_without_model": inverse.estimate_noise(data.image) / data.noise_sigma,
-        "expected_correlation": found.physical_parameters.get("expected_correlation"),
-        "seconds": found.seconds,
-        "twin": None,
+        "correlation": round(inverse.registered_correlation(found, data.truth), 4),
+        "seconds": round(found.seconds, 3),
     }
-    if row["correlation"] < LOW and data.kind not in (*NOISE, *FOREIGN):
-        row["twin"] = twin(data, model)
-    return row | {"signs": signs_of(found, data.image, model)} if signs else row
-
-
-def fitted(rows):
-    """Print weight, mean and usual limit of each sign, and how well they tell wrong from right."""
-    rows = [r for r in rows if r.get("signs") and not LOW <= r["correlation"] <= HIGH]
-    wrong = np.array([r["correlation"] < LOW for r in rows])
-    # the residual adds nothing to the others
-    names = [name for name in rows[0]["signs"] if name != "unexplained"]
-    values = np.array([[r["signs"][name] for name in names] for r in rows])
-    first, weights = regression(values, wrong)
-    right = values[~wrong]
-    usual = np.quantile(right, 1.0 - LOST, axis=0)
-    for name, *numbers in zip(names, weights, right.mean(axis=0), usual, strict=True):
-        print(f"{name:12s} " + " ".join(f"{number:7.3f}" for number in numbers))
-    limit = np.quantile(right @ weights, 1.0 - LOST)
-    print(f"offset {-limit:.3f}, half of the answers are wrong at {-first - limit:.3f}")
-    sums, part = np.zeros(len(rows)), np.random.default_rng(0).permutation(len(rows)) % 10
-    for one in range(10):
-        first, weights = regression(values[part != one], wrong[part != one])
-        sums[part == one] = first + values[part == one] @ weights
-    print("cross-validation, each tenth judged by the others:")
-    for share in (0.02, 0.05, 0.1, 0.2, 0.5):
-        accepted = (sums[wrong] <= np.quantile(sums[~wrong], 1.0 - share)).sum()
-        print(f"  {100 * share:2.0f} % of the right doubted: {accepted} of {wrong.sum()} wrong not")
-
-
-def regression(values, wrong):
-    """Constant and weights of the logarithm of the odds that an answer is wrong."""
-    mean, scale = values.mean(axis=0), values.std(axis=0)
-    terms = np.column_stack([np.ones(len(values)), (values - mean) / scale])
-    ridge = np.diag([0.0] + [RIDGE] * len(mean))
-    weights = np.zeros(len(mean) + 1)
-    for _ in range(50):  # Newton's method
-        odds = 1.0 / (1.0 + np.exp(-terms @ weights))
-        slope = terms.T @ (odds - wrong) + ridge @ weights
-        curvature = (terms.T * (odds * (1.0 - odds))) @ terms + ridge
-        weights = weights - np.linalg.solve(curvature, slope)
-    slopes = weights[1:] / scale
-    return weights[0] - mean @ slopes, slopes
-
-
-def untold(row):
-    """Whether the model explains the image of an answer by another object as simple as the truth.
-
-    This object has a correlation below 0.85 with the truth, and no more edges than it.
-    """
-    return bool(row["twin"]) and row["twin"][0] < LOW and row["twin"][1] <= 1.0
 
 
 def summary(rows):
     """Print what each kind of mismatch does, and how often the status is right."""
-    titles = ("< 0.85", "with a twin", "0.85-0.93", "> 0.93")
-    print(f"{'kind':18s} {'cases':>5s} " + " ".join(f"{title:>12s}" for title in titles))
-    limits = ((-2.0, LOW), (LOW, HIGH), (HIGH, 2.0))
-    groups = {kind: [r for r in rows if r["kind"] == kind] for kind in KINDS}
-    groups["all"] = rows
+    print(f"{'kind':18s} {'cases':>5s}       < 0.85    0.85-0.93       > 0.93")
+    groups = {kind: [r for r in rows if r["kind"] == kind] for kind in KINDS} | {"all": rows}
     for kind, part in groups.items():
-        if not part:
-            continue
-        columns = [[r for r in part if low <= r["correlation"] < high] for low, high in limits]
-        columns.insert(1, [r for r in part if untold(r)])
-        cells = [
-            f"{sum(r['status'] == 'converged' for r in held):4d} of {len(held):4d}"
-            for held in columns
-        ]
-        print(f"{kind:18s} {len(part):5d} " + " ".join(cells))
-    print("Each cell: answers called converged, of those with the correlation in the heading.")
-    print(
-        "Twin: an object as simple as the truth, but with a correlation below 0.85, whose image by "
-        f"the model is the true one within {ALIKE:g} noise sigmas of a pixel, in the whole frame."
-    )
-    nothing = [r for r in rows if r["kind"] in NOTHING and r["correlation"] < LOW]
-    sure = sum(r["status"] == "converged" for r in nothing)
-    print(f"images that show nothing of the scene: {sure} of {len(nothing)} called converged")
-    for low, high in ((0.005, 0.02), (0.02, 0.05), (0.05, 0.1)):
-        part = [r for r in rows if r["kind"] == "none" and low <= r["noise"] < high]
+        cells = []
+        for low, high in ((-2.0, LOW), (LOW, HIGH), (HIGH, 2.0)):
+            held = [r for r in part if low <= r["correlation"] < high]
+            cells.append(f"{sum(r['status'] == 'converged' for r in held):4d} of {len(held):4d}")
         if part:
-            own, plain = (
-                np.mean([abs(r[name] - 1.0) for r in part])
-                for name in ("noise_ratio", "noise_ratio_without_model")
-            )
-            lost = np.array([r["correlation_known_noise"] - r["correlation"] for r in part])
-            print(
-                f"noise {100 * low:g} to {100 * high:g} %, {len(part)} cases without mismatch: "
-                f"error of its estimate {100 * own:.1f} %, without the model {100 * plain:.1f} %; "
-                f"correlation lost to it {lost.mean():.4f}, at most {lost.max():.4f}"
-            )
-    print(f"seconds of a solve: median {np.median([r['seconds'] for r in rows]):.2f}")
+            print(f"{kind:18s} {len(part):5d} " + " ".join(cells))
+    print("Each cell: answers called converged, of those with the correlation in the heading.")
 
 
 def main():
@@ -479,8 +332,6 @@ def main():
     parser.add_argument("--solver", default="tv_deconvolve", help="function of nlosoptics.inverse")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, help="only these kinds, in turn")
     parser.add_argument("--json", type=Path, help="finished cases, a line each")
-    parser.add_argument("--signs", action="store_true", help="store the signs")
-    parser.add_argument("--fit", action="store_true", help="print the constants of the signs")
     options = parser.parse_args()
     rows = []
     if options.json and options.json.exists():
@@ -490,13 +341,11 @@ def main():
         if seed in done:
             continue
         kind = options.kinds[seed % len(options.kinds)] if options.kinds else None
-        rows.append(solved(seed, options.solver, kind, signs=options.signs))
+        rows.append(solved(seed, options.solver, kind))
         if options.json:
             with options.json.open("a") as file:
                 file.write(json.dumps(rows[-1]) + "\n")
     summary(rows)
-    if options.fit:
-        fitted(rows)
 
 
 if __name__ == "__main__":

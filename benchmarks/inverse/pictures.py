@@ -1,7 +1,7 @@
-"""Random pictures for training: glyphs, characters, script, strokes, shapes, dots, clouds, leaves.
+"""Random pictures: glyphs, characters, script, strokes, shapes, dots, clouds, leaves.
 
-    from pictures import pictures
-    stack = pictures(200, seed=0)
+    from pictures import fine_picture
+    kind, picture = fine_picture(0, 17)
 
 The glyphs are those of the fonts that matplotlib ships, without the capital F and without arrows,
 which tests use. Nothing is drawn from examples/objects, from handwriting or from photographs.
@@ -42,16 +42,6 @@ _FONTS = (
     "STIXGeneralBol.ttf",
     "STIXGeneral.ttf",
 )
-
-
-def pictures(count: int, seed: int, side: int = SIDE) -> np.ndarray:
-    """Pictures (count, side, side), 0 to 1; a larger count extends those of a smaller one."""
-    found = np.empty((count, side, side), dtype=np.float32)
-    for number in range(count):
-        _kind, fine = fine_picture(seed, number)
-        cells = fine.reshape(side, len(fine) // side, side, -1).mean(axis=(1, 3))
-        found[number] = cells / max(float(cells.max()), 1e-6)
-    return found
 
 
 def fine_picture(seed: int, number: int) -> tuple[str, np.ndarray]:

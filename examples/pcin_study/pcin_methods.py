@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pcin_data as data
+import torch
+from pcin_network import Network, training_pairs
 from scipy import ndimage
 
 from nlosoptics import inverse
@@ -121,39 +123,38 @@ def _phase_retrieval(key: dict[str, Any], taken: data.Exposure) -> Any:
 
 
 def _cnn(key: dict[str, Any], taken: data.Exposure) -> Any:
-    network, seconds = trained(key["scale"], key["size"], key["pairs"])
-    # the image model only says how well the answer explains the image
-    found = network.reconstruct(
-        inverse.Measurement(taken.image, noise_sigma=taken.noise), data.known_model(place_of(key))
-    )
+    trained, seconds = network(key["scale"], key["size"], key["pairs"])
+    found = trained.reconstruct(taken.image, taken.noise, data.known_model(place_of(key)))
     return found, {"training_seconds": round(seconds, 1), "iterations": 0}
 
 
 @lru_cache(maxsize=2)
-def trained(scale: str, size: int, pairs: int) -> tuple[inverse.CnnBaseline, float]:
+def network(scale: str, size: int, pairs: int) -> tuple[Network, float]:
     """Network for flat walls with random waves or facets, 40 ms; kept as a file."""
+    found = Network(seed=SEED)
     folder = os.environ.get(CNN_FOLDER)
-    path = Path(folder) / f"cnn-{scale}-{size}-{pairs}.safetensors" if folder else None
+    path = Path(folder) / f"cnn-{scale}-{size}-{pairs}.pt" if folder else None
     if path is not None and path.is_file():
-        return inverse.CnnBaseline.load(path), 0.0
+        found.unet.load_state_dict(torch.load(path, weights_only=True))
+        return found, 0.0
     scene = data.flat_scene("smooth", size)
-    shown = inverse.training_pairs(scene, pairs, waves=CNN_WAVES, seed=SEED)
+    images, objects = training_pairs(scene, pairs, waves=CNN_WAVES, seed=SEED)
     if scale == "rough":
-        shown = _by_facets(shown, size)
-    found = inverse.train_cnn(shown, base=8, epochs=20, seed=SEED)
+        images, objects = _by_facets(objects, size)
+    seconds = found.train(images, objects, seed=SEED)
     if path is not None:
-        found.network.save(path)
-    return found.network, found.seconds
+        torch.save(found.unet.state_dict(), path)
+    return found, seconds
 
 
-def _by_facets(shown: inverse.TrainingPairs, size: int) -> inverse.TrainingPairs:
+def _by_facets(shown: Any, size: int) -> tuple[Any, Any]:
     """The same objects, as small as the study's, seen by walls of facets that the study has not."""
     draws = np.random.default_rng(SEED)
     small = max(1, round(1.0 / data.SCALES["rough"].fill))
     side = size // small
     at = (size - side) // 2
-    objects = np.zeros_like(shown.objects)
-    means = shown.objects[:, : side * small, : side * small]
+    objects = np.zeros_like(shown)
+    means = shown[:, : side * small, : side * small]
     means = means.reshape(-1, side, small, side, small).mean(axis=(2, 4))
     objects[:, at : at + side, at : at + side] = means
     images = np.empty_like(objects)
@@ -164,7 +165,7 @@ def _by_facets(shown: inverse.TrainingPairs, size: int) -> inverse.TrainingPairs
             seen = model.forward(objects[i].astype(np.float64))
             bright = BRIGHTEST / max(float(seen.max()), 1e-12)
             images[i] = draws.poisson(bright * np.maximum(seen, 0.0))
-    return inverse.TrainingPairs(images=images, objects=objects)
+    return images, objects
 
 
 @lru_cache(maxsize=8)

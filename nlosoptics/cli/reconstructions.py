@@ -165,7 +165,8 @@ def reconstruct_command(
             raise typer.Exit(INTERRUPTED)
 
 
-def _reconstruction_rows(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
+def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
+    """Print a reconstruction's figures as a table."""
     f = report["figures"]
     told = (
         f"{f['method']}: {f['reconstruction_status']} after {counted(f['iterations'], 'iteration')}"

@@ -12,16 +12,8 @@ from .known.inverse_filter import inverse_filter as inverse_filter
 from .known.richardson_lucy import richardson_lucy as richardson_lucy
 from .known.total_variation import tv_deconvolve as tv_deconvolve
 from .known.wiener import wiener as wiener
-from .published.cnn import CnnBaseline as CnnBaseline
-from .published.cnn import Training as Training
-from .published.cnn import train_cnn as train_cnn
-from .published.deep_image_prior import deep_image_prior as deep_image_prior
 from .published.phase_retrieval import object_from_autocorrelation as object_from_autocorrelation
 from .published.phase_retrieval import phase_retrieval as phase_retrieval
-from .published.training_pairs import TrainingPairs as TrainingPairs
-from .published.training_pairs import training_pairs as training_pairs
 from .published.unet import UNet as UNet
 from .published.wu2024 import wu2024_fit as wu2024_fit
-from .wave.facet_psf import FacetPSF as FacetPSF
 from .wave.pupil_psf import PupilPSF as PupilPSF
-from .wave.scene_parameters import SceneLeaves as SceneLeaves

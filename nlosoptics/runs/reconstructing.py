@@ -52,7 +52,10 @@ SINGLE = ("inverse_filter", "phase_retrieval")
 #: Recipes of `inverse.pcin`, which fit the wall's wave as well as the object.
 BLIND = ("evidence", "wu2024")
 METHODS = (*KNOWN, *BLIND)
-MODES = tuple(range(4, 22))  # Noll indices that a blind method fits: radial orders 2 to 5
+#: Noll indices of the wave modes that a blind method fits: radial orders 2 to 5.
+MODES = tuple(range(4, 22))
+#: Parameters with more values than this are saved in the arrays, not in ``result.json``.
+MOST_VALUES = 200
 CHECKPOINT, PREVIEW = "checkpoint.npz", "preview.png"
 
 
@@ -70,7 +73,7 @@ class Task:
         Name of the solver: "tv", "wiener", "inverse_filter", "richardson_lucy", "phase_retrieval",
         "evidence" or "wu2024".
     defocus : tuple of float
-        Known additional defocus of each image, waves rms; for "evidence" and "wu2024" only.
+        Known additional defocus of each image, waves rms; empty if the wall is known.
     iterations : int or None
         Maximum number of iterations; None for the method's default.
     seed : int
@@ -122,6 +125,14 @@ def prepared(
         Files of the dark frame and the flat field, see `imaging.camera_image`.
     full : float, optional
         Count at which a pixel is saturated; by default the largest of the file's type.
+    defocus : sequence of float
+        Known additional defocus of each image, waves rms; for "evidence" and "wu2024" only.
+    iterations : int, optional
+        Maximum number of iterations; by default the method's own.
+    seed : int
+        Seed of the random numbers, 0 to 2^64 - 1.
+    tol : float
+        Error tolerance of the point spread function, max |dI|/max I, with I the intensity.
 
     Returns
     -------
@@ -208,7 +219,8 @@ def reconstructed(
     if task.iterations is not None:
         options["max_iterations"] = task.iterations
     if task.method in BLIND:
-        return _blind(task, options)
+        return _blind(task, start, progress)
+    solver = getattr(inverse, KNOWN[task.method])
     (image,) = task.images
     model = model or known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
     noise = camera_noise(task.scene, image, model)

@@ -24,8 +24,8 @@ from .canvas import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from ..inverse import Reconstruction, Training
-    from ..psf import SpotDiagram, ThroughFocus
+    from ..inverse import Reconstruction
+    from ..psf import Comparison, MetricEstimate, SpotDiagram, ThroughFocus
     from ..raytrace import PathHistogram
 
 Array = NDArray[np.float64]
@@ -36,8 +36,6 @@ RECORDS = {
     "residual": ("residual, rms of the noise", "iteration"),
     "change": ("relative change", "iteration"),
     "fourier_error": ("Fourier error", "restart"),
-    "training": ("mean squared error", "epoch"),
-    "validation": ("mean squared error", "epoch"),
 }
 WIDE_RANGE = 10.0  # ratio of largest to smallest value above which the scale is logarithmic
 FEW = 50  # largest number of values that are drawn with markers
@@ -250,18 +248,16 @@ def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
     return axes
 
 
-def history(
-    fit: Reconstruction | Training, *, axes: Sequence[Axes] | None = None
-) -> tuple[Axes, ...]:
+def history(fit: Reconstruction, *, axes: Sequence[Axes] | None = None) -> tuple[Axes, ...]:
     """Draw how a fit converged: each quantity that the solver recorded, against the iteration.
 
     Parameters
     ----------
-    fit : Reconstruction or Training
-        Result of a solver or of the training of a network; its ``history`` is drawn.
+    fit : Reconstruction
+        Result of a solver; its ``history`` is drawn.
     axes : sequence of matplotlib Axes, optional
-        Axes to draw on, one for each recorded quantity. Training and validation error share axes.
-        A new figure by default.
+        Axes to draw on, one for each recorded quantity. A new figure by
+        default.
 
     Returns
     -------
@@ -274,7 +270,7 @@ def history(
     ------
     SceneError
         If the history is empty, or if the number of axes differs from that of the quantities. A
-        method without iterations, such as a trained network, keeps no history.
+        method without iterations keeps no history.
 
     See Also
     --------

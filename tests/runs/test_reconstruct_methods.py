@@ -119,7 +119,6 @@ def test_methods_that_know_the_point_spread(
     assert inverse.registered_correlation(found, letter) > least
 
 
-@pytest.mark.thorough
 def test_frames_of_known_defocus(frames: np.ndarray, capsys) -> None:
     """A saturated pixel has no say."""
     hot = np.load("a.npy")
@@ -199,3 +198,18 @@ def test_bad_input_is_one_line(arguments, named, frames: np.ndarray, capsys) -> 
     assert err.count("\n") == 1
     for word in named:
         assert word in err
+
+
+def test_a_blur_wider_than_the_picture_is_refused(frames: np.ndarray, capsys) -> None:
+    scene = Scene.load("fine.toml")
+    # focused on 6 cm, the light of 1.8 m away fills a disc of 5 mm on a detector of 2.3 mm
+    near = replace(scene.camera, focus_distance=0.06, stop_diameter=1.1e-3)
+    replace(scene, camera=near).save("blurred.toml")
+    code, _, err = call(capsys, "reconstruct", "a.npy", "--scene", "blurred.toml", "--tol", 0.1)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "the blur is larger than the image" in err
+
+
+def test_every_method_is_tried_here() -> None:
+    tried = {"evidence", "wu2024", *reconstructing.KNOWN}
+    assert set(reconstructing.METHODS) == tried

@@ -166,7 +166,6 @@ DRAWN: Mapping[str, Any] = {
     "Mapping[str, Any]": lambda: {"gain": 2.5, "coefficients": RNG.random(4)},
     "Mapping[str, NDArray[np.float64]]": lambda: {"residual": RNG.random(5)},
     "Regime": lambda: drawn(psf.Regime),
-    "CnnBaseline": lambda: importlib.import_module("nlosoptics.inverse").CnnBaseline(base=8),
 }
 
 

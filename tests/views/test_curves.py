@@ -93,13 +93,10 @@ def test_history_draws_each_record_over_its_iterations(assert_drawn):
     assert views.history(found, axes=axes) == axes
 
 
-def test_restarts_are_dots_and_training_shares_axes():
+def test_restarts_are_dots():
     (restarts,) = views.history(fit(fourier_error=[0.3, 0.1, 0.2]))
     assert restarts.get_xlabel() == "restart"
     assert restarts.lines[0].get_linestyle() == "None"
-    (training,) = views.history(fit(training=[0.3, 0.2], validation=[0.4, 0.3]))
-    assert training.get_xlabel() == "epoch"
-    assert list(lines_of(training)) == ["training", "validation"]
 
 
 def test_a_fit_without_records_is_told():

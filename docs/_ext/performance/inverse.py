@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Sequence
 from operator import itemgetter
 
 from .cells import Cell, Row, by, methods
-from .figures import curves
 from .page import Section
 
 #: Description of each kind of `benchmarks/inverse/mismatches.py`, in the order of the table.
@@ -80,12 +79,6 @@ def converged(low: float, high: float) -> Callable[[Row], str]:
     return cell
 
 
-def peer_method(row: Row) -> str:
-    """Return a cell: a program and its number of steps."""
-    name, *settings = row["method"].split()
-    return f"{name}, {settings[-1]} steps" if settings else "nlosoptics"
-
-
 SECTIONS = (
     Section(
         "known_psf.jsonl",
@@ -136,10 +129,7 @@ SECTIONS = (
         "differs from the model of `tv_deconvolve` in another way (mismatch). The three columns "
         "on the right sort the results by their correlation with the true object. Each states how "
         'many of these results have the status "converged": below 0.85 few should have it, above '
-        "0.93 most. Images have 64 x 64 pixels and 0.5 to 10 % noise. None of them was used to "
-        "set the limits of the tests. No other limits are much better: in the tests that set them, "
-        "5 % of the wrong results are accepted if 5 % of the right ones are doubted, 1 % if 20 % "
-        "are doubted, and one of 643 if half are doubted.",
+        "0.93 most. Images have 64 x 64 pixels and 0.5 to 10 % noise.",
         "python benchmarks/inverse/mismatches.py --json {file} --first 1003000 --cases 220; the "
         "same with --first 1005000 --cases 220; --first 1006000 --cases 160; --first 1031000 "
         "--cases 120; --first 1040000 --cases 240; --first 1007000 --cases 120 --kinds white_noise "
@@ -153,42 +143,6 @@ SECTIONS = (
             "above 0.93": converged(0.93, 1.0),
         },
         rows=by("kind", order=lambda group: list(MISMATCHES).index(group["kind"])),
-    ),
-    Section(
-        "image_prior.jsonl",
-        "Untrained networks, point spread known",
-        "`deep_image_prior` on images like those of the table for known point spreads. The guide "
-        "is the result of `tv_deconvolve`, which is the input of the network.",
-        "python benchmarks/inverse/image_prior.py --json {file}",
-        table={
-            "wall, noise": "{wall}, {noise:.0%}",
-            "fits": "{count}",
-            "median correlation": "{deep_image_prior:median n4}",
-            "lowest": "{deep_image_prior:min n4}",
-            "lowest of the guide": "{tv_deconvolve:min n4}",
-            "median run time": "{seconds:median time}",
-        },
-        rows=by("wall", "noise"),
-    ),
-    Section(
-        "peer_prior.jsonl",
-        "Untrained networks compared with deepinv",
-        "A letter by way of a smooth wall, with 1 % noise. nlosoptics runs `deep_image_prior`; "
-        "deepinv fits its network of 64 channels in 250 to 2,500 steps. Both programs use the "
-        "image model of this library.",
-        "PEER/bin/python benchmarks/inverse/peer_prior.py --json {file}",
-        table={
-            "method": peer_method,
-            "correlation": "{correlation:n4}",
-            "run time": "{seconds:time}",
-        },
-        figure=curves(
-            lambda row: row["method"].split()[0].replace("ours", "nlosoptics"),
-            lambda row: 1 - row["correlation"],
-            "1 - correlation",
-        ),
-        alternative="Seconds against one minus correlation: nlosoptics, and deepinv after 250, "
-        "1000 and 2500 steps",
     ),
     Section(
         "evidence_two_frames.jsonl",
@@ -290,26 +244,6 @@ SECTIONS = (
         table={
             "case": "{object}, wall of {rms:g} waves rms, {size} x {size}",
             "correlation": "{correlation:n}",
-            "of the image itself": "{image:n}",
-            "status": "{status}",
-            "iterations": "{iterations}",
-            "run time": "{seconds:time}",
-        },
-    ),
-    Section(
-        "wu2024_facets.jsonl",
-        "PCIN as published, with facets",
-        "As above, with a wall of facets and the geometry of the paper (F/2, pixels of 72 um, 40 "
-        "ms, 512 x 512). The image is a simulated one. The fit has a pair of exit angles for each "
-        "facet that the lens sees. It starts from random angles that blur as much as the wall "
-        'does. "With the true wall" is the correlation of `tv_deconvolve` with the true point '
-        "spread. The fitted object is the image itself.",
-        "python benchmarks/inverse/wu2024.py --scene examples/scenes/letter_rough.toml --size 512 "
-        "--json {file}",
-        table={
-            "case": "{scene}, {size} x {size}, blur of {blur:.1f} pixels rms",
-            "correlation": "{correlation:n}",
-            "with the true wall": "{known_wall:n}",
             "of the image itself": "{image:n}",
             "status": "{status}",
             "iterations": "{iterations}",

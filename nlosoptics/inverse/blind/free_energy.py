@@ -24,85 +24,28 @@ from ..wave.frames import Frames
 from ..wave.pupil_psf import PupilPSF
 from ..wave.pupil_waves import DEFOCUS, ZernikeWaves, noll_mode
 from . import _evidence_kernels as kernels
+from .search_settings import Stage
 
 Floats = NDArray[Any]
 #: Softness of the transition of object values to 0, relative to the image's maximum.
 _SOFTNESS = 0.1
-#: Largest step of an object value in one iteration, relative to the image's maximum.
-_OBJECT_RATE = 0.05
-#: Number of starts processed together, so that their arrays fit into the processor's cache.
-_CHUNK = 8
-#: Largest pitch relative to Nyquist's that is treated as Nyquist's: the transfer function 2 % below
-#: the cutoff is less than 1e-3.
-_NYQUIST_SLACK = 1.02
-_LEAST_VARIANCE = 1e-6
-#: Noise relative to the images' range below which single precision does not suffice.
-_FLOAT32_NOISE = 1e-4
-#: Largest change of an image's relative brightness in one iteration, and its limits.
-_GAIN_STEP, _MOST_GAIN = 1.2, 10.0
-_SHRINK = np.array([0.9, 0.99])
 
 
 class OutOfTime(Exception):
     """Raised by a descent that is to end without a result."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Stage:
-    """Settings of one descent.
-
-    Parameters
-    ----------
-    iterations : int
-        Number of iterations.
-    kappa : float
-        Strength of the object's prior; 0.5 to compare answers, 1 to 1.5 to search.
-    first, last : float
-        Ratio of the assumed noise to the actual one, at the start and from ``share`` on.
-    share : float
-        Fraction of the iterations after which ``last`` is reached.
-    wave_rate : float
-        Largest step of a coefficient, waves; 0 keeps the coefficients.
-    """
-
-    iterations: int
-    kappa: float
-    first: float
-    last: float
-    share: float
-    wave_rate: float
-
-    def noise(self, iteration: int) -> float:
-        """Return the ratio of the assumed noise to the actual one in an iteration."""
-        done = min(1.0, iteration / (self.share * self.iterations))
-        return self.first * math.exp(done * math.log(self.last / self.first))
-
-    def pace(self, iteration: int) -> float:
-        """Return the factor of both rates: 1 in the first half, then a cosine down to 5 %."""
-        late = max(0.0, 2.0 * iteration / self.iterations - 1.0)
-        return 0.05 + 0.95 * 0.5 * (1.0 + math.cos(math.pi * late))
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Starts:
     """Walls and objects during a fit, one per row.
 
-    Parameters
-    ----------
-    coefficients : ndarray, (B, M)
-        Zernike coefficients of the walls, waves rms; those of several walls one after the other.
-    free : ndarray, (B, H, W)
-        Free parameters from which `softly_positive` computes the objects.
-    gains : ndarray, (B, K)
-        Relative brightness of the images.
-    variances : ndarray, (B, 2)
-        Posterior variances of the objects' differences along x and y.
-    energy : ndarray, (B,)
-        Free energy at the end of the last stage, infinite before.
-    chi_square : ndarray, (B, K)
-        Mean squared residual of each image over its noise variance.
-    radius : ndarray, (B,)
-        Fixed norm of the coefficients, waves rms; infinite if it is free.
+    ``coefficients`` (B, M): Zernike coefficients of the walls, waves rms; those of several walls
+    one after the other. ``free`` (B, H, W): free parameters from which `softly_positive` computes
+    the objects. ``gains`` (B, K): relative brightness of the images. ``variances`` (B, 2):
+    posterior variances of the objects' differences along x and y. ``energy`` (B,): free energy at
+    the end of the last stage, infinite before. ``chi_square`` (B, K): mean squared residual of each
+    image over its noise variance. ``radius`` (B,): fixed norm of the coefficients, waves rms;
+    infinite if it is free.
     """
 
     coefficients: Floats
@@ -133,26 +76,15 @@ def joined(parts: Iterable[Starts]) -> Starts:
 class FreeEnergy:
     """Free energy of images as a function of wall coefficients and mean object.
 
-    Parameters
-    ----------
-    frames : Frames
-        The images with their noise, walls and known defoci.
-    pupil_psf : PupilPSF
-        Point spread with Zernike coefficients, of any shape.
-    grid : (int, int)
-        Rows p and columns c of the padded FFT grid, at least those of the images; c is even.
-    modes : sequence of int, optional
-        Noll indices of the coefficients; by default those of ``pupil_psf``.
-    support : ndarray, optional
-        Mask, (H, W), 0 where the object is known to be dark.
-    known_object : ndarray, optional
-        Known object of unknown brightness, (H, W). Then F is half the squared residuals.
-    fit_gains : bool
-        Whether to fit the relative brightness of the images.
-    dtype : type, optional
-        ``numpy.float32`` or ``numpy.float64``; by default float32 unless the noise is too small.
-    late : callable, optional
-        Function that each iteration of a descent calls; if it returns True, `OutOfTime` is raised.
+    ``frames``: the images with their noise, walls and known defoci. ``pupil_psf``: point spread
+    with Zernike coefficients, of any shape. ``grid`` (int, int): rows p and columns c of the padded
+    FFT grid, at least those of the images; c is even. ``modes``: Noll indices of the coefficients;
+    by default those of ``pupil_psf``. ``support``: mask, (H, W), 0 where the object is known to be
+    dark. ``known_object``: known object of unknown brightness, (H, W). Then F is half the squared
+    residuals. ``fit_gains``: whether to fit the relative brightness of the images. ``dtype``:
+    ``numpy.float32`` or ``numpy.float64``; by default float32 unless the noise is too small.
+    ``late``: function that each iteration of a descent calls; if it returns True, `OutOfTime` is
+    raised.
 
     Notes
     -----
@@ -185,7 +117,7 @@ class FreeEnergy:
         late: Callable[[], bool] = lambda: False,
     ) -> None:
         if dtype is None:
-            dtype = np.float32 if frames.sigmas.min() > _FLOAT32_NOISE else np.float64
+            dtype = np.float32 if frames.sigmas.min() > 1e-4 else np.float64
         self.sigma = float(np.mean(np.square(frames.sigmas)) ** 0.5)
         self._dtype, self.grid, self._shape = dtype, grid, frames.shape
         self._late = late
@@ -262,14 +194,9 @@ class FreeEnergy:
     def starts(self, coefficients: Floats, noise: float, radius: Any = np.inf) -> Starts:
         """Return starts with given walls and Wiener-filtered objects.
 
-        Parameters
-        ----------
-        coefficients : ndarray, (B, M)
-            Coefficients of the walls, waves rms.
-        noise : float
-            Ratio of the assumed noise to the actual one.
-        radius : float or ndarray, (B,)
-            Fixed norm of the coefficients, waves rms; infinite: free.
+        ``coefficients`` (B, M): coefficients of the walls, waves rms. ``noise``: ratio of the
+        assumed noise to the actual one. ``radius`` (B,): fixed norm of the coefficients, waves rms;
+        infinite: free.
         """
         wall = self._array(coefficients)
         mean = np.concatenate(self._spread(lambda w: self._objects(w, noise), wall))
@@ -306,31 +233,16 @@ class FreeEnergy:
     ) -> tuple[dict[str, Floats], Floats, Floats, Floats]:
         """Return energies and gradients for given walls.
 
-        Parameters
-        ----------
-        starts : Starts
-            Objects, variances and gains.
-        wall : ndarray, (B, M)
-            Coefficients, used instead of those of ``starts``.
-        noise : float
-            Ratio of the assumed noise to the actual one.
-        kappa : float
-            Strength of the object's prior.
-        want_energy : bool
-            Whether to compute the energies.
+        ``starts``: objects, variances and gains. ``wall`` (B, M): coefficients, used instead of
+        those of ``starts``. ``noise``: ratio of the assumed noise to the actual one. ``kappa``:
+        strength of the object's prior. ``want_energy``: whether to compute the energies.
 
-        Returns
-        -------
-        values : dict
-            ``energy`` (B,), without meaning if not wanted; ``squares`` (B, K), the squared
-            residuals over the noise variance; ``background`` (B, K), times the images' weights;
-            ``gains`` (B, K), for the next iteration; ``variances`` (B, 2).
-        by_data : ndarray, (B, p, c)
-            Gradient of the data term with respect to the mean object, in its first H x W samples.
-        by_prior : ndarray, (B, H, W)
-            Gradient of the prior with respect to the mean object.
-        by_wall : ndarray, (B, M)
-            Gradient with respect to the coefficients.
+        Returns: ``values``: ``energy`` (B,), without meaning if not wanted; ``squares`` (B, K), the
+        squared residuals over the noise variance; ``background`` (B, K), times the images' weights;
+        ``gains`` (B, K), for the next iteration; ``variances`` (B, 2). ``by_data`` (B, p, c):
+        gradient of the data term with respect to the mean object, in its first H x W samples.
+        ``by_prior`` (B, H, W): gradient of the prior with respect to the mean object. ``by_wall``
+        (B, M): gradient with respect to the coefficients.
         """
         mean, grid = self.objects(starts), self.grid
         count, frames = len(mean), len(self._images)
@@ -381,9 +293,10 @@ class FreeEnergy:
     def _spread(self, work: Any, rows: Any) -> list[Any]:
         """Apply ``work`` to chunks of rows, on several threads; the chunks do not depend on them.
 
-        Torch and the kernels release the interpreter lock.
+        Eight starts fit into the processor's cache. Torch and the kernels release the interpreter
+        lock.
         """
-        parts = [rows[first : first + _CHUNK] for first in range(0, len(rows), _CHUNK)]
+        parts = [rows[first : first + 8] for first in range(0, len(rows), 8)]
         threads = min(len(parts), numba.get_num_threads())
         # also for one chunk: numba's first question for threads gives torch in the calling thread
         # as many, and its small transforms then take ten times longer on a busy machine
@@ -411,15 +324,14 @@ class FreeEnergy:
             )
             along = (slope * placed).sum(axis=1, keepdims=True) * placed / radius**2
             slope = np.where(held, (slope - along) * (radius / np.maximum(length, 1e-12)), slope)
-            np.maximum(
-                0.5 * (now.variances + values["variances"]), _LEAST_VARIANCE, out=now.variances
-            )
+            np.maximum(0.5 * (now.variances + values["variances"]), 1e-6, out=now.variances)
             now.gains[:] = values["gains"]
-            bias, bias_square = 1.0 - _SHRINK ** (step + 1)
+            bias, bias_square = 1.0 - np.array([0.9, 0.99]) ** (step + 1)
             pace = stage.pace(step) / bias
+            rate = 0.05 * pace  # of the image's maximum
             kernels.object_step(
                 free, self._support, by_data, by_prior, first, second, _SOFTNESS,
-                _OBJECT_RATE * pace, bias_square,
+                rate, bias_square,
             )  # fmt: skip
             wall_first += 0.1 * (slope - wall_first)
             wall_second += 0.01 * (slope**2 - wall_second)
@@ -449,8 +361,8 @@ class FreeEnergy:
         ratio = np.maximum(cross, 1e-12) / np.maximum(norm, 1e-12)
         if self._known is None:
             ratio /= np.exp(np.log(ratio).mean(axis=1, keepdims=True))
-        found: Floats = gains * np.clip(ratio, 1.0 / _GAIN_STEP, _GAIN_STEP)
-        return found if self._known is not None else np.clip(found, 1.0 / _MOST_GAIN, _MOST_GAIN)
+        found: Floats = gains * np.clip(ratio, 1.0 / 1.2, 1.2)
+        return found if self._known is not None else np.clip(found, 0.1, 10.0)
 
     def _objects(self, wall: Floats, noise: float) -> Floats:
         """Return Wiener-filtered objects, (B, H, W), at least 0.01 of the image's range.
@@ -527,7 +439,8 @@ class FreeEnergy:
         """Sample pupil, modes and known waves for the FFT grid; ``defocus`` (K,) is in m rms."""
         given = pupil_psf.optics
         pitch = given.pitch
-        if given.nyquist_pitch < pitch <= given.nyquist_pitch * _NYQUIST_SLACK:
+        # the transfer function 2 % below the cutoff is less than 1e-3
+        if given.nyquist_pitch < pitch <= given.nyquist_pitch * 1.02:
             pitch = given.nyquist_pitch
         optics = given.resized(self.grid, pitch)
         side = math.copysign(2.0 * math.pi, given.image_distance)

@@ -13,10 +13,7 @@ from ..wave.pupil_psf import PupilPSF
 from .evidence import evidence_fit
 
 #: Solver of each recipe.
-RECIPES: dict[str, Callable[..., Reconstruction]] = {
-    "evidence": evidence_fit,
-    "wu2024": wu2024_fit,
-}
+RECIPES: dict[str, Callable[..., Reconstruction]] = {"evidence": evidence_fit, "wu2024": wu2024_fit}
 
 
 def pcin(
@@ -38,31 +35,13 @@ def pcin(
 
     Parameters
     ----------
-    images : Measurement, ndarray or Tensor
-        K camera images, (K, H, W), or one, (H, W), with their noise and backgrounds. Two images of
-        the same scene, the second with a known defocus of half a wave to one wave rms, give a
-        reliable result. One image is in general not sufficient.
-    pupil_psf : PupilPSF
-        Point spread function of wall and lens as a function of the unknown coefficients of the
-        wave. Their values in ``pupil_psf`` are one of the starts of the fit.
-    defocus : array_like, optional
-        Known additional defocus of each image, (K,), m rms over the pupil (Noll 4). Positive values
-        mean a detector too close to the lens.
+    images, pupil_psf, defocus, max_iterations, seed, start, progress
+        See `evidence_fit`.
     recipe : {"evidence", "wu2024"}
         Solver. "evidence": `evidence_fit`, which makes many fits from random starts and returns the
         one with the largest Bayesian evidence (marginal likelihood: the probability of the images
         for a wall, averaged over all objects). "wu2024": `wu2024_fit`, which fits a neural network
         (U-net) and the coefficients in turn to one image. It is included for comparison.
-    max_iterations : int, optional
-        Maximum number of iterations; by default that of the solver.
-    seed : int
-        Seed of the random numbers.
-    start : mapping, optional
-        Saved state of the same solver with the same images and options (see `Stop`), from which the
-        fit resumes with the same result bit for bit.
-    progress : callable or None
-        Function that is called repeatedly with a text and the completed fraction, 0 to 1. It may
-        raise `Stop` to end the fit.
     **options
         Further options of the solver, see `evidence_fit` and `wu2024_fit`.
 
@@ -88,11 +67,5 @@ def pcin(
     if max_iterations is not None:
         options["max_iterations"] = max_iterations
     return solver(
-        images,
-        pupil_psf,
-        defocus=defocus,
-        seed=seed,
-        start=start,
-        progress=progress,
-        **options,
+        images, pupil_psf, defocus=defocus, seed=seed, start=start, progress=progress, **options
     )

@@ -2,28 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.random import Generator
 
 from .free_energy import Floats, Starts
-
-
-@dataclass(frozen=True, kw_only=True)
-class Breeding:
-    """Random changes of coefficients from one generation to the next.
-
-    Parameters
-    ----------
-    flips : float
-        Probability that a coefficient changes its sign.
-    noise : float
-        Norm of a random change relative to the norm of the parent's coefficients.
-    """
-
-    flips: float
-    noise: float
+from .search_settings import Neighbourhood
 
 
 def random_walls(count: int, modes: int, lengths: Floats, random: Generator) -> Floats:
@@ -37,22 +20,14 @@ def random_walls(count: int, modes: int, lengths: Floats, random: Generator) -> 
 
 
 def children(
-    parents: Starts, count: int, twin: Floats, breeding: Breeding, random: Generator
+    parents: Starts, count: int, twin: Floats, near: Neighbourhood, random: Generator
 ) -> Floats:
     """Return coefficients (count, M) that vary those of the best parents.
 
-    Parameters
-    ----------
-    parents : Starts
-        Parents by increasing energy; a better one is chosen with higher probability.
-    count : int
-        Number of children.
-    twin : ndarray, (M,)
-        Signs that convert a wall to the one with the same point spread, W(x) -> -W(-x).
-    breeding : Breeding
-        Size of the changes.
-    random : Generator
-        Source of random numbers.
+    ``parents``: parents by increasing energy; a better one is chosen with higher probability.
+    ``count``: number of children. ``twin`` (M,): signs that convert a wall to the one with the same
+    point spread, W(x) -> -W(-x). ``near``: size of the changes. ``random``: source of random
+    numbers.
 
     Notes
     -----
@@ -74,11 +49,11 @@ def children(
             wall = np.where(random.random(wall.size) < 0.5, wall, other)
             wall += 0.15 * length * _direction(wall.size, random)
         elif kind < 0.65:
-            flipped = random.random(wall.size) < breeding.flips
+            flipped = random.random(wall.size) < near.flips
             flipped[random.integers(wall.size)] = True
             wall = np.where(flipped, -wall, wall)
         elif kind < 0.95:
-            size = breeding.noise * length * random.uniform(0.5, 1.5)
+            size = near.noise * length * random.uniform(0.5, 1.5)
             wall += size * _direction(wall.size, random)
         else:
             wall = -wall

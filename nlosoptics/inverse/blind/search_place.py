@@ -34,28 +34,15 @@ HISTORY = ("objective", "residual", "change")
 class Place:
     """Position and results of a search after a step.
 
-    Parameters
-    ----------
-    turn, count, met : int
-        Number of the round, -1 before the first one, of repetitions of the step, and of rounds that
-        found the best answer; the last one for several images with much noise.
-    step : str
-        Name of the next step.
-    floor, sharp : float
-        Free energies of the fits that start without blur and that have no blur; NaN if not needed.
-    held : float
-        Energy that the prior of the coefficients would add to the former.
-    rival : float
-        For one image the least free energy of walls of another point spread, minus that of the best
-        answer; NaN before the end of the first round.
-    modes : tuple of int
-        Noll indices of ``best``.
-    pool : Starts
-        Starts of the current round; empty before its first step.
-    best : Starts
-        Best answer so far, one start; empty before the first one.
-    history : dict
-        Energy, residual and change after each improvement or round.
+    ``turn``, ``count``, ``met``: number of the round, -1 before the first one, of repetitions of
+    the step, and of rounds that found the best answer; the last one for several images with much
+    noise. ``step``: name of the next step. ``floor``, ``sharp``: free energies of the fits that
+    start without blur and that have no blur; NaN if not needed. ``held``: energy that the prior of
+    the coefficients would add to the former. ``rival``: for one image the least free energy of
+    walls of another point spread, minus that of the best answer; NaN before the end of the first
+    round. ``modes``: Noll indices of ``best``. ``pool``: starts of the current round; empty before
+    its first step. ``best``: best answer so far, one start; empty before the first one.
+    ``history``: energy, residual and change after each improvement or round.
     """
 
     turn: int = -1

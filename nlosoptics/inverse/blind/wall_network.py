@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import cache
 from typing import NamedTuple
 
@@ -18,40 +17,19 @@ MODES = tuple(range(4, 22))
 SIDE = 64
 #: Number of Gaussians.
 PARTS = 16
-_FOLD = 2  # pixels along each side that become channels of one node
-_TAPER = 4  # pixels at each edge over which the image falls to 0
-#: Least standard deviation of a proposed coefficient, waves.
-_LEAST = 0.01
-_MOST_LOG = 1.0
 
 
 class Mixture(NamedTuple):
     """Gaussians over the coefficients of B images, waves rms.
 
-    Parameters
-    ----------
-    weights : Tensor, (B, PARTS)
-        Logarithms of the weights, of which the exponentials add up to 1.
-    means, deviations : Tensor, (B, PARTS, M)
-        Means and standard deviations of the coefficients of `MODES`.
+    ``weights`` (B, PARTS): logarithms of the weights, of which the exponentials add up to 1.
+    ``means``, ``deviations`` (B, PARTS, M): means and standard deviations of the coefficients of
+    `MODES`.
     """
 
     weights: Tensor
     means: Tensor
     deviations: Tensor
-
-    def log_likelihood(self, coefficients: Tensor) -> Tensor:
-        """Return the logarithm of the density (B,) of coefficients (B, M) or of their twin.
-
-        A wave W(x) and its twin -W(-x) have the same point spread, so that an image cannot tell
-        which of them made it.
-        """
-        twin = coefficients * twin_signs().to(coefficients.device)
-        pair = torch.stack([coefficients, twin], dim=1)[:, :, None]
-        offset = (pair - self.means[:, None]) / self.deviations[:, None]
-        each = -0.5 * offset.square() - self.deviations.log()[:, None]
-        density = each.sum(dim=3) + self.weights[:, None]
-        return density.flatten(1).logsumexp(dim=1) - math.log(2.0)
 
 
 class WallNetwork(nn.Module):
@@ -59,10 +37,10 @@ class WallNetwork(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        side = SIDE // (2 * _FOLD)
+        side = SIDE // 4
         self.layers = nn.Sequential(
-            nn.PixelUnshuffle(_FOLD),
-            nn.Conv2d(4 * _FOLD**2, 64, 3, padding=1),
+            nn.PixelUnshuffle(2),
+            nn.Conv2d(16, 64, 3, padding=1),
             _Residual(64),
             _Residual(64),
             nn.Conv2d(64, 128, 3, stride=2, padding=1),
@@ -89,7 +67,7 @@ class WallNetwork(nn.Module):
         """
         found = self.layers(channels(images, noise)).float().unflatten(1, (PARTS, -1))
         weights, means, spreads = found.split([1, len(MODES), len(MODES)], dim=2)
-        deviations = _LEAST + (spreads - 2.0).clamp(max=_MOST_LOG).exp()
+        deviations = 0.01 + (spreads - 2.0).clamp(max=1.0).exp()
         return Mixture(weights[..., 0].log_softmax(dim=1), means, deviations)
 
 
@@ -120,8 +98,8 @@ def twin_signs() -> Tensor:
 
 @cache
 def _taper() -> Tensor:
-    """Return a window (SIDE, SIDE) that falls to 0 at the edges."""
-    rise = np.sin(0.5 * np.pi * np.minimum(1.0, (np.arange(SIDE // 2) + 0.5) / _TAPER)) ** 2
+    """Return a window (SIDE, SIDE) that falls to 0 over 4 pixels at the edges."""
+    rise = np.sin(0.5 * np.pi * np.minimum(1.0, (np.arange(SIDE // 2) + 0.5) / 4)) ** 2
     window = np.concatenate([rise, rise[::-1]])
     return torch.from_numpy(np.outer(window, window).astype(np.float32))
 

@@ -18,9 +18,8 @@ from numpy.random import Generator
 from torch import Tensor
 
 from ..._checks import reason
-from ...errors import SceneError
+from ...errors import MissingExtraError, SceneError
 from ...psf.wave.zernikes import zernike
-from ..published.network_files import file_content, read_file
 from ..wave.frames import Frames
 from ..wave.pupil_psf import PupilPSF
 from ..wave.pupil_waves import DEFOCUS, ZernikeWaves
@@ -29,40 +28,18 @@ from .wall_network import MODES, SIDE, WallNetwork, twin_signs
 
 #: File of the trained weights.
 WEIGHTS = Path(__file__).with_name("wall_proposals.safetensors")
-_FORMAT = "nlosoptics wall proposals 1"
-#: Largest pitch relative to Nyquist's: beyond it the image lacks high frequencies.
-_COARSEST = 1.02
-#: Sides of frames to which the network applies, pixels at Nyquist's pitch.
-_SIDES = (24, 96)
-#: Pixels at Nyquist's pitch of the transform that resamples.
-_PERIOD = 192
-#: Steps of the mean of all looks.
-_MEETINGS = 5
-#: Standard deviations in this mean relative to the proposed ones, so that the looks meet.
-_WIDER = 2.0
-#: Standard deviations of the drawn walls relative to the proposed ones.
-_SPREAD = 0.5
+FORMAT = "nlosoptics wall proposals 1"
 Turn = Callable[[Tensor], Tensor]
 
 
 class WallProposals:
     """Density of the waves of one image, from eight turned and mirrored copies of it.
 
-    Parameters
-    ----------
-    image : Tensor, (SIDE, SIDE)
-        Image at Nyquist's pitch with a dark background.
-    noise : float
-        Standard deviation of its noise, image units.
-    network : WallNetwork
-        Trained network.
+    ``image`` (SIDE, SIDE): image at Nyquist's pitch with a dark background. ``noise``: standard
+    deviation of its noise, image units. ``network``: trained network.
 
-    Attributes
-    ----------
-    mean : ndarray, (M,)
-        Most likely coefficients of `wall_network.MODES`, waves rms; their twin is as likely.
-    length : float
-        Expected norm of the coefficients, waves rms.
+    ``mean`` (M,): most likely coefficients of `wall_network.MODES`, waves rms; their twin is as
+    likely. ``length``: expected norm of the coefficients, waves rms.
     """
 
     def __init__(self, image: Tensor, noise: float, network: WallNetwork) -> None:
@@ -87,7 +64,7 @@ class WallProposals:
         """
         weights, means, deviations = self._parts
         rows = random.choice(len(weights), size=count, p=weights / weights.sum())
-        spread = _SPREAD * deviations[rows]
+        spread = 0.5 * deviations[rows]
         spread[np.unique(rows, return_index=True)[1]] = 0.0
         walls: Floats = means[rows] + spread * random.normal(size=spread.shape)
         walls[0] = self.mean
@@ -101,7 +78,8 @@ class WallProposals:
         """
         weights, means, deviations = self._parts
         every = np.concatenate([means, means * twin_signs().double().numpy()])
-        precision = (_WIDER * np.tile(deviations, (2, 1))) ** -2
+        # twice as wide as proposed, so that the looks meet
+        precision = (2.0 * np.tile(deviations, (2, 1))) ** -2
         shares = np.log(np.tile(weights, 2)) + 0.5 * np.log(precision).sum(axis=1)
 
         def chances(at: Floats) -> Floats:
@@ -109,7 +87,7 @@ class WallProposals:
             return found
 
         at = means
-        for _ in range(_MEETINGS):
+        for _ in range(5):
             logarithms = chances(at)
             pull = np.exp(logarithms - logarithms.max(axis=1, keepdims=True))
             at = (pull @ (precision * every)) / (pull @ precision)
@@ -126,14 +104,7 @@ class WallProposals:
 class Proposals:
     """Source of proposed walls for one fit.
 
-    Parameters
-    ----------
-    density : WallProposals
-        Proposals for the image.
-    frames : Frames
-        The image.
-    pupil_psf : PupilPSF
-        Its point spread.
+    ``density``: proposals for the image. ``frames``: the image. ``pupil_psf``: its point spread.
     """
 
     density: WallProposals
@@ -173,9 +144,9 @@ def wall_proposals(frames: Frames, pupil_psf: PupilPSF) -> Proposals | None:
     known = isinstance(waves, ZernikeWaves) and waves.rest is not None
     if (
         len(frames.images) > 1
-        or scale > _COARSEST
-        or min(sides) < _SIDES[0]
-        or max(sides) > _SIDES[1]
+        or scale > 1.02
+        or min(sides) < 24
+        or max(sides) > 96
         or known
         or optics.transmission is not None
         or not set(pupil_psf.modes) & set(MODES)
@@ -188,14 +159,8 @@ def wall_proposals(frames: Frames, pupil_psf: PupilPSF) -> Proposals | None:
 def at_nyquist(image: Floats, noise: float, scale: float) -> tuple[Tensor, float]:
     """Resample an image to SIDE x SIDE pixels at Nyquist's pitch; return it and its noise.
 
-    Parameters
-    ----------
-    image : ndarray, (H, W)
-        Image, any unit.
-    noise : float
-        Standard deviation of its noise, image units.
-    scale : float
-        Its pitch relative to Nyquist's, at most about 1.
+    ``image`` (H, W): image, any unit. ``noise``: standard deviation of its noise, image units.
+    ``scale``: its pitch relative to Nyquist's, at most about 1.
 
     Notes
     -----
@@ -204,16 +169,17 @@ def at_nyquist(image: Floats, noise: float, scale: float) -> tuple[Tensor, float
     """
     edges = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
     dark = torch.from_numpy(image - np.median(edges))
-    period = round(_PERIOD / scale)
+    whole = 192  # pixels at Nyquist's pitch of the transform that resamples
+    period = round(whole / scale)
     spectrum = torch.fft.fft2(dark, s=(period, period))
-    half = _PERIOD // 2
-    kept = torch.zeros((_PERIOD, _PERIOD), dtype=spectrum.dtype)
-    inside = torch.fft.fftfreq(_PERIOD, 1.0 / _PERIOD).long()
+    half = whole // 2
+    kept = torch.zeros((whole, whole), dtype=spectrum.dtype)
+    inside = torch.fft.fftfreq(whole, 1.0 / whole).long()
     inside = inside[inside.abs() < min(half, (period + 1) // 2)]
     kept[inside[:, None], inside] = spectrum[inside[:, None], inside]
-    if period == _PERIOD:
+    if period == whole:
         kept = spectrum
-    found = torch.fft.ifft2(kept).real * (_PERIOD / period) ** 2
+    found = torch.fft.ifft2(kept).real * (whole / period) ** 2
     sides = [max(1, round(side * scale)) for side in image.shape]
     found = found[: sides[0], : sides[1]]
     light = found.clamp(min=0.0)
@@ -237,7 +203,7 @@ def trained_network() -> WallNetwork:
 
 
 def loaded_network(path: Path) -> WallNetwork:
-    """Load a network that `saved_network` wrote.
+    """Load a network from a file in the safetensors format.
 
     Raises
     ------
@@ -246,23 +212,26 @@ def loaded_network(path: Path) -> WallNetwork:
     MissingExtraError
         If safetensors is not installed.
     """
-    tensors, texts = read_file(path, "install it again")
+    try:
+        from safetensors import SafetensorError, safe_open
+    except ImportError:
+        raise MissingExtraError(
+            "networks are files of safetensors, which is not installed; "
+            "pip install 'nlosoptics[inverse]'"
+        ) from None
     network = WallNetwork()
     try:
-        if texts.get("format") != _FORMAT:
-            raise ValueError(f'format {texts.get("format")!r}, must be "{_FORMAT}"')
-        network.load_state_dict({name: one.float() for name, one in tensors.items()})
-    except (RuntimeError, ValueError) as error:
+        with safe_open(path, "pt") as file:
+            if (form := (file.metadata() or {}).get("format")) != FORMAT:
+                raise ValueError(f'format {form!r}, must be "{FORMAT}"')
+            names = file.keys()
+            tensors = {name: file.get_tensor(name).float() for name in names}
+        network.load_state_dict(tensors)
+    except (OSError, RuntimeError, ValueError, SafetensorError) as error:
         raise SceneError(
             f"{path} does not hold the network of proposals ({reason(error)}); install it again"
         ) from None
     return network.eval().requires_grad_(False)
-
-
-def saved_network(network: WallNetwork) -> bytes:
-    """Return the content of a file that holds a network, in half precision."""
-    tensors = {name: one.detach().half() for name, one in network.state_dict().items()}
-    return file_content(tensors, {"format": _FORMAT})
 
 
 @cache

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ...errors import SamplingError, SceneError
+from ...errors import SamplingError
 
 _MOMENTS = "exp_avg", "exp_avg_sq"  # torch's names of the means of gradients and their squares
 
@@ -58,8 +58,6 @@ def take_up_adam(name: str, adam: torch.optim.Adam, state: Mapping[str, Any]) ->
     A `SceneError` is raised if the state holds no such values, and a `SamplingError` if it holds
     more or fewer than the optimiser.
     """
-    if name not in state:
-        raise SceneError(f"start holds no {name}; give a state of the same solver, or leave it out")
     values = _values(adam)
     spread(name, state[name], values)
     if f"{name}_steps" not in state:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
+from scipy import fft
 
 from ...errors import SamplingError, SceneError
 
@@ -43,17 +44,7 @@ def as_numpy(values: Values) -> NDArray[Any]:
 def real_array(name: str, value: Any) -> NDArray[np.float64]:
     """Return an array, a tensor or nested sequences as a float64 array.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument in error messages.
-    value : array_like or Tensor
-        Real numbers.
-
-    Raises
-    ------
-    SceneError
-        If values are not real numbers, or rows differ in length.
+    ``name``: name of the argument in error messages. ``value``: real numbers.
     """
     try:
         values = as_numpy(value)
@@ -70,17 +61,7 @@ def real_array(name: str, value: Any) -> NDArray[np.float64]:
 def shape_of(name: str, value: Any) -> tuple[int, ...]:
     """Return the shape of a number, an array, a tensor or nested sequences.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument in error messages.
-    value : array_like or Tensor
-        Value to examine.
-
-    Raises
-    ------
-    SceneError
-        If rows differ in length.
+    ``name``: name of the argument in error messages. ``value``: value to examine.
     """
     try:
         return tuple(np.shape(value))
@@ -150,14 +131,12 @@ def norm(values: Values) -> float:
 
 def rfft2(values: Values) -> Values:
     """Return the half spectra (..., rows, columns//2 + 1) of images (..., rows, columns)."""
-    if is_tensor(values):
-        return library(values).fft.rfft2(values)
-    return scipy.fft.rfft2(values)
+    return library(values).fft.rfft2(values) if is_tensor(values) else fft.rfft2(values)
 
 
 def irfft2(spectra: Values, columns: int) -> Values:
     """Return the images (..., rows, columns) of half spectra (..., rows, columns//2 + 1)."""
-    transforms = library(spectra).fft if is_tensor(spectra) else scipy.fft
+    transforms = library(spectra).fft if is_tensor(spectra) else fft
     return transforms.irfft2(spectra, s=(spectra.shape[-2], columns))
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from ..._checks import counted, in_range, whole
 from ..._progress import Progress
 from ...errors import SceneError
-from .arrays import Values, check_finite, check_shape, is_tensor, real_array
+from .arrays import Values, check_finite, check_shape, is_tensor, like, real_array
 from .checkpoints import State, goes_on, started_from, state_of
 from .measurement import measured
 from .models import AnyModel
@@ -69,7 +69,6 @@ class Solver(ABC, Generic[S]):
     records: tuple[str, ...] = ("objective", "residual", "change")  # numbers that `step` returns
     report: str  # format of the progress text, with names of records and fields of the state
     every: int = 10  # iterations between two progress reports
-    unit: str = "iteration"  # what one iteration is called in progress reports
     takes_object: bool = True  # whether a fit can start from an object alone
     data: NoisyImage  # of solvers that can start from an object
     max_iterations: int
@@ -121,7 +120,7 @@ def run(solver: Solver[S], start: Any = None, progress: Progress | None = None) 
             text = solver.report.format(**{**vars(state), **record})
             on = goes_on(
                 progress,
-                f"{text} after {counted(state.count, solver.unit)}",
+                f"{text} after {counted(state.count, 'iteration')}",
                 1.0 if last else solver.fraction(state),
                 partial(_saved, solver, state, history),
             )
@@ -133,11 +132,7 @@ def solved(solver: Solver[S], start: Any, progress: Progress | None) -> dict[str
 
     If the solver's answer has a status of its own, they are those of `assemble`.
     """
-    return answered(solver, run(solver, start, progress))
-
-
-def answered(solver: Solver[S], found: Run[S]) -> dict[str, Any]:
-    """Return the arguments of `concluded`, or of `assemble`, for what a solver has found."""
+    found = run(solver, start, progress)
     level = solver.level(found.state)
     answer = {"level": level, **solver.answer(found, level)}
     if "status" in answer:
@@ -158,18 +153,17 @@ def reconstructed(
 
     ``solve`` returns the arguments of `concluded` or `assemble` for a checked image in torch; it is
     not called if no object is detected and no pixel is saturated. ``shape`` (H, W) is that of the
-    image if the point spread is unknown. With ``in_numpy`` the checked image is in numpy, unless
-    the given one is on a GPU.
+    image if the point spread is unknown. With ``in_numpy`` the checked image is in numpy.
     """
     started = time.perf_counter()
     gain = measured(image).gain
     data = noisy_image(image, shape or model)
-    full = 0 if data.plateau is None else int(data.plateau.mask.sum())
+    full = 0 if data.saturated is None else int(data.saturated.sum())
     hidden = data.is_background(None if shape else model)
     if hidden and not full:
         answer = _no_object(data)
     else:
-        answer = solve(data.native() if in_numpy else data.in_torch())
+        answer = solve(data.in_numpy() if in_numpy else data.in_torch())
     finish = concluded if "ending" in answer else assemble
     found = finish(**{"data": data, "model": model, "gain": gain, "started": started, **answer})
     if not (hidden and full):
@@ -199,7 +193,7 @@ def _saved(solver: Solver[S], state: S, history: Mapping[str, list[float]]) -> S
     """Return the state as a dict of arrays, from which a run resumes."""
     entries: dict[str, Any] = {}
     for name, value in _arrays(state).items():
-        entries |= {name: value} if _is_array(value) else _adam().adam_state(name, value)
+        entries |= {name: value} if not _is_adam(value) else _adam().adam_state(name, value)
     numbers = [getattr(state, name) for name in _numbers(state)]
     records = np.array(list(history.values()))
     return state_of(solver.level(state), **entries, numbers=numbers, history=records)
@@ -207,8 +201,9 @@ def _saved(solver: Solver[S], state: S, history: Mapping[str, list[float]]) -> S
 
 def _begun(solver: Solver[S], start: Any) -> tuple[S, dict[str, list[float]]]:
     """Return the initial state, or the one that was saved, with its history."""
+    nothing: dict[str, list[float]] = {name: [] for name in solver.records}
     if isinstance(start, Iterate):
-        return cast(S, start), {name: [] for name in solver.records}
+        return cast(S, start), nothing
     if isinstance(start, Mapping) or (start is not None and not solver.takes_object):
         state, known = solver.init(None), start if isinstance(start, Mapping) else {}
         missing = [name for name in (*_arrays(state), "numbers", "history") if name not in known]
@@ -217,37 +212,35 @@ def _begun(solver: Solver[S], start: Any) -> tuple[S, dict[str, list[float]]]:
         if not solver.takes_object:
             raise SceneError(f"start holds no {missing[0]}; {_remedy(solver)}")
     first = None if start is None else started_from(start, solver.data.data)
-    return solver.init(first), {name: [] for name in solver.records}
+    return solver.init(first), nothing
 
 
 def _restored(solver: Solver[S], state: S, saved: Mapping[str, Any]) -> dict[str, list[float]]:
     """Write saved values into an initial state; return the saved history."""
     names = _numbers(state)
     numbers = real_array("start's numbers", saved["numbers"]).ravel().tolist()
+    records = real_array("start's history", saved["history"])
     if len(numbers) != len(names) or not np.isfinite(numbers).all():
         raise SceneError(
             f"start's numbers are {numbers}, must be {counted(len(names), 'finite value')}; "
             f"{_remedy(solver)}"
         )
-    for name, number in zip(names, numbers, strict=True):
-        setattr(state, name, type(getattr(state, name))(number))
-    for name, mine in _arrays(state).items():
-        if not _is_array(mine):
-            _adam().take_up_adam(name, mine, saved)
-            continue
-        values = real_array(f"start's {name}", saved[name])
-        check_shape(
-            f"start's {name}", values, mine.shape, "like this fit's; it is of another, leave it out"
-        )
-        check_finite(f"start's {name}", values, _remedy(solver))
-        kept = mine.new_tensor(values) if is_tensor(mine) else values.astype(mine.dtype)
-        setattr(state, name, kept)
-    records = real_array("start's history", saved["history"])
     if len(records) != len(solver.records):
         raise SceneError(
             f"start's history has shape {records.shape}, must be ({len(solver.records)}, n); "
             f"{_remedy(solver)}"
         )
+    for name, number in zip(names, numbers, strict=True):
+        setattr(state, name, type(getattr(state, name))(number))
+    for name, mine in _arrays(state).items():
+        if _is_adam(mine):
+            _adam().take_up_adam(name, mine, saved)
+            continue
+        values = real_array(f"start's {name}", saved[name])
+        rest = "like this fit's; it is of another, leave it out"
+        check_shape(f"start's {name}", values, mine.shape, rest)
+        check_finite(f"start's {name}", values, _remedy(solver))
+        setattr(state, name, like(values, mine))
     solver.resumed(state)
     return dict(zip(solver.records, records.tolist(), strict=True))
 
@@ -256,8 +249,8 @@ def _remedy(solver: Solver[S]) -> str:
     return f"give a state of {solver.name}, or leave it out"
 
 
-def _is_array(value: Any) -> bool:
-    return isinstance(value, np.ndarray) or is_tensor(value)
+def _is_adam(value: Any) -> bool:
+    return hasattr(value, "param_groups")
 
 
 def _adam() -> Any:
@@ -272,7 +265,7 @@ def _arrays(state: Iterate) -> dict[str, Any]:
     return {
         name: value
         for name, value in vars(state).items()
-        if _is_array(value) or hasattr(value, "param_groups")
+        if isinstance(value, np.ndarray) or is_tensor(value) or _is_adam(value)
     }
 
 

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import scipy  # its parts are loaded on first use
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 from ..._checks import squarable
 from ...errors import SamplingError
-from .arrays import MEDIAN_OVER_SIGMA, Values, check_finite, check_shape, real_array
+from .arrays import MEDIAN_OVER_SIGMA, Values, check_finite, check_shape, irfft2, real_array, rfft2
 from .models import AnyModel, model_shape
-from .saturation import Plateau, exact_plateau
 from .spectra import (
     beyond_optics,
     expected_signal,
@@ -27,35 +27,12 @@ from .spectra import (
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_BLOCK = 12
 # Width of the window in which masked pixels get their value, pixels; least weight of valid ones.
 _AROUND, _LEAST_AROUND = 1.5, 1e-3
-# Least number of frequencies beyond the optics' cut-off for a noise estimate: a relative standard
-# error of 3 %, below that of the second differences for frames of up to 64 x 64 pixels.
-_LEAST_BEYOND = 500
 _LEAST_SIDE = 3  # pixels along each side of an image
-# Deviation of a bad pixel, standard deviations of those around it. Of 262 144 pixels with normal
-# noise, fewer than one in 1000 images has such a one.
-_LEAST_DEVIATION = 6.0
-# The same in an image with such a pixel: there are probably more.
-_LEAST_BESIDE = 4.5
-# Power of the object's detail relative to a typical object's, so that sharp objects predict less.
-_SHARP = 100.0
-# Largest deviation of the image of an object, relative to that of a single point as bright as the
-# pixels around.
-_OBJECT = 2.0
-# The same at the frame's edge, which cuts images off, relative to the brightness around.
-_CUT_OBJECT = 0.5
-_ALONG = 5  # pixels along an edge whose median is the jump to the opposite edge
 # Offsets of the pixels that are compared with a bad one, and which of them are its neighbours.
 _Y, _X = (part.ravel() - 3 for part in np.indices((7, 7)))
 _BESIDE = np.maximum(np.abs(_Y), np.abs(_X)) == 1
-_LEAST_SEARCHED = 8  # pixels along each side of an image in which bad ones are sought
-_MOST_AT_ONCE = 1 / 20  # share of the pixels that are examined in a round
-_ROUNDS = 30
-_STEPS = 15  # of conjugate gradients
-# Share of lone pixels in a plateau: in tests at most 0.04 of clipped pixels, at least 0.8 of hot.
-_MOST_ALONE = 0.5
 
 
 def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> float:
@@ -140,16 +117,16 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
         return _noise_of_neighbours(values)
     check_shape("image", values, model_shape(model))
     passed, none = passed_power(model), np.zeros(values.shape, dtype=bool)
-    plateau = clipped_pixels(values, passed, ~none)
-    masked = none if plateau is None else plateau.mask
+    masked = clipped_pixels(values, passed, ~none)
     return noise_and_bad_pixels(surrounded(values, masked), passed, masked)[0]
 
 
 def _noise_of_neighbours(values: Array) -> float:
     """Return the rms noise of an image, (H, W), from its second differences."""
+    side = 12  # of a block, pixels
     # The mask (1, -2, 1) x (1, -2, 1) has norm 6.
     response = np.abs(np.diff(np.diff(values, n=2, axis=0), n=2, axis=1)) / 6.0
-    counts = [max(1, length // _BLOCK) for length in response.shape]
+    counts = [max(1, length // side) for length in response.shape]
     sides = [length // count for length, count in zip(response.shape, counts, strict=True)]
     whole_blocks = response[: counts[0] * sides[0], : counts[1] * sides[1]]
     tiles = whole_blocks.reshape(counts[0], sides[0], counts[1], sides[1]).swapaxes(1, 2)
@@ -168,6 +145,7 @@ def _noise_beyond(image: Array, passed: Array, sigma: float) -> float:
     """
     if sigma == 0.0:
         return sigma
+    least = 500  # frequencies: a relative standard error of 3 %, that of 64 x 64 differences
     power = periodic_power(image)
     twice = half_weights(image.shape)
     share = noise_share(image.shape)
@@ -178,7 +156,7 @@ def _noise_beyond(image: Array, passed: Array, sigma: float) -> float:
         count = float(twice[beyond].sum())
         kept = float((twice * share)[beyond].sum())
         variance = float((twice * (power - signal))[beyond].sum()) / max(kept, 1.0)
-        if count < _LEAST_BEYOND or variance <= 0.0:
+        if count < least or variance <= 0.0:
             return sigma
         found = math.sqrt(variance)
     return found
@@ -206,8 +184,8 @@ def surrounded(values: Array, masked: Mask) -> Array:
     """Return an image in which masked pixels hold the weighted mean of the others around them."""
     if not masked.any():
         return values
-    valid = scipy.ndimage.gaussian_filter((~masked).astype(np.float64), _AROUND)
-    sums = scipy.ndimage.gaussian_filter(np.where(masked, 0.0, values), _AROUND)
+    valid = ndimage.gaussian_filter((~masked).astype(np.float64), _AROUND)
+    sums = ndimage.gaussian_filter(np.where(masked, 0.0, values), _AROUND)
     mean = float(values[~masked].mean())
     around = np.where(valid > _LEAST_AROUND, sums / np.maximum(valid, _LEAST_AROUND), mean)
     return np.where(masked, around, values)
@@ -220,21 +198,26 @@ def bad_pixels(image: Array, passed: Array | None, sigmas: Array | float, masked
     return lone_pixels(image, passed, _noise_of_neighbours(image), sigmas, masked=masked)[0]
 
 
-def clipped_pixels(
-    image: Array, passed: Array, valid: Mask, most: float = math.inf
-) -> Plateau | None:
-    """Return the `exact_plateau` of an image; None also if most of its pixels are hot ones.
+def clipped_pixels(image: Array, passed: Array, valid: Mask, most: float = math.inf) -> Mask:
+    """Return the mask of the pixels that a converter has clipped after all noise.
 
-    Hot pixels often have the largest value too, but no light of the object. Of the pixels that a
-    converter has clipped, hardly any deviates alone.
+    These are the pixels of the largest value, if there are more than three for each one of the
+    second largest value. Without noise of at least 0.6 of the converter's steps, an object that is
+    bright and even has equal pixels too, and none is taken as clipped. ``most`` is the largest
+    stated noise. Hot pixels often have the largest value as well, but deviate alone, which hardly
+    any clipped pixel does.
     """
-    plateau = exact_plateau(image, valid, most)
-    if plateau is None:
-        return None
-    lit = lit_pixels(image, passed, valid, plateau.mask)
-    if np.count_nonzero(lit) < (1.0 - _MOST_ALONE) * np.count_nonzero(plateau.mask):
-        return None
-    return plateau._replace(mask=lit)
+    low, top = float(image[valid].min()), float(image[valid].max())
+    full = valid & (image == top)
+    levels = np.unique(image[valid & (image >= 0.5 * (top + low))])
+    n_full, none = int(np.count_nonzero(full)), np.zeros(image.shape, dtype=bool)
+    if len(levels) < 2 or n_full < 3 + 3 * np.count_nonzero(valid & (image == levels[-2])):
+        return none
+    sigma = min(_noise_of_neighbours(surrounded(image, full | ~valid)), most)
+    if sigma < max(0.6 * float(np.diff(levels).min()), 1e-6 * (top - low)):
+        return none
+    lit = lit_pixels(image, passed, valid, full)
+    return lit if 2 * np.count_nonzero(lit) >= n_full else none
 
 
 def lit_pixels(image: Array, passed: Array, valid: Mask, full: Mask) -> Mask:
@@ -262,18 +245,11 @@ def lone_pixels(
 ) -> tuple[Mask, Array]:
     """Return the mask (H, W) of dead and hot pixels, and the image with predictions in their place.
 
-    Parameters
-    ----------
-    image : ndarray, (H, W)
-        Image; single pixels may have any value.
-    passed : ndarray, (H, W//2 + 1)
-        Squared modulus of the transfer function, from `passed_power`.
-    sigma : float
-        Rms noise, image units, by an estimate that single pixels hardly affect.
-    least : ndarray (H, W) or float
-        Rms noise that is stated for each pixel, image units: no pixel within six of it is bad.
-    masked : ndarray of bool (H, W), or False
-        Pixels that hold no measured value; they are not examined, and get predictions as well.
+    ``image`` (H, W): image; single pixels may have any value. ``passed`` (H, W//2 + 1): squared
+    modulus of the transfer function, from `passed_power`. ``sigma``: rms noise, image units, by an
+    estimate that single pixels hardly affect. ``least`` (H, W): rms noise that is stated for each
+    pixel, image units: no pixel within six of it is bad. ``masked`` (H, W): pixels that hold no
+    measured value; they are not examined, and get predictions as well.
 
     Notes
     -----
@@ -295,12 +271,13 @@ def lone_pixels(
     out = np.zeros(shape, dtype=bool) | masked  # of the predictions
     renewed = not out.any()
     twice, modulus = half_weights(shape), np.sqrt(passed)
-    limit, most = _LEAST_DEVIATION, max(1, int(_MOST_AT_ONCE * image.size))
-    searched = sigma > 0.0 and min(shape) >= _LEAST_SEARCHED
-    for _ in range(_ROUNDS if searched else 0):
-        spectrum = periodic_spectrum(filled, _ALONG)
+    # of 262 144 pixels with normal noise, fewer than one in 1000 images deviates by 6
+    limit, most = 6.0, max(1, image.size // 20)
+    searched = sigma > 0.0 and min(shape) >= 8
+    for _ in range(30 if searched else 0):
+        spectrum = periodic_spectrum(filled, 5)
         signal = expected_signal(squared(spectrum) / image.size, passed, sigma**2, shape)
-        share = sigma**2 / (_SHARP * signal + sigma**2)
+        share = sigma**2 / (100.0 * signal + sigma**2)
         share[0, 0] = 0.0
         if not renewed:  # means of the pixels around are worse than predictions
             filled, renewed = _filled(filled, out, spectrum, share), True
@@ -322,13 +299,14 @@ def lone_pixels(
         found &= own > limit * np.maximum(left, 1.0)
         found &= change > limit * np.broadcast_to(least, shape)[row, column]
         inside = (row % (shape[0] - 1) > 0) & (column % (shape[1] - 1) > 0)
-        most_change = np.where(inside, _OBJECT * point, max(_OBJECT * point, _CUT_OBJECT))
+        # of an object's image; the frame's edge cuts images off
+        most_change = np.where(inside, 2.0 * point, max(2.0 * point, 0.5))
         found &= change > most_change * np.ptp(filled[around], axis=1)
         if not found.any():
             break
         out[row[found], column[found]] = True
         filled = _filled(filled, out, spectrum, share)
-        sigma, limit = _noise_of_neighbours(filled), _LEAST_BESIDE
+        sigma, limit = _noise_of_neighbours(filled), 4.5  # there are probably more
     return out & np.logical_not(masked), filled
 
 
@@ -358,7 +336,7 @@ def _filled(image: Array, bad: Mask, spectrum: NDArray[np.complex128], share: Ar
     errors = np.zeros(image.shape)
     rest = np.where(bad, scipy.fft.irfft2(spectrum * share, image.shape), 0.0)
     way, square = rest, float((rest**2).sum())
-    for _ in range(_STEPS):
+    for _ in range(15):
         if square == 0.0:
             break
         changed = np.where(bad, scipy.fft.irfft2(scipy.fft.rfft2(way) * share, image.shape), 0.0)

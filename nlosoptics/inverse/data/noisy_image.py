@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
+from scipy import fft, special
 
 from ..._checks import positive, real, squarable
 from ...errors import SceneError
@@ -25,10 +26,9 @@ from .arrays import (
     total,
     weighted,
 )
-from .measurement import Measurement, measured
+from .measurement import measured
 from .models import AnyModel, model_shape
 from .noise import bad_pixels, clipped_pixels, lit_pixels, noise_and_bad_pixels, surrounded
-from .saturation import Plateau, noisy_plateau
 from .spectra import (
     beyond_optics,
     cosines_within,
@@ -40,16 +40,6 @@ from .spectra import (
     power,
 )
 
-# Noise below this part of the image's range is near float32's rounding in the transforms.
-_FLOAT32_NOISE = 1e-4
-# Sum of squared weights that is only rounding error.
-_ROUNDING = 1e-9
-# Standard errors by which the noise beyond the optics may differ from the stated noise; more is a
-# sign of light that the optics should not pass.
-_MOST_ERRORS = 3.0
-# Share of images of noise alone in which an object is detected.
-_FALSE_ALARMS = 1e-3
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NoisyImage:
@@ -57,31 +47,17 @@ class NoisyImage:
 
     Its arrays are numpy's, or torch's after `in_torch`.
 
-    Parameters
-    ----------
-    data : ndarray or Tensor, (H, W)
-        Image minus the known background, float64. Excluded pixels hold the weighted mean.
-    sigma : float
-        Reference noise: 1/sigma^2 is the mean of 1/noise_sigma^2 over the pixels.
-    weights : ndarray, Tensor or None, (H, W)
-        (sigma/noise_sigma)^2, mean 1; None for uniform noise. Excluded pixels, which have infinite
-        noise, have weight 0.
-    sigma_estimated : bool
-        Whether the noise was estimated from the image.
-    fit_background : bool
-        Whether there is a further background of unknown strength.
-    background_shape : ndarray, Tensor or None, (H, W)
-        Shape of that background, mean 1; None if it is uniform.
-    template : Tensor or None
-        The image as given if it was a tensor; None for an array.
-    bad_pixels : ndarray or None, (H, W)
-        Mask of the pixels that were found to be dead, hot or saturated, and are excluded too; None
-        if none was.
-    plateau : Plateau or None
-        Saturated pixels, which are excluded too; None if there are none.
-    least : ndarray, Tensor or None, (H, W)
-        Values that the saturated pixels would at least have without saturation, in the unit of
-        ``data``; not finite for all other pixels. None if no pixel is saturated.
+    ``data`` (H, W): image minus the known background, float64. Excluded pixels hold the weighted
+    mean. ``sigma``: reference noise: 1/sigma^2 is the mean of 1/noise_sigma^2 over the pixels.
+    ``weights`` (H, W): (sigma/noise_sigma)^2, mean 1; None for uniform noise. Excluded pixels,
+    which have infinite noise, have weight 0. ``sigma_estimated``: whether the noise was estimated
+    from the image. ``fit_background``: whether there is a further background of unknown strength.
+    ``background_shape`` (H, W): shape of that background, mean 1; None if it is uniform.
+    ``template``: the image as given if it was a tensor; None for an array. ``bad_pixels`` (H, W):
+    mask of the pixels that were found to be dead, hot or saturated, and are excluded too; None if
+    none was. ``saturated`` (H, W): mask of those of them that are saturated; None if no pixel is.
+    ``least`` (H, W): values that the saturated pixels would at least have without saturation, in
+    the unit of ``data``; not finite for all other pixels. None if no pixel is saturated.
     """
 
     data: Values
@@ -92,13 +68,8 @@ class NoisyImage:
     background_shape: Values | None
     template: Values | None
     bad_pixels: NDArray[np.bool_] | None = None
-    plateau: Plateau | None = None
+    saturated: NDArray[np.bool_] | None = None
     least: Values | None = None
-
-    def native(self) -> NoisyImage:
-        """Return the image with numpy arrays, or with tensors if the given image is on a GPU."""
-        on_processor = self.template is None or self.template.device.type == "cpu"
-        return self.in_numpy() if on_processor else self.in_torch()
 
     def in_torch(self) -> NoisyImage:
         """Return the image with tensors, on the device of the given image."""
@@ -173,9 +144,14 @@ class NoisyImage:
         """Return the strength of the unknown background at the image's border; 0 if it is known."""
         if not self.fit_background:
             return 0.0
-        values = _border(self.data)
+
+        def border(picture: Values) -> NDArray[np.float64]:
+            edges = as_numpy(picture)
+            return np.concatenate((edges[0], edges[-1], edges[:, 0], edges[:, -1]))
+
+        values = border(self.data)
         if self.background_shape is not None:
-            shape = _border(self.background_shape)
+            shape = border(self.background_shape)
             lit = shape > 0.5
             values = values[lit] / shape[lit]
         return float(np.sort(values)[(len(values) - 1) // 2]) if len(values) else 0.0
@@ -186,7 +162,7 @@ class NoisyImage:
 
     def working_dtype(self) -> Any:
         """Return float32, or float64 if the noise is close to rounding errors of float32 FFTs."""
-        single = self.sigma > _FLOAT32_NOISE * self.span()
+        single = self.sigma > 1e-4 * self.span()
         return getattr(library(self.data), "float32" if single else "float64")
 
     def score(self, explained: Values | float) -> float:
@@ -198,10 +174,7 @@ class NoisyImage:
     def is_background(self, model: AnyModel | None = None) -> bool:
         """Return whether no object is detected against the unknown background and noise.
 
-        Parameters
-        ----------
-        model : ForwardModel or TorchForwardModel, optional
-            Image model; if omitted, all frequencies are taken to pass.
+        ``model``: image model; if omitted, all frequencies are taken to pass.
 
         Notes
         -----
@@ -221,11 +194,11 @@ class NoisyImage:
         relative = power(rest) * (rest.size / (self.counted * self.sigma**2))
         if not self.fit_background:  # even light is an object then
             strength = float(rest.mean()) * math.sqrt(rest.size) / self.sigma
-            if 0.5 * math.erfc(strength / math.sqrt(2.0)) < _FALSE_ALARMS:
+            if 0.5 * math.erfc(strength / math.sqrt(2.0)) < 1e-3:
                 return False
         kinds = [passed * object_power(shape) ** half for half in (0.0, 0.5, 1.0)]
         chances = [_chance(relative, kind, shape, self.sigma_estimated) for kind in kinds]
-        return len(kinds) * min(chances) > _FALSE_ALARMS
+        return len(kinds) * min(chances) > 1e-3
 
     def energies(self, model: AnyModel) -> tuple[float, float]:
         """Split the image's sum of squares over the noise's variance into noise and signal.
@@ -247,10 +220,11 @@ class NoisyImage:
             signal = expected_signal(periodic_power(rest), passed, unit, rest.shape, least)
             beyond = beyond_optics(signal, unit)
             cosines = cosines_within(beyond, rest.shape)
-            there = scipy.fft.dctn(rest, norm="ortho")[cosines] ** 2 / unit
+            there = fft.dctn(rest, norm="ortho")[cosines] ** 2 / unit
             left = float(signal[beyond].mean()) / unit if beyond.any() else 0.0
             excess = float((there - 1.0 - left).sum())
-            if abs(excess) < _MOST_ERRORS * math.sqrt(2.0 * there.size):
+            # more is a sign of light that the optics should not pass
+            if abs(excess) < 3.0 * math.sqrt(2.0 * there.size):
                 noise += excess * self.counted / rest.size
                 inside -= there.size
         seen = max(whole - noise, math.sqrt(2.0 * inside))
@@ -267,19 +241,6 @@ class NoisyImage:
         variance = (18.0 if self.sigma_estimated else 2.0) / self.counted
         return self.score(explained) ** 2 <= 1.0 + 3.0 * math.sqrt(variance)
 
-    def again(self) -> Measurement:
-        """Return the same image as input of another solver."""
-        sigmas: Any = self.sigma
-        if self.weights is not None:
-            with np.errstate(divide="ignore"):  # excluded pixels
-                sigmas = self.sigma / self.weights**0.5
-        return Measurement(
-            self.data,
-            noise_sigma=sigmas,
-            fit_background=self.fit_background,
-            background_shape=self.background_shape,
-        )
-
     def like_input(self, values: Values) -> Values:
         """Convert a result to the input's kind: array, or tensor of the same type and device."""
         if self.template is None:
@@ -290,10 +251,7 @@ class NoisyImage:
 
 
 def _chance(
-    relative: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    shape: tuple[int, ...],
-    own: bool,
+    relative: NDArray[np.float64], weights: NDArray[np.float64], shape: tuple[int, ...], own: bool
 ) -> float:
     """Return the probability that white noise has this weighted sum of power, or more.
 
@@ -310,23 +268,21 @@ def _chance(
         weights = weights - float((twice * weights).sum()) / count
     weights = weights / max(float(np.abs(weights).max()), 1e-300)
     squares, cubes = (float((twice * weights**k).sum()) for k in (2, 3))
-    if squares <= _ROUNDING or cubes <= _ROUNDING:  # all frequencies weigh the same
+    if min(squares, cubes) <= 1e-9:  # all frequencies weigh the same
         return 1.0
     variance, third = 2.0 * squares, 8.0 * cubes
     freedom = 4.0 * variance**3 / third**2
     deviation = float((twice * weights * (relative - 1.0)).sum()) / math.sqrt(variance)
     value = max(freedom + deviation * math.sqrt(freedom), 0.0)
-    return float(scipy.special.gammaincc(freedom, value))
+    return float(special.gammaincc(freedom, value))
 
 
-def noisy_image(
-    image: Any, model: AnyModel | tuple[int, int], plateau: Plateau | None = None
-) -> NoisyImage:
+def noisy_image(image: Any, model: AnyModel | tuple[int, int]) -> NoisyImage:
     """Check a `Measurement` of one image, or an image alone, against an image model.
 
     ``model`` may be the shape (H, W) if the point spread is unknown; the noise is then estimated
-    without it, and no bad pixels are sought. ``plateau`` are the saturated pixels, by default those
-    that the measurement states, or the `clipped_pixels`.
+    without it, and no bad pixels are sought. Saturated pixels are those that the measurement
+    states, by default the `clipped_pixels`.
     """
     given = measured(image)
     shape, passed = (
@@ -339,21 +295,20 @@ def noisy_image(
     stated = None if stated is None else _stated_noise(stated, shape, masked)
     valid = ~masked
     if full.any():
-        lit = full if passed is None else lit_pixels(data, passed, valid, full)
-        masked, plateau = masked | full, Plateau(lit, data, 0.0)
-    elif plateau is None and passed is not None and given.saturated is None:
+        masked = masked | full
+        full = full if passed is None else lit_pixels(data, passed, valid, full)
+    elif passed is not None and given.saturated is None:
         noise = np.broadcast_to(0.0 if stated is None else stated, shape)
         valid &= np.isfinite(noise)
-        plateau = clipped_pixels(data, passed, valid, float(noise[valid].max()) or math.inf)
+        full = clipped_pixels(data, passed, valid, float(noise[valid].max()) or math.inf)
+        masked = masked | full
     background = given.background
     if shape_of("background", background):
         background = _picture("background", background, shape, masked)
     else:
         background = real("background", background)
-    data, least = data - background, None
-    if plateau is not None:
-        masked = masked | plateau.mask
-        least = np.where(plateau.mask, plateau.level - plateau.sigma, -np.inf) - background
+    data = data - background
+    least = np.where(full, data, -np.inf) if full.any() else None
     if not np.any(~masked if stated is None else ~masked & np.isfinite(stated)):
         raise SceneError(
             "every pixel is masked, saturated or of infinite noise, so that none counts; expose "
@@ -373,8 +328,7 @@ def noisy_image(
     ignored = bad | masked
     if ignored.any() and np.any(sigmas):
         sigmas = np.where(ignored, np.inf, sigmas)
-    if plateau is not None:
-        bad = bad | plateau.mask
+    bad = bad | full
     data, sigma, weights = _weighed(data, sigmas)
     return NoisyImage(
         data=data,
@@ -385,34 +339,25 @@ def noisy_image(
         background_shape=_background_shape(given.background_shape, shape),
         template=given.image if is_tensor(given.image) else None,
         bad_pixels=bad if bad.any() else None,
-        plateau=plateau,
+        saturated=full if full.any() else None,
         least=least,
     )
-
-
-def with_plateau(data: NoisyImage, image: Any, model: AnyModel) -> NoisyImage | None:
-    """Return ``data``, of an image, without the pixels of its `noisy_plateau`, if it has one."""
-    values = real_array("image", measured(image).image)
-    valid = data.in_numpy().weighted(np.ones(values.shape)) > 0.0
-    known = data.least is not None or measured(image).saturated is not None
-    plateau = None if known else noisy_plateau(values, valid)
-    return None if plateau is None else noisy_image(image, model, plateau)
 
 
 def _stated_noise(
     value: Any, shape: tuple[int, int], masked: NDArray[np.bool_]
 ) -> float | NDArray[np.float64]:
     """Return the noise that the caller states: a number, or a map that may be infinite in parts."""
+    remedy = "give None to have it estimated"
     if not shape_of("noise_sigma", value):
-        return _positive_sigma(value)
+        return positive("noise_sigma", value, remedy=remedy)
     sigmas = np.where(masked, np.inf, _picture("noise_sigma", value, shape, masked, infinite=True))
-    least = float(sigmas.min())
-    if math.isinf(least):
+    if math.isinf(sigmas.min()):
         raise SceneError(
             "noise_sigma is infinite in every pixel, so that none counts; give finite noise "
             "for the valid pixels"
         )
-    _positive_sigma(least)
+    positive("noise_sigma", float(sigmas.min()), remedy=remedy)
     return sigmas
 
 
@@ -441,15 +386,6 @@ def _background_shape(value: Any, shape: tuple[int, int]) -> NDArray[np.float64]
             "non-negative with some light; leave it out for a uniform background"
         )
     return picture / mean
-
-
-def _border(picture: Values) -> NDArray[np.float64]:
-    values = as_numpy(picture)
-    return np.concatenate((values[0], values[-1], values[:, 0], values[:, -1]))
-
-
-def _positive_sigma(sigma: float) -> float:
-    return positive("noise_sigma", sigma, remedy="give None to have it estimated")
 
 
 def _mask(name: str, value: Any, shape: tuple[int, int]) -> NDArray[np.bool_]:

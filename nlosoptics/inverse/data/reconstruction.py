@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -133,8 +133,8 @@ def assemble(
     if data.bad_pixels is not None:
         parameters["bad_pixels"] = int(data.bad_pixels.sum())
         parameters["bad_pixel_map"] = data.bad_pixels
-    if data.plateau is not None:
-        parameters["saturated_pixels"] = int(data.plateau.mask.sum())
+    if data.saturated is not None:
+        parameters["saturated_pixels"] = int(data.saturated.sum())
     if error is not None:
         parameters["object_error"] = data.like_input(error / gain)
     return Reconstruction(
@@ -160,17 +160,14 @@ def concluded(
     model: AnyModel,
     background: float,
     ending: Ending,
-    doubts: tuple[str, ...] = (),
     **more: Any,
 ) -> Reconstruction:
     """Return the `Reconstruction` of a fit with a known point spread, its status tested.
 
     Parameters as in `assemble`, with how the solver ended in place of status, history, reasons and
-    error, and with ``doubts``, reasons of the solver itself against the status "converged".
+    error.
     """
     found = judged(data, level, background, model, ending)
-    if doubts and found.status == "converged":
-        found = replace(found, status="does_not_fit", reasons=doubts)
     if found.expected_correlation is not None:
         more["expected_correlation"] = found.expected_correlation
     return assemble(

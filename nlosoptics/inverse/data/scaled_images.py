@@ -15,19 +15,10 @@ _SMOOTH = 1e-3
 class ScaledImage:
     """Image in single precision; gain and background are set by least squares.
 
-    Parameters
-    ----------
-    data : NoisyImage
-        Image and noise.
-    unit : float
-        Value of the image that becomes 1.
+    ``data``: image and noise. ``unit``: value of the image that becomes 1.
 
-    Attributes
-    ----------
-    image : Tensor, (H, W)
-        Image in this unit, float32, minus the background that best fits it alone.
-    unit : float
-        Value of the image that became 1.
+    ``image`` (H, W): image in this unit, float32, minus the background that best fits it alone.
+    ``unit``: value of the image that became 1.
     """
 
     def __init__(self, data: NoisyImage, unit: float) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ..._checks import positive, whole
 from ...errors import SamplingError
@@ -125,13 +126,8 @@ def registered_scores(
     ----------
     reconstruction : Reconstruction, ndarray or Tensor
         Reconstructed object, (H, W), at least 11 x 11.
-    truth : ndarray or Tensor
-        True object, (H, W).
-    upsampling : int
-        Number of steps per pixel in which the shift is searched; 1 for whole pixels.
-    flip : bool
-        Whether to try the reconstruction turned by half a turn as well. Phase retrieval needs this,
-        since an object and its turned copy have the same autocorrelation.
+    truth, upsampling, flip
+        See `registered_correlation`.
     data_range : float or None
         Range of values to which PSNR and SSIM refer, in the unit of the truth. None: the range of
         the truth.
@@ -140,14 +136,6 @@ def registered_scores(
     -------
     RegisteredScores
         Correlation, peak signal-to-noise ratio (PSNR) and structural similarity (SSIM).
-
-    Raises
-    ------
-    SamplingError
-        If the shapes differ, are not two-dimensional or are too small.
-    SceneError
-        If a value is not finite or not a real number, or the truth is uniform and ``data_range`` is
-        not given.
 
     See Also
     --------
@@ -192,7 +180,7 @@ def _structural_similarity(first: Array, second: Array, offset: float, peak: flo
     """Return the mean SSIM of two mean-free images, whose common mean is ``offset``."""
 
     def local_mean(picture: Array) -> Array:
-        smooth = scipy.ndimage.gaussian_filter(picture, 1.5, truncate=3.5)
+        smooth = ndimage.gaussian_filter(picture, 1.5, truncate=3.5)
         return smooth[_SSIM_EDGE:-_SSIM_EDGE, _SSIM_EDGE:-_SSIM_EDGE]
 
     means = local_mean(first), local_mean(second)

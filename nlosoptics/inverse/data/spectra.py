@@ -14,14 +14,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ...imaging.forward_model import ForwardModel
-from .arrays import half_spectrum_weights
+from .arrays import half_spectrum_weights, irfft2, rfft2
 from .models import AnyModel, numpy_model
 
 Array = NDArray[np.float64]
-
-# Largest power of an object's image, relative to the noise, at a frequency that counts as beyond
-# the optics.
-_NOTHING_PASSED = 0.05
 
 
 def passed_power(model: AnyModel) -> Array:
@@ -132,18 +128,11 @@ def expected_signal(
 ) -> Array:
     """Return the power of the image of an object with spectrum `object_power`.
 
-    Parameters
-    ----------
-    image_power : ndarray, (H, W//2 + 1)
-        Power of the image, from `periodic_power`. Its excess over the noise is the object's.
-    passed : ndarray, (H, W//2 + 1)
-        Squared modulus of the transfer function.
-    variance : float
-        Variance of the noise, image units squared.
-    shape : (int, int)
-        Rows H and columns W of the image.
-    least : float
-        Least sum of the object's power over all frequencies, image units squared.
+    ``image_power`` (H, W//2 + 1): power of the image, from `periodic_power`. Its excess over the
+    noise is the object's. ``passed`` (H, W//2 + 1): squared modulus of the transfer function.
+    ``variance``: variance of the noise, image units squared. ``shape`` (int, int): rows H and
+    columns W of the image. ``least``: least sum of the object's power over all frequencies, image
+    units squared.
     """
     twice = half_weights(shape)
     signal = passed * object_power(shape)
@@ -152,8 +141,8 @@ def expected_signal(
 
 
 def beyond_optics(signal: Array, variance: float) -> NDArray[np.bool_]:
-    """Return the mask of frequencies at which the `expected_signal` is far below the noise."""
-    return signal < _NOTHING_PASSED * variance
+    """Return the mask of frequencies at which the `expected_signal` is below 5 % of the noise."""
+    return signal < 0.05 * variance
 
 
 def cosines_within(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:

@@ -37,11 +37,8 @@ def inverse_filter(
 
     Parameters
     ----------
-    image : Measurement, ndarray or Tensor
-        Camera image, (H, W), with its noise and background.
-    model : ForwardModel or TorchForwardModel
-        Image model of shape (H, W): the convolution of an object with the known point spread
-        function.
+    image, model
+        See `tv_deconvolve`; a single point spread function.
     guard : float or None
         Least modulus of the transfer function relative to its maximum, 1e-13 to 1. Frequencies with
         a smaller modulus are left out. None: the largest value for which the residual does not
@@ -53,14 +50,6 @@ def inverse_filter(
     -------
     Reconstruction
         The object may have negative values. ``physical_parameters`` also contains ``guard``.
-
-    Raises
-    ------
-    SamplingError
-        If an array does not have the model's shape, or the model's point spread function varies
-        over the object.
-    SceneError
-        If a value is out of range or not finite.
 
     See Also
     --------

@@ -18,7 +18,7 @@ from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
 from ..data.forward import TorchForwardModel, torch_model
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
-from ..data.status import MOST_RESIDUAL, Ending
+from ..data.status import LIMITS, Ending
 from .wiener import background_estimate
 
 
@@ -37,11 +37,8 @@ def richardson_lucy(
 
     Parameters
     ----------
-    image : Measurement, ndarray or Tensor
-        Camera image, (H, W), with its noise and background.
-    model : ForwardModel or TorchForwardModel
-        Image model of shape (H, W): the convolution of an object with the known point spread
-        function (PSF), which may vary over the object.
+    image, model, progress
+        See `tv_deconvolve`.
     accelerated : bool
         Whether to accelerate the convergence by extrapolation from the last two iterates.
     max_iterations : int
@@ -49,12 +46,7 @@ def richardson_lucy(
     tolerance : float
         Stop also when the relative change of the object per iteration is below this value.
     start : array_like, mapping or None
-        Initial object, (H, W), in image units, or a saved state of this solver (see `Stop`), from
-        which the fit resumes with the same result bit for bit. None: the solver chooses it. Pixels
-        that are 0 in the initial object remain 0.
-    progress : callable or None
-        Function that is called repeatedly with a text and the completed fraction, 0 to 1. It may
-        raise `Stop` to end the fit.
+        See `tv_deconvolve`. Pixels that are 0 in an initial object remain 0.
 
     Returns
     -------
@@ -63,13 +55,6 @@ def richardson_lucy(
         status "converged", the object is the first iterate whose residual is at the noise level (a
         score of about 1), or an iterate that no longer changes, whose score may differ from 1. With
         "unconverged", it is the iterate with the least ``objective``.
-
-    Raises
-    ------
-    SamplingError
-        If an array does not have the model's shape.
-    SceneError
-        If a value is out of range or not finite.
 
     See Also
     --------
@@ -212,7 +197,7 @@ class _Maximisation(Solver[_Estimate]):
         """Return the mean of the fitted background in image units."""
         moved = (found.state.best_strength - self._sigma) * self._scale
         converged = self.done(found.state)
-        ending = Ending(converged=converged, history=found.history, most_residual=MOST_RESIDUAL)
+        ending = Ending(converged=converged, history=found.history, most_residual=LIMITS.residual)
         return {"background": self._level + moved, "ending": ending}
 
     def _misfit(self, state: _Estimate) -> tuple[Tensor, float, float]:

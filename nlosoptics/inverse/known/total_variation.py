@@ -3,51 +3,49 @@
 from __future__ import annotations
 
 import math
-from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..._checks import positive
 from ..._progress import Progress
-from ..data.arrays import (
-    Values,
-    as_double,
-    as_numpy,
-    irfft2,
-    is_tensor,
-    library,
-    like,
-    rfft2,
-)
-from ..data.driver import Iterate, Run, Solver, answered, reconstructed, run, solved, stop_rule
-from ..data.models import AnyModel, image_of, mean_transfer, model_like
-from ..data.noisy_image import NoisyImage, with_plateau
+from ..data.arrays import irfft2, rfft2
+from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
+from ..data.models import AnyModel, mean_transfer, numpy_model
+from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
-from ..data.status import MOST_RESIDUAL, Ending
-from ._splitting_kernels import RELAXATION
+from ..data.status import LIMITS, Ending
+from ._splitting_kernels import RELAXATION, mix, pull
 from .field_step import FieldStep
-from .splitting_steps import KernelSteps, Steps, gradient
+from .splitting_steps import Steps, gradient
 
-# Penalties of the splitting x = p (sign) and grad x = d (edges), per unit of the object's
-# brightness. From sweeps over smooth and speckle kernels, 128^2 and 512^2.
-_SIGN_PENALTY = 5.0
-_EDGE_PENALTY = 10.0
-# The data penalty follows the data multiplier for the first iterations, then stays: with
-# constant penalties the method of multipliers converges.
-_DATA_SHARE = 0.2
-_ADAPT_EVERY = 10
-_ADAPT_UNTIL = 100
-# Weight of the residual mismatch in the stopping criterion.
-_RESIDUAL_SHARE = 0.05
+Array = NDArray[Any]
+
 _RULE = (700, 5e-4)  # default number of iterations and tolerance
-# Tolerance of the second fit, which serves the status, relative to that of the first.
-_COARSER = 8.0
-# Least mean of a fitted image above a plateau that it was not fitted to, noise sigmas of a pixel;
-# largest correlation of two objects, with and without the plateau, that are not the same.
-_LEAST_RISE, _ALIKE = 1.5, 0.975
+
+
+@dataclass(frozen=True)
+class _Tuning:
+    """Numbers of the splitting, from sweeps over smooth and speckle kernels, 128^2 and 512^2.
+
+    ``sign`` and ``edge`` are the penalties of x = p and grad x = d, per unit of the object's
+    brightness. The data penalty is ``data`` of the multiplier in every tenth of the first hundred
+    iterations, then stays: with constant penalties the method of multipliers converges.
+    ``residual`` weighs the mismatch of the residual in the stopping criterion. The second fit,
+    which serves the status, is ``coarser``.
+    """
+
+    sign: float = 5.0
+    edge: float = 10.0
+    data: float = 0.2
+    residual: float = 0.05
+    coarser: float = 8.0
+
+
+_TUNING = _Tuning()
 
 
 def tv_deconvolve(
@@ -71,7 +69,7 @@ def tv_deconvolve(
         Camera image, (H, W), with its noise and background.
     model : ForwardModel or TorchForwardModel
         Image model of shape (H, W): the convolution of an object with the known point spread
-        function.
+        function, which may vary over the object.
     tv_weight : float or None
         Weight of the total variation, dimensionless; larger values give a smoother object. None:
         the weight at which the residual equals the noise (discrepancy principle).
@@ -109,7 +107,6 @@ def tv_deconvolve(
     --------
     wiener : Linear filter that weighs the noise.
     richardson_lucy : Multiplicative, non-negative iteration.
-    deep_image_prior : Untrained network fitted to one image.
     registered_scores : Correlation, PSNR and SSIM with the truth.
 
     Notes
@@ -135,13 +132,10 @@ def tv_deconvolve(
     from the first object, and the wider point spread takes a similar amount from this object:
     ``object_error`` is the modulus of the difference. This takes about as long as half the fit.
 
-    Saturated pixels count only where the fitted image is below their level. If the image has a
-    plateau that may be saturated, and the weight is automatic, a fit to all other pixels is made as
-    well, a coarse one first. It is the answer if its image exceeds the plateau by 1.5 times the
-    noise.
+    Saturated pixels count only where the fitted image is below their level.
 
     The computation runs on one thread in single precision, or in double precision if the noise is
-    below 1e-4 of the image's range. Only an image on a GPU is processed by torch. ``objective`` in
+    below 1e-4 of the image's range. ``objective`` in
     the history is evaluated at the final weight, so it may rise while the weight is adjusted.
 
     References
@@ -166,60 +160,16 @@ def tv_deconvolve(
     tv_weight = None if tv_weight is None else positive("tv_weight", tv_weight)
 
     def solve(data: NoisyImage) -> dict[str, Any]:
-        fit = _Splitting(data, model, rule, tv_weight)
-        found = run(fit, start, progress)
-        answer = answered(fit, found)
-        alone = tv_weight is None and not found.stopped
-        other = with_plateau(data, image, model) if alone else None
-        if other is None or other.is_background(model):
-            return answer
-        if answer["ending"].converged:  # a coarse fit from here shows most even objects
-            level, background = fit.nearby(deepcopy(found.state), other, model)
-            if not _rises(level, background, other, model):
-                return answer | _doubts(answer["level"], level, other)
-        second = solved(_Splitting(other.native(), model, rule, None), None, None)
-        if _rises(second["level"], second["background"], other, model):
-            return {"data": other, **second}
-        return answer | _doubts(answer["level"], second["level"], other)
+        return solved(_Splitting(data, model, rule, tv_weight), start, progress)
 
     return reconstructed(solve, image, model, in_numpy=True)
 
 
-def _rises(level: Values, background: float, data: NoisyImage, model: AnyModel) -> bool:
-    """Return whether the image of a fit rises above the plateau of ``data``, which it ignored.
-
-    If it does, the camera has clipped it. An object of few edges that is bright and even stays at
-    its level.
-    """
-    plateau, own = data.plateau, data.in_numpy()
-    assert plateau is not None  # of `with_plateau`
-    seen = image_of(model, as_double(as_numpy(level))) + own.background(background)
-    rise = float((seen - own.least)[plateau.mask].mean()) / plateau.sigma
-    return rise > 1.0 + _LEAST_RISE  # `least` is one sigma below the plateau
-
-
-def _doubts(level: Values, other: Values, data: NoisyImage) -> dict[str, Any]:
-    """Return a doubt in an object if without the plateau of ``data`` it is another one."""
-    plateau = data.plateau
-    assert plateau is not None
-    alike = float(np.corrcoef(*(as_double(as_numpy(one)).ravel() for one in (level, other)))[0, 1])
-    if alike > _ALIKE:
-        return {}
-    return {
-        "doubts": (
-            f"{int(plateau.mask.sum())} pixels are as bright as {plateau.level:.4g} within the "
-            f"noise, and without them the object is another one (correlation {alike:.2f}, limit "
-            f"{_ALIKE:g}): if the camera is saturated there, give them as saturated in "
-            "Measurement",
-        )
-    }
-
-
 def sharpest(
     data: NoisyImage, model: AnyModel, rule: tuple[int, float] = _RULE, tv_weight: Any = None
-) -> tuple[Values, float, float]:
+) -> tuple[Array, float, float]:
     """Return object, background and weight of `tv_deconvolve`, not judged; 0 if none is seen."""
-    data = data.native()
+    data = data.in_numpy()
     if data.is_background(model):
         return 0.0 * data.data, float(data.background_strength(data.data)), 0.0
     answer = solved(_Splitting(data, model, rule, tv_weight), None, None)
@@ -234,28 +184,20 @@ class _Split(Iterate):
     ``measure`` is compared with the tolerance.
     """
 
-    signed: Values
-    predicted: Values
-    edges: Values
-    data_dual: Values
-    sign_dual: Values
-    edge_dual: Values
-    free: Values | None
-    seen: Values | None
+    signed: Array
+    predicted: Array
+    edges: Array
+    data_dual: Array
+    sign_dual: Array
+    edge_dual: Array
+    free: Array | None
+    seen: Array | None
     background: float = 0.0
     multiplier: float
     data_penalty: float
     edge_penalty: float
     sign_penalty: float
     measure: float = math.inf
-
-
-class _Scratch:
-    """Arrays that each iteration fills anew; ``prototype`` is an array on the FFT grid."""
-
-    def __init__(self, prototype: Values) -> None:
-        empty = library(prototype).empty_like
-        self.wanted, self.pull = empty(prototype), empty(prototype)
 
 
 class _Splitting(Solver[_Split]):
@@ -270,44 +212,36 @@ class _Splitting(Solver[_Split]):
     report = "total variation: residual {residual:.3f}, change {change:.1e}"
 
     def __init__(
-        self,
-        data: NoisyImage,
-        model: AnyModel,
-        rule: tuple[int, float],
-        tv_weight: float | None,
+        self, data: NoisyImage, model: AnyModel, rule: tuple[int, float], tv_weight: float | None
     ) -> None:
         self.data, self._model = data, model
         self.max_iterations, self._tolerance = rule
         self._scale = data.span()
         self._sigma = data.sigma / self._scale
         self._counted = data.counted
-        self._library = library(data.data)
         # A background far above the noise would exhaust single precision, so it is subtracted.
         self._level = data.border_strength()
-        image = (data.data - data.background(self._level)) / self._scale
         self._frame = tuple(slice(None, length) for length in model.shape)
-        working = self._library.zeros_like(image, dtype=data.working_dtype())
-        self._dark = like(np.zeros(model.grid), working)
-        self._image = like(image, working)
-        ones = 1.0 + 0.0 * image
-        self._shape = like(ones * data.background(1.0), working)
-        self._weights = like(data.weighted(ones), working)
+        kind = data.working_dtype()
+        self._dark = np.zeros(model.grid, kind)
+        ones = np.ones(model.shape)
+        self._image = ((data.data - data.background(self._level)) / self._scale).astype(kind)
+        self._shape = (ones * data.background(1.0)).astype(kind)
+        self._weights = data.weighted(ones).astype(kind)
         self._saturated = None
         if data.least is not None:
             least = (data.least - data.background(self._level)) / self._scale
-            saturated = self._library.isfinite(least)
-            self._saturated = self._library.where(saturated)
-            self._image = self._library.where(saturated, like(least, working), self._image)
-        given = self._image, self._shape, self._weights
-        self._steps = Steps(*given) if is_tensor(working) else KernelSteps(*given, model.grid[1])
-        twin = model_like(model, data.data)
+            saturated = np.isfinite(least)
+            self._saturated = np.where(saturated)
+            self._image = np.where(saturated, least.astype(kind), self._image)
+        self._steps = Steps(self._image, self._shape, self._weights, model.grid[1])
+        twin = numpy_model(model)
         transfer = mean_transfer(twin)
         self._response = float(abs(transfer).max())
         transfer = transfer / self._response
-        self._scratch = _Scratch(self._dark)
-        self._transfer = like(transfer, rfft2(self._dark))
-        self._power = like(transfer.real**2 + transfer.imag**2, self._dark)
-        self._laplacian = like(_laplacian(model.grid), self._dark)
+        self._transfer = transfer.astype(rfft2(self._dark).dtype)
+        self._power = (transfer.real**2 + transfer.imag**2).astype(kind)
+        self._laplacian = _laplacian(model.grid).astype(kind)
         self._field = None
         if twin.weights is not None:
             self._field = FieldStep(twin.weights, twin.transfer / self._response, self._dark)
@@ -316,9 +250,9 @@ class _Splitting(Solver[_Split]):
             noise, signal = data.energies(model)
             left = max(noise - _taken(signal, model.shape), data.counted / 2)
             self._target = self._sigma * math.sqrt(left)
-        self._factored: tuple[tuple[float, ...], tuple[Values, Values, Values]] | None = None
+        self._factored: tuple[tuple[float, ...], tuple[Array, Array, Array]] | None = None
 
-    def init(self, first: Values | None) -> _Split:
+    def init(self, first: Array | None) -> _Split:
         """Return the initial state, from an object or by a mild inverse filter.
 
         Negative values and values outside the frame are removed. The predicted image starts as the
@@ -332,19 +266,19 @@ class _Splitting(Solver[_Split]):
             spectrum /= self._power + 1e-2
             begun = irfft2(spectrum, predicted.shape[-1])[self._frame]
         else:
-            begun = like(first * (self._response / self._scale), self._dark)
+            begun = first * (self._response / self._scale)
         signed = self._dark + 0.0
-        signed[self._frame] = begun.clip(0.0, None)
-        framed = as_numpy(signed[self._frame]).ravel()
+        signed[self._frame] = np.maximum(begun, 0.0)
+        framed = signed[self._frame].ravel()
         highest = math.ceil(0.99 * framed.size) - 1
         brightness = float(np.partition(framed, highest)[highest]) or 1.0
         edges = gradient(signed)
         if self._given is None:
             data_penalty = 1.0 / (self._sigma * brightness)
-            multiplier = data_penalty / _DATA_SHARE
+            multiplier = data_penalty / _TUNING.data
         else:
             multiplier = self._given
-            data_penalty = _DATA_SHARE * multiplier
+            data_penalty = _TUNING.data * multiplier
         return _Split(
             signed=signed,
             predicted=predicted,
@@ -356,8 +290,8 @@ class _Splitting(Solver[_Split]):
             seen=None if self._field is None else self._dark + 0.0,
             multiplier=multiplier,
             data_penalty=data_penalty,
-            edge_penalty=_EDGE_PENALTY / brightness,
-            sign_penalty=_SIGN_PENALTY / brightness,
+            edge_penalty=_TUNING.edge / brightness,
+            sign_penalty=_TUNING.sign / brightness,
         )
 
     def resumed(self, state: _Split) -> None:
@@ -367,12 +301,11 @@ class _Splitting(Solver[_Split]):
 
     def step(self, state: _Split) -> tuple[float, float, float]:
         """Make one iteration; return total variation, residual and change of the object."""
-        own, steps = self._scratch, self._steps
-        own.wanted[...] = state.predicted
-        own.wanted[self._frame] -= state.data_dual
+        steps, wanted, pulled = self._steps, state.predicted.copy(), np.empty_like(self._dark)
+        wanted[self._frame] -= state.data_dual
         edges = state.edges, state.edge_dual, state.edge_penalty
-        steps.pull(*edges, state.signed, state.sign_dual, state.sign_penalty, own.pull)
-        free, seen = self._object_step(state)
+        pull(*edges, state.signed, state.sign_dual, state.sign_penalty, pulled)
+        free, seen = self._object_step(state, wanted, pulled)
         residual = self._data_step(state, seen)
         variation = steps.shrink_edges(free, state.edges, state.edge_dual, 1 / state.edge_penalty)
         sums = steps.keep_positive(free, state.signed, state.sign_dual)
@@ -381,8 +314,8 @@ class _Splitting(Solver[_Split]):
         state.measure = max(change, distance)
         if self._given is None:
             expected = self._target / (self._sigma * math.sqrt(self._counted))
-            state.measure = max(state.measure, _RESIDUAL_SHARE * abs(residual - expected))
-        if state.count < _ADAPT_UNTIL and state.count % _ADAPT_EVERY == _ADAPT_EVERY - 1:
+            state.measure = max(state.measure, _TUNING.residual * abs(residual - expected))
+        if state.count < 100 and state.count % 10 == 9:
             _adapt(state)
         return variation, residual, change
 
@@ -391,11 +324,11 @@ class _Splitting(Solver[_Split]):
         # The first change is due to the data alone and is tiny if the weight is large.
         return state.measure <= self._tolerance and state.count > 1
 
-    def level(self, state: _Split) -> Values:
+    def level(self, state: _Split) -> Array:
         """Return the object (H, W) in image units."""
-        return as_double(state.signed[self._frame]) * (self._scale / self._response)
+        return state.signed[self._frame].astype(np.float64) * (self._scale / self._response)
 
-    def answer(self, found: Run[_Split], level: Values) -> dict[str, Any]:
+    def answer(self, found: Run[_Split], level: Array) -> dict[str, Any]:
         """Return background, dimensionless weight of total variation, and history.
 
         The objective is computed with the final weight, since in some steps the weight is
@@ -413,28 +346,28 @@ class _Splitting(Solver[_Split]):
             history={"objective": objective, "residual": residuals, "change": changes},
         )
         if self._given is None:
-            again = partial(self.nearby, found.state)
-            ending = replace(ending, most_residual=MOST_RESIDUAL, again=again)
+            again = partial(self._nearby, found.state)
+            ending = replace(ending, most_residual=LIMITS.residual, again=again)
         background = self._background(found.state)
         return {"background": background, "tv_weight": tv_weight, "ending": ending}
 
     def _background(self, state: _Split) -> float:
         return self._level + state.background * self._scale
 
-    def nearby(self, state: _Split, data: NoisyImage, model: AnyModel) -> tuple[Values, float]:
+    def _nearby(self, state: _Split, data: NoisyImage, model: AnyModel) -> tuple[Array, float]:
         """Return object (H, W) and background, image units, of a coarser fit to another image.
 
         It begins at a state of this fit, whose arrays it changes.
         """
-        rule = self.max_iterations, _COARSER * self._tolerance
-        again = _Splitting(data.native(), model, rule, None)
+        rule = self.max_iterations, _TUNING.coarser * self._tolerance
+        again = _Splitting(data, model, rule, None)
         begun = replace(state, count=0, measure=math.inf)
         if state.free is not None:  # the last step's image is that of this fit's model
             begun.free, begun.seen = self._dark + 0.0, self._dark + 0.0
         found = run(again, begun).state
         return again.level(found), again._background(found)
 
-    def _factors(self, state: _Split) -> tuple[Values, Values, Values]:
+    def _factors(self, state: _Split) -> tuple[Array, Array, Array]:
         """Return the half spectra of R, of the preconditioner and of the data filter.
 
         They are computed again only when a penalty has changed.
@@ -447,24 +380,24 @@ class _Splitting(Solver[_Split]):
             self._factored = penalties, (rest, inverse, filtered)
         return self._factored[1]
 
-    def _object_step(self, state: _Split) -> tuple[Values, Values]:
+    def _object_step(self, state: _Split, wanted: Array, pulled: Array) -> tuple[Array, Array]:
         """Return the object whose image and gradients best match their targets, and its image.
 
-        The targets are in the scratch, both on the FFT grid: the image, and gradients and values,
-        transposed and times their penalties.
+        The targets are on the FFT grid: the image, and gradients and values, transposed and times
+        their penalties.
         """
-        own, columns = self._scratch, self._dark.shape[-1]
         rest, inverse, filtered = self._factors(state)
         if self._field is not None and state.free is not None and state.seen is not None:
             state.free, state.seen = self._field.solve(
-                own.wanted, own.pull, state.data_penalty, rest, inverse, (state.free, state.seen)
+                wanted, pulled, state.data_penalty, rest, inverse, (state.free, state.seen)
             )
             return state.free, state.seen
-        spectra = rfft2(own.wanted), rfft2(own.pull)
-        self._steps.mix(*spectra, filtered, inverse, self._transfer)
-        return irfft2(spectra[0], columns), irfft2(spectra[1], columns)
+        free, seen = rfft2(wanted), rfft2(pulled)
+        mix(free, seen, filtered, inverse, self._transfer)
+        columns = self._dark.shape[-1]
+        return irfft2(free, columns), irfft2(seen, columns)
 
-    def _data_step(self, state: _Split, seen: Values) -> float:
+    def _data_step(self, state: _Split, seen: Array) -> float:
         """Move the predicted image toward the measured one until the residual equals the noise.
 
         The background and, if searched for, the multiplier are updated too. Returns the rms
@@ -503,7 +436,7 @@ class _Splitting(Solver[_Split]):
 
 def _adapt(state: _Split) -> None:
     """Adapt the data penalty to the multiplier, by at most a factor of 3."""
-    ratio = _DATA_SHARE * state.multiplier / state.data_penalty
+    ratio = _TUNING.data * state.multiplier / state.data_penalty
     ratio = min(max(ratio, 1.0 / 3.0), 3.0)
     state.data_penalty *= ratio
     state.data_dual /= ratio
@@ -520,7 +453,7 @@ def _taken(signal: float, shape: tuple[int, int]) -> float:
     return values * (signal / (signal + values)) ** 2
 
 
-def _laplacian(grid: tuple[int, int]) -> Values:
+def _laplacian(grid: tuple[int, int]) -> Array:
     """Return the transfer function of the negative discrete Laplacian, (rows, columns//2 + 1)."""
     rows = np.arange(grid[0]) * (2.0 * math.pi / grid[0])
     columns = np.arange(grid[1] // 2 + 1) * (2.0 * math.pi / grid[1])

@@ -38,35 +38,19 @@ def wiener(
 
     Parameters
     ----------
-    image : Measurement, ndarray or Tensor
-        Camera image, (H, W), with its noise and background.
-    model : ForwardModel or TorchForwardModel
-        Image model of shape (H, W): the convolution of an object with the known point spread
-        function.
+    image, model, start, progress
+        See `tv_deconvolve`.
     max_iterations : int
         Maximum number of iterations.
     tolerance : float
         Stop when the residual of the filter's linear equations, relative to their right-hand side,
         is below this value.
-    start : array_like, mapping or None
-        Initial object, (H, W), in image units, or a saved state of this solver (see `Stop`), from
-        which the fit resumes with the same result bit for bit. None: the solver chooses it.
-    progress : callable or None
-        Function that is called repeatedly with a text and the completed fraction, 0 to 1. It may
-        raise `Stop` to end the fit.
 
     Returns
     -------
     Reconstruction
         Object, status and score. The object may have negative values. In ``history``, ``objective``
         is half the function that is minimised, see Notes.
-
-    Raises
-    ------
-    SamplingError
-        If an array does not have the model's shape.
-    SceneError
-        If a value is out of range or not finite.
 
     See Also
     --------

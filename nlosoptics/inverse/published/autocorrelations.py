@@ -18,28 +18,15 @@ from ..data.noisy_image import NoisyImage
 
 Array = NDArray[np.float64]
 
-# Lags beyond this fraction of the array determine background and noise. Lags, averaged over 3 x 3,
-# that exceed the background by this many standard deviations belong to the object.
-_FAR = 0.85
-_STANDS_OUT = 3.0
-# Margin factor of the extent: at large lags few pairs of bright pixels contribute, so that the edge
-# is hidden by noise.
-_ROOM = 1.4
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpectrumModulus:
     """Estimated modulus of the object's spectrum, the input of phase retrieval.
 
-    Parameters
-    ----------
-    modulus : ndarray, (g_y, g_x//2 + 1)
-        Modulus of the object's ``rfft2``, float64, any scale. The grid is at least 1.5 times as
-        wide as the object's autocorrelation.
-    grid : (int, int)
-        Rows and columns (g_y, g_x) of the grid.
-    object_size : (int, int)
-        Rows and columns of the rectangle that contains the object.
+    ``modulus`` (g_y, g_x//2 + 1): modulus of the object's ``rfft2``, float64, any scale. The grid
+    is at least 1.5 times as wide as the object's autocorrelation. ``grid`` (int, int): rows and
+    columns (g_y, g_x) of the grid. ``object_size`` (int, int): rows and columns of the rectangle
+    that contains the object.
     """
 
     modulus: Array
@@ -143,13 +130,17 @@ def checked_lags(autocorrelation: Any) -> Array:
 
 
 def _object_size(lags: Array) -> tuple[int, int]:
-    """Estimate the object's size: half the extent of the lags above the background, plus margin."""
+    """Estimate the object's size: half the extent of the lags above the background, plus margin.
+
+    The outer 15 % of the lags determine background and noise. At large lags few pairs of bright
+    pixels contribute, so that noise hides the edge; hence the margin.
+    """
     smooth = ndimage.uniform_filter(lags, 3)
     axes = [np.abs(np.arange(n) - n // 2) / (n // 2) for n in lags.shape]
-    far = np.maximum(axes[0][:, None], axes[1]) > _FAR
+    far = np.maximum(axes[0][:, None], axes[1]) > 0.85
     level = np.median(smooth[far])
     spread = 1.4826 * np.median(np.abs(smooth[far] - level))
-    labels, _ = ndimage.label(smooth > level + _STANDS_OUT * spread)
+    labels, _ = ndimage.label(smooth > level + 3.0 * spread)
     name = labels[lags.shape[0] // 2, lags.shape[1] // 2]
     if name == 0:
         raise SamplingError(
@@ -158,7 +149,7 @@ def _object_size(lags: Array) -> tuple[int, int]:
         )
     found = ndimage.find_objects(labels)[name - 1]
     sizes = [
-        min(math.ceil(_ROOM * (s.stop - s.start) / 2) + 1, (n + 1) // 2)
+        min(math.ceil(1.4 * (s.stop - s.start) / 2) + 1, (n + 1) // 2)
         for s, n in zip(found, lags.shape, strict=True)
     ]
     return sizes[0], sizes[1]

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
+import math
 import time
-from abc import abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -19,35 +17,17 @@ from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
-from ..data.arrays import shape_of
-from ..data.driver import Iterate, Solver, run
+from ..data.arrays import half_spectrum_weights, shape_of
+from ..data.checkpoints import goes_on, state_of
 from ..data.forward import TorchForwardModel, torch_model
 from ..data.measurement import measured
 from ..data.models import one_kernel_shape
 from ..data.noisy_image import noisy_image
 from ..data.reconstruction import Reconstruction, frozen
 from ..data.scores import registered_correlation
-from ..data.status import Status
 from .autocorrelations import SpectrumModulus, checked_lags, image_lags, spectrum_modulus
-from .projections import (
-    CHUNK,
-    allowed,
-    alternating_minimisation,
-    averaged,
-    fourier_errors,
-    projected,
-    settled,
-    spectral_start,
-)
 
 Method = Literal["alternating", "hio", "raar"]
-
-METHODS = ("alternating", "hio", "raar")
-# Random stream of the starts.
-_STARTS = 0x70686173
-# Correlation between two halves of the restarts at which the object counts as found.
-_AGREED = 0.9
-_TOLERANCE = 1e-6
 
 
 @single_thread()
@@ -60,7 +40,6 @@ def phase_retrieval(
     restarts: int = 12,
     max_iterations: int = 400,
     seed: int = 0,
-    start: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Reconstruct an object from its speckle image via an unknown wall, by the autocorrelation.
@@ -93,13 +72,9 @@ def phase_retrieval(
         Maximum number of iterations of each run.
     seed : int
         Seed of the random starts.
-    start : mapping or None
-        Saved state of this solver with the same image and options (see `Stop`), from which the run
-        resumes with the same result bit for bit.
     progress : callable or None
         Function that is called repeatedly with a text and the completed fraction, 0 to 1. It may
-        raise `Stop`; the mean of the runs so far is then returned. The entry ``"object"`` of a
-        saved state has a maximum of 1.
+        raise `Stop`; the mean of the runs is then returned as they are.
 
     Returns
     -------
@@ -155,23 +130,23 @@ def phase_retrieval(
     if len(shape) != 2:
         raise SamplingError(f"image has shape {shape}; give one image, (H, W)")
     data = noisy_image(given, (shape[0], shape[1]))
-    options = _Options(method, object_size, restarts, max_iterations, seed)
+    search = _Search(method, object_size, restarts, max_iterations, seed, progress)
     if data.is_background():
-        status: Status = "too_few_photons"
-        found, score = torch.zeros(shape, dtype=torch.float64), 0.0
-        errors: list[float] = []
-        parameters: dict[str, Any] = {}
-    else:
-        data = data.in_torch()
-        twin = None if model is None else torch_model(model, data.data.device, torch.float64)
-        found, score, errors, parameters, _ = _retrieved(
-            options, image_lags(data, twin), shape, data.data.device, start, progress
+        return Reconstruction(
+            object=data.like_input(torch.zeros(shape, dtype=torch.float64)),
+            physical_parameters={"noise_sigma": data.sigma},
+            status="too_few_photons",
+            score=0.0,
+            history=frozen({"fourier_error": []}),
+            seconds=time.perf_counter() - started,
         )
-        status = "unconverged"
+    data = data.in_torch()
+    twin = None if model is None else torch_model(model, data.data.device, torch.float64)
+    found, score, errors, parameters = search.run(image_lags(data, twin), shape, data.data.device)
     return Reconstruction(
         object=data.like_input(found),
         physical_parameters={**parameters, "noise_sigma": data.sigma},
-        status=status,
+        status="unconverged",
         score=score,
         history=frozen({"fourier_error": errors}),
         seconds=time.perf_counter() - started,
@@ -187,7 +162,6 @@ def object_from_autocorrelation(
     restarts: int = 12,
     max_iterations: int = 400,
     seed: int = 0,
-    start: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Reconstruct an object from its measured autocorrelation, by phase retrieval.
@@ -198,34 +172,14 @@ def object_from_autocorrelation(
         Autocorrelation of the object, in any unit, with an arbitrary constant background. Rows and
         columns are odd numbers, with zero shift at the centre. The value at zero shift, which also
         contains noise, is ignored.
-    method : {"alternating", "hio", "raar"}
-        Algorithm. "raar": relaxed averaged alternating reflections. "hio": hybrid input-output.
-        Both require a non-negative object. "alternating": alternating minimisation from a truncated
-        spectral start, for real objects of either sign.
-    object_size : (int, int) or None
-        Rows and columns of a box that contains the object. None: half the extent of the central
-        peak above the background, plus a margin.
-    restarts : int
-        Number of runs, at least 2. They start from different random numbers; with "alternating",
-        each run starts from a random half of the measured values.
-    max_iterations : int
-        Maximum number of iterations of each run.
-    seed : int
-        Seed of the random starts.
-    start : mapping or None
-        Saved state of this solver with the same data and options (see `Stop`), from which the run
-        resumes with the same result bit for bit.
-    progress : callable or None
-        Function that is called repeatedly with a text and the completed fraction, 0 to 1. It may
-        raise `Stop`; the mean of the runs so far is then returned.
+    method, object_size, restarts, max_iterations, seed, progress
+        See `phase_retrieval`.
 
     Returns
     -------
     Reconstruction
-        Object in an array of the autocorrelation's shape, with a maximum of 1. Its true position is
-        unknown, and it may be turned by half a turn. ``score`` is the correlation between the mean
-        objects of two halves of the runs, at the best shift. ``status`` is "converged" if the score
-        is at least 0.9.
+        As from `phase_retrieval`, in an array of the autocorrelation's shape. ``status`` is
+        "converged" if the score is at least 0.9.
 
     Raises
     ------
@@ -240,192 +194,177 @@ def object_from_autocorrelation(
     """
     started = time.perf_counter()
     lags = checked_lags(autocorrelation)
-    options = _Options(method, object_size, restarts, max_iterations, seed)
-    found, score, errors, parameters, stopped = _retrieved(
-        options, lags, lags.shape, torch.device("cpu"), start, progress
-    )
+    search = _Search(method, object_size, restarts, max_iterations, seed, progress)
+    found, score, errors, parameters = search.run(lags, lags.shape, torch.device("cpu"))
     return Reconstruction(
         object=found.numpy(),
         physical_parameters=parameters,
-        status="converged" if score >= _AGREED and not stopped else "unconverged",
+        status="converged" if score >= 0.9 and not search.stopped else "unconverged",
         score=score,
         history=frozen({"fourier_error": errors}),
         seconds=time.perf_counter() - started,
     )
 
 
-@dataclass
-class _Options:
-    """Options of a phase retrieval, which are checked."""
-
-    method: Method
-    object_size: tuple[int, int] | None
-    restarts: int
-    iterations: int
-    seed: int
-
-    def __post_init__(self) -> None:
-        one_of("method", self.method, METHODS)
-        self.restarts = whole("restarts", self.restarts, 2)
-        self.iterations = whole("max_iterations", self.iterations)
-        self.seed = checked_seed(self.seed)
-        size = self.object_size
-        if size is not None:
-            if not hasattr(size, "__len__") or len(size) != 2:
-                raise SceneError(f"object_size = {size!r} is not a size; give (rows, columns)")
-            rows, columns = (whole(f"object_size[{i}]", v, 2) for i, v in enumerate(size))
-            self.object_size = rows, columns
-
-
-def _retrieved(
-    options: _Options,
-    lags: Any,
-    shape: tuple[int, ...],
-    device: torch.device,
-    start: Mapping[str, Any] | None,
-    progress: Progress | None,
-) -> tuple[Tensor, float, list[float], dict[str, Any], bool]:
-    """Retrieve an object of a given shape from its autocorrelation.
-
-    Returns object, correlation of two halves of the restarts, their errors, parameters, and whether
-    a callback stopped the run. The errors are rms differences of the spectra's moduli, relative.
-    """
-    spectrum = spectrum_modulus(lags, options.object_size)
-    kind = _Alternating if options.method == "alternating" else _Projecting
-    search = kind(options, spectrum, shape, device)
-    ended = run(search, start, progress)
-    objects = search.settled(ended.state)
-    errors = fourier_errors(objects, search.modulus)
-    score = 0.0
-    if len(objects) > 1:
-        halves = [averaged(objects[i::2], errors[i::2]).cpu().numpy() for i in (0, 1)]
-        score = registered_correlation(halves[0], halves[1], flip=True)
-    parameters = {"fourier_error": float(errors.min()), "object_size": spectrum.object_size}
-    frame = _framed(averaged(objects, errors), spectrum, shape)
-    return frame, score, errors.tolist(), parameters, ended.stopped
-
-
-@dataclass(eq=False, kw_only=True)
-class _Objects(Iterate):
-    """State of the restarts: their objects, (R, g_y, g_x)."""
-
-    objects: Tensor
-
-
-class _Restarts(Solver[_Objects]):
-    """Random restarts of a phase retrieval."""
-
-    name, records, takes_object = "phase_retrieval", (), False
+class _Search:
+    """Many random starts at once; the options are those of `phase_retrieval`."""
 
     def __init__(
         self,
-        options: _Options,
-        spectrum: SpectrumModulus,
-        shape: tuple[int, ...],
-        device: torch.device,
+        method: Method,
+        object_size: tuple[int, int] | None,
+        restarts: int,
+        max_iterations: int,
+        seed: int,
+        progress: Progress | None,
     ) -> None:
-        self._options, self._spectrum, self._shape = options, spectrum, shape
-        self.report = f"phase retrieval: {counted(options.restarts, 'restart')} by {options.method}"
-        self.modulus = torch.from_numpy(spectrum.modulus).to(device, torch.float32)
+        self.method = one_of("method", method, ("alternating", "hio", "raar"))
+        self.restarts = whole("restarts", restarts, 2)
+        self.iterations = whole("max_iterations", max_iterations)
+        self.seed, self.progress = checked_seed(seed), progress
+        self.stopped, self.size = False, object_size
+        if object_size is not None:
+            if not hasattr(object_size, "__len__") or len(object_size) != 2:
+                raise SceneError(
+                    f"object_size = {object_size!r} is not a size; give (rows, columns)"
+                )
+            rows, columns = (whole(f"object_size[{i}]", v, 2) for i, v in enumerate(object_size))
+            self.size = rows, columns
+
+    def run(
+        self, lags: Any, shape: tuple[int, ...], device: torch.device
+    ) -> tuple[Tensor, float, list[float], dict[str, Any]]:
+        """Retrieve an object of a given shape from its autocorrelation.
+
+        Returns object, correlation of two halves of the restarts, their errors, and parameters. The
+        errors are rms differences of the spectra's moduli, relative.
+        """
+        spectrum = spectrum_modulus(lags, self.size)
+        modulus = torch.from_numpy(spectrum.modulus).to(device, torch.float32)
         rows, columns = spectrum.object_size
-        self._support = torch.zeros(spectrum.grid, dtype=torch.bool, device=device)
-        self._support[:rows, :columns] = True
-        random = generator(options.seed, _STARTS)
-        starts = random.random((options.restarts, *spectrum.grid), dtype=np.float32)
-        self._first = torch.from_numpy(starts).to(self.modulus) * self._support
-        draws = random.random((options.restarts, *self.modulus.shape)) < 0.5
-        self._used = torch.from_numpy(draws).to(device)
-        self._per_chunk = max(1, CHUNK // self._support.numel())
-        chunks = -(-options.restarts // self._per_chunk)
-        whole_restarts = options.method == "alternating"
-        self.max_iterations = options.restarts if whole_restarts else chunks * options.iterations
-
-    def init(self, first: Tensor | None) -> _Objects:
-        """Return the random objects of all restarts; a given object has no effect."""
-        return _Objects(objects=self._first.clone())
-
-    @abstractmethod
-    def begun(self, state: _Objects) -> Tensor:
-        """Return the objects of those restarts that were begun."""
-
-    def settled(self, state: _Objects) -> Tensor:
-        """Return these objects with all constraints met."""
-        return self.begun(state)
-
-    def level(self, state: _Objects) -> Tensor:
-        """Return a preview of the object (H, W), with a maximum of 1."""
-        objects = self.begun(state)
-        errors = fourier_errors(objects, self.modulus)
-        return _framed(averaged(objects, errors), self._spectrum, self._shape)
-
-
-class _Projecting(_Restarts):
-    """Projections of many restarts at once; the first chunk is finished before the next begins."""
-
-    every = 20
-
-    def step(self, state: _Objects) -> tuple[float, ...]:
-        """Make one iteration of the restarts of the current chunk."""
-        chunk, iteration = divmod(state.count, self._options.iterations)
-        part = slice(chunk * self._per_chunk, (chunk + 1) * self._per_chunk)
-        objects = state.objects[part]
-        share = iteration / self._options.iterations
-        objects = projected(objects, self.modulus, self._support, self._options.method, share)
-        if iteration + 1 == self._options.iterations:
-            objects = settled(objects, self.modulus, self._support)
-        state.objects[part] = objects
-        return ()
-
-    def begun(self, state: _Objects) -> Tensor:
-        """Return the objects of those restarts that were begun, where they may be bright."""
-        chunks = -(-state.count // self._options.iterations)
-        return allowed(state.objects[: chunks * self._per_chunk], self._support)
-
-    def settled(self, state: _Objects) -> Tensor:
-        """Return the objects, those of an unfinished chunk after alternating projections."""
-        chunks, rest = divmod(state.count, self._options.iterations)
-        done = state.objects[: chunks * self._per_chunk]
-        if not rest:
-            return done
-        last = state.objects[chunks * self._per_chunk :][: self._per_chunk]
-        return torch.cat((done, settled(last, self.modulus, self._support)))
+        support = torch.zeros(spectrum.grid, dtype=torch.bool, device=device)
+        support[:rows, :columns] = True
+        random = generator(self.seed, 0x70686173)
+        starts = random.random((self.restarts, *spectrum.grid), dtype=np.float32)
+        objects = torch.from_numpy(starts).to(modulus) * support
+        if self.method == "alternating":
+            used = random.random((self.restarts, *modulus.shape)) < 0.5
+            objects = spectral_start(objects, modulus, support, torch.from_numpy(used).to(device))
+        for iteration in range(self.iterations):
+            share = iteration / self.iterations
+            objects = stepped(objects, modulus, support, self.method, share)
+            if iteration % 20 == 0 and not goes_on(
+                self.progress,
+                f"phase retrieval: {counted(self.restarts, 'restart')} by {self.method}",
+                share,
+                lambda now=objects: state_of(_framed(now[0], spectrum, shape)),
+            ):
+                self.stopped = True
+                break
+        if self.method == "alternating":  # the modulus does not determine the overall sign
+            sums = objects.sum(dim=(-2, -1), keepdim=True)
+            objects = torch.where(sums >= 0.0, objects, -objects)
+        else:
+            for _ in range(50):
+                objects = _allowed(_with_modulus(objects, modulus), support)
+        errors = fourier_errors(objects, modulus)
+        halves = [averaged(objects[i::2], errors[i::2]).cpu().numpy() for i in (0, 1)]
+        score = registered_correlation(halves[0], halves[1], flip=True)
+        parameters = {"fourier_error": float(errors.min()), "object_size": spectrum.object_size}
+        found = _framed(averaged(objects, errors), spectrum, shape)
+        return found, score, errors.tolist(), parameters
 
 
-class _Alternating(_Restarts):
-    """Alternating minimisation; an iteration of the search is a whole restart."""
+def spectral_start(objects: Tensor, modulus: Tensor, support: Tensor, used: Tensor) -> Tensor:
+    """Return the leading eigenvectors of ``sum y_i^2 a_i a_i'``, scaled to the moduli y [1]_.
 
-    every, unit = 1, "restart"
+    ``objects`` (R, H, W) start the power iteration, in which only the frequencies that are ``used``
+    (R, H, W//2 + 1) count, without those above three times the rms, which would dominate the sum.
 
-    def step(self, state: _Objects) -> tuple[float, ...]:
-        """Make one restart."""
+    References
+    ----------
+    .. [1] Chen and Candes, Advances in Neural Information Processing Systems 28 (2015) 739.
+    """
+    squares = modulus * modulus
+    mean = (used * squares).sum(dim=(-2, -1), keepdim=True) / used.sum(dim=(-2, -1), keepdim=True)
+    weights = torch.where(used & (squares <= 9.0 * mean), squares, 0.0)
+    grid, tiny = tuple(support.shape), torch.finfo(modulus.dtype).tiny
+    for _ in range(50):
+        objects = torch.fft.irfft2(weights * torch.fft.rfft2(objects), s=grid) * support
+        objects = objects / objects.norm(dim=(-2, -1), keepdim=True).clamp_min(tiny)
+    seen = (used * torch.fft.rfft2(objects).abs()).norm(dim=(-2, -1), keepdim=True)
+    scaled: Tensor = objects * ((used * modulus).norm(dim=(-2, -1), keepdim=True) / seen)
+    return scaled
 
-        def within(spectrum: Tensor) -> Tensor:
-            # This is also the least-squares solution, because the transform is unitary.
-            picture: Tensor = torch.fft.irfft2(spectrum, s=self._spectrum.grid)
-            return picture * self._support
 
-        start = spectral_start(
-            self.modulus,
-            torch.fft.rfft2,
-            within,
-            first=self._first[state.count],
-            used=self._used[state.count],
+def stepped(objects: Tensor, modulus: Tensor, support: Tensor, method: str, share: float) -> Tensor:
+    """Make one iteration towards objects (R, H, W) whose spectra have a given modulus.
+
+    ``objects`` (R, H, W): objects of the restarts. ``modulus`` (H, W//2 + 1): modulus of the
+    object's ``rfft2``. ``support`` (H, W): pixels that may be bright. ``method``: alternating
+    minimisation (Netrapalli 2013) for objects of either sign, whose least-squares solution is the
+    adjoint, as the transform is unitary; hybrid input-output (Fienup 1982), with feedback
+    decreasing from 2 to 0; or relaxed averaged alternating reflections (Luke 2005), with relaxation
+    decreasing from 0.9 to 0.5. The last two keep objects non-negative. ``share``: completed
+    fraction of the iterations.
+    """
+    projection = _with_modulus(objects, modulus)
+    if method == "alternating":
+        return projection * support
+    if method == "hio":
+        feedback = 2.0 * (1.0 - share)
+        return torch.where(
+            support & (projection > 0.0), projection, objects - feedback * projection
         )
-        found, _ = alternating_minimisation(
-            self.modulus,
-            torch.fft.rfft2,
-            within,
-            start,
-            max_iterations=self._options.iterations,
-            tolerance=_TOLERANCE,
-        )
-        # The modulus does not determine the overall sign.
-        state.objects[state.count] = found if float(found.sum()) >= 0.0 else -found
-        return ()
+    relaxation = 0.9 - 0.4 * share
+    reflection = _allowed(2.0 * projection - objects, support)
+    return relaxation * (reflection + objects) + (1.0 - 2.0 * relaxation) * projection
 
-    def begun(self, state: _Objects) -> Tensor:
-        """Return the objects of the completed restarts."""
-        return state.objects[: state.count]
+
+def fourier_errors(objects: Tensor, modulus: Tensor) -> Tensor:
+    """Return the relative rms differences (R,) of the objects' spectral moduli from ``modulus``."""
+    twice = torch.from_numpy(half_spectrum_weights(objects.shape[-1])).to(modulus)
+    misfit = (torch.fft.rfft2(objects).abs() - modulus) ** 2 * twice
+    errors: Tensor = (misfit.sum(dim=(-2, -1)) / (modulus**2 * twice).sum()).sqrt()
+    return errors
+
+
+def averaged(objects: Tensor, errors: Tensor) -> Tensor:
+    """Average the best restart and those within 2 % of its error, after aligning them to the best.
+
+    If the modulus is noisy, the restarts end at the same object with different errors, which their
+    mean reduces.
+    """
+    best = int(errors.argmin())
+    good = objects[errors <= 1.02 * errors[best]]
+    return torch.stack([onto(one, objects[best]) for one in good]).mean(dim=0)
+
+
+def onto(picture: Tensor, reference: Tensor) -> Tensor:
+    """Shift an object by whole pixels to match a reference, turned by half a turn if better."""
+    spectrum = torch.fft.rfft2(reference - reference.mean())
+    best, found = -math.inf, picture
+    for candidate in (picture, picture.flip(0, 1)):
+        product = spectrum * torch.fft.rfft2(candidate).conj()
+        overlap = torch.fft.irfft2(product, s=tuple(picture.shape))
+        peak = int(overlap.argmax())
+        if float(overlap.flatten()[peak]) > best:
+            best = float(overlap.flatten()[peak])
+            found = candidate.roll(divmod(peak, picture.shape[1]), (0, 1))
+    return found
+
+
+def _allowed(objects: Tensor, support: Tensor) -> Tensor:
+    """Return the non-negative parts of objects (R, H, W) within their support."""
+    return objects.clamp_min(0.0) * support
+
+
+def _with_modulus(objects: Tensor, modulus: Tensor) -> Tensor:
+    """Return the objects closest to the given ones whose spectra have the given modulus."""
+    spectrum = torch.fft.rfft2(objects)
+    size = spectrum.abs().clamp_min(torch.finfo(modulus.dtype).tiny)
+    result: Tensor = torch.fft.irfft2(spectrum * (modulus / size), s=tuple(objects.shape[-2:]))
+    return result
 
 
 def _framed(objects: Tensor, spectrum: SpectrumModulus, shape: tuple[int, ...]) -> Tensor:

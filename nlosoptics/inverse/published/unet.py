@@ -13,9 +13,7 @@ from ..._checks import one_of, whole
 from ..._random import generator
 from ...errors import SamplingError, SceneError
 
-# Stage of `_random` that draws a network's weights.
-WEIGHTS = 601
-_SLOPE = 0.1
+WEIGHTS = 601  # stream of a network's weights
 
 
 class UNet(nn.Module):
@@ -35,8 +33,7 @@ class UNet(nn.Module):
 
     See Also
     --------
-    CnnBaseline : Network from images to objects.
-    deep_image_prior : Untrained network fitted to one image.
+    wu2024_fit : Fit of object and wall, with the object from such a network.
 
     Notes
     -----
@@ -112,15 +109,9 @@ class UNet(nn.Module):
 class UNetObject(nn.Module):
     """Object represented as the output of an untrained U-net, between 0 and 1.
 
-    Parameters
-    ----------
-    guide : Tensor, (H, W) or (C, H, W)
-        Input of the network; each channel is shifted and scaled to mean 0 and variance 1. The
-        object has the same device and precision.
-    base, depth : int
-        Size of the network, see `UNet`.
-    seed : int
-        Seed of its initial weights.
+    ``guide`` (H, W): input of the network; each channel is shifted and scaled to mean 0 and
+    variance 1. The object has the same device and precision. ``base``, ``depth``: size of the
+    network, see `UNet`. ``seed``: seed of its initial weights.
 
     Notes
     -----
@@ -156,26 +147,19 @@ def _stage(entering: int, leaving: int, convolutions: int = 2) -> nn.Sequential:
             # no bias, since the following normalisation has its own offset
             nn.Conv2d(channels, leaving, 3, padding=1, bias=False, dtype=torch.float32),
             nn.GroupNorm(1, leaving, dtype=torch.float32),
-            nn.LeakyReLU(_SLOPE, inplace=True),
+            nn.LeakyReLU(0.1, inplace=True),
         ]
     return nn.Sequential(*layers)
 
 
 def _batch(guide: Any) -> Tensor:
-    """Return the network's input, (1, C, H, W), for a guide (H, W) or (C, H, W)."""
-    if not isinstance(guide, Tensor) or not guide.is_floating_point():
+    """Return the network's input (1, C, H, W), of mean 0 and variance 1, for a guide."""
+    if not isinstance(guide, Tensor) or not guide.is_floating_point() or guide.ndim not in (2, 3):
         raise SceneError(
-            f"guide of type {type(guide).__name__} is not a tensor of floats; "
-            "give torch.from_numpy(picture)"
+            f"guide of type {type(guide).__name__} is not a tensor of floats, (H, W) or (C, H, W)"
         )
-    if guide.ndim not in (2, 3):
-        raise SamplingError(f"guide has shape {tuple(guide.shape)}, must be (H, W) or (C, H, W)")
-    return normalised(guide.detach().reshape(1, -1, *guide.shape[-2:]))
-
-
-def normalised(pictures: Tensor) -> Tensor:
-    """Return pictures (..., H, W), each shifted and scaled to mean 0 and variance 1."""
-    centred = pictures - pictures.mean(dim=(-2, -1), keepdim=True)
+    picture = guide.detach().reshape(1, -1, *guide.shape[-2:])
+    centred = picture - picture.mean(dim=(-2, -1), keepdim=True)
     spread = centred.square().mean(dim=(-2, -1), keepdim=True).sqrt()
     # a uniform picture has no information and becomes zero
-    return centred / torch.where(spread > 0.0, spread, torch.ones_like(spread))
+    return centred / torch.where(spread > 0.0, spread, 1.0)

@@ -26,27 +26,20 @@ from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from ..data.scaled_images import ScaledImage, total_variation
 from ..data.scores import registered_correlation
-from ..wave.facet_psf import FacetPSF
 from ..wave.frames import known_defoci
 from ..wave.pupil_psf import PupilPSF
 from .unet import UNetObject
 
-NetworkInput = Literal["image", "reconstruction"]
-AnyPSF = PupilPSF | FacetPSF
+NetworkInput = Literal["image", "reconstruction", "noise"]
 
-ANGLES = 603  # stream of the random angles
-# Iterations of a first run and of a resumed run ("more than 4000", "approximately 1800" in the
-# paper).
-_COLD, _WARM = 4000, 1800
-# Correlation of object and image above which the answer counts as trivial (no blur).
-_TRIVIAL_CORRELATION = 0.95
+GUIDE, ANGLES = 602, 603  # streams of the random network input and of the random angles
 
 
 @single_thread()
 @gradients()
 def wu2024_fit(
     images: Any,
-    pupil_psf: AnyPSF,
+    pupil_psf: PupilPSF,
     *,
     defocus: Any = None,
     start: Reconstruction | Mapping[str, Any] | None = None,
@@ -71,23 +64,18 @@ def wu2024_fit(
     ----------
     images : Measurement, ndarray or Tensor
         Camera image, (H, W) or (1, H, W), with its noise and background.
-    pupil_psf : PupilPSF or FacetPSF
+    pupil_psf : PupilPSF
         Point spread function (PSF) of shape (H, W) as a function of coefficients, which take the
-        role of the angles. Use `PupilPSF`, the PSF of a continuous wave, if the pixels resolve the
-        PSF. Use `FacetPSF`, in which parts of the pupil send light in independent directions, if
-        the PSF is much wider than wavelength times F-number. ``pupil_psf`` is not modified.
+        role of the angles. It is not modified.
     defocus : sequence of one float, or None
-        Known additional defocus of the image, m rms over the pupil (Noll 4). It is a sequence as in
-        solvers that take several images.
+        Known additional defocus of the image, m rms over the pupil, see `evidence_fit`.
     start : Reconstruction, mapping or None
         Reconstruction: warm start from an earlier result of this function for a similar object,
         which provides angles and network. Mapping: saved state of this solver with the same image
         and options (see `Stop`), from which the fit resumes with the same result bit for bit. None:
         cold start with random angles and weights.
     start_rms : float or None
-        Strength of a cold start's random angles. For `PupilPSF` the rms wave aberration, waves; by
-        default 0.5. For `FacetPSF` the rms displacement in the image along each axis, pixels; by
-        default 5.
+        Strength of a cold start's random angles: the rms wave aberration, waves; by default 0.5.
     base : {8, 16, 32}
         Number of channels of the U-net at full resolution. Not used in a warm start.
     depth : int
@@ -95,8 +83,9 @@ def wu2024_fit(
     alternate : int
         Number of steps that fit the angles, followed by the same number of steps that fit the
         network.
-    network_input : {"image", "reconstruction"}
-        Input of the network while it is fitted: the camera image or the last reconstruction.
+    network_input : {"image", "reconstruction", "noise"}
+        Input of the network while it is fitted: the camera image, the last reconstruction, or eight
+        channels of random noise, as for a deep image prior [2]_.
     learning_rate : float
         Learning rate of the optimiser (Adam) for angles and network weights.
     tv_weight : float
@@ -131,7 +120,7 @@ def wu2024_fit(
     --------
     pcin : Reconstruction via an unknown wall.
     evidence_fit : Fit of object and unknown wall to one or more images.
-    PupilPSF, FacetPSF : Differentiable PSF of a wave, and of independent facets.
+    PupilPSF : Differentiable PSF of a wave.
 
     Notes
     -----
@@ -177,15 +166,17 @@ def wu2024_fit(
     References
     ----------
     .. [1] Wu et al., Advanced Photonics Nexus 3 (2024) 026010, section 2.2.
+    .. [2] Ulyanov, Vedaldi and Lempitsky, Int. J. Comput. Vis. 128 (2020) 1867.
     """
     checked_seed(seed)
     alternate = whole("alternate", alternate)
     if max_iterations is None:
-        max_iterations = _WARM if isinstance(start, Reconstruction) else _COLD
+        # "approximately 1800" and "more than 4000" in the paper
+        max_iterations = 1800 if isinstance(start, Reconstruction) else 4000
     max_iterations = whole("max_iterations", max_iterations)
     tv_weight = in_range("tv_weight", tv_weight, 0.0)
     rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
-    one_of("network_input", network_input, ("image", "reconstruction"))
+    one_of("network_input", network_input, ("image", "reconstruction", "noise"))
     image = _only(measured(images), pupil_psf)
     if defocus is not None:
         defocus = np.atleast_1d(real_array("defocus", defocus))
@@ -193,11 +184,15 @@ def wu2024_fit(
 
     def solve(data: NoisyImage) -> dict[str, Any]:
         scaled = ScaledImage(data, float(data.data.max() - data.data.min()))
+        guide = scaled.image
+        if network_input == "noise":
+            noise = generator(seed, GUIDE).uniform(size=(8, *guide.shape))
+            guide = torch.from_numpy(noise).to(guide)
         if isinstance(start, Reconstruction):
-            angles, network = _from_earlier(start, pupil_psf, scaled.image)
+            angles, network = _from_earlier(start, pupil_psf, guide)
         else:
             angles = _random_angles(pupil_psf, start_rms, seed)
-            network = UNetObject(scaled.image, base=base, depth=depth, seed=seed)
+            network = UNetObject(guide, base=base, depth=depth, seed=seed)
         fit = _Pcin(
             data=data,
             image=scaled,
@@ -220,7 +215,7 @@ def wu2024_fit(
 class _Optics:
     """Point spread of given coefficients, at a known defocus."""
 
-    pupil_psf: AnyPSF
+    pupil_psf: PupilPSF
     defocus: list[float]
 
     def transfer(self, coefficients: Tensor) -> Tensor:
@@ -334,7 +329,7 @@ class _Pcin(Solver[_Turns]):
         return {
             "model": model,
             "background": beside(self.data, level, model)[0],
-            "status": "trivial" if alike > _TRIVIAL_CORRELATION else "unconverged",
+            "status": "trivial" if alike > 0.95 else "unconverged",
             "coefficients": _frozen(coefficients.to(torch.float64)),
             "network_weights": _frozen(joined(list(network.parameters()))),
             "network_base": float(network.base),
@@ -350,12 +345,12 @@ def _seen(picture: Tensor, transfer: Tensor) -> Tensor:
     return seen
 
 
-def _only(images: Measurement, pupil_psf: AnyPSF) -> Measurement:
+def _only(images: Measurement, pupil_psf: PupilPSF) -> Measurement:
     """Return the single image, (H, W), of a measurement (H, W) or (1, H, W)."""
-    if not isinstance(pupil_psf, (PupilPSF, FacetPSF)):
+    if not isinstance(pupil_psf, PupilPSF):
         raise SceneError(
-            f"pupil_psf of type {type(pupil_psf).__name__} is neither a PupilPSF nor a FacetPSF; "
-            "build one with PupilPSF.from_zernike"
+            f"pupil_psf of type {type(pupil_psf).__name__} is no PupilPSF; build one with "
+            "PupilPSF.from_zernike"
         )
     one, *others = images.each()
     if others:
@@ -366,18 +361,14 @@ def _only(images: Measurement, pupil_psf: AnyPSF) -> Measurement:
     return one
 
 
-def _random_angles(pupil_psf: AnyPSF, start_rms: float | None, seed: int) -> Tensor:
-    """Return normally distributed angles, scaled to a given rms wave aberration or displacement.
+def _random_angles(pupil_psf: PupilPSF, start_rms: float | None, seed: int) -> Tensor:
+    """Return normally distributed angles, scaled to a given rms wave aberration, waves.
 
     One scaling suffices, since the wave is linear in the angles.
     """
-    if start_rms is None:
-        start_rms = 0.5 if isinstance(pupil_psf, PupilPSF) else 5.0
-    wanted = positive("start_rms", start_rms)
+    wanted = 0.5 if start_rms is None else positive("start_rms", start_rms)
     leaves = pupil_psf.coefficients
     drawn = torch.from_numpy(generator(seed, ANGLES).standard_normal(leaves.shape)).to(leaves)
-    if isinstance(pupil_psf, FacetPSF):
-        return drawn * wanted
     with torch.no_grad():
         aberration = pupil_psf.aberration(drawn) / pupil_psf.wavelength
     share = torch.as_tensor(pupil_psf.optics.share).to(aberration)
@@ -387,7 +378,7 @@ def _random_angles(pupil_psf: AnyPSF, start_rms: float | None, seed: int) -> Ten
 
 
 def _from_earlier(
-    start: Reconstruction, pupil_psf: AnyPSF, image: Tensor
+    start: Reconstruction, pupil_psf: PupilPSF, guide: Tensor
 ) -> tuple[Tensor, UNetObject]:
     """Return angles and network of an earlier result."""
     found = start.physical_parameters
@@ -403,7 +394,7 @@ def _from_earlier(
             f"{wanted}; give the pupil_psf of the earlier run"
         )
     base, depth = int(found["network_base"]), int(found["network_depth"])
-    network = UNetObject(image, base=base, depth=depth)
+    network = UNetObject(guide, base=base, depth=depth)
     spread("network_weights", found["network_weights"], list(network.network.parameters()))
     angles = torch.from_numpy(np.array(found["coefficients"])).to(pupil_psf.coefficients)
     return angles, network

@@ -24,20 +24,11 @@ Array = NDArray[np.float64]
 class Frames:
     """Checked images of one object, for K images of (H, W) pixels.
 
-    Parameters
-    ----------
-    measured : tuple of NoisyImage
-        The images with their noise.
-    images : ndarray, (K, H, W)
-        Images minus their known background, divided by ``scale``, float64.
-    sigmas : ndarray, (K,)
-        Reference noise of each image in this unit.
-    scale : float
-        Largest range of an image, image units.
-    walls : ndarray of int, (K,)
-        Number of the wall, hence of the set of coefficients, of each image.
-    defocus : ndarray, (K,)
-        Known additional defocus, m rms.
+    ``measured``: the images with their noise. ``images`` (K, H, W): images minus their known
+    background, divided by ``scale``, float64. ``sigmas`` (K,): reference noise of each image in
+    this unit. ``scale``: largest range of an image, image units. ``walls`` (K,): number of the
+    wall, hence of the set of coefficients, of each image. ``defocus`` (K,): known additional
+    defocus, m rms.
     """
 
     measured: tuple[NoisyImage, ...]

@@ -15,12 +15,11 @@ from ...imaging.forward_model import Boundary
 from ...psf import wavefront
 from ...scene import Scene
 from ..data.forward import padded_transfer
-from .pupil_optics import ImageOptions, Method, PupilOptics
+from .pupil_optics import ImageOptions, PupilOptics
 from .pupil_waves import (
     DEFOCUS,
     SlopeWaves,
     ZernikeWaves,
-    checked_slopes,
     checked_tangents,
     fitted_modes,
     like,
@@ -29,15 +28,13 @@ from .pupil_waves import (
     start_values,
 )
 
-#: Largest plausible known defocus, m rms; larger values were probably given in waves.
-MOST_DEFOCUS = 1e-3
-
 
 def check_defocus(defocus: Any) -> None:
     """Raise a `SceneError` if known defoci, an array or tensor in m rms, are not plausible."""
-    if not bool((abs(defocus) <= MOST_DEFOCUS).all()):  # nor is NaN
+    most = 1e-3  # larger values were probably given in waves
+    if not bool((abs(defocus) <= most).all()):  # nor is NaN
         raise SceneError(
-            f"defocus = {defocus.tolist()} m rms, limit {MOST_DEFOCUS:g}; give metres, not waves"
+            f"defocus = {defocus.tolist()} m rms, limit {most:g}; give metres, not waves"
         )
 
 
@@ -45,10 +42,14 @@ class PupilPSF(nn.Module):
     """Point spread function (PSF) of a round pupil, differentiable with respect to its wave.
 
     A torch module whose parameters are coefficients of the wave aberration in the exit pupil. Build
-    it by `from_zernike`, `from_slopes`, `from_angles` or `from_scene`. All methods accept batches:
-    M Zernike coefficients, (..., M), or slopes at g x g points, (..., g, g, 2), give PSFs of H rows
-    and W columns, (..., H, W). A warning is issued if the wave aberration changes by more than half
-    a wavelength between neighbouring pupil samples; `steepest` returns this change.
+    it by `from_zernike`, `from_angles` or `from_scene`. All methods accept batches: M Zernike
+    coefficients, (..., M), or slopes at g x g points, (..., g, g, 2), give PSFs of H rows and W
+    columns, (..., H, W). A warning is issued if the wave aberration changes by more than half a
+    wavelength between neighbouring pupil samples.
+
+    Methods take ``coefficients`` in the shape and unit of the attribute of this name, which is
+    their default, and ``defocus``, (K,): K known additional defoci, m rms over the pupil (Noll 4),
+    above 0 for a detector too close to the lens. Results then have a further axis of length K.
 
     Parameters
     ----------
@@ -68,7 +69,6 @@ class PupilPSF(nn.Module):
 
     See Also
     --------
-    SceneLeaves : Differentiable PSF of scene parameters.
     pcin : Reconstruction via an unknown wall.
     nlosoptics.psf.point_spread : PSF of a given wave.
     """
@@ -97,8 +97,6 @@ class PupilPSF(nn.Module):
         image_distance: float,
         pitch: float,
         shape: int | tuple[int, int],
-        method: Method = "fft",
-        samples: int | None = None,
         pixel_integrated: bool = False,
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
@@ -117,14 +115,7 @@ class PupilPSF(nn.Module):
         pitch : float
             Distance between the samples of the PSF, m.
         shape : int or (int, int)
-            Rows H and columns W of the PSF; one number for a square.
-        method : {"fft", "mdft"}
-            Transform from pupil to image. "fft": fast Fourier transform; the image is periodic.
-            "mdft": matrix Fourier transform; the image is a window of the image plane, outside
-            which light is lost.
-        samples : int, optional
-            Number of pupil samples per side for "mdft". By default they are so fine that the PSF
-            repeats only after twice the window.
+            Rows H and columns W of the PSF; one number for a square. The image is periodic.
         pixel_integrated : bool
             Whether the PSF is integrated over square detector pixels of side ``pitch``, which can
             then have any size. Otherwise it is sampled at points, and the pitch must be at most
@@ -144,7 +135,7 @@ class PupilPSF(nn.Module):
         SceneError
             If a length or mode is out of range.
         SamplingError
-            If pitch, shape or samples do not resolve the pupil or the image.
+            If pitch or shape do not resolve the pupil or the image.
 
         Examples
         --------
@@ -161,80 +152,11 @@ class PupilPSF(nn.Module):
             image_distance=image_distance,
             pitch=pitch,
             shape=shape,
-            method=method,
-            samples=samples,
             pixel_integrated=pixel_integrated,
             device=device,
             dtype=dtype,
         )
         return cls(optics, ZernikeWaves(modes, optics), start_values(modes, wavelength))
-
-    @classmethod
-    def from_slopes(
-        cls,
-        slopes: ArrayLike,
-        *,
-        slope_pitch: float,
-        wavelength: float,
-        pupil_radius: float,
-        image_distance: float,
-        pitch: float,
-        shape: int | tuple[int, int],
-        **options: Unpack[ImageOptions],
-    ) -> Self:
-        """Build a PSF whose wave is the least-squares fit to slopes on a coarse grid.
-
-        Parameters
-        ----------
-        slopes : array_like, (g, g, 2)
-            Start values of the slopes dW/du and dW/dv of the wave aberration W at g x g grid points
-            of the pupil, rad. ``slopes[i, j]`` is at ``v = (i - g//2) slope_pitch`` and
-            ``u = (j - g//2) slope_pitch``. Between the points the wave is interpolated by splines.
-        slope_pitch : float
-            Distance between grid points, m; the grid must cover the pupil.
-        wavelength, pupil_radius : float
-            Vacuum wavelength and radius of the exit pupil, m.
-        image_distance : float
-            Distance from exit pupil to image, m; negative if the pupil lies beyond the image.
-        pitch : float
-            Distance between the samples of the PSF, m.
-        shape : int or (int, int)
-            Rows H and columns W of the PSF; one number for a square.
-        **options
-            ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype``, see
-            `from_zernike`.
-
-        Returns
-        -------
-        PupilPSF
-            PSF with ``coefficients`` of shape (g, g, 2): slopes in waves per pupil radius.
-
-        Raises
-        ------
-        SceneError
-            If a length is out of range, or the slopes are not finite.
-        SamplingError
-            If the slopes do not cover the pupil, or pitch, shape or samples do not resolve the
-            pupil or the image.
-
-        Notes
-        -----
-        The wave is computed as in `psf.wavefront_from_slopes`, over the whole grid. Arbitrary
-        slopes need not be the gradient of any wave; `curl_residual` returns the rms of the part
-        that is not.
-        """
-        optics = PupilOptics(
-            wavelength=wavelength,
-            pupil_radius=pupil_radius,
-            image_distance=image_distance,
-            pitch=pitch,
-            shape=shape,
-            **options,
-        )
-        slope_pitch = positive("slope_pitch", slope_pitch, unit="m")
-        values = checked_slopes("slopes", slopes, slope_pitch, optics.pupil_radius)
-        waves = SlopeWaves(len(values), slope_pitch, optics)
-        return cls(optics, waves, values * (optics.pupil_radius / optics.wavelength))
 
     @classmethod
     def from_angles(
@@ -258,38 +180,23 @@ class PupilPSF(nn.Module):
             the direction to the image's centre. ``angles[i, j]`` is at ``v = (i - g//2)
             angle_pitch`` and ``u = (j - g//2) angle_pitch``. The ray from a point meets the image
             at ``tan(angle) * image_distance``, so that the slope of the wave is ``tan(angle)``.
+            Between the points the wave is interpolated by splines.
         angle_pitch : float
             Distance between grid points, m; the grid must cover the pupil.
-        wavelength, pupil_radius : float
-            Vacuum wavelength and radius of the exit pupil, m.
-        image_distance : float
-            Distance from exit pupil to image, m; negative if the pupil lies beyond the image.
-        pitch : float
-            Distance between the samples of the PSF, m.
-        shape : int or (int, int)
-            Rows H and columns W of the PSF; one number for a square.
-        **options
-            ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype``, see
-            `from_zernike`.
+        wavelength, pupil_radius, image_distance, pitch, shape, **options
+            See `from_zernike`.
 
         Returns
         -------
         PupilPSF
             PSF with ``coefficients`` of shape (g, g, 2): slopes in waves per pupil radius.
 
-        Raises
-        ------
-        SceneError
-            If a length is out of range, or an angle is not finite or not below pi/2.
-        SamplingError
-            If the angles do not cover the pupil, or pitch, shape or samples do not resolve the
-            pupil or the image.
+        Notes
+        -----
+        Arbitrary slopes need not be the gradient of any wave. The wave is their least-squares fit
+        over the whole grid, as in `psf.wavefront_from_slopes`.
         """
-        angle_pitch = positive("angle_pitch", angle_pitch, unit="m")
-        pupil_radius = positive("pupil_radius", pupil_radius, unit="m")
-        return cls.from_slopes(
-            checked_tangents(angles, angle_pitch, pupil_radius),
-            slope_pitch=angle_pitch,
+        optics = PupilOptics(
             wavelength=wavelength,
             pupil_radius=pupil_radius,
             image_distance=image_distance,
@@ -297,6 +204,10 @@ class PupilPSF(nn.Module):
             shape=shape,
             **options,
         )
+        angle_pitch = positive("angle_pitch", angle_pitch, unit="m")
+        slopes = checked_tangents(angles, angle_pitch, optics.pupil_radius)
+        waves = SlopeWaves(len(slopes), angle_pitch, optics)
+        return cls(optics, waves, slopes * (optics.pupil_radius / optics.wavelength))
 
     @classmethod
     def from_scene(
@@ -318,17 +229,11 @@ class PupilPSF(nn.Module):
         modes : sequence of int
             Noll indices of the Zernike modes to fit, from 2. Their coefficients start at the
             least-squares fit to W; the rest of W is kept as a fixed part of the wave.
-        pitch : float
-            Distance between the samples of the PSF, m; for camera images
-            ``scene.camera.image_pitch``.
-        shape : int or (int, int)
-            Rows H and columns W of the PSF; one number for a square.
+        pitch, shape, **options
+            See `from_zernike`; the pitch of camera images is ``scene.camera.image_pitch``.
         object_point : array_like, (3,), optional
             Object point, world frame, m; by default the centre of a planar hidden object or the
             centroid of a mesh.
-        **options
-            ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype``, see
-            `from_zernike`.
 
         Returns
         -------
@@ -340,7 +245,7 @@ class PupilPSF(nn.Module):
         CausticError, NotWaveGradeError
             If W is undefined, see `psf.wavefront`.
         SamplingError
-            If pitch, shape or samples do not resolve the pupil or the image.
+            If pitch or shape do not resolve the pupil or the image.
         SceneError
             If the scene, a mode or a length is invalid.
         """
@@ -372,51 +277,27 @@ class PupilPSF(nn.Module):
     def forward(
         self, coefficients: Tensor | None = None, *, defocus: Tensor | Sequence[float] | None = None
     ) -> Tensor:
-        """Compute the PSF.
+        """Compute the PSF: energy per sample, (..., H, W), or (..., K, H, W) with ``defocus``.
 
-        Parameters
-        ----------
-        coefficients : Tensor, optional
-            Coefficients, (..., M) or (..., g, g, 2), in the unit of the attribute ``coefficients``,
-            which is the default.
-        defocus : Tensor or sequence of float, optional
-            K known additional defoci, (K,), m rms over the pupil (Noll 4), above 0 for a detector
-            too close to the lens. One PSF is computed for each.
-
-        Returns
-        -------
-        Tensor
-            Energy per sample, (..., H, W), or (..., K, H, W) with ``defocus``, centred at
-            [H//2, W//2]. For the method "fft" it sums to 1. For "mdft" the sum over the whole image
-            plane would be 1.
+        It is centred at [H//2, W//2] and sums to 1.
 
         Raises
         ------
         SamplingError
             If a shape or the coefficients' dtype does not match.
         SceneError
-            If the coefficients are not a tensor, or a defocus is not finite or exceeds 1e-3 m rms.
-            Such a large value was probably given in waves instead of metres.
+            If the coefficients are not a tensor, or a defocus is not finite or exceeds 1e-3 m rms:
+            such a large value was probably given in waves instead of metres.
         """
         return self.optics.point_spread(self._turns(coefficients, defocus))
 
     def transfer(
         self, coefficients: Tensor | None = None, *, defocus: Tensor | Sequence[float] | None = None
     ) -> Tensor:
-        """Compute the transfer function, (..., H, W//2 + 1), complex.
+        """Compute the transfer function, complex, (..., H, W//2 + 1) or (..., K, H, W//2 + 1).
 
-        The transfer function is the ``rfft2`` of the PSF, with the PSF's centre at sample [0, 0].
-        Multiplied by ``torch.fft.rfft2`` of an object, (H, W), it gives the spectrum of the
-        object's image, with both periodic.
-
-        Parameters
-        ----------
-        coefficients : Tensor, optional
-            Coefficients, (..., M) or (..., g, g, 2), in the unit of the attribute ``coefficients``,
-            which is the default.
-        defocus : Tensor or sequence of float, optional
-            K known additional defoci, (K,), m rms over the pupil (Noll 4), above 0 for a detector
-            too close to the lens. With them the shape is (..., K, H, W//2 + 1).
+        It is the ``rfft2`` of the PSF with its centre at sample [0, 0]. Times ``torch.fft.rfft2``
+        of an object, (H, W), it is the spectrum of the object's image, with both periodic.
         """
         return self.optics.transfer(self._turns(coefficients, defocus))
 
@@ -437,12 +318,8 @@ class PupilPSF(nn.Module):
         object_image : Tensor
             Object, (..., h, w), on the image's pixels. If ``boundary`` is "circular", (h, w) must
             be the shape of the PSF. Batch dimensions broadcast with those of the coefficients.
-        coefficients : Tensor, optional
-            Coefficients, (..., M) or (..., g, g, 2), in the unit of the attribute ``coefficients``,
-            which is the default.
-        defocus : Tensor or sequence of float, optional
-            K known additional defoci, (K,), m rms over the pupil (Noll 4), above 0 for a detector
-            too close to the lens. One image is computed for each.
+        coefficients, defocus
+            See `PupilPSF`.
         gain, background : float or Tensor
             Factor and offset of the image, in any unit; tensors broadcast with the result.
         boundary : {"padded", "circular"}
@@ -452,13 +329,6 @@ class PupilPSF(nn.Module):
         -------
         Tensor
             Image, (..., h, w), or (..., K, h, w) with ``defocus``.
-
-        Raises
-        ------
-        SamplingError
-            If the object is empty, or with ``boundary="circular"`` has another shape than the PSF.
-        SceneError
-            If the object or the coefficients are not tensors, or a defocus is out of range.
         """
         one_of("boundary", boundary, ("padded", "circular"))
         if not isinstance(object_image, Tensor):
@@ -489,42 +359,12 @@ class PupilPSF(nn.Module):
         return seen
 
     def aberration(self, coefficients: Tensor | None = None) -> Tensor:
-        """Compute the wave aberration W at the pupil's samples; 0 outside the pupil.
+        """Compute the wave aberration W, (..., n_v, n_u), m, 0 outside the pupil.
 
-        Parameters
-        ----------
-        coefficients : Tensor, optional
-            Coefficients, (..., M) or (..., g, g, 2), in the unit of the attribute ``coefficients``,
-            which is the default.
-
-        Returns
-        -------
-        Tensor
-            W, (..., n_v, n_u), m, on the grid of ``optics.v`` and ``optics.u``, m.
+        Its grid is that of ``optics.v`` and ``optics.u``, m.
         """
         turns: Tensor = self.waves.unwrapped(self._checked(coefficients))
         return turns * self.wavelength
-
-    def steepest(self, coefficients: Tensor | None = None) -> float:
-        """Return the largest change of W between neighbouring pupil samples, in wavelengths.
-
-        If it is above 1/2, the samples are too coarse for the wave. ``coefficients`` are those of
-        `forward`.
-        """
-        with torch.no_grad():
-            return self.optics.steepest(self.aberration(coefficients) / self.wavelength)
-
-    def curl_residual(self, coefficients: Tensor | None = None) -> float:
-        """Return the rms difference between given slopes and the slopes of the fitted wave, rad.
-
-        The wave is the least-squares fit to the slopes, see `psf.wavefront_from_slopes`. The result
-        is 0 if the coefficients are those of Zernike modes. ``coefficients`` are those of
-        `forward`.
-        """
-        if not isinstance(self.waves, SlopeWaves):
-            return 0.0
-        slopes = self._checked(coefficients)
-        return self.waves.curl_residual(slopes) * self.wavelength / self.optics.pupil_radius
 
     def _checked(self, coefficients: Tensor | None) -> Tensor:
         """Return coefficients, by default those of the module; raise if they do not match."""
@@ -569,16 +409,5 @@ class PupilPSF(nn.Module):
         return turns.unsqueeze(-3) + self.defocus_turns(extra)
 
     def defocus_turns(self, extra: Tensor) -> Tensor:
-        """Return the wave aberration that known defoci add at the pupil's samples, in wavelengths.
-
-        Parameters
-        ----------
-        extra : Tensor, (K,)
-            Defocus of each image, m rms over the pupil.
-
-        Returns
-        -------
-        Tensor, (K, rows, columns)
-            Aberration W in wavelengths, 0 outside the pupil.
-        """
+        """Return the wave aberration of defoci (K,), m rms, in wavelengths, (K, n_v, n_u)."""
         return (extra / self.wavelength)[:, None, None] * self._defocus

@@ -15,10 +15,11 @@ from torch import Tensor, nn
 from ..._checks import counted, fits_memory, real, whole
 from ...errors import SamplingError, SceneError
 from ...psf import Wavefront, fit_zernike
-from ...psf.pupil.slope_integration import integrated_slopes, slope_filter
+from ...psf.pupil.slope_integration import slope_filter
 from ...psf.wave.cell_series import CellSpectrum
 from ...psf.wave.polar_series import PolarSpectrum, values_at
 from ...psf.wave.zernikes import zernike
+from ..data.arrays import real_array
 from .pupil_optics import ImageOptions, PupilOptics
 
 Array = NDArray[np.float64]
@@ -31,21 +32,12 @@ DEFOCUS = 4
 class ZernikeWaves(nn.Module):
     """Sums of Zernike polynomials on the pupil's cells.
 
-    Parameters
-    ----------
-    modes : iterable of int
-        Distinct Noll indices, without 1, since piston does not affect the image.
-    optics : PupilOptics
-        Transform with the pupil's cells.
-    rest : callable, optional
-        Function of the optics that returns a fixed aberration to add, (n_v, n_u), m.
+    ``modes``: distinct Noll indices, without 1, since piston does not affect the image. ``optics``:
+    transform with the pupil's cells. ``rest``: function of the optics that returns a fixed
+    aberration to add, (n_v, n_u), m.
 
-    Attributes
-    ----------
-    leaf_shape : (int,)
-        Shape of one set of coefficients, in waves rms over the full disc.
-    rest : Tensor or None, (n_v, n_u)
-        Fixed aberration divided by the wavelength.
+    ``leaf_shape`` (int,): shape of one set of coefficients, in waves rms over the full disc.
+    ``rest`` (n_v, n_u): fixed aberration divided by the wavelength.
     """
 
     _basis: Tensor
@@ -101,21 +93,11 @@ class ZernikeWaves(nn.Module):
 class SlopeWaves(nn.Module):
     """Waves integrated from slopes on a square grid by least squares, interpolated by splines.
 
-    Parameters
-    ----------
-    count : int
-        Nodes per side; node [count//2, count//2] is on the axis.
-    slope_pitch : float
-        Distance of the nodes, m.
-    optics : PupilOptics
-        Transform with the pupil's cells.
+    ``count``: nodes per side; node [count//2, count//2] is on the axis. ``slope_pitch``: distance
+    of the nodes, m. ``optics``: transform with the pupil's cells.
 
-    Attributes
-    ----------
-    leaf_shape : (int, int, 2)
-        Shape of one set of slopes dW/du, dW/dv, in waves per pupil radius.
-    modes : tuple
-        Empty, since no Zernike polynomials are used.
+    ``leaf_shape`` (int, int, 2): shape of one set of slopes dW/du, dW/dv, in waves per pupil
+    radius. ``modes``: empty, since no Zernike polynomials are used.
     """
 
     _left: Tensor
@@ -157,16 +139,6 @@ class SlopeWaves(nn.Module):
     def unwrapped(self, coefficients: Tensor) -> Tensor:
         """Return aberration over wavelength, (..., n_v, n_u); equal to `forward`."""
         return self.forward(coefficients)
-
-    def curl_residual(self, coefficients: Tensor) -> float:
-        """Return the rms part of the slopes that no wave can have, waves per pupil radius.
-
-        The rms is over all pairs of neighbouring nodes.
-        """
-        tables = coefficients.detach().double().cpu().numpy().reshape(-1, *self.leaf_shape)
-        whole_grid = np.ones(self.leaf_shape[:2], dtype=bool)
-        squares = [integrated_slopes(table, 1.0, whole_grid)[1] ** 2 for table in tables]
-        return float(np.sqrt(np.mean(squares)))
 
 
 def fitted_modes(wave: Wavefront, modes: Sequence[int]) -> tuple[Rest, list[float]]:
@@ -219,38 +191,27 @@ def on_cells(series: PolarSpectrum | CellSpectrum, u: Array, v: Array) -> Array:
     return values_at(series, None, u, v, 1e-13)[0]
 
 
-def checked_slopes(name: str, slopes: Any, pitch: float, pupil_radius: float) -> Array:
-    """Return slopes or angles (g, g, 2), rad, checked to be finite and to cover the pupil.
+def checked_tangents(angles: Any, pitch: float, pupil_radius: float) -> Array:
+    """Return the tangents of exit angles (g, g, 2), rad, at nodes ``pitch`` m apart.
 
-    ``name`` is the plural used in messages, ``pitch`` the distance of the nodes, m.
+    They must be finite, below pi/2 and cover the pupil.
     """
-    try:
-        values = np.asarray(slopes, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise SceneError(f"{name} are not an array of real numbers; give (g, g, 2), rad") from None
+    values = real_array("angles", angles)
     if values.ndim != 3 or values.shape[0] != values.shape[1] or values.shape[2] != 2:
-        raise SceneError(f"{name} have shape {values.shape}; give (g, g, 2), rad")
-    if not np.isfinite(values).all():
-        place = np.argwhere(~np.isfinite(values))[0].tolist()
-        raise SceneError(f"{name}{place} hold NaN or infinity; give finite start values, 0 if none")
+        raise SceneError(f"angles have shape {values.shape}; give (g, g, 2), rad")
+    largest = float(np.abs(values).max(initial=0.0))
+    if not largest < np.pi / 2:
+        raise SceneError(
+            f"angles reach {largest:.3g} rad, must be finite and below pi/2; give angles from the "
+            "axis, 0 if there is no start value"
+        )
     count = values.shape[0]
     reach = ((count - 1) // 2 + 0.5) * pitch
     if count < 2 or reach < pupil_radius * (1 - 1e-9):
         need = 2 * math.ceil(pupil_radius / pitch - 0.5) + 1
         raise SamplingError(
-            f"{count} x {count} {name} {pitch:.3g} m apart reach {reach:.3g} m from the "
+            f"{count} x {count} angles {pitch:.3g} m apart reach {reach:.3g} m from the "
             f"axis, the pupil {pupil_radius:.3g} m; give {max(need, 2)} or more a side"
-        )
-    return values
-
-
-def checked_tangents(angles: Any, pitch: float, pupil_radius: float) -> Array:
-    """Return the tangents of exit angles (g, g, 2), rad, checked like `checked_slopes`."""
-    values = checked_slopes("angles", angles, pitch, pupil_radius)
-    if np.abs(values).max() >= np.pi / 2:
-        raise SceneError(
-            f"angles reach {np.abs(values).max():.3g} rad, must stay below pi/2; give finite "
-            "angles from the axis"
         )
     return np.tan(values)
 

@@ -266,19 +266,6 @@ def test_light_of_nothing_with_a_known_object_is_finite():
     assert found.score == pytest.approx(1.0, abs=0.08)
 
 
-def test_network_for_the_object_of_one_image():
-    images, spread, _, truth = made(noise=0.05)
-    pixels = evidence_fit(images, spread, **NEAR)
-    found = evidence_fit(images, spread, object_model="unet", **NEAR)
-    coefficients = found.physical_parameters["coefficients"]
-    np.testing.assert_array_equal(coefficients, pixels.physical_parameters["coefficients"])
-    # noise of 5 %: what wall and object leave of 1
-    assert registered_correlation(found, truth) > 0.95
-    assert not np.array_equal(found.object, pixels.object)
-    with pytest.raises(SceneError, match="one image"):
-        evidence_fit(images, spread, object_model="unet", support=truth)
-
-
 def test_gradients_switched_off_outside_change_nothing():
     images, spread, _, _ = made()
     expected = evidence_fit(images, spread, **NEAR)
@@ -344,7 +331,6 @@ def energy_pitch(pupil):
         ({"start_error": 0.0}, SceneError, "start_error"),
         ({"start_error": 0.5}, SceneError, "start_error = 0.5 waves"),
         ({"recipe": "magic"}, SceneError, "recipe"),
-        ({"object_model": "oil"}, SceneError, "object_model"),
         ({"pupil_psf": 3.0}, SceneError, "PupilPSF"),
     ],
 )

@@ -54,24 +54,10 @@ def measured(image):
     return inverse.Measurement(image, noise_sigma=SIGMA)
 
 
-def image_prior(**watched):
-    images, _, model = case()
-    options = {"tv_weight": 0.0, "guide": "wiener", "depth": 3}
-    return inverse.deep_image_prior(
-        measured(images[0]), model, max_iterations=60, **options, **watched
-    )
-
-
 def wu2024(**watched):
     options = {"depth": 3, "alternate": 5, "network_input": "reconstruction"}
     images = case()[0][:1]
-    return inverse.wu2024_fit(
-        measured(images),
-        pupil(),
-        max_iterations=40,
-        **options,
-        **watched,
-    )
+    return inverse.wu2024_fit(measured(images), pupil(), max_iterations=40, **options, **watched)
 
 
 @functools.cache
@@ -136,14 +122,7 @@ class Watch:
 
 @pytest.mark.parametrize(
     ("solver", "last"),
-    [
-        (image_prior, 3),
-        (wu2024, 2),
-        (evidence, 3),
-        (evidence, 4),
-        (evidence_near, 4),
-        (evidence_near_one, 3),
-    ],
+    [(wu2024, 2), (evidence, 3), (evidence, 4), (evidence_near, 4), (evidence_near_one, 3)],
 )
 def test_goes_on_bit_by_bit(solver, last) -> None:
     """A state holds all that the next step takes: weights, moments, counts."""
@@ -167,7 +146,6 @@ def test_goes_on_bit_by_bit(solver, last) -> None:
 @pytest.mark.parametrize(
     ("solver", "last"),
     [
-        (image_prior, 2),
         (wu2024, 2),
         (evidence, 1),
         (evidence, 3),
@@ -243,7 +221,6 @@ def test_a_state_of_other_images_is_refused() -> None:
 @pytest.mark.parametrize(
     ("solver", "start", "named"),
     [
-        (image_prior, {"object": np.ones((SIDE, SIDE))}, "no network"),
         (wu2024, {"object": np.ones((SIDE, SIDE))}, "no network"),
         (evidence, {"object": np.ones((SIDE, SIDE))}, "start holds no pool_coefficients"),
         (evidence, np.ones((3, 3)), "start of type ndarray is no saved state"),
@@ -258,15 +235,15 @@ def test_bad_starts_are_named(solver, start, named) -> None:
 
 def test_a_state_of_another_network_is_refused() -> None:
     watch = Watch(1)
-    image_prior(progress=watch)
+    wu2024(progress=watch)
     with pytest.raises(SceneError, match="start's numbers are"):
-        image_prior(start={**watch.states[0], "numbers": np.ones(5)})
+        wu2024(start={**watch.states[0], "numbers": np.ones(5)})
     kept = {**watch.states[0], "network": np.ones(7)}
     with pytest.raises(SamplingError, match="7 network, must be"):
-        image_prior(start=kept)
+        wu2024(start=kept)
     del kept["network"]
     with pytest.raises(SceneError, match="no network"):
-        image_prior(start=kept)
+        wu2024(start=kept)
 
 
 def test_a_kept_state_that_is_cut_or_no_archive_is_named(tmp_path) -> None:

@@ -155,9 +155,7 @@ def _interrupted(text: str, fraction: float) -> None:
 
 
 @pytest.mark.parametrize("count", [3, 12])
-@pytest.mark.parametrize(
-    "solver", [*SOLVERS, inverse.richardson_lucy, inverse.deep_image_prior, inverse.inverse_filter]
-)
+@pytest.mark.parametrize("solver", [*SOLVERS, inverse.richardson_lucy, inverse.inverse_filter])
 def test_the_last_report_tells_the_whole(solver, count: int) -> None:
     """Also of a fit that ends before the next report would have come, or at its last iteration."""
     _, model, image = case()

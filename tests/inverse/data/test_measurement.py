@@ -87,22 +87,6 @@ def test_each_image_gets_its_own_values():
     assert alone.noise_sigma == 0.4
 
 
-def test_a_checked_image_is_the_input_of_another_solver():
-    noise = np.where(OUT, np.inf, np.linspace(0.01, 0.03, SHAPE[1]) * np.ones(SHAPE))
-    shape = np.linspace(1.0, 2.0, SHAPE[0])[:, None] * np.ones(SHAPE)
-    first = noisy_image(
-        Measurement(IMAGE, noise_sigma=noise, background=0.1, background_shape=shape), MODEL
-    )
-    again = noisy_image(first.again(), MODEL)
-    np.testing.assert_allclose(again.data, first.data, rtol=1e-13, atol=1e-15)
-    np.testing.assert_allclose(again.weights, first.weights, rtol=1e-13)
-    np.testing.assert_allclose(again.background_shape, first.background_shape, rtol=1e-13)
-    assert again.sigma == pytest.approx(first.sigma, rel=1e-13)
-    assert again.fit_background
-    even = noisy_image(Measurement(IMAGE, noise_sigma=0.3, fit_background=False), MODEL).again()
-    assert (even.noise_sigma, even.fit_background, even.background_shape) == (0.3, False, None)
-
-
 def test_masked_frames_of_a_blind_fit_need_no_noise():
     optics = {"wavelength": 6e-7, "pupil_radius": 9e-4, "image_distance": 0.05, "pitch": 8e-6}
     pupil = PupilPSF.from_zernike((4, 6), shape=24, **optics)

@@ -85,10 +85,7 @@ def test_noise_and_signal_are_told_apart_beyond_the_optics():
     errors, signals = [], []
     for seed in range(12):
         noise = np.random.default_rng(seed).normal(size=truth.shape)
-        data = noisy_image(
-            Measurement(seen + noise, noise_sigma=1.0),
-            model,
-        )
+        data = noisy_image(Measurement(seen + noise, noise_sigma=1.0), model)
         found, signal = data.energies(model)
         errors.append(found - (noise**2).sum())
         signals.append(signal)
@@ -103,10 +100,7 @@ def test_stated_noise_is_kept_if_the_image_contradicts_it():
     model = ForwardModel(np.full((7, 7), 1 / 49), shape=(64, 64))
     image = np.random.default_rng(0).normal(size=(64, 64))
     image[20:40, 20:40] += 3.0
-    data = noisy_image(
-        Measurement(image, noise_sigma=2.0**0.5),
-        model,
-    )
+    data = noisy_image(Measurement(image, noise_sigma=2.0**0.5), model)
     noise, signal = data.energies(model)
     # the signal is then at least the error of the noise
     assert signal == pytest.approx(np.sqrt(2 * 64**2))

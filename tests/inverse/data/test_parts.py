@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -12,10 +10,8 @@ import torch
 from scipy.stats import chi2
 
 from nlosoptics import inverse
-from nlosoptics.errors import SamplingError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement
-from nlosoptics.inverse.data import deepinv as adapter
 from nlosoptics.inverse.data import noisy_image, spectra
 from nlosoptics.inverse.data.adam import adam_state, descend, take_up_adam
 from nlosoptics.inverse.known.total_variation import sharpest
@@ -49,45 +45,6 @@ def test_even_light_is_an_object_at_one_chance_in_1000(errors, dark):
     assert measured(image).is_background()
 
 
-def faintest(told, low, high):
-    """Return the strength from which on something is told, by bisection."""
-    assert not told(low)
-    assert told(high)
-    while high - low > 1e-9 * high:
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if told(middle) else (middle, high)
-    return high
-
-
-MAP = np.where(np.arange(SHAPE[1]) < 8, 0.3, 0.1) * np.ones(SHAPE)
-MAP[3:6, 2:9] = np.inf
-DOUBTS = {
-    "known": {},
-    "estimated": {"noise_sigma": None},
-    "map": {"noise_sigma": MAP},
-    "shape": {"background_shape": RISE},
-    "no veil": {"fit_background": False},
-}
-
-
-@pytest.mark.parametrize("name", DOUBTS)
-def test_the_faintest_objects_that_are_told_from_noise(name, on_record):
-    """A dot, a stroke and an extended object, with and without the optics that passed them."""
-    things = np.zeros((3, *SHAPE))
-    things[0, 9, 11] = things[1, 5:15, 12] = 1.0
-    things[2, 4:16, 5:20] = np.hanning(17)[1:-1]
-    noise = NOISE * np.where(np.isfinite(MAP), MAP, 1.0) if name == "map" else 0.1 * NOISE
-
-    def limit(thing, model):
-        def told(strength):
-            image = 0.5 + noise + strength * MODEL.forward(thing)
-            return not measured(image, background=0.5, **DOUBTS[name]).is_background(model)
-
-        return faintest(told, 1e-3, 1e3)
-
-    on_record([limit(thing, model) for thing in things for model in (None, MODEL)], 1e-7)
-
-
 @pytest.mark.parametrize(("given", "errors"), [(0.1, 2.0), (None, 18.0)])
 def test_noise_is_left_up_to_three_errors_of_its_power(given, errors):
     data = measured(0.1 * NOISE, noise_sigma=given)
@@ -95,18 +52,6 @@ def test_noise_is_left_up_to_three_errors_of_its_power(given, errors):
     left = limit / math.sqrt((data.data**2).mean())
     assert data.is_noise_about((1.0 - 0.999 * left) * data.data)
     assert not data.is_noise_about((1.0 - 1.001 * left) * data.data)
-
-
-@pytest.mark.parametrize("shape", [(64, 60), (61, 64), (24, 20)])
-def test_noise_beyond_the_optics(shape, on_record):
-    """A wide point spread leaves the noise alone at many frequencies, but in a small image."""
-    kernel = np.exp(-(np.hypot(*np.mgrid[-9:10, -9:10]) ** 2) / 18.0)
-    model = ForwardModel(kernel / kernel.sum(), shape=shape)
-    draw = np.random.default_rng(6)
-    truth = np.zeros(shape)
-    truth[6:15, 8:17] = 1.0 + draw.random((9, 9))
-    image = model.forward(truth) + 0.01 * draw.normal(size=shape)
-    on_record([inverse.estimate_noise(image, model), inverse.estimate_noise(image)], 1e-8)
 
 
 def test_without_noise_nothing_is_told_from_it():
@@ -163,39 +108,6 @@ def test_a_result_tells_its_numbers():
     assert list(retrieved.rows)[1:3] == ["agreement of halves", "restarts"]
     assert retrieved.rows["restarts"] == "4"
     assert reconstruction({})._figures().rows["iterations"] == "0"
-
-
-@pytest.fixture
-def physics(monkeypatch):
-    """The adapter's class on a stand-in of deepinv, which keeps what it is given."""
-
-    class LinearPhysics(torch.nn.Module):
-        def __init__(self, **options):
-            super().__init__()
-            self.options = options
-
-    for name in ("deepinv", "deepinv.physics"):
-        monkeypatch.setitem(sys.modules, name, ModuleType(name))
-    sys.modules["deepinv.physics"].LinearPhysics = LinearPhysics
-    adapter._physics_class.cache_clear()
-    yield adapter.NlosPhysics
-    adapter._physics_class.cache_clear()
-
-
-def test_a_physics_of_deepinv_is_the_model(physics):
-    """Of either kind; batches pass it, further parameters are refused."""
-    batch = torch.rand((2, 1, *SHAPE), generator=torch.manual_seed(1))
-    for model in (MODEL, inverse.TorchForwardModel.from_numpy(MODEL)):
-        made = physics(model, noise_model="none")
-        assert made.options == {"img_size": (1, *SHAPE), "noise_model": "none"}
-        seen, back = made.A(batch), made.A_adjoint(batch)
-        for k in range(2):
-            # single precision
-            np.testing.assert_allclose(seen[k, 0], MODEL.forward(batch[k, 0].numpy()), atol=1e-6)
-            np.testing.assert_allclose(back[k, 0], MODEL.adjoint(batch[k, 0].numpy()), atol=1e-6)
-        for call in (made.A, made.A_adjoint):
-            with pytest.raises(SamplingError, match="takes no parameters, was given a, b; make"):
-                call(batch, a=1, b=2)
 
 
 SOLVERS = [inverse.tv_deconvolve, inverse.richardson_lucy, inverse.wiener, inverse.inverse_filter]

@@ -13,15 +13,9 @@ from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement
 from nlosoptics.inverse.data.models import widened
 from nlosoptics.inverse.data.noisy_image import noisy_image
-from nlosoptics.inverse.data.signs import signs
-from nlosoptics.inverse.data.status import Ending, Spectra
+from nlosoptics.inverse.data.status import Ending, _Tests
 
-SOLVERS = [
-    inverse.inverse_filter,
-    inverse.richardson_lucy,
-    inverse.tv_deconvolve,
-    inverse.wiener,
-]
+SOLVERS = [inverse.inverse_filter, inverse.richardson_lucy, inverse.tv_deconvolve, inverse.wiener]
 SIDE = 64
 NO_HISTORY = {"residual": [], "change": []}
 
@@ -71,10 +65,7 @@ def test_a_faint_object_is_shown_with_low_confidence():
     for seed in range(6):
         noise = np.random.default_rng(seed).normal(size=truth.shape)
         image = model.forward(truth) + noise
-        data = noisy_image(
-            Measurement(image, noise_sigma=1.0),
-            model,
-        )
+        data = noisy_image(Measurement(image, noise_sigma=1.0), model)
         detected += not data.is_background(model)
         assert data.is_noise_about(data.background(data.background_strength(data.data)))
     # about 17 standard errors of the strongest component; none is missed by chance
@@ -122,14 +113,9 @@ def test_a_right_model_converges_without_reasons(drawn, wall, subject):
 @pytest.mark.parametrize(
     ("kind", "wall", "seed", "noise", "words"),
     [
-        ("coloured", "smooth", 3, 0.03, "not white noise"),
-        ("unblurred_picture", "speckle", 3, 0.03, "does not explain"),
-        ("other_wall", "speckle", 3, 0.03, "does not explain"),
-        ("modes", "speckle", 0, 0.05, "the object is grainy"),
-        ("rough", "speckle", 3, 0.03, "the object is grainy"),
+        ("unblurred_picture", "speckle", 3, 0.03, "times the noise"),
+        ("other_wall", "speckle", 3, 0.03, "times the noise"),
         ("gradient", "smooth", 3, 0.03, "frame's edge"),
-        ("unblurred_picture", "lobe", 3, 0.006, "frame's edge"),
-        ("other_speckle", "speckle", 3, 0.01, "dim parts"),
     ],
 )
 def test_a_wrong_model_is_named(drawn, kind, wall, seed, noise, words):
@@ -137,16 +123,6 @@ def test_a_wrong_model_is_named(drawn, kind, wall, seed, noise, words):
     found = inverse.tv_deconvolve(case.image, model)
     assert found.status == "does_not_fit"
     assert any(words in reason for reason in found.reasons), found.reasons
-    assert "were wrong in tests" in found.reasons[-1]
-
-
-def test_an_object_that_other_noise_changes_is_named(drawn):
-    """A step of the camera's gain is sharper than the optics; only grains of light explain it."""
-    case, model = drawn("gain_step", seed=30279)
-    found = inverse.tv_deconvolve(case.image, model)
-    assert inverse.registered_correlation(found, case.truth) < 0.85
-    assert found.status == "does_not_fit"
-    assert any("with other noise" in reason for reason in found.reasons), found.reasons
 
 
 def test_detail_that_a_linear_filter_would_miss_is_no_reason(drawn):
@@ -158,21 +134,6 @@ def test_detail_that_a_linear_filter_would_miss_is_no_reason(drawn):
     assert inverse.wiener(case.image, model).status == "too_few_photons"
 
 
-@pytest.mark.parametrize(("distance", "share"), [(0.44, 0.72), (0.1, 0.65)])
-def test_noise_that_hides_the_object_is_named(monkeypatch, distance, share):
-    """Each limit alone: the object of a second fit, and the detail above the noise."""
-    model, truth = lobe(2.0), np.zeros((SIDE, SIDE))
-    truth[20:44, 22:30] = 1.0
-    image = model.forward(truth) + 0.01 * np.random.default_rng(0).normal(size=truth.shape)
-    assert inverse.tv_deconvolve(image, model).status == "converged"
-    found = Spectra.signs
-    monkeypatch.setattr(Spectra, "share", lambda self: share)
-    monkeypatch.setattr(
-        Spectra, "signs", lambda self, again: found(self, again) | {"unsteady": distance}
-    )
-    assert inverse.tv_deconvolve(image, model).status == "too_few_photons"
-
-
 def test_a_repetition_has_the_noise_of_the_image():
     """Each pixel has its own noise, and excluded pixels have none."""
     rng = np.random.default_rng(0)
@@ -181,10 +142,9 @@ def test_a_repetition_has_the_noise_of_the_image():
     noise = rng.uniform(0.5, 5.0, truth.shape)
     noise[::9, ::9] = np.inf
     data = noisy_image(
-        Measurement(model.forward(truth) + rng.normal(size=truth.shape), noise_sigma=noise),
-        model,
+        Measurement(model.forward(truth) + rng.normal(size=truth.shape), noise_sigma=noise), model
     )
-    again = Spectra(data, truth, 3.0, model).repetition(model)
+    again = _Tests(data, truth, 3.0, model).repetition(model)
     excluded = np.isinf(noise)
     change = again.data - model.forward(truth) - 3.0
     assert np.abs(change[excluded]).max() < 1e-12
@@ -194,60 +154,6 @@ def test_a_repetition_has_the_noise_of_the_image():
     # the ratio of large and small noise, by halves of the pixels
     loud = noise[~excluded] > 2.75
     assert np.std(relative[loud]) == pytest.approx(np.std(relative[~loud]), rel=0.1)
-
-
-def test_the_optics_pass_little_of_fine_detail():
-    """Stripes of one frequency, of which a lobe passes the square of its transfer function.
-
-    A halo around them counts as far as they are passed.
-    """
-    model, stripes = lobe(2.0), np.arange(SIDE) * np.ones((SIDE, 1))
-    for cycles in (2, 8):
-        level = 1.0 + np.cos(2.0 * np.pi * cycles / SIDE * stripes)
-        data = noisy_image(Measurement(model.forward(level), noise_sigma=0.01), model)
-        spectra = Spectra(data, level, 0.0, model)
-        passed = spectra.passed()
-        assert passed == pytest.approx(np.exp(-((4.0 * np.pi * cycles / SIDE) ** 2)), rel=1e-2)
-        halo = signs(level, level, residual=1.0, excess=1.0)["halo"]
-        assert spectra.signs(level)["halo"] == pytest.approx(passed * halo, rel=1e-12)
-
-
-def test_a_missing_halo_is_named():
-    """Most of the light is spread more widely than the model says."""
-    narrow, wide = lobe(1.0), lobe(3.0)
-    truth = np.zeros((SIDE, SIDE))
-    truth[14:26, 14:18] = truth[38:50, 30:34] = truth[20:24, 40:52] = 1.0
-    noise = 0.01 * np.random.default_rng(0).normal(size=truth.shape)
-    right = inverse.tv_deconvolve(narrow.forward(truth) + noise, narrow)
-    image = 0.1 * narrow.forward(truth) + 0.9 * wide.forward(truth) + noise
-    found = inverse.tv_deconvolve(image, narrow)
-    assert right.status == "converged"
-    assert found.status == "does_not_fit"
-    assert "one halo around all bright parts" in found.reasons[0]
-
-
-def test_a_blur_that_the_model_lacks_softens_the_edges(drawn):
-    case, model = drawn("defocus", seed=30140)
-    found = inverse.tv_deconvolve(case.image, model)
-    assert inverse.registered_correlation(found, case.truth) < 0.7
-    assert found.status == "does_not_fit"
-    assert any("soft edges" in reason for reason in found.reasons), found.reasons
-
-
-def test_harmless_errors_do_not_count(drawn):
-    """The residual shows a camera that is not linear, but the object is hardly wrong."""
-    case, model = drawn("gamma_high", seed=3125)
-    found = inverse.tv_deconvolve(case.image, model)
-    assert found.score > 1.5
-    assert inverse.registered_correlation(found, case.truth) > 0.93
-    assert (found.status, found.reasons) == ("converged", ())
-
-
-def test_coloured_noise_is_named_for_other_solvers(drawn):
-    case, model = drawn("rows", seed=3, wall="weak", subject="glyph", noise=0.03)
-    found = inverse.richardson_lucy(case.image, model)
-    assert found.status == "does_not_fit"
-    assert any("along rows and along columns" in reason for reason in found.reasons)
 
 
 def test_stated_noise_is_compared_with_the_image(drawn):
@@ -335,6 +241,19 @@ def test_excluded_pixels_are_not_taken_for_a_mismatch(drawn):
     image, noise = np.where(out, 50.0, case.image), np.where(out, np.inf, case.noise_sigma)
     found = inverse.tv_deconvolve(inverse.Measurement(image, noise_sigma=noise), model)
     assert (found.status, found.reasons) == ("converged", ())
+
+
+def test_other_pictures_in_a_scene_converge():
+    """Dim pixels beside bright ones, soft edges and shades are no reason against an answer."""
+    y, x = np.mgrid[:SIDE, :SIDE] / SIDE - 0.5
+    shades = 0.5 + 0.5 * np.sin(9.0 * x + 4.0 * y) * np.cos(7.0 * y)
+    soft = np.exp(-((x + 0.1) ** 2 + y**2) / 0.01) + 0.6 * np.exp(-((x - 0.2) ** 2 + y**2) / 0.02)
+    model = lobe(0.6)
+    for truth in (soft, np.where(np.hypot(x, y) < 0.4, shades, 0.0)):
+        noise = 0.01 * np.random.default_rng(0).normal(size=truth.shape)
+        found = inverse.tv_deconvolve(model.forward(truth) + noise, model)
+        assert (found.status, found.reasons) == ("converged", ())
+        assert inverse.registered_correlation(found, truth) > 0.99
 
 
 def test_status_is_the_same_for_a_tensor(drawn):

@@ -17,12 +17,7 @@ from nlosoptics.inverse import Measurement
 
 from ..by_name import NAMES, called
 
-SOLVERS = [
-    inverse.inverse_filter,
-    inverse.richardson_lucy,
-    inverse.tv_deconvolve,
-    inverse.wiener,
-]
+SOLVERS = [inverse.inverse_filter, inverse.richardson_lucy, inverse.tv_deconvolve, inverse.wiener]
 
 
 @pytest.fixture(params=SOLVERS, ids=lambda solver: solver.__name__)

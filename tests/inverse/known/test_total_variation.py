@@ -7,10 +7,6 @@ import pytest
 
 from nlosoptics import inverse
 from nlosoptics.imaging import ForwardModel
-from nlosoptics.inverse import Measurement
-from nlosoptics.inverse.data.driver import solved
-from nlosoptics.inverse.data.noisy_image import noisy_image
-from nlosoptics.inverse.known.total_variation import _Splitting
 
 
 @pytest.mark.parametrize("tv_weight", [0.5, 2.0])
@@ -243,28 +239,3 @@ def test_low_noise_runs_in_double_precision(case):
     assert found.score > 2.0
     assert found.status == "converged"
     assert inverse.registered_correlation(found, data.truth) > 0.99
-
-
-@pytest.mark.parametrize("varies", [False, True])
-def test_numpy_and_torch_find_the_same_object(varies, point_spread_field):
-    """Arrays take the kernels, tensors the same steps in torch, as on a GPU."""
-    side = 40
-    spread = point_spread_field if varies else point_spread_field.modes[0]
-    model = ForwardModel(spread, shape=(side, side))
-    truth = np.zeros((side, side))
-    truth[8:30, 10:16] = 1.0
-    sigma = np.full(truth.shape, 0.02)
-    sigma[:, 20:] = 0.04
-    image = model.forward(truth) + sigma * np.random.default_rng(0).normal(size=truth.shape)
-    data = noisy_image(
-        Measurement(image, noise_sigma=sigma),
-        model,
-    )
-    one, other = (
-        solved(_Splitting(kind, model, (60, 1e-6), None), None, None)
-        for kind in (data, data.in_torch())
-    )
-    # sixty iterations in single precision
-    np.testing.assert_allclose(one["level"], other["level"].numpy(), rtol=0, atol=1e-4)
-    assert one["background"] == pytest.approx(other["background"], abs=1e-4)
-    assert one["tv_weight"] == pytest.approx(other["tv_weight"], rel=1e-3)

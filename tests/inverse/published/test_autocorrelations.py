@@ -14,11 +14,7 @@ from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement
 from nlosoptics.inverse.data.noisy_image import noisy_image
-from nlosoptics.inverse.published.autocorrelations import (
-    checked_lags,
-    image_lags,
-    spectrum_modulus,
-)
+from nlosoptics.inverse.published.autocorrelations import checked_lags, image_lags, spectrum_modulus
 
 DRAW = np.random.default_rng(3)
 IMAGE = DRAW.random((6, 9)) + 2.0

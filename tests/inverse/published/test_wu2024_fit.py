@@ -146,8 +146,7 @@ def test_cold_start_is_random_and_of_the_rms_asked_for(image, pupil_psf, sigma):
 def test_the_wall_is_not_kept(image, truth, pupil_psf, sigma, cold):
     """Started within 0.03 waves of the wall it drifts to "no blur", and says so."""
     start = replace(
-        cold,
-        physical_parameters={**cold.physical_parameters, "coefficients": COEFFICIENTS + 0.01},
+        cold, physical_parameters={**cold.physical_parameters, "coefficients": COEFFICIENTS + 0.01}
     )
     found = wu2024_fit(
         Measurement(image, noise_sigma=sigma), pupil_psf, start=start, max_iterations=600
@@ -266,26 +265,3 @@ def test_noise_and_background_may_be_those_of_a_list_of_one(image, pupil_psf, si
 def test_no_iterations_are_refused(image, pupil_psf, sigma):
     with pytest.raises(SceneError, match="max_iterations = 0"):
         wu2024_fit(Measurement(image, noise_sigma=sigma), pupil_psf, max_iterations=0)
-
-
-def test_facets_take_the_place_of_the_wave_on_coarse_pixels(truth):
-    """The paper's pixels of 72 um at F/2, on which no wave can be sampled."""
-    true = np.random.default_rng(4).normal(0.0, 3.0 * 72e-6 / 0.05, size=(25, 25, 2))
-    pupil = {"angle_pitch": 1.05e-3, "pupil_radius": 12.5e-3, "image_distance": 0.05}
-    facets = inverse.FacetPSF(true, **pupil, pitch=72e-6, shape=SIDE)
-    kernel = facets().detach().double().numpy()
-    blurred = ForwardModel(kernel, shape=(SIDE, SIDE), boundary="circular").forward(truth)
-    noise = NOISE * blurred.max() * np.random.default_rng(1).normal(size=blurred.shape)
-    image = Measurement(blurred + noise, noise_sigma=NOISE * blurred.max())
-    options = {"depth": 3, "max_iterations": 80}
-    found = wu2024_fit(image, facets, **options)
-    assert found.physical_parameters["coefficients"].shape == (25, 25, 2)
-    assert found.history["objective"][-1] < 0.5 * found.history["objective"][0]
-    assert found.status in ("trivial", "unconverged")
-    spread = found.physical_parameters["coefficients"].std()
-    wide = wu2024_fit(image, facets, start_rms=9.0, **options)
-    # Adam moves an angle by at most 0.01 pixels a step
-    assert spread == pytest.approx(5.0, abs=0.6)
-    assert wide.physical_parameters["coefficients"].std() == pytest.approx(9.0, abs=0.6)
-    with pytest.raises(SceneError, match="FacetPSF is not a point spread with an unknown wave"):
-        inverse.evidence_fit(blurred, facets)

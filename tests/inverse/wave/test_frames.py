@@ -6,13 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.inverse import Measurement, PupilPSF
 from nlosoptics.inverse.wave import pupil_waves
-from nlosoptics.inverse.wave.frames import frames_of, known_defoci
-from nlosoptics.inverse.wave.pupil_psf import MOST_DEFOCUS
+from nlosoptics.inverse.wave.frames import frames_of
 
 SIDES = (11, 14)
 IMAGES = (
@@ -105,70 +103,6 @@ def test_images_that_do_not_fit_are_refused(change, words):
     seen = Measurement(IMAGES, noise_sigma=asked.pop("noise_sigma"))
     with pytest.raises((SamplingError, SceneError), match=words):
         frames_of(seen, spread, **asked)
-
-
-def test_either_side_of_the_most_defocus():
-    assert known_defoci([MOST_DEFOCUS, -MOST_DEFOCUS], 2).tolist() == [MOST_DEFOCUS, -MOST_DEFOCUS]
-    for sign in (1, -1):
-        with pytest.raises(SceneError, match="give metres, not waves"):
-            known_defoci([0.0, sign * np.nextafter(MOST_DEFOCUS, 1.0)], 2)
-
-
-@pytest.mark.parametrize(
-    ("count", "pitch", "radius"), [(5, 0.4, 1.0), (4, 0.4, 0.6), (2, 3.0, 1.5)]
-)
-def test_slopes_reach_the_rim(count, pitch, radius):
-    """Half a node beyond the nearer of the outermost two; the refusal names how many do."""
-    draw = np.random.default_rng(3)
-    slopes = draw.uniform(-1.5, 1.5, (count, count, 2))
-    found = pupil_waves.checked_slopes("slopes", slopes, pitch, radius)
-    assert found.tolist() == slopes.tolist()
-    assert pupil_waves.checked_tangents(slopes, pitch, radius) == pytest.approx(np.tan(slopes))
-    with pytest.raises(SamplingError) as refusal:
-        pupil_waves.checked_slopes("slopes", slopes, pitch, radius * (1 + 1e-6))
-    reach = ((count - 1) // 2 + 0.5) * pitch
-    need = next(n for n in range(1, 99, 2) if n * pitch / 2 > radius * (1 + 1e-7))
-    assert str(refusal.value) == (
-        f"{count} x {count} slopes {pitch:.3g} m apart reach {reach:.3g} m from the axis, the "
-        f"pupil {radius:.3g} m; give {need} or more a side"
-    )
-    with pytest.raises(SamplingError, match="1 x 1 slopes .* give 2 or more a side"):
-        pupil_waves.checked_slopes("slopes", slopes[:1, :1], 9.0, radius)
-
-
-@pytest.mark.parametrize(
-    ("slopes", "words"),
-    [
-        ("ab", r"angles are not an array of real numbers; give \(g, g, 2\), rad"),
-        (np.zeros((3, 2)), r"angles have shape \(3, 2\); give \(g, g, 2\), rad"),
-        (np.zeros((3, 4, 2)), r"angles have shape \(3, 4, 2\)"),
-        (np.zeros((3, 3, 3)), r"angles have shape \(3, 3, 3\)"),
-        (
-            np.where(np.arange(18).reshape(3, 3, 2) == 11, np.inf, 0.0),
-            r"angles\[1, 2, 1\] hold NaN",
-        ),
-        (np.full((3, 3, 2), -np.pi / 2), r"angles reach 1.57 rad, must stay below pi/2"),
-    ],
-)
-def test_slopes_that_are_none(slopes, words):
-    with pytest.raises(SceneError, match=words):
-        pupil_waves.checked_tangents(slopes, 1.0, 1.2)
-
-
-def test_curl_of_slopes():
-    """None of a wave's slopes; of a rotation in proportion, and the rms of several sets."""
-    optics = pupil().optics
-    waves = pupil_waves.SlopeWaves(6, 0.5 * optics.pupil_radius, optics)
-    y, x = np.mgrid[:6, :6] - 2.0
-    even = torch.from_numpy(np.stack([0.3 * x + 0.1 * y, 0.1 * x - 0.7 * y], axis=-1))
-    assert waves.curl_residual(even) == pytest.approx(0.0, abs=1e-12)
-    twist = torch.from_numpy(np.stack([-0.2 * y, 0.2 * x], axis=-1))
-    one = waves.curl_residual(twist)
-    assert one > 0.1
-    assert waves.curl_residual(3.0 * twist + even) == pytest.approx(3.0 * one, rel=1e-9)
-    both = torch.stack([twist, 2.0 * twist + even])
-    assert waves.curl_residual(both) == pytest.approx(one * np.sqrt(2.5), rel=1e-9)
-    assert (waves.modes, waves.leaf_shape) == ((), (6, 6, 2))
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 7])

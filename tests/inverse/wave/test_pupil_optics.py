@@ -58,14 +58,6 @@ CASES = {
     "behind": {"image_distance": -DISTANCE},
     "pixels": {"pixel_integrated": True},
     "wide pixels": {"pixel_integrated": True, "pitch": 22e-6, "shape": (5, 4)},
-    "matrices": {"method": "mdft", "samples": 9, "shape": (8, 11)},
-    "matrices of pixels": {
-        "method": "mdft",
-        "samples": 10,
-        "shape": (5, 3),
-        "pitch": 22e-6,
-        "pixel_integrated": True,
-    },
 }
 
 
@@ -82,8 +74,8 @@ def test_images_are_sums_over_pairs_of_cells(name, transmission):
     spectrum = np.fft.rfft2(np.roll(expected, (-(rows // 2), -(columns // 2)), (1, 2)))
     transfer = optics.transfer(torch.from_numpy(turns)).numpy()
     np.testing.assert_allclose(transfer, spectrum, atol=1e-9 * np.abs(spectrum).max())
-    if optics.method == "fft":  # one period of the image, of all its pixels
-        assert found.sum(axis=(1, 2)) == pytest.approx([1.0, 1.0], rel=1e-9)
+    # one period of the image, of all its pixels
+    assert found.sum(axis=(1, 2)) == pytest.approx([1.0, 1.0], rel=1e-9)
 
 
 def test_cells_of_one_period():
@@ -119,33 +111,11 @@ def test_wide_pixels_have_fine_samples(pitch, finer):
 
 def test_other_images_of_the_same_pupil():
     given = {"pixel_integrated": True, "transmission": shade, "image_distance": -DISTANCE}
-    optics = optics_of(**given, dtype=torch.float32, method="mdft")
+    optics = optics_of(**given, dtype=torch.float32)
     other, known = optics.resized((9, 16), 6e-6), optics_of(**given, pitch=6e-6, shape=(9, 16))
-    assert (other.method, other.dtype, other.shape) == ("fft", torch.float64, (9, 16))
+    assert (other.dtype, other.shape) == (torch.float64, (9, 16))
     turns = torch.from_numpy(np.random.default_rng(1).normal(size=known.share.shape))
     assert torch.equal(other.point_spread(turns), known.point_spread(turns))
-
-
-def test_cells_of_matrices():
-    """By default so many that the image repeats after twice its longer side; 32 at least."""
-    axis = optics_of(method="mdft", shape=(4, 20)).u
-    assert len(axis) == 32
-    assert axis == pytest.approx((np.arange(32) - 16) * 2 * RADIUS / 31)
-    need = 1 + math.ceil(4 * RADIUS * 80 * 7e-6 / SPREAD)
-    for shape in ((80, 3), (3, 80)):
-        assert len(optics_of(method="mdft", shape=shape).v) == need
-    for samples in (9, 10):
-        period = SPREAD / (2 * RADIUS / (samples - 1 + samples % 2))
-        fits = {"method": "mdft", "samples": samples, "shape": (3, 10)}
-        assert optics_of(**fits, pitch=min(period / 10, NYQUIST)).u.size == samples
-        with pytest.raises(SamplingError) as refusal:
-            optics_of(**fits, pitch=1.001 * period / 10, pixel_integrated=True)
-        longest = 1.001 * period
-        least = math.ceil(2 * RADIUS * longest / SPREAD) + 1
-        assert str(refusal.value) == (
-            f"{samples} pupil samples repeat the image every {period:.3g} m, inside its "
-            f"{longest:.3g} m; use samples = {least} or more"
-        )
 
 
 def test_steepest_step_of_lit_cells():
@@ -174,9 +144,6 @@ def test_steepest_step_of_lit_cells():
         ({"wavelength": 1.01e-3}, "wavelength = 0.00101 m"),
         ({"image_distance": 0.0}, "image_distance = 0 m, must not be 0"),
         ({"pitch": 1.001 * NYQUIST}, r"pitch = 9.555e-06 m, limit for point samples \(Nyquist\) "),
-        ({"samples": 12}, "samples = 12 with method='fft'"),
-        ({"method": "mdft", "samples": 1}, "samples = 1"),
-        ({"method": "fast"}, "fast"),
         (
             {"shape": (5, 15)},
             r"shape\[0\] = 5 samples the pupil every 0.0012 m, limit its radius, 0.0011 m; use 6 ",
@@ -191,11 +158,11 @@ def test_what_cannot_be_sampled_is_refused(change, words):
 
 
 def test_memory_of_a_transform():
-    """64 bytes for each fine sample and for each product of cells and samples of a side."""
+    """64 bytes for each fine sample."""
     options = {"pixel_integrated": True, "pitch": 1.5 * NYQUIST, "shape": (12, 15)}
     optics = optics_of(**options)
-    cells, grid = optics.v.size + optics.u.size, (24, 30)
-    need = 64.0 * (24 * 30 + cells * (24 + 30))
+    grid = (24, 30)
+    need = 64.0 * 24 * 30
     with within(Budget(memory=need * (1 + 1e-9), seconds=9.0)):
         optics_of(**options)
     with within(Budget(memory=need * (1 - 1e-9), seconds=9.0)):
