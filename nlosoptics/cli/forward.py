@@ -72,6 +72,9 @@ def run_command(
     ] = True,
     memory: Memory = None,
     max_seconds: MaxSeconds = MOST_SECONDS,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Also draw each figure of the overview by itself.")
+    ] = False,
     debug: Debug = False,
 ) -> None:
     """Simulate the camera image of a scene and reconstruct the hidden object.
@@ -87,31 +90,30 @@ def run_command(
         from ..runs.plan import looked_at
         from ..runs.record import write_record
         from ..runs.results import write_result
-        from . import figures
+        from .figures import write_figures, write_overview
         from .first_run import compiled_ahead
 
         seed = checked_seed(seed)
-        with figures.painters() as beside, compiled_ahead():
-            # late, since it loads numba, which the processes that draw do without
+        with compiled_ahead():
             from ..runs.simulate import carried_out
 
             scene = load(scene_file, size, changes)
-            beside.send(scene)
             loaded = time.perf_counter()
             planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
             check_target(folder)
             ready = time.perf_counter()
             drawn = can_draw()
             with progress_bar() as progress:
-                result = carried_out(planned, optics, seed, progress, beside.send)
+                result = carried_out(planned, optics, seed, progress)
                 progress("writing", 1.0)
                 with whole_folder(folder) as new:
                     began = time.perf_counter()
-                    beside.send(result.reconstruction, new)
                     report = write_result(result, new) | {"command_line": typed(context)}
                     written = time.perf_counter()
                     if drawn:
-                        figures.write_figures(result, new, beside)
+                        write_overview(result, new)
+                        if figures:
+                            write_figures(result, new)
                     ended = time.perf_counter()
                     seconds = {
                         "loading": loaded - start,

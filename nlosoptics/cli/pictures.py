@@ -83,9 +83,10 @@ def view_command(
             check_file(out)
         require("pyvista", "views")
         from .. import views
+        from ..views.stages import window
 
         # some systems require windows in the main thread; the render test runs beside loading
-        plotter = views.window() if out is None else None
+        plotter = window() if out is None else None
         with ThreadPoolExecutor(1) as beside:
             trial = beside.submit(_try_to_render, out)
             scene = load(scene_file, None, changes)
@@ -115,10 +116,10 @@ def view_command(
 
 def _try_to_render(out: Path | None) -> None:
     """Raise if a PNG is requested but this machine cannot render."""
-    from .. import views
+    from ..views.stages import rendering_works
 
     if out is not None and out.suffix.lower() == ".png":
-        views.rendering_works()
+        rendering_works()
 
 
 def _drawn(

@@ -33,17 +33,18 @@ def report_command(
     """
     with errors_told(debug):
         from .. import report
+        from ..report.pages import read_record
 
         file = folder / PAGE if out is None else out
         if file.suffix.lower() not in (".html", ".htm"):
             raise typer.BadParameter(
                 f"{file} does not end in .html; give a name that does", param_hint="--out"
             )
-        report.Folder.read(folder)  # check the input before the output path
+        read_record(folder)  # check the input before the output path
         check_file(file)
         with progress_bar() as progress:
             progress("report", 0.0)
-            text = report.page(folder, interactive=three_d)
+            text = report.page(folder, computed=three_d)
         page, contents = text.encode(), {}
         if file.resolve().parent == folder.resolve():
             # first, so that a page is in the list whenever the process is killed
