@@ -485,7 +485,7 @@ def tornado(
 
     Parameters
     ----------
-    bars : sequence of Sensitivity or xarray Dataset
+    bars : sequence of Sensitivity, or Dataset
         Result of `nlosoptics.study.sensitivities`: changes of the figure of merit when one value
         changes alone, the largest first. Or the dataset of `nlosoptics.study.sobol_indices`: shares
         of its variance.

@@ -1,6 +1,6 @@
-"""Whole tasks: commands from start to exit, tolerances, growth with size, pictures of a room."""
+"""Whole tasks: commands from start to exit, tolerances, growth with size."""
 
-from .cells import Cell, Row, listed
+from .cells import Row
 from .figures import curves
 from .page import Section
 
@@ -10,21 +10,6 @@ def longest_stages(row: Row) -> str:
     stages = {k: v for k, v in row.get("stages", {}).items() if k not in ("total", "outside")}
     longest = sorted(stages, key=lambda name: -stages[name])[:3]
     return ", ".join(f"{name} {stages[name]:.2g} s" for name in longest)
-
-
-def pictures(found: Row) -> str:
-    """Return seconds, sizes and frame rate of a room."""
-    png, frames = found["png_seconds"], found["frames"]
-    renderer = f"{frames['renderer'].split(' (')[0]}, {found['cores']} cores"
-    cells: dict[str, Cell] = {
-        "PNG, including the import of pyvista and a test of the renderer": "{drawn:time}",
-        "HTML page": "{files[html_megabytes]:n} MB",
-        "glTF": "{files[glb_megabytes]:n} MB",
-        f"{frames['segments']} segments, {renderer}": "{frames[frames_per_second]:n} frames per "
-        "second",
-    }
-    drawn = png["trial_of_rendering"] + png["picture_with_pyvista"]
-    return listed(cells, found | {"drawn": drawn})
 
 
 SECTIONS = (
@@ -79,14 +64,5 @@ SECTIONS = (
             "memory": "{bytes:first MiB .3g} to {bytes:last MiB .3g} MiB",
             "memory grows as": "n^{bytes_exponent:.2f}",
         },
-    ),
-    Section(
-        "views.json",
-        "Pictures in three dimensions",
-        "A room with a wavy wall and 500 light paths. If the table names no graphics card, the "
-        "pictures were rendered by the processor. HTML pages and glTF models are written without "
-        "rendering.",
-        "python benchmarks/views.py",
-        table=pictures,
     ),
 )

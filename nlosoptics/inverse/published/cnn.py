@@ -218,7 +218,6 @@ class Training(Noun):
     See Also
     --------
     train_cnn : Train a network on simulated pairs.
-    nlosoptics.views.history : Convergence of a fit.
     """
 
     network: CnnBaseline

@@ -69,7 +69,6 @@ class Comparison:
     See Also
     --------
     compare : Run all methods on one wave.
-    nlosoptics.views.compare_methods : Time and error of all methods.
     """
 
     rows: tuple[ComparisonRow, ...]
@@ -142,7 +141,6 @@ def compare(
     See Also
     --------
     point_spread : PSF of a given wave.
-    nlosoptics.views.compare_methods : Time and error of all methods.
 
     Examples
     --------

@@ -225,7 +225,6 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     --------
     ensquared_energy : Energy within squares.
     fwhm : Full width at half maximum.
-    nlosoptics.views.encircled_energy : Curve of the encircled energy.
 
     Examples
     --------
