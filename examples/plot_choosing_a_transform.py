@@ -12,7 +12,6 @@ import time
 import matplotlib.pyplot as plt
 
 from nlosoptics import psf
-from nlosoptics.errors import SamplingError
 
 plt.style.use("nlosoptics.views.palette")
 
@@ -38,31 +37,20 @@ waves = {
 # %%
 # All transforms
 # --------------
-# The image has 128 x 128 pixels of about one wavelength times the F-number. Filled markers show the
-# error that each transform estimates. Hollow markers show its difference from `quadrature`, the
-# most accurate one. A transform that is not valid for a wavefront says so.
+# The image has 128 x 128 pixels of about one wavelength times the F-number. Markers show the error
+# that each transform estimates.
 
 window = {"pitch": 8e-6, "shape": 128, "pixel_integrated": True}
-methods = ("airy", "fft", "mdft", "quadrature", "nufft", "geometric")
-figure, axes = plt.subplots(3, 1, figsize=(7, 12), layout="constrained")
-for axis, (name, wave) in zip(axes, waves.items(), strict=True):
-    best = psf.point_spread(wave, method="quadrature", **window).intensity
-    for number, method in enumerate(methods):
-        try:
-            psf.point_spread(wave, method=method, **window)  # loads compiled code
-            start = time.perf_counter()
-            spread = psf.point_spread(wave, method=method, **window)
-            seconds = time.perf_counter() - start
-        except SamplingError as error:
-            print(f"{name}, {method}: {error}")
-            continue
-        difference = abs(spread.intensity - best).max() / best.max()
-        colour = f"C{number}"
-        axis.loglog(seconds, max(spread.error_estimate, 1e-17), "o", color=colour, label=method)
-        axis.loglog(seconds, max(difference, 1e-17), "o", color=colour, fillstyle="none")
-    axis.axhline(1e-3, color="grey", linestyle="--")
-    chosen = psf.point_spread(wave, **window)
-    axis.set(xlabel="computation time (s)", ylabel="error, max |dI| / max I")
+tables = {name: psf.compare(wave, repeats=2, longest=1.0, **window) for name, wave in waves.items()}
+figure, axes = plt.subplots(3, 1, figsize=(8.5, 15), layout="constrained")
+for axis, (name, table) in zip(axes, tables.items(), strict=True):
+    for row in table.rows:
+        if row.seconds:
+            axis.loglog(row.seconds, max(row.error_estimate, 1e-17), "o", label=row.method)
+    axis.axhline(1e-3, linestyle="--")
+    axis.set(xlabel="computation time (s)", ylabel="estimated error / peak")
+    axis.legend()
+    chosen = psf.point_spread(waves[name], **window)
     axis.set_title(f"{name}: auto selects {chosen.method}")
     axis.legend()
 plt.show()

@@ -13,9 +13,10 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.colors import LogNorm
 
 import nlosoptics as nlos
-from nlosoptics import psf, views
+from nlosoptics import psf
 
 plt.style.use("nlosoptics.views.palette")
 
@@ -39,7 +40,11 @@ def hybrid(height: float, **options: Any) -> psf.HybridPointSpread:
 
 example = hybrid(60e-9, shape=65, tol=5e-5)
 figure, axes = plt.subplots(1, 3, figsize=(12, 3.8), layout="constrained")
-views.hybrid_parts(example, decades=6, axes=axes)
+peak = example.intensity.max()
+for axis, part in zip(axes, ("coherent", "halo", "diffuse"), strict=True):
+    shown = axis.imshow(getattr(example, part), norm=LogNorm(1e-6 * peak, peak, clip=True))
+    axis.set_title(f"{part} part, total {getattr(example, f'{part}_flux'):.3g}")
+figure.colorbar(shown, ax=axes, label="flux per sample")
 plt.show()
 
 # %%

@@ -61,7 +61,7 @@ views.point_spread(gentle.point_spread, scale="linear", half_width=20e-6, axes=r
 facets = seen(wall)
 print(facets.point_spread.reason)
 _, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-views.pupil_field(facets.pupil_field, axes=left)
+views.wavefront(facets.pupil_field, axes=left)
 views.point_spread(facets.point_spread, scale="linear", axes=right)
 
 # %%

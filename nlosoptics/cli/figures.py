@@ -40,7 +40,7 @@ def _figures(result: Result) -> Iterator[tuple[str, Any]]:
     yield "point_spread", views.point_spread(result.point_spread)
     yield "wavefront", views.wavefront(result.wavefront)
     if result.pupil_field is not None:
-        yield "pupil_phase", views.pupil_field(result.pupil_field)
+        yield "pupil_phase", views.wavefront(result.pupil_field)
     yield "image", views.image(result.image, object_scale=scale)
     if result.reconstruction is not None:
         truth = ideal / ideal.max() if ideal.any() else None

@@ -36,19 +36,19 @@ def report_command(
     """
     with errors_told(debug):
         from .. import report
+        from ..report.pages import read_record
 
         file = folder / PAGE if out is None else out
-        if not folder.exists():
-            sweep(folder)  # a killed command may have moved it aside
-        held = report.Folder.read(folder)  # check the input before the output path
-        check_file(file, ".html", ".htm")
+        if file.suffix.lower() not in (".html", ".htm"):
+            raise typer.BadParameter(
+                f"{file} does not end in .html; give a name that does", param_hint="--out"
+            )
+        read_record(folder)  # check the input before the output path
+        check_file(file)
         with progress_bar() as progress:
-            lacks = held.record.command == "run" and "scene.png" not in held.record.files
-            if lacks and os.access(folder, os.W_OK) and can_draw():
-                progress("figures", 0.0)
-                _add_figures(folder)
-            progress("report", 0.5)
-            page = report.page(folder, interactive=three_d).encode()
+            progress("report", 0.0)
+            text = report.page(folder, computed=three_d)
+        page, contents = text.encode(), {}
         if file.resolve().parent == folder.resolve():
             _add(folder, {file.name: page})
         else:

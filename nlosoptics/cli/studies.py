@@ -177,16 +177,18 @@ def plot_command(
     with errors_told(debug):
         require("matplotlib", "views")
         from .. import views
+        from ..views.studies import default_kind, study_picture
 
         results = _results(store)
         check_file(out)
         if results.study.dimensions[0].name == "trial":
             raise typer.BadParameter(f"{store} is a search; use nlosoptics study optimum {store}")
         results.values(figure, incomplete=incomplete)  # refuses pending points
-        chosen = _default_kind(results) if kind is Kind.AUTO else kind
-        if contours is not None and chosen not in (Kind.MAP, Kind.PANELS):
+        chosen = default_kind(results) if kind is Kind.AUTO else kind.value
+        if contours is not None and chosen not in ("map", "panels"):
             raise typer.BadParameter("contours belong to a map; use --kind map or panels")
-        axes = _drawn(results, figure, chosen, boundary, list(numbers("--contours", contours)))
+        levels = _numbers(contours)
+        axes = study_picture(results, figure, chosen, boundary=boundary, contours=levels)
         views.save(axes, out)
         typer.echo(f"{out}: {figure} of {results.path}")
 
@@ -218,7 +220,7 @@ def report_command(
         check_file(file, ".html", ".htm")
         with progress_bar(width=48) as progress:
             progress("report", 0.0)
-            text = report.study_page(store, gallery=gallery)
+            text = report.page(store, computed=gallery)
         write_whole({file: text.encode()})
         typer.echo(f"{file}: {len(text.encode()) / 1e6:.2g} MB")
 
@@ -245,8 +247,7 @@ def optimum_command(
 
         found = optimum(_results(store), incomplete=incomplete)
         check_file(out)
-        several = len(found.labels) > 1
-        views.save(views.pareto(found) if several else views.search_history(found), out)
+        views.save(views.search(found), out)
         typer.echo(f"{found}\n{out}: {len(found.feasible)} trials of {store}")
 
 
@@ -292,43 +293,11 @@ def _require_parts() -> None:
         require(part, "study")
 
 
-def _label(results: Any, figure: str) -> str:
-    """Return a figure's name with its unit."""
-    unit = results.study.figure(figure).unit
-    return f"{figure} ({unit})" if unit else figure
-
-
-def _default_kind(results: Any) -> Kind:
-    """Return the picture that fits a study's design."""
-    names = [dimension.name for dimension in results.study.dimensions]
-    if names == ["case"]:
-        return Kind.TORNADO
-    if names == ["draw"]:
-        method = results.study.definition["draws"].get("method")
-        return Kind.SOBOL if method == "saltelli" else Kind.YIELD
-    return Kind.MAP
-
-
-def _drawn(
-    results: Any, figure: str, kind: Kind, boundary: float | None, contours: list[float]
-) -> Any:
-    """Draw a picture of a study."""
-    from .. import study, views
-    from ..study import answers
-
-    label = _label(results, figure)
-    if kind is Kind.TORNADO:
-        return views.tornado(study.sensitivities(results, figure, incomplete=True), label=label)
-    if kind is Kind.SOBOL:
-        return views.sobol_bars(study.sobol_indices(results, figure), label=figure)
-    if kind is Kind.YIELD:
-        limits, found = answers.yields(results, figure)
-        return views.yield_curve(limits, found, label=label)
-    if kind is Kind.PANELS:
-        return views.study_panels(results, figure, boundary=boundary, contours=contours)
-    if kind is Kind.SLICES:
-        return views.study_slices(results, figure, boundary=boundary)
-    if kind is Kind.GALLERY:
-        smallest = answers.smallest_is_best(results.study.figure(figure))
-        return views.study_gallery(results, figure, smallest_is_best=smallest)
-    return views.study_map(results, figure, boundary=boundary, contours=contours)
+def _numbers(text: str | None) -> list[float]:
+    """Return the numbers of a list with commas."""
+    try:
+        return [float(part) for part in (text or "").split(",") if part.strip()]
+    except ValueError:
+        raise typer.BadParameter(
+            f"--contours {text!r} is not a list of numbers such as 0.2,0.5,0.8"
+        ) from None

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from .._checks import path_of
-from .._html import Html, joined, tag
-from ..errors import NlosError
-from . import sections
-from .folders import Folder
-from .rooms import Room, room
+from .. import __version__
+from .._checks import path_of, reason
+from .._html import joined, tag
+from ..errors import SceneError
+from . import runs, studies
 
 
-def page(folder: str | Path, *, interactive: bool = True) -> str:
-    """Make an HTML report of a run as a single file: key figures, pictures and provenance.
+def page(folder: str | Path, *, computed: bool = True) -> str:
+    """Make an HTML report of a run or a design study as a single file.
 
     Parameters
     ----------
     folder : str or Path
-        Folder written by ``nlosoptics run``, ``reconstruct`` or ``phasor``.
-    interactive : bool
-        Whether to include a 3-D view of the scene that can be rotated. Light paths are traced for
-        it. If the view cannot be drawn, the page states the reason instead.
+        Folder written by ``nlosoptics run``, ``reconstruct`` or ``phasor``, or with the results of
+        a study (the store), complete or not.
+    computed : bool
+        Whether to add what is computed for the page: for a run, a 3-D view that can be rotated,
+        for which light paths are traced; for a study, the point spread functions of its worst,
+        median and best point. If something cannot be drawn, the page states the reason instead.
 
     Returns
     -------
@@ -38,7 +39,8 @@ def page(folder: str | Path, *, interactive: bool = True) -> str:
 
     See Also
     --------
-    Folder : Contents of a run's folder.
+    nlosoptics.load_result : Read a saved result.
+    nlosoptics.study.Results : Results of a study.
     nlosoptics.views.overview : One figure of a whole run.
 
     Examples
@@ -48,24 +50,31 @@ def page(folder: str | Path, *, interactive: bool = True) -> str:
     >>> result = simulate(Scene.load("examples/scenes/letter_flat.toml").resized(32), tol=1e-2)
     >>> with TemporaryDirectory() as place:
     ...     result.save(f"{place}/letter")
-    ...     text = report.page(f"{place}/letter", interactive=False)
+    ...     text = report.page(f"{place}/letter", computed=False)
     >>> text.startswith("<!DOCTYPE html>")
     True
     """
-    held = Folder.read(path_of("folder", folder))
-    parts = sections.parts(held, *_room(held, interactive))
-    title = f"{held.name}, nlosoptics {held.record.command}"
-    return assembled(title, sections.head(held), parts, sections.colophon())
-
-
-def assembled(title: str, head: Html, parts: Sequence[sections.Part], footer: str) -> str:
-    """Return the text of a page from its header and sections."""
-    contents = [tag("li", tag("a", name, href=f"#{anchor}")) for anchor, name, _ in parts]
+    path = path_of("folder", folder)
+    if (path / "zarr.json").exists():
+        title, head, parts = studies.contents(path, computed)
+    else:
+        record = read_record(path)
+        try:
+            title, head, parts = runs.contents(path, record, computed)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            if isinstance(error, SceneError):
+                raise
+            raise SceneError(
+                f"{path / 'result.json'} does not have the form that nlosoptics {__version__} "
+                f"writes ({reason(error)}); run the command again"
+            ) from None
+    links = [tag("li", tag("a", name, href=f"#{anchor}")) for anchor, name, _ in parts]
+    made = f"Made by nlosoptics report {__version__}. This file is complete and loads nothing else."
     body = joined(
         [
-            tag("header", head, _contents(contents)),
+            tag("header", head, tag("nav", tag("ol", *links), aria_label="Contents")),
             tag("main", *(part for _, _, part in parts)),
-            tag("footer", tag("p", footer)),
+            tag("footer", tag("p", made)),
         ]
     )
     place = files(__package__)
@@ -76,15 +85,25 @@ def assembled(title: str, head: Html, parts: Sequence[sections.Part], footer: st
     )
 
 
-def _contents(items: list[Html]) -> Html:
-    return tag("nav", tag("ol", *items), aria_label="Contents")
+def read_record(folder: Path) -> dict[str, object]:
+    """Return the contents of ``result.json`` in a folder.
 
-
-def _room(held: Folder, interactive: bool) -> tuple[Room | None, str]:
-    """Return the 3-D view, or None and the reason why it cannot be drawn."""
-    if not interactive:
-        return None, ""
+    Raises
+    ------
+    SceneError
+        If there is none, or it was not written by ``nlosoptics run``, ``reconstruct`` or
+        ``phasor``.
+    """
+    remedy = "name the output folder of nlosoptics run, reconstruct or phasor"
+    if not folder.is_dir():
+        raise SceneError(f"{folder} is {'no folder' if folder.exists() else 'missing'}; {remedy}")
+    path = folder / "result.json"
     try:
-        return room(held), ""
-    except NlosError as error:
-        return None, str(error)
+        record = json.loads(path.read_bytes())
+    except OSError:
+        raise SceneError(f"{folder} holds no result.json that can be read; {remedy}") from None
+    except (ValueError, RecursionError) as error:
+        raise SceneError(f"{path} is no JSON ({reason(error)}); {remedy}") from None
+    if not isinstance(record, dict) or record.get("command") not in runs.COMMANDS:
+        raise SceneError(f"{path} names no command of nlosoptics that has a report; {remedy}")
+    return record

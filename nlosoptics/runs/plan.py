@@ -75,7 +75,6 @@ class Plan:
     --------
     plan : Predict stages, time and error.
     simulate : Run a scene's plan.
-    nlosoptics.views.plan : Stages of a plan with their times.
     """
 
     stages: tuple[Stage, ...]

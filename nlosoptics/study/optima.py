@@ -55,7 +55,7 @@ class Optimum(Noun):
     See Also
     --------
     optimum : Best trials of an optimisation.
-    nlosoptics.views.pareto : Picture of two objectives.
+    nlosoptics.views.search : Picture of the trials.
     """
 
     results: Results

@@ -1,4 +1,4 @@
-"""Figures, films and 3-D views of results; `save` writes them to files.
+"""Figures and 3-D views of results; `save` writes them to files.
 
 Every function draws on the axes or the plotter that is passed, or on a new one, and returns it.
 Nothing is computed here, and no window opens. matplotlib and pyvista belong to the extra

@@ -1,195 +1,21 @@
-"""Curves of metrics, fit histories, transforms and path lengths; and spot diagrams."""
+"""Curves of metrics and path lengths; spot diagrams; forecasts."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from .._checks import in_range, whole
-from ..errors import SamplingError, SceneError
-from .canvas import (
-    BLUE,
-    GREY,
-    MARKERS,
-    ORANGE,
-    SERIES,
-    VERMILION,
-    new_axes,
-    space_ticks,
-)
+from .._checks import counted, whole
+from ..errors import SceneError
+from .canvas import BLUE, GREY, SERIES, VERMILION, few_ticks, new_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from ..inverse import Reconstruction
-    from ..psf import Comparison, MetricEstimate, SpotDiagram, ThroughFocus
+    from ..limits import Feasibility
+    from ..psf import SpotDiagram, ThroughFocus
     from ..raytrace import PathHistogram
-
-Array = NDArray[np.float64]
-
-#: Axis labels (y, x) of each record in a fit's history. Records with equal labels share axes.
-RECORDS = {
-    "objective": ("objective", "iteration"),
-    "residual": ("residual, rms of the noise", "iteration"),
-    "change": ("relative change", "iteration"),
-    "fourier_error": ("Fourier error", "restart"),
-}
-WIDE_RANGE = 10.0  # ratio of largest to smallest value above which the scale is logarithmic
-FEW = 50  # largest number of values that are drawn with markers
-
-
-def mtf(
-    frequency: ArrayLike,
-    along_x: ArrayLike,
-    along_y: ArrayLike | None = None,
-    *,
-    diffraction_limit: ArrayLike | None = None,
-    axes: Axes | None = None,
-) -> Axes:
-    """Draw cuts through the modulation transfer function along x and y.
-
-    Parameters
-    ----------
-    frequency : array_like, (n,)
-        Spatial frequency in the image, cycles per m.
-    along_x, along_y : array_like, (n,)
-        Modulation at these frequencies, 0 to 1, from `nlosoptics.psf.mtf` with ``azimuth`` 0 and
-        pi/2.
-    diffraction_limit : array_like, (n,), optional
-        Modulation without aberration, drawn as a dashed line. None: no line.
-    axes : matplotlib Axes, optional
-        Axes to draw on; a new figure by default.
-
-    Returns
-    -------
-    Axes
-        Axes with the modulation from 0 to 1 against the frequency in cycles/mm.
-
-    Raises
-    ------
-    SamplingError
-        If the shape of an array differs from that of ``frequency``, or if values are not finite.
-
-    See Also
-    --------
-    nlosoptics.psf.mtf : Modulus of the optical transfer function.
-    encircled_energy : Curve of the encircled energy.
-
-    Examples
-    --------
-    >>> from nlosoptics import psf, views
-    >>> wave = psf.Wavefront.from_zernike(
-    ...     {7: 60e-9}, wavelength=600e-9, pupil_radius=5e-3, image_distance=0.1
-    ... )
-    >>> spread = psf.point_spread(wave, pitch=2e-6, shape=64)
-    >>> frequency = [0.0, 25e3, 50e3, 75e3, 100e3]
-    >>> along_x, along_y = (psf.mtf(spread, frequency, azimuth=a) for a in (0.0, 1.5708))
-    >>> axes = views.mtf(frequency, along_x, along_y)
-    >>> axes.get_xlabel()
-    'spatial frequency in the image (cycles/mm)'
-    """
-    places = _samples("frequency", frequency) * 1e-3
-    (axes,) = (axes,) if axes is not None else new_axes(1, width=6.0, height=4.2)
-    if diffraction_limit is not None:
-        limit = _samples("diffraction_limit", diffraction_limit, like=places, of="frequency")
-        axes.plot(places, limit, color=GREY, linestyle="--", label="diffraction limit")
-    cuts = [("along_x", "along x", BLUE, "-"), ("along_y", "along y", VERMILION, "-.")]
-    for (name, label, colour, line), given in zip(cuts, (along_x, along_y), strict=True):
-        if given is None:
-            continue
-        values = _samples(name, given, like=places, of="frequency")
-        axes.plot(places, values, color=colour, linestyle=line, label=label)
-    axes.set(
-        xlabel="spatial frequency in the image (cycles/mm)",
-        ylabel="modulation",
-        ylim=(0.0, 1.02),
-        xlim=(float(places.min()), float(places.max())),
-        title="modulation transfer function",
-    )
-    space_ticks(axes)
-    axes.grid(alpha=0.25)
-    axes.legend()
-    return axes
-
-
-def encircled_energy(
-    radius: ArrayLike,
-    energy: ArrayLike,
-    *,
-    diffraction_limit: ArrayLike | None = None,
-    shares: Sequence[float] = (0.5, 0.8),
-    axes: Axes | None = None,
-) -> Axes:
-    """Draw the energy of a point spread within circles against their radius.
-
-    Parameters
-    ----------
-    radius : array_like, (n,)
-        Radii of the circles, m, in increasing order.
-    energy : array_like, (n,)
-        Fraction of the energy within each circle, from `nlosoptics.psf.encircled_energy`.
-    diffraction_limit : array_like, (n,), optional
-        Encircled energy without aberration, drawn as a dashed line. None: no line.
-    shares : sequence of float
-        Fractions of the energy, above 0 and up to 1. The radius of the circle that contains each
-        of them is marked, interpolated linearly.
-    axes : matplotlib Axes, optional
-        Axes to draw on; a new figure by default.
-
-    Returns
-    -------
-    Axes
-        Axes with the fraction of the energy against the radius in um.
-
-    Raises
-    ------
-    SceneError
-        If a value in ``shares`` is out of range.
-    SamplingError
-        If the shape of an array differs from that of ``radius``, if the radii do not increase, or
-        if values are not finite.
-
-    See Also
-    --------
-    nlosoptics.psf.encircled_energy : Energy within circles.
-    mtf : Curves of the MTF.
-    """
-    radii = _samples("radius", radius) * 1e6
-    if len(radii) > 1 and np.diff(radii).min() <= 0.0:
-        raise SamplingError(
-            "radius must increase from value to value; sort it together with energy"
-        )
-    wanted = [in_range("shares", share, 0.0, 1.0, open_low=True) for share in shares]
-    values = _samples("energy", energy, like=radii, of="radius")
-    (axes,) = (axes,) if axes is not None else new_axes(1, width=6.0, height=4.2)
-    if diffraction_limit is not None:
-        limit = _samples("diffraction_limit", diffraction_limit, like=radii, of="radius")
-        axes.plot(radii, limit, color=GREY, linestyle="--", label="diffraction limit")
-    axes.plot(radii, values, color=BLUE, label="encircled energy")
-    lines = zip(wanted, (VERMILION, ORANGE, *SERIES[2:]), strict=False)
-    for share, colour in lines:
-        place = _crossing(radii, values, share)
-        if place is None:
-            axes.plot([], [], " ", label=f"{100 * share:g} % not within {radii[-1]:.3g} µm")
-            continue
-        style: dict[str, Any] = {"color": colour, "linewidth": 1.2, "linestyle": ":"}
-        axes.plot([place, place, radii[0]], [0.0, share, share], **style)
-        label = f"{100 * share:g} % within {place:.3g} µm"
-        axes.plot([place], [share], color=colour, marker="o", linestyle="", label=label)
-    axes.set(
-        xlabel="radius (µm)",
-        ylabel="fraction of the energy",
-        ylim=(0.0, 1.02),
-        xlim=(float(radii[0]), float(radii[-1])),
-        title="encircled energy",
-    )
-    space_ticks(axes)
-    axes.grid(alpha=0.25)
-    axes.legend(loc="lower right")
-    return axes
 
 
 def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
@@ -230,7 +56,7 @@ def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.0, height=4.2)
     length = found.criterion in ("rms", "spot")
     shifts, values = 1e3 * found.shifts, (1e6 if length else 1.0) * found.values
-    marker = "o" if len(shifts) <= FEW else None
+    marker = "o" if len(shifts) <= 50 else None
     order = np.argsort(shifts)
     axes.plot(shifts[order], values[order], color=BLUE, marker=marker, markersize=3.5)
     best, depth = shifts[found.best], 2e3 * found.wavelength * found.f_number**2
@@ -242,113 +68,10 @@ def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
         xlim=(float(shifts.min()), float(shifts.max())) if len(shifts) > 1 else None,
         title="through focus",
     )
-    space_ticks(axes)
+    few_ticks(axes)
     axes.grid(alpha=0.25)
     axes.legend()
     return axes
-
-
-def history(fit: Reconstruction, *, axes: Sequence[Axes] | None = None) -> tuple[Axes, ...]:
-    """Draw how a fit converged: each quantity that the solver recorded, against the iteration.
-
-    Parameters
-    ----------
-    fit : Reconstruction
-        Result of a solver; its ``history`` is drawn.
-    axes : sequence of matplotlib Axes, optional
-        Axes to draw on, one for each recorded quantity. A new figure by
-        default.
-
-    Returns
-    -------
-    tuple of Axes
-        Axes in the order of the history. A scale is logarithmic where the values are positive and
-        span more than a factor of ten. For the residual (measured minus modelled image), a dashed
-        line marks the level of the noise.
-
-    Raises
-    ------
-    SceneError
-        If the history is empty, or if the number of axes differs from that of the quantities. A
-        method without iterations keeps no history.
-
-    See Also
-    --------
-    reconstruction : Reconstructed object next to the true one.
-    nlosoptics.inverse.Reconstruction : Result of every solver.
-    """
-    panels: dict[str, dict[str, Array]] = {}
-    for name, record in fit.history.items():
-        if len(record):
-            panels.setdefault(RECORDS.get(name, (name, ""))[0], {})[name] = np.asarray(record)
-    if not panels:
-        raise SceneError(
-            "the history of this fit is empty, because its method does not iterate or found no "
-            "signal; use views.reconstruction instead"
-        )
-    on = (
-        tuple(axes)
-        if axes is not None
-        else new_axes(len(panels), width=4.0 * len(panels), height=3.6)
-    )
-    if len(on) != len(panels):
-        raise SceneError(
-            f"{len(on)} axes were given, must be {len(panels)}: one each for {', '.join(panels)}"
-        )
-    for axis, (label, records) in zip(on, panels.items(), strict=True):
-        unit = "iteration"
-        for (name, record), colour, marker in zip(records.items(), SERIES, MARKERS, strict=False):
-            unit = RECORDS.get(name, ("", "iteration"))[1]
-            style = "" if unit == "restart" else "-"
-            dots = marker if len(record) <= FEW or not style else ""
-            axis.plot(
-                np.arange(1, len(record) + 1),
-                record,
-                color=colour,
-                linestyle=style,
-                marker=dots,
-                markersize=4,
-                label=name,
-            )
-        every = np.concatenate(list(records.values()))
-        if every.min() > 0.0 and every.max() > WIDE_RANGE * every.min():
-            axis.set_yscale("log")
-        if "residual" in records:
-            axis.axhline(1.0, color=GREY, linestyle="--", linewidth=1.2, label="noise")
-        if len(axis.lines) > 1:
-            axis.legend()
-        axis.grid(alpha=0.25)
-        axis.set(xlabel=unit, ylabel=label)
-        space_ticks(axis, integer=True)
-    return on
-
-
-def _samples(name: str, values: ArrayLike, *, like: Array | None = None, of: str = "") -> Array:
-    """Return the values (n,) of a curve as float64, after a check of shape and finiteness.
-
-    Values must have the shape of ``like``; without it, n must be at least 2. Error messages call
-    the values ``name`` and the array ``like`` by the name in ``of``.
-    """
-    array = np.asarray(values, dtype=np.float64)
-    if like is None and (array.ndim != 1 or array.size < 2):
-        raise SamplingError(f"{name} has shape {array.shape}, must be (n,) with n at least 2")
-    if like is not None and array.shape != like.shape:
-        raise SamplingError(f"{name} has shape {array.shape}, must be {like.shape} like {of}")
-    n_bad = array.size - int(np.count_nonzero(np.isfinite(array)))
-    if n_bad:
-        raise SamplingError(f"{name} has {n_bad} of {array.size} values that are not finite")
-    return array
-
-
-def _crossing(places: Array, values: Array, level: float) -> float | None:
-    """Return where a curve first reaches a level, interpolated linearly, or None."""
-    reached = np.flatnonzero(values >= level)
-    if not len(reached):
-        return None
-    at = int(reached[0])
-    if at == 0:
-        return float(places[0])
-    return float(np.interp(level, values[at - 1 : at + 1], places[at - 1 : at + 1]))
 
 
 def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = None) -> Axes:
@@ -404,7 +127,7 @@ def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = 
         ylabel="y (µm)",
         title="spot diagram",
     )
-    space_ticks(axes)
+    few_ticks(axes)
     axes.grid(alpha=0.25)
     axes.legend(loc="upper right")
     return axes
@@ -475,7 +198,61 @@ def path_lengths(histogram: PathHistogram, *, axes: Axes | None = None) -> Axes:
         xlim=tuple(histogram.edges[[0, -1]]),
         title="path lengths of the detected light",
     )
-    space_ticks(axes)
+    few_ticks(axes)
     axes.grid(alpha=0.25)
     axes.legend()
+    return axes
+
+
+def feasibility(found: Feasibility, *, axes: Axes | None = None) -> Axes:
+    """Draw which detail an image can show: contrast against spatial frequency, with noise limits.
+
+    Parameters
+    ----------
+    found : Feasibility
+        Result of `nlosoptics.limits.feasibility`.
+    axes : matplotlib Axes, optional
+        Axes to draw on; a new figure by default.
+
+    Returns
+    -------
+    Axes
+        Axes with the modulation against the spatial frequency on the hidden object, cycles/m. The
+        modulation is the contrast of a sine pattern on the object that is left in the camera image.
+        One curve is for the image formed by the mirror-like part of the wall's reflection, one for
+        its diffuse part. A dashed line of the same colour marks the modulation at which the
+        signal-to-noise ratio is 1; only frequencies with a modulation above it are detectable. A
+        grey line marks the frequency whose period is twice the width of the object's strokes. The
+        title gives the verdict.
+
+    See Also
+    --------
+    nlosoptics.limits.feasibility : Predict what an image can show.
+    image : Map of a camera image.
+    """
+    (axes,) = (axes,) if axes is not None else new_axes(1, width=6.4, height=4.2)
+    parts: list[tuple[str, str, Any, Any]] = [
+        ("specular image", BLUE, found.modulation, found.signal_to_noise),
+        ("diffuse reflection", VERMILION, found.relay_modulation, found.relay_signal_to_noise),
+    ]
+    for name, colour, modulation, ratio in parts:
+        if not np.any(modulation > 0.0):
+            continue
+        axes.semilogy(found.frequency, np.maximum(modulation, 1e-5), color=colour, label=name)
+        if ratio[0] > 0.0:
+            hidden = modulation[0] / ratio[0]
+            label = f"{name}: noise limit {hidden:.1g}"
+            axes.axhline(hidden, color=colour, ls="--", lw=1, label=label)
+    if found.stroke > 0.0:
+        axes.axvline(0.5 / found.stroke, color=GREY, lw=1, label="stroke frequency")
+    axes.set(
+        xlabel="spatial frequency on the object (cycles/m)",
+        ylabel="modulation",
+        ylim=(1e-4, 1.5),
+        xlim=(0.0, float(found.frequency[-1])),
+        title=found.verdict.split(":")[0] + f", {counted(found.modes, 'mode')}",
+    )
+    few_ticks(axes)
+    # below the axes, where it cannot cover a curve
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, fontsize=8)
     return axes

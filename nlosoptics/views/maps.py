@@ -1,4 +1,4 @@
-"""Maps: wave aberration, point spread function, image, reconstruction, irradiance."""
+"""Maps: wave aberration, point spread function, image, reconstruction."""
 
 from __future__ import annotations
 
@@ -9,40 +9,32 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import one_of, positive
-from .canvas import SKY, new_axes, power_of_ten, round_step, set_title, space_ticks
-from .reliefs import relief, spread_norm
+from .canvas import SKY, few_ticks, new_axes, round_step
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.colors import Normalize
-    from matplotlib.image import AxesImage
 
     from ..imaging import SpeckleImage
     from ..inverse import Reconstruction
-    from ..psf import HybridPointSpread, PointSpread, PupilField, Wavefront
-    from ..raytrace import TracedImage, WallIrradiance
+    from ..psf import PointSpread, PupilField, Wavefront
+    from ..raytrace import TracedImage
 
 Array = NDArray[np.float64]
 
-SCALE_BAR = SKY  # readable on black, grey and white
-
-#: Labels of colour bars, by the normalisation of a point spread function.
-MEANING = {
-    "unit-sum": "energy per sample (image plane total 1)",
-    "flux": "energy per sample (clear pupil total 1)",
-    "ideal-peak": "intensity (aberration-free peak 1)",
-}
-
 
 def wavefront(
-    wavefront: Wavefront, *, unit: Literal["waves", "nm"] = "waves", axes: Axes | None = None
+    wavefront: Wavefront | PupilField,
+    *,
+    unit: Literal["waves", "nm"] = "waves",
+    axes: Axes | None = None,
 ) -> Axes:
-    """Draw the wave aberration over the pupil.
+    """Draw the wave aberration over the pupil, or the phase of light from a rough wall.
 
     Parameters
     ----------
-    wavefront : Wavefront
-        Wave to draw. Parts of the pupil without light are blank.
+    wavefront : Wavefront or PupilField
+        Wave to draw. Parts of the pupil without light are blank. Of a `PupilField`, the phase from
+        -pi to pi is drawn.
     unit : {"waves", "nm"}
         Unit of the aberration: wavelengths or nanometres.
     axes : matplotlib Axes, optional
@@ -70,7 +62,10 @@ def wavefront(
     ('u (mm)', 'wave aberration')
     """
     one_of("unit", unit, ("waves", "nm"))
-    (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
+    (axes,) = (axes,) if axes is not None else new_axes(width=5.6, height=4.6)
+    if hasattr(wavefront, "phase"):
+        _draw_phase(axes, wavefront)
+        return axes
     scale = wavefront.wavelength if unit == "waves" else 1e-9
     lit = (wavefront.amplitude > 0) & (wavefront.weights > 0)
     values = np.where(lit, wavefront.aberration / scale, np.nan)
@@ -89,109 +84,67 @@ def wavefront(
         # a triangulation closes the seam at angle zero and the gap at the centre
         drawn = axes.tripcolor(u[lit], v[lit], values[lit], shading="gouraud", **style)
     colour_bar(axes, drawn, f"wave aberration ({unit})")
-    space_ticks(axes)
-    axes.set(xlabel="u (mm)", ylabel="v (mm)", aspect="equal")
-    set_title(axes, "wave aberration")
+    axes.set(xlabel="u (mm)", ylabel="v (mm)", aspect="equal", title="wave aberration")
     return axes
 
 
-def pupil_field(
-    pupil_field: PupilField,
-    *,
-    quantity: Literal["phase", "amplitude"] = "phase",
-    axes: Axes | None = None,
-) -> Axes:
-    """Draw the phase or amplitude, over the exit pupil, of light from a rough wall.
-
-    Parameters
-    ----------
-    pupil_field : PupilField
-        Complex field in the exit pupil, for example ``pupil_field`` of a result of
-        `nlosoptics.simulate`.
-    quantity : {"phase", "amplitude"}
-        What to draw: the phase, from -pi to pi, or the modulus, which is 1 for a smooth wall.
-    axes : matplotlib Axes, optional
-        Axes to draw on; a new figure by default.
-
-    Returns
-    -------
-    Axes
-        Axes in pupil coordinates u and v, mm. In the phase, dark parts are blank.
-
-    See Also
-    --------
-    wavefront : Map of the wave aberration.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from nlosoptics import psf, views
-    >>> field = psf.PupilField(values=np.ones((8, 8), complex), pitch=1e-3)
-    >>> views.pupil_field(field).get_title()
-    'phase in the exit pupil'
-    """
-    one_of("quantity", quantity, ("phase", "amplitude"))
-    (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
-    n = pupil_field.values.shape[0]
-    lit = np.nonzero(np.isfinite(pupil_field.phase).any(axis=0))[0]
+def _draw_phase(axes: Axes, field: PupilField) -> None:
+    """Draw the phase of a field, cut to the lit part of its grid."""
+    n = field.values.shape[0]
+    lit = np.nonzero(np.isfinite(field.phase).any(axis=0))[0]
     inside = slice(int(lit.min()), int(lit.max()) + 1) if lit.size else slice(0, n)
-    low, high = ((i - n // 2) * pupil_field.pitch * 1e3 for i in (inside.start, inside.stop - 1))
-    half = pupil_field.pitch * 1e3 / 2
-    extent = (low - half, high + half, low - half, high + half)
-    style: dict[str, Any] = {"cmap": "twilight", "vmin": -np.pi, "vmax": np.pi}
-    if quantity == "amplitude":
-        style = {"cmap": "inferno", "vmin": 0.0}
-    shown = getattr(pupil_field, quantity)[inside, inside]
-    drawn = axes.imshow(shown, origin="lower", extent=extent, interpolation="nearest", **style)
-    colour_bar(axes, drawn, f"{quantity} (rad)" if quantity == "phase" else "relative amplitude")
-    space_ticks(axes)
-    axes.set(xlabel="u (mm)", ylabel="v (mm)", aspect="equal")
-    set_title(axes, f"{quantity} in the exit pupil")
-    return axes
+    ends = [(i - n // 2 - 0.5) * field.pitch * 1e3 for i in (inside.start, inside.stop)]
+    drawn = axes.imshow(
+        field.phase[inside, inside],
+        origin="lower",
+        extent=(*ends, *ends),
+        interpolation="nearest",
+        cmap="twilight",
+        vmin=-np.pi,
+        vmax=np.pi,
+    )
+    colour_bar(axes, drawn, "phase (rad)")
+    axes.set(xlabel="u (mm)", ylabel="v (mm)", title="phase in the exit pupil")
 
 
 def point_spread(
     point_spread: PointSpread,
     *,
-    scale: Literal["log", "linear", "surface"] = "log",
+    scale: Literal["log", "linear"] = "log",
     decades: float = 6.0,
     half_width: float | None = None,
     axes: Axes | None = None,
 ) -> Axes:
-    """Draw a point spread function as a map or as a relief.
+    """Draw a point spread function as a map.
 
     Parameters
     ----------
     point_spread : PointSpread
         Point spread function to draw, for example from `nlosoptics.psf.point_spread`.
-    scale : {"log", "linear", "surface"}
-        Scale of the colours of the map. "surface" draws a relief instead, with linear heights and
-        logarithmic colours, on 3-D axes.
+    scale : {"log", "linear"}
+        Scale of the colours.
     decades : float
         Range of the logarithmic scale below the peak, in powers of ten. Fainter samples get the
         lowest colour.
     half_width : float, optional
         Half the side of the displayed square about the centre, m; the whole window by default.
     axes : matplotlib Axes, optional
-        Axes to draw on, made with ``projection="3d"`` for a surface; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes in image coordinates, um. In a map -y points up, because the lens inverts the image. In
-        a relief y points toward the viewer.
+        Axes in image coordinates, um; -y points up, because the lens inverts the image.
 
     Raises
     ------
     SceneError
-        If ``scale`` is unknown, ``decades`` or ``half_width`` is not above 0, or ``axes`` are 2-D
-        axes and ``scale`` is "surface".
+        If ``scale`` is unknown, or ``decades`` or ``half_width`` is not above 0.
 
     See Also
     --------
     nlosoptics.psf.point_spread : PSF of a given wave.
     spot_diagram : Points at which rays meet the image plane.
-    encircled_energy : Curve of the encircled energy.
 
     Examples
     --------
@@ -203,86 +156,39 @@ def point_spread(
     >>> axes.get_xlabel(), axes.get_ylabel()
     ('x (µm)', '−y, up (µm)')
     """
-    one_of("scale", scale, ("log", "linear", "surface"))
+    one_of("scale", scale, ("log", "linear"))
     positive("decades", decades)
     if half_width is not None:
         half_width = positive("half_width", half_width, unit="m")
-    meaning = MEANING[point_spread.normalisation]
-    title = f"point spread function, {point_spread.method}"
-    if scale == "surface":
-        return relief(point_spread, decades, half_width, meaning=meaning, title=title, axes=axes)
-    (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
-    norm = spread_norm(point_spread, None if scale == "linear" else decades)
-    drawn = _spread_map(axes, point_spread.intensity, point_spread.pitch, norm)
-    if half_width is not None:
-        axes.set(
-            xlim=(-half_width * 1e6, half_width * 1e6), ylim=(-half_width * 1e6, half_width * 1e6)
-        )
-    colour_bar(axes, drawn, meaning)
-    axes.set(xlabel="x (µm)", ylabel="−y, up (µm)")
-    set_title(axes, title)
-    return axes
+    (axes,) = (axes,) if axes is not None else new_axes(width=5.6, height=4.6)
+    from matplotlib.colors import LogNorm, Normalize
 
-
-def hybrid_parts(
-    point_spread: HybridPointSpread,
-    *,
-    decades: float = 6.0,
-    axes: Sequence[Axes] | None = None,
-) -> tuple[Axes, ...]:
-    """Draw the three parts of a hybrid point spread function side by side, with a common scale.
-
-    A hybrid point spread function is the sum of a coherent part (light that the wall reflects like
-    a smooth mirror, computed by waves), a halo (mirror-like light that the wall's roughness
-    scatters, averaged over random walls) and a diffuse part (traced by rays).
-
-    Parameters
-    ----------
-    point_spread : HybridPointSpread
-        Result of `nlosoptics.psf.hybrid_point_spread`.
-    decades : float
-        Range of the logarithmic scale below the peak of the sum, in powers of ten. Fainter samples
-        get the lowest colour.
-    axes : sequence of three matplotlib Axes, optional
-        Axes to draw on; a new figure by default.
-
-    Returns
-    -------
-    tuple of three Axes
-        Coherent part, halo and diffuse part, in image coordinates, um; -y points up, because the
-        lens inverts the image. The titles give the energy of each part, as normalised by
-        ``point_spread.normalisation``.
-
-    See Also
-    --------
-    nlosoptics.psf.hybrid_point_spread : PSF by mirror-like and diffuse reflection.
-    point_spread : Map of a PSF.
-    """
-    positive("decades", decades)
-    drawn_on = tuple(axes) if axes is not None else new_axes(3, width=13.0, height=4.2)
-    norm = spread_norm(point_spread, decades)
-    for axis, name in zip(drawn_on, ("coherent", "halo", "diffuse"), strict=True):
-        drawn = _spread_map(axis, getattr(point_spread, name), point_spread.pitch, norm)
-        share = getattr(point_spread, f"{name}_flux")
-        axis.set(xlabel="x (µm)", ylabel="−y, up (µm)")
-        set_title(axis, f"{name} part, total {share:.3g}")
-    colour_bar(drawn_on[-1], drawn, MEANING[point_spread.normalisation])
-    return drawn_on
-
-
-def _spread_map(axes: Axes, intensity: Array, pitch: float, norm: Normalize) -> AxesImage:
-    """Draw samples of the image plane with row 0 on top, so that -y points up."""
-    space_ticks(axes)
-    ny, nx = intensity.shape
-    pixel = pitch * 1e6
+    light = point_spread.intensity
+    peak = float(light.max()) or 1.0
+    lowest = 0.0 if scale == "linear" else peak * 10.0**-decades
+    ny, nx = light.shape
+    pixel = point_spread.pitch * 1e6
     left, top = -(nx // 2 + 0.5) * pixel, (ny // 2 + 0.5) * pixel
-    return axes.imshow(
-        np.maximum(intensity, norm.vmin or 0.0),
-        norm=norm,
+    drawn = axes.imshow(
+        np.maximum(light, lowest),
+        norm=Normalize(lowest, peak) if scale == "linear" else LogNorm(lowest, peak),
         cmap="viridis",
         extent=(left, left + nx * pixel, top - ny * pixel, top),
         interpolation="nearest",
     )
+    if half_width is not None:
+        ends = -half_width * 1e6, half_width * 1e6
+        axes.set(xlim=ends, ylim=ends)
+    meaning = {
+        "unit-sum": "energy per sample (image plane total 1)",
+        "flux": "energy per sample (clear pupil total 1)",
+        "ideal-peak": "intensity (aberration-free peak 1)",
+    }
+    colour_bar(axes, drawn, meaning[point_spread.normalisation])
+    few_ticks(axes)
+    title = f"point spread function, {point_spread.method}"
+    axes.set(xlabel="x (µm)", ylabel="−y, up (µm)", title=title)
+    return axes
 
 
 def image(
@@ -325,11 +231,11 @@ def image(
     """
     if object_scale is not None:
         object_scale = positive("object_scale", object_scale)
-    (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
+    (axes,) = (axes,) if axes is not None else new_axes(width=5.6, height=4.6)
     _pixel_map(axes, speckle_image.electrons, speckle_image.pitch, "electrons per pixel")
     if object_scale is not None:
         _scale_bar(axes, 1e3 / object_scale)
-    set_title(axes, "camera image")
+    axes.set_title("camera image")
     return axes
 
 
@@ -375,18 +281,18 @@ def traced_image(
     ('traced image', 'x (mm)')
     """
     one_of("quantity", quantity, ("expected", "power", "stray"))
-    drawn_on = tuple(axes) if axes is not None else new_axes(2, width=10.6, height=4.6)
+    left, right = axes if axes is not None else new_axes(2, width=10.6, height=4.6)
     values, errors = (getattr(traced_image, quantity + end) for end in ("", "_error"))
     unit = "electrons per pixel" if quantity == "expected" else "power per pixel (W)"
     relative = np.full(values.shape, np.nan)
     known = np.isfinite(errors) & (values > 0.0)
     np.divide(100.0 * errors, values, out=relative, where=known)
-    _pixel_map(drawn_on[0], values, traced_image.pitch, unit)
-    _pixel_map(drawn_on[1], relative, traced_image.pitch, "standard error (%)", "viridis")
+    _pixel_map(left, values, traced_image.pitch, unit)
+    _pixel_map(right, relative, traced_image.pitch, "standard error (%)", "viridis")
     kinds = {"expected": "", "power": ", hidden object's light", "stray": ", stray light"}
-    set_title(drawn_on[0], f"traced image{kinds[quantity]}")
-    set_title(drawn_on[1], "relative standard error")
-    return drawn_on
+    left.set_title(f"traced image{kinds[quantity]}")
+    right.set_title("relative standard error")
+    return left, right
 
 
 def _pixel_map(axes: Axes, values: Array, pitch: float, label: str, colours: str = "gray") -> None:
@@ -399,29 +305,29 @@ def _pixel_map(axes: Axes, values: Array, pitch: float, label: str, colours: str
     extent = (-right, right, -top, top)
     drawn = axes.imshow(values, cmap=colours, extent=extent, interpolation="nearest")
     colour_bar(axes, drawn, label)
-    space_ticks(axes)
+    few_ticks(axes)
     axes.set(xlabel="x (mm)", ylabel="−y, up (mm)")
 
 
 def _scale_bar(axes: Axes, per_metre: float) -> None:
     """Draw a bar of a round length on the object; an axes unit is 1 / ``per_metre`` m there."""
+    from matplotlib.patheffects import withStroke
+
     left, right = axes.get_xlim()
     low, high = axes.get_ylim()
     width = right - left
     length = round_step(0.25 * width / per_metre)
     x, y = left + 0.05 * width, low + 0.06 * (high - low)
-    style: dict[str, Any] = {"color": SCALE_BAR, "solid_capstyle": "butt", "linewidth": 3}
+    # sky blue is readable on black, grey and white
+    style: dict[str, Any] = {"color": SKY, "solid_capstyle": "butt", "linewidth": 3}
     axes.plot([x, x + length * per_metre], [y, y], scalex=False, scaley=False, **style)
     name = f"{length:g} m" if length >= 0.1 else f"{1e3 * length:g} mm"
-    from matplotlib.patheffects import withStroke
-
     axes.annotate(
         f"{name} on the object",
         (x, y),
         (0, 4),
         textcoords="offset points",
-        color=SCALE_BAR,
-        fontsize="medium",
+        color=SKY,
         path_effects=[withStroke(linewidth=2.5, foreground="black")],  # over bright parts
     )
 
@@ -459,7 +365,7 @@ def reconstruction(
 
     See Also
     --------
-    history : Draws the convergence of a fit.
+    image : The camera image.
 
     Examples
     --------
@@ -473,83 +379,33 @@ def reconstruction(
     if pitch is not None:
         pitch = positive("pitch", pitch, unit="m")
     shown = [] if truth is None else [("ground truth", np.asarray(truth))]
-    found = reconstruction.object
-    if hasattr(found, "detach"):  # a tensor, which may be on another device or carry gradients
-        found = found.detach().cpu()
-    status = reconstruction.status.replace("_", " ")
-    shown.append((f"reconstruction, {status}", np.asarray(found)))
+    values: Any = reconstruction.object
+    if hasattr(values, "detach"):  # a tensor, which may be on another device or carry gradients
+        values = values.detach().cpu()
+    shown.append((f"reconstruction, {reconstruction.status.replace('_', ' ')}", np.asarray(values)))
     if axes is None:
         axes = new_axes(len(shown), width=0.6 + 4.8 * len(shown), height=4.6)
-    for where, (title, values) in zip(axes, shown, strict=True):
-        ny, nx = values.shape
+    for where, (title, picture) in zip(axes, shown, strict=True):
+        ny, nx = picture.shape
         if pitch is None:
-            drawn = where.imshow(values, cmap="gray", interpolation="nearest")
+            drawn = where.imshow(picture, cmap="gray", interpolation="nearest")
             where.invert_xaxis()
             where.set(xlabel="column (pixels)", ylabel="row (pixels)")
         else:
             right, top = nx / 2 * pitch, ny / 2 * pitch
+            extent = (-right, right, -top, top)
             drawn = where.imshow(
-                values[:, ::-1],
-                cmap="gray",
-                extent=(-right, right, -top, top),
-                interpolation="nearest",
+                picture[:, ::-1], cmap="gray", extent=extent, interpolation="nearest"
             )
             where.set(xlabel="right (m on the object)", ylabel="up (m on the object)")
-        relative = np.isclose(values.max(), 1.0)
+        relative = np.isclose(picture.max(), 1.0)
         colour_bar(where, drawn, "relative brightness" if relative else "object units")
-        space_ticks(where)
-        set_title(where, title)
+        few_ticks(where)
+        where.set_title(title)
     return tuple(axes)
 
 
 def colour_bar(axes: Axes, drawn: Any, label: str) -> None:
     """Add a colour bar to the right of axes, as high as their map."""
-    from matplotlib.colors import LogNorm
-
     figure: Any = axes.get_figure(root=True)
-    low, high = drawn.get_clim()
-    decades = isinstance(drawn.norm, LogNorm) and high >= 100.0 * low
-    figure.colorbar(
-        drawn,
-        cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)),
-        label=label,
-        format=power_of_ten if decades else None,
-    )
-
-
-def irradiance(irradiance: WallIrradiance, *, axes: Axes | None = None) -> Axes:
-    """Draw a map of the irradiance on the wall by light that returns from object and wall.
-
-    Parameters
-    ----------
-    irradiance : WallIrradiance
-        Result of `nlosoptics.raytrace.wall_irradiance`.
-    axes : matplotlib Axes, optional
-        Axes to draw on; a new figure by default.
-
-    Returns
-    -------
-    Axes
-        Axes in world x and y, m; y points up. Colours are in W/m^2.
-
-    See Also
-    --------
-    nlosoptics.raytrace.wall_irradiance : Map of the light that returns to the wall.
-
-    Examples
-    --------
-    >>> from nlosoptics import Scene, raytrace, views
-    >>> scene = Scene.load("examples/scenes/letter_flat.toml")
-    >>> found = raytrace.wall_irradiance(scene, shape=(8, 12), n_rays=1024)
-    >>> views.irradiance(found).get_xlabel()
-    'x (m)'
-    """
-    (axes,) = (axes,) if axes is not None else new_axes(1, width=6.4, height=4.6)
-    drawn = axes.pcolormesh(
-        irradiance.x, irradiance.y, irradiance.irradiance, shading="nearest", rasterized=True
-    )
-    colour_bar(axes, drawn, "irradiance (W/m$^2$)")
-    space_ticks(axes)
-    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
-    set_title(axes, "irradiance of the relay wall")
-    return axes
+    figure.colorbar(drawn, cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)), label=label)

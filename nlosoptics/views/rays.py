@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from .._checks import counted, one_of, whole
 from ..errors import SceneError
 from ..raytrace.fans.paths import DETECTED
-from .canvas import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
-from .stages import pyvista
+from .canvas import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, pyvista
 
 if TYPE_CHECKING:
     from pyvista import PolyData
@@ -21,15 +20,14 @@ if TYPE_CHECKING:
     from ..raytrace import RayPaths
 
 #: Name of the data array and title of the colour bar for each value of ``colour``.
-COLOURS: Final = {
+COLOURS = {
     "bounces": ("preceding reflections", "preceding reflections"),
     "path_length": ("path length", "path length from the source (m)"),
     "weight": ("power", "power of the path (W)"),
     "aberration": ("aberration", "wave aberration (waves)"),
 }
-LEGS: Final = (VERMILION, ORANGE, SKY, PURPLE, GREEN, BLUE, BLACK)
-DARK: Final = 0.86  # used part of viridis; lighter colours cannot be seen on white
-DECADES: Final = 6.0  # range of the logarithmic colour scale of power
+#: Colours of the segments of a path, by the number of preceding reflections.
+LEGS = (VERMILION, ORANGE, SKY, PURPLE, GREEN, BLUE, BLACK)
 
 
 def chosen_paths(
@@ -77,27 +75,11 @@ def chosen_paths(
 
 
 def _by_power(weight: NDArray[np.float64], most: int) -> NDArray[np.int64]:
-    """Return increasing indices of ``most`` paths, sampled in proportion to their ``weight`` (n,).
-
-    The sample is systematic: weights of at least the sampling step are all taken. The others are
-    taken where their cumulative sum crosses multiples of the step.
-    """
+    """Return indices of ``most`` paths, drawn in proportion to their ``weight`` (n,)."""
     if len(weight) <= most:
         return np.arange(len(weight))
     power = weight if np.count_nonzero(weight) > most else np.ones(len(weight))
-    drawn = np.zeros(len(weight), dtype=bool)
-    while True:
-        left = most - np.count_nonzero(drawn)
-        rest = np.where(drawn, 0.0, power)
-        share = rest.sum() / left
-        large = rest >= share
-        if not large.any():
-            break
-        drawn |= large
-    # every weight is smaller than a step, so that no two steps find the same one
-    steps = (np.arange(left) + 0.5) * share
-    drawn[np.searchsorted(np.cumsum(rest), steps)] = True
-    return np.flatnonzero(drawn)
+    return np.random.default_rng(0).choice(len(weight), most, replace=False, p=power / power.sum())
 
 
 def path_lines(
@@ -174,7 +156,7 @@ def colour_style(colour: str, values: NDArray[Any]) -> dict[str, Any]:
         return {"cmap": "coolwarm", "clim": (-largest, largest), "bar": {"fmt": "%.3g"}}
     if colour == "weight":
         high = high or 1.0
-        low = min(max(low, high * 10.0**-DECADES), high / 10.0)
+        low = min(max(low, high * 1e-6), high / 10.0)
         return {
             "cmap": dark_viridis(),
             "clim": (low, high),
@@ -192,4 +174,4 @@ def dark_viridis() -> Any:
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
 
-    return ListedColormap(colormaps["viridis"](np.linspace(0.0, DARK, 256)))
+    return ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.86, 256)))

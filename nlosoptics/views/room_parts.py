@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import SceneError
 from ..raytrace.fans.material_slopes import material_slope
 from ..scene import Camera, Laser, Material, Occluder, PlanarObject, Scene
-from .stages import pyvista
+from .canvas import pyvista
 
 if TYPE_CHECKING:
     from pyvista import PolyData, Texture

@@ -8,10 +8,9 @@ import numpy as np
 
 from ..scene import PlanarObject, Scene
 from . import room_parts as parts
-from .canvas import GREY, INK, PALE_GREY, PALE_SKY, round_step
+from .canvas import BLUE, BROWN, GREEN, GREY, VERMILION
 from .rays import COLOURS, chosen_paths, colour_style, path_lines
-from .sketch import CAMERA, LASER, OBJECT, OCCLUDER
-from .stages import add_legend, bar_style, finish_bar, look_at, new_plotter
+from .stages import FLAT, add_floor, add_legend, bar_style, finish_bar, new_plotter
 
 if TYPE_CHECKING:
     from pyvista import Plotter
@@ -19,9 +18,7 @@ if TYPE_CHECKING:
     from ..psf import Wavefront
     from ..raytrace import RayPaths
 
-WALL, GRID = GREY, PALE_GREY
 MATT: dict[str, Any] = {"ambient": 0.35, "diffuse": 0.65, "smooth_shading": False}
-FLAT: dict[str, Any] = {"lighting": False}
 GLYPH = 0.045  # size of the camera and laser housings over the extent of the scene
 THIN = 0.0016  # smallest radius of the beam and the optical axis over that extent
 
@@ -75,9 +72,9 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
     if plotter is None:
         plotter = new_plotter("Scene with relay wall, laser, hidden object and camera")
     size = parts.room_size(scene)
-    around = np.concatenate(
-        [parts.outline(scene), [(x * size[0] / 2, y * size[1] / 2, 0.0) for x, y in _SIDES]]
-    )
+    half = np.array([*size, 0.0]) / 2
+    corners = half * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+    around = np.concatenate([parts.outline(scene), corners])
     low, high = around.min(axis=0), around.max(axis=0)
     extent = float((high - low).max())
     legend = _draw_wall(plotter, scene, size)
@@ -86,27 +83,12 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
     legend |= _draw_camera(plotter, scene, extent)
     if scene.occluding_mesh is not None:
         mesh = parts.mesh_surface(scene.occluding_mesh)
-        # Seen through, because an occluder may stand between the viewer and the hidden object.
-        plotter.add_mesh(mesh, color=OCCLUDER, name="occluders", opacity=VEIL, **MATT)
-        legend["occluders"] = OCCLUDER
-    step = round_step(extent / 6)
-    floor = parts.floor_grid(low, high, step)
-    plotter.add_mesh(floor, color=GRID, line_width=1, name="floor grid", **FLAT)
-    legend[f"floor grid, {step:g} m"] = GREY  # the lines are too pale for text
-    frame = look_at(
-        plotter,
-        np.concatenate([around, floor.points]),
-        [
-            (scene.laser.position, 0.0),
-            (scene.laser.aim, 0.0),
-            (scene.camera.position, 0.0),
-            (scene.object_point, parts.object_radius(scene)),
-        ],
-    )
-    origin = np.array(floor.points[np.argmin(floor.points @ frame[0])])
-    # moved into the room, because the wall would hide letters in the corner of the floor
-    origin[2] += np.copysign(1.2 * step, floor.center[2] - origin[2])
-    plotter.add_mesh(parts.triad(origin, 0.6 * step, frame), color=INK, name="axes", **FLAT)
+        # seen through, because an occluder may stand between the viewer and the hidden object
+        plotter.add_mesh(mesh, color=BROWN, name="occluders", opacity=0.4, **MATT)
+        legend["occluders"] = BROWN
+    apart = [(place, 0.0) for place in (scene.laser.position, scene.laser.aim)]
+    apart += [(scene.camera.position, 0.0), (scene.object_point, parts.object_radius(scene))]
+    legend |= add_floor(plotter, around, low, high, apart)
     add_legend(plotter, legend)
     return plotter
 
@@ -212,16 +194,12 @@ def ray_paths(
     return plotter
 
 
-VEIL = 0.4  # opacity of an occluder's surface; a wall has two
-_SIDES = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-
-
 def _draw_wall(plotter: Plotter, scene: Scene, size: tuple[float, float]) -> dict[str, str]:
     """Draw the relay wall and return its legend entry."""
     if scene.wall.true_triangles is not None:
         mesh = parts.mesh_surface(scene.wall.true_triangles)
-        plotter.add_mesh(mesh, color=WALL, name="relay wall", **MATT)
-        return {"relay wall, triangles": WALL}
+        plotter.add_mesh(mesh, color=GREY, name="relay wall", **MATT)
+        return {"relay wall, triangles": GREY}
     mesh, texture, steepest = parts.wall_surface(scene, size)
     style = parts.gloss(scene.wall_material)
     plotter.add_mesh(
@@ -239,7 +217,7 @@ def _draw_wall(plotter: Plotter, scene: Scene, size: tuple[float, float]) -> dic
         how = f"slopes up to {_angle(steepest)}"
     else:
         how = "waviness too fine to draw"
-    return {f"relay wall, {how}": WALL}
+    return {f"relay wall, {how}": GREY}
 
 
 def _draw_light(plotter: Plotter, scene: Scene, extent: float) -> dict[str, str]:
@@ -249,11 +227,11 @@ def _draw_light(plotter: Plotter, scene: Scene, extent: float) -> dict[str, str]
     spot = np.array([x, y, float(scene.wall.height(x, y)) if scene.wall.has_height else 0.0])
     radius = max(laser.beam_diameter / 2, THIN * extent)
     plotter.add_mesh(
-        parts.tube(laser.position, spot, radius), color=LASER, name="laser beam", **FLAT
+        parts.tube(laser.position, spot, radius), color=VERMILION, name="laser beam", **FLAT
     )
     body = parts.laser_body(laser, spot, GLYPH * extent)
-    plotter.add_mesh(body, color=LASER, name="laser", **MATT)
-    return {"laser and its beam": LASER}
+    plotter.add_mesh(body, color=VERMILION, name="laser", **MATT)
+    return {"laser and its beam": VERMILION}
 
 
 def _draw_hidden(plotter: Plotter, scene: Scene) -> dict[str, str]:
@@ -264,29 +242,29 @@ def _draw_hidden(plotter: Plotter, scene: Scene) -> dict[str, str]:
         texture = parts.picture_texture(hidden.reflectance)
         plotter.add_mesh(mesh, texture=texture, name="hidden object", **FLAT)
         frame = mesh.extract_feature_edges()
-        plotter.add_mesh(frame, color=OBJECT, line_width=4, name="object's frame", **FLAT)
+        plotter.add_mesh(frame, color=GREEN, line_width=4, name="object's frame", **FLAT)
     else:
         mesh = parts.mesh_surface(hidden.surface)
-        plotter.add_mesh(mesh, color=OBJECT, name="hidden object", **MATT)
-    return {"hidden object": OBJECT}
+        plotter.add_mesh(mesh, color=GREEN, name="hidden object", **MATT)
+    return {"hidden object": GREEN}
 
 
 def _draw_camera(plotter: Plotter, scene: Scene, extent: float) -> dict[str, str]:
     """Draw the camera with lens and optical axis and return their legend entry."""
     camera = scene.camera
     body = parts.camera_body(camera, GLYPH * extent)
-    plotter.add_mesh(body, color=CAMERA, name="camera", **MATT)
-    plotter.add_mesh(parts.lens(camera), color=PALE_SKY, name="lens", **FLAT)
+    plotter.add_mesh(body, color=BLUE, name="camera", **MATT)
+    plotter.add_mesh(parts.lens(camera), color="#9FD3F5", name="lens", **FLAT)
     axis = parts.dashes(
         camera.position, parts.where_axis_ends(camera), 0.02 * extent, 0.6 * THIN * extent
     )
-    plotter.add_mesh(axis, color=CAMERA, name="optical axis", **FLAT)
-    return {"camera, lens and optical axis": CAMERA}
+    plotter.add_mesh(axis, color=BLUE, name="optical axis", **FLAT)
+    return {"camera, lens and optical axis": BLUE}
 
 
 def _angle(slope: float) -> str:
     """Format a slope as an angle in rad, mrad or urad."""
-    for unit, size in (("rad", 1.0), ("mrad", 1e-3), ("urad", 1e-6)):
-        if slope >= 0.1 * size or unit == "urad":
-            return f"{slope / size:.2g} {unit}"
-    raise AssertionError
+    unit, size = next(
+        (u, s) for u, s in (("rad", 1.0), ("mrad", 1e-3), ("urad", 0.0)) if slope >= 0.1 * s
+    )
+    return f"{slope / (size or 1e-6):.2g} {unit}"

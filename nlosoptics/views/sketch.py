@@ -9,41 +9,20 @@ import numpy as np
 
 from ..errors import SceneError
 from ..scene import Occluder, PlanarObject, Scene
-from .canvas import (
-    BLACK,
-    BLUE,
-    BROWN,
-    GREEN,
-    ORANGE,
-    PALE_GREEN,
-    VERMILION,
-    new_axes,
-    set_title,
-    space_ticks,
-)
+from .canvas import BLACK, BLUE, BROWN, GREEN, ORANGE, VERMILION, few_ticks, new_axes
 
 if TYPE_CHECKING:
     import trimesh
     from matplotlib.axes import Axes
 
-WALL, LASER, OBJECT, CAMERA, CHIEF = BLACK, VERMILION, GREEN, BLUE, ORANGE
-MIRRORED = PALE_GREEN
-FINE = 240  # dots per inch for phones
-OCCLUDER = BROWN  # not among the colours of reflections in `rays`, which share the 3-D view
 
-
-def scene_sketch(
-    scene: Scene, *, stacked: bool = False, axes: Sequence[Axes] | None = None
-) -> tuple[Axes, Axes]:
+def scene_sketch(scene: Scene, *, axes: Sequence[Axes] | None = None) -> tuple[Axes, Axes]:
     """Draw the scene from above (x, z) and from the side (z, y).
 
     Parameters
     ----------
     scene : Scene
         Scene to draw.
-    stacked : bool
-        Whether to place one view above the other in a new figure, for narrow screens. By default
-        they are side by side.
     axes : sequence of two matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
@@ -67,21 +46,13 @@ def scene_sketch(
     >>> top.get_xlabel(), side.get_ylabel()
     ('x (m)', 'y, up (m)')
     """
-    if axes is not None:
-        top, side = axes
-    elif stacked:
-        top, side = new_axes(2, width=3.2, height=7.6, columns=1, dots=FINE)
-    else:
-        top, side = new_axes(2, width=10.5, height=5.4)
+    top, side = axes if axes is not None else new_axes(2, width=10.5, height=5.4)
     room_from_above(scene, top)
     _draw(scene, side, across=2, up=1)
-    side.set(xlabel="z, into the room (m)", ylabel="y, up (m)")
-    set_title(side, "side view")
+    side.set(xlabel="z, into the room (m)", ylabel="y, up (m)", title="side view")
     if axes is None:
         figure: Any = top.get_figure(root=True)
-        figure.legend(
-            *side.get_legend_handles_labels(), loc="lower center", ncols=2 if stacked else 4
-        )
+        figure.legend(*side.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     else:
         side.legend()
     return top, side
@@ -91,8 +62,7 @@ def room_from_above(scene: Scene, axes: Axes) -> None:
     """Draw the top view of a scene: x to the right, z toward the reader, m."""
     _draw(scene, axes, across=0, up=2)
     axes.yaxis.set_inverted(True)  # in a top view with x to the right, z points down
-    axes.set(xlabel="x (m)", ylabel="z, into the room (m)")
-    set_title(axes, "top view")
+    axes.set(xlabel="x (m)", ylabel="z, into the room (m)", title="top view")
 
 
 def _draw(scene: Scene, axes: Axes, *, across: int, up: int) -> None:
@@ -100,11 +70,11 @@ def _draw(scene: Scene, axes: Axes, *, across: int, up: int) -> None:
     outlines = _outlines(scene)
     reach = 1.1 * max(np.abs(points[:, :2]).max() for _, points, _ in outlines)
     profile = _profile(scene, along=0 if across == 0 else 1, reach=reach)
-    axes.plot(*profile[:, [across, up]].T, color=WALL, linewidth=2.5, label="relay wall")
+    axes.plot(*profile[:, [across, up]].T, color=BLACK, linewidth=2.5, label="relay wall")
     for label, points, style in outlines:
         axes.plot(*points[:, [across, up]].T, label=label, **style)
     axes.set_aspect("equal", adjustable="datalim")
-    space_ticks(axes)
+    few_ticks(axes)
     axes.grid(alpha=0.25)
 
 
@@ -142,23 +112,23 @@ def _outlines(scene: Scene) -> list[tuple[str, Any, dict[str, Any]]]:
     shape = _object_outline(scene)
     dot = {"marker": "o", "markersize": 3, "linewidth": 2.5}
     return [
-        ("laser beam", np.stack([laser, spot]), {"color": LASER, "linewidth": 1.5}),
+        ("laser beam", np.stack([laser, spot]), {"color": VERMILION, "linewidth": 1.5}),
         (
             "chief path",
             np.stack([spot, hidden, crossing, camera]),
-            {"color": CHIEF, "linewidth": 1, "linestyle": "--"},
+            {"color": ORANGE, "linewidth": 1, "linestyle": "--"},
         ),
-        ("hidden object", shape, {"color": OBJECT, **dot}),
-        ("mirrored object", shape * (1, 1, -1), {"color": MIRRORED, **dot}),
+        ("hidden object", shape, {"color": GREEN, **dot}),
+        ("mirrored object", shape * (1, 1, -1), {"color": "#8FCFBA", **dot}),
         (
             "camera axis",
             np.stack([camera, np.array(scene.camera.aim)]),
-            {"color": CAMERA, "linewidth": 1, "linestyle": ":"},
+            {"color": BLUE, "linewidth": 1, "linestyle": ":"},
         ),
         (
             "camera lens",
             camera + np.stack([lens[0], -lens[0], 0 * lens[0], lens[1], -lens[1]]),
-            {"color": CAMERA, **dot, "marker": "s"},
+            {"color": BLUE, **dot, "marker": "s"},
         ),
         *_occluder_boxes(scene),
     ]
@@ -170,7 +140,7 @@ def _occluder_boxes(scene: Scene) -> list[tuple[str, Any, dict[str, Any]]]:
     for index, occluder in enumerate(scene.occluders):
         mesh = occluder.surface if isinstance(occluder, Occluder) else occluder
         label = "_occluder" if index else "occluder"
-        boxes.append((label, _box(mesh), {"color": OCCLUDER, "linewidth": 2.5}))
+        boxes.append((label, _box(mesh), {"color": BROWN, "linewidth": 2.5}))
     return boxes
 
 

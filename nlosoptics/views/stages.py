@@ -1,4 +1,4 @@
-"""Plotters for 3-D views: creation, legend, colour bars and viewpoint."""
+"""Plotters for 3-D views: creation, legend, colour bars, floor and viewpoint."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MissingExtraError
-from .canvas import INK
+from . import room_parts
+from .canvas import GREY, INK, PALE_GREY, pyvista, round_step
 
 if TYPE_CHECKING:
     from pyvista import Plotter
+
+Array = NDArray[np.float64]
 
 #: Program that renders an empty image off screen. VTK ends the process if it finds no OpenGL.
 TRIAL = """
@@ -30,30 +33,7 @@ window.AddRenderer(vtkRenderer())
 window.Render()
 print(window.GetClassName())
 """
-SECONDS = 60.0  # time limit of this program, which usually takes half a second
-NEEDED = (
-    "for images of 3-D views install a software OpenGL, on Debian apt-get install libegl1 "
-    "libgl1-mesa-dri (or libosmesa6); .html and .glb need none"
-)
-#: VTK's classes of windows that need no display.
-HIDDEN = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", "vtkOSMesaRenderWindow")
-
-
-def pyvista() -> Any:
-    """Import and return pyvista.
-
-    Raises
-    ------
-    MissingExtraError
-        If pyvista is not installed.
-    """
-    try:
-        import pyvista
-    except ModuleNotFoundError:
-        raise MissingExtraError(
-            "pyvista is not installed; run pip install 'nlosoptics[views]' for 3-D views"
-        ) from None
-    return pyvista
+FLAT: dict[str, Any] = {"lighting": False}
 
 
 def rendering_works() -> None:
@@ -67,40 +47,30 @@ def rendering_works() -> None:
     MissingExtraError
         If pyvista is not installed, or if VTK, which draws its views, finds neither a display nor
         an off-screen OpenGL (EGL or OSMesa). The message says what to install.
-
-    See Also
-    --------
-    save : Write a figure, film or 3-D view.
-    window : Plotter with a window.
     """
     pyvista()
     _, fault = _trial()
     if fault:
-        raise MissingExtraError(f"VTK cannot render here ({fault}); {NEEDED}")
+        raise MissingExtraError(
+            f"VTK cannot render here ({fault}); for images of 3-D views install a software OpenGL, "
+            "on Debian apt-get install libegl1 libgl1-mesa-dri (or libosmesa6); .html and .glb "
+            "need none"
+        )
 
 
 def window() -> Plotter:
-    """Return an empty plotter for 3-D views in an interactive window.
-
-    Returns
-    -------
-    pyvista Plotter
-        Plotter to pass to `scene_3d`, `ray_paths` or `phasor_volume`. Its method ``show()`` then
-        opens the window.
+    """Return an empty plotter whose method ``show()`` opens an interactive window.
 
     Raises
     ------
     MissingExtraError
         If pyvista is not installed, or there is no display.
-
-    See Also
-    --------
-    scene_3d : 3-D view of a scene.
-    rendering_works : Whether this machine can render.
     """
     pyvista()
     kind, fault = _trial()
-    if fault or kind in HIDDEN:
+    # windows of these classes need no display
+    hidden = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", "vtkOSMesaRenderWindow")
+    if fault or kind in hidden:
         raise MissingExtraError(
             "there is no display to open a window on; write a file instead, such as room.html"
         )
@@ -116,28 +86,17 @@ def _trial() -> tuple[str, str]:
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=SECONDS,
+            timeout=60.0,  # it usually takes half a second
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return "", f"a test image took more than {SECONDS:g} s"
+        return "", "a test image took more than 60 s"
     if ended.returncode < 0:
         return "", f"a test image ended with {signal.Signals(-ended.returncode).name}"
     if ended.returncode > 0:
-        said = ended.stderr.strip().splitlines()
-        return "", said[-1] if said else f"a test image ended with code {ended.returncode}"
+        lines = ended.stderr.strip().splitlines()
+        return "", lines[-1] if lines else f"a test image ended with code {ended.returncode}"
     return ended.stdout.strip(), ""
-
-
-Array = NDArray[np.float64]
-
-SIZE = (1280, 860)  # pixels
-BACKGROUND = "white"
-VIEW_ANGLE = 30.0  # deg, vertical
-# parts of the half width and half height that the scene may fill; legend and bars are at the foot
-SIDE, TOP, FOOT = 0.94, 0.94, 0.68
-ELEVATIONS = (20.0, 30.0)  # possible viewpoints, deg above the floor
-AZIMUTHS = (-40.0, -65.0, 40.0, 65.0)  # and deg about y from the wall normal
 
 
 @contextmanager
@@ -150,8 +109,10 @@ def quiet() -> Iterator[None]:
 def new_plotter(title: str, *, window: bool = False) -> Plotter:
     """Return an empty plotter that renders off screen, or in a window if ``window``."""
     with quiet():
-        plotter: Plotter = pyvista().Plotter(off_screen=not window, window_size=SIZE, title=title)
-    plotter.set_background(BACKGROUND)
+        plotter: Plotter = pyvista().Plotter(
+            off_screen=not window, window_size=(1280, 860), title=title
+        )
+    plotter.set_background("white")
     plotter.enable_anti_aliasing("msaa", multi_samples=4)
     return plotter
 
@@ -209,17 +170,36 @@ def finish_bar(plotter: Plotter, title: str, steps: Sequence[float] = ()) -> Non
         bar.SetUseCustomLabels(True)
 
 
-def look_at(plotter: Plotter, corners: Array, balls: Sequence[tuple[Any, float]]) -> Array:
-    """Place the viewpoint so that the given balls are as far apart as possible in the view.
+def add_floor(
+    plotter: Plotter, around: Array, low: Array, high: Array, balls: Sequence[tuple[Any, float]]
+) -> dict[str, str]:
+    """Draw a floor grid and the axes x, y and z, and set the viewpoint; return the legend entry.
 
     Parameters
     ----------
     plotter : Plotter
-        Plotter whose camera is set.
-    corners : ndarray, (n, 3)
+        Plotter to draw on.
+    around : ndarray, (n, 3)
         Points that must be within the view, world frame, m.
+    low, high : ndarray, (3,)
+        Corners of the box around what is drawn, world frame, m.
     balls : sequence of (point, radius)
         Centres, world, and radii, m, of the parts that should be visible separately.
+    """
+    step = round_step(float((high - low).max()) / 6)
+    floor = room_parts.floor_grid(low, high, step)
+    plotter.add_mesh(floor, color=PALE_GREY, line_width=1, name="floor grid", **FLAT)
+    frame = _look_at(plotter, np.concatenate([around, floor.points]), balls)
+    origin = np.array(floor.points[np.argmin(floor.points @ frame[0])])
+    if balls:  # moved into the room, because the wall would hide letters in the floor's corner
+        origin[2] += np.copysign(1.2 * step, floor.center[2] - origin[2])
+    axes = room_parts.triad(origin, 0.6 * step, frame)
+    plotter.add_mesh(axes, color=INK, name="axes", **FLAT)
+    return {f"floor grid, {step:g} m": GREY}  # the lines are too pale for text
+
+
+def _look_at(plotter: Plotter, corners: Array, balls: Sequence[tuple[Any, float]]) -> Array:
+    """Place the viewpoint so that the given balls are as far apart as possible in the view.
 
     Returns
     -------
@@ -227,55 +207,28 @@ def look_at(plotter: Plotter, corners: Array, balls: Sequence[tuple[Any, float]]
         Unit vectors right, up and toward the viewer, as rows, world frame.
     """
     centres = np.array([centre for centre, _ in balls], dtype=np.float64).reshape(-1, 3)
-    radii = [radius for _, radius in balls]
+    pairs = list(itertools.combinations(range(len(balls)), 2))
     best, frame = -np.inf, np.eye(3)
-    for elevation, azimuth in itertools.product(np.radians(ELEVATIONS), np.radians(AZIMUTHS)):
-        rise, fall = np.sin(elevation), np.cos(elevation)
-        toward = np.array([np.sin(azimuth) * fall, rise, np.cos(azimuth) * fall])
-        right = np.cross((0.0, 1.0, 0.0), toward)
-        right /= np.linalg.norm(right)
+    # degrees above the floor, and about y from the wall normal
+    for elevation, azimuth in itertools.product((20.0, 30.0), (-40.0, -65.0, 40.0, 65.0)):
+        rise, turn = np.radians([elevation, azimuth])
+        toward = np.array([np.sin(turn) * np.cos(rise), np.sin(rise), np.cos(turn) * np.cos(rise)])
+        right = np.array([np.cos(turn), 0.0, -np.sin(turn)])
         tried = np.stack([right, np.cross(toward, right), toward])
         flat = centres @ tried[:2].T
-        gaps = [
-            float(np.linalg.norm(flat[a] - flat[b])) - radii[a] - radii[b]
-            for a, b in itertools.combinations(range(len(balls)), 2)
-        ]
-        gap = min(gaps, default=0.0)
-        if gap > best:
-            best, frame = gap, tried
-    across, up, near = (corners @ frame.T).T
-    half = np.tan(np.radians(VIEW_ANGLE / 2))
-    x, away_x = _fitted(across, near, half * SIZE[0] / SIZE[1], (SIDE, SIDE))
-    y, away_y = _fitted(up, near, half, (FOOT, TOP))
-    away = max(away_x, away_y)
-    focus = np.array([x, y, 0.0]) @ frame
-    plotter.camera.view_angle = VIEW_ANGLE
+        gaps = [np.linalg.norm(flat[a] - flat[b]) - balls[a][1] - balls[b][1] for a, b in pairs]
+        if min(gaps, default=0.0) > best:
+            best, frame = min(gaps, default=0.0), tried
+    plotter.camera.view_angle = 30.0
+    places = corners @ frame.T
+    middle = (places.min(axis=0) + places.max(axis=0)) / 2
+    across, up, near = (places - middle).T
+    # legend and colour bars are at the foot, so that the view's upper 80 % are left
+    slope = np.tan(np.radians(15.0))
+    wide, high = abs(across) * 860 / 1280 / 0.94, abs(up) / 0.8
+    away = float((near + np.maximum(wide, high) / slope).max())
+    middle[1] -= 0.16 * slope * away
+    focus = middle @ frame
     plotter.camera_position = [focus + away * frame[2], focus, (0.0, 1.0, 0.0)]
     plotter.renderer.reset_camera_clipping_range()
     return frame
-
-
-def _fitted(
-    places: Array, near: Array, half: float, free: tuple[float, float]
-) -> tuple[float, float]:
-    """Return the focal point m and the viewing distance d at which points just fill the view.
-
-    Parameters
-    ----------
-    places : ndarray, (n,)
-        Coordinates p of the points along one axis of the view, m.
-    near : ndarray, (n,)
-        Distances q of the points from the focal plane toward the viewer, m.
-    half : float
-        Tangent of half the view angle along this axis.
-    free : (float, float)
-        Parts a and b of the half view below and above its middle that may be filled.
-
-    Notes
-    -----
-    A point is within the view if m - p <= a half (d - q) and p - m <= b half (d - q).
-    """
-    below = float((free[0] * half * near - places).max())
-    above = float((free[1] * half * near + places).max())
-    away = (below + above) / ((free[0] + free[1]) * half)
-    return above - free[1] * half * away, away

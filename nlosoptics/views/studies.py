@@ -1,4 +1,4 @@
-"""Figures of design studies: maps, slices, tornado, yield, Sobol indices."""
+"""Figures of design studies and searches."""
 
 from __future__ import annotations
 
@@ -10,18 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import SceneError
-from .canvas import BLACK, BLUE, GREY, PALE_GREY, SERIES, VERMILION, new_axes, space_ticks
+from .canvas import BLACK, BLUE, GREY, PALE_GREY, VERMILION, few_ticks, new_axes
+from .maps import point_spread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from ..study import Fraction, Results, Sensitivity
-
-MOST_TEXTS = 80  # cells of a map that show their value
-MOST_TICKS = 9
-MOST_CURVES = len(SERIES)
-PANELS = 3  # in a row
-MOST_PANELS = 6
+    from ..study import Fraction, Optimum, Results, Sensitivity
 
 
 def study_map(
@@ -76,20 +71,20 @@ def study_map(
     tornado : Change of a figure of merit with each value.
     """
     figure, dataset = results.study.figure(figure).name, results.dataset
-    wide = [str(name) for name in dataset[figure].dims if dataset.sizes[name] > 1]
-    shown = [name for name in wide if name not in (at or {})][-2:]
-    fixed = _fixed(dataset, figure, shown, at or {})
-    titles = [_tick(dataset, name, step, named=True) for name, step in fixed.items()]
+    shown = _wide(dataset, figure, at)[-2:]
+    fixed = _fixed(dataset, figure, shown, at)
     chosen = dataset.isel(fixed)
     if axes is None:
-        (axes,) = new_axes(1, width=7.2, height=4.6)
+        (axes,) = new_axes(width=7.2, height=4.6)
     if len(shown) == 2:
         drawn = _draw_map(axes, chosen, figure, shown, boundary, contours or ())
         parent: Any = axes.get_figure()
-        parent.colorbar(drawn, ax=axes, label=_name(dataset, figure))
+        parent.colorbar(drawn, ax=axes, label=_label(dataset, figure))
     else:
-        _draw_curve(axes, chosen, figure, shown, boundary)
-    axes.set_title("\n".join(_lines(titles)), fontsize=9)
+        _draw_curve(axes, chosen, figure, shown[0] if shown else "", boundary)
+    titles = [_tick(dataset, name, step, named=True) for name, step in fixed.items()]
+    lines = [", ".join(titles[i : i + 2]) for i in range(0, len(titles), 2)]
+    axes.set_title("\n".join(lines), fontsize=9)
     return axes
 
 
@@ -103,24 +98,12 @@ def study_panels(
 ) -> tuple[Axes, ...]:
     """Draw a figure of merit over three dimensions of a design study, as maps side by side.
 
-    A dimension is a value of the scene that the study varies, and its steps are the values that it
-    takes. Shown are the last three dimensions with more than one step and no entry in ``at``.
+    Shown are the last three dimensions with more than one step and no entry in ``at``.
 
     Parameters
     ----------
-    results : Results
-        Results of a study, complete or not.
-    figure : str
-        Name of the figure of merit, as in the study file, for example ``"strehl"``.
-    at : mapping of str to int, optional
-        Steps to show along the other dimensions: a mapping from the name of a dimension to the
-        index of its step, from 0. A dimension without entry is shown at its middle step.
-    boundary : float, optional
-        Value of the figure of merit at which to draw a line between cells; cells below it are
-        hatched.
-    contours : sequence of float, optional
-        Values of contour lines. None: no lines; instead, maps of at most 80 cells show their values
-        as numbers.
+    results, figure, at, boundary, contours
+        As of `study_map`.
 
     Returns
     -------
@@ -139,59 +122,121 @@ def study_panels(
     study_slices : Curves along each dimension.
     """
     figure, dataset = results.study.figure(figure).name, results.dataset
-    wide = [str(name) for name in dataset[figure].dims if dataset.sizes[name] > 1]
-    shown = [name for name in wide if name not in (at or {})][-3:]
+    shown = _wide(dataset, figure, at)[-3:]
     if len(shown) < 3:
         raise SceneError(
             f"panels need three dimensions of several steps, not {', '.join(shown) or 'none'}; "
             "draw a map"
         )
     count = dataset.sizes[shown[0]]
-    if count > MOST_PANELS:
+    if count > 6:
         raise SceneError(
-            f"{shown[0]} has {count} steps, limit {MOST_PANELS} panels; put another dimension first"
+            f"{shown[0]} has {count} steps, limit 6 panels; put another dimension first"
         )
-    chosen = dataset.isel(_fixed(dataset, figure, shown, at or {}))
+    chosen = dataset.isel(_fixed(dataset, figure, shown, at))
     values = np.asarray(chosen[figure].values, dtype=np.float64)
     good = values[np.isfinite(values)]
     span = (float(good.min()), float(good.max())) if len(good) else None
-    rows, columns = -(-count // PANELS), min(count, PANELS)
-    made = new_axes(count, width=3.1 * columns + 0.9, height=3.0 * rows + 0.4, columns=columns)
-    for unused in made[count:]:
-        unused.remove()
-    for step, panel in enumerate(made[:count]):
-        drawn = _draw_map(
-            panel, chosen.isel({shown[0]: step}), figure, shown[1:], boundary, contours or (), span
-        )
-        told = _tick(dataset, shown[0], step, named=True)
-        panel.set_title(told.replace(" = ", "\n", 1), fontsize=9)
+    columns = min(count, 3)
+    size = {"width": 3.1 * columns + 0.9, "height": 3.0 * -(-count // columns) + 0.4}
+    panels = new_axes(count, columns=columns, **size)
+    for step, panel in enumerate(panels):
+        part = chosen.isel({shown[0]: step})
+        drawn = _draw_map(panel, part, figure, shown[1:], boundary, contours or (), span)
+        title = _tick(dataset, shown[0], step, named=True)
+        panel.set_title(title.replace(" = ", "\n", 1), fontsize=9)
         if step % columns:
             panel.set(ylabel="", yticklabels=[])
         panel.tick_params(axis="x", rotation=45)
-    parent: Any = made[0].get_figure()
-    parent.set_layout_engine("constrained")  # one colour bar for all rows and columns
-    parent.colorbar(drawn, ax=list(made[:count]), label=_name(dataset, figure))
-    return made[:count]
+    parent: Any = panels[0].get_figure()
+    parent.colorbar(drawn, ax=list(panels), label=_label(dataset, figure))
+    return panels
 
 
-def _fixed(dataset: Any, figure: str, shown: list[str], at: Mapping[str, int]) -> dict[str, int]:
+def study_slices(
+    results: Results,
+    figure: str,
+    *,
+    at: Mapping[str, int] | None = None,
+    boundary: float | None = None,
+) -> tuple[Axes, ...]:
+    """Draw a figure of merit over each dimension of a design study, one panel for each dimension.
+
+    In each panel, the other dimensions are held at one step. If the study draws its values at
+    random, each panel shows all draws against one of the values.
+
+    Parameters
+    ----------
+    results, figure, at, boundary
+        As of `study_map`; ``boundary`` is drawn as a horizontal line.
+
+    Returns
+    -------
+    tuple of Axes
+        One panel for each dimension of more than one step, with a curve. For random draws, one
+        panel for each drawn value, with a dot for each draw and a mark at the lower edge for each
+        draw that failed. All panels have the same vertical scale.
+
+    Raises
+    ------
+    SceneError
+        If the study has no such figure of merit, dimension or step; if it varies a base scene by
+        one value at a time (table ``one_at_a_time``), which `tornado` draws; or if it mixes random
+        draws with other dimensions.
+
+    See Also
+    --------
+    study_map : Figure of merit over two dimensions.
+    tornado : Change of a figure of merit with each value.
+    """
+    figure, dataset = results.study.figure(figure).name, results.dataset
+    names = _wide(dataset, "status", None)
+    drawn = names == ["draw"]
+    if not names or "case" in names or ("draw" in names and not drawn):
+        raise SceneError(
+            f"slices need dimensions of several steps, or draws alone, not "
+            f"{', '.join(names) or 'a single point'}; draw a tornado or a map"
+        )
+    if drawn:
+        names = [str(key) for key, value in dataset.coords.items() if value.dims == ("draw",)]
+    columns = min(len(names), 3)
+    height = 3.1 * -(-len(names) // columns)
+    panels = new_axes(len(names), width=3.7 * columns, height=height, columns=columns)
+    for panel, name in zip(panels, names, strict=True):
+        if drawn:
+            _draw_dots(panel, dataset, figure, name, boundary)
+            continue
+        fixed = _fixed(dataset, figure, [name], at)
+        _draw_curve(panel, dataset.isel(fixed), figure, name, boundary)
+        titles = [_tick(dataset, other, step, named=True) for other, step in fixed.items()]
+        panel.set_title("\n".join(titles), fontsize=8)
+    limits = [panel.get_ylim() for panel in panels]
+    for panel in panels:
+        panel.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
+    return panels
+
+
+def _wide(dataset: Any, figure: str, at: Mapping[str, int] | None) -> list[str]:
+    """Return the dimensions of several steps that have no entry in ``at``."""
+    names = [str(name) for name in dataset[figure].dims if dataset.sizes[name] > 1]
+    return [name for name in names if name not in (at or {})]
+
+
+def _fixed(
+    dataset: Any, figure: str, shown: list[str], at: Mapping[str, int] | None
+) -> dict[str, int]:
     """Return the step of each dimension that is not shown: that of ``at``, or the middle one."""
     fixed = {
         str(name): dataset.sizes[name] // 2 if dataset.sizes[name] > 1 else 0
         for name in dataset[figure].dims
         if name not in shown
     }
-    for name, step in at.items():
+    for name, step in (at or {}).items():
         if name not in dataset.sizes or not 0 <= step < dataset.sizes[name]:
             raise SceneError(f"at: {name} = {step} is no step of the study; give one from 0 on")
         if name not in shown:
             fixed[name] = step
     return fixed
-
-
-def _lines(texts: list[str]) -> list[str]:
-    """Join texts to lines of two."""
-    return [", ".join(texts[i : i + 2]) for i in range(0, len(texts), 2)]
 
 
 def _tick(dataset: Any, name: str, step: int, *, named: bool = False) -> str:
@@ -210,15 +255,16 @@ def _tick(dataset: Any, name: str, step: int, *, named: bool = False) -> str:
     return f"{name} = {text}" if named and name != "case" else text
 
 
-def _name(dataset: Any, figure: str) -> str:
-    unit = dataset[figure].attrs.get("units", "")
-    return f"{figure} ({unit})" if unit else figure
+def _label(dataset: Any, name: str) -> str:
+    """Return the name of a figure of merit or coordinate with its unit."""
+    unit = dataset[name].attrs.get("units", "")
+    return f"{name} ({unit})" if unit else name
 
 
 def _ticks(dataset: Any, name: str) -> tuple[list[int], list[str]]:
-    """Return the steps of a dimension that get a label, and the labels."""
+    """Return the steps of a dimension that get a label, at most nine, and the labels."""
     count = dataset.sizes[name]
-    steps = list(range(0, count, -(-count // MOST_TICKS)))
+    steps = list(range(0, count, -(-count // 9)))
     return steps, [_tick(dataset, name, step) for step in steps]
 
 
@@ -240,7 +286,7 @@ def _draw_map(
     axes.set_xticks(*_ticks(dataset, across))
     axes.set_yticks(*_ticks(dataset, down))
     axes.set(xlabel=across, ylabel=down)
-    if values.size <= MOST_TEXTS and not contours:
+    if values.size <= 80 and not contours:
         _write_values(axes, values, *drawn.get_clim())
     if contours and min(values.shape) > 1:
         lines = axes.contour(values, levels=sorted(contours), colors="white", linewidths=1.2)
@@ -250,82 +296,199 @@ def _draw_map(
     return drawn
 
 
-def _write_values(
-    axes: Axes, values: np.ndarray[Any, np.dtype[np.float64]], least: float, most: float
-) -> None:
+def _write_values(axes: Axes, values: Any, least: float, most: float) -> None:
     """Write the value of each cell, to a hundredth of the range of the colours."""
     from matplotlib.patheffects import withStroke
 
-    # none where a hundredth of the range is very small or large
     power = round(math.log10(most - least)) if most > least else 9
-    finite = values[np.isfinite(values)]
-    digits = max(2 - power, 0) if np.any(finite % 1.0) else 0
+    digits = max(2 - power, 0) if np.any(values[np.isfinite(values)] % 1.0) else 0
+    # three digits where a hundredth of the range is very small or large
+    form = f".{digits}f" if -2 <= power <= 4 else ".3g"
     for (row, column), value in np.ndenumerate(values):
-        text = f"{value:.{digits}f}" if -2 <= power <= 4 else f"{value:.3g}"
-        if not np.isfinite(value):
-            text = "failed"
-        dark = np.isfinite(value) and value < (least + most) / 2
-        ink, edge = ("white", "#00000080") if dark else (BLACK, "#FFFFFF80")
+        known = bool(np.isfinite(value))
+        dark = known and value < (least + most) / 2
         # the edge keeps the value readable on hatches
-        effects = [withStroke(linewidth=2, foreground=edge)]
+        edge = withStroke(linewidth=2, foreground="#00000080" if dark else "#FFFFFF80")
         axes.text(
-            column, row, text, ha="center", va="center",
-            fontsize=8, color=ink, path_effects=effects,
-        )  # fmt: skip
+            column,
+            row,
+            f"{value:{form}}" if known else "failed",
+            ha="center",
+            va="center",
+            fontsize=8,
+            color="white" if dark else BLACK,
+            path_effects=[edge],
+        )
 
 
-def _draw_boundary(axes: Axes, above: np.ndarray[Any, np.dtype[np.bool_]]) -> None:
-    """Draw a line along the edges of the cells between those above a boundary and the others."""
+def _draw_boundary(axes: Axes, above: Any) -> None:
+    """Draw a line between the cells above a boundary and the others, which are hatched."""
     from matplotlib.patches import Rectangle
 
-    rows, columns = above.shape
     for row, column in np.argwhere(~above):
-        axes.add_patch(
-            Rectangle(
-                (column - 0.5, row - 0.5), 1.0, 1.0, fill=False, hatch="//", lw=0.0,
-                edgecolor=PALE_GREY,
-            )
-        )  # fmt: skip
+        corner = (column - 0.5, row - 0.5)
+        axes.add_patch(Rectangle(corner, 1, 1, fill=False, hatch="//", lw=0.0, edgecolor=PALE_GREY))
+    style: dict[str, Any] = {"color": VERMILION, "lw": 3, "scalex": False, "scaley": False}
     for row, column in np.argwhere(above[:, 1:] != above[:, :-1]):
-        x = [column + 0.5, column + 0.5]
-        axes.plot(x, [row - 0.5, row + 0.5], color=VERMILION, lw=3)
+        axes.plot([column + 0.5] * 2, [row - 0.5, row + 0.5], **style)
     for row, column in np.argwhere(above[1:] != above[:-1]):
-        y = [row + 0.5, row + 0.5]
-        axes.plot([column - 0.5, column + 0.5], y, color=VERMILION, lw=3)
-    axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
+        axes.plot([column - 0.5, column + 0.5], [row + 0.5] * 2, **style)
 
 
-def _draw_curve(
-    axes: Axes, dataset: Any, figure: str, shown: list[str], boundary: float | None
-) -> None:
+def _draw_curve(axes: Axes, dataset: Any, figure: str, name: str, boundary: float | None) -> None:
+    """Draw a figure of merit over the dimension ``name``; a single point if it is empty."""
     values = np.atleast_1d(dataset[figure].values)
-    name = shown[0] if shown else ""
     numeric = name in dataset.coords and dataset.coords[name].dtype.kind in "if"
     places = dataset.coords[name].values if numeric else np.arange(len(values))
     errors = None
     if f"{figure}_error" in dataset:
         errors = np.nan_to_num(np.atleast_1d(dataset[f"{figure}_error"].values))
     axes.errorbar(places, values, yerr=errors, fmt="o-", color=BLUE, capsize=3, ms=4)
-    if boundary is not None:
-        axes.axhline(boundary, color=VERMILION, lw=1)
-    axes.set(xlabel=name, ylabel=_name(dataset, figure))
+    axes.set(xlabel=_label(dataset, name) if numeric else name)
+    _finish(axes, dataset, figure, boundary)
     if numeric:
-        unit = dataset.coords[name].attrs.get("units", "")
-        axes.set_xlabel(f"{name} ({unit})" if unit else name)
-        space_ticks(axes)
+        few_ticks(axes)
     elif name:
         axes.set_xticks(*_ticks(dataset, name))
+
+
+def _draw_dots(axes: Axes, dataset: Any, figure: str, name: str, boundary: float | None) -> None:
+    """Draw a figure against a drawn value, and failed draws along the lower edge."""
+    places, values = dataset.coords[name].values, dataset[figure].values
+    good = np.isfinite(values)
+    axes.plot(places[good], values[good], ".", color=BLUE, ms=4)
+    failed = ~good & (dataset["status"].values != "pending")
+    if failed.any():
+        axes.plot(
+            places[failed],
+            np.zeros(failed.sum()),
+            "|",
+            color=VERMILION,
+            ms=10,
+            transform=axes.get_xaxis_transform(),
+            clip_on=False,
+            label=f"{failed.sum()} failed",
+        )
+        axes.legend(fontsize=8)
+    axes.set(xlabel=_label(dataset, name))
+    _finish(axes, dataset, figure, boundary)
+    if dataset.coords[name].dtype.kind in "if":
+        few_ticks(axes)
+
+
+def _finish(axes: Axes, dataset: Any, figure: str, boundary: float | None) -> None:
+    """Draw the boundary, the grid and the vertical label of a curve or cloud."""
+    if boundary is not None:
+        axes.axhline(boundary, color=VERMILION, lw=1)
+    axes.set(ylabel=_label(dataset, figure))
     axes.grid(alpha=0.25)
 
 
-def tornado(bars: Sequence[Sensitivity], *, label: str = "", axes: Axes | None = None) -> Axes:
-    """Draw how much each value of a scene changes a figure of merit, as bars (tornado diagram).
+def study_picture(
+    results: Results,
+    figure: str,
+    kind: str = "auto",
+    *,
+    boundary: float | None = None,
+    contours: Sequence[float] = (),
+) -> Any:
+    """Draw a picture of a study: "map", "panels", "slices", "tornado", "yield", "sobol", "gallery".
+
+    The kind "auto" is the one that fits the tables of the study.
+    """
+    from .. import study
+    from ..study import answers
+
+    merit = results.study.figure(figure)
+    label = f"{merit.name} ({merit.unit})" if merit.unit else merit.name
+    kind = default_kind(results) if kind == "auto" else kind
+    if kind == "tornado":
+        return tornado(study.sensitivities(results, figure, incomplete=True), label=label)
+    if kind == "sobol":
+        return tornado(study.sobol_indices(results, figure), label=figure)
+    if kind == "yield":
+        limits, fractions = answers.yields(results, figure)
+        return yield_curve(limits, fractions, label=label)
+    if kind == "panels":
+        return study_panels(results, figure, boundary=boundary, contours=contours)
+    if kind == "slices":
+        return study_slices(results, figure, boundary=boundary)
+    if kind == "gallery":
+        smallest = answers.smallest_is_best(merit)
+        return study_gallery(results, figure, smallest_is_best=smallest)
+    return study_map(results, figure, boundary=boundary, contours=contours)
+
+
+def default_kind(results: Results) -> str:
+    """Return the kind of picture that fits the tables of a study."""
+    names = [dimension.name for dimension in results.study.dimensions]
+    if names == ["case"]:
+        return "tornado"
+    if names == ["draw"]:
+        method = results.study.definition["draws"].get("method")
+        return "sobol" if method == "saltelli" else "yield"
+    return "map"
+
+
+def study_gallery(
+    results: Results, figure: str, *, smallest_is_best: bool = False
+) -> tuple[Axes, ...]:
+    """Draw the point spreads of the worst, the median and the best point, computed again.
+
+    The titles give the figure of merit and the values that the study sets at the point. All three
+    maps have the same limits.
+
+    Raises
+    ------
+    SceneError
+        If the study has no such figure of merit, or no point has a value of it.
+    """
+    from ..study.design.values import label
+
+    figure = results.study.figure(figure).name
+    chosen = ranked(results, figure, smallest_is_best=smallest_is_best)
+    values = results.values(figure, incomplete=True)
+    panels = new_axes(len(chosen), width=12.0, height=4.4)
+    widest = 0.0
+    for panel, (rank, index) in zip(panels, chosen.items(), strict=True):
+        point_spread(results.point_spread(index).point_spread, axes=panel)
+        widest = max(widest, *map(abs, (*panel.get_xlim(), *panel.get_ylim())))
+        lines = [f"{rank}: {figure} = {values[index]:.3g}"]
+        lines += [f"{name} = {label(value)}" for name, value in results.study.delta(index).items()]
+        panel.set_title("\n".join(lines), fontsize=8)
+    for panel in panels:
+        panel.set(xlim=(-widest, widest), ylim=(-widest, widest))
+    return panels
+
+
+def ranked(results: Results, figure: str, *, smallest_is_best: bool = False) -> dict[str, int]:
+    """Return the numbers of the worst, the median and the best point of a figure of merit.
+
+    Raises
+    ------
+    SceneError
+        If the figure of merit is known at no point.
+    """
+    values = results.values(figure, incomplete=True)
+    order = np.argsort(-values if smallest_is_best else values, kind="stable")
+    order = order[np.isfinite(values[order])]
+    if not len(order):
+        raise SceneError(f"{figure} is known at no point of {results.path}; run the study first")
+    places = {"worst": 0, "median": len(order) // 2, "best": -1}
+    return {rank: int(order[place]) for rank, place in places.items()}
+
+
+def tornado(
+    bars: Sequence[Sensitivity] | Any, *, label: str = "", axes: Axes | None = None
+) -> Axes:
+    """Draw how much each value of a scene changes a figure of merit, as bars.
 
     Parameters
     ----------
-    bars : sequence of Sensitivity
+    bars : sequence of Sensitivity, or Dataset
         Result of `nlosoptics.study.sensitivities`: changes of the figure of merit when one value
-        changes alone, the largest first.
+        changes alone, the largest first. Or the dataset of `nlosoptics.study.sobol_indices`: shares
+        of its variance.
     label : str
         Name of the figure of merit, with its unit, for the axis label.
     axes : matplotlib Axes, optional
@@ -335,44 +498,72 @@ def tornado(bars: Sequence[Sensitivity], *, label: str = "", axes: Axes | None =
     -------
     Axes
         Axes with one row for each changed value, the largest change on top. Changes smaller than
-        their errors are pale. If the computation failed, the row says so.
+        their errors are pale. If the computation failed, the row says so. For Sobol indices, each
+        row has two bars: the share of the variance that the value causes alone (first order), and
+        that with all interactions with other values (total). Lines on these bars are confidence
+        intervals; a share whose interval contains zero cannot be told from zero.
 
     See Also
     --------
     nlosoptics.study.sensitivities : Change of a figure of merit with each value.
+    nlosoptics.study.sobol_indices : Shares of the variance of a figure of merit.
     study_map : Figure of merit over two dimensions.
     """
-    rows: dict[str, list[Sensitivity]] = {}
-    for bar in bars:
-        rows.setdefault(bar.case.partition(" = ")[0], []).append(bar)
-    if axes is None:
-        (axes,) = new_axes(1, width=7.6, height=1.4 + 0.5 * len(rows))
-    reach = max((abs(b.change) for b in bars if np.isfinite(b.change)), default=0.0) or 1.0
-    for row, group in enumerate(rows.values()):
-        for bar in group:
-            text = bar.case.partition(" = ")[2]
-            change = bar.change if np.isfinite(bar.change) else 0.0
-            if np.isnan(bar.change):
-                text = f"{text} failed"
-            axes.barh(
-                row, change, height=0.6, alpha=1.0 if bar.resolved else 0.3,
-                color=BLUE if change < 0 else VERMILION,
-            )  # fmt: skip
-            axes.annotate(
-                text, (change, row), xytext=(-4 if change < 0 else 4, 0),
-                textcoords="offset points", va="center", fontsize=8,
-                ha="right" if change < 0 else "left",
-            )  # fmt: skip
-    axes.axvline(0.0, color=BLACK, lw=1)
-    axes.set_yticks(range(len(rows)), list(rows))
-    axes.set(
-        xlim=(-1.5 * reach, 1.5 * reach),
-        ylim=(len(rows) - 0.4, -0.6),
-        xlabel=f"change of {label}" if label else "change",
+    names = (
+        [str(name) for name in bars["address"].values[np.argsort(-bars["total"].values)]]
+        if hasattr(bars, "data_vars")
+        else list(dict.fromkeys(bar.case.partition(" = ")[0] for bar in bars))
     )
-    space_ticks(axes)
+    if axes is None:
+        (axes,) = new_axes(width=7.4, height=1.4 + 0.55 * len(names))
+    if hasattr(bars, "data_vars"):
+        _draw_shares(axes, bars.sel(address=names))
+        what = "share of the variance"
+    else:
+        _draw_changes(axes, bars, names)
+        what = "change"
+    axes.axvline(0.0, color=BLACK, lw=1)
+    axes.set_yticks(range(len(names)), names)
+    axes.set(ylim=(len(names) - 0.4, -0.6), xlabel=f"{what} of {label}" if label else what)
     axes.grid(axis="x", alpha=0.25)
     return axes
+
+
+def _draw_changes(axes: Axes, bars: Sequence[Sensitivity], names: list[str]) -> None:
+    """Draw the bars of a tornado diagram."""
+    reach = max((abs(b.change) for b in bars if np.isfinite(b.change)), default=0.0) or 1.0
+    for bar in bars:
+        name, _, text = bar.case.partition(" = ")
+        row = names.index(name)
+        change = bar.change if np.isfinite(bar.change) else 0.0
+        colour, side, gap = (BLUE, "right", -4) if change < 0 else (VERMILION, "left", 4)
+        axes.barh(row, change, height=0.6, alpha=1.0 if bar.resolved else 0.3, color=colour)
+        axes.annotate(
+            f"{text} failed" if np.isnan(bar.change) else text,
+            (change, row),
+            xytext=(gap, 0),
+            textcoords="offset points",
+            va="center",
+            ha=side,
+            fontsize=8,
+        )
+    axes.set(xlim=(-1.5 * reach, 1.5 * reach))
+
+
+def _draw_shares(axes: Axes, indices: Any) -> None:
+    """Draw Sobol indices with their confidence intervals."""
+    rows = np.arange(indices.sizes["address"])
+    for offset, kind, text, colour in (
+        (-0.19, "first", "alone (first order)", BLUE),
+        (0.19, "total", "with interactions (total)", VERMILION),
+    ):
+        value, low, high = (indices[kind + end].values for end in ("", "_low", "_high"))
+        # a percentile interval of a bootstrap may miss the estimate itself
+        reach = np.maximum([value - low, high - value], 0.0)
+        line = {"capsize": 3, "ecolor": BLACK, "lw": 1}
+        style: dict[str, Any] = {"height": 0.36, "alpha": 0.75, "xerr": reach, "error_kw": line}
+        axes.barh(rows + offset, value, color=colour, label=text, **style)
+    axes.legend(loc="lower right", fontsize=8)
 
 
 def yield_curve(
@@ -408,193 +599,93 @@ def yield_curve(
     nlosoptics.study.fraction_within : Share of points that meet a specification.
     """
     if axes is None:
-        (axes,) = new_axes(1, width=6.4, height=4.2)
+        (axes,) = new_axes(width=6.4, height=4.2)
     x = np.asarray(limits, dtype=np.float64)
     value, low, high = (
-        100 * np.array([getattr(one, name) for one in fractions])
+        100 * np.array([getattr(fraction, name) for fraction in fractions])
         for name in ("value", "low", "high")
     )
     axes.fill_between(x, low, high, color=BLUE, alpha=0.2, lw=0, label="confidence interval")
-    points = fractions[0].points if len(fractions) else 0
-    failed = fractions[0].failed if len(fractions) else 0
-    checked = fractions[0].checked if len(fractions) else 0
-    told = f"{points} draws, {f'{checked} in full, ' if checked else ''}{failed} failed"
-    axes.step(x, value, color=BLUE, label=told, where="mid")
+    first = fractions[0] if len(fractions) else None
+    text = f"{first.points} draws, {first.failed} failed" if first else "no draws"
+    axes.step(x, value, color=BLUE, label=text, where="mid")
     axes.axhline(50.0, color=GREY, lw=0.5)
-    axes.set(
-        xlabel=f"limit of {label}" if label else "limit", ylabel="yield (%)", ylim=(0.0, 102.0)
-    )
-    space_ticks(axes)
+    name = f"limit of {label}" if label else "limit"
+    axes.set(xlabel=name, ylabel="yield (%)", ylim=(0.0, 102.0))
     axes.grid(alpha=0.25)
     axes.legend(loc="lower left", fontsize=8)
     return axes
 
 
-def study_slices(
-    results: Results,
-    figure: str,
-    *,
-    at: Mapping[str, int] | None = None,
-    boundary: float | None = None,
-    axes: Sequence[Axes] | None = None,
-) -> tuple[Axes, ...]:
-    """Draw a figure of merit over each dimension of a design study, one panel for each dimension.
+def search(found: Optimum, *, first: int = 0, second: int = 1, axes: Axes | None = None) -> Axes:
+    """Draw the trials of an optimisation: the Pareto front, or the progress of one objective.
 
-    A dimension is a value of the scene that the study varies, such as ``wall.radius``, and its
-    steps are the values that it takes. In each panel, the other dimensions are held at one step. If
-    the study draws its values at random, each panel shows all draws against one of the values.
+    A trial is on the front if it meets all constraints and no other such trial is at least as good
+    in all objectives and better in one.
 
     Parameters
     ----------
-    results : Results
-        Results of a study, complete or not.
-    figure : str
-        Name of the figure of merit, as in the study file, for example ``"strehl"``.
-    at : mapping of str to int, optional
-        Steps at which dimensions are held: a mapping from the name of a dimension to the index of
-        its step, from 0. A dimension without entry is held at its middle step.
-    boundary : float, optional
-        Value of the figure of merit at which to draw a horizontal line. None: no line.
-    axes : sequence of matplotlib Axes, optional
-        Axes to draw on, one for each panel; a new figure by default.
-
-    Returns
-    -------
-    tuple of Axes
-        One panel for each dimension of more than one step, with a curve. For random draws, one
-        panel for each drawn value, with a dot for each draw and a mark at the lower edge for each
-        draw that failed. All panels have the same vertical scale.
-
-    Raises
-    ------
-    SceneError
-        If the study has no such figure of merit, dimension or step; if it varies a base scene by
-        one value at a time (table ``one_at_a_time``), which `tornado` draws; or if it mixes random
-        draws with other dimensions.
-
-    See Also
-    --------
-    study_map : Figure of merit over two dimensions.
-    tornado : Change of a figure of merit with each value.
-    """
-    figure, dataset = results.study.figure(figure).name, results.dataset
-    names = slice_names(results)
-    panels = tuple(axes or ())[: len(names)]
-    if len(panels) < len(names):
-        if axes is not None:
-            raise SceneError(f"axes has {len(panels)} axes, must have {len(names)}; add some")
-        columns = min(len(names), PANELS)
-        rows = -(-len(names) // columns)
-        made = new_axes(len(names), width=3.7 * columns, height=3.1 * rows, columns=columns)
-        panels = made[: len(names)]
-        for unused in made[len(names) :]:
-            unused.remove()
-    for panel, name in zip(panels, names, strict=True):
-        if "draw" in dataset[figure].dims:
-            _draw_dots(panel, dataset, figure, name, boundary)
-        else:
-            fixed = _fixed(dataset, figure, [name], at or {})
-            _draw_curve(panel, dataset.isel(fixed), figure, [name], boundary)
-            told = [_tick(dataset, other, step, named=True) for other, step in fixed.items()]
-            panel.set_title("\n".join(told), fontsize=8)
-    limits = [panel.get_ylim() for panel in panels]
-    for panel in panels:
-        panel.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
-    return panels
-
-
-def slice_names(results: Results) -> list[str]:
-    """Return the dimensions or drawn values that `study_slices` has panels for.
-
-    Raises
-    ------
-    SceneError
-        If the study is one of single changes, or mixes draws with other dimensions.
-    """
-    dataset = results.dataset
-    wide = [str(name) for name in dataset["status"].dims if dataset.sizes[name] > 1]
-    if not wide or "case" in wide or ("draw" in wide and len(wide) > 1):
-        raise SceneError(
-            f"slices need dimensions of several steps, or draws alone, not "
-            f"{', '.join(wide) or 'a single point'}; draw a tornado or a map"
-        )
-    if wide == ["draw"]:
-        return [str(key) for key, value in dataset.coords.items() if value.dims == ("draw",)]
-    return wide
-
-
-def _draw_dots(axes: Axes, dataset: Any, figure: str, name: str, boundary: float | None) -> None:
-    """Draw a figure against a drawn value, and failed draws along the lower edge."""
-    places, values = dataset.coords[name].values, dataset[figure].values
-    good = np.isfinite(values)
-    axes.plot(places[good], values[good], ".", color=BLUE, ms=4)
-    lost = dataset["status"].values != "pending"
-    if (failed := ~good & lost).any():
-        axes.plot(
-            places[failed], np.zeros(failed.sum()), "|", color=VERMILION, ms=10,
-            transform=axes.get_xaxis_transform(), clip_on=False, label=f"{failed.sum()} failed",
-        )  # fmt: skip
-        axes.legend(fontsize=8)
-    if boundary is not None:
-        axes.axhline(boundary, color=VERMILION, lw=1)
-    unit = dataset.coords[name].attrs.get("units", "")
-    axes.set(xlabel=f"{name} ({unit})" if unit else name, ylabel=_name(dataset, figure))
-    if dataset.coords[name].dtype.kind in "if":
-        space_ticks(axes)
-    axes.grid(alpha=0.25)
-
-
-def sobol_bars(indices: Any, *, label: str = "", axes: Axes | None = None) -> Axes:
-    """Draw Sobol indices as bars: which values of a scene cause the variance of a figure of merit.
-
-    Parameters
-    ----------
-    indices : Dataset
-        Dataset of xarray that `nlosoptics.study.sobol_indices` returns.
-    label : str
-        Name of the figure of merit, for the axis label.
+    found : Optimum
+        Result of `nlosoptics.study.optimum`.
+    first, second : int
+        Index of the objective on the horizontal axis and of that on the vertical axis, from 0. If
+        there are more than two objectives, the front is that of all of them, and no line joins its
+        points. Not used if there is a single objective, which is drawn against the trials.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes with two bars for each varied value, such as ``wall.radius``: the fraction of the
-        variance that it causes alone (first order), and together with all interactions with other
-        values (total). The largest total is on top. Lines on the bars are confidence intervals. If
-        an interval contains zero, the fraction is not distinguishable from zero.
+        Axes with one mark for each trial: a dot if it meets all constraints, a cross if not. In
+        red, the front, or the best value so far of the feasible trials. Trials that could not be
+        computed appear only in the legend, with their number.
+
+    Raises
+    ------
+    SceneError
+        If no trial has values, or there are no such objectives.
 
     See Also
     --------
-    nlosoptics.study.sobol_indices : Shares of the variance of a figure of merit.
-    tornado : Change of a figure of merit with each value.
+    nlosoptics.study.optimum : Best trials of an optimisation.
     """
-    order = np.argsort(-indices["total"].values, kind="stable")
-    names = indices["address"].values[order]
-    if axes is None:
-        (axes,) = new_axes(1, width=7.2, height=1.4 + 0.6 * len(names))
-    rows = np.arange(len(names))
-    for offset, kind, told, colour in (
-        (-0.19, "first", "alone (first order)", BLUE),
-        (0.19, "total", "with interactions (total)", VERMILION),
-    ):
-        value, low, high = (
-            np.asarray(indices[name].values)[order]
-            for name in (kind, f"{kind}_low", f"{kind}_high")
+    count, values = len(found.labels), found.objectives
+    if found.failed.all():
+        raise SceneError(f"{found.results.path} has no trial with values, so nothing to draw")
+    if count > 1 and (first == second or not {first, second} <= set(range(count))):
+        raise SceneError(
+            f"objectives {first} and {second} are not two of {count}; give numbers from 0 to "
+            f"{count - 1}"
         )
-        # a percentile interval of a bootstrap may miss the estimate itself
-        reach = np.maximum([value - low, high - value], 0.0)
-        axes.barh(
-            rows + offset, value, height=0.36, color=colour, alpha=0.75, label=told, xerr=reach,
-            error_kw={"capsize": 3, "ecolor": BLACK, "lw": 1},
-        )  # fmt: skip
-    axes.axvline(0.0, color=BLACK, lw=1)
-    axes.set_yticks(rows, list(names))
-    axes.set(
-        ylim=(len(names) - 0.4, -0.6),
-        xlabel=f"share of the variance of {label}" if label else "share of the variance",
-    )
-    space_ticks(axes)
-    axes.grid(axis="x", alpha=0.25)
-    axes.legend(loc="lower right", fontsize=8)
+    if axes is None:
+        (axes,) = new_axes(width=6.4, height=4.6)
+    aims = [f"{name}, to {goal}" for name, goal in zip(found.labels, found.goals, strict=True)]
+    single = count == 1
+    x, y = (np.arange(len(values)), values[:, 0]) if single else values.T[[first, second]]
+    outside = ~found.feasible & ~found.failed
+    for trials, marker, colour, text in (
+        (found.feasible, "o", BLUE, "feasible"),
+        (outside, "x", GREY, "outside constraints"),
+    ):
+        if trials.any():
+            text = f"{text}: {int(trials.sum())} trials"
+            axes.plot(x[trials], y[trials], marker, color=colour, ms=4, alpha=0.6, label=text)
+    if found.failed.any():
+        axes.plot([], [], " ", label=f"failed: {int(found.failed.sum())} trials")
+    if single:
+        better = np.fmin if found.goals[0] == "minimise" else np.fmax
+        best = better.accumulate(np.where(found.feasible, y, np.nan))
+        axes.step(x, best, where="post", color=VERMILION, lw=1.5, label="best so far")
+    else:
+        front = np.array(found.front, dtype=int)
+        order = front[np.argsort(x[front], kind="stable")]
+        # the corners of the steps are the worst objectives that the two points beside them dominate
+        steps: Any = "steps-post" if found.goals[first] == "minimise" else "steps-pre"
+        style: dict[str, Any] = {"color": VERMILION, "marker": "o", "ms": 5, "lw": 1}
+        style |= {"ls": "-" if count == 2 else "", "label": f"front: {len(front)} trials"}
+        axes.plot(x[order], y[order], drawstyle=steps, **style)
+    axes.set(xlabel="trial" if single else aims[first], ylabel=aims[0 if single else second])
+    axes.grid(alpha=0.25)
+    axes.legend(fontsize=8)
     return axes

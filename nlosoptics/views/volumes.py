@@ -8,28 +8,16 @@ import numpy as np
 
 from .._checks import in_range, one_of
 from ..errors import SamplingError
-from .canvas import GREY, INK, PALE_GREY, TEAL, new_axes, round_step, space_ticks
+from .canvas import GREY, few_ticks, new_axes, pyvista
 from .maps import colour_bar
 from .rays import dark_viridis
-from .room_parts import floor_grid, triad
-from .stages import add_legend, bar_style, finish_bar, look_at, new_plotter, pyvista
+from .stages import FLAT, add_floor, add_legend, bar_style, finish_bar, new_plotter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pyvista import Plotter
 
     from ..transient import VolumeImage
-
-#: Horizontal axis, vertical axis and title of the view along each axis.
-VIEWS = {
-    "z": ("x", "y", "view from the wall"),
-    "y": ("x", "z", "top view"),
-    "x": ("z", "y", "side view"),
-}
-
-BAR = "distance from the wall (m)"
-BOX, GRID = GREY, PALE_GREY
-FLAT: dict[str, Any] = {"lighting": False}
 
 
 def volume(image: VolumeImage, *, axis: str = "z", axes: Axes | None = None) -> Axes:
@@ -66,8 +54,14 @@ def volume(image: VolumeImage, *, axis: str = "z", axes: Axes | None = None) -> 
     >>> views.volume(image, axis="y").get_ylabel()
     'z (m)'
     """
-    one_of("axis", axis, VIEWS)
-    across, up, title = VIEWS[axis]
+    # horizontal axis, vertical axis and title
+    views = {
+        "z": ("x", "y", "view from the wall"),
+        "y": ("x", "z", "top view"),
+        "x": ("z", "y", "side view"),
+    }
+    one_of("axis", axis, views)
+    across, up, title = views[axis]
     ends = [_ends(getattr(image.volume, name)) for name in (across, up)]
     if axes is None:
         shape = (ends[0][1] - ends[0][0]) / (ends[1][1] - ends[1][0])
@@ -87,7 +81,7 @@ def volume(image: VolumeImage, *, axis: str = "z", axes: Axes | None = None) -> 
     )
     if across == "x":
         axes.invert_xaxis()
-    space_ticks(axes)
+    few_ticks(axes)
     colour_bar(axes, drawn, "relative intensity")
     axes.set(xlabel=f"{across} (m)", ylabel=f"{up} (m)", title=title)
     return axes
@@ -170,8 +164,9 @@ def phasor_volume(
     alone = plotter is None
     if plotter is None:
         plotter = new_plotter(f"Reconstructed volume, {image.method}")
-    if BAR in plotter.scalar_bars:
-        plotter.remove_scalar_bar(BAR)
+    title = "distance from the wall (m)"
+    if title in plotter.scalar_bars:
+        plotter.remove_scalar_bar(title)
     plotter.add_mesh(
         surface,
         scalars="z",
@@ -181,20 +176,15 @@ def phasor_volume(
         smooth_shading=True,
         ambient=0.35,
         diffuse=0.65,
-        scalar_bar_args=bar_style(BAR, fmt="%.3g"),
+        scalar_bar_args=bar_style(title, fmt="%.3g"),
         reset_camera=False,
     )
-    finish_bar(plotter, BAR)
+    finish_bar(plotter, title)
     box = pv.Box([value for ends in zip(low, high, strict=True) for value in ends])
-    plotter.add_mesh(box.extract_all_edges(), color=BOX, name="volume", **FLAT)
-    legend = {f"surface at {threshold:g} of the maximum": TEAL, "volume": BOX}
+    plotter.add_mesh(box.extract_all_edges(), color=GREY, name="volume", **FLAT)
+    middle_of_viridis = "#26828E"
+    legend = {f"surface at {threshold:g} of the maximum": middle_of_viridis, "volume": GREY}
     if alone:
-        step = round_step(float((high - low).max()) / 6)
-        floor = floor_grid(low, high, step)
-        plotter.add_mesh(floor, color=GRID, line_width=1, name="floor grid", **FLAT)
-        legend[f"floor grid, {step:g} m"] = GREY  # the lines are too pale for text
-        frame = look_at(plotter, np.concatenate([[low, high], floor.points, box.points]), [])
-        leftmost = floor.points[np.argmin(floor.points @ frame[0])]
-        plotter.add_mesh(triad(leftmost, 0.6 * step, frame), color=INK, name="axes", **FLAT)
+        legend |= add_floor(plotter, box.points, low, high, [])
     add_legend(plotter, legend)
     return plotter

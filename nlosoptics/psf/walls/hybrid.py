@@ -225,7 +225,7 @@ class HybridPointSpread(PointSpread):
     See Also
     --------
     hybrid_point_spread : PSF of all lobes of the wall.
-    nlosoptics.views.hybrid_parts : Parts of a hybrid PSF.
+    nlosoptics.views.point_spread : Map of a PSF.
     """
 
     coherent: Array

@@ -46,7 +46,6 @@ class WallIrradiance(Noun):
     See Also
     --------
     wall_irradiance : Map of the light that returns to the wall.
-    nlosoptics.views.irradiance : Map of the wall's irradiance.
     """
 
     x: Array
@@ -112,7 +111,6 @@ def wall_irradiance(
     See Also
     --------
     trace : Light from the laser to the detector.
-    nlosoptics.views.irradiance : Map of the wall's irradiance.
 
     Notes
     -----

@@ -1,6 +1,7 @@
-"""Draw the README's pictures: ``python docs/readme_figure.py``.
+"""Draw the pictures of the README and of docs/doors: ``python docs/figures.py``.
 
-The second one is drawn from the stored results of ``benchmarks/psf_peers.py``.
+They show what the commands and the Python of these pages make; run it again when those change. The
+picture of peers is drawn from the stored results of ``benchmarks/psf_peers.py``.
 """
 
 import sys
@@ -10,11 +11,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 import nlosoptics as nlos
-from nlosoptics import limits, views
+from nlosoptics import limits, transient, views
 from nlosoptics.scene import Scene
 from nlosoptics.views.canvas import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, VERMILION, new_axes
 
 ROOT = Path(__file__).parents[1]
+SCENES = ROOT / "examples" / "scenes"
 FIGURES = ROOT / "docs" / "figures"
 FLOOR = 1.35  # m from the wall, where the picture ends
 
@@ -57,7 +59,7 @@ def room(scene: Scene, axes: Axes) -> None:
 
 def lead() -> None:
     """Draw the room, the camera image and the reconstruction."""
-    scene = nlos.Scene.load(ROOT / "examples" / "scenes" / "corner.toml")
+    scene = nlos.Scene.load(SCENES / "corner.toml")
     result = nlos.simulate(scene, seed=0, reconstruct=True)
     axes = new_axes(3, width=13.5, height=4.9)
     room(scene, axes[0])
@@ -83,6 +85,28 @@ def peers() -> None:
     views.save(draw_psf_peers(rows("psf_peers.json")), FIGURES / "psf_peers.png")
 
 
+def doors() -> None:
+    """Draw the room, the camera image with its reconstruction, and the capture of the doors."""
+    scene = Scene.load(SCENES / "letter_concave.toml")
+    views.save(views.scene_sketch(scene), FIGURES / "door_instrument.png")
+    scene = scene.resized(64)
+    result = nlos.simulate(scene, seed=1, reconstruct=True)
+    left, right = new_axes(2, width=9.5, height=3.6)
+    scale = limits.object_scale(scene)
+    views.image(result.image, object_scale=scale, axes=left)
+    pitch = scale * result.image.pitch
+    views.reconstruction(result.reconstruction, pitch=pitch, axes=(right,))
+    right.set_title("reconstruction, mirror undone")
+    views.save(left, FIGURES / "door_camera.png")
+    capture = transient.render_scene(Scene.load(SCENES / "transient_letter.toml"), tol=0.02)
+    volume = transient.Volume.facing(capture.sensor_points, (0.8, 1.2, 0.02))
+    axes = new_axes(3, width=11, height=3.4)
+    views.transient(capture, at=(2.1,), axes=axes[:2])
+    views.volume(transient.phasor_image(capture, volume, wl_mean=0.125), axes=axes[2])
+    views.save(axes, FIGURES / "door_transient.png")
+
+
 if __name__ == "__main__":
     lead()
     peers()
+    doors()
