@@ -15,7 +15,8 @@ from .canvas import BLACK, BLUE, GREY, PALE_GREY, SERIES, VERMILION, new_axes, s
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from ..study import Fraction, Results, Sensitivity
+    from ..study import Fraction, Results
+    from ..study.answers import Sensitivity
 
 MOST_TEXTS = 80  # cells of a map that show their value
 MOST_TICKS = 9
@@ -417,8 +418,7 @@ def yield_curve(
     axes.fill_between(x, low, high, color=BLUE, alpha=0.2, lw=0, label="confidence interval")
     points = fractions[0].points if len(fractions) else 0
     failed = fractions[0].failed if len(fractions) else 0
-    checked = fractions[0].checked if len(fractions) else 0
-    told = f"{points} draws, {f'{checked} in full, ' if checked else ''}{failed} failed"
+    told = f"{points} draws, {failed} failed"
     axes.step(x, value, color=BLUE, label=told, where="mid")
     axes.axhline(50.0, color=GREY, lw=0.5)
     axes.set(
