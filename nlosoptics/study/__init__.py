@@ -2,8 +2,7 @@
 
 `Study.load` reads a study file. `run_study` computes the figures of merit at all points of the
 study and keeps them in a folder, the store, which a later run completes or extends. `Results` reads
-the store. `sensitivities`, `inverse_sensitivities`, `sobol_indices`, `fraction_within` and
-`optimum` evaluate the results.
+the store. `sensitivities`, `sobol_indices`, `fraction_within` and `optimum` evaluate the results.
 """
 
 import lazy_loader as _lazy

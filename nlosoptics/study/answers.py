@@ -13,15 +13,11 @@ from numpy.typing import NDArray
 from .._checks import in_range, real
 from ..errors import SceneError
 from .design.figures import Figure
-from .results import FAST, Results
+from .results import Results
 
 if TYPE_CHECKING:
     import xarray as xr
 
-RESAMPLES = 999  # of a bootstrap
-LIMITS = 200  # of a yield curve
-RUNS = 16  # runs of consecutive Sobol draws, whose shares are compared
-FEW = 80  # Sobol draws that meet a specification, or do not, below which runs are not compared
 #: Figures of merit that are better if they are smaller.
 SMALLEST_IS_BEST = ("aberration_rms", "spot_rms", "encircled_energy_radius")
 
@@ -120,10 +116,7 @@ class Fraction:
     """Yield of a study: fraction of points that meet a specification, with confidence limits.
 
     The points are random variants (draws) of a scene. They meet the specification if a figure of
-    merit lies within given limits. A study whose draws have ``tier = "fast"`` computes all of them
-    approximately. Some of them, the checked draws, are computed in full as well. The values
-    ``checked``, ``gained``, ``lost`` and ``note`` compare the two computations. In other studies
-    the numbers are 0 and the note is empty.
+    merit lies within given limits.
 
     Parameters
     ----------
@@ -139,16 +132,6 @@ class Fraction:
     failed : int
         Number of finished points whose figure of merit is not finite. They do not meet the
         specification.
-    checked : int
-        Number of checked draws.
-    gained : int
-        Number of checked draws that meet the specification when computed in full, but not when
-        computed approximately.
-    lost : int
-        Number of checked draws that meet the specification when computed approximately, but not
-        when computed in full.
-    note : str
-        Sentence that states the result of the check.
 
     See Also
     --------
@@ -161,10 +144,6 @@ class Fraction:
     met: int
     points: int
     failed: int
-    checked: int = 0
-    gained: int = 0
-    lost: int = 0
-    note: str = ""
 
 
 def fraction_within(
@@ -217,21 +196,6 @@ def fraction_within(
     draws, by Student's distribution. The runs complement each other, so that this interval is wide
     enough for any figure of merit. If fewer than 80 draws meet the specification, or fail it, or
     the study is incomplete, it is that of independent draws.
-
-    A study whose draws have ``tier = "fast"`` computes all of them approximately. Some of them, the
-    checked draws, are computed in full as well. The yield is then f + a - b. Here f is the fraction
-    of all draws that meet the specification when computed approximately. The fractions a and b
-    refer to the checked draws: a of them meet it only when computed in full, and b only when
-    computed approximately. The confidence limits of the three fractions are combined in quadrature
-    [1]_.
-
-    If the two computations disagree so often that the difference a - b is no more precise than the
-    yield of the checked draws alone, the approximation is not used. The result is then the yield of
-    the checked draws. ``Fraction.note`` states which of the two was used.
-
-    References
-    ----------
-    .. [1] Zou and Donner, Stat. Med. 27, 1693 (2008).
     """
     _check_draws(results, "a yield", ("random", "latin", "sobol"))
     if at_least is None and at_most is None:
@@ -245,17 +209,6 @@ def fraction_within(
     known = status != "pending"
     if not known.any():
         raise SceneError(f"{results.path} has no finished point; run the study first")
-    if results.study.fast:
-        full = results.dataset[f"{results.study.figure(figure).name}_full"].values
-        checked = known & (status != FAST)
-        if not checked.any():
-            raise SceneError(f"{results.path} has no checked draw; run the study first")
-        passed = (low <= full) & (full <= high) & np.isfinite(full)
-        fast = (low <= values) & (values <= high)
-        failed = int((~np.isfinite(full[checked])).sum())
-        return controlled_fraction(
-            fast, fast[checked], passed[checked], failed=failed, confidence=confidence, sobol=sobol
-        )
     values, sobol = values[known], sobol and bool(known.all())
     good = np.isfinite(values) & (low <= values) & (values <= high)
     met, count = int(good.sum()), len(values)
@@ -267,61 +220,6 @@ def fraction_within(
         met=met,
         points=count,
         failed=int((~np.isfinite(values)).sum()),
-    )
-
-
-def controlled_fraction(
-    fast: NDArray[np.bool_],
-    fast_checked: NDArray[np.bool_],
-    passed: NDArray[np.bool_],
-    *,
-    failed: int,
-    confidence: float,
-    sobol: bool = False,
-) -> Fraction:
-    """Return the yield of a fast study, see the notes of `fraction_within`.
-
-    Parameters
-    ----------
-    fast : (n,) ndarray of bool
-        Which draws meet the specification by the fast tier.
-    fast_checked, passed : (m,) ndarray of bool
-        Which checked draws meet it by the fast tier, and in full.
-    failed : int
-        Number of checked draws that failed in full.
-    confidence : float
-        Confidence of the interval.
-    sobol : bool
-        Whether ``fast`` are Sobol draws, in their order.
-    """
-    met, count, checked = int(fast.sum()), len(fast), len(passed)
-    gained, lost = int((passed & ~fast_checked).sum()), int((~passed & fast_checked).sum())
-    share, a, b = met / count, gained / checked, lost / checked
-    alone = float(passed.mean())
-    told = f"fast and full figures disagree at {gained + lost} of {checked} checked draws"
-    # both variances are equal, but for rounding, if the fast tier finds no difference of the draws
-    if gained + lost and a + b - (a - b) ** 2 > (1.0 - 1e-9) * alone * (1.0 - alone):
-        value, (low, high) = alone, _exact(int(passed.sum()), checked, confidence)
-        told += "; the yield is that of the checked draws alone"
-    else:
-        value = share + a - b
-        f_low, f_high = interval(fast, confidence, sobol=sobol)
-        a_low, a_high = _exact(gained, checked, confidence)
-        b_low, b_high = _exact(lost, checked, confidence)
-        low = value - math.hypot(share - f_low, a - a_low, b_high - b)
-        high = value + math.hypot(f_high - share, a_high - a, b - b_low)
-        told += "; the yield is that of all draws by the fast tier, corrected by these"
-    return Fraction(
-        value=min(max(value, 0.0), 1.0),  # the estimate may leave the range by its error
-        low=max(low, 0.0),
-        high=min(high, 1.0),
-        met=met,
-        points=count,
-        failed=failed,
-        checked=checked,
-        gained=gained,
-        lost=lost,
-        note=told,
     )
 
 
@@ -340,11 +238,11 @@ def interval(
         Whether they are Sobol draws, in their order; see the notes of `fraction_within`.
     """
     met, count = int(good.sum()), len(good)
-    if not sobol or min(met, count - met) < FEW:
+    if not sobol or min(met, count - met) < 80:
         return _exact(met, count, confidence)
-    runs = good.reshape(RUNS, -1).mean(axis=1)
-    half = -float(scipy.special.stdtrit(RUNS - 1, (1.0 - confidence) / 2))
-    half *= float(runs.std(ddof=1)) / math.sqrt(RUNS)
+    runs = good.reshape(16, -1).mean(axis=1)
+    half = -float(scipy.special.stdtrit(len(runs) - 1, (1.0 - confidence) / 2))
+    half *= float(runs.std(ddof=1)) / math.sqrt(len(runs))
     return max(met / count - half, 0.0), min(met / count + half, 1.0)
 
 
@@ -387,7 +285,7 @@ def yields(results: Results, figure: str) -> tuple[NDArray[np.float64], tuple[Fr
     good = values[np.isfinite(values)]
     if not len(good):
         raise SceneError(f"{figure} is known at no point, so that there is no curve to draw")
-    limits = np.linspace(good.min(), good.max(), LIMITS)
+    limits = np.linspace(good.min(), good.max(), 200)
     key = "at_most" if smallest_is_best(results.study.figure(figure)) else "at_least"
     found = (
         fraction_within(results, figure, incomplete=True, **{key: float(limit)}) for limit in limits
@@ -456,7 +354,7 @@ def sobol_indices(results: Results, figure: str, *, confidence: float = 0.95) ->
     interval = scipy.stats.bootstrap(
         (every,),
         statistic,
-        n_resamples=RESAMPLES,
+        n_resamples=999,
         confidence_level=confidence,
         method="percentile",
         vectorized=False,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +10,15 @@ import numpy as np
 
 from ..errors import SceneError
 from ..runs.record import versions
-from .design.base import leaves
+from .design.base import differing_leaves
 from .design.point import point_spread_key
 from .design.study import Study, differing_steps
-from .planning import plan_study
 from .results import about_study, study_of
 from .store import Store
 from .worker import DONE, FAILED, LOST, Block
 
 #: Tables on which the choices of a search depend.
-SEARCHED = ("optimise", "inverse_sensitivity", "axes", "zip", "one_at_a_time", "draws")
+SEARCHED = ("optimise", "axes", "zip", "one_at_a_time", "draws")
 
 
 def prepared(study: Study, path: Path) -> tuple[Store, Study]:
@@ -35,42 +34,42 @@ def prepared(study: Study, path: Path) -> tuple[Store, Study]:
     store = Store.open(path, write=True)
     about: dict[str, Any] = about_study(study) | {"versions": versions()}
     if store is None:
-        block = plan_study(study).block
-        store = Store.create(path, block=block, about=about, files=study.base.files)
-        kept = study
+        store = Store.create(path, about=about, files=study.base.files)
     else:
-        kept = study_of(store)
+        stored = study_of(store)
         study = study.with_trials(store.trials()) if study.variables else study
-        _check_same(study, kept, path)
+        _check_same(study, stored, path)
         store.add_files(study.base.files)
-    names = {figure.name for figure in study.figures}
-    figures = (*(f for f in kept.figures if f.name not in names), *study.figures)
-    known = set(store.ids())
-    store.add([study.ids[i] for i in order(study) if study.ids[i] not in known], figures)
-    store.set_about(about | {"figures": about_study(study, figures)["figures"]})
+        new = {figure["name"]: figure for figure in about["figures"]}
+        # each figure stays in its column
+        old = {figure["name"]: figure for figure in store.about["figures"]}
+        about["figures"] = list((old | new).values())
+    known = set(store.ids)
+    store.add([study.ids[i] for i in order(study) if study.ids[i] not in known], about)
     return store, study
 
 
-def _check_same(study: Study, kept: Study, path: Path) -> None:
+def _check_same(study: Study, stored: Study, path: Path) -> None:
     """Raise `SceneError` if a study does not continue the one of a store."""
-    differences = study.base.differences(kept.base)
+    differences = study.base.differences(stored.base)
     for name in ("tol", "seed"):
-        if getattr(study, name) != getattr(kept, name):
-            differences.append(f"{name} = {getattr(study, name)} instead of {getattr(kept, name)}")
-    for new in study.figures:
-        for old in kept.figures:
-            if new.name != old.name:
-                continue
-            if (new.source, new.options) != (old.source, old.options):
-                differences.append(
-                    f"figure {new.name} is {new.source} {new.options} instead of {old.source} "
-                    f"{old.options}"
-                )
-            elif new.compensate != old.compensate:
-                differences.append(f"figure {new.name} has another [compensate]")
-    differences += _other_search(study, kept)
-    if not differences and set(kept.ids) - set(study.ids):
-        differences = list(differing_steps(study, kept))
+        new, old = getattr(study, name), getattr(stored, name)
+        if new != old:
+            differences.append(f"{name} = {new} instead of {old}")
+    known = {figure.name: figure for figure in stored.figures}
+    for figure in study.figures:
+        other = known.get(figure.name, figure)
+        if (figure.source, figure.options) != (other.source, other.options):
+            differences.append(
+                f"figure {figure.name} is {figure.source} {figure.options} instead of "
+                f"{other.source} {other.options}"
+            )
+        elif figure.compensate != other.compensate:
+            differences.append(f"figure {figure.name} has another [compensate]")
+    if study.variables or stored.variables:
+        differences += differing_leaves(*map(_search_tables, (study, stored)))
+    if not differences and set(stored.ids) - set(study.ids):
+        differences = list(differing_steps(study, stored))
     if differences:
         more = f" (and {len(differences) - 1} more)" if len(differences) > 1 else ""
         raise SceneError(
@@ -79,56 +78,38 @@ def _check_same(study: Study, kept: Study, path: Path) -> None:
         )
 
 
-def _other_search(study: Study, kept: Study) -> list[str]:
-    """Return where the search of a study, and what each trial consists of, differs from a store."""
-    if not (study.variables or kept.variables):
-        return []
-    mine, theirs = (
-        {
-            address: value
-            for address, value in leaves(one.definition)
-            if address.startswith(SEARCHED) and address != "optimise.evaluations"
-        }
-        for one in (study, kept)
-    )
-    return [
-        f"{address} = {mine.get(address, 'absent')} instead of {theirs.get(address, 'absent')}"
-        for address in sorted(mine.keys() | theirs.keys())
-        if mine.get(address) != theirs.get(address)
-    ]
+def _search_tables(study: Study) -> dict[str, Any]:
+    """Return what determines the search of a study and each of its trials."""
+    tables = {name: study.definition[name] for name in SEARCHED if name in study.definition}
+    if "optimise" in tables:  # a search may become longer
+        tables["optimise"] = {k: v for k, v in tables["optimise"].items() if k != "evaluations"}
+    return tables
 
 
 def order(study: Study) -> list[int]:
-    """Return the points in the order of computation: those with the same point spread together.
-
-    Draws of the fast tier that are not checked are left out.
-    """
+    """Return the points in the order of computation: those with the same point spread together."""
     groups: dict[str, list[int]] = {}
-    for index in study.in_full:
+    for index in range(len(study)):
         groups.setdefault(point_spread_key(study.delta(index)), []).append(index)
     return [index for group in groups.values() for index in group]
 
 
-def open_blocks(study: Study, store: Store, again: bool) -> list[Block]:
-    """Return the blocks of a store that lack figures, with these figures.
+def open_blocks(study: Study, store: Store, size: int, *, again: bool = False) -> list[Block]:
+    """Return blocks of ``size`` points of a study that lack figures, with these figures.
 
-    With ``again`` they include blocks in which a figure failed or was lost.
+    With ``again``, they include those at which a figure failed or was lost.
     """
     index = {name: i for i, name in enumerate(study.ids)}
-    ids = store.ids()
+    names = [figure.name for figure in study.figures]
     finished = [DONE] if again else [DONE, FAILED, LOST]
-    lacking = {figure.name: ~np.isin(store.statuses(figure), finished) for figure in study.figures}
-
-    def blocks() -> Iterator[Block]:
-        for first in range(0, len(ids), store.block):
-            rows = range(first, min(first + store.block, len(ids)))
-            used = [row for row in rows if ids[row] in index]
-            # points of a block are at its start; other rows are empty
-            missing = tuple(
-                name for name, open_rows in lacking.items() if any(open_rows[row] for row in used)
-            )
-            if missing:
-                deltas = tuple(study.delta(index[ids[row]]) for row in used)
-                yield Block(first, deltas, tuple(ids[row] for row in used), missing)
-
-    return list(blocks())
+    lacking = ~np.isin(store.column("status", names), finished)
+    rows = [row for row in np.flatnonzero(lacking.any(axis=1)).tolist() if store.ids[row] in index]
+    blocks = []
+    for pattern, group in groupby(rows, key=lambda row: tuple(lacking[row])):
+        alike = list(group)
+        figures = tuple(name for name, open_ in zip(names, pattern, strict=True) if open_)
+        for first in range(0, len(alike), size):
+            own = tuple(alike[first : first + size])
+            ids = tuple(store.ids[row] for row in own)
+            blocks.append(Block(own, tuple(study.delta(index[i]) for i in ids), ids, figures))
+    return blocks

@@ -1,4 +1,4 @@
-"""Computation of blocks by any executor of `concurrent.futures`."""
+"""Computation of blocks by executors of `concurrent.futures`: here, by processes, by a cluster."""
 
 from __future__ import annotations
 
@@ -11,99 +11,123 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 from ..errors import MissingExtraError, SceneError
 from .design.study import Study
 from .worker import Answers, Block, evaluate, forget, lost, prepare
 
-WINDOW = 3  # blocks in flight per worker
 
+class Engine:
+    """Workers that know a study; this process itself if ``workers`` is 0.
 
-class Engine(Protocol):
-    """Source of executors that know the study under `key`."""
-
-    key: str
-    workers: int
-
-    def start(self) -> Executor:
-        """Return an executor whose workers are prepared."""
-
-    def close(self) -> None:
-        """Release the study."""
-
-
-def _packed(study: Study) -> bytes:
-    """Pickle what workers need of a study; the values of its points come with the blocks."""
-    return pickle.dumps(replace(study, dimensions=()))
-
-
-class _Here(Executor):
-    """Executor that computes in this process, at once."""
-
-    def submit(self, function: Callable[..., Any], /, *given: Any, **options: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        try:
-            future.set_result(function(*given, **options))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
-class InProcess:
-    """Engine that computes in this process, without workers."""
-
-    workers = 1
-
-    def __init__(self, study: Study) -> None:
-        self.key = uuid.uuid4().hex
-        self._packed = _packed(study)
-
-    def start(self) -> Executor:
-        """Return the executor."""
-        prepare(self.key, self._packed, own_process=False)
-        return _Here()
-
-    def close(self) -> None:
-        """Release the study."""
-        forget(self.key)
-
-
-class Processes:
-    """Engine of spawned processes on this machine, with one thread each.
-
-    With ``ahead`` they start at once, otherwise with the first blocks.
+    Parameters
+    ----------
+    study : Study
+        Study; the values of its points come with the blocks.
+    workers : int
+        Number of spawned processes on this machine, with one thread each.
     """
 
-    def __init__(self, study: Study, workers: int, *, ahead: bool = False) -> None:
-        self.key, self.workers = uuid.uuid4().hex, workers
-        self._packed = _packed(study)
-        self._waiting = self._pool() if ahead else None
-        if self._waiting:
-            for _ in range(workers):
-                self._waiting.submit(os.getpid)  # starts a process
+    def __init__(self, study: Study, workers: int) -> None:
+        self.key, self.workers = uuid.uuid4().hex, workers or 1
+        self._packed = pickle.dumps(replace(study, dimensions=()))
+        self._here = not workers
+        self._executor = self._start()
 
-    def start(self) -> Executor:
-        """Return a pool."""
-        pool, self._waiting = self._waiting or self._pool(), None
-        return pool
+    def __enter__(self) -> Engine:
+        return self
 
-    def _pool(self) -> Executor:
-        return ProcessPoolExecutor(
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown(cancel_futures=True)
+        forget(self.key)
+
+    def _start(self) -> Executor:
+        """Return an executor whose workers are prepared."""
+        if self._here:
+            prepare(self.key, self._packed, own_process=False)
+            return _Here()
+        pool = ProcessPoolExecutor(
             self.workers,
             multiprocessing.get_context("spawn"),
             initializer=prepare,
             initargs=(self.key, self._packed),
         )
+        for _ in range(self.workers):
+            pool.submit(os.getpid)  # starts a process, while the store is made
+        return pool
 
-    def close(self) -> None:
-        """End processes that no block has asked for; others end with their pool."""
-        if self._waiting:
-            self._waiting.shutdown()
+    def _restart(self) -> None:
+        """Replace an executor of which a process has ended."""
+        self._executor.shutdown()
+        self._executor = self._start()
+
+    def _submit(self, block: Block) -> Future[Answers]:
+        """Return the future of a block; it has failed if a worker of the executor has ended."""
+        try:
+            return self._executor.submit(evaluate, self.key, block)
+        except Exception as error:
+            future: Future[Answers] = Future()
+            future.set_exception(error)
+            return future
+
+    def compute(
+        self, blocks: Iterator[Block], interrupted: Callable[[], bool]
+    ) -> Iterator[tuple[Block, Answers]]:
+        """Yield blocks with their answers as they are finished.
+
+        Parameters
+        ----------
+        blocks : iterator of Block
+            Blocks, taken as workers become free.
+        interrupted : callable
+            Whether to end after the blocks in flight.
+
+        Notes
+        -----
+        If a worker process ends, the blocks in flight are repeated point by point, since any of
+        them may be the cause. A point whose worker ends again has the status `LOST`.
+        """
+        flying: dict[Future[Answers], Block] = {}
+        suspects: list[Block] = []
+        while True:
+            while not suspects and len(flying) < 3 * self.workers and not interrupted():
+                block = next(blocks, None)
+                if block is None:
+                    break
+                flying[self._submit(block)] = block
+            if not flying:
+                if not suspects:
+                    return
+                self._restart()
+                for block in suspects:
+                    yield from map(self._alone, _points(block))
+                suspects = []
+                continue
+            for future in wait(flying, return_when=FIRST_COMPLETED).done:
+                block = flying.pop(future)
+                try:
+                    answers = future.result()
+                except Exception as error:
+                    if not _worker_ended(error):
+                        raise
+                    suspects.append(block)
+                else:
+                    yield block, answers
+
+    def _alone(self, point: Block) -> tuple[Block, Answers]:
+        """Return a block of one point with its answers, computed with no other in flight."""
+        try:
+            return point, self._submit(point).result()
+        except Exception as error:
+            if not _worker_ended(error):
+                raise
+        self._restart()
+        return point, lost(point)
 
 
-class Cluster:
-    """Engine of the workers of a dask scheduler."""
+class Cluster(Engine):
+    """Workers of a dask scheduler at ``address``."""
 
     def __init__(self, study: Study, address: str) -> None:
         try:
@@ -123,22 +147,37 @@ class Cluster:
             ) from None
         from .dask_plugin import Preparation
 
-        self._client.register_plugin(Preparation(self.key, _packed(study)), name=self.key)
+        packed = pickle.dumps(replace(study, dimensions=()))
+        self._client.register_plugin(Preparation(self.key, packed), name=self.key)
         threads: dict[str, int] = self._client.nthreads()
         if not threads:
             raise SceneError(f"scheduler {address!r} has no workers; start some with dask worker")
         self.workers = sum(threads.values())
+        self._executor = self._start()
 
-    def start(self) -> Executor:
+    def _start(self) -> Executor:
         """Return an executor on the cluster."""
         executor: Executor = self._client.get_executor(pure=False, retries=0)
         return executor
 
-    def close(self) -> None:
+    def __exit__(self, *_: object) -> None:
         """Leave the cluster."""
         with suppress(Exception):  # the scheduler may be gone
+            self._executor.shutdown(wait=False)
             self._client.unregister_worker_plugin(self.key)
         self._client.close()
+
+
+class _Here(Executor):
+    """Executor that computes in this process, at once."""
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(function(*args, **options))
+        except Exception as error:
+            future.set_exception(error)
+        return future
 
 
 def quieten() -> None:
@@ -149,92 +188,10 @@ def quieten() -> None:
         handler.setLevel(logging.CRITICAL)
 
 
-def computed(
-    engine: Engine, blocks: Iterator[Block | None], interrupted: Callable[[], bool]
-) -> Iterator[tuple[Block, Answers]]:
-    """Yield blocks with their answers as they are finished.
-
-    Parameters
-    ----------
-    engine : Engine
-        Engine that knows the study.
-    blocks : iterator of Block
-        Blocks, taken as workers become free. None says that further blocks wait for results.
-    interrupted : callable
-        Whether to end after the blocks in flight.
-
-    Notes
-    -----
-    If a worker process ends, all blocks in flight are repeated one at a time, since any of them
-    may be the cause. A block whose worker ends again is halved until the point is found that ends
-    its worker; this point has the status `LOST`.
-    """
-    flying: dict[Future[Answers], Block] = {}
-    executor = engine.start()
-    try:
-        while True:
-            while len(flying) < WINDOW * engine.workers and not interrupted():
-                block = next(blocks, None)
-                if block is None:
-                    break
-                flying[_submitted(executor, engine.key, block)] = block
-            if not flying:
-                return
-            done, _ = wait(flying, timeout=0.2, return_when=FIRST_COMPLETED)
-            ended = []
-            for future in sorted(done, key=lambda future: flying[future].row):
-                block = flying.pop(future)
-                try:
-                    answers = future.result()
-                except Exception as error:
-                    if not _worker_ended(error):
-                        raise
-                    ended.append(block)
-                else:
-                    yield block, answers
-            if ended:
-                ended += flying.values()
-                flying.clear()
-                executor.shutdown()
-                for block in sorted(ended, key=lambda block: block.row):
-                    yield block, _alone(engine, block)
-                executor = engine.start()
-    finally:
-        for future in flying:
-            future.cancel()
-        executor.shutdown()
-
-
-def _submitted(executor: Executor, key: str, block: Block) -> Future[Answers]:
-    """Return the future of a block; it has failed if a worker of the executor has ended."""
-    try:
-        return executor.submit(evaluate, key, block)
-    except Exception as error:
-        if not _worker_ended(error):
-            raise
-        future: Future[Answers] = Future()
-        future.set_exception(error)
-        return future
-
-
-def _alone(engine: Engine, block: Block) -> Answers:
-    """Return the answers of a block computed with no other block in flight."""
-    executor = engine.start()
-    try:
-        return executor.submit(evaluate, engine.key, block).result()
-    except Exception as error:
-        if not _worker_ended(error):
-            raise
-    finally:
-        executor.shutdown()
-    n = len(block.ids)
-    if n == 1:
-        return lost(block)
-    parts = [
-        _alone(engine, block._replace(deltas=block.deltas[one:other], ids=block.ids[one:other]))
-        for one, other in ((0, n // 2), (n // 2, n))
-    ]
-    return Answers(*(one + other for one, other in zip(*parts, strict=True)))
+def _points(block: Block) -> Iterator[Block]:
+    """Yield the points of a block, each as a block."""
+    for row, delta, name in zip(block.rows, block.deltas, block.ids, strict=True):
+        yield Block((row,), (delta,), (name,), block.figures)
 
 
 def _worker_ended(error: Exception) -> bool:

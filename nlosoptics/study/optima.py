@@ -13,10 +13,10 @@ from .._nouns import Noun
 from ..errors import SceneError
 from .design.figures import Figure
 from .design.file import Objective
-from .design.values import label, number, with_unit
+from .design.values import label
 from .results import Results
-from .search.methods import outcome_of, searched_figures
-from .search.problem import Outcome
+from .search.methods import search_table, searched_figures
+from .search.problem import Outcome, outcome
 
 if TYPE_CHECKING:
     from ..scene import Scene
@@ -163,7 +163,6 @@ def optimum(results: Results, *, incomplete: bool = False) -> Optimum:
     See Also
     --------
     run_study : Run a study, or continue it.
-    inverse_sensitivities : Change of each value that causes a stated loss.
 
     Examples
     --------
@@ -186,9 +185,7 @@ def optimum(results: Results, *, incomplete: bool = False) -> Optimum:
     >>> round(found.scene().camera.focus_distance, 3)
     2.049
     """
-    table = results.study.table.optimise
-    if table is None:
-        raise SceneError("an optimum needs a study with the table [optimise]; add it")
+    table = search_table(results.study)
     outcomes = _outcomes(results, incomplete)
     signs = np.array([1.0 if one.goal == "minimise" else -1.0 for one in table.objectives])
     values = np.array([one.values for one in outcomes]).reshape(-1, len(table.objectives))
@@ -215,13 +212,13 @@ def _outcomes(results: Results, incomplete: bool) -> list[Outcome]:
         for name in searched_figures(study)
     }
     pending = (results.dataset["status"].values == "pending").reshape(trials, -1).any(axis=1)
-    found = []
+    outcomes = []
     for trial in range(trials):
         rows = {name: column[trial] for name, column in columns.items()}
         if pending[trial]:
             rows = {name: np.full_like(row, np.nan) for name, row in rows.items()}
-        found.append(outcome_of(study, rows))
-    return found
+        outcomes.append(outcome(search_table(study), rows))
+    return outcomes
 
 
 def _front(values: NDArray[np.float64], feasible: NDArray[np.bool_]) -> tuple[int, ...]:
@@ -243,114 +240,3 @@ def _label(objective: Objective, figure: Figure, several: bool) -> str:
         return f"share of {figure.name} {' and '.join(limits)}"
     over = f"{objective.over} " if several and figure.source != "value" else ""
     return f"{over}{figure.name}" + (f" ({figure.unit})" if figure.unit else "")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Allowance:
-    """Tolerance of one value of a scene: interval in which a figure of merit is still good enough.
-
-    Good enough means that the figure of merit is worse than in the nominal scene by at most the
-    loss that the study states.
-
-    Parameters
-    ----------
-    address : str
-        Table and key of the value in the scene file, such as "wall.radius".
-    unit : str
-        SI unit of ``nominal``, ``low`` and ``high``; empty if they have none.
-    nominal : float
-        Value in the nominal scene.
-    low, high : float
-        Ends of the interval: the farthest values found at which the figure of merit is good enough.
-    low_open, high_open : bool
-        True if the figure of merit is still good enough at this end of the searched range, so that
-        the interval may extend beyond it.
-
-    See Also
-    --------
-    inverse_sensitivities : Intervals of all values.
-    """
-
-    address: str
-    unit: str
-    nominal: float
-    low: float
-    high: float
-    low_open: bool
-    high_open: bool
-
-    def __str__(self) -> str:
-        """Return the interval as text."""
-        nominal, low, high = (
-            label(with_unit(value, self.unit)) for value in (self.nominal, self.low, self.high)
-        )
-        below, above = "or less " * self.low_open, " or more" * self.high_open
-        return f"{self.address:32s} {low} {below}to {high}{above}, nominal {nominal}"
-
-
-def inverse_sensitivities(results: Results) -> tuple[Allowance, ...]:
-    """Return the tolerance of each value: how far it alone may change for a given loss.
-
-    The loss is the amount by which a figure of merit becomes worse than in the nominal scene.
-
-    Parameters
-    ----------
-    results : Results
-        Complete results of a study with the table ``inverse_sensitivity``, which states the figure
-        of merit, its loss, and for each value the range in which to search.
-
-    Returns
-    -------
-    tuple of Allowance
-        One interval for each value. The tightest tolerance comes first: the narrowest interval
-        relative to the searched range.
-
-    Raises
-    ------
-    SceneError
-        If the study has no such table or has not ended, or the computation for the nominal scene
-        failed.
-
-    See Also
-    --------
-    sensitivities : Change of a figure of merit with each value.
-    optimum : Best trials of an optimisation.
-
-    Notes
-    -----
-    Each end is found by bisection between the nominal value and the limit of the range. The key
-    ``precision`` of the table ``inverse_sensitivity`` is the accuracy as a fraction of this
-    distance. If the figure of merit is not monotonic, there may be several values at which the loss
-    is reached, and the end is one of them.
-    """
-    table = results.study.table.inverse_sensitivity
-    if table is None:
-        raise SceneError(
-            "inverse sensitivities need a study with the table [inverse_sensitivity]; add it"
-        )
-    costs = [one.values[0] for one in _outcomes(results, False)]
-    if not np.isfinite(costs[0]):
-        raise SceneError(f"{table.figure} of the nominal scene failed, so that no loss is defined")
-    found = []
-    trials = results.study.dimensions[0].deltas
-    for variable in results.study.variables:
-        tried = {
-            (number(delta[variable.address]) or (np.nan,))[0]: cost <= costs[0] + table.loss
-            for delta, cost in zip(trials, costs, strict=True)
-            if variable.address in delta
-        }
-        nominal = (number(variable.value(variable.start)) or (np.nan,))[0]
-        kept = [nominal, *(value for value, good in tried.items() if good)]
-        found.append(
-            Allowance(
-                address=variable.address,
-                unit=variable.unit,
-                nominal=nominal,
-                low=min(kept),
-                high=max(kept),
-                low_open=tried.get(variable.low, True),
-                high_open=tried.get(variable.high, True),
-            )
-        )
-    widths = {v.address: v.high - v.low for v in results.study.variables}
-    return tuple(sorted(found, key=lambda one: (one.high - one.low) / widths[one.address]))

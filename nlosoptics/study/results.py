@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +21,6 @@ from .design.figures import Figure
 from .design.file import StudyTable
 from .design.study import Study, search_variables
 from .design.values import label, number
-from .fast import expanded_meaning, fast_key
 from .store import STATUSES, Store, reading
 
 if TYPE_CHECKING:
@@ -33,7 +31,6 @@ if TYPE_CHECKING:
 
 
 RUNNING = "running"  # state of a search that has not ended
-FAST = "fast"  # status of a draw of the fast tier that is not checked
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,19 +63,15 @@ class Results(Noun):
     - one for each figure of merit, under its name; NaN where the computation failed or is pending;
     - ``<figure>_error``: numerical error of a figure of merit, if it has one;
     - ``status``: "done", "failed" (an error was raised), "lost" (the process that computed
-      it crashed, and crashed again at a second try), "pending" (not computed yet) or, in studies
-      with ``tier = "fast"``, "fast" (only approximated). Each point has one status for all its
-      figures of merit: "pending" if one of them is pending, else "lost" if one is lost, else
-      "failed" if one failed;
+      it crashed, and crashed again at a second try) or "pending" (not computed yet). Each point has
+      one status for all its figures of merit: "pending" if one of them is pending, else "lost" if
+      one is lost, else "failed" if one failed;
     - ``message``: errors and warnings; ``seconds``: computing time, s.
 
     Coordinates have the name of the value that varies, by table and key of the scene file, such as
     ``wall.radius``. They are numbers in SI units, or text. A study with the table ``one_at_a_time``
-    has the dimension ``case`` with a text for each case. An optimisation or another search has
-    ``trial`` as its first dimension, and the attribute ``search`` states why it ended.
-
-    If draws have ``tier = "fast"``, the figures of merit are approximate. Draws that are also
-    computed in full have these values in ``<figure>_full``, which is NaN elsewhere.
+    has the dimension ``case`` with a text for each case. An optimisation has ``trial`` as its first
+    dimension, and the attribute ``search`` states why it ended.
     """
 
     path: Path
@@ -164,43 +157,14 @@ class Results(Noun):
 
     @property
     def complete(self) -> bool:
-        """Whether no point is pending, and an optimisation or other search has ended."""
+        """Whether no point is pending, and an optimisation has ended."""
         return not self.counts["pending"] and self.dataset.attrs.get("search") != RUNNING
 
     @cached_property
     def counts(self) -> dict[str, int]:
-        """Number of points with each status: "done", "failed", "lost" and "pending".
-
-        The status "fast" is added if draws have ``tier = "fast"``.
-        """
-        found = self.dataset["status"].values
-        statuses = (*STATUSES, FAST) if self.study.fast else STATUSES
-        return {status: int((found == status).sum()) for status in statuses}
-
-    def fast_errors(self, figure: str) -> NDArray[np.float64]:
-        """Return the errors of approximate figures of merit, for draws with ``tier = "fast"``.
-
-        Parameters
-        ----------
-        figure : str
-            Name of the figure of merit.
-
-        Returns
-        -------
-        ndarray, (n,)
-            Approximate value minus the value computed in full, in the unit of the figure of merit,
-            for the n draws whose value in full is known.
-
-        Raises
-        ------
-        SceneError
-            If the study has no such figure of merit, or its draws are not of ``tier = "fast"``.
-        """
-        name = self.study.figure(figure).name
-        if not self.study.fast:
-            raise SceneError("the study is not of the fast tier; set draws.tier = 'fast'")
-        found = self.dataset[name].values - self.dataset[f"{name}_full"].values
-        return np.asarray(found[np.isfinite(found)], dtype=np.float64)
+        """Number of points with each status: "done", "failed", "lost" and "pending"."""
+        values = self.dataset["status"].values
+        return {status: int((values == status).sum()) for status in STATUSES}
 
     def failures(self) -> dict[str, int]:
         """Return each error message of failed points with the number of points that have it."""
@@ -222,13 +186,6 @@ class Results(Noun):
                 low, middle, high = good.min(), np.median(good), good.max()
                 lines.append(
                     f"{figure.name:24s} {low:.4g} to {high:.4g}, median {middle:.4g} {figure.unit}"
-                )
-            if self.study.fast and len(error := self.fast_errors(figure.name)):
-                rms, most = float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
-                unit = f" {figure.unit}" if figure.unit else ""
-                lines.append(
-                    f"{'  fast minus full':24s} mean {error.mean():+.2g}, rms {rms:.2g}, largest "
-                    f"{most:.2g}{unit} at {counted(len(error), 'checked draw')}"
                 )
         lines += [f"{count} x {text}" for text, count in self.failures().items()]
         return "\n".join(line.rstrip() for line in lines)
@@ -284,66 +241,48 @@ def study_of(store: Store) -> Study:
 
 def _dataset(study: Study, store: Store) -> xr.Dataset:
     """Return the rows of a store in the order of the design."""
-    rows = {name: row for row, name in enumerate(store.ids())}
-    at = np.array([rows.get(name, -1) for name in study.ids])
-    known = at >= 0
+    rows = {name: row for row, name in enumerate(store.ids)}
+    at = np.array([rows.get(name, -1) for name in study.ids], dtype=int)
     dims, shape = [d.name for d in study.dimensions], study.shape
+    names = [figure.name for figure in study.figures]
 
-    def shaped(column: NDArray[Any] | None, empty: Any) -> NDArray[Any]:
-        if column is None or not known.any():
-            return np.full(shape, empty)
-        found: NDArray[Any] = np.where(known, column[at], empty).reshape(shape)
-        return found
+    def columns(name: str, empty: Any, figures: list[str] = names) -> NDArray[Any]:
+        """Return the columns of figures at all points, (figures, points)."""
+        values = store.column(name, figures)
+        blank = np.full((1, *values.shape[1:]), empty, dtype=values.dtype)
+        return np.concatenate([values, blank])[at].T
 
     arrays: dict[str, Any] = {}
-    status = np.full(shape, 1)
-    rank = np.array([3, 0, 1, 2])  # of pending, done, failed, lost
-    for figure in study.figures:
+    for figure, value, error in zip(
+        study.figures, columns("value", np.nan), columns("error", np.nan), strict=True
+    ):
         told = {"long_name": figure.meaning} | ({"units": figure.unit} if figure.unit else {})
-        arrays[figure.name] = (dims, shaped(store.column(figure.name), np.nan), told)
+        arrays[figure.name] = (dims, value.reshape(shape), told)
         if figure.has_error:
-            arrays[f"{figure.name}_error"] = (
-                dims,
-                shaped(store.column(f"{figure.name}_error"), np.nan),
-                told,
-            )
-        own = shaped(store.statuses(figure), 0).astype(int)
-        status = np.where(rank[own] > rank[status], own, status)
-    arrays["status"] = (dims, np.array(STATUSES)[status])
-    if study.fast:
-        _replace_by_fast(study, store, arrays)
-    texts = shaped(store.column("message"), "")
-    told_texts = [_joined(str(text)) if text else "" for text in texts.ravel()]
-    arrays["message"] = (dims, np.array(told_texts, dtype=object).reshape(shape))
-    arrays["seconds"] = (dims, shaped(store.column("seconds"), np.nan), {"units": "s"})
+            arrays[f"{figure.name}_error"] = (dims, error.reshape(shape), told)
+    # of all figures: pending before lost, failed and done
+    ranks = np.array([3, 0, 1, 2])[columns("status", 0)].max(axis=0)
+    arrays["status"] = (dims, np.array(STATUSES)[np.array([1, 2, 3, 0])[ranks]].reshape(shape))
+    texts = [_joined(names, point) for point in columns("message", "").T]
+    arrays["message"] = (dims, np.array(texts, dtype=object).reshape(shape))
+    arrays["seconds"] = (dims, columns("seconds", np.nan).reshape(shape), {"units": "s"})
     coordinates: dict[str, Any] = {}
     for dimension in study.dimensions:
         coordinates |= _coordinates(dimension)
-    told = {"search": store.ended or RUNNING} if study.variables else {}
     import xarray as xr  # here, so that a script's workers load without
 
-    return xr.Dataset(arrays, coordinates, told)
+    return xr.Dataset(
+        arrays, coordinates, {"search": store.ended or RUNNING} if study.variables else {}
+    )
 
 
-def _replace_by_fast(study: Study, store: Store, arrays: dict[str, Any]) -> None:
-    """Rename figures in full to ``<figure>_full``, and add those of the fast tier."""
-    dims, status = arrays["status"]
-    status[~np.isin(np.arange(len(study)), study.in_full)] = FAST
-    for figure in study.figures:
-        _, full, about = arrays[figure.name]
-        arrays[f"{figure.name}_full"] = dims, np.where(status == FAST, np.nan, full), about
-        values = store.fast(figure.name, fast_key(study, figure))
-        if values is None:
-            status[:], values = STATUSES[0], np.full(study.shape, np.nan)
-        arrays[figure.name] = dims, values, about | {"long_name": expanded_meaning(figure)}
-
-
-def _joined(text: str) -> str:
+def _joined(names: list[str], texts: NDArray[Any]) -> str:
     """Return the messages of a point's figures in one line, equal ones once."""
     figures: dict[str, list[str]] = {}
-    for name, told in json.loads(text).items():
-        figures.setdefault(told, []).append(name)
-    return "; ".join(f"{', '.join(names)}: {told}" for told, names in figures.items())
+    for name, text in zip(names, texts, strict=True):
+        if text:
+            figures.setdefault(str(text), []).append(name)
+    return "; ".join(f"{', '.join(names)}: {text}" for text, names in figures.items())
 
 
 def _coordinates(dimension: Dimension) -> dict[str, Any]:

@@ -5,23 +5,18 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from pathlib import Path
 
 from .._checks import path_of, whole
 from .._progress import Progress
-from .._whole_files import sweep
 from ..errors import SceneError
 from .blocks import open_blocks, prepared
-from .design.base import unpacked_at
 from .design.study import Study
-from .engine import Cluster, Engine, InProcess, Processes, computed
-from .fast import fast_lacking, fast_values, keep_fast
+from .engine import Cluster, Engine
+from .planning import plan_study
 from .results import Results, results_at
 from .searching import Trials
-from .store import Store, only_writer, reading
-from .worker import Block
+from .store import only_writer, reading
 
 
 def run_study(
@@ -37,13 +32,9 @@ def run_study(
     """Run or continue a study: compute the points that are missing, and return all results.
 
     A point is a variant of the study's scene, at which the figures of merit are computed. A study
-    with the table ``optimise`` or ``inverse_sensitivity`` is a search: it chooses each point by the
-    figures of merit of earlier points. All points are stored, and the same seed leads to the same
-    choices. A search that was stopped therefore continues with the next point.
-
-    If the table ``draws`` has ``tier = "fast"``, the figures of merit of all draws are computed
-    approximately, by an expansion of the wave to second order in the drawn values. Some random
-    draws, whose number is the key ``check`` of the table, are computed in full as well.
+    with the table ``optimise`` is a search: it chooses each point by the figures of merit of
+    earlier points. All points are stored, and the same seed leads to the same choices. A search
+    that was stopped therefore continues with the next point.
 
     Parameters
     ----------
@@ -62,7 +53,7 @@ def run_study(
         ``workers`` is not used.
     again : bool, default False
         Whether to repeat points that failed or whose process ended, for example after you corrected
-        your own figure of merit. Points that were stored in the same block are repeated as well.
+        your own figure of merit.
     progress : callable(str, float), optional
         Function that is called with a text and the completed fraction, 0 to 1.
     interrupted : callable, optional
@@ -108,63 +99,31 @@ def run_study(
     path = Path(os.path.realpath(given))  # zarr replaces no folder behind a link
     tell, stop = progress or (lambda text, share: None), interrupted or (lambda: False)
     count = os.cpu_count() or 1 if workers is None else whole("workers", workers, 0)
-    sweep(unpacked_at())  # also by a run that unpacks nothing
-    new = not path.exists()
-    with only_writer(path), ExitStack() as ending:
-        engine = None
-        if new and not study.variables:  # workers start while the store is made
-            engine = _engine(study, min(count, len(study.in_full)), scheduler, ahead=True)
-            ending.callback(engine.close)
+    if again and study.variables:
+        raise SceneError(
+            "again does not go with a search, whose points depend on those that failed; use "
+            "another folder"
+        )
+    with only_writer(path):
         with reading(path):
             store, study = prepared(study, path)
-            blocks = open_blocks(study, store, again)
-        if study.variables:
-            if again:
-                raise SceneError(
-                    "again does not go with a search, whose points depend on those that failed; "
-                    "use another folder"
-                )
-            engine = _engine(study, count, scheduler)
-            with Trials(study, store, engine, tell, stop) as trials:
-                trials.run(blocks)
+            blocks = open_blocks(study, store, plan_study(study).block, again=again)
+        if not (blocks or study.variables):
+            return results_at(given, study)
+        if scheduler is not None:
+            engine: Engine = Cluster(study, scheduler)
         else:
-            if blocks and engine is None:
-                engine = _engine(study, min(count, len(blocks)), scheduler)
-                ending.callback(engine.close)
-            _fill(study, store, engine, blocks, tell, stop)
+            engine = Engine(study, count if study.variables else min(count, len(blocks)))
+        with engine:
+            if study.variables:
+                Trials(study, store, engine, tell, stop).run()
+                return results_at(given, study)
+            start, done, total = time.perf_counter(), 0, sum(len(block.ids) for block in blocks)
+            tell(f"0 of {total} points", 0.0)
+            for block, answers in engine.compute(iter(blocks), stop):
+                store.write(block, answers)
+                done += len(block.ids)
+                rate = done / (time.perf_counter() - start)
+                left = (total - done) / rate
+                tell(f"{done} of {total} points, {rate:.3g}/s, {left:.0f} s left", done / total)
     return results_at(given, study)
-
-
-def _engine(study: Study, workers: int, scheduler: str | None, *, ahead: bool = False) -> Engine:
-    if scheduler is not None:
-        return Cluster(study, scheduler)
-    return Processes(study, workers, ahead=ahead) if workers else InProcess(study)
-
-
-def _fill(
-    study: Study,
-    store: Store,
-    engine: Engine | None,
-    blocks: list[Block],
-    progress: Progress,
-    interrupted: Callable[[], bool],
-) -> None:
-    """Compute blocks and write them as they are finished, and what the fast tier lacks meanwhile.
-
-    The engine may be None if there are no blocks.
-    """
-    start, done, total = time.perf_counter(), 0, sum(len(block.ids) for block in blocks)
-    lacking = fast_lacking(study, store)
-    with ThreadPoolExecutor(1) as beside:
-        expanded = beside.submit(fast_values, study, lacking) if lacking else None
-        progress(f"0 of {total} points", 0.0)
-        for block, answers in computed(engine, iter(blocks), interrupted) if engine else ():
-            store.write(block, answers)
-            done += len(block.ids)
-            if expanded is not None and expanded.done():
-                expanded.result()  # ends the study if it failed
-            rate = done / (time.perf_counter() - start)
-            left = (total - done) / rate
-            progress(f"{done} of {total} points, {rate:.3g}/s, {left:.0f} s left", done / total)
-        if expanded is not None:
-            keep_fast(study, store, expanded.result())

@@ -5,7 +5,9 @@ Nothing numerical is imported at the top, so that `prepare` sets the number of t
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import pickle
 import threading
 import time
 from collections.abc import Mapping
@@ -16,33 +18,32 @@ if TYPE_CHECKING:
     from .design.study import Study
 
 DONE, FAILED, LOST = 1, 2, 3  # codes of a figure's status; 0 is pending
-THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-#: Studies of this process by their key.
+#: Studies of this process by their key, with the results that their points share.
 _studies: dict[str, tuple[Study, dict[str, Any]]] = {}
 _one_block = threading.Lock()  # a dask worker may have several threads, which share the stages
 
 
 class Block(NamedTuple):
-    """Points that are computed and stored together.
+    """Points that are computed together.
 
-    ``row`` is the first row in the store, ``deltas`` and ``ids`` describe the points, ``figures``
+    ``rows`` are their places in the store, ``deltas`` and ``ids`` describe them, and ``figures``
     names the figures to compute.
     """
 
-    row: int
+    rows: tuple[int, ...]
     deltas: tuple[Mapping[str, Any], ...]
     ids: tuple[str, ...]
     figures: tuple[str, ...]
 
 
 class Answers(NamedTuple):
-    """Results of a block: lists of rows, each with one entry for every figure of the block."""
+    """Results of a block: arrays (points, figures), and seconds (points,)."""
 
-    values: list[list[float]]
-    errors: list[list[float]]
-    statuses: list[list[int]]
-    messages: list[list[str]]
-    seconds: list[float]
+    values: Any
+    errors: Any
+    statuses: Any
+    messages: Any
+    seconds: Any
 
 
 def prepare(key: str, packed: bytes, *, own_process: bool = True) -> None:
@@ -55,17 +56,18 @@ def prepare(key: str, packed: bytes, *, own_process: bool = True) -> None:
     packed : bytes
         Pickled study.
     own_process : bool
-        Whether this process only computes points: one thread, and Ctrl-C is left to the client.
+        Whether this process only computes points: it then has one thread, ignores Ctrl-C, which
+        is the client's, and ends with the client, even with one that was killed.
     """
     if own_process:
         import signal
 
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        os.environ |= dict.fromkeys(THREADS, "1")
+        threading.Thread(target=_end_with_parent, daemon=True).start()
+        for name in ("NUMBA", "OMP", "OPENBLAS", "MKL"):
+            os.environ[f"{name}_NUM_THREADS"] = "1"
         # a worker has nothing to tidy up, and the end of an interpreter with numba takes 0.3 s
         Finalize(None, os._exit, (0,), exitpriority=-1)
-    import pickle
-
     from .design.point import stage_caches
 
     if own_process:  # what most points use loads while the client makes the store
@@ -73,6 +75,14 @@ def prepare(key: str, packed: bytes, *, own_process: bool = True) -> None:
         import nlosoptics.psf.walls.scene_psf  # noqa: F401
 
     _studies[key] = pickle.loads(packed), stage_caches()
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent has ended."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def forget(key: str) -> None:
@@ -90,22 +100,26 @@ def evaluate(key: str, block: Block) -> Answers:
     from .design.study import point_seed
 
     study, caches = _studies[key]
-    answers = Answers([], [], [], [], [])
     figures = [study.figure(name) for name in block.figures]
+    points, seconds = [], []
     with _one_block:
         threads = numba.get_num_threads()
         numba.set_num_threads(1)
         for delta, name in zip(block.deltas, block.ids, strict=True):
             start = time.perf_counter()
-            rows = _point(study, figures, delta, point_seed(name), caches)
-            values, errors, statuses, messages = zip(*rows, strict=True)
-            answers.values.append(list(values))
-            answers.errors.append(list(errors))
-            answers.statuses.append(list(statuses))
-            answers.messages.append(list(messages))
-            answers.seconds.append(time.perf_counter() - start)
+            points.append(_point(study, figures, delta, point_seed(name), caches))
+            seconds.append(time.perf_counter() - start)
         numba.set_num_threads(threads)
-    return answers
+    return _answers(points, seconds)
+
+
+def _answers(points: list[Any], seconds: list[float]) -> Answers:
+    """Return lists of a tuple for each point and figure as arrays."""
+    import numpy as np
+
+    table = np.array(points, dtype=object)  # (points, figures, 4)
+    kinds = ("f8", "f8", "i1", object)
+    return Answers(*(table[..., i].astype(kind) for i, kind in enumerate(kinds)), np.array(seconds))
 
 
 def _point(
@@ -119,16 +133,16 @@ def _point(
         _ = point.scene  # refused values fail whether or not a stage is shared
     except Exception as error:
         return [_failed(error)] * len(figures)
-    found = []
+    rows = []
     for figure in figures:
         point.warnings.clear()
         try:
             value, error_of_value = figure.value(point, study.folder)
         except Exception as error:
-            found.append(_failed(error))
+            rows.append(_failed(error))
         else:
-            found.append((value, error_of_value, DONE, "; ".join(point.warnings)))
-    return found
+            rows.append((value, error_of_value, DONE, "; ".join(point.warnings)))
+    return rows
 
 
 def _failed(error: Exception) -> tuple[float, float, int, str]:
@@ -139,7 +153,6 @@ def _failed(error: Exception) -> tuple[float, float, int, str]:
 
 def lost(block: Block) -> Answers:
     """Return the answers of a block whose worker ended twice."""
-    n, m = len(block.ids), len(block.figures)
-    nan = [[float("nan")] * m for _ in range(n)]
-    told = [["the worker process ended twice at this point"] * m for _ in range(n)]
-    return Answers(nan, nan, [[LOST] * m for _ in range(n)], told, [float("nan")] * n)
+    nan = float("nan")
+    row = (nan, nan, LOST, "the worker process ended twice at this point")
+    return _answers([[row] * len(block.figures)] * len(block.ids), [nan] * len(block.ids))

@@ -21,7 +21,6 @@ from nlosoptics.study import (
     run_study,
     searching,
 )
-from nlosoptics.study.search import with_optuna
 from nlosoptics.study.store import Store
 
 from .searches import CONCAVE, HERE, METHODS, OFF, PLANE, POWER, made, run
@@ -59,30 +58,6 @@ class _Killed(BaseException):
     pass
 
 
-def sharp(evaluations: int) -> Study:
-    """A search by gradients of the wave."""
-    return made(
-        ["strehl"],
-        [{"figure": "strehl", "goal": "maximise"}],
-        "slsqp",
-        evaluations,
-        set={"camera.f_number": 16, "camera.binning": 32},
-        variables={
-            "camera.focus_distance": {"from": "2 m", "to": "4 m"},
-            "wall.radius": {"from": "4 m", "to": "6 m"},
-        },
-    )
-
-
-def test_search_by_gradients_goes_on_as_if_it_had_not_stopped(tmp_path: Path) -> None:
-    """Gradients are not stored: a search that goes on computes them again, bit for bit."""
-    calls = iter([False] * 4 + [True] * 99)
-    assert not run(sharp(9), tmp_path, interrupted=lambda: next(calls)).complete
-    done = run(sharp(9), tmp_path)
-    assert "gradients of strehl computed" in done.dataset.attrs["search"]
-    assert same(done, run_study(sharp(9), tmp_path / "once", workers=0))
-
-
 def _several(evaluations: int) -> Study:
     draws = {"count": 2, "of": {"camera.exposure": {"from": "0.5 s", "to": "1.5 s"}}}
     method = "differential-evolution"
@@ -90,10 +65,9 @@ def _several(evaluations: int) -> Study:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("of", [_several, sharp])
-def test_a_kill_between_any_two_writes_loses_nothing(of, tmp_path: Path, monkeypatch) -> None:
-    """Every fourth write of a search of six trials, with draws or gradients, is the last one."""
-    study = of(6)
+def test_a_kill_between_any_two_writes_loses_nothing(tmp_path: Path, monkeypatch) -> None:
+    """Every third write of a search of six trials of two draws is the last one."""
+    study = _several(6)
     whole = run_study(study, tmp_path / "whole", workers=0)
     left = 0
 
@@ -107,7 +81,7 @@ def test_a_kill_between_any_two_writes_loses_nothing(of, tmp_path: Path, monkeyp
 
         return write
 
-    names = ("_array", "add_trials", "add", "write", "set_about", "set_ended")
+    names = ("create", "add_trials", "add", "_write", "set_ended")
     kills = 0
     for name in names:
         monkeypatch.setattr(Store, name, failing(getattr(Store, name)))
@@ -119,7 +93,7 @@ def test_a_kill_between_any_two_writes_loses_nothing(of, tmp_path: Path, monkeyp
         except _Killed:
             left = 10**6
         assert same(run_study(study, tmp_path / f"{kills}", workers=0), whole), kills
-        kills += 4
+        kills += 3
     assert kills > 15
 
 
@@ -147,12 +121,12 @@ def test_a_killed_search_repeats_its_path_bit_for_bit(method: str, tmp_path: Pat
     seed = int(time.time())
     random = np.random.default_rng(seed)
     for _ in range(2):
-        most = len(list(store.glob("steps_status/c/*"))) + random.integers(1, 12)
         child = subprocess.Popen(
             [sys.executable, "-c", CHILD, str(tmp_path / "study.toml"), str(store)]
         )
-        while child.poll() is None and len(list(store.glob("steps_status/c/*"))) < most:
-            time.sleep(random.uniform(0.0, 0.01))
+        while child.poll() is None and not list(store.glob("status/c/*/*")):
+            time.sleep(0.003)
+        time.sleep(random.uniform(0.0, 0.8))
         child.send_signal(signal.SIGKILL)
         child.wait()
     study = Study.load(tmp_path / "study.toml")
@@ -161,10 +135,8 @@ def test_a_killed_search_repeats_its_path_bit_for_bit(method: str, tmp_path: Pat
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    "study", [made([OFF], ["off"], "nsga-ii", 40, variables=PLANE), sharp(20)], ids=["lot", "one"]
-)
-def test_processes_choose_the_same_points(study: Study, tmp_path: Path) -> None:
+def test_processes_choose_the_same_points(tmp_path: Path) -> None:
+    study = made([OFF], ["off"], "nsga-ii", 40, variables=PLANE)
     there = run_study(study, tmp_path / "there", workers=2)
     assert same(there, run_study(study, tmp_path / "here", workers=0))
 
@@ -218,81 +190,22 @@ ONE = {"figure": "power", "goal": "maximise"}
 @pytest.mark.parametrize(
     ("tables", "told"),
     [
-        (
-            edited(variables={"laser.pwer": {"from": 1, "to": 2}}),
-            "laser.pwer = .* unknown key; did",
-        ),
-        (
-            edited(variables={"laser": {"from": 1, "to": 2}}),
-            "'laser' is not the address of a value",
-        ),
-        (
-            edited(variables={"laser.power": {"from": "2 mW", "to": "1 mW"}}),
-            "0.002 is not below to",
-        ),
-        (edited(variables={"laser.power": {"from": "2 mW", "to": "1 m"}}), "have different units"),
-        (
-            edited(variables={"laser.power": {"from": "2 m", "to": "3 m"}}),
-            "laser.power = .* must be a power",
-        ),
-        (
-            edited(variables={"laser.power": {"from": "0 W", "to": "1 W", "spacing": "log"}}),
-            "above 0",
-        ),
+        (edited(variables={"laser.pwer": {"from": 1, "to": 2}}), "laser.pwer = .* unknown key"),
+        (edited(variables={"laser.power": {"from": "2 mW", "to": "1 mW"}}), "is not below to"),
         (edited(variables={"laser.power": ["1 mW"]}), "leaves no choice; give two values"),
-        (edited(variables={"laser.power": []}), "has no values; give at least one"),
-        (edited(variables={}), "at least 1 item"),
         (edited(variables={"camera.f_number": [2, 4]}), "is a list, which method cobyqa does not"),
-        (
-            edited(objectives=[{"figure": "sharp", "goal": "minimise"}]),
-            "'sharp' is unknown, must be",
-        ),
+        (edited(objectives=[{"figure": "sharp", "goal": "minimise"}]), "'sharp' is unknown, must"),
         (edited(objectives=[ONE, ONE]), "takes one objective, there are 2; use nsga-ii"),
-        (edited(objectives=[{"figure": "power", "goal": "best"}]), "goal = .best.: it should be"),
-        (edited(objectives=[]), "at least 1 item"),
-        (
-            edited(objectives=[ONE | {"at_least": 1.0, "goal": "minimise"}]),
-            'write goal = "maximise"',
-        ),
-        (edited(objectives=[ONE | {"at_least": 1.0, "over": "mean"}]), "does not go with limits"),
+        (edited(objectives=[ONE | {"at_least": 1.0, "over": "mean"}]), "leave out over"),
         (edited(constraints=[{"figure": "power"}]), r"constraints\[0\] has no limit; add at_least"),
         (
             edited(constraints=[{"figure": "power", "at_least": 2.0, "at_most": 1.0}]),
             "at_least = 2 is above at_most = 1; exchange",
         ),
-        (edited(constraints=[{"figure": "power", "at_least": float("nan")}]), "finite number"),
-        (edited(evaluations=0), "greater than or equal to 1"),
         (edited(method="simplex"), "method = .simplex.: it should be"),
-        (edited(method="cma-es"), "needs two or more variables"),
         (edited(population=8), "does not go with method cobyqa"),
-        (edited(population=8, method="slsqp"), "does not go with method slsqp"),
-        (
-            edited(method="slsqp", objectives=[ONE | {"at_least": 1.0}]),
-            "no gradient, which method slsqp needs; use differential-evolution",
-        ),
         (edited(method="differential-evolution", population=3), "must be at least 5"),
         (edited() | {"axes": {"laser.power": ["1 mW"]}}, "laser.power is varied twice"),
-        (
-            {"inverse_sensitivity": {"figure": "power", "loss": 0.0, "of": POWER}},
-            "greater than 0",
-        ),
-        (
-            {
-                "inverse_sensitivity": {
-                    "figure": "power",
-                    "loss": 1.0,
-                    "of": {"laser.power": {"from": "6 mW", "to": "7 mW"}},
-                }
-            },
-            "does not contain the scene's own value",
-        ),
-        (
-            {
-                "axes": {"camera.f_number": [2]},
-                "inverse_sensitivity": {"figure": "power", "loss": 1.0, "of": POWER},
-            },
-            "does not go with the dimension camera.f_number",
-        ),
         (
             {
                 "axes": {"camera.f_number": [2]},
@@ -319,7 +232,6 @@ def test_optuna_is_optional(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "optuna", None)
     with pytest.raises(MissingExtraError, match="optuna is not installed; run pip install"):
         run(made([OFF], ["off"], "tpe", 4, variables=POWER), tmp_path)
-    assert with_optuna.__name__ in sys.modules
     assert run(made([OFF], ["off"], evaluations=4, variables=POWER), tmp_path / "b").complete
 
 

@@ -41,6 +41,8 @@ from .text import saved_files, scene_files
 __all__ = ["read_scene", "save_scene", "scene_files", "scene_schema"]
 
 T = TypeVar("T")
+#: Returns the path of a picture, mesh or height map by its name in a table.
+Opener = Callable[[str], Path]
 
 #: Most characters of a scene file and of a line; a parser's time grows with their square.
 MOST_TEXT, MOST_LINE = 4_000_000, 20_000
@@ -86,7 +88,7 @@ def read_scene(
             raw = changed(raw | {"camera": _whole_camera(path, raw["camera"])}, changes)
             tables = validated(_file_tables.SceneFile, raw)
         camera = _camera_values(path, tables.camera, (path.resolve(),))
-    return _built(tables, camera, path, path.parent, scene, {})
+    return _built(tables, camera, path, lambda name: _resolved(path.parent, name), scene, {})
 
 
 def scene_tables(path: Path, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -117,7 +119,7 @@ def scene_tables(path: Path, changes: Mapping[str, Any] | None = None) -> dict[s
 def scene_from_tables(
     raw: dict[str, Any],
     path: Path,
-    folder: Path,
+    opened: Opener,
     scene: Callable[..., T],
     changes: Mapping[str, Any],
     parts: dict[str, Any] | None = None,
@@ -130,8 +132,8 @@ def scene_from_tables(
         Tables; not modified.
     path : Path
         File that messages name.
-    folder : Path
-        Folder to which the names of pictures and meshes are relative.
+    opened : callable
+        Returns the path of a picture or mesh by its name in the tables.
     scene : callable
         The class `Scene`; see `read_scene`.
     changes : mapping of str to value
@@ -148,23 +150,23 @@ def scene_from_tables(
     with located(f"{path}: "):
         tables: _file_tables.SceneFile = validated(_file_tables.SceneFile, changed(raw, changes))
     camera = _camera_values(path, tables.camera, (path.resolve(),))
-    return _built(tables, camera, path, folder, scene, {} if parts is None else parts)
+    return _built(tables, camera, path, opened, scene, {} if parts is None else parts)
 
 
 def _built(
     tables: _file_tables.SceneFile,
     camera: dict[str, Any],
     path: Path,
-    folder: Path,
+    opened: Opener,
     scene: Callable[..., T],
     parts: dict[str, Any],
 ) -> T:
     """Return the scene of checked tables and of camera values, with all its files opened."""
 
-    def part(make: Callable[[Any, Path], Any], table: Any, key: Any) -> Any:
+    def part(make: Callable[[Any, Any], Any], table: Any, key: Any) -> Any:
         text = f"{make.__name__} {key!r}"
         if text not in parts:
-            parts[text] = make(table, folder)
+            parts[text] = make(table, opened)
         return parts[text]
 
     with located(f"{path}: "):
@@ -173,7 +175,7 @@ def _built(
             optional["wall_material"] = _material("wall.material", tables.wall.material)
         if tables.wall.roughness is not None:
             optional["wall_roughness"] = _roughness(
-                tables.wall.roughness, optional.get("wall_material"), folder
+                tables.wall.roughness, optional.get("wall_material"), opened
             )
         if tables.transient is not None:
             optional["transient"] = TransientScan(**_given(tables.transient))
@@ -284,27 +286,27 @@ def _laser(table: _file_tables.LaserTable) -> Laser:
     return Laser(**values, position=position)
 
 
-def _wall(table: Any, folder: Path) -> Wall:
-    """Return the wall of a table; paths in it are relative to ``folder``."""
+def _wall(table: Any, opened: Opener) -> Wall:
+    """Return the wall of a table."""
     values = _given(table, "shape", "material", "roughness")
     if table.shape == "mesh":
-        return MeshWall(_resolved(folder, values.pop("mesh")), **values)
+        return MeshWall(opened(values.pop("mesh")), **values)
     if table.shape == "random":
         return HeightMapWall.random(**values)
     if table.shape == "height_map":
-        return HeightMapWall(_resolved(folder, values.pop("heights")), **values)
+        return HeightMapWall(opened(values.pop("heights")), **values)
     if table.shape == "flat":
         return FlatWall(**values)
     if table.shape == "wavy":
         return WavyWall(**values)
     if table.shape == "sum":
-        return SumWall(*_terms(values.pop("terms"), folder), **values)
+        return SumWall(*_terms(values.pop("terms"), opened), **values)
     bend, shape = table.shape.split("_")
     kind = ConcaveWall if bend == "concave" else ConvexWall
     return kind(values.pop("radius"), shape=shape, **values)
 
 
-def _terms(tables: list[Any], folder: Path) -> Iterator[Wall]:
+def _terms(tables: list[Any], opened: Opener) -> Iterator[Wall]:
     """Yield the summands of a wall."""
     for index, table in enumerate(tables):
         for key in ("material", "roughness"):
@@ -314,17 +316,17 @@ def _terms(tables: list[Any], folder: Path) -> Iterator[Wall]:
                     f"own; move it to wall.{key}"
                 )
         with located(f"wall.terms[{index}].", "wall."):
-            yield _wall(table, folder)
+            yield _wall(table, opened)
 
 
-def _roughness(table: Any, material: Material | None, folder: Path) -> WallRoughness:
+def _roughness(table: Any, material: Material | None, opened: Opener) -> WallRoughness:
     """Return the roughness of a table; a slope that it omits is that of a mirror-like lobe."""
     values = _given(table, "model", "realisation")
     options = _given(table, *values, "model")
     with located("wall.roughness.", "wall."):
         heights: FacetWall | GaussianWall | HeightMapWall
         if table.model == "height_map":
-            heights = HeightMapWall(_resolved(folder, values.pop("heights")), **values)
+            heights = HeightMapWall(opened(values.pop("heights")), **values)
         elif table.model == "facets":
             if "slope_rms" not in values:
                 values["slope_rms"] = _lobe_slope(material, "slope_rms")
@@ -363,22 +365,22 @@ def _lobe_slope(material: Material | None, missing: str) -> float:
     return slopes[0]
 
 
-def _hidden(table: Any, folder: Path) -> PlanarObject | MeshObject:
+def _hidden(table: Any, opened: Opener) -> PlanarObject | MeshObject:
     """Return the hidden object of a table."""
     values = _given(table, "material")
     if table.material is not None:
         values["material"] = _material("hidden.material", table.material)
     if isinstance(table, _file_tables.MeshObjectTable):
-        return MeshObject(_resolved(folder, values.pop("mesh")), **values)
-    return PlanarObject(_resolved(folder, values.pop("image")), **values)
+        return MeshObject(opened(values.pop("mesh")), **values)
+    return PlanarObject(opened(values.pop("image")), **values)
 
 
-def _occluders(tables: list[_file_tables.OccluderTable], folder: Path) -> tuple[Occluder, ...]:
+def _occluders(tables: list[_file_tables.OccluderTable], opened: Opener) -> tuple[Occluder, ...]:
     """Return the occluders of a scene file."""
     found = []
     for index, table in enumerate(tables):
         values = _given(table, "material")
-        mesh = _resolved(folder, values.pop("mesh"))
+        mesh = opened(values.pop("mesh"))
         if table.material is not None:
             values["material"] = _material(f"occluder[{index}].material", table.material)
         with located(f"occluder[{index}].", "occluder."):

@@ -72,21 +72,21 @@ class SourceFile(_Path):
         """Return derived paths, such as the parent folder, as plain `Path` objects."""
         return Path(*parts)
 
+    @classmethod
+    def held(cls, path: str | Path, content: bytes) -> SourceFile:
+        """Return a `SourceFile` with known bytes; the file itself need not exist."""
+        file = cls(path)
+        vars(file)["content"] = content
+        return file
+
     def __reduce__(self) -> Any:
-        return _held, (str(self), self.content)
+        return SourceFile.held, (str(self), self.content)
 
     def __copy__(self) -> Self:
         return self
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         return self
-
-
-def _held(path: str, content: bytes) -> SourceFile:
-    """Return a `SourceFile` with known bytes; unpickling calls it."""
-    file = SourceFile(path)
-    vars(file)["content"] = content
-    return file
 
 
 def source(value: Any) -> Any:

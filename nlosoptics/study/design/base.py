@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tempfile
-import weakref
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ..._nouns import Noun
-from ..._whole_files import beside
 from ...errors import SceneError
 from ...scene import Scene
 from ...scene.file.addresses import changed
 from ...scene.file.errors import validated
 from ...scene.file.scene_file import scene_from_tables, scene_tables
 from ...scene.file.tables import SceneFile
+from ...scene.parts._sources import SourceFile
 from .values import canonical
 
 #: Keys of a scene file whose values are names of files.
 FILE_KEYS = ("image", "mesh", "heights")
-MOST_PARTS = 64  # walls, objects and occluders kept for further scenes
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,11 +55,7 @@ class Base(Noun):
 
     def packed(self, delta: Mapping[str, Any]) -> dict[str, Any]:
         """Return values by address in SI units; files that they name become part of the base."""
-        found = {}
-        for address, value in delta.items():
-            last = address.rpartition(".")[2]
-            found[address] = self._packed({last: value})[last]
-        return found
+        return {a: self._packed(value, a.rpartition(".")[2]) for a, value in delta.items()}
 
     def _packed(self, value: Any, key: str = "") -> Any:
         if isinstance(value, dict):
@@ -71,11 +63,11 @@ class Base(Noun):
         if isinstance(value, list | tuple) and any(isinstance(inner, dict) for inner in value):
             return [self._packed(inner) for inner in value]
         return (
-            self._kept(value) if key in FILE_KEYS and isinstance(value, str) else canonical(value)
+            self._stored(value) if key in FILE_KEYS and isinstance(value, str) else canonical(value)
         )
 
-    def _kept(self, name: str) -> str:
-        """Keep the contents of a file; return the name under which it is kept."""
+    def _stored(self, name: str) -> str:
+        """Store the contents of a file; return its name in `files`."""
         if name in self.names:
             return self.names[name]
         path = Path(self.source).parent / name
@@ -86,9 +78,9 @@ class Base(Noun):
                 f"{path}: the file cannot be read ({error.strerror}); correct its path, which is "
                 f"relative to {self.source}"
             ) from None
-        kept = f"{path.stem}_{hashlib.sha256(content).hexdigest()[:12]}{path.suffix}"
-        self.files[kept], self.names[name] = content, kept
-        return kept
+        stored = f"{path.stem}_{hashlib.sha256(content).hexdigest()[:12]}{path.suffix}"
+        self.files[stored], self.names[name] = content, stored
+        return stored
 
     def checked(self, delta: Mapping[str, Any]) -> None:
         """Raise `SceneError` if an address or the form of a value is wrong."""
@@ -96,10 +88,10 @@ class Base(Noun):
 
     def scene(self, delta: Mapping[str, Any]) -> Scene:
         """Return the scene with other values at some addresses."""
-        if len(self._parts) > MOST_PARTS:
+        if len(self._parts) > 64:  # walls, objects and occluders
             self._parts.clear()
         return scene_from_tables(
-            self.tables, Path(self.source), self._unpacked, Scene, delta, self._parts
+            self.tables, Path(self.source), self._opened, Scene, delta, self._parts
         )
 
     @cached_property
@@ -107,38 +99,33 @@ class Base(Noun):
         """Walls and objects of earlier scenes, which hold their meshes and pictures."""
         return {}
 
-    @cached_property
-    def _unpacked(self) -> Path:
-        """Temporary folder with all files, which is removed with this object."""
-        with ExitStack() as held:
-            folder = held.enter_context(beside(unpacked_at()))
-            weakref.finalize(self, held.pop_all().close)
-        for name, content in self.files.items():
-            (folder / name).write_bytes(content)
-        return folder
+    def _opened(self, name: str) -> Path:
+        """Return a file with its contents, so that no process needs it on its disk."""
+        path = Path(self.source).parent / name
+        return SourceFile.held(path, self.files[name]) if name in self.files else path
 
     def differences(self, other: Base) -> list[str]:
         """Return the addresses at which another base differs, with both values."""
-        mine, theirs = dict(leaves(self.tables)), dict(leaves(other.tables))
-        return [
-            f"{address} = {mine.get(address, 'absent')} instead of {theirs.get(address, 'absent')}"
-            for address in sorted(mine.keys() | theirs.keys())
-            if mine.get(address) != theirs.get(address)
-        ]
+        return differing_leaves(self.tables, other.tables)
 
 
-def unpacked_at() -> Path:
-    """Return the path next to which bases unpack their files."""
-    return Path(tempfile.gettempdir(), "nlosoptics-study")
+def differing_leaves(tables: Any, others: Any) -> list[str]:
+    """Return the addresses at which other tables differ, with both values."""
+    mine, theirs = dict(_leaves(tables)), dict(_leaves(others))
+    return [
+        f"{address} = {mine.get(address, 'absent')} instead of {theirs.get(address, 'absent')}"
+        for address in sorted(mine.keys() | theirs.keys())
+        if mine.get(address) != theirs.get(address)
+    ]
 
 
-def leaves(tables: Any, address: str = "") -> Iterator[tuple[str, str]]:
+def _leaves(tables: Any, address: str = "") -> Iterator[tuple[str, str]]:
     """Yield all values of tables as JSON, with their addresses."""
     if isinstance(tables, dict):
         for key, inner in tables.items():
-            yield from leaves(inner, f"{address}.{key}" if address else key)
+            yield from _leaves(inner, f"{address}.{key}" if address else key)
     elif isinstance(tables, list) and any(isinstance(inner, dict) for inner in tables):
         for index, inner in enumerate(tables):
-            yield from leaves(inner, f"{address}[{index}]")
+            yield from _leaves(inner, f"{address}[{index}]")
     else:
         yield address, json.dumps(tables)

@@ -21,7 +21,6 @@ Array = NDArray[np.float64]
 Delta = Mapping[str, Any]
 #: Largest number of points.
 MOST_POINTS = 1_000_000
-WIDE = 4.0  # ratio of the ends of a material's spread above which its logarithm is uniform
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +69,7 @@ def dimensions(table: StudyTable, value_of: Callable[[str], Any]) -> tuple[Dimen
         twice.
     """
     found = []
-    if table.optimise is not None or table.inverse_sensitivity is not None:
+    if table.optimise is not None:
         found.append(Dimension(name="trial", deltas=()))  # grows as the search goes on
     for address, given in table.axes.items():
         values = listed(f"axes.{address}", given)
@@ -92,8 +91,8 @@ def dimensions(table: StudyTable, value_of: Callable[[str], Any]) -> tuple[Dimen
     count = float(np.prod([float(len(d.deltas)) for d in found if d.name != "trial"]))
     if not found:
         raise SceneError(
-            "the design is empty; add [axes], [zip], [one_at_a_time], [draws], [optimise] or "
-            "[inverse_sensitivity] with addresses and values"
+            "the design is empty; add [axes], [zip], [one_at_a_time], [draws] or [optimise] with "
+            "addresses and values"
         )
     if count > MOST_POINTS:
         raise SceneError(f"the design has {count:.3g} points, limit {MOST_POINTS:,}; use fewer")
@@ -184,46 +183,6 @@ def named_materials(table: StudyTable) -> dict[str, str]:
     return found
 
 
-@dataclass(frozen=True, kw_only=True)
-class Spread:
-    """Middle and width of a distribution.
-
-    Parameters
-    ----------
-    middle : float
-        Median, in the SI unit.
-    width : float
-        Half the range of the central 68.27 %; the standard deviation of a normal distribution.
-    unit : str
-        SI unit, or empty.
-    """
-
-    middle: float
-    width: float
-    unit: str
-
-
-def spreads(draws: Draws, value_of: Callable[[str], Any]) -> dict[str, Spread]:
-    """Return the middle and the width of each distribution by address.
-
-    Raises
-    ------
-    SceneError
-        If a distribution is a list of values.
-    """
-    found = {}
-    at = np.asarray(scipy.stats.norm.cdf([0.0, -1.0, 1.0]))
-    for address, given in _laws(draws).items():
-        if isinstance(given, list):
-            raise SceneError(
-                f"draws.of.{address} lists values, but tier = 'fast' needs a continuous "
-                "distribution; give sigma, or from and to, or use tier = 'full'"
-            )
-        (middle, low, high), unit = numbers(address, *_quantile(address, given, value_of)(at))
-        found[address] = Spread(middle=middle, width=(high - low) / 2, unit=unit)
-    return found
-
-
 def _laws(draws: Draws) -> dict[str, list[Any] | Distribution]:
     """Return the distributions by address, with one for each value of a named material.
 
@@ -249,12 +208,12 @@ def _laws(draws: Draws) -> dict[str, list[Any] | Distribution]:
 
 
 def _spread(value: MaterialValue) -> Distribution:
-    """Return the uniform distribution of a material's value, of its logarithm if it is wide."""
+    """Return the uniform distribution of a material's value; of its logarithm beyond 1 to 4."""
     return Distribution.model_validate(
         {
             "from": with_unit(value.low, value.unit),
             "to": with_unit(value.high, value.unit),
-            "spacing": "log" if value.high > WIDE * value.low else "linear",
+            "spacing": "log" if value.high > 4.0 * value.low else "linear",
         }
     )
 

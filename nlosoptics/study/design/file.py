@@ -63,15 +63,10 @@ Law = Annotated[list[Any] | Distribution, _list_or(Distribution)]
 
 
 class Draws(_Table):
-    """Random values, drawn together.
-
-    With tier "fast" the wave is expanded to second order, and ``check`` draws are computed in full.
-    """
+    """Random values, drawn together."""
 
     count: int = Field(ge=1, le=1_000_000)
     method: Literal["random", "latin", "sobol", "saltelli"] = "sobol"
-    tier: Literal["full", "fast"] = "full"
-    check: int | None = Field(None, ge=2)
     of: dict[str, Law] = Field(min_length=1)
 
 
@@ -91,12 +86,22 @@ class Within(_Table):
     at_least: float | None = Field(None, allow_inf_nan=False)
     at_most: float | None = Field(None, allow_inf_nan=False)
 
+    @property
+    def limited(self) -> bool:
+        """Whether a limit is given."""
+        return self.at_least is not None or self.at_most is not None
+
 
 class Objective(Within):
     """Figure to minimise or maximise; with limits, the share of points within them."""
 
     goal: Literal["minimise", "maximise"]
     over: Literal["worst", "mean"] = "worst"
+
+    @property
+    def maximised(self) -> bool:
+        """Whether the largest value is the best."""
+        return self.goal == "maximise"
 
 
 class Constraint(Within):
@@ -108,22 +113,12 @@ class Constraint(Within):
 class Optimise(_Table):
     """Search for the best values."""
 
-    method: Literal["slsqp", "cobyqa", "differential-evolution", "tpe", "cma-es", "nsga-ii"]
+    method: Literal["cobyqa", "differential-evolution", "tpe", "nsga-ii"]
     evaluations: int = Field(ge=1, le=100_000)
     population: int | None = Field(None, ge=1, le=10_000)
     objectives: list[Objective] = Field(min_length=1)
     constraints: list[Constraint] = []
     variables: dict[str, Choice] = Field(min_length=1)
-
-
-class InverseSensitivity(_Table):
-    """Search for the change of each value that costs a stated loss."""
-
-    figure: str
-    loss: float = Field(gt=0.0, allow_inf_nan=False)
-    goal: Literal["minimise", "maximise"] = "maximise"
-    precision: float = Field(0.01, ge=1e-9, le=0.5)
-    of: dict[str, Limits] = Field(min_length=1)
 
 
 class Compensate(_Table):
@@ -147,5 +142,4 @@ class StudyTable(_Table):
     one_at_a_time: dict[str, Values] = {}
     draws: Draws | None = None
     optimise: Optimise | None = None
-    inverse_sensitivity: InverseSensitivity | None = None
     compensate: Compensate | None = None

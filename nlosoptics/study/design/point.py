@@ -34,8 +34,6 @@ NOT_IN_POINT_SPREAD = (
     "camera.bit_depth",
     "camera.glare_fraction",
 )
-KEPT = 4  # results of each stage that a worker keeps
-KEPT_FIGURES = 64  # figures of merit that a worker keeps
 
 
 def point_spread_key(delta: Mapping[str, Any]) -> str:
@@ -49,16 +47,16 @@ def point_spread_key(delta: Mapping[str, Any]) -> str:
 
 
 class StageCache:
-    """Latest ``kept`` results of a stage by key, including refusals and warnings."""
+    """Latest ``most`` results of a stage by key, including refusals and warnings."""
 
-    def __init__(self, kept: int = KEPT) -> None:
-        self._most = kept
-        self._kept: OrderedDict[str, tuple[Any, tuple[str, ...]]] = OrderedDict()
+    def __init__(self, most: int = 4) -> None:
+        self._most = most
+        self._results: OrderedDict[str, tuple[Any, tuple[str, ...]]] = OrderedDict()
 
     def get(self, key: str, make: Callable[[], Any]) -> tuple[Any, tuple[str, ...]]:
         """Return the result of ``make`` and its warnings; raise the `NlosError` that it raised."""
-        found = self._kept.get(key)
-        if found is None:
+        entry = self._results.get(key)
+        if entry is None:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("ignore")
                 warnings.simplefilter("always", ValidityWarning)
@@ -66,13 +64,13 @@ class StageCache:
                     result = make()
                 except NlosError as error:
                     result = error
-            told = tuple(dict.fromkeys(str(warning.message) for warning in caught))
-            found = self._kept[key] = result, told
-            if len(self._kept) > self._most:
-                self._kept.popitem(last=False)
-        if isinstance(found[0], NlosError):
-            raise found[0]
-        return found
+            texts = tuple(dict.fromkeys(str(warning.message) for warning in caught))
+            entry = self._results[key] = result, texts
+            if len(self._results) > self._most:
+                self._results.popitem(last=False)
+        if isinstance(entry[0], NlosError):
+            raise entry[0]
+        return entry
 
 
 def stage_caches() -> dict[str, StageCache]:
@@ -81,7 +79,7 @@ def stage_caches() -> dict[str, StageCache]:
         "scene": StageCache(),
         "point spread": StageCache(),
         "forecast": StageCache(),
-        "figure": StageCache(KEPT_FIGURES),
+        "figure": StageCache(64),
     }
 
 
@@ -202,6 +200,6 @@ class StudyPoint:
         return self._stage("figure", f"{name} {point_spread_key(self._delta)}", make)
 
     def _stage(self, name: str, key: str, make: Callable[[], Any]) -> Any:
-        result, told = self._caches[name].get(key, make)
-        self.warnings |= dict.fromkeys(told)
+        result, texts = self._caches[name].get(key, make)
+        self.warnings |= dict.fromkeys(texts)
         return result

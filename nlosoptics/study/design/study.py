@@ -21,7 +21,6 @@ from ...scene.file.addresses import value_at
 from ...scene.file.errors import located, validated
 from .base import Base
 from .designs import Delta, Dimension, dimensions, named_materials
-from .fast import checked_draws, fast_spreads
 from .figures import Figure, figure, with_compensation
 from .file import StudyTable
 from .searches import check_search
@@ -53,7 +52,9 @@ def _figures_and_variables(
     for name in names:
         if names.count(name) > 1:
             raise SceneError(f"figures names {name} twice; give one of them another name")
-    check_search(table, variables, dimensions, tuple(names))
+    if table.optimise is not None:
+        varied = {address for dimension in dimensions for address in dimension.addresses}
+        check_search(table.optimise, variables, varied | set(adjusted), tuple(names))
     return figures, variables
 
 
@@ -67,8 +68,6 @@ def search_variables(table: StudyTable, base: Base) -> tuple[Variable, ...]:
     base : Base
         Base scene.
     """
-    if table.inverse_sensitivity is not None:
-        return _variables("inverse_sensitivity.of", table.inverse_sensitivity.of, base)
     given = {} if table.optimise is None else table.optimise.variables
     return _variables("optimise.variables", given, base)
 
@@ -119,10 +118,9 @@ class Study(Noun):
     seed : int
         Seed of random draws, of random numbers in figures of merit, and of an optimisation.
     variables : tuple of Variable
-        Values that a search may change: an optimisation (table ``optimise``), or a search for the
-        deviations that are allowed (table ``inverse_sensitivity``). Empty without a search. With
-        a search, the first of ``dimensions`` is "trial", with one step for each set of values that
-        has been tried so far.
+        Values that an optimisation (table ``optimise``) may change; empty without one. With an
+        optimisation, the first of ``dimensions`` is "trial", with one step for each set of values
+        that has been tried so far.
 
     See Also
     --------
@@ -213,7 +211,6 @@ class Study(Noun):
             for delta in dimension.deltas[:1] if dimension.name == "draw" else dimension.deltas:
                 base.checked(delta)
         figures, variables = _figures_and_variables(table, folder, base, packed)
-        fast_spreads(table, figures, lambda address: value_at(base.tables, address))
         return cls(
             definition=definition,
             folder=folder,
@@ -295,16 +292,6 @@ class Study(Noun):
         return tuple(
             point_id(self.seed, {a: v for part in step for a, v in part.items()}) for step in steps
         )
-
-    @property
-    def fast(self) -> bool:
-        """Whether the random draws have ``tier = "fast"``: most are computed approximately."""
-        return self.table.draws is not None and self.table.draws.tier == "fast"
-
-    @cached_property
-    def in_full(self) -> tuple[int, ...]:
-        """Numbers of the points that are computed in full: all points unless `fast` is True."""
-        return checked_draws(self.table, self.ids) if self.fast else tuple(range(len(self)))
 
 
 def point_id(seed: int, delta: Mapping[str, Any]) -> str:

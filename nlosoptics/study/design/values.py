@@ -8,8 +8,6 @@ from typing import Any
 from ...scene.file import units
 from ...scene.file.units import written
 
-PREFIXED = ("m", "s", "W", "rad")
-PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 #: Value and dimension of a text; those of draws are read several times.
 measured = lru_cache(1 << 16)(units.measured)
 
@@ -48,8 +46,8 @@ def label(value: Any) -> str:
     if found is None:
         return str(value)
     size, unit = found
-    if unit in PREFIXED and size != 0.0:
-        for factor, prefix in PREFIXES:
+    if unit in ("m", "s", "W", "rad") and size != 0.0:
+        for factor, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n")):
             if abs(size) >= 0.9995 * factor:
                 return f"{size / factor:.6g} {prefix}{unit}"
     return f"{size:.6g} {unit}".rstrip()

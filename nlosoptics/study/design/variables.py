@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,8 +13,6 @@ from .base import Base
 from .designs import listed, numbers
 from .file import Limits
 from .values import canonical, label, number, with_unit
-
-DIGITS = 10  # of a proposed value, so that rounding of another machine rarely gives another point
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +36,6 @@ class Variable:
     start : float
         Coordinate of the scene's own value; of the middle, or the first of a list, if there is
         none within the limits.
-    inside : bool
-        Whether ``start`` is the scene's own value.
     """
 
     address: str
@@ -51,7 +46,6 @@ class Variable:
     values: tuple[Any, ...]
     ordered: bool
     start: float
-    inside: bool
 
     @property
     def continuous(self) -> bool:
@@ -66,12 +60,9 @@ class Variable:
             found = self.low * (self.high / self.low) ** float(coordinate)
         else:
             found = self.low + float(coordinate) * (self.high - self.low)
-        inner = min(max(float(f"{found:.{DIGITS}g}"), self.low), self.high)
+        # ten digits, so that rounding of another machine rarely gives another point
+        inner = min(max(float(f"{found:.10g}"), self.low), self.high)
         return canonical(with_unit(inner, self.unit))
-
-    def rate(self, value: float) -> float:
-        """Return the derivative of a continuous variable's value with its coordinate."""
-        return value * math.log(self.high / self.low) if self.log else self.high - self.low
 
     def coordinate(self, value: Any) -> float | None:
         """Return the coordinate of a value; None if it is not within the limits."""
@@ -131,10 +122,9 @@ def variable(name: str, address: str, given: list[Any] | Limits, own: Any, base:
         values=values,
         ordered=ordered,
         start=0.0 if values else 0.5,
-        inside=False,
     )
     start = None if own is None else made.coordinate(own)
-    return made if start is None else replace(made, start=start, inside=True)
+    return made if start is None else replace(made, start=start)
 
 
 def check_variable(variable: Variable, base: Base) -> None:

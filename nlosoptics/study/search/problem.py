@@ -92,19 +92,11 @@ class Problem:
 
 #: Returns the outcomes of points, which are computed together.
 Ask = Callable[[Sequence[Point]], list[Outcome]]
-#: Returns the derivatives (1 + margins, variables) of objective and margins with the coordinates of
-#: a point that was asked for; NaN in the rows that need differences.
-Slopes = Callable[[Point], Array]
 
 
 def population(table: Optimise) -> int:
     """Return how many points a method chooses together: its default if the table gives none."""
-    count = len(table.variables)
-    defaults = {
-        "differential-evolution": max(5, 10 * count),
-        "cma-es": 4 + int(3 * math.log(count)),  # Hansen's
-        "nsga-ii": 20,
-    }
+    defaults = {"differential-evolution": max(5, 10 * len(table.variables)), "nsga-ii": 20}
     return table.population or defaults.get(table.method, 1)
 
 
@@ -124,69 +116,24 @@ def outcome(table: Optimise, figures: Mapping[str, Array]) -> Outcome:
     )
 
 
-def _objective(objective: Objective, found: Array) -> float:
+def _objective(objective: Objective, values: Array) -> float:
     if objective.at_least is not None or objective.at_most is not None:
-        return -float((_margins(objective, found) >= 0.0).mean())
-    cost = found if objective.goal == "minimise" else -found
+        return -float((_margins(objective, values) >= 0.0).mean())
+    cost = values if objective.goal == "minimise" else -values
     return float(cost.max() if objective.over == "worst" else cost.mean())
 
 
-def _margin(constraint: Constraint, found: Array) -> float:
+def _margin(constraint: Constraint, values: Array) -> float:
     """Return the margin that the required share of points has; -inf if too many failed."""
-    margins = _margins(constraint, found)
-    return float(margins[_deciding(constraint, margins)])
-
-
-def _deciding(constraint: Constraint, margins: Array) -> int:
-    """Return the point whose margin the required share of points has at least."""
+    margins = np.sort(_margins(constraint, values))
     needed = math.ceil(constraint.share * len(margins) - FEASIBLE)
-    return int(np.argsort(margins, kind="stable")[len(margins) - max(1, needed)])
+    return float(margins[len(margins) - max(1, needed)])
 
 
-def _margins(limits: Within, found: Array) -> Array:
+def _margins(limits: Within, values: Array) -> Array:
     """Return the distances from the nearer limit as parts of it, (points,)."""
-    margins = np.full(len(found), np.inf)
+    margins = np.full(len(values), np.inf)
     for limit, sign in ((limits.at_least, 1.0), (limits.at_most, -1.0)):
         if limit is not None:
-            margins = np.minimum(margins, sign * (found - limit) / (abs(limit) or 1.0))
-    return np.where(np.isnan(found), -np.inf, margins)
-
-
-def _rate(limits: Within, found: float) -> float:
-    """Return the derivative of the distance from the nearer limit, as a part of it."""
-    given = ((limits.at_least, 1.0), (limits.at_most, -1.0))
-    rates = [(limit, sign / (abs(limit) or 1.0)) for limit, sign in given if limit is not None]
-    return min((rate * (found - limit), rate) for limit, rate in rates)[1]
-
-
-def dependences(table: Optimise, figures: Mapping[str, Array]) -> list[tuple[str, Array]]:
-    """Return how the objective, and then each margin, depends on its figure.
-
-    Parameters
-    ----------
-    table : Optimise
-        One objective without limits, and constraints.
-    figures : mapping of str to ndarray, (points,)
-        Each figure at all points of the trial, none of which failed.
-
-    Returns
-    -------
-    list of (str, ndarray)
-        Figure, and the derivatives (points,) of objective or margin with its values. At a kink,
-        such as two worst points, they are those of one side.
-    """
-    (objective,) = table.objectives
-    found = figures[objective.figure]
-    sign = 1.0 if objective.goal == "minimise" else -1.0
-    slopes = np.full(len(found), sign / len(found))
-    if objective.over == "worst":
-        slopes[:] = 0.0
-        slopes[np.argmax(sign * found)] = sign
-    rows = [(objective.figure, slopes)]
-    for constraint in table.constraints:
-        found = figures[constraint.figure]
-        point = _deciding(constraint, _margins(constraint, found))
-        slopes = np.zeros(len(found))
-        slopes[point] = _rate(constraint, float(found[point]))
-        rows.append((constraint.figure, slopes))
-    return rows
+            margins = np.minimum(margins, sign * (values - limit) / (abs(limit) or 1.0))
+    return np.where(np.isnan(values), -np.inf, margins)

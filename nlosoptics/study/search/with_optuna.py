@@ -1,4 +1,4 @@
-"""Samplers of Optuna: TPE, CMA-ES and NSGA-II. Its study is kept in memory and made by replay."""
+"""Samplers of Optuna: TPE and NSGA-II. Its study is kept in memory and made by replay."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def sampled(problem: Problem, ask: Ask, method: str) -> str:
     ask : callable
         Returns the outcomes of points.
     method : str
-        "tpe", "cma-es" or "nsga-ii".
+        "tpe" or "nsga-ii".
 
     Raises
     ------
@@ -34,7 +34,8 @@ def sampled(problem: Problem, ask: Ask, method: str) -> str:
     with _quiet() as optuna:
         sampler = _sampler(optuna.samplers, problem, method)
         study = optuna.create_study(directions=["minimize"] * problem.objectives, sampler=sampler)
-        study.enqueue_trial({v.address: _start(v) for v in problem.variables})
+        start = {v.address: v.start if v.continuous else int(v.start) for v in problem.variables}
+        study.enqueue_trial(start)
     asked = 0
     while asked < problem.evaluations:
         count = min(problem.population, problem.evaluations - asked)
@@ -75,13 +76,7 @@ def _sampler(samplers: Any, problem: Problem, method: str) -> Any:
     seed = int(np.random.SeedSequence(problem.seed).generate_state(1)[0])
     if method == "tpe":
         return samplers.TPESampler(seed=seed)
-    if method == "cma-es":
-        return samplers.CmaEsSampler(seed=seed, popsize=problem.population)
     return samplers.NSGAIISampler(seed=seed, population_size=problem.population)
-
-
-def _start(variable: Variable) -> float | int:
-    return variable.start if variable.continuous else int(variable.start)
 
 
 def _suggested(trial: Any, variable: Variable) -> float:
