@@ -23,9 +23,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from nlosoptics import transient
 
@@ -55,9 +57,13 @@ def capture(path):
 
     Bin 0 is the one in which the direct light peaks, so that its middle is time 0.
     """
-    return transient.TransientCapture.load(
-        path, format="lct", bin_width=BIN, t_start=-0.5 * BIN, gate_start=-0.5 * BIN
-    )
+    return transient.TransientCapture.load(path, delta_t=BIN, t_start=-0.5 * BIN)
+
+
+def blurred(capture):
+    """The capture, blurred by its pulse over time and by one point over the wall."""
+    sigma = (PULSE / capture.delta_t, 1.0, 1.0)
+    return replace(capture, H=gaussian_filter(capture.H, sigma, mode="nearest"))
 
 
 def figures(image, nominal):
@@ -79,7 +85,7 @@ def our_rows(name, nominal, path, repeats):
     """One row per method, with its picture."""
     coarse = transient.downsampled(capture(path), bins=BINS)
     cut = transient.gated(coarse, start=CUT / BINS * coarse.delta_t)
-    ready = transient.smoothed(cut, path=PULSE, grid=1.0)
+    ready = blurred(cut)
     x, y = coarse.sensor_points[0, :, 0], coarse.sensor_points[:, 0, 1]
     pitch = 0.5 * coarse.delta_t
     volume = transient.Volume(x, y, np.arange(nominal - WINDOW, nominal + WINDOW, pitch))
@@ -103,7 +109,7 @@ def peer_rows(name, nominal, path, python, repeats):
     first = CUT // BINS
     cut = transient.gated(coarse, start=first * coarse.delta_t)
     rows = []
-    for label, kept in (("", cut), (", blurred", transient.smoothed(cut, path=PULSE, grid=1.0))):
+    for label, kept in (("", cut), (", blurred", blurred(cut))):
         light = np.zeros_like(coarse.H)
         light[-kept.n_bins :] = kept.H
         with tempfile.TemporaryDirectory() as folder:

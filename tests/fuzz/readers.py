@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -104,7 +104,6 @@ def _read_heights(_: Path, file: Path) -> Arrays:
 
 
 def _captures(folder: Path) -> list[Path]:
-    import h5py
     from scipy.io import savemat
 
     from nlosoptics.transient import TransientCapture, wall_grid
@@ -119,22 +118,14 @@ def _captures(folder: Path) -> list[Path]:
         pairing="confocal",
     )
     capture.save(folder / "own.hdf5")
-    with h5py.File(folder / "dirac.hdf5", "w") as file:
-        file["data_t"] = draw.random((8, 3, 3))
-        file["xg"], file["yg"] = grid[..., 0].T, grid[..., 1].T
-        file["da"] = 0.4 + 0.01 * np.arange(8)
     savemat(folder / "old.mat", {"rect_data": draw.random((4, 4, 16)), "width": np.array([[0.5]])})
-    return [folder / "own.hdf5", folder / "dirac.hdf5", folder / "old.mat"]
+    return [folder / "own.hdf5", folder / "old.mat"]
 
 
 def _read_capture(_: Path, file: Path) -> Arrays:
     from nlosoptics.transient import TransientCapture
 
-    given: Mapping[str, Any] = {}
-    if file.name == "dirac.hdf5":
-        given = {"pairing": "confocal", "t_start": 0.4, "outer_legs": False}
-    if file.name == "old.mat":
-        given = {"format": "lct", "bin_width": 0.01, "t_start": 0.0, "gate_start": 0.0}
+    given = {"delta_t": 0.01} if file.name == "old.mat" else {}
     found = TransientCapture.load(file, **given)
     return [found.H, np.asarray(found.H.sum()), found.laser_points, found.sensor_points]
 

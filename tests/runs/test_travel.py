@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import nlosoptics as nlos
-from nlosoptics import imaging, limits, psf, raytrace, scene, study, transient
+from nlosoptics import imaging, psf, raytrace, scene, study, transient
 from nlosoptics._html import Shown
 from nlosoptics.errors import SceneError
 from nlosoptics.runs.plan import Stage
@@ -157,7 +157,6 @@ MADE: Mapping[str, Any] = {
     "Measurement": lambda: importlib.import_module("nlosoptics.inverse").Measurement(
         RNG.random((3, 4)), noise_sigma=RNG.random((3, 4)), masked=RNG.random((3, 4)) > 0.5
     ),
-    "LaserClass": lambda: limits.laser_class(room()),
     "MeshObject": lambda: scene.MeshObject(mesh(), position=(0.3, 0.0, 2.0), scale=0.1),
     "MeshWall": lambda: scene.MeshWall(mesh()),
     "Occluder": lambda: scene.Occluder(mesh(), position=(0.3, 0.0, 2.0), pitch=1.0),

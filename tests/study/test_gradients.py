@@ -23,12 +23,12 @@ RADIUS = {"wall.radius": ["4.6 m", "5 m", "5.5 m"]}
 STOP = {"figure": "value", "address": "camera.stop_diameter"}
 FOCUS = {"camera.focus_distance": {"from": "2 m", "to": "4 m"}}
 WALL = {"wall.radius": {"from": "4 m", "to": "8 m", "spacing": "log"}}
-SMOOTH = ("strehl", "aberration_rms", "spot_rms", "camera_focus_distance", "laser_class_ratio")
+SMOOTH = ("strehl", "aberration_rms", "spot_rms", "camera_focus_distance")
 
 
 def study_of(*others, **tables) -> Study:
     """A study of smooth figures in five variables, of which the wave depends on four."""
-    figures = [*SMOOTH[:3], {"figure": "value", "address": "camera.focus_distance"}, SMOOTH[4]]
+    figures = [*SMOOTH[:3], {"figure": "value", "address": "camera.focus_distance"}]
     variables = FOCUS | WALL
     variables["camera.f_number"] = {"from": 8, "to": 32}
     variables["hidden.position[2]"] = {"from": "0.9 m", "to": "1.1 m"}

@@ -149,11 +149,6 @@ def predicted_correlation(point: StudyPoint) -> Answer:
     return point.forecast.score, point.forecast.score_spread
 
 
-def laser_class_ratio(point: StudyPoint, laser_class: str = "1") -> Answer:
-    """Power of the laser into the eye over the limit of a laser class, an estimate."""
-    return limits.laser_class(point.scene).ratio(laser_class)
-
-
 def value(point: StudyPoint, address: str) -> Answer:
     """Value of the scene at an address."""
     found = number(point.value(address))
@@ -183,7 +178,6 @@ FIGURES: Mapping[str, _Known] = {
     "resolution": _Known(resolution, "1/m", "forecast"),
     "relay_modes": _Known(relay_modes, "", "forecast"),
     "predicted_correlation": _Known(predicted_correlation, "", "forecast", True),
-    "laser_class_ratio": _Known(laser_class_ratio, "", "scene"),
     "value": _Known(value, "", "scene"),
 }
 #: Names that arrays of the results have themselves.

@@ -298,7 +298,6 @@ def true_depths(
     See Also
     --------
     depth_error : Error of a depth map.
-    voxelised : Voxels that a surface passes through.
 
     Examples
     --------
@@ -318,78 +317,6 @@ def true_depths(
         hits = intersect_mesh(mesh, origins, (0.0, 0.0, 1.0))
         nearest = np.where(hits.status == 0, np.minimum(nearest, hits.distance), nearest)
     return np.where(np.isfinite(nearest), nearest, np.nan)
-
-
-def voxelised(
-    meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh], volume: Volume
-) -> NDArray[np.bool_]:
-    """Return which voxels of a volume are crossed by the surfaces of meshes.
-
-    The surfaces are found by rays through the centres of the voxels, along each axis with at least
-    two voxels. Rays along a single axis would miss the surfaces that are parallel to it.
-
-    Parameters
-    ----------
-    meshes : trimesh.Trimesh or iterable of them
-        Hidden surfaces, world frame, m.
-    volume : Volume
-        Volume with at least two voxels along z.
-
-    Returns
-    -------
-    ndarray of bool
-        (nz, ny, nx), True for voxels that a surface crosses.
-
-    Raises
-    ------
-    SamplingError
-        If the volume has one voxel along z.
-    SceneError
-        If there is no mesh.
-
-    See Also
-    --------
-    true_depths : Depths of meshes.
-    Volume : Voxel grid.
-
-    Examples
-    --------
-    >>> import trimesh
-    >>> from nlosoptics.transient import Volume, voxelised
-    >>> box = trimesh.creation.box((1.0, 1.0, 0.8)).apply_translation((0.0, 0.0, 1.5))
-    >>> volume = Volume.box(centre=(0.0, 0.0, 1.5), size=(0.2, 0.2, 1.4), pitch=0.2)
-    >>> print(voxelised(box, volume)[:, 0, 0].astype(int))
-    [0 1 0 0 0 1 0]
-    """
-    if len(volume.z) < 2:
-        raise SamplingError("the volume has 1 voxel along z, must have at least 2; give more")
-    several, axes = _several(meshes), (volume.x, volume.y, volume.z)
-    full = np.zeros([len(a) for a in axes], dtype=bool)
-    for along in range(3):
-        if len(axes[along]) > 1:
-            for mesh in several:
-                _pierce(np.moveaxis(full, along, -1), mesh, axes, along)
-    return np.ascontiguousarray(full.transpose(2, 1, 0))
-
-
-def _pierce(
-    full: NDArray[np.bool_], mesh: trimesh.Trimesh, axes: tuple[Array, ...], along: int
-) -> None:
-    """Mark the voxels of ``full`` (n, m, along) in which rays along an axis meet a mesh."""
-    from ...raytrace import all_hits
-
-    across = [i for i in range(3) if i != along]
-    axis = axes[along]
-    pitch = axis[1] - axis[0]
-    origins = np.empty((*full.shape[:2], 3))
-    origins[..., across[0]] = axes[across[0]][:, None]
-    origins[..., across[1]] = axes[across[1]]
-    origins[..., along] = axis[0] - 0.5 * pitch
-    hits = all_hits(mesh, origins, np.eye(3)[along])
-    level = np.floor(hits.distance / pitch).astype(np.int64)
-    inside = level < len(axis)
-    rows, columns = np.unravel_index(hits.ray[inside], full.shape[:2])
-    full[rows, columns, level[inside]] = True
 
 
 def _cells(grid: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:

@@ -17,9 +17,6 @@ from nlosoptics.transient.imaging import (
     virtual_pulse,
 )
 
-from ...records import attempt
-
-TIGHT = 1e-9
 WALL = (wall_grid(1.2, 6) * (1.0, 2.0 / 3.0, 1.0))[:5]
 
 
@@ -29,40 +26,6 @@ def volume(x_step, y_step, shift=0.0):
         start[0] + 0.2 * x_step * np.arange(4),
         start[1] + 0.8 / 6 * y_step * np.arange(3),
         np.array([0.5, 0.7]),
-    )
-
-
-@pytest.mark.parametrize("flip", [(), (0,), (1,), (0, 1)])
-def test_grids_of_wall_and_planes(flip, on_record):
-    """Equal steps, multiples and parts of them, whole shifts and others."""
-    points, found, planes = np.flip(WALL, flip), [], []
-    spectra = np.random.default_rng(1).random((2, 3, 30)) + 0j
-    for x_step, y_step, shift in itertools.product((1.0, 3.0, 0.5), (1.0, 2.0, 0.25), (0.0, 7.3)):
-        planes.append(volume(x_step, y_step, shift))
-    planes.append(Volume([WALL[0, 3, 0]], [WALL[2, 0, 1]], [0.5]))
-    for one in planes:
-        grid = plane_convolutions.lattice(points, one, 0.3)
-        found.append([grid.size, grid.flips, grid.depth])
-        for axis in grid.axes:
-            found.append([axis, axis.spans, axis.can_mirror, axis.kept.stop, axis.kept.step])
-            for mirrored in (False, True):
-                found.append([axis.size(mirrored), axis.places(mirrored), axis.steps(mirrored)])
-    on_record([found, grid.walls(spectra)], TIGHT)
-
-
-def test_grids_that_share_no_steps_are_refused(on_record):
-    """Steps off by a little, points off by a little, and one row."""
-    near, far = WALL.copy(), WALL.copy()
-    near[2, 3, 0] += 0.99 * plane_convolutions.UNEVEN * 0.3
-    far[2, 3, 0] += 1.01 * plane_convolutions.UNEVEN * 0.3
-    asked = [(WALL[0], 1.0), (near, 1.0), (far, 1.0), (WALL[:1, :1], 2.0), (WALL[:1], 2.0)]
-    asked += [(WALL, 1.0 + k * plane_convolutions.UNEVEN / 4) for k in (0.9, 1.1, 30.0)]
-    on_record(
-        [
-            attempt(plane_convolutions.lattice, points, volume(step, 1.0), 0.3)
-            for points, step in asked
-        ],
-        TIGHT,
     )
 
 
@@ -85,29 +48,6 @@ def test_grids_may_deviate_by_the_limit_itself():
             told = "whole multiples" if refused else "off an even grid"
             with pytest.raises(SamplingError, match=told):
                 plane_convolutions.lattice(wall, grid, wavelength)
-
-
-def test_notes_at_their_limits(on_record):
-    """Pitch, spacing and bins just inside and outside of what is noted."""
-    uneven = [WALL + 0.0, WALL + 0.0, WALL[:, :1] + 0.0]
-    for points, share in zip(uneven, (0.99, 1.01, 1.5), strict=True):
-        points[-1, :, 1] += share * camera_setup.UNEVEN * 0.8 / 6
-    grids = [WALL, WALL[0], WALL[:1, :1], WALL[:, :1], WALL[:1], WALL[:2, :2], *uneven]
-    found = [
-        camera_setup.grid_note("points", points, wavelength, ways)
-        for points in grids
-        for wavelength in (0.3999, 0.4001, 0.7999, 0.8001)
-        for ways in (1, 2)
-    ]
-    bins = [attempt(camera_setup.bin_note, 0.1, w) for w in (0.199, 0.201, 0.399, 0.401)]
-    light = {"H": np.ones((20, 5, 6)), "laser_points": np.zeros(3), "sensor_points": WALL}
-    capture = TransientCapture(**light, delta_t=0.1, t_start=1.0)
-    paths = np.linspace(0.5, 2.5, 1001)
-    windows = [
-        camera_setup.window_note(capture, volume(1.0, 1.0), paths + shift)
-        for shift in (0.0, 0.489, 0.492, 0.508, 0.512, 1.0)
-    ]
-    on_record([found, bins, windows], TIGHT)
 
 
 def test_limits_of_notes_are_allowed_themselves(monkeypatch):
@@ -186,31 +126,6 @@ def test_the_dark_level_is_that_of_the_darkest_interval():
     assert confocal_grids._dark_level(*np.zeros((3, 9))) == (0.0, 0.0)
 
 
-AXIS = np.linspace(-0.5, 0.3, 9)
-
-
-@pytest.mark.parametrize("start", [0.0, 0.7, 2.0])
-def test_volumes_that_a_capture_reaches(start, on_record):
-    """Just inside and outside of the first and last depth and of 3/4 of the width."""
-    grid = confocal_grids.ConfocalGrid(AXIS, AXIS[:5] / 2, start, 0.05, 30)
-    slack = 1e-6 * grid.pitch
-    nearest = math.sqrt(max(start**2 - 0.8**2 - 0.2**2, 0.0))
-    depths = [
-        (nearest + a * slack + 1e-9, grid.stop + b * slack)
-        for a, b in ((0.0, 0.9), (-0.9, 0.0), (-1.1, 0.0), (0.0, 1.1))
-    ]
-    found = [
-        attempt(confocal_grids.reached_volume, grid, Volume([0.0], [0.0], ends), "m")
-        for ends in depths
-        if ends[0] > 0.0
-    ]
-    for x, y in ((0.574, 0.0), (0.576, 0.0), (-0.774, 0.0), (-0.776, 0.0), (0, 0.03), (0, 0.05)):
-        place = Volume([x], [y], [start + 0.1])
-        found.append(attempt(confocal_grids.reached_volume, grid, place, "m"))
-    whole = confocal_grids.reached_volume(grid, None, "m")
-    on_record([[str(one) if isinstance(one, NlosError) else one.shape for one in found], whole])
-
-
 def test_voxels_at_three_quarters_of_the_width_are_reached():
     """The limit itself, in numbers without rounding, along each axis and to either side."""
     x, y = 0.25 * np.arange(4), 0.5 * np.arange(5) - 0.25
@@ -223,20 +138,6 @@ def test_voxels_at_three_quarters_of_the_width_are_reached():
             more = [at[k] + math.copysign(1e-6, off) * (axis == "xy"[k]) for k in range(2)]
             with pytest.raises(SamplingError, match=f"centre along {axis}, limit {limit} m"):
                 confocal_grids.reached_volume(grid, Volume(more[:1], more[1:], [0.6]), "lct")
-
-
-@pytest.mark.parametrize(("wl_mean", "tol"), [(0.2, 1e-2), (0.45, 1e-4)])
-def test_bands_of_pulses(wl_mean, tol, on_record):
-    light = {"H": np.random.default_rng(3).random((90, 4)), "laser_points": np.zeros(3)}
-    capture = TransientCapture(**light, sensor_points=WALL[0, :4], delta_t=0.03, t_start=0.4)
-    found = []
-    for times in ((0.1, 1.0), (0.9, 1.4), (2.0, 5.0)):
-        band = virtual_pulse.pulse_band(capture, wl_mean, 0.21, times, tol=tol)
-        legs = np.array([0.0, 0.3, -0.2])
-        seen = virtual_pulse.responses(capture, band, np.array([2, 0, 3]), legs, "float64")
-        found.append([band.numbers, band.step, band.weights, band.n_times, seen])
-        found.append([band.bins.start, band.bins.stop])
-    on_record(found, TIGHT)
 
 
 @pytest.mark.parametrize("columns", [0.5, 1.0, 2.0])

@@ -49,17 +49,6 @@ def test_reasons_to_stop(reached, tol, reason):
     assert many._stopped(reached, tol) == reason
 
 
-def test_numbers_of_paths(on_record):
-    """From one pair of points to many, one order to 29, and any number of rays."""
-    rays = [many.LEAST * k for k in (1, 15, 16, 40, 1000, 10**6)]
-    pairs = [(1, 1), (1, 40), (15, 15), (16, 300), (1000, 10**6), (2**17, 2**17), (3 << 20, 9)]
-    affordable = [many._affordable(n, *pair) for n in (1, 2, 29) for pair in pairs]
-    sizes = [many._sizes(n, budget) for n, _ in pairs for budget in rays]
-    shares = [many._share(missed) for missed in (0.0, 0.02, 0.0201, 0.3, 0.75, 0.9)]
-    rows = [many._rows("all", 2, 3), many._rows("confocal", 3, 3)]
-    on_record([affordable, sizes, shares, rows], 1e-9)
-
-
 def test_pairs_are_computed_alike_from_both_ends():
     """The end that more pairs share is first, else the lower one, whichever end has the laser."""
     draw = np.random.default_rng(4)
