@@ -181,26 +181,7 @@ def blurred_power(kernels: Array, echo: Array) -> Array:
 def expected_counts(
     error: float, swing: float, tol: float, decay: Array | None = None
 ) -> tuple[list[int], float]:
-    """Predict the grids that `image_field` computes until their images agree.
-
-    Parameters
-    ----------
-    error : float
-        Estimated image error with a single point spread, rms over rms.
-    swing : float
-        Estimated change of the waves over the picture, rad.
-    tol : float
-        Tolerance of the image, rms over rms.
-    decay : ndarray, (7,), optional
-        Relative interpolation errors of `interpolation_errors`.
-
-    Returns
-    -------
-    counts : list of int
-        Nodes per side of the grids.
-    left : float
-        Predicted error of the last one, rms over rms; above ``tol`` if no grid suffices.
-    """
+    """Predict the grids that `image_field` computes until their images agree."""
     bend = 0.4 * max(1.0, swing / 2)
     for i, n in enumerate(COUNTS):
         off = SAFETY * error * min(1.0, bend / n) ** (n - 1)
@@ -216,19 +197,6 @@ def interpolation_errors(scene: Scene) -> Array | None:
 
     The second derivatives of W in closed form follow the wall's curvature from point to point.
     A wall with several periods across the picture needs a grid that resolves them.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene.
-
-    Returns
-    -------
-    ndarray, (7,), or None
-        Largest interpolation error along two lines for each grid, relative to that of one node.
-        None if the wall is flat, if the object is a mesh, if a point is reflected outside the
-        wall's domain, or if the light to the lens covers more than one period of the wall, which
-        averages the curvature.
     """
     wall, hidden, lens = scene.wall, scene.hidden, scene.camera.position[2]
     mirrored = scene.mirrored_object_point

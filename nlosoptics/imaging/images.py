@@ -146,33 +146,17 @@ class SpeckleImage(Noun, Shown):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LightLevels:
-    """Expected electrons in each image pixel by source, before the blur and without noise.
+    """Expected electrons in each image pixel by source, before the blur and without noise."""
 
-    Parameters
-    ----------
-    rays : ChiefRays
-        Chief rays of the pixel centres.
-    visible : ndarray, (ny, nx)
-        Fraction of each pixel's light cone that comes from the wall.
-    ideal : ndarray, (ny, nx)
-        Electrons of the object's unblurred image.
-    diffuse, spot : ndarray, (ny, nx)
-        Electrons of the wall's diffuse light and of the image of the laser spot.
-    glare : float
-        Electrons of the glare, uniform over the whole detector.
-    dark : float
-        Dark electrons of one image pixel.
-    freedom : float or None
-        Degrees of freedom of an image pixel's speckle, 1/contrast^2; None for no speckle.
-    """
-
-    rays: ChiefRays
-    visible: Array
-    ideal: Array
+    rays: ChiefRays  # Chief rays of the pixel centres
+    visible: Array  # (ny, nx): Fraction of each pixel's light cone that comes from the wall
+    ideal: Array  # (ny, nx): Electrons of the object's unblurred image
+    # (ny, nx): Electrons of the wall's diffuse light and of the image of the laser spot
     diffuse: Array
     spot: Array
-    glare: float
-    dark: float
+    glare: float  # Electrons of the glare, uniform over the whole detector
+    dark: float  # Dark electrons of one image pixel
+    # Degrees of freedom of an image pixel's speckle, 1/contrast^2; None for no speckle
     freedom: float | None
 
     @property
@@ -184,32 +168,7 @@ class LightLevels:
 def light_levels(
     scene: Scene, *, exposure: float | None = None, shadows: Shadows | None = None
 ) -> LightLevels:
-    """Compute the expected electrons of an image by source, without a point spread.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene to image.
-    exposure : float, optional
-        Exposure time, s; by default the camera's.
-    shadows : Shadows, optional
-        Result of `cast_shadows` for this scene; computed if omitted and there are occluders.
-
-    Returns
-    -------
-    LightLevels
-
-    Raises
-    ------
-    SceneError
-        If the laser beam misses the wall or is cut by an occluder, or an argument is out of range.
-    MemoryLimitError
-        If the image would not fit in memory.
-
-    See Also
-    --------
-    form_image : Image in electrons, with blur and noise.
-    """
+    """Compute the expected electrons of an image by source, without a point spread."""
     camera = scene.camera
     exposure = positive("exposure", camera.exposure if exposure is None else exposure, unit="s")
     spot, rays, visible, gain = _view(scene, exposure)
@@ -429,17 +388,7 @@ def diffuse_background(
 def reading_noise(scene: Scene, light: Array) -> Array:
     """Return the rms noise of pixels at the camera's exposure time, electrons.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the camera and the laser, for dark current and speckle.
-    light : ndarray, (ny, nx)
-        Expected photoelectrons of each image pixel.
-
-    Returns
-    -------
-    ndarray, (ny, nx)
-        Noise of photons, speckle, dark current, readout and digitisation.
+    Returns noise of photons, speckle, dark current, readout and digitisation.
     """
     camera = scene.camera
     dark = camera.dark_current * camera.exposure * camera.binning**2

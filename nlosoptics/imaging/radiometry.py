@@ -55,33 +55,17 @@ def electrons_per_radiance(scene: Scene, cos_axis: Array, exposure: float) -> Ar
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LaserSpot:
-    """Laser spot on the wall.
+    """Laser spot on the wall."""
 
-    Parameters
-    ----------
-    point, normal : ndarray, (3,)
-        Centre of the spot, m, and the wall's unit normal there, toward the room; world frame.
-    incident : ndarray, (3,)
-        Unit vector from the spot to the laser, world frame.
-    area : float
-        Illuminated area of the wall, m^2.
-    """
-
+    # (3,): Centre of the spot, m, and the wall's unit normal there, toward the room; world frame
     point: Array
     normal: Array
-    incident: Array
-    area: float
+    incident: Array  # (3,): Unit vector from the spot to the laser, world frame
+    area: float  # Illuminated area of the wall, m^2
 
 
 def laser_spot(scene: Scene) -> LaserSpot:
-    """Find the laser spot: the intersection of the beam's axis with the wall surface itself.
-
-    Raises
-    ------
-    SceneError
-        If the beam misses the wall or crosses its edge, or if the spot at grazing incidence is too
-        long to be treated as a point source; or if an occluder reflects light.
-    """
+    """Find the laser spot: the intersection of the beam's axis with the wall surface itself."""
     scene.check_black_occluders()
     laser = scene.laser
     beam = np.subtract(laser.aim, laser.position)
@@ -213,26 +197,6 @@ def background_radiance(
 ) -> Array:
     """Radiance toward the lens of the wall's diffuse lobes, lit by the object, W/(m^2 sr).
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with wall, object material and camera.
-    spot : LaserSpot
-        Laser spot on the wall.
-    patches : Patches
-        Patches of the object.
-    rays : ChiefRays
-        Chief rays of the pixel centres, (ny, nx).
-    seen : ndarray of bool, (ny, nx)
-        Pixels that look at the wall; the others get zero.
-
-    Returns
-    -------
-    ndarray, (ny, nx)
-        Radiance.
-
-    Notes
-    -----
     L = sum over patches of f_r L_o cos cos' dA/r^2, with an error below 1e-3. For a flat wall it is
     evaluated at Chebyshev nodes of the detector and interpolated. On a curved wall the normal may
     change within a few pixels, but the incident light varies smoothly. Therefore the vector
@@ -279,19 +243,7 @@ def background_radiance(
 def _reflected(
     fluxes: Array, weights: tuple[Array, Array, Array], normals: Array, views: Array, lobes: Array
 ) -> Array:
-    """Return the radiance (rows, columns), W/(m^2 sr), that the wall's lobes reflect to the lens.
-
-    Parameters
-    ----------
-    fluxes : ndarray, (groups, ny, nx, nh, 3)
-        Vector irradiance at the nodes due to each group of patches, W/m^2.
-    weights : ndarray, (rows, ny), (nx, columns) and (nh, rows, columns)
-        Weights of the nodes along each axis.
-    normals, views : ndarray, (3, rows, columns)
-        Unit normal of the wall and unit vector to the lens at each pixel's wall point.
-    lobes : ndarray, (n, 7)
-        Table of the lobes.
-    """
+    """Return the radiance (rows, columns), W/(m^2 sr), that lobes reflect to the lens."""
     from ..kernels import brdf
     from ._radiance_kernels import arriving
 
@@ -318,26 +270,7 @@ def _reflected(
 
 
 class Nodes:
-    """Points on the camera's chief rays at given heights above the mean wall plane.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the camera.
-    x, y : ndarray, (n,)
-        Detector coordinates of the chief rays, m.
-    height : ndarray, (n,)
-        Height z of each point, m.
-
-    Attributes
-    ----------
-    count : int
-        Number of rays n.
-    used : ndarray of int, (m,)
-        Indices of the rays that lead toward the wall.
-    directions, points : ndarray, (m, 3)
-        Unit vectors of these rays and their points, m, world frame.
-    """
+    """Points on the camera's chief rays at given heights above the mean wall plane."""
 
     def __init__(self, scene: Scene, x: Array, y: Array, height: Array) -> None:
         e1, e2, axis = scene.camera.frame
@@ -354,28 +287,7 @@ class Nodes:
 def arrivals(
     scene: Scene, spot: LaserSpot, patches: Patches, nodes: Nodes
 ) -> Iterator[tuple[slice, Array, Array]]:
-    """Compute the light that object patches send to wall points, in blocks of points.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with laser and object material.
-    spot : LaserSpot
-        Laser spot on the wall.
-    patches : Patches
-        Patches of the object, p of them.
-    nodes : Nodes
-        Wall points.
-
-    Yields
-    ------
-    block : slice
-        Points of this block.
-    toward : ndarray, (n_block, p, 3)
-        Unit vectors from the points to the patches.
-    light : ndarray, (n_block, p)
-        Irradiance from each patch on a surface that faces it, W/m^2.
-    """
+    """Compute the light that object patches send to wall points, in blocks of points."""
     step = max(1, PAIRS // len(patches.areas))
     for start in range(0, len(nodes.used), step):
         block = slice(start, start + step)

@@ -222,26 +222,7 @@ def _path_shares(
 def wall_samples(
     scene: Scene, centres: tuple[Array, Array], pitch: float, use: Mask
 ) -> Iterator[tuple[Array, Array]]:
-    """Sample the paths between the lens and the parts of the wall that detector areas see.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with camera and wall.
-    centres : (ndarray, ndarray), (nx,) and (ny,)
-        Detector coordinates x and y of square areas, m.
-    pitch : float
-        Side of the areas, m.
-    use : ndarray of bool, (ny, nx)
-        Areas to sample, m of them.
-
-    Yields
-    ------
-    on_wall : ndarray, (m, 3)
-        Wall points, world frame, m; NaN where a path misses the wall.
-    lens : ndarray, (3,)
-        Point on the lens from which the light of these paths enters, world frame, m.
-    """
+    """Sample the paths between the lens and the parts of the wall that detector areas see."""
     for rays, lens in _sample_rays(scene, centres, pitch):
         yield _on_wall(scene, rays, use, lens), lens
 

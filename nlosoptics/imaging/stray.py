@@ -23,17 +23,7 @@ def spot_image(scene: Scene, spot: LaserSpot) -> Array:
     area of two circles. The elliptic outline of the spot is replaced by a circle of the same area.
     Diffraction is neglected.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the camera.
-    spot : LaserSpot
-        Laser spot on the wall.
-
-    Returns
-    -------
-    ndarray, (ny, nx)
-        Fractions; their sum is the part that falls on the detector, at most 1.
+    Returns the fractions; their sum is the part that falls on the detector, at most 1.
     """
     camera = scene.camera
     shares = np.zeros(camera.shape)

@@ -21,20 +21,13 @@ BLURRED = 0.5  # largest blur by a lobe's slope to which the tests apply, pixels
 
 @dataclass(frozen=True, kw_only=True)
 class BlindForecast:
-    """Expected success of fits that know neither the object nor the wall.
+    """Expected success of fits that know neither the object nor the wall."""
 
-    Parameters
-    ----------
-    one_frame, two_frames : float
-        Share of tested fits that found the object, in cases like this one; NaN if no such case
-        was tested or no fit is needed.
-    text : str
-        Statement of the forecast and of its reason.
-    """
-
+    # Share of tested fits that found the object, in cases like this one; NaN if no such case was
+    # tested or no fit is needed
     one_frame: float
     two_frames: float
-    text: str
+    text: str  # Statement of the forecast and of its reason
 
 
 def blind_forecast(
@@ -42,23 +35,6 @@ def blind_forecast(
 ) -> BlindForecast:
     """Forecast the success of a blind fit with one frame, and with two of known defocus.
 
-    Parameters
-    ----------
-    strength : float
-        Wave aberration of the wall without piston and tilt, waves rms; NaN without a wave.
-    noise : float
-        Rms noise of a pixel over the object's brightest pixel in the blurred image.
-    blur : float
-        Blur by the wall's lobe, pixels rms.
-    bounds : mapping of int to float
-        Cramer-Rao bounds for the wave from two frames, waves rms.
-
-    Returns
-    -------
-    BlindForecast
-
-    Notes
-    -----
     Shares are interpolated between the tested strengths of 0.25, 0.5 and 1 wave; weaker walls count
     as 0.25 waves. In these tests pixels resolve the smooth wall's point spread, lobes have no
     slope, and the second frame has a defocus of half a wave rms (one wave for the strongest walls).

@@ -21,13 +21,6 @@ def frequencies(stroke: float, top: float) -> Array:
 
     They are evenly spaced from 0 to ``top``, with octaves of the strokes' frequency added. The
     octaves resolve a modulation that vanishes far below ``top``.
-
-    Parameters
-    ----------
-    stroke : float
-        Stroke width of the object, m; 0 for a dark object.
-    top : float
-        Highest frequency, with a period of two pixels, cycles/m.
     """
     return np.union1d(np.linspace(0.0, top, POINTS), _octaves(stroke, top))
 
@@ -49,24 +42,7 @@ def _octaves(stroke: float, top: float) -> Array:
 
 
 def lines(stroke: float, frequency: Array, picture: Pair, matt_wall: Pair) -> list[str]:
-    """Return a table of modulation and signal-to-noise ratio against frequency, as text.
-
-    Parameters
-    ----------
-    stroke : float
-        Stroke width of the object, m; 0 for a dark object.
-    frequency : ndarray, (n,)
-        Increasing frequencies from 0, cycles/m, of the values.
-    picture, matt_wall : (ndarray, ndarray), both (n,)
-        Modulation and signal-to-noise ratio of the image and of light via a matt wall.
-
-    Returns
-    -------
-    list of str
-        A heading, then one line for 0 and for each octave of the strokes' frequency. The last line
-        is where the modulation vanishes, but not below the strokes' frequency. A note follows if
-        that frequency is above the last one.
-    """
+    """Return a table of modulation and signal-to-noise ratio against frequency, as text."""
     rows = _rows(stroke, frequency, picture[0], matt_wall[0])
     columns = [np.interp(rows, frequency, values) for values in (*picture, *matt_wall)]
     told = ["cycles/m  modulation  signal/noise  matt wall  signal/noise"]

@@ -29,21 +29,11 @@ SPREAD, LEAST_SPREAD, WEAK_SPREAD, WEAK_EXCESS = 0.06, 0.006, 0.04, 0.03
 
 @dataclass(frozen=True, kw_only=True)
 class Noise:
-    """Mean noise variance of an image pixel by cause, electrons^2.
+    """Mean noise variance of an image pixel by cause, electrons^2."""
 
-    Parameters
-    ----------
-    photons : float
-        Shot noise of all light and of the dark current.
-    readout : float
-        Noise of readout and analogue-to-digital converter.
-    speckle : float
-        Variance of the speckle.
-    """
-
-    photons: float
-    readout: float
-    speckle: float
+    photons: float  # Shot noise of all light and of the dark current
+    readout: float  # Noise of readout and analogue-to-digital converter
+    speckle: float  # Variance of the speckle
 
     @property
     def variance(self) -> float:
@@ -67,39 +57,21 @@ class Noise:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Picture:
-    """Spectra of an expected image on a half-plane FFT grid.
+    """Spectra of an expected image on a half-plane FFT grid."""
 
-    Parameters
-    ----------
-    power : ndarray, (rows, columns)
-        Power spectrum of the unblurred image without its mean, electrons^2, averaged over rings.
-    transfer : ndarray, (rows, columns)
-        Modulus of the transfer function.
-    frequency : ndarray, (rows, columns)
-        Spatial frequency on the object, cycles/m.
-    twice : ndarray, (columns,)
-        Multiplicity of each column of the half spectrum in the full spectrum, 1 or 2.
-    grid : (int, int)
-        Samples of the full spectrum along y and x.
-    samples : int
-        Number of image pixels.
-    noise : Noise
-        Noise of an image pixel.
-    grain : float
-        (mean |grad|)^2 / mean |grad|^2 of the unblurred image: small for few sharp edges.
-    fill : float
-        (mean)^2 / mean square of the unblurred image: small for few bright pixels.
-    """
-
+    # (rows, columns): Power spectrum of the unblurred image without its mean, electrons^2, averaged
+    # over rings
     power: Array
-    transfer: Array
-    frequency: Array
+    transfer: Array  # (rows, columns): Modulus of the transfer function
+    frequency: Array  # (rows, columns): Spatial frequency on the object, cycles/m
+    # (columns,): Multiplicity of each column of the half spectrum in the full spectrum, 1 or 2
     twice: Array
-    grid: tuple[int, int]
-    samples: int
-    noise: Noise
+    grid: tuple[int, int]  # (int, int): Samples of the full spectrum along y and x
+    samples: int  # Number of image pixels
+    noise: Noise  # Noise of an image pixel
+    # (mean |grad|)^2 / mean |grad|^2 of the unblurred image: small for few sharp edges
     grain: float
-    fill: float
+    fill: float  # (mean)^2 / mean square of the unblurred image: small for few bright pixels
 
     @property
     def excess(self) -> float:
@@ -150,15 +122,7 @@ class Picture:
         return replace(self, noise=noise)
 
     def with_lobe(self, blur: float, *, instead: Array) -> Picture:
-        """Return a copy in which the wall's lobe is replaced by a Gaussian one.
-
-        Parameters
-        ----------
-        blur : float
-            Blur of the new lobe on the object, m rms.
-        instead : ndarray, (rows, columns)
-            Modulus of the transfer function without any lobe.
-        """
+        """Return a copy in which the wall's lobe is replaced by a Gaussian one."""
         lobe = np.exp(-2.0 * (math.pi * blur * self.frequency) ** 2)
         return replace(self, transfer=instead * lobe)
 
@@ -215,19 +179,7 @@ def object_scale(scene: Scene) -> float:
 
 
 def spectra(ideal: Array, transfer: Array, pitch: float, noise: Noise) -> Picture:
-    """Return power spectrum and transfer function of an expected image.
-
-    Parameters
-    ----------
-    ideal : ndarray, (ny, nx)
-        Unblurred image, electrons.
-    transfer : ndarray, (rows, columns//2 + 1)
-        Modulus of the transfer function on the half spectrum of the grid from `padded`.
-    pitch : float
-        Pixel side on the object, m.
-    noise : Noise
-        Noise of an image pixel.
-    """
+    """Return power spectrum and transfer function of an expected image."""
     rows, columns = padded(ideal.shape)
     frequency = _frequencies((rows, columns), pitch)
     # a correlation ignores the mean, which would leak if the grid is wider than the frame
@@ -254,17 +206,7 @@ def padded(shape: tuple[int, ...]) -> tuple[int, int]:
 def stroke_width(picture: Array, pixel: float) -> float:
     """Return the mean width of a picture's bright parts: twice their area over their perimeter.
 
-    Parameters
-    ----------
-    picture : ndarray, (rows, columns)
-        Brightness, at least 0. Parts brighter than half of the maximum are bright.
-    pixel : float
-        Side of the picture's pixels on the object, m.
-
-    Returns
-    -------
-    float
-        Width, m; 0 for a dark picture.
+    Returns the width, m; 0 for a dark picture.
     """
     bright = picture > 0.5 * float(picture.max(initial=0.0))
     if not bright.any():
@@ -280,22 +222,7 @@ def picture_modes(
 ) -> int:
     """Count the object's Fourier modes that an image with a given modulation shows above the noise.
 
-    Parameters
-    ----------
-    modulation : ndarray, (n,)
-        Modulation of the image.
-    frequency : ndarray, (n,)
-        Increasing frequencies of ``modulation`` on the object, cycles/m.
-    size : (float, float)
-        Width and height of the object, m.
-    snr : float
-        sqrt(sum s^2/n^2) over the image pixels of the object, s the electrons of a white object
-        and n the rms noise.
-
-    Returns
-    -------
-    int
-        Number of modes, counted as in `relay_modes` for a shift-invariant response.
+    Returns the number of modes, counted as in `relay_modes` for a shift-invariant response.
     """
     longer = max(size)
     counts = [max(1, round(CELLS * side / longer)) for side in size]

@@ -186,33 +186,7 @@ def relay_modes(
 ) -> int:
     """Count the object's modes that the wall's wide lobes pass above the noise.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene. The object's own picture is ignored.
-    exposure : float, optional
-        Exposure, s; by default the camera's.
-    light : ndarray, (ny, nx), optional
-        Expected electrons of all light in each image pixel, which determine the noise. By default
-        the light that these lobes pass from an object of reflectance `MEAN_ALBEDO`.
-    freedom : float, optional
-        Degrees of freedom of an image pixel's speckle, 1/contrast^2; None for no speckle.
-    cells : int
-        Cells of the object along its longer side.
-    bins : int, optional
-        Bins of the detector along its longer side; by default as many as `relay_signal` needs.
-
-    Returns
-    -------
-    int
-        Number of singular values of `relay_signal` above 1.
-
-    Raises
-    ------
-    SamplingError
-        If ``light`` does not have the camera's shape.
-    SceneError
-        If a value is out of range or not finite.
+    Returns the number of singular values of `relay_signal` above 1.
     """
     signal = relay_signal(
         scene, exposure=exposure, light=light, freedom=freedom, cells=cells, bins=bins
@@ -231,23 +205,9 @@ def relay_signal(
 ) -> Array | None:
     """Return the signal-to-noise ratio of every object cell in the light of the wall's wide lobes.
 
-    Parameters
-    ----------
-    scene, exposure, light, freedom, cells
-        See `relay_modes`.
-    bins : int, optional
-        Bins of the detector along its longer side. By default their number is doubled until the
-        degrees of freedom, the sum of v^2/(1 + v^2) over the singular values v, change by less than
-        `CONVERGED`, or bins are as small as pixels, or there are `MOST_BINS`.
+    Returns A (n_bins, n_cells), `CONTRAST` times response over rms noise; None without a wide lobe.
+    The Fisher information on the cells' reflectances is ``A^T A/CONTRAST^2``.
 
-    Returns
-    -------
-    ndarray, (n_bins, n_cells), or None
-        Matrix A, `CONTRAST` times response over rms noise; None without a wide lobe. The Fisher
-        information on the cells' reflectances is ``A^T A/CONTRAST^2``.
-
-    Notes
-    -----
     The singular values are the signal-to-noise ratios of independent patterns of contrast
     `CONTRAST`. Wide lobes are the diffuse ones, and mirror-like ones that blur over two cells or
     more. Narrower lobes form an image; `picture_modes` counts its modes.
@@ -287,20 +247,8 @@ def relay_signal(
 def relay_score(scene: Scene, signal: Array | None) -> float:
     """Return the predicted correlation of a linear fit to the diffuse light with the object.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the hidden object, whose picture is averaged over the cells.
-    signal : ndarray, (n_bins, n_cells), or None
-        Result of `relay_signal` for `CELLS` cells.
+    Returns the correlation over the cells, 0 to 1; 0 without light or for a uniform object.
 
-    Returns
-    -------
-    float
-        Correlation over the cells, 0 to 1; 0 without light or for a uniform object.
-
-    Notes
-    -----
     The fit knows the response of every cell and weighs the pattern of singular value v by
     ``w = v^2/(1 + v^2)``, as a Wiener filter does for independent cells of contrast `CONTRAST`.
     With the object's share o of a pattern, and noise of variance ``(CONTRAST/v)^2``, the
@@ -393,26 +341,7 @@ def wide_lobes(scene: Scene, *, cells: int = CELLS) -> Material | None:
 def relay_response(
     scene: Scene, material: Material, *, exposure: float, cells: int = CELLS, bins: int
 ) -> tuple[Array, float]:
-    """Electrons in each detector bin from each white cell of the object.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene. The object's own picture is ignored; every cell is white.
-    material : Material
-        Lobes of the wall that scatter the object's light to the camera.
-    exposure : float
-        Exposure, s.
-    cells, bins : int
-        Cells of the object and bins of the detector along the longer side of each.
-
-    Returns
-    -------
-    response : ndarray, (n_bins, n_cells)
-        Expected electrons.
-    pixels : float
-        Number of image pixels per bin.
-    """
+    """Electrons in each detector bin from each white cell of the object."""
     whole("cells", cells, 2, 64)
     whole("bins", bins, 2, 128)
     camera, spot = scene.camera, laser_spot(scene)
@@ -483,28 +412,7 @@ def passed_radiance(
     normals: Array,
     view: Array,
 ) -> Iterator[tuple[slice, Array]]:
-    """Radiance of wall points toward the camera due to each patch of the object, in blocks.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with laser and object material.
-    spot : LaserSpot
-        Laser spot on the wall.
-    material : Material
-        Lobes of the wall to include.
-    patches : Patches
-        Patches of the object.
-    points, normals, view : ndarray, (n, 3)
-        Wall points, m; their unit normals; unit vectors toward the camera. World frame.
-
-    Yields
-    ------
-    block : slice
-        Wall points of this block.
-    radiance : ndarray, (n_block, n_patches)
-        W/(m^2 sr).
-    """
+    """Radiance of wall points toward the camera due to each patch of the object, in blocks."""
     step = max(1, PAIRS // len(patches.areas))
     for start in range(0, len(points), step):
         block = slice(start, start + step)

@@ -559,18 +559,8 @@ def _coarser(scene: Scene, stroke: float, scale: float) -> tuple[Scene, int]:
 def first_crossing(frequency: Array, ratio: Array) -> float:
     """Return the frequency at which a ratio first falls below 1.
 
-    Parameters
-    ----------
-    frequency : ndarray, (n,)
-        Increasing frequencies above 0.
-    ratio : ndarray, (n,)
-        Values of the ratio, at least 0.
-
-    Returns
-    -------
-    float
-        Frequency, interpolated between logarithms; 0 if the first value is below 1, and the last
-        frequency if none is.
+    Returns the frequency, interpolated between logarithms; 0 if the first value is below 1, and the
+    last frequency if none is.
     """
     below = np.flatnonzero(ratio < 1.0)
     if not len(below):

@@ -40,30 +40,6 @@ def wave_bounds(
 ) -> list[dict[int, float]]:
     """Return Cramer-Rao bounds for the wave's Zernike coefficients when the object is known.
 
-    Parameters
-    ----------
-    picture : Picture
-        Power spectrum of the object and noise, both taken for every frame.
-    wave : Wavefront
-        The scene's wave, at which the information is evaluated.
-    scale : float
-        Metres on the object per metre on the detector.
-    pitch : float
-        Pixel pitch of the image, m.
-    blur : float
-        Blur by the wall's lobe on the object, m rms.
-    modes : sequence of int
-        Noll indices, 4 or larger.
-    defocus : sequence of float
-        Known additional defocus (Noll 4) of each frame, waves rms.
-
-    Returns
-    -------
-    list of dict of int to float
-        Bounds from the first frame, from the first two, and so on: the smallest standard deviation
-        of an unbiased estimate by Noll index, waves rms. It is infinite where the images do not
-        depend on the coefficient to first order, for example for defocus of a wave in focus.
-
     Notes
     -----
     For an image mu(c) in white noise of variance V the Fisher information is ``F_ij = sum dmu/dc_i

@@ -254,16 +254,6 @@ class Detector:
         uniform over a bin, the fraction is the second difference of G at j steps, divided by the
         step. G is split into max(x, 0), whose share is 1 at j = 0 and 0 elsewhere, and a
         remainder. The remainder is small far from 0, so that rounding does no harm there.
-
-        Returns
-        -------
-        response : ndarray
-            (n,), fractions for j = -before, 1 - before, ...
-        before : int
-            Index of j = 0 in ``response``.
-        rest : float
-            Fraction one bin after the last of ``response``. From there on the response is
-            exponential; 0 if it ends.
         """
         reach = SIGMAS * self.jitter
         bend = self.jitter**2 / self.tail if self.tail else 0.0

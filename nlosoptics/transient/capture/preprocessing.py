@@ -221,11 +221,6 @@ def outer_legs(capture: TransientCapture) -> Array:
     """Return the length of the outer legs of every pair, m, shaped like ``capture.H[0]``.
 
     It is 0 if the times of the capture do not include outer legs.
-
-    Raises
-    ------
-    SceneError
-        If the times include outer legs and an origin is missing.
     """
     shape = capture.H.shape[1:]
     if not capture.outer_legs:

@@ -32,26 +32,7 @@ def carry(
 ) -> ComplexArray:
     """Return the field at each voxel, computed in torch.
 
-    Parameters
-    ----------
-    volume, legs, band, spectra, times, advance
-        See `rayleigh_sommerfeld.direct_sum`.
-    grid : Lattice or None
-        Lattice of ``legs.near`` to compute convolutions; None to sum every path.
-    device : str
-        torch device, such as "cuda".
-
-    Returns
-    -------
-    ndarray
-        (t, nz, ny, nx) complex, in the precision of ``spectra``.
-
-    Raises
-    ------
-    MissingExtraError
-        If torch is not installed.
-    SceneError
-        If torch has no such device.
+    Returns (t, nz, ny, nx) complex, in the precision of ``spectra``.
     """
     try:
         import torch

@@ -24,19 +24,7 @@ UNEVEN = 1e-3
 
 
 def grid_note(name: str, points: Array, wavelength: float, ways: int) -> str | None:
-    """Return a note if a grid of wall points is too coarse for the wavelength or uneven, or None.
-
-    Parameters
-    ----------
-    name : str
-        Name of the points in the note.
-    points : ndarray
-        (..., 3), m.
-    wavelength : float
-        Virtual wavelength, m of optical path.
-    ways : int
-        2 if each point both emits and receives (confocal), else 1.
-    """
+    """Return a note if wall points are too coarse for the wavelength or uneven, or None."""
     steps = [
         np.linalg.norm(np.diff(points, axis=axis), axis=-1).ravel()
         for axis in range(points.ndim - 1)
@@ -61,13 +49,7 @@ def grid_note(name: str, points: Array, wavelength: float, ways: int) -> str | N
 
 
 def bin_note(delta_t: float, wavelength: float) -> str | None:
-    """Return a note if bins are wider than a quarter of the wavelength, or None.
-
-    Raises
-    ------
-    SamplingError
-        If bins are wider than half of the wavelength.
-    """
+    """Return a note if bins are wider than a quarter of the wavelength, or None."""
     if delta_t > 0.5 * wavelength:
         raise SamplingError(
             f"delta_t = {delta_t:.4g} m exceeds half of wl_mean = {wavelength:.4g} m, so that the "
@@ -82,17 +64,7 @@ def bin_note(delta_t: float, wavelength: float) -> str | None:
 
 
 def window_note(capture: TransientCapture, volume: Volume, paths: Array) -> str | None:
-    """Return a note if part of the volume's paths lies outside the capture's bins, or None.
-
-    Parameters
-    ----------
-    capture : TransientCapture
-        Capture with the bins.
-    volume : Volume
-        Volume to image.
-    paths : ndarray
-        Sample of path lengths, any shape, m, with outer legs if the capture has them.
-    """
+    """Return a note if part of the volume's paths lies outside the capture's bins, or None."""
     edges = capture.edges
     early = float(np.mean(paths < edges[0]))
     late = float(np.mean(paths > edges[-1]))
@@ -107,39 +79,23 @@ def window_note(capture: TransientCapture, volume: Volume, paths: Array) -> str 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Setup:
-    """Assignment of a capture's wall points to the near and far points of a virtual camera.
+    """Assignment of a capture's wall points to the near and far points of a virtual camera."""
 
-    Parameters
-    ----------
-    legs : Legs
-        Near and far points, whose distances to a voxel make up its path.
-    grid : ndarray
-        (..., 3), m: ``legs.near`` in the shape of its grid.
-    columns : ndarray of int
-        (m, n): index of the capture's pair that far point j and near point i form.
-    given : ndarray
-        (m, n), m: known path lengths in addition to the legs to a voxel. These are the outer legs
-        and, for a projector, the leg from each laser point to its focus.
-    used : ndarray of bool
-        (n,): near points within the aperture; the spectra of others are set to 0.
-    sides : tuple of str
-        Kind of the near and of the far points, ("sensor", "laser") or ("laser", "sensor").
-    far_points : ndarray
-        (m, 3), m: points by which the light is focused, even if their legs are part of ``given``.
-    far_shape : tuple of int
-        Shape of the grid of ``far_points``.
-    merged : bool
-        Whether the legs of the far points are part of ``given``. Their spectra are then summed.
-    """
-
-    legs: Legs
-    grid: Array
+    legs: Legs  # Near and far points, whose distances to a voxel make up its path
+    grid: Array  # (..., 3), m: ``legs.near`` in the shape of its grid
+    # (m, n): index of the capture's pair that far point j and near point i form
     columns: NDArray[np.intp]
+    # (m, n), m: known path lengths in addition to the legs to a voxel. These are the outer legs
+    # and, for a projector, the leg from each laser point to its focus
     given: Array
+    # (n,): near points within the aperture; the spectra of others are set to 0
     used: NDArray[np.bool_]
+    # Kind of the near and of the far points, ("sensor", "laser") or ("laser", "sensor")
     sides: tuple[str, str]
+    # (m, 3), m: points by which the light is focused, even if their legs are part of ``given``
     far_points: Array
-    far_shape: tuple[int, ...] = ()
+    far_shape: tuple[int, ...] = ()  # Shape of the grid of ``far_points``
+    # Whether the legs of the far points are part of ``given``. Their spectra are then summed
     merged: bool = False
 
     def cut(self, near: NDArray[np.bool_], far: NDArray[np.bool_]) -> Setup:
@@ -196,21 +152,7 @@ class Setup:
 def camera_setup(
     capture: TransientCapture, camera: str, laser: Any, focus: Any, falls: bool
 ) -> Setup:
-    """Assign laser and sensor points to a virtual camera.
-
-    Parameters
-    ----------
-    capture : TransientCapture
-        Capture with the points.
-    camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
-        Virtual camera, see `phasor_image`.
-    laser : int, tuple of int or None
-        Index of the laser point, for "transient".
-    focus : array_like of 3 floats or None
-        Focus of the projector, m, for "projector_camera".
-    falls : bool
-        Whether each leg contributes a factor 1/length.
-    """
+    """Assign laser and sensor points to a virtual camera."""
     lasers, sensors = capture.laser_points.reshape(-1, 3), capture.sensor_points.reshape(-1, 3)
     outer = outer_legs(capture)
     if camera != "projector_camera" and focus is not None:

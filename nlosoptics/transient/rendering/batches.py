@@ -23,68 +23,37 @@ SLICE: Final = 1 << 11  # least number of rows per task on several threads
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Job:
-    """Data shared by all batches; paths are traced backwards, from ``sensors`` to ``lasers``.
+    """Data shared by all batches; paths are traced backwards, from ``sensors`` to ``lasers``."""
 
-    Parameters
-    ----------
-    around : BounceSurfaces
-        Surfaces that paths can meet.
-    lasers, sensors : ndarray
-        (n, 3): points at which paths end and start, m.
-    rows : ndarray of int64
-        (pairs, 2): indices (laser, sensor), sorted by laser.
-    orders : tuple of int
-        Numbers of reflections, increasing.
-    starts : ndarray
-        (pairs,): start of bin 0, m of optical path.
-    rate : float
-        Bins per m.
-    n_bins, seed : int
-        Number of bins, and seed of the random numbers.
-    n_seen, n_each : int
-        Number of first vertices in a batch, and mean number of paths that continue from each.
-    aimed : (float, float)
-        Fractions of first and of further vertices that are sampled over the surfaces' area.
-    """
-
-    around: BounceSurfaces
-    lasers: Array
+    around: BounceSurfaces  # Surfaces that paths can meet
+    lasers: Array  # (n, 3): points at which paths end and start, m
     sensors: Array
-    rows: NDArray[np.int64]
-    orders: tuple[int, ...]
-    starts: Array
-    rate: float
-    n_bins: int
+    rows: NDArray[np.int64]  # (pairs, 2): indices (laser, sensor), sorted by laser
+    orders: tuple[int, ...]  # Numbers of reflections, increasing
+    starts: Array  # (pairs,): start of bin 0, m of optical path
+    rate: float  # Bins per m
+    n_bins: int  # Number of bins, and seed of the random numbers
     seed: int
+    # Number of first vertices in a batch, and mean number of paths that continue from each
     n_seen: int
     n_each: int
+    # (float, float): Fractions of first and of further vertices that are sampled over the surfaces'
+    # area
     aimed: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Paths:
-    """Paths of a batch, before their connection to lasers.
+    """Paths of a batch, before their connection to lasers."""
 
-    Parameters
-    ----------
-    seen : ndarray
-        (vertices, VERTEX): first vertices.
-    spread : ndarray of int64
-        (vertices + 1,): paths ``spread[j]`` to ``spread[j + 1] - 1`` leave vertex j.
-    first : ndarray
-        (paths, 3): unit vectors in which paths leave their first vertex.
-    table : (ndarray, ndarray)
-        (sensors, vertices) each: factors cos cos/r^2 between sensors and first vertices, 1/m^2,
-        and their distances, m.
-    ends : list of ndarray
-        (paths, VERTEX) for each order: last vertices.
-    """
-
-    seen: Array
+    seen: Array  # (vertices, VERTEX): first vertices
+    # (vertices + 1,): paths ``spread[j]`` to ``spread[j + 1] - 1`` leave vertex j
     spread: NDArray[np.int64]
-    first: Array
+    first: Array  # (paths, 3): unit vectors in which paths leave their first vertex
+    # (ndarray, ndarray): (sensors, vertices) each: factors cos cos/r^2 between sensors and first
+    # vertices, 1/m^2, and their distances, m
     table: tuple[Array, Array]
-    ends: list[Array]
+    ends: list[Array]  # (paths, VERTEX) for each order: last vertices
 
 
 def add_batch(job: Job, number: int, total: Array, squares: Array) -> int:

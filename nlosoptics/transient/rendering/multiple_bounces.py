@@ -30,23 +30,16 @@ MOST_RAYS: Final = 1 << 40
 
 
 class MultipleBounces(NamedTuple):
-    """Intensity by number of reflections, and its standard error.
+    """Intensity by number of reflections, and its standard error."""
 
-    Parameters
-    ----------
-    by_bounce, standard_error : dict of int to ndarray
-        Irradiance per watt that leaves the laser's spot, 1/m^2, integrated over each bin, by number
-        of reflections; (n_bins, *laser_shape, *sensor_shape), confocal (n_bins, *shape).
-    details : dict
-        ``"paths"`` and ``"batches"``: their numbers. ``"reached"``: by number of reflections, the
-        largest expected relative L1 error among pairs with a contribution; infinite if there are
-        none. ``"stopped"``: "tol" if all errors are below ``tol``; "paths" if the paths were used
-        up first; "dark" if some number of reflections contributes nothing and the others reached
-        ``tol``.
-    """
-
+    # Irradiance per watt that leaves the laser's spot, 1/m^2, integrated over each bin, by number
+    # of reflections; (n_bins, *laser_shape, *sensor_shape), confocal (n_bins, *shape)
     by_bounce: dict[int, Array]
     standard_error: dict[int, Array]
+    # ``"paths"`` and ``"batches"``: their numbers. ``"reached"``: by number of reflections, the
+    # largest expected relative L1 error among pairs with a contribution; infinite if there are
+    # none. ``"stopped"``: "tol" if all errors are below ``tol``; "paths" if the paths were used up
+    # first; "dark" if some number of reflections contributes nothing and the others reached ``tol``
     details: dict[str, Any]
 
 
@@ -69,56 +62,8 @@ def multiple_bounces(
 ) -> MultipleBounces:
     """Compute the light that returns to the wall after four or more reflections, by Monte Carlo.
 
-    Parameters
-    ----------
-    surfaces : HiddenSurfaces
-        Hidden triangles in front of the wall z = 0, world frame, m.
-    laser_points, sensor_points : array_like
-        (*laser_shape, 3) and (*sensor_shape, 3): points on the wall, m.
-    pairing : {"all", "confocal"}
-        "all": every laser point with every sensor point. "confocal": laser point i with sensor
-        point i only.
-    wall_albedo : float
-        Albedo of the Lambertian wall, 0 to 1, for reflections between hidden surfaces. The albedo
-        at the laser's spot is not applied, as in `three_bounces`.
-    wall_size : float or (float, float), optional
-        Sides of a wall about the origin, m, that also reflects between hidden surfaces, as in wall,
-        object, wall, object, wall. None: the wall reflects at laser points only.
-    starts : float or array_like
-        Start of bin 0, m of optical path between the wall points: one value, or (pairs,).
-    delta_t : float
-        Width of a bin, m of optical path.
-    n_bins : int
-        Number of bins.
-    orders : iterable of int
-        Numbers of reflections to compute, 4 to 32, including the two at laser and sensor point.
-    tol : float, optional
-        Relative L1 error to reach for every pair of points and every order, 1e-5 to 1. None: draw
-        all ``n_rays`` paths.
-    n_rays : int, optional
-        Largest number of paths. None: as many as take about ten minutes on one core for this number
-        of points and orders.
-    seed : int
-        Seed of the random numbers, 0 to 2^64 - 1. Results are identical for any number of threads.
-    progress : callable(str, float), optional
-        Called with a line of text and the fraction done.
+    Returns the intensity and standard error; ``details`` tells whether ``tol`` was reached.
 
-    Returns
-    -------
-    MultipleBounces
-        Intensity and standard error; ``details`` tells whether ``tol`` was reached.
-
-    Raises
-    ------
-    SceneError
-        If an option is out of range, or points are off the wall.
-    SamplingError
-        If shapes are inconsistent.
-    MemoryLimitError
-        If the bins exceed the free memory.
-
-    Notes
-    -----
     The laser's spot has radiance 1/pi per watt and area. The first vertices are sampled by rays
     from all sensors. The density of a vertex is the mean over all sensors, and each vertex is
     connected to every sensor (balance heuristic, Veach 1997, ch. 9). Several paths continue from

@@ -182,22 +182,7 @@ def _hidden_mesh(hidden: MeshObject | PlanarObject) -> trimesh.Trimesh:
 
 
 def cut_out(picture: PlanarObject) -> trimesh.Trimesh:
-    """Return a mesh of the white area of a hidden image, world frame, m.
-
-    Parameters
-    ----------
-    picture : PlanarObject
-        Black-and-white image with its position and size.
-
-    Returns
-    -------
-    trimesh.Trimesh
-
-    Raises
-    ------
-    SceneError
-        If more than 10 % of its reflectance is in grey pixels, or none is white.
-    """
+    """Return a mesh of the white area of a hidden image, world frame, m."""
     import trimesh
 
     bright = picture.reflectance
