@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,6 @@ from .wall_points import checked_points, pair_shape
 Array = NDArray[np.floating]
 Pairing = Literal["all", "confocal"]
 Quantity = Literal["irradiance", "radiance", "radiosity", "counts", "unknown"]
-
-QUANTITIES = ("irradiance", "radiance", "radiosity", "counts", "unknown")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -121,8 +119,8 @@ class TransientCapture(Noun, Shown):
     details: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        one_of("pairing", self.pairing, ("all", "confocal"))
-        one_of("quantity", self.quantity, QUANTITIES)
+        one_of("pairing", self.pairing, get_args(Pairing))
+        one_of("quantity", self.quantity, get_args(Quantity))
         put = object.__setattr__
         put(self, "delta_t", positive("delta_t", self.delta_t, unit="m"))
         put(self, "t_start", real("t_start", self.t_start))

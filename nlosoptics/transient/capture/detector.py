@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,6 @@ FINEST = 1e-7
 #: Range of the time response, in standard deviations of the Gaussian and in lengths of the tail;
 #: less than 1e-14 of the counts lie beyond.
 SIGMAS, TAILS = 8.0, 33.0
-#: Largest mean count; rounding of doubles would lose whole counts beyond it.
-MOST_COUNTS = 2.0**50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,10 +202,9 @@ class Detector:
         key = checked_seed(seed)
         means = self.expected(capture)
         most = float(means.max())
-        if most > MOST_COUNTS:
-            raise SceneError(
-                f"a bin expects {most:g} counts, limit {MOST_COUNTS:g}; give fewer photons"
-            )
+        if most > 2.0**50:  # rounding of doubles would lose whole counts
+            raise SceneError(f"a bin expects {most:g} counts, limit 2^50; give fewer photons")
+        values = {name: value for name, value in asdict(self).items() if value is not None}
         counts = np.empty(means.size)
         _detector_kernels.poisson(means.ravel(), np.uint64(key), counts)
         return replace(
@@ -216,13 +213,8 @@ class Detector:
             quantity="counts",
             by_bounce={},
             standard_error=np.sqrt(means),
-            details={**capture.details, "detector": self._as_dict(), "detector_seed": key},
+            details={**capture.details, "detector": values, "detector_seed": key},
         )
-
-    def _as_dict(self) -> dict[str, object]:
-        from dataclasses import asdict
-
-        return {name: value for name, value in asdict(self).items() if value is not None}
 
     def _open_share(self, capture: TransientCapture) -> Array:
         """Return the fraction of each bin during which the gate is open, (n_bins,)."""

@@ -22,7 +22,6 @@ from .reading import Values, array, number, triple, upright
 
 Array = NDArray[Any]
 
-H_FORMATS = {"UNKNOWN": 0, "T_Sx_Sy": 1, "T_Lx_Ly_Sx_Sy": 2, "T_Si": 3, "T_Li_Si": 4}
 #: Names of the attributes of ``H``; the first and last are prefixes.
 PART, ERROR, DETAIL = "by_bounce_", "standard_error", "details_"
 #: Key of the names of the origins that are not known; zeros stand for them in the layout.
@@ -61,7 +60,8 @@ def _write(file: Any, capture: Any, level: int) -> None:
     for key, value in capture.details.items():
         if _is_array(value):
             H.attrs[f"{DETAIL}{key}"] = value
-    _write_enum(file, "H_format", form, H_FORMATS)
+    forms = {"UNKNOWN": 0, "T_Sx_Sy": 1, "T_Lx_Ly_Sx_Sy": 2, "T_Si": 3, "T_Li_Si": 4}
+    _write_enum(file, "H_format", form, forms)
     for name, shape in (("laser", laser), ("sensor", sensor)):
         points = getattr(capture, f"{name}_points")
         normals = getattr(capture, f"{name}_normals")
@@ -171,7 +171,6 @@ def read(variables: Mapping[str, Any]) -> Values:
     points = {name: _points(variables, f"{name}_grid_xyz") for name in ("laser", "sensor")}
     lasers, sensors = (None if at is None else at.shape[:-1] for at in points.values())
     lasers, paired = _pairs(H, lasers, sensors)
-    _check_format(variables, H.ndim, paired, lasers)
     attributes = {
         key.removeprefix("H@"): value for key, value in variables.items() if key.startswith("H@")
     }
@@ -206,30 +205,14 @@ def read(variables: Mapping[str, Any]) -> Values:
 
 
 def _info(text: Any) -> dict[str, Any]:
-    """Parse ``scene_info`` to a mapping; text that cannot be parsed is kept under its name."""
+    """Parse ``scene_info`` to a mapping; text that is no JSON is kept under its name."""
     if text is None or text == "":
         return {}
-    if not isinstance(text, str):
-        return {"scene_info": str(text)}
     try:
-        found = json.loads(text)
-    except ValueError:
-        found = _yaml(text)
-    return found if isinstance(found, dict) else {"scene_info": text}
-
-
-def _yaml(text: str) -> Any:
-    """Parse YAML if PyYAML is installed; None if it is not, or if the text is invalid or long."""
-    if len(text) > 1_000_000:  # parsing ground truth stored as text takes minutes
-        return None
-    try:
-        import yaml
-    except ModuleNotFoundError:
-        return None
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError:
-        return None
+        info = json.loads(text)
+    except (TypeError, ValueError):
+        info = None
+    return info if isinstance(info, dict) else {"scene_info": str(text)}
 
 
 def _flag(variables: Mapping[str, Any], key: str) -> bool | None:
@@ -294,24 +277,6 @@ def _pairs(
         f"H has shape {H.shape}, must be (n_bins, *{sensors}) or (n_bins, *{lasers}, *{sensors}) "
         "for its grids; correct the file"
     )
-
-
-def _check_format(
-    variables: Mapping[str, Any], ndim: int, paired: str | None, lasers: tuple[int, ...] | None
-) -> None:
-    """Raise `SamplingError` if ``H_format`` contradicts the axes of the arrays."""
-    form = variables.get("H_format")
-    if form is None or np.size(form) != 1:
-        return
-    value = whole("H_format", np.asarray(form).reshape(-1)[0], 0)
-    names = {code: name for name, code in H_FORMATS.items()}
-    many = paired == "all" and bool(lasers)
-    fits = {2: "T_Si", 5: "T_Lx_Ly_Sx_Sy", 3: "T_Li_Si" if many else "T_Sx_Sy"}[ndim]
-    if value and value != H_FORMATS[fits]:
-        said = names.get(value, str(value))
-        raise SamplingError(
-            f"H_format is {said}, H of {ndim} axes with these grids is {fits}; correct the file"
-        )
 
 
 def _own(values: Values, ours: Mapping[str, Any]) -> Values:

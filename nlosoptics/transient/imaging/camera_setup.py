@@ -8,19 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import is_single, one_of, positive, vector, whole
+from ..._checks import is_single, positive, vector, whole
 from ...errors import SamplingError, SceneError
 from ..capture.capture import TransientCapture
 from ..capture.preprocessing import outer_legs
+from ..capture.wall_points import UNEVEN
 from .rayleigh_sommerfeld import Legs
 from .volume import Volume
 
 Array = NDArray[np.floating]
-
-#: Fraction of the volume's paths outside the capture's bins from which on a note is given.
-CUT = 0.01
-#: Variation of a grid's steps, relative to the pitch, from which on a note is given.
-UNEVEN = 1e-3
 
 
 def grid_note(name: str, points: Array, wavelength: float, ways: int) -> str | None:
@@ -68,7 +64,7 @@ def window_note(capture: TransientCapture, volume: Volume, paths: Array) -> str 
     edges = capture.edges
     early = float(np.mean(paths < edges[0]))
     late = float(np.mean(paths > edges[-1]))
-    if early + late <= CUT:
+    if early + late <= 0.01:
         return None
     return (
         f"bins from {edges[0]:.4g} to {edges[-1]:.4g} m leave out {100 * (early + late):.2g} % of "
@@ -238,51 +234,12 @@ def _laser_index(capture: TransientCapture, laser: Any) -> int:
     return int(np.ravel_multi_index(index, shape)) if index else 0
 
 
-def apertures(
-    setup: Setup, aperture: Any, aperture_of: str
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def apertures(setup: Setup, aperture: Any) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return masks of the near points (n,) and the far points (m,) within the aperture."""
-    one_of("aperture_of", aperture_of, ("both", "laser", "sensor"))
-    near_shape, far_shape = setup.grid.shape[:-1], setup.far_shape
-    n_far = len(setup.columns)
-    near, far = np.ones(len(setup.used), dtype=bool), np.ones(n_far, dtype=bool)
     if aperture is None:
-        return near, far
-    if is_single(aperture):
-        side = positive("aperture", aperture, unit="m")
-        if aperture_of in ("both", setup.sides[0]) or setup.legs.paired:
-            near = _square(setup.legs.near, side)
-        if aperture_of in ("both", setup.sides[1]):
-            far = _square(setup.far_points, side)
-        return near, far
-    try:
-        mask = np.asarray(aperture)
-    except ValueError:
-        raise SamplingError(
-            "aperture has rows of several lengths; give a mask shaped like the points"
-        ) from None
-    if mask.dtype != bool:
-        raise SceneError(f"aperture of type {mask.dtype} is no mask; give booleans, or a side in m")
-    fits = [mask.shape == shape for shape in (near_shape, far_shape)]
-    if not any(fits):
-        raise SamplingError(
-            f"aperture has shape {mask.shape}, must be {near_shape} like the "
-            f"{setup.sides[0]} points; give such a mask, or a side in m"
-        )
-    cuts_near = fits[0] and (aperture_of in ("both", setup.sides[0]) or setup.legs.paired)
-    cuts_far = fits[1] and n_far > 1 and aperture_of in ("both", setup.sides[1])
-    if not (cuts_near or cuts_far):
-        raise SamplingError(
-            f"aperture of shape {mask.shape} applies to none of the points that aperture_of = "
-            f"{aperture_of!r} selects; give aperture_of = {setup.sides[0]!r} or 'both'"
-        )
-    if cuts_near:
-        near = mask.ravel()
-    if cuts_far:
-        far = mask.ravel()
-    if not (near.any() and far.any()):
-        raise SamplingError("aperture contains no wall point; give a larger one")
-    return near, far
+        return np.ones(len(setup.used), dtype=bool), np.ones(len(setup.columns), dtype=bool)
+    side = positive("aperture", aperture, unit="m")
+    return _square(setup.legs.near, side), _square(setup.far_points, side)
 
 
 def _square(points: Array, side: float) -> NDArray[np.bool_]:

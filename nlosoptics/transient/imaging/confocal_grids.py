@@ -19,9 +19,6 @@ Array = NDArray[np.floating]
 
 #: Fraction of the total at the shortest possible paths from which on a capture is refused.
 DIRECT_SHARE = 0.01
-#: Number of time intervals, the darkest of which gives the dark level; and allowance for the noise
-#: of dark counts, in standard deviations.
-STRETCHES, CHANCE = 16, 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +110,7 @@ def refuse_direct_light(capture: TransientCapture, method: str) -> None:
     direct, total = (
         float(part[0].sum() - level * part[2, open_bins].sum()) for part in (sums[0], sums.sum(0))
     )
-    chance = CHANCE * spread * math.sqrt(sums[0, 2, open_bins].sum())
+    chance = 4.0 * spread * math.sqrt(sums[0, 2, open_bins].sum())
     if direct > DIRECT_SHARE * max(total, 0.0) + chance:
         raise SceneError(
             f"{method}: {100 * direct / max(total, direct):.2g} % of the capture is direct light "
@@ -123,14 +120,14 @@ def refuse_direct_light(capture: TransientCapture, method: str) -> None:
 
 
 def _dark_level(light: Array, squares: Array, count: Array) -> tuple[float, float]:
-    """Return mean and standard deviation per path and bin of the darkest time interval.
+    """Return mean and standard deviation per path and bin of the darkest of 16 time intervals.
 
     Bins without any counts are ignored; a gate may have been closed there.
     """
     lit = np.flatnonzero(light > 0.0)
     if not lit.size:
         return 0.0, 0.0
-    starts = np.unique(np.linspace(0, lit.size, STRETCHES, endpoint=False).astype(np.int64))
+    starts = np.unique(np.linspace(0, lit.size, 16, endpoint=False).astype(np.int64))
     sums = [np.add.reduceat(values[lit], starts) for values in (light, squares, count)]
     means = sums[0] / sums[2]
     darkest = int(means.argmin())

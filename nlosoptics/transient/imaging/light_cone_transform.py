@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,6 @@ from .volume import Volume, VolumeImage
 Array = NDArray[np.floating]
 Waves = NDArray[np.complexfloating]
 Penalty = Literal["size", "curvature"]
-
-FINEST: Final = 2  # largest number of samples of the squared distance per bin
 
 
 def lct(
@@ -167,11 +165,11 @@ def lct(
 def _squares(grid: ConfocalGrid, volume: Volume) -> Array:
     """Return the centres (n,) of even cells of squared distance, m^2, over window and volume.
 
-    Cells are as fine as the bins at the nearest depth of the volume, with at most `FINEST` per bin.
+    Cells are as fine as the bins at the nearest depth of the volume, with at most two per bin.
     """
     low, high = min(max(grid.start, 0.0), float(volume.z[0])) ** 2, grid.stop**2
     wanted = (high - low) / (2.0 * float(volume.z[0]) * grid.pitch)
-    n = math.ceil(min(max(wanted, grid.n_bins), FINEST * grid.n_bins))
+    n = math.ceil(min(max(wanted, grid.n_bins), 2 * grid.n_bins))
     return np.asarray(low + (np.arange(n) + 0.5) * ((high - low) / n))
 
 

@@ -30,8 +30,6 @@ ComplexArray = NDArray[np.complexfloating]
 
 #: Bytes of transformed time series that are held at a time.
 BLOCK = 2**25
-#: Least standard deviation of a pulse, in bins.
-SHORTEST = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +63,10 @@ def pulse_band(
     import ducc0
     from scipy.special import erfcinv
 
-    if wl_sigma < SHORTEST * capture.delta_t:
+    if wl_sigma < 0.25 * capture.delta_t:
         raise SamplingError(
-            f"wl_sigma = {wl_sigma:.4g} m, limit {SHORTEST * capture.delta_t:.4g} m "
-            f"({SHORTEST:g} bins), is too short for the bins; give a longer pulse, or finer bins"
+            f"wl_sigma = {wl_sigma:.4g} m, limit {0.25 * capture.delta_t:.4g} m "
+            f"(a quarter of a bin), is too short for the bins; give a longer pulse, or finer bins"
         )
     # error budget: half of tol for the limited band, a quarter each for omitted bins and for the
     # periodic repetition

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from ._bounce_kernels import Surfaces
 
 Array = NDArray[np.float64]
-GAP: Final = 1e-9  # of the scene's extent: nearer hits are the surface that a path leaves
 ASKED: Final = 4096  # largest number of triangles for which kernels test shadows themselves
 
 
@@ -86,7 +85,7 @@ def bounce_surfaces(
     )
     met = surfaces.mesh if wall_size is None else _mesh(corners)
     extent = float(np.abs(corners[:n_hidden]).max())
-    return BounceSurfaces(hidden=surfaces.mesh, met=met, kernel=kernel, gap=GAP * extent)
+    return BounceSurfaces(hidden=surfaces.mesh, met=met, kernel=kernel, gap=1e-9 * extent)
 
 
 def _sides(corners: Array, normals: Array, points: Array) -> NDArray[np.int64]:
