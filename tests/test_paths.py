@@ -35,7 +35,6 @@ TAKING_PATHS: dict[str, Callable[[Any], Any]] = {
     "Occluder": lambda path: Occluder(path, position=AHEAD).surface,
     "HeightMapWall": lambda path: HeightMapWall(path, 0.1),
     "camera_image": imaging.camera_image,
-    "read_camera_file": imaging.read_camera_file,
     "TransientCapture.load": TransientCapture.load,
     "TransientCapture.save": CAPTURE.save,
     "read_zernikes": psf.read_zernikes,

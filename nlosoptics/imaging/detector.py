@@ -15,7 +15,6 @@ from ..scene import Camera
 Array = NDArray[np.float64]
 
 SPECKLE, PHOTONS, READOUT, BRIGHT_PHOTONS = 201, 202, 203, 204  # streams of the random generator
-_FULL = 3.0  # rms noise of readout and digitisation by which a full pixel may read less
 BRIGHT = 1e15  # mean electrons above which counts are drawn from a normal law (skewness < 1e-7)
 
 
@@ -91,7 +90,7 @@ def full_reading(camera: Camera) -> float:
     step: float = camera.full_well / 2**camera.bit_depth
     spread = math.sqrt(native * (camera.read_noise**2 + step**2 / 12))
     capacity = native * camera.full_well
-    return capacity - max(min(_FULL * spread, 0.5 * capacity), native * step)
+    return capacity - max(min(3.0 * spread, 0.5 * capacity), native * step)
 
 
 def _counts(mean: Array, seed: int) -> Array:

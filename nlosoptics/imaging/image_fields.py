@@ -41,10 +41,6 @@ CHECKED = 4
 #: Factor for what lies between these points: over 40 draws of them, five walls and nine grids, the
 #: largest difference that they found was 0.55 to 3 times the rms error of the image.
 SAFETY = 1.5
-#: Largest number of pixels along the picture's longer side in this comparison.
-WIDEST = 512
-#: Points along a line over the picture at which the interpolation between nodes is tested.
-TESTED = 109
 
 
 def image_field(
@@ -204,7 +200,7 @@ def interpolation_errors(scene: Scene) -> Array | None:
     if wall.is_flat or footprint > wall.finest_period or not isinstance(hidden, PlanarObject):
         return None
     errors = np.zeros(len(COUNTS))
-    at = np.linspace(-1.0, 1.0, TESTED)
+    at = np.linspace(-1.0, 1.0, 109)
     try:
         for axis in (0, 1):
 
@@ -225,7 +221,7 @@ def interpolation_errors(scene: Scene) -> Array | None:
 def picture_frame(scene: Scene) -> Array:
     """Resample the picture to the camera's image pixels, as seen in a flat wall.
 
-    Row 0 is the picture's lower edge. The frame has at most `WIDEST` pixels per side. An entirely
+    Row 0 is the picture's lower edge. The frame has at most 512 pixels per side. An entirely
     black picture is replaced by a white one.
     """
     hidden, camera = scene.hidden, scene.camera
@@ -233,7 +229,7 @@ def picture_frame(scene: Scene) -> Array:
         raise SceneError("scene.hidden is a mesh; a field of point spreads needs a PlanarObject")
     depth = float((scene.mirrored_object_point - np.array(camera.position)) @ camera.axis)
     pixels = np.array(hidden.size) * abs(scene.image_distance / depth) / camera.image_pitch
-    pixels *= min(1.0, WIDEST / pixels.max())
+    pixels *= min(1.0, 512 / pixels.max())
     nx, ny = (max(1, round(float(n))) for n in pixels)
     rows, columns = hidden.reflectance.shape
     row = ((np.arange(ny) + 0.5) * rows / ny).astype(np.int64)

@@ -54,8 +54,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 BYTES_PER_PIXEL = 450  # peak memory, measured with a curved wall
-ROUNDING = 1e-9  # tolerated negative values relative to the peak, from the pixel filter
-MESH_SAMPLES = 2  # chief rays along each side of a pixel
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -281,9 +279,7 @@ def form_image(
     """
     seed = checked_seed(seed)
     camera = scene.camera
-    if exposure is None:
-        exposure = camera.exposure
-    exposure = positive("exposure", exposure, unit="s")
+    exposure = positive("exposure", camera.exposure if exposure is None else exposure, unit="s")
     _check_pitch(point_spread, camera.image_pitch)
     if not isinstance(point_spread, PointSpreadField):
         _check_energy(point_spread)
@@ -460,7 +456,7 @@ def _check_energy(point_spread: PointSpread) -> None:
             "(energy per pixel); compute it with normalisation='unit-sum'"
         )
     lowest, highest = float(point_spread.intensity.min()), float(point_spread.intensity.max())
-    if lowest < -ROUNDING * highest:
+    if lowest < -1e-9 * highest:  # rounding of the pixel filter
         raise SamplingError(
             f"point_spread is negative, down to {lowest:g} with a peak of {highest:g}; "
             "give energy per pixel, at least 0"
@@ -521,10 +517,10 @@ def _mesh_radiance(
 ) -> Array:
     """Mean radiance of the mesh over each pixel, from a few chief rays per pixel."""
     x, y = pixel_centres(scene.camera)
-    steps = (np.arange(MESH_SAMPLES) - (MESH_SAMPLES - 1) / 2) / MESH_SAMPLES
+    steps = scene.camera.image_pitch * np.array([-0.25, 0.25])
     total = np.zeros(seen.shape)
-    for dy in steps * scene.camera.image_pitch:
-        for dx in steps * scene.camera.image_pitch:
+    for dy in steps:
+        for dx in steps:
             rays = chief_rays(scene, x + dx, y + dy)
             use = seen & np.isfinite(rays.distance)
             points, normals, lit = mesh_hits(
@@ -534,4 +530,4 @@ def _mesh_radiance(
             toward = -rays.reflected[use][lit]
             light[lit] = object_radiance(scene, spot, points[lit], normals[lit], toward)
             total[use] += light
-    return total / MESH_SAMPLES**2
+    return total / 4.0

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MAX_PATCHES = 4096
-MOST_SAMPLES = 512  # of the irradiance along each side of a picture
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -54,7 +53,7 @@ def object_patches(
     edges: list[NDArray[np.intp]] = []
     for texels, extent in zip(picture.shape, hidden.size[::-1], strict=True):
         count = min(max(math.ceil(50 * extent / nearest), 8), 64)
-        samples = max(count, min(extent / step, MOST_SAMPLES))
+        samples = max(count, min(extent / step, 512))
         repeat = max(1, math.ceil(samples / texels))
         picture = np.repeat(picture, repeat, axis=len(edges))
         edges.append(np.linspace(0, texels * repeat, count + 1).astype(np.intp))

@@ -27,12 +27,8 @@ from .objects import Patches, object_patches
 
 Array = NDArray[np.float64]
 
-GRAZING = math.radians(89.0)  # largest angle of incidence of the laser beam
 NODES = 24  # nodes of the Chebyshev interpolation along each side of the detector
 NODES_HEIGHT = 3  # nodes of the interpolation over the wall's height
-GROUP = 0.08  # rad; on a curved wall, object patches within this angle share one direction
-BAND = 64  # rows of pixels that are computed together, few enough for the processor's cache
-PAIRS = 400_000  # pairs of wall point and object patch held in memory at a time
 
 
 def electrons_per_joule(scene: Scene) -> float:
@@ -88,11 +84,11 @@ def _check_footprint(
     """Raise for a spot that is stretched by grazing incidence or cut by the wall's edge."""
     width = scene.laser.beam_diameter
     remedy = "raise laser.position or make laser.beam_diameter smaller"
-    if cosine < math.cos(GRAZING):
+    if cosine < math.cos(math.radians(89.0)):
         raise SceneError(
             f"laser.position = {scene.laser.position} m: the beam meets the wall at "
             f"{math.degrees(math.acos(cosine)):.4g} deg from its normal, limit "
-            f"{math.degrees(GRAZING):g} deg; raise laser.position"
+            "89 deg; raise laser.position"
         )
     distance = math.dist(point, scene.object_point)
     if width / cosine > distance:
@@ -250,7 +246,7 @@ def _reflected(
     on_y, on_x, on_height = weights
 
     def band(first: int) -> Array:
-        rows = slice(first, first + BAND)
+        rows = slice(first, first + 64)  # few enough for the processor's cache
         normal, view = normals[:, rows], views[:, rows]
         facing = dot(np.moveaxis(normal, 0, -1), np.moveaxis(view, 0, -1)).ravel()
         total = np.zeros(facing.size)
@@ -266,7 +262,7 @@ def _reflected(
             total += found
         return total.reshape(strength.shape)
 
-    return np.concatenate(list(worker_pool().map(band, range(0, normals.shape[1], BAND))))
+    return np.concatenate(list(worker_pool().map(band, range(0, normals.shape[1], 64))))
 
 
 class Nodes:
@@ -285,13 +281,17 @@ class Nodes:
 
 
 def arrivals(
-    scene: Scene, spot: LaserSpot, patches: Patches, nodes: Nodes
+    scene: Scene, spot: LaserSpot, patches: Patches, points: Array
 ) -> Iterator[tuple[slice, Array, Array]]:
-    """Compute the light that object patches send to wall points, in blocks of points."""
-    step = max(1, PAIRS // len(patches.areas))
-    for start in range(0, len(nodes.used), step):
+    """Compute the light that object patches send to wall points (n, 3), m, in blocks of points.
+
+    Yields the block; unit vectors to the patches, (n_block, n_patches, 3); and the irradiance of a
+    surface that faces each patch, (n_block, n_patches), W/m^2.
+    """
+    step = max(1, 400_000 // len(patches.areas))  # to bound the memory
+    for start in range(0, len(points), step):
         block = slice(start, start + step)
-        toward = patches.points - nodes.points[block][:, None]
+        toward = patches.points - points[block][:, None]
         square = dot(toward, toward)
         toward /= np.sqrt(square)[..., None]
         cosine = np.maximum(-dot(toward, patches.normals), 0.0)
@@ -304,7 +304,7 @@ def _flat_radiance(
 ) -> Array:
     """Radiance of a flat wall at nodes; zero, its limit at the horizon, for rays that miss it."""
     result = np.zeros(nodes.count)
-    for block, toward, light in arrivals(scene, spot, patches, nodes):
+    for block, toward, light in arrivals(scene, spot, patches, nodes.points):
         lobe = diffuse.evaluate(toward, -nodes.directions[block][:, None], (0.0, 0.0, 1.0))
         light *= lobe * np.maximum(toward[..., 2], 0.0)
         result[nodes.used[block]] = light.sum(axis=-1)
@@ -327,7 +327,7 @@ def _groups(patches: Patches, diffuse: Material) -> NDArray[np.intp]:
 
     Seen from the wall, a group is small compared with the width of the wall's diffuse lobes.
     """
-    cell = GROUP * max(float(patches.points[:, 2].min()), 1e-3)
+    cell = 0.08 * max(float(patches.points[:, 2].min()), 1e-3)
     if (diffuse.lobe_table()[:, 0] == LAMBERT).all():
         cell = math.inf  # Lambertian: the direction of incidence does not matter
     else:
@@ -350,7 +350,7 @@ def _grouped_flux(
         points=patches.points[order], normals=patches.normals[order], areas=patches.areas[order]
     )
     flux = np.zeros((len(starts), nodes.count, 3))
-    for block, toward, light in arrivals(scene, spot, patches, nodes):
+    for block, toward, light in arrivals(scene, spot, patches, nodes.points):
         toward *= light[..., None]
         sums = np.add.reduceat(toward, starts, axis=1)
         flux[:, nodes.used[block]] = sums.transpose(1, 0, 2)

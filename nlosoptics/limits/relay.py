@@ -17,9 +17,9 @@ from ..imaging.geometry import chief_rays, wall_visibility
 from ..imaging.objects import Patches
 from ..imaging.radiometry import (
     LaserSpot,
+    arrivals,
     electrons_per_radiance,
     laser_spot,
-    object_radiance,
 )
 from ..imaging.shadows import wall_samples
 from ..raytrace import occluded
@@ -371,20 +371,10 @@ def passed_radiance(
     view: Array,
 ) -> Iterator[tuple[slice, Array]]:
     """Radiance of wall points toward the camera due to each patch of the object, in blocks."""
-    step = max(1, 200_000 // len(patches.areas))  # to bound the memory
-    for start in range(0, len(points), step):
-        block = slice(start, start + step)
-        toward = patches.points - points[block][:, None]
-        square = dot(toward, toward)
-        toward /= np.sqrt(square)[..., None]
-        leaving = np.maximum(-dot(toward, patches.normals), 0.0)
-        arriving = np.maximum(dot(toward, normals[block][:, None]), 0.0)
-        light = object_radiance(scene, spot, patches.points, patches.normals, -toward)
-        light *= leaving * arriving * patches.areas / square
-        yield (
-            block,
-            light * material.evaluate(toward, view[block][:, None], normals[block][:, None]),
-        )
+    for block, toward, light in arrivals(scene, spot, patches, points):
+        facing = normals[block][:, None]
+        light *= np.maximum(dot(toward, facing), 0.0)
+        yield block, light * material.evaluate(toward, view[block][:, None], facing)
 
 
 def plate(scene: Scene) -> tuple[Array, Array, tuple[float, float]]:

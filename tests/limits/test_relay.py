@@ -18,7 +18,6 @@ from nlosoptics import limits
 from nlosoptics.errors import NlosError
 from nlosoptics.imaging.objects import Patches
 from nlosoptics.imaging.radiometry import laser_spot
-from nlosoptics.limits._shadow_kernels import hide
 from nlosoptics.limits.relay import CONTRAST, count_modes, passed_radiance, relay_signal
 from nlosoptics.scene import (
     Camera,
@@ -188,43 +187,6 @@ def test_modes_past_occluders_are_those_of_brute_force(benchmark, index: int) ->
     # both average 16 paths over a pixel, each its own, and cut cells into 16 and 9 parts
     assert found == approx(expected, rel=0.1)
     assert relay_modes(replace(scene, occluders=())) < 0.8 * expected
-
-
-def test_triangles_hide_what_lies_behind_them_only() -> None:
-    """Shadow of a square on a rectangle: its central projection, cut at the point's depth."""
-    frame = np.array([(-1.0, -1.0, 1.0), (0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, -1.0)])
-
-    def shadow(low: float, high: float, z: float) -> np.ndarray:
-        corners = np.array([[low, low, z], [high, low, z], [high, high, z], [low, high, z]])
-        samples = np.ones((64, 64), dtype=np.uint8)
-        hide(np.zeros(3), corners, np.array([[0, 1, 2], [0, 2, 3]]), frame, samples)
-        return samples
-
-    samples = shadow(0.0, 0.25, 0.5)  # 0 to 0.5 on the rectangle, which spans -1 to 1
-    expected = np.ones((64, 64))
-    expected[32:48, 32:48] = 0
-    assert np.array_equal(samples, expected)
-    for z in (-0.5, 1.5):
-        assert shadow(0.0, 0.25, z).all()
-    # a plate at y = 0.1 through the heights -1 to 0.5: what is left of it shades y above 0.2
-    wall = np.array([(-5.0, 0.1, -1.0), (5.0, 0.1, -1.0), (5.0, 0.1, 0.5), (-5.0, 0.1, 0.5)])
-    samples = np.ones((64, 64), dtype=np.uint8)
-    hide(np.zeros(3), wall, np.array([[0, 1, 2], [0, 2, 3]]), frame, samples)
-    y = (np.arange(64) + 0.5) / 32 - 1
-    assert np.array_equal(samples, np.broadcast_to((y < 0.2)[:, None], (64, 64)))
-
-
-def test_more_light_shows_more_modes_and_other_light_fewer() -> None:
-    scene = truth_scene(wall_material=WALLS["Lambert+5% Beckmann 0.1"][0])
-    usual = relay_modes(scene, bins=24)
-    assert relay_modes(scene, bins=24, exposure=0.4) > usual
-    veiled = np.full(scene.camera.shape, 1e7)
-    assert relay_modes(scene, bins=24, light=veiled) < usual
-
-
-def test_a_mirror_has_no_wide_lobe() -> None:
-    scene = truth_scene(wall_material=SpecularMicrofacet(0.5, 0.0))
-    assert relay_modes(scene) == 0
 
 
 @pytest.mark.parametrize(

@@ -98,14 +98,11 @@ def _seen(job: Job, sampler: Any) -> tuple[Array, tuple[Array, Array]]:
     seen = _points(job, sampler)
     shape = (len(job.sensors), len(seen))
     factor, distance = np.empty(shape), np.empty(shape)
-    points = np.ascontiguousarray(seen[:, kernels.P])
 
     def work(part: slice) -> None:
         kernels.seen_from(job.around.kernel, job.sensors[part], seen, factor[part], distance[part])
 
     on_threads(work, len(job.sensors), len(seen))
-    if not job.around.kernel.asked:
-        _shade(job, points, factor)
     # density of vertices per area: rays from all sensors, plus samples over the area
     density = (1.0 - job.aimed[0]) / np.pi * factor.mean(axis=0)
     both = job.around.kernel.sides[seen[:, kernels.TRIANGLE].astype(np.int64)] == 0
@@ -130,17 +127,6 @@ def _spread(job: Job, seen: Array, factor: Array) -> NDArray[np.int64]:
     rest = len(seen) * (job.n_each - 1) * (weight / weight.sum())
     counts = np.where(weight > 0.0, 1 + rest.astype(np.int64), 0)
     return np.append(0, np.cumsum(counts))
-
-
-def _shade(job: Job, points: Array, factor: Array) -> None:
-    """Set factors (sensors, vertices) to 0 where a surface occludes."""
-    step = max(1, ROWS // len(points))
-    for start in range(0, len(job.sensors), step):
-        part = factor[start : start + step]
-        at, vertex = np.nonzero(part > 0.0)
-        value = part[at, vertex]
-        job.around.clear(value, points[vertex], job.sensors[start + at])
-        part[at, vertex] = value
 
 
 def _points(job: Job, sampler: Any) -> Array:
@@ -235,7 +221,7 @@ def _joined(job: Job, ends: list[Array], lasers: Array) -> tuple[Array, Array]:
     """Connect paths to lasers; return weights and lengths (lasers, orders, paths)."""
     n = len(ends[0])
     value, length = np.empty((2, len(lasers), len(ends), n))
-    for order, vertices in enumerate(ends):
+    for order in range(len(ends)):
         for at, laser in enumerate(lasers):
 
             def work(part: slice, at: int = at, order: int = order, laser: Array = laser) -> None:
@@ -248,9 +234,6 @@ def _joined(job: Job, ends: list[Array], lasers: Array) -> tuple[Array, Array]:
                 )
 
             on_threads(work, n, 1)
-            if not job.around.kernel.asked:
-                points = vertices[:, kernels.P]
-                job.around.clear(value[at, order], points, np.broadcast_to(laser, points.shape))
     return value, length
 
 

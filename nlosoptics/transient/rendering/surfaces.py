@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..._checks import counted
 from ...errors import SceneError
 from ...kernels.codes import BECKMANN, GGX, OREN_NAYAR_FULL
-from ...raytrace import intersect_mesh, occluded
+from ...raytrace import intersect_mesh
 from ...scene import Lambert, Material
 
 if TYPE_CHECKING:
@@ -22,14 +22,12 @@ if TYPE_CHECKING:
     from ._bounce_kernels import Surfaces
 
 Array = NDArray[np.float64]
-ASKED: Final = 4096  # largest number of triangles for which kernels test shadows themselves
 
 
 @dataclass(frozen=True, eq=False)
 class BounceSurfaces:
     """Meshes that paths can meet, and their data for the kernels."""
 
-    hidden: trimesh.Trimesh  # All hidden triangles; only they occlude
     # Hidden triangles, followed by those of a relay wall that reflects between them, if any
     met: trimesh.Trimesh
     kernel: Surfaces  # Data of the triangles for the kernels
@@ -39,12 +37,6 @@ class BounceSurfaces:
         """Return distance, m, and triangle of the first hit of rays (n, 3); -1 for no hit."""
         hits = intersect_mesh(self.met, origins, directions, min_distance=self.gap)
         return hits.distance, hits.triangle
-
-    def clear(self, value: Array, starts: Array, ends: Array) -> None:
-        """Set values (n,) to 0 if a hidden surface lies between start and end, (n, 3) each."""
-        rows = np.flatnonzero(value > 0.0)
-        if len(rows):
-            value[rows[occluded(self.hidden, starts[rows], ends[rows])]] = 0.0
 
 
 def bounce_surfaces(
@@ -81,11 +73,10 @@ def bounce_surfaces(
         area=0.5 * float(shares[-1]),
         rows=facets.rows,
         boxes=facets.boxes,
-        asked=n_hidden <= ASKED,
     )
     met = surfaces.mesh if wall_size is None else _mesh(corners)
     extent = float(np.abs(corners[:n_hidden]).max())
-    return BounceSurfaces(hidden=surfaces.mesh, met=met, kernel=kernel, gap=1e-9 * extent)
+    return BounceSurfaces(met=met, kernel=kernel, gap=1e-9 * extent)
 
 
 def _sides(corners: Array, normals: Array, points: Array) -> NDArray[np.int64]:
