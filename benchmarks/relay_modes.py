@@ -185,12 +185,12 @@ def brute_force(scene, drawn):
 
 def compared(index):
     """Both counts of one scene, as a line of JSON."""
-    from nlosoptics.limits.relay import relay_modes
+    from nlosoptics.limits.relay import count_modes, relay_signal
 
     scene, drawn = drawn_scene(index)
-    relay_modes(scene, bins=6)
+    relay_signal(scene, bins=6)
     started = time.process_time()
-    found = relay_modes(scene)
+    found = count_modes(relay_signal(scene))
     seconds = time.process_time() - started
     expected = brute_force(scene, drawn)
     return {

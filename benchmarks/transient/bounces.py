@@ -79,7 +79,7 @@ def ours(size, n_rays):
             hidden,
             [0.0, 0.0, 0.0],
             transient.wall_grid(2.0, size),
-            wall_size=2.0,
+            wall_size=(2.0, 2.0),
             delta_t=WIDTH,
             n_bins=BINS,
             orders=ORDERS,
@@ -163,13 +163,7 @@ def main():
 
     def tell(line):
         rows.append(line)
-        print(
-            f"{line['name']:12s} {line['bounces']} bounces, {line['samples']:8d} samples: "
-            f"{line['seconds']:8.2f} s, L1 {line['l1_median']:.3g} (median), {line['l1_max']:.3g} "
-            f"(largest); to 1 %: {line['seconds_to_goal_median']:.3g} s, "
-            f"{line['seconds_to_goal_max']:.3g} s; light {line['total']:.5g} /m2",
-            flush=True,
-        )
+        print(json.dumps(line), flush=True)
 
     for n_rays in options.rays:
         captures, seconds = ours(options.size, n_rays)

@@ -1,6 +1,6 @@
 """Charts at known depths, measured by a real confocal setup: depth errors and seconds by method.
 
-python benchmarks/transient/measured.py --data DIR [--peer-python PATH] [--json FILE] [--plots DIR]
+python benchmarks/transient/measured.py --data DIR [--peer-python PATH] [--json FILE]
 
 DIR holds `data_dot_chart_40cm.mat` and `data_resolution_chart_65cm.mat` of the confocal captures
 published with O'Toole et al., Nature 555, 338 (2018), which are not part of this repository. Their
@@ -23,9 +23,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from nlosoptics import transient
 
@@ -55,9 +57,13 @@ def capture(path):
 
     Bin 0 is the one in which the direct light peaks, so that its middle is time 0.
     """
-    return transient.TransientCapture.load(
-        path, format="lct", bin_width=BIN, t_start=-0.5 * BIN, gate_start=-0.5 * BIN
-    )
+    return transient.TransientCapture.load(path, delta_t=BIN, t_start=-0.5 * BIN)
+
+
+def blurred(capture):
+    """The capture, blurred by its pulse over time and by one point over the wall."""
+    sigma = (PULSE / capture.delta_t, 1.0, 1.0)
+    return replace(capture, H=gaussian_filter(capture.H, sigma, mode="nearest"))
 
 
 def figures(image, nominal):
@@ -76,10 +82,10 @@ def figures(image, nominal):
 
 
 def our_rows(name, nominal, path, repeats):
-    """One row per method, with its picture."""
+    """One row per method."""
     coarse = transient.downsampled(capture(path), bins=BINS)
     cut = transient.gated(coarse, start=CUT / BINS * coarse.delta_t)
-    ready = transient.smoothed(cut, path=PULSE, grid=1.0)
+    ready = blurred(cut)
     x, y = coarse.sensor_points[0, :, 0], coarse.sensor_points[:, 0, 1]
     pitch = 0.5 * coarse.delta_t
     volume = transient.Volume(x, y, np.arange(nominal - WINDOW, nominal + WINDOW, pitch))
@@ -93,7 +99,7 @@ def our_rows(name, nominal, path, repeats):
             start = time.process_time()
             whole = [image_of(ready, full).seconds for _ in range(n)]
             row |= {"seconds_full": min(whole), "cpu": (time.process_time() - start) / n}
-        rows.append((row | figures(images[-1], nominal), images[-1]))
+        rows.append(row | figures(images[-1], nominal))
     return rows
 
 
@@ -103,7 +109,7 @@ def peer_rows(name, nominal, path, python, repeats):
     first = CUT // BINS
     cut = transient.gated(coarse, start=first * coarse.delta_t)
     rows = []
-    for label, kept in (("", cut), (", blurred", transient.smoothed(cut, path=PULSE, grid=1.0))):
+    for label, kept in (("", cut), (", blurred", blurred(cut))):
         light = np.zeros_like(coarse.H)
         light[-kept.n_bins :] = kept.H
         with tempfile.TemporaryDirectory() as folder:
@@ -112,7 +118,7 @@ def peer_rows(name, nominal, path, python, repeats):
             command = [python, str(HERE / "ytal_migration.py"), str(job), str(answer), str(repeats)]
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             if done.returncode:
-                return [({"chart": name, "method": "y-tal", "failed": done.stderr[-300:]}, None)]
+                return [{"chart": name, "method": "y-tal", "failed": done.stderr[-300:]}]
             with np.load(answer) as found:
                 values, seconds = found["image"], float(found["seconds"])
                 cpu = float(found["cpu"])
@@ -127,41 +133,7 @@ def peer_rows(name, nominal, path, python, repeats):
         )
         row = {"chart": name, "method": image.method, "seconds": seconds}
         row |= {"seconds_full": seconds, "cpu": cpu}
-        rows.append((row | figures(image, nominal), image))
-    return rows
-
-
-def plot(folder, rows):
-    """Brightest voxels as the wall sees them: x to the left."""
-    import matplotlib.pyplot as plt
-
-    folder.mkdir(parents=True, exist_ok=True)
-    for row, image in rows:
-        if image is None:
-            continue
-        figure, axes = plt.subplots()
-        x, y = image.volume.x, image.volume.y
-        extent = (x[-1], x[0], y[0], y[-1])
-        axes.imshow(image.projection()[:, ::-1], origin="lower", extent=extent, cmap="gray")
-        axes.set(xlabel="x, m", ylabel="y, m", title=f"{row['chart']}: {row['method']}")
-        name = row["method"].replace(" ", "_").replace(",", "")
-        figure.savefig(folder / f"{row['chart']}_{name}.png", dpi=80)
-        plt.close(figure)
-
-
-def shown(rows):
-    """Rows, after a line of each is printed."""
-    for row, _ in rows:
-        if "failed" in row:
-            print(f"{row['chart']:22} {row['method']}: {row['failed']}")
-            continue
-        full, cpu = (row.get(key, float("nan")) for key in ("seconds_full", "cpu"))
-        print(
-            f"{row['chart']:22} {row['method']:26} {row['seconds']:5.2f} {full:6.2f} {cpu:6.2f}"
-            f" {1e3 * row['median_m']:9.1f} {1e3 * row['mae_m']:7.2f} {row['coverage']:6.2f}"
-            f"   at half: {1e3 * row['mae_at_half_m']:.2f} mm, {row['coverage_at_half']:.2f}",
-            flush=True,
-        )
+        rows.append(row | figures(image, nominal))
     return rows
 
 
@@ -172,22 +144,18 @@ def main():
     parser.add_argument("--peer-python")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--plots", type=Path)
     given = parser.parse_args()
-    names = ("s", "s full", "cpu", "median mm", "MAE mm", "share")
-    print("{:22} {:26} {:>5} {:>6} {:>6} {:>9} {:>7} {:>6}".format("chart", "method", *names))
     rows = []
     for name, nominal in CHARTS.items():
         path = given.data / f"data_{name}.mat"
         if not path.exists():
             sys.exit(f"{path} is not there; --data is the folder with the published captures")
-        rows += shown(our_rows(name, nominal, path, given.repeats))
+        rows += our_rows(name, nominal, path, given.repeats)
         if given.peer_python:
-            rows += shown(peer_rows(name, nominal, path, given.peer_python, given.repeats))
+            rows += peer_rows(name, nominal, path, given.peer_python, given.repeats)
+    print(text := json.dumps(rows, indent=1))
     if given.json:
-        given.json.write_text(json.dumps([row for row, _ in rows], indent=1) + "\n")
-    if given.plots:
-        plot(given.plots, rows)
+        given.json.write_text(text + "\n")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Phasor fields of a flat letter: overlap with the letter against seconds, beside y-tal.
 
-python benchmarks/transient/phasor.py [--peer-python PATH] [--json FILE] [--plot FILE.png]
+python benchmarks/transient/phasor.py [--peer-python PATH] [--json FILE]
 
 The captures are `Z_single16_3b` and `Z_single32_3b` in the folder `peer_transient` of
 NLOSOPTICS_DATA: a Z at 1 m before a wall of 2 m, one laser point, rendered by mitransient. All
@@ -46,32 +46,20 @@ def main():
     parser.add_argument("--planes", type=int, default=33)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--plot", type=Path, metavar="FILE.png")
     options = parser.parse_args()
     folder = os.environ.get("NLOSOPTICS_DATA")
     if not folder:
         parser.error("NLOSOPTICS_DATA names no data folder")
-    rows, pictures = [], []
+    rows = []
     for count in (16, 32):
         path = Path(folder) / "peer_transient" / f"Z_single{count}_3b.npz"
         light = np.moveaxis(np.load(path)["H"], -1, 0)
         found = ours(light, options) + peers(light, options)
         for row, picture in found:
             rows.append({"wall": count, **row, "iou": overlap(picture)})
-            pictures.append((f"{row['method']}, {count} x {count}", picture))
             print("{wall:3d}  {method:44s} {seconds:8.4f} s  IoU {iou:.3f}".format(**rows[-1]))
-        theirs = [r["seconds"] for r in rows if r["wall"] == count and "y-tal" in r["method"]]
-        if theirs:
-            for row in rows:
-                if row["wall"] == count and "y-tal" not in row["method"]:
-                    row["times_faster"] = min(theirs) / row["seconds"]
-                    print(
-                        f"     {row['method']}: {row['times_faster']:.1f} times faster than y-tal"
-                    )
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1) + "\n")
-    if options.plot:
-        plot(pictures, options.plot)
 
 
 def depths(options):
@@ -151,19 +139,6 @@ def inside(outline, x, y):
         if y0 != y1:
             crossings += ((y0 > y) != (y1 > y)) & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
     return crossings % 2 == 1
-
-
-def plot(pictures, path):
-    """Maximum projections as seen from the wall's side of the room, y up."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(3 * len(pictures) / 2, 6.4), layout="constrained")
-    axes = figure.subplots(2, len(pictures) // 2).ravel()
-    for axis, (name, picture) in zip(axes, pictures, strict=True):
-        axis.imshow(picture, origin="lower", extent=(-1, 1, -1, 1), cmap="magma")
-        axis.plot(*np.vstack([LETTER, LETTER[:1]]).T, color="w", linewidth=0.6)
-        axis.set_title(name, fontsize=7)
-    figure.savefig(path, dpi=90)
 
 
 if __name__ == "__main__":

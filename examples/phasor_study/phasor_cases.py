@@ -16,7 +16,7 @@ import numpy as np
 import phasor_scenes as scenes
 from numpy.typing import NDArray
 
-from nlosoptics import transient
+from nlosoptics import raytrace, transient
 from nlosoptics.errors import NlosError
 
 Array = NDArray[np.float64]
@@ -192,8 +192,29 @@ def kept_pictures(line: dict[str, Any], folder: Path) -> dict[str, Array] | None
 
 def first_voxels(meshes: list[Any], grid: transient.Volume) -> Array:
     """(ny, nx): depth of the first voxel that holds a surface, m; NaN where none does."""
-    full = transient.voxelised(meshes, grid)
+    full = voxelised(meshes, grid)
     return np.where(full.any(axis=0), grid.z[full.argmax(axis=0)], np.nan)
+
+
+def voxelised(meshes: list[Any], grid: transient.Volume) -> NDArray[np.bool_]:
+    """(nz, ny, nx): whether a surface crosses a voxel, by rays through centres along each axis."""
+    axes = (grid.x, grid.y, grid.z)
+    full = np.zeros([len(axis) for axis in axes], dtype=bool)
+    for along, axis in enumerate(axes):
+        others = [i for i in range(3) if i != along]
+        rays = np.moveaxis(full, along, -1)  # a view
+        pitch = axis[1] - axis[0]
+        origins = np.empty((*rays.shape[:2], 3))
+        origins[..., others[0]] = axes[others[0]][:, None]
+        origins[..., others[1]] = axes[others[1]]
+        origins[..., along] = axis[0] - 0.5 * pitch
+        for mesh in meshes:
+            hits = raytrace.all_hits(mesh, origins, np.eye(3)[along])
+            level = np.floor(hits.distance / pitch).astype(np.int64)
+            inside = level < len(axis)
+            rows, columns = np.unravel_index(hits.ray[inside], rays.shape[:2])
+            rays[rows, columns, level[inside]] = True
+    return full.transpose(2, 1, 0)
 
 
 def overlap(bright: Array, outline: NDArray[np.bool_]) -> float:

@@ -37,23 +37,6 @@ if TYPE_CHECKING:
 
 PICOSECOND = 299792458e-12  # m of optical path
 
-#: Options of `phasor` that stand for what a capture lacks, with their values, by argument.
-OPTIONS = {
-    "format": "--format",
-    "side": "--side (whole side of the square scanned, m)",
-    "pairing": "--pairing confocal or --laser-point 'x, y, z' (m)",
-    "laser_point": "--laser-point 'x, y, z' (m)",
-    "bin_width": "--bin-width (width of a time bin, m of optical path)",
-    "t_start": "--t-start (where bin 0 begins, m of optical path)",
-    "outer_legs": "--outer-legs or --no-outer-legs (whether times include the ways from the laser "
-    "to the wall and from the wall to the sensor)",
-    "gate_start": "--gate-start (m of optical path; earlier bins become 0, 0 keeps all)",
-    "wl_mean": "--wl-mean (virtual wavelength, m)",
-    "near": "--near (first plane, m from the wall)",
-    "far": "--far (last plane, m)",
-    "step": "--step (between planes, m)",
-}
-
 
 @app.command("transient", short_help="Simulate a time-resolved capture of a scene.")
 def transient_command(
@@ -186,25 +169,13 @@ def phasor_command(
             help="Use only wall points in a central square with this side, m; by default all."
         ),
     ] = None,
-    layout: Annotated[
-        str | None,
-        typer.Option(
-            "--format",
-            help="Format of the file, if it cannot be recognised: tal, znlos, dirac, "
-            "phasor_field_2019, phasor_field_2020 or lct.",
-        ),
-    ] = None,
-    bin_width: Annotated[
+    delta_t: Annotated[
         float | None,
         typer.Option(help="Width of a time bin, m of optical path, if the file does not state it."),
     ] = None,
     t_start: Annotated[
         float | None,
         typer.Option(help="Start of bin 0, m of optical path, if the file does not state it."),
-    ] = None,
-    side: Annotated[
-        float | None,
-        typer.Option(help="Side of the scanned wall square, m, if the file does not state it."),
     ] = None,
     pairing: Annotated[
         str | None,
@@ -213,7 +184,7 @@ def phasor_command(
             "all (every pair) or confocal (the same point for both)."
         ),
     ] = None,
-    laser_point: Annotated[
+    laser_points: Annotated[
         str,
         typer.Option(
             help="Position of the only laser point, 'x, y, z' in m, if the file does not state it."
@@ -229,7 +200,7 @@ def phasor_command(
     ] = None,
     gate_start: Annotated[
         float | None,
-        typer.Option(help="Set all earlier bins to 0, to remove direct light; m of optical path."),
+        typer.Option(help="Drop all earlier bins, to remove direct light; m of optical path."),
     ] = None,
     debug: Debug = False,
 ) -> None:
@@ -246,18 +217,17 @@ def phasor_command(
         check_target(folder)
         drawn = can_draw()
         picture = {"wl_mean": wl_mean, "near": near, "far": far, "step": step}
-        capture, wanted = _loaded(
+        capture = transient.TransientCapture.load(
             capture_file,
-            picture,
-            format=layout,
-            bin_width=bin_width,
+            delta_t=delta_t,
             t_start=t_start,
-            side=side,
             pairing=pairing,
-            laser_point=numbers("--laser-point", laser_point) or None,
+            laser_points=numbers("--laser-points", laser_points) or None,
             outer_legs=outer_legs,
-            gate_start=gate_start,
         )
+        if gate_start is not None:
+            capture = transient.gated(capture, start=gate_start)
+        wanted = _planes(capture_file, capture, picture)
         volume = transient.Volume.facing(
             _grid(capture), (wanted["near"], wanted["far"], wanted["step"])
         )
@@ -294,44 +264,17 @@ def _grid(capture: TransientCapture) -> Any:
     return lasers if alone else sensors
 
 
-def _loaded(
-    path: Path, picture: dict[str, float | None], **given: Any
-) -> tuple[TransientCapture, dict[str, float]]:
-    """Load a capture and determine wavelength and planes of its image.
-
-    Parameters
-    ----------
-    path : Path
-        Capture file.
-    picture : dict of str to float or None
-        Options of the image; None for values to take from the capture's scene.
-    **given
-        Arguments of `TransientCapture.load`.
-
-    Raises
-    ------
-    SceneError
-        If options are missing; the message names all of them.
-    """
-    from ..transient import TransientCapture
-    from ..transient.capture.formats import LackingFileError
-
-    missing: list[str] = []
-    try:
-        capture = TransientCapture.load(path, **given)
-        details = capture.details
-    except LackingFileError as error:
-        details = error.details
-        for lack in error.lacks:
-            kind = f" {error.layout} ({lack.why})" if lack.argument == "format" else ""
-            missing.append(OPTIONS[lack.argument] + kind)
-    held = details.get("picture")
-    wanted = dict(held) if isinstance(held, dict) else {}
+def _planes(
+    path: Path, capture: TransientCapture, picture: dict[str, float | None]
+) -> dict[str, float]:
+    """Return wavelength and planes of an image: the options, else those of the capture's scene."""
+    stored = capture.details.get("picture")
+    wanted = dict(stored) if isinstance(stored, dict) else {}
     wanted |= {name: value for name, value in picture.items() if value is not None}
-    missing += [OPTIONS[name] for name in picture if name not in wanted]
+    missing = [f"--{name.replace('_', '-')}" for name in picture if name not in wanted]
     if missing:
         raise SceneError(f"{path} does not state all values for an image; add {', '.join(missing)}")
-    return capture, wanted
+    return wanted
 
 
 def _report(image: PhasorImage, capture: TransientCapture, path: Path) -> dict[str, Any]:

@@ -1,7 +1,5 @@
 from .camera_files import CameraImage as CameraImage
 from .camera_files import camera_image as camera_image
-from .camera_files import read_camera_file as read_camera_file
-from .coherence import spot_coherence as spot_coherence
 from .forward_model import ForwardModel as ForwardModel
 from .image_fields import image_field as image_field
 from .images import SpeckleImage as SpeckleImage

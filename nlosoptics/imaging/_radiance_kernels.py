@@ -11,20 +11,7 @@ from ..kernels.compiling import njit
 
 @njit(cache=True, nogil=True)
 def arriving(flux, on_y, on_x, on_height, normals, views, strength, incidence, between):
-    """Interpolate one group's vector irradiance to pixels; return its size and its cosines.
-
-    Parameters
-    ----------
-    flux : ndarray, (ny, nx, nh, 3)
-        Vector irradiance at the nodes, W/m^2, world frame.
-    on_y, on_x, on_height : ndarray, (rows, ny), (nx, columns) and (nh, rows, columns)
-        Weights of the nodes along each axis.
-    normals, views : ndarray, (3, rows, columns)
-        Unit normal of the wall and unit vector to the lens at each pixel's wall point.
-    strength, incidence, between : ndarray, (rows, columns)
-        Filled with the size of the vector irradiance, and with the cosines of its direction to the
-        normal and to the view.
-    """
+    """Interpolate one group's vector irradiance to pixels; return its size and its cosines."""
     rows, columns = strength.shape
     count_y, count_x, count_height = flux.shape[:3]
     part, vector = np.empty(columns), np.empty((3, columns))

@@ -18,10 +18,6 @@ from ..errors import SamplingError, SceneError
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Largest fraction of saturated or dead pixels in a usable image.
-MOST_MASKED = 0.5
-#: A pixel whose flat field is below this fraction of the mean is dead.
-DEAD = 0.05
 FORMATS = "grey PNG or TIFF of 8 or 16 bits, or .npy"
 
 
@@ -62,30 +58,9 @@ class CameraImage(Noun):
 
 
 def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
-    """Read the counts of one image file, without any correction.
+    """Return the counts (ny, nx) of an image file, row 0 at the top, and its type's largest value.
 
-    Parameters
-    ----------
-    path : str or Path
-        Greyscale PNG or TIFF of 8 or 16 bits, or a ``.npy`` file with one (ny, nx) array.
-
-    Returns
-    -------
-    counts : ndarray, (ny, nx) float64
-        Counts as stored, row 0 at the top.
-    full : float or None
-        Largest value that the data type can hold, for unsigned integers of 8 bits (255) or 16 bits
-        (65535). It is taken as the saturation level. None for other types.
-
-    Raises
-    ------
-    SceneError
-        If the file is missing, is not a greyscale image, is empty, or has values that are not
-        finite.
-
-    See Also
-    --------
-    camera_image : Read, average and correct images.
+    The largest value is 255 or 65535 for unsigned integers of 8 or 16 bits, and None for others.
     """
     path = path_of("path", path)
     if not path.is_file():
@@ -177,7 +152,6 @@ def camera_image(
 
     See Also
     --------
-    read_camera_file : Read one camera file.
     nlosoptics.inverse.tv_deconvolve : Non-negative deconvolution with total variation.
 
     Examples
@@ -257,7 +231,7 @@ def _corrected(
             f"{flat}: the flat field has no light above the dark frame (mean {mean:.3g} counts); "
             "record it under uniform illumination"
         )
-    dead = even < DEAD * mean
+    dead = even < 0.05 * mean
     return values / np.where(dead, mean, even) * mean, dead
 
 
@@ -287,17 +261,11 @@ def _grouped(
 
 
 def _checked(path: str | Path, values: Array, saturated: Mask, dead: Mask) -> CameraImage:
-    share = float(saturated.mean())
-    if share > MOST_MASKED:
-        raise SceneError(
-            f"{path}: {100 * share:.3g} % of the pixels are saturated, limit "
-            f"{100 * MOST_MASKED:g} %; expose shorter"
-        )
     masked = saturated | dead
-    if float(masked.mean()) > MOST_MASKED:
+    if float(masked.mean()) > 0.5:
         raise SceneError(
             f"{path}: {100 * masked.mean():.3g} % of the pixels are saturated, or dead in the flat "
-            f"field, limit {100 * MOST_MASKED:g} %; record another flat field"
+            "field, limit 50 %; expose shorter, or record another flat field"
         )
     good = values[~masked]
     if not float(good.max()) > 0.0:
@@ -310,7 +278,7 @@ def _checked(path: str | Path, values: Array, saturated: Mask, dead: Mask) -> Ca
         values=np.where(dead, float(good.mean()), values),
         masked=masked,
         saturated=saturated & ~dead,
-        saturated_fraction=share,
+        saturated_fraction=float(saturated.mean()),
     )
 
 

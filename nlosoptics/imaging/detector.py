@@ -15,26 +15,13 @@ from ..scene import Camera
 Array = NDArray[np.float64]
 
 SPECKLE, PHOTONS, READOUT, BRIGHT_PHOTONS = 201, 202, 203, 204  # streams of the random generator
-_FULL = 3.0  # rms noise of readout and digitisation by which a full pixel may read less
 BRIGHT = 1e15  # mean electrons above which counts are drawn from a normal law (skewness < 1e-7)
 
 
 def speckles_per_pixel(pixel: float, wavelength: float, f_number: float) -> float:
     """Number M of speckles averaged by a square pixel behind a circular pupil.
 
-    Parameters
-    ----------
-    pixel : float
-        Side of the pixel, m.
-    wavelength : float
-        Wavelength, m.
-    f_number : float
-        Working F-number.
-
-    Returns
-    -------
-    float
-        M, at least 1. Integrated polarised speckle has the contrast 1/sqrt(M).
+    Returns M, at least 1. Integrated polarised speckle has the contrast 1/sqrt(M).
 
     Notes
     -----
@@ -81,22 +68,8 @@ def _quarter_turn(s: Array) -> Array:
 def noise_variance(camera: Camera, light: Array, dark: float, freedom: float | None) -> Array:
     """Expected noise variance of image pixels, electrons^2, if no pixel is saturated.
 
-    Parameters
-    ----------
-    camera : Camera
-        Camera, for readout noise, full well, bit depth and binning.
-    light : ndarray, any shape
-        Expected photoelectrons.
-    dark : float
-        Expected dark electrons of an image pixel.
-    freedom : float or None
-        Degrees of freedom of the speckle, 1/contrast^2; None for no speckle.
-
-    Returns
-    -------
-    ndarray
-        Sum of shot noise (light and dark current), speckle, and binning^2 times the variances of
-        the readout (read_noise^2) and of the digitisation (step^2/12).
+    It is the sum of shot noise (light and dark current), speckle, and binning^2 times the variances
+    of the readout (read_noise^2) and of the digitisation (step^2/12).
     """
     step = camera.full_well / 2**camera.bit_depth
     native = camera.binning**2
@@ -117,7 +90,7 @@ def full_reading(camera: Camera) -> float:
     step: float = camera.full_well / 2**camera.bit_depth
     spread = math.sqrt(native * (camera.read_noise**2 + step**2 / 12))
     capacity = native * camera.full_well
-    return capacity - max(min(_FULL * spread, 0.5 * capacity), native * step)
+    return capacity - max(min(3.0 * spread, 0.5 * capacity), native * step)
 
 
 def _counts(mean: Array, seed: int) -> Array:
@@ -134,29 +107,6 @@ def read_out(
 ) -> tuple[Array, float]:
     """Simulate one exposure of the detector with all noise.
 
-    Parameters
-    ----------
-    camera : Camera
-        Camera, for full well, bit depth, readout noise and binning.
-    light : ndarray, (ny, nx)
-        Expected photoelectrons of each image pixel.
-    dark : float
-        Expected dark electrons of an image pixel.
-    freedom : float or None
-        Degrees of freedom of the speckle, 1/contrast^2; None for no speckle.
-    seed : int
-        Seed of the random numbers.
-
-    Returns
-    -------
-    electrons : ndarray, (ny, nx)
-        Reading in electrons, a multiple of the converter's step. The converter's offset is
-        subtracted, so that dark pixels can have negative values.
-    saturated : float
-        Fraction of saturated image pixels.
-
-    Notes
-    -----
     Speckle multiplies the light by a gamma variate of mean 1 and variance 1/freedom, drawn
     independently for each image pixel. The correlation between pixels smaller than a speckle is
     neglected. Light is taken as uniform over the native pixels of an image pixel, so that they

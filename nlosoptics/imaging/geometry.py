@@ -23,28 +23,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ChiefRays:
-    """Chief rays traced backward from the detector to the wall and on toward the object.
+    """Chief rays traced backward from the detector to the wall and on toward the object."""
 
-    Parameters
-    ----------
-    directions : ndarray, (..., 3)
-        Unit vectors away from the lens, world frame.
-    cos_axis : ndarray, (...)
-        Cosines of the angles to the optical axis.
-    distance : ndarray, (...)
-        Distances from lens to wall, m; NaN where a ray misses the wall.
-    points, normals : ndarray, (..., 3)
-        Points on the wall, m, and unit normals, world frame. Just beyond the wall's edge they lie
-        on its continuation; NaN where a ray misses.
-    reflected : ndarray, (..., 3)
-        Unit vectors from the wall toward the object, world frame; NaN where a ray misses.
-    """
-
-    directions: Array
-    cos_axis: Array
-    distance: Array
+    directions: Array  # (..., 3): Unit vectors away from the lens, world frame
+    cos_axis: Array  # (...): Cosines of the angles to the optical axis
+    distance: Array  # (...): Distances from lens to wall, m; NaN where a ray misses the wall
+    # (..., 3): Points on the wall, m, and unit normals, world frame. Just beyond the wall's edge
+    # they lie on its continuation; NaN where a ray misses
     points: Array
     normals: Array
+    # (..., 3): Unit vectors from the wall toward the object, world frame; NaN where a ray misses
     reflected: Array
 
 
@@ -65,17 +53,7 @@ def pixel_edges(camera: Camera) -> tuple[Array, Array]:
 def chief_rays(scene: Scene, x: Array, y: Array) -> ChiefRays:
     """Trace the chief rays of the detector grid with columns at ``x`` and rows at ``y``.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with camera and wall.
-    x, y : ndarray, (nx,) and (ny,)
-        Detector coordinates, m.
-
-    Returns
-    -------
-    ChiefRays
-        Rays with arrays of shape (ny, nx) or (ny, nx, 3).
+    Returns rays with arrays of shape (ny, nx) or (ny, nx, 3).
     """
     distance = scene.image_distance
     e1, e2, axis = scene.camera.frame
@@ -153,18 +131,8 @@ def _disc_part(chord: Array) -> Array:
 def picture_coordinates(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, Array]:
     """Intersections of mirrored chief rays with the front of the picture's plane.
 
-    Parameters
-    ----------
-    hidden : PlanarObject
-        Object with the picture.
-    rays : ChiefRays
-        Chief rays.
-
-    Returns
-    -------
-    column, row : ndarray, (...)
-        Coordinates in texels: texel (i, j) spans rows i to i + 1 and columns j to j + 1, with row 0
-        on top. NaN where a ray does not meet the front of the plane.
+    Returns coordinates in texels: texel (i, j) spans rows i to i + 1 and columns j to j + 1, with
+    row 0 on top. NaN where a ray does not meet the front of the plane.
     """
     right, up = plane_coordinates(hidden, rays)
     rows, columns = hidden.reflectance.shape
@@ -186,22 +154,7 @@ def plane_coordinates(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, Arr
 
 
 def picture_positions(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, Array]:
-    """Intersections of mirrored chief rays with the picture's plane, relative to its half size.
-
-    Parameters
-    ----------
-    hidden : PlanarObject
-        Object with the picture.
-    rays : ChiefRays
-        Chief rays.
-
-    Returns
-    -------
-    across, up : ndarray, (...)
-        Coordinates, -1 to 1 from the left to the right and from the lower to the upper edge, for
-        `ForwardModel`. They are 0 where a ray does not meet the front of the plane: such a pixel
-        shows nothing of the picture.
-    """
+    """Intersections of mirrored chief rays with the picture's plane, relative to its half size."""
     right, up = plane_coordinates(hidden, rays)
     return np.nan_to_num(2.0 * right / hidden.size[0]), np.nan_to_num(2.0 * up / hidden.size[1])
 
@@ -218,20 +171,8 @@ def picture_points(hidden: PlanarObject, column: Array, row: Array) -> Array:
 def area_average(picture: Array, column: Array, row: Array) -> Array:
     """Average a picture of square texels over quadrilateral footprints.
 
-    Parameters
-    ----------
-    picture : ndarray, (rows, columns)
-        Picture; taken as zero outside.
-    column, row : ndarray, (ny + 1, nx + 1)
-        Texel coordinates of the footprints' corners; NaN where undefined.
+    Returns the mean over each footprint; zero if a corner is undefined.
 
-    Returns
-    -------
-    ndarray, (ny, nx)
-        Mean over each footprint; zero if a corner is undefined.
-
-    Notes
-    -----
     By Green's theorem the integral over a footprint is the integral of F dy along its outline,
     where F(x, y) is the picture integrated along the row up to x. Between texel borders F is
     linear, so that the midpoint rule is exact for texels of any size. Neighbouring footprints

@@ -41,10 +41,6 @@ CHECKED = 4
 #: Factor for what lies between these points: over 40 draws of them, five walls and nine grids, the
 #: largest difference that they found was 0.55 to 3 times the rms error of the image.
 SAFETY = 1.5
-#: Largest number of pixels along the picture's longer side in this comparison.
-WIDEST = 512
-#: Points along a line over the picture at which the interpolation between nodes is tested.
-TESTED = 109
 
 
 def image_field(
@@ -180,26 +176,7 @@ def blurred_power(kernels: Array, echo: Array) -> Array:
 def expected_counts(
     error: float, swing: float, tol: float, decay: Array | None = None
 ) -> tuple[list[int], float]:
-    """Predict the grids that `image_field` computes until their images agree.
-
-    Parameters
-    ----------
-    error : float
-        Estimated image error with a single point spread, rms over rms.
-    swing : float
-        Estimated change of the waves over the picture, rad.
-    tol : float
-        Tolerance of the image, rms over rms.
-    decay : ndarray, (7,), optional
-        Relative interpolation errors of `interpolation_errors`.
-
-    Returns
-    -------
-    counts : list of int
-        Nodes per side of the grids.
-    left : float
-        Predicted error of the last one, rms over rms; above ``tol`` if no grid suffices.
-    """
+    """Predict the grids that `image_field` computes until their images agree."""
     bend = 0.4 * max(1.0, swing / 2)
     for i, n in enumerate(COUNTS):
         off = SAFETY * error * min(1.0, bend / n) ** (n - 1)
@@ -215,19 +192,6 @@ def interpolation_errors(scene: Scene) -> Array | None:
 
     The second derivatives of W in closed form follow the wall's curvature from point to point.
     A wall with several periods across the picture needs a grid that resolves them.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene.
-
-    Returns
-    -------
-    ndarray, (7,), or None
-        Largest interpolation error along two lines for each grid, relative to that of one node.
-        None if the wall is flat, if the object is a mesh, if a point is reflected outside the
-        wall's domain, or if the light to the lens covers more than one period of the wall, which
-        averages the curvature.
     """
     wall, hidden, lens = scene.wall, scene.hidden, scene.camera.position[2]
     mirrored = scene.mirrored_object_point
@@ -235,7 +199,7 @@ def interpolation_errors(scene: Scene) -> Array | None:
     if wall.is_flat or footprint > wall.finest_period or not isinstance(hidden, PlanarObject):
         return None
     errors = np.zeros(len(COUNTS))
-    at = np.linspace(-1.0, 1.0, TESTED)
+    at = np.linspace(-1.0, 1.0, 109)
     try:
         for axis in (0, 1):
 
@@ -256,7 +220,7 @@ def interpolation_errors(scene: Scene) -> Array | None:
 def picture_frame(scene: Scene) -> Array:
     """Resample the picture to the camera's image pixels, as seen in a flat wall.
 
-    Row 0 is the picture's lower edge. The frame has at most `WIDEST` pixels per side. An entirely
+    Row 0 is the picture's lower edge. The frame has at most 512 pixels per side. An entirely
     black picture is replaced by a white one.
     """
     hidden, camera = scene.hidden, scene.camera
@@ -264,7 +228,7 @@ def picture_frame(scene: Scene) -> Array:
         raise SceneError("scene.hidden is a mesh; a field of point spreads needs a PlanarObject")
     depth = float((scene.mirrored_object_point - np.array(camera.position)) @ camera.axis)
     pixels = np.array(hidden.size) * abs(scene.image_distance / depth) / camera.image_pitch
-    pixels *= min(1.0, WIDEST / pixels.max())
+    pixels *= min(1.0, 512 / pixels.max())
     nx, ny = (max(1, round(float(n))) for n in pixels)
     rows, columns = hidden.reflectance.shape
     row = ((np.arange(ny) + 0.5) * rows / ny).astype(np.int64)

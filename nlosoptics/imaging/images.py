@@ -54,8 +54,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 BYTES_PER_PIXEL = 450  # peak memory, measured with a curved wall
-ROUNDING = 1e-9  # tolerated negative values relative to the peak, from the pixel filter
-MESH_SAMPLES = 2  # chief rays along each side of a pixel
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -146,33 +144,17 @@ class SpeckleImage(Noun, Shown):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LightLevels:
-    """Expected electrons in each image pixel by source, before the blur and without noise.
+    """Expected electrons in each image pixel by source, before the blur and without noise."""
 
-    Parameters
-    ----------
-    rays : ChiefRays
-        Chief rays of the pixel centres.
-    visible : ndarray, (ny, nx)
-        Fraction of each pixel's light cone that comes from the wall.
-    ideal : ndarray, (ny, nx)
-        Electrons of the object's unblurred image.
-    diffuse, spot : ndarray, (ny, nx)
-        Electrons of the wall's diffuse light and of the image of the laser spot.
-    glare : float
-        Electrons of the glare, uniform over the whole detector.
-    dark : float
-        Dark electrons of one image pixel.
-    freedom : float or None
-        Degrees of freedom of an image pixel's speckle, 1/contrast^2; None for no speckle.
-    """
-
-    rays: ChiefRays
-    visible: Array
-    ideal: Array
+    rays: ChiefRays  # Chief rays of the pixel centres
+    visible: Array  # (ny, nx): Fraction of each pixel's light cone that comes from the wall
+    ideal: Array  # (ny, nx): Electrons of the object's unblurred image
+    # (ny, nx): Electrons of the wall's diffuse light and of the image of the laser spot
     diffuse: Array
     spot: Array
-    glare: float
-    dark: float
+    glare: float  # Electrons of the glare, uniform over the whole detector
+    dark: float  # Dark electrons of one image pixel
+    # Degrees of freedom of an image pixel's speckle, 1/contrast^2; None for no speckle
     freedom: float | None
 
     @property
@@ -184,32 +166,7 @@ class LightLevels:
 def light_levels(
     scene: Scene, *, exposure: float | None = None, shadows: Shadows | None = None
 ) -> LightLevels:
-    """Compute the expected electrons of an image by source, without a point spread.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene to image.
-    exposure : float, optional
-        Exposure time, s; by default the camera's.
-    shadows : Shadows, optional
-        Result of `cast_shadows` for this scene; computed if omitted and there are occluders.
-
-    Returns
-    -------
-    LightLevels
-
-    Raises
-    ------
-    SceneError
-        If the laser beam misses the wall or is cut by an occluder, or an argument is out of range.
-    MemoryLimitError
-        If the image would not fit in memory.
-
-    See Also
-    --------
-    form_image : Image in electrons, with blur and noise.
-    """
+    """Compute the expected electrons of an image by source, without a point spread."""
     camera = scene.camera
     exposure = positive("exposure", camera.exposure if exposure is None else exposure, unit="s")
     spot, rays, visible, gain = _view(scene, exposure)
@@ -322,9 +279,7 @@ def form_image(
     """
     seed = checked_seed(seed)
     camera = scene.camera
-    if exposure is None:
-        exposure = camera.exposure
-    exposure = positive("exposure", exposure, unit="s")
+    exposure = positive("exposure", camera.exposure if exposure is None else exposure, unit="s")
     _check_pitch(point_spread, camera.image_pitch)
     if not isinstance(point_spread, PointSpreadField):
         _check_energy(point_spread)
@@ -429,17 +384,7 @@ def diffuse_background(
 def reading_noise(scene: Scene, light: Array) -> Array:
     """Return the rms noise of pixels at the camera's exposure time, electrons.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the camera and the laser, for dark current and speckle.
-    light : ndarray, (ny, nx)
-        Expected photoelectrons of each image pixel.
-
-    Returns
-    -------
-    ndarray, (ny, nx)
-        Noise of photons, speckle, dark current, readout and digitisation.
+    Returns noise of photons, speckle, dark current, readout and digitisation.
     """
     camera = scene.camera
     dark = camera.dark_current * camera.exposure * camera.binning**2
@@ -511,7 +456,7 @@ def _check_energy(point_spread: PointSpread) -> None:
             "(energy per pixel); compute it with normalisation='unit-sum'"
         )
     lowest, highest = float(point_spread.intensity.min()), float(point_spread.intensity.max())
-    if lowest < -ROUNDING * highest:
+    if lowest < -1e-9 * highest:  # rounding of the pixel filter
         raise SamplingError(
             f"point_spread is negative, down to {lowest:g} with a peak of {highest:g}; "
             "give energy per pixel, at least 0"
@@ -572,10 +517,10 @@ def _mesh_radiance(
 ) -> Array:
     """Mean radiance of the mesh over each pixel, from a few chief rays per pixel."""
     x, y = pixel_centres(scene.camera)
-    steps = (np.arange(MESH_SAMPLES) - (MESH_SAMPLES - 1) / 2) / MESH_SAMPLES
+    steps = scene.camera.image_pitch * np.array([-0.25, 0.25])
     total = np.zeros(seen.shape)
-    for dy in steps * scene.camera.image_pitch:
-        for dx in steps * scene.camera.image_pitch:
+    for dy in steps:
+        for dx in steps:
             rays = chief_rays(scene, x + dx, y + dy)
             use = seen & np.isfinite(rays.distance)
             points, normals, lit = mesh_hits(
@@ -585,4 +530,4 @@ def _mesh_radiance(
             toward = -rays.reflected[use][lit]
             light[lit] = object_radiance(scene, spot, points[lit], normals[lit], toward)
             total[use] += light
-    return total / MESH_SAMPLES**2
+    return total / 4.0

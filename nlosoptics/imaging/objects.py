@@ -21,24 +21,15 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MAX_PATCHES = 4096
-MOST_SAMPLES = 512  # of the irradiance along each side of a picture
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Patches:
-    """Small patches that represent a surface.
+    """Small patches that represent a surface."""
 
-    Parameters
-    ----------
-    points, normals : ndarray, (n, 3)
-        Positions, m, and unit normals toward the lit front, world frame.
-    areas : ndarray, (n,)
-        Patch areas times relative reflectance, m^2.
-    """
-
-    points: Array
+    points: Array  # (n, 3): Positions, m, and unit normals toward the lit front, world frame
     normals: Array
-    areas: Array
+    areas: Array  # (n,): Patch areas times relative reflectance, m^2
 
 
 def object_patches(
@@ -52,18 +43,6 @@ def object_patches(
     is placed at its centre of reflectance, which leaves an error of order (patch/distance)^2, below
     1e-3 of the light. Dark patches are dropped. The triangles of a mesh are subdivided or sampled
     by area; parts of a mesh that hide one another are not detected.
-
-    Parameters
-    ----------
-    hidden : PlanarObject or MeshObject
-        Object.
-    irradiance : callable, optional
-        Irradiance (n,) at points (n, 3) of the picture's plane. If given, a patch is placed at the
-        centre of its light, and its area is that which reflects this light with the irradiance
-        there. Needed if the irradiance varies within a patch.
-    step : float
-        Largest distance between samples of the irradiance, m; at most `MOST_SAMPLES` are taken
-        along each side.
     """
     if isinstance(hidden, MeshObject):
         return _mesh_patches(hidden.surface)
@@ -74,7 +53,7 @@ def object_patches(
     edges: list[NDArray[np.intp]] = []
     for texels, extent in zip(picture.shape, hidden.size[::-1], strict=True):
         count = min(max(math.ceil(50 * extent / nearest), 8), 64)
-        samples = max(count, min(extent / step, MOST_SAMPLES))
+        samples = max(count, min(extent / step, 512))
         repeat = max(1, math.ceil(samples / texels))
         picture = np.repeat(picture, repeat, axis=len(edges))
         edges.append(np.linspace(0, texels * repeat, count + 1).astype(np.intp))
@@ -193,24 +172,6 @@ def mesh_hits(
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """First intersections of rays with a mesh, restricted to points that the source lights.
 
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        Mesh, world frame.
-    source : ndarray, (3,)
-        Position of the laser spot, m.
-    origins, directions : ndarray, (n, 3)
-        Origins of the rays, m, and unit directions.
-
-    Returns
-    -------
-    points, normals : ndarray, (n, 3)
-        Intersections, m, and unit normals; zero where ``lit`` is False.
-    lit : ndarray of bool, (n,)
-        Whether the ray meets a lit point from the front.
-
-    Notes
-    -----
     A point is lit if its triangle faces the source and no other part of the mesh is in between.
     """
     hits = intersect_mesh(mesh, origins, directions)

@@ -27,12 +27,8 @@ from .objects import Patches, object_patches
 
 Array = NDArray[np.float64]
 
-GRAZING = math.radians(89.0)  # largest angle of incidence of the laser beam
 NODES = 24  # nodes of the Chebyshev interpolation along each side of the detector
 NODES_HEIGHT = 3  # nodes of the interpolation over the wall's height
-GROUP = 0.08  # rad; on a curved wall, object patches within this angle share one direction
-BAND = 64  # rows of pixels that are computed together, few enough for the processor's cache
-PAIRS = 400_000  # pairs of wall point and object patch held in memory at a time
 
 
 def electrons_per_joule(scene: Scene) -> float:
@@ -55,33 +51,17 @@ def electrons_per_radiance(scene: Scene, cos_axis: Array, exposure: float) -> Ar
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LaserSpot:
-    """Laser spot on the wall.
+    """Laser spot on the wall."""
 
-    Parameters
-    ----------
-    point, normal : ndarray, (3,)
-        Centre of the spot, m, and the wall's unit normal there, toward the room; world frame.
-    incident : ndarray, (3,)
-        Unit vector from the spot to the laser, world frame.
-    area : float
-        Illuminated area of the wall, m^2.
-    """
-
+    # (3,): Centre of the spot, m, and the wall's unit normal there, toward the room; world frame
     point: Array
     normal: Array
-    incident: Array
-    area: float
+    incident: Array  # (3,): Unit vector from the spot to the laser, world frame
+    area: float  # Illuminated area of the wall, m^2
 
 
 def laser_spot(scene: Scene) -> LaserSpot:
-    """Find the laser spot: the intersection of the beam's axis with the wall surface itself.
-
-    Raises
-    ------
-    SceneError
-        If the beam misses the wall or crosses its edge, or if the spot at grazing incidence is too
-        long to be treated as a point source; or if an occluder reflects light.
-    """
+    """Find the laser spot: the intersection of the beam's axis with the wall surface itself."""
     scene.check_black_occluders()
     laser = scene.laser
     beam = np.subtract(laser.aim, laser.position)
@@ -104,11 +84,11 @@ def _check_footprint(
     """Raise for a spot that is stretched by grazing incidence or cut by the wall's edge."""
     width = scene.laser.beam_diameter
     remedy = "raise laser.position or make laser.beam_diameter smaller"
-    if cosine < math.cos(GRAZING):
+    if cosine < math.cos(math.radians(89.0)):
         raise SceneError(
             f"laser.position = {scene.laser.position} m: the beam meets the wall at "
             f"{math.degrees(math.acos(cosine)):.4g} deg from its normal, limit "
-            f"{math.degrees(GRAZING):g} deg; raise laser.position"
+            "89 deg; raise laser.position"
         )
     distance = math.dist(point, scene.object_point)
     if width / cosine > distance:
@@ -213,26 +193,6 @@ def background_radiance(
 ) -> Array:
     """Radiance toward the lens of the wall's diffuse lobes, lit by the object, W/(m^2 sr).
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with wall, object material and camera.
-    spot : LaserSpot
-        Laser spot on the wall.
-    patches : Patches
-        Patches of the object.
-    rays : ChiefRays
-        Chief rays of the pixel centres, (ny, nx).
-    seen : ndarray of bool, (ny, nx)
-        Pixels that look at the wall; the others get zero.
-
-    Returns
-    -------
-    ndarray, (ny, nx)
-        Radiance.
-
-    Notes
-    -----
     L = sum over patches of f_r L_o cos cos' dA/r^2, with an error below 1e-3. For a flat wall it is
     evaluated at Chebyshev nodes of the detector and interpolated. On a curved wall the normal may
     change within a few pixels, but the incident light varies smoothly. Therefore the vector
@@ -279,26 +239,14 @@ def background_radiance(
 def _reflected(
     fluxes: Array, weights: tuple[Array, Array, Array], normals: Array, views: Array, lobes: Array
 ) -> Array:
-    """Return the radiance (rows, columns), W/(m^2 sr), that the wall's lobes reflect to the lens.
-
-    Parameters
-    ----------
-    fluxes : ndarray, (groups, ny, nx, nh, 3)
-        Vector irradiance at the nodes due to each group of patches, W/m^2.
-    weights : ndarray, (rows, ny), (nx, columns) and (nh, rows, columns)
-        Weights of the nodes along each axis.
-    normals, views : ndarray, (3, rows, columns)
-        Unit normal of the wall and unit vector to the lens at each pixel's wall point.
-    lobes : ndarray, (n, 7)
-        Table of the lobes.
-    """
+    """Return the radiance (rows, columns), W/(m^2 sr), that lobes reflect to the lens."""
     from ..kernels import brdf
     from ._radiance_kernels import arriving
 
     on_y, on_x, on_height = weights
 
     def band(first: int) -> Array:
-        rows = slice(first, first + BAND)
+        rows = slice(first, first + 64)  # few enough for the processor's cache
         normal, view = normals[:, rows], views[:, rows]
         facing = dot(np.moveaxis(normal, 0, -1), np.moveaxis(view, 0, -1)).ravel()
         total = np.zeros(facing.size)
@@ -314,30 +262,11 @@ def _reflected(
             total += found
         return total.reshape(strength.shape)
 
-    return np.concatenate(list(worker_pool().map(band, range(0, normals.shape[1], BAND))))
+    return np.concatenate(list(worker_pool().map(band, range(0, normals.shape[1], 64))))
 
 
 class Nodes:
-    """Points on the camera's chief rays at given heights above the mean wall plane.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the camera.
-    x, y : ndarray, (n,)
-        Detector coordinates of the chief rays, m.
-    height : ndarray, (n,)
-        Height z of each point, m.
-
-    Attributes
-    ----------
-    count : int
-        Number of rays n.
-    used : ndarray of int, (m,)
-        Indices of the rays that lead toward the wall.
-    directions, points : ndarray, (m, 3)
-        Unit vectors of these rays and their points, m, world frame.
-    """
+    """Points on the camera's chief rays at given heights above the mean wall plane."""
 
     def __init__(self, scene: Scene, x: Array, y: Array, height: Array) -> None:
         e1, e2, axis = scene.camera.frame
@@ -352,34 +281,17 @@ class Nodes:
 
 
 def arrivals(
-    scene: Scene, spot: LaserSpot, patches: Patches, nodes: Nodes
+    scene: Scene, spot: LaserSpot, patches: Patches, points: Array
 ) -> Iterator[tuple[slice, Array, Array]]:
-    """Compute the light that object patches send to wall points, in blocks of points.
+    """Compute the light that object patches send to wall points (n, 3), m, in blocks of points.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with laser and object material.
-    spot : LaserSpot
-        Laser spot on the wall.
-    patches : Patches
-        Patches of the object, p of them.
-    nodes : Nodes
-        Wall points.
-
-    Yields
-    ------
-    block : slice
-        Points of this block.
-    toward : ndarray, (n_block, p, 3)
-        Unit vectors from the points to the patches.
-    light : ndarray, (n_block, p)
-        Irradiance from each patch on a surface that faces it, W/m^2.
+    Yields the block; unit vectors to the patches, (n_block, n_patches, 3); and the irradiance of a
+    surface that faces each patch, (n_block, n_patches), W/m^2.
     """
-    step = max(1, PAIRS // len(patches.areas))
-    for start in range(0, len(nodes.used), step):
+    step = max(1, 400_000 // len(patches.areas))  # to bound the memory
+    for start in range(0, len(points), step):
         block = slice(start, start + step)
-        toward = patches.points - nodes.points[block][:, None]
+        toward = patches.points - points[block][:, None]
         square = dot(toward, toward)
         toward /= np.sqrt(square)[..., None]
         cosine = np.maximum(-dot(toward, patches.normals), 0.0)
@@ -392,7 +304,7 @@ def _flat_radiance(
 ) -> Array:
     """Radiance of a flat wall at nodes; zero, its limit at the horizon, for rays that miss it."""
     result = np.zeros(nodes.count)
-    for block, toward, light in arrivals(scene, spot, patches, nodes):
+    for block, toward, light in arrivals(scene, spot, patches, nodes.points):
         lobe = diffuse.evaluate(toward, -nodes.directions[block][:, None], (0.0, 0.0, 1.0))
         light *= lobe * np.maximum(toward[..., 2], 0.0)
         result[nodes.used[block]] = light.sum(axis=-1)
@@ -415,7 +327,7 @@ def _groups(patches: Patches, diffuse: Material) -> NDArray[np.intp]:
 
     Seen from the wall, a group is small compared with the width of the wall's diffuse lobes.
     """
-    cell = GROUP * max(float(patches.points[:, 2].min()), 1e-3)
+    cell = 0.08 * max(float(patches.points[:, 2].min()), 1e-3)
     if (diffuse.lobe_table()[:, 0] == LAMBERT).all():
         cell = math.inf  # Lambertian: the direction of incidence does not matter
     else:
@@ -438,7 +350,7 @@ def _grouped_flux(
         points=patches.points[order], normals=patches.normals[order], areas=patches.areas[order]
     )
     flux = np.zeros((len(starts), nodes.count, 3))
-    for block, toward, light in arrivals(scene, spot, patches, nodes):
+    for block, toward, light in arrivals(scene, spot, patches, nodes.points):
         toward *= light[..., None]
         sums = np.add.reduceat(toward, starts, axis=1)
         flux[:, nodes.used[block]] = sums.transpose(1, 0, 2)

@@ -41,8 +41,6 @@ Mask = NDArray[np.bool_]
 SIDE = 4  # sample paths along each side of a pixel, each through its own point of the lens
 SAMPLES = 1024  # points that represent the object as a source
 NODES = 65  # pixels along each side of the detector at which the wall's light is summed
-TURN = math.pi * (3.0 - math.sqrt(5.0))  # golden angle, for evenly spread points on a disc
-RIM = 16  # rays along the edge of the laser beam
 SHADOW_BYTES = 450  # measured memory per pixel
 
 
@@ -172,7 +170,7 @@ def check_beam(scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot) -> None:
     """Raise if an occluder cuts the laser beam, on its axis or at its edge."""
     laser = np.array(scene.laser.position)
     across = np.linalg.svd(spot.incident[None])[2][1:]
-    angles = 2 * math.pi * np.arange(RIM) / RIM
+    angles = 2 * math.pi * np.arange(16) / 16
     rim = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ across
     offsets = np.concatenate([np.zeros((1, 3)), scene.laser.beam_diameter / 2 * rim])
     # intersection of each ray with the tangent plane at the spot
@@ -190,7 +188,8 @@ def _lens_points(scene: Scene) -> Array:
     """Return SIDE^2 evenly spread points on the lens relative to its centre, world axes, m."""
     k = np.arange(SIDE**2)
     radius = scene.camera.stop_diameter / 2 * np.sqrt((k + 0.5) / SIDE**2)
-    disc = np.stack([radius * np.cos(TURN * k), radius * np.sin(TURN * k)], axis=1)
+    turn = k * math.pi * (3.0 - math.sqrt(5.0))  # golden angle
+    disc = np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
     return np.asarray(disc @ scene.camera.frame[:2])
 
 
@@ -222,26 +221,7 @@ def _path_shares(
 def wall_samples(
     scene: Scene, centres: tuple[Array, Array], pitch: float, use: Mask
 ) -> Iterator[tuple[Array, Array]]:
-    """Sample the paths between the lens and the parts of the wall that detector areas see.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with camera and wall.
-    centres : (ndarray, ndarray), (nx,) and (ny,)
-        Detector coordinates x and y of square areas, m.
-    pitch : float
-        Side of the areas, m.
-    use : ndarray of bool, (ny, nx)
-        Areas to sample, m of them.
-
-    Yields
-    ------
-    on_wall : ndarray, (m, 3)
-        Wall points, world frame, m; NaN where a path misses the wall.
-    lens : ndarray, (3,)
-        Point on the lens from which the light of these paths enters, world frame, m.
-    """
+    """Sample the paths between the lens and the parts of the wall that detector areas see."""
     for rays, lens in _sample_rays(scene, centres, pitch):
         yield _on_wall(scene, rays, use, lens), lens
 
@@ -309,7 +289,7 @@ def _veil_share(
     normals = np.where(on[..., None], normals, (0.0, 0.0, 1.0)).reshape(-1, 3)
     nodes = Nodes(scene, x.ravel(), y.ravel(), height.ravel())
     share = np.ones(nodes.count)
-    for block, toward, light in arrivals(scene, spot, patches, nodes):
+    for block, toward, light in arrivals(scene, spot, patches, nodes.points):
         used = nodes.used[block]
         facing, view = normals[used][:, None], -nodes.directions[block][:, None]
         light *= np.maximum(dot(toward, facing), 0.0)

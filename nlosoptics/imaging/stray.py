@@ -13,8 +13,6 @@ from .radiometry import LaserSpot
 
 Array = NDArray[np.float64]
 
-CELLS = 1 << 18  # sub-pixels computed at a time
-
 
 def spot_image(scene: Scene, spot: LaserSpot) -> Array:
     """Fractions of the spot's light through the lens that fall on each pixel.
@@ -23,17 +21,7 @@ def spot_image(scene: Scene, spot: LaserSpot) -> Array:
     area of two circles. The elliptic outline of the spot is replaced by a circle of the same area.
     Diffraction is neglected.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the camera.
-    spot : LaserSpot
-        Laser spot on the wall.
-
-    Returns
-    -------
-    ndarray, (ny, nx)
-        Fractions; their sum is the part that falls on the detector, at most 1.
+    Returns the fractions; their sum is the part that falls on the detector, at most 1.
     """
     camera = scene.camera
     shares = np.zeros(camera.shape)
@@ -71,7 +59,7 @@ def spot_image(scene: Scene, spot: LaserSpot) -> Array:
     # the integral of the common area over the plane is the product of both areas
     scale = (pitch / fine) ** 2 / (math.pi**2 * disc**2)
     scale /= blur**2 if blur > 0.0 else 1.0 / math.pi
-    rows = max(1, CELLS // max(1, fine * len(offsets[0])))
+    rows = max(1, (1 << 18) // max(1, fine * len(offsets[0])))
     for start in range(seen[1].start, seen[1].stop, rows):
         stop = min(start + rows, seen[1].stop)
         part = slice((start - seen[1].start) * fine, (stop - seen[1].start) * fine)

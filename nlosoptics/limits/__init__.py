@@ -2,7 +2,7 @@
 
 `feasibility` is the main function: it predicts photons, noise, modulation, resolution and whether
 the object can be recovered. Other functions give the modulation that a diffuse or a glossy wall
-transmits. `laser_class` estimates whether the laser is safe for the eye.
+transmits.
 """
 
 import lazy_loader as _lazy

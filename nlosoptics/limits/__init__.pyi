@@ -1,5 +1,3 @@
-from .laser_safety import LaserClass as LaserClass
-from .laser_safety import laser_class as laser_class
 from .modulation import object_scale as object_scale
 from .relay import lambert_relay_limit as lambert_relay_limit
 from .relay import lambert_relay_transfer as lambert_relay_transfer

@@ -37,22 +37,7 @@ def _clipped(corners, depth, count, level, above, out, out_depth):
 
 @njit(cache=True)
 def hide(point, vertices, faces, frame, samples):
-    """Set those samples of a rectangle to 0 that triangles hide from a point.
-
-    Parameters
-    ----------
-    point : ndarray, (3,)
-        Point, m.
-    vertices : ndarray, (v, 3)
-        Corners of the triangles, m.
-    faces : ndarray of int, (t, 3)
-        Corners of each triangle.
-    frame : ndarray, (4, 3)
-        Corner of the rectangle with the lowest indices, m; its sides along columns and rows, each
-        divided by its squared length, 1/m; and its unit normal.
-    samples : ndarray of uint8, (rows, columns)
-        Samples at the middles of equal parts of the rectangle; changed in place.
-    """
+    """Set those samples of a rectangle to 0 that triangles hide from a point."""
     rows, columns = samples.shape
     height = 0.0
     for k in range(3):
@@ -134,23 +119,7 @@ def _fill(corners, count, samples):
 def seen_shares(points, open_paths, vertices, faces, frame, lit, cells):
     """Return the share of each cell that is lit and seen, averaged over groups of points.
 
-    Parameters
-    ----------
-    points : ndarray, (groups, n, 3)
-        Points, m.
-    open_paths : ndarray of bool, (groups, n)
-        Whether a point counts; the others see nothing.
-    vertices, faces, frame
-        See `hide`.
-    lit : ndarray of uint8, (rows, columns)
-        Samples of the rectangle, 1 where it is lit.
-    cells : (int, int)
-        Numbers of cells along rows and columns; each holds an equal number of samples.
-
-    Returns
-    -------
-    ndarray, (groups, cells[0] * cells[1])
-        Shares, 0 to 1; cells in rows.
+    Returns shares, 0 to 1; cells in rows.
     """
     n_y, n_x = cells
     down, across = lit.shape[0] // n_y, lit.shape[1] // n_x

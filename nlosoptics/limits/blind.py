@@ -8,33 +8,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: Strengths of walls in the tests, waves rms, and the shares of fits that found the object, with
-#: one frame and with two. The tests are those of `benchmarks/inverse/evidence.py`: 18 fits
-#: with one frame and 36 with two per strength, noise of 1 % of the brightest pixel.
-STRENGTHS = (0.25, 0.5, 1.0)
-ONE_FRAME = (18 / 18, 18 / 18, 10 / 18)
-TWO_FRAMES = (36 / 36, 36 / 36, 35 / 36)
-WEAK = 1 / 14  # waves rms below which a wave is diffraction-limited (Marechal)
-NOISY = 0.02  # largest noise over brightest pixel to which the tests apply
-BLURRED = 0.5  # largest blur by a lobe's slope to which the tests apply, pixels rms
+#: By strength of the wall, waves rms: shares of tested fits that found the object, with one frame
+#: and with two. The tests are those of `benchmarks/inverse/evidence.py`: 18 fits with one frame and
+#: 36 with two per strength, noise of 1 % of the brightest pixel.
+SHARES = {0.25: (18 / 18, 36 / 36), 0.5: (18 / 18, 36 / 36), 1.0: (10 / 18, 35 / 36)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class BlindForecast:
-    """Expected success of fits that know neither the object nor the wall.
+    """Expected success of fits that know neither the object nor the wall."""
 
-    Parameters
-    ----------
-    one_frame, two_frames : float
-        Share of tested fits that found the object, in cases like this one; NaN if no such case
-        was tested or no fit is needed.
-    text : str
-        Statement of the forecast and of its reason.
-    """
-
+    # Share of tested fits that found the object, in cases like this one; NaN if no such case was
+    # tested or no fit is needed
     one_frame: float
     two_frames: float
-    text: str
+    text: str  # Statement of the forecast and of its reason
 
 
 def blind_forecast(
@@ -42,23 +30,6 @@ def blind_forecast(
 ) -> BlindForecast:
     """Forecast the success of a blind fit with one frame, and with two of known defocus.
 
-    Parameters
-    ----------
-    strength : float
-        Wave aberration of the wall without piston and tilt, waves rms; NaN without a wave.
-    noise : float
-        Rms noise of a pixel over the object's brightest pixel in the blurred image.
-    blur : float
-        Blur by the wall's lobe, pixels rms.
-    bounds : mapping of int to float
-        Cramer-Rao bounds for the wave from two frames, waves rms.
-
-    Returns
-    -------
-    BlindForecast
-
-    Notes
-    -----
     Shares are interpolated between the tested strengths of 0.25, 0.5 and 1 wave; weaker walls count
     as 0.25 waves. In these tests pixels resolve the smooth wall's point spread, lobes have no
     slope, and the second frame has a defocus of half a wave rms (one wave for the strongest walls).
@@ -71,8 +42,9 @@ def blind_forecast(
             one_frame=0.0, two_frames=0.0, text="no image, so no wall can be fitted"
         )
     told = f"the wall's wave is {strength:.2g} waves rms"
-    if strength < WEAK:
-        text = f"{told}, below {WEAK:.2g}: a fit that knows the smooth wall needs no other"
+    weak = 1 / 14  # a weaker wave is diffraction-limited (Marechal)
+    if strength < weak:
+        text = f"{told}, below {weak:.2g}: a fit that knows the smooth wall needs no other"
         return BlindForecast(one_frame=unknown, two_frames=unknown, text=text)
     least = math.sqrt(sum(value**2 for value in bounds.values()))
     if least > strength:
@@ -82,16 +54,19 @@ def blind_forecast(
         )
         return BlindForecast(one_frame=0.0, two_frames=0.0, text=text)
     reason = ""
-    if strength > STRENGTHS[-1]:
-        reason = f"walls above {STRENGTHS[-1]:g} wave"
-    elif noise > NOISY:
+    strongest = max(SHARES)
+    if strength > strongest:
+        reason = f"walls above {strongest:g} wave"
+    elif noise > 0.02:  # noise and blur in pixels rms are larger than in the tests
         reason = f"noise of {100 * noise:.2g} % of the brightest pixel"
-    elif blur > BLURRED:
+    elif blur > 0.5:
         reason = f"a lobe that blurs by {blur:.2g} pixels rms"
     if reason:
         text = f"{told}; blind fits were not tested for {reason}"
         return BlindForecast(one_frame=unknown, two_frames=unknown, text=text)
-    one, two = (float(np.interp(strength, STRENGTHS, s)) for s in (ONE_FRAME, TWO_FRAMES))
+    one, two = (
+        float(np.interp(strength, list(SHARES), s)) for s in zip(*SHARES.values(), strict=True)
+    )
     text = (
         f"{told}; of such walls {100 * two:.0f} % were found from two frames of known defocus and "
         f"{100 * one:.0f} % from one"

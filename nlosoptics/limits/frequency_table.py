@@ -8,28 +8,14 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Pair = tuple[Array, Array]
 
-POINTS = 33  # evenly spaced, from 0 to the frequency of two pixels a period
-OCTAVES = 8  # below the frequency of the strokes
-#: The table begins where the picture and the matt wall pass this modulation ...
-HIGH = 0.5
-LOST = 1e-3  # ... and ends where both pass less than this
-LEAST = 1e-12  # smallest value that the table prints
-
 
 def frequencies(stroke: float, top: float) -> Array:
     """Return the spatial frequencies, cycles/m, at which `Feasibility` gives its curves, (n,).
 
     They are evenly spaced from 0 to ``top``, with octaves of the strokes' frequency added. The
     octaves resolve a modulation that vanishes far below ``top``.
-
-    Parameters
-    ----------
-    stroke : float
-        Stroke width of the object, m; 0 for a dark object.
-    top : float
-        Highest frequency, with a period of two pixels, cycles/m.
     """
-    return np.union1d(np.linspace(0.0, top, POINTS), _octaves(stroke, top))
+    return np.union1d(np.linspace(0.0, top, 33), _octaves(stroke, top))
 
 
 def needed(stroke: float) -> float:
@@ -44,29 +30,12 @@ def _octaves(stroke: float, top: float) -> Array:
     """Return the octaves of the strokes' frequency up to ``top``, which is included; cycles/m."""
     anchor = needed(stroke) or top
     above = max(0, int(np.ceil(np.log2(top / anchor))))
-    octaves = anchor * 2.0 ** np.arange(-OCTAVES, above + 1)
+    octaves = anchor * 2.0 ** np.arange(-8, above + 1)
     return np.append(octaves[octaves < top], top)
 
 
 def lines(stroke: float, frequency: Array, picture: Pair, matt_wall: Pair) -> list[str]:
-    """Return a table of modulation and signal-to-noise ratio against frequency, as text.
-
-    Parameters
-    ----------
-    stroke : float
-        Stroke width of the object, m; 0 for a dark object.
-    frequency : ndarray, (n,)
-        Increasing frequencies from 0, cycles/m, of the values.
-    picture, matt_wall : (ndarray, ndarray), both (n,)
-        Modulation and signal-to-noise ratio of the image and of light via a matt wall.
-
-    Returns
-    -------
-    list of str
-        A heading, then one line for 0 and for each octave of the strokes' frequency. The last line
-        is where the modulation vanishes, but not below the strokes' frequency. A note follows if
-        that frequency is above the last one.
-    """
+    """Return a table of modulation and signal-to-noise ratio against frequency, as text."""
     rows = _rows(stroke, frequency, picture[0], matt_wall[0])
     columns = [np.interp(rows, frequency, values) for values in (*picture, *matt_wall)]
     told = ["cycles/m  modulation  signal/noise  matt wall  signal/noise"]
@@ -79,13 +48,16 @@ def lines(stroke: float, frequency: Array, picture: Pair, matt_wall: Pair) -> li
 
 
 def _rows(stroke: float, frequency: Array, *modulations: Array) -> Array:
-    """Return the frequencies of the table's lines, cycles/m."""
+    """Return the frequencies of the table's lines, cycles/m.
+
+    They begin where image and matt wall pass half the contrast and end where both are below 1e-3.
+    """
     top = float(frequency[-1])
     rows = _octaves(stroke, top)
     strokes = min(needed(stroke) or top, top)
     passed = [np.interp(rows, frequency, values) for values in modulations if values.any()]
-    low = np.flatnonzero((rows <= strokes / 4) & (np.min(passed, axis=0) >= HIGH))
-    lost = np.flatnonzero((rows >= strokes) & (np.max(passed, axis=0) < LOST))
+    low = np.flatnonzero((rows <= strokes / 4) & (np.min(passed, axis=0) >= 0.5))
+    lost = np.flatnonzero((rows >= strokes) & (np.max(passed, axis=0) < 1e-3))
     first = int(low[-1]) if len(low) else 0
     last = int(lost[0]) if len(lost) else len(rows) - 1
     return np.concatenate([[0.0], rows[first : last + 1]])
@@ -93,4 +65,4 @@ def _rows(stroke: float, frequency: Array, *modulations: Array) -> Array:
 
 def _cell(value: float) -> str:
     """Format a value with three digits, or as an upper bound if it is negligible."""
-    return f"{value:.3g}" if value >= LEAST or value == 0.0 else f"< {LEAST:g}"
+    return f"{value:.3g}" if value >= 1e-12 or value == 0.0 else "< 1e-12"

@@ -15,35 +15,37 @@ from .relay import CELLS, CONTRAST
 
 Array = NDArray[np.float64]
 
-RINGS = 64  # rings over which the object's power spectrum is averaged
-#: A total-variation fit, as a filter: variance against which it weighs the signal and variance that
-#: it leaves, in units of the true noise times grain^GRAIN_POWER/sqrt(fill); and the variance of the
-#: image over that of the noise below which both grow. Fitted to the scenes of
-#: `benchmarks/inverse/feasibility.py --tune`.
-SMOOTHED, LEFT, GRAIN_POWER, WEAK_LIGHT = 5.7, 1.3, 1.5, 0.024
-PRIOR_POWER = 3.0  # of the frequency, by which the power spectrum of such a fit falls
-#: Scatter of these fits about the prediction c: over sqrt(1 - c^2), always, and in weak light; and
-#: the variance of the image over that of the noise at which half of the last is added.
-SPREAD, LEAST_SPREAD, WEAK_SPREAD, WEAK_EXCESS = 0.06, 0.006, 0.04, 0.03
+
+@dataclass(frozen=True, kw_only=True)
+class FitModel:
+    """A total-variation fit as a filter, and the scatter of such fits about the prediction c.
+
+    Values are fitted to the scenes of `benchmarks/inverse/feasibility.py --tune`.
+    """
+
+    # variance against which it weighs the signal and variance that it leaves, in units of the true
+    # noise times grain^grain_power/sqrt(fill)
+    smoothed: float = 5.7
+    left: float = 1.3
+    grain_power: float = 1.5
+    weak_light: float = 0.024  # variance of image over noise below which both grow
+    prior_power: float = 3.0  # power of the frequency by which the spectrum of such a fit falls
+    spread: float = 0.06  # scatter over sqrt(1 - c^2)
+    least_spread: float = 0.006  # scatter that is always added
+    weak_spread: float = 0.04  # scatter in weak light
+    weak_excess: float = 0.03  # variance of image over noise at which half of it is added
+
+
+TV_FIT = FitModel()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Noise:
-    """Mean noise variance of an image pixel by cause, electrons^2.
+    """Mean noise variance of an image pixel by cause, electrons^2."""
 
-    Parameters
-    ----------
-    photons : float
-        Shot noise of all light and of the dark current.
-    readout : float
-        Noise of readout and analogue-to-digital converter.
-    speckle : float
-        Variance of the speckle.
-    """
-
-    photons: float
-    readout: float
-    speckle: float
+    photons: float  # Shot noise of all light and of the dark current
+    readout: float  # Noise of readout and analogue-to-digital converter
+    speckle: float  # Variance of the speckle
 
     @property
     def variance(self) -> float:
@@ -67,39 +69,21 @@ class Noise:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Picture:
-    """Spectra of an expected image on a half-plane FFT grid.
+    """Spectra of an expected image on a half-plane FFT grid."""
 
-    Parameters
-    ----------
-    power : ndarray, (rows, columns)
-        Power spectrum of the unblurred image without its mean, electrons^2, averaged over rings.
-    transfer : ndarray, (rows, columns)
-        Modulus of the transfer function.
-    frequency : ndarray, (rows, columns)
-        Spatial frequency on the object, cycles/m.
-    twice : ndarray, (columns,)
-        Multiplicity of each column of the half spectrum in the full spectrum, 1 or 2.
-    grid : (int, int)
-        Samples of the full spectrum along y and x.
-    samples : int
-        Number of image pixels.
-    noise : Noise
-        Noise of an image pixel.
-    grain : float
-        (mean |grad|)^2 / mean |grad|^2 of the unblurred image: small for few sharp edges.
-    fill : float
-        (mean)^2 / mean square of the unblurred image: small for few bright pixels.
-    """
-
+    # (rows, columns): Power spectrum of the unblurred image without its mean, electrons^2, averaged
+    # over rings
     power: Array
-    transfer: Array
-    frequency: Array
+    transfer: Array  # (rows, columns): Modulus of the transfer function
+    frequency: Array  # (rows, columns): Spatial frequency on the object, cycles/m
+    # (columns,): Multiplicity of each column of the half spectrum in the full spectrum, 1 or 2
     twice: Array
-    grid: tuple[int, int]
-    samples: int
-    noise: Noise
+    grid: tuple[int, int]  # (int, int): Samples of the full spectrum along y and x
+    samples: int  # Number of image pixels
+    noise: Noise  # Noise of an image pixel
+    # (mean |grad|)^2 / mean |grad|^2 of the unblurred image: small for few sharp edges
     grain: float
-    fill: float
+    fill: float  # (mean)^2 / mean square of the unblurred image: small for few bright pixels
 
     @property
     def excess(self) -> float:
@@ -117,8 +101,8 @@ class Picture:
         in the blurred image. With the signal's power S = H^2 Q, transfer H and a noise power N, it
         passes ``w = S/(S + N)``. With the noise power M that is left, the correlation is
         ``c = sum P w/sqrt(sum P sum w^2 (P + M/H^2))`` over all frequencies. N and M are the true
-        noise times `SMOOTHED` or `LEFT`, and ``grain^GRAIN_POWER/sqrt(fill) (1 +
-        WEAK_LIGHT/excess)``: the fewer edges an object has, the better total variation tells it
+        noise times ``smoothed`` or ``left`` of `FitModel`, and ``grain^grain_power/sqrt(fill) (1 +
+        weak_light/excess)``: the fewer edges an object has, the better total variation tells it
         from noise.
         """
         total = float((self.power * self.twice).sum())
@@ -127,38 +111,32 @@ class Picture:
         passed = self.transfer**2
         # one cycle in the frame, of which the grid is twice as wide
         lowest = 2.0 * float(self.frequency[0, 1])
-        expected = (self.frequency**2 + lowest**2) ** (-PRIOR_POWER / 2)
+        expected = (self.frequency**2 + lowest**2) ** (-TV_FIT.prior_power / 2)
         slopes = passed * self.frequency**2 * self.twice
         scale = float((slopes * self.power).sum()) / max(float((slopes * expected).sum()), 1e-300)
         # by Parseval, white noise has this power at each frequency of an unnormalised FFT
-        noise = self.noise.variance * self.samples * (1.0 + WEAK_LIGHT / max(self.excess, 1e-30))
-        noise *= self.grain**GRAIN_POWER / math.sqrt(self.fill)
+        noise = (
+            self.noise.variance * self.samples * (1.0 + TV_FIT.weak_light / max(self.excess, 1e-30))
+        )
+        noise *= self.grain**TV_FIT.grain_power / math.sqrt(self.fill)
         signal = passed * scale * expected
-        weight = signal / np.maximum(signal + SMOOTHED * noise, 1e-300)
+        weight = signal / np.maximum(signal + TV_FIT.smoothed * noise, 1e-300)
         kept = float((self.power * weight * self.twice).sum())
-        left = LEFT * noise * weight**2 / np.maximum(passed, 1e-300)
+        left = TV_FIT.left * noise * weight**2 / np.maximum(passed, 1e-300)
         power = float(((weight**2 * self.power + left) * self.twice).sum())
         return kept / math.sqrt(total * power) if power > 0.0 else 0.0
 
     def spread(self) -> float:
         """Return the expected error of `score`: at least 68 % of fits are within it."""
-        strong = SPREAD * math.sqrt(max(1.0 - self.score() ** 2, 0.0)) + LEAST_SPREAD
-        return strong + WEAK_SPREAD / (1.0 + (self.excess / WEAK_EXCESS) ** 2)
+        strong = TV_FIT.spread * math.sqrt(max(1.0 - self.score() ** 2, 0.0)) + TV_FIT.least_spread
+        return strong + TV_FIT.weak_spread / (1.0 + (self.excess / TV_FIT.weak_excess) ** 2)
 
     def with_noise(self, noise: Noise) -> Picture:
         """Return a copy with another noise."""
         return replace(self, noise=noise)
 
     def with_lobe(self, blur: float, *, instead: Array) -> Picture:
-        """Return a copy in which the wall's lobe is replaced by a Gaussian one.
-
-        Parameters
-        ----------
-        blur : float
-            Blur of the new lobe on the object, m rms.
-        instead : ndarray, (rows, columns)
-            Modulus of the transfer function without any lobe.
-        """
+        """Return a copy in which the wall's lobe is replaced by a Gaussian one."""
         lobe = np.exp(-2.0 * (math.pi * blur * self.frequency) ** 2)
         return replace(self, transfer=instead * lobe)
 
@@ -215,19 +193,7 @@ def object_scale(scene: Scene) -> float:
 
 
 def spectra(ideal: Array, transfer: Array, pitch: float, noise: Noise) -> Picture:
-    """Return power spectrum and transfer function of an expected image.
-
-    Parameters
-    ----------
-    ideal : ndarray, (ny, nx)
-        Unblurred image, electrons.
-    transfer : ndarray, (rows, columns//2 + 1)
-        Modulus of the transfer function on the half spectrum of the grid from `padded`.
-    pitch : float
-        Pixel side on the object, m.
-    noise : Noise
-        Noise of an image pixel.
-    """
+    """Return power spectrum and transfer function of an expected image."""
     rows, columns = padded(ideal.shape)
     frequency = _frequencies((rows, columns), pitch)
     # a correlation ignores the mean, which would leak if the grid is wider than the frame
@@ -254,17 +220,7 @@ def padded(shape: tuple[int, ...]) -> tuple[int, int]:
 def stroke_width(picture: Array, pixel: float) -> float:
     """Return the mean width of a picture's bright parts: twice their area over their perimeter.
 
-    Parameters
-    ----------
-    picture : ndarray, (rows, columns)
-        Brightness, at least 0. Parts brighter than half of the maximum are bright.
-    pixel : float
-        Side of the picture's pixels on the object, m.
-
-    Returns
-    -------
-    float
-        Width, m; 0 for a dark picture.
+    Returns the width, m; 0 for a dark picture.
     """
     bright = picture > 0.5 * float(picture.max(initial=0.0))
     if not bright.any():
@@ -280,22 +236,7 @@ def picture_modes(
 ) -> int:
     """Count the object's Fourier modes that an image with a given modulation shows above the noise.
 
-    Parameters
-    ----------
-    modulation : ndarray, (n,)
-        Modulation of the image.
-    frequency : ndarray, (n,)
-        Increasing frequencies of ``modulation`` on the object, cycles/m.
-    size : (float, float)
-        Width and height of the object, m.
-    snr : float
-        sqrt(sum s^2/n^2) over the image pixels of the object, s the electrons of a white object
-        and n the rms noise.
-
-    Returns
-    -------
-    int
-        Number of modes, counted as in `relay_modes` for a shift-invariant response.
+    Returns the number of modes, counted as by `relay.count_modes` for a shift-invariant response.
     """
     longer = max(size)
     counts = [max(1, round(CELLS * side / longer)) for side in size]
@@ -327,10 +268,9 @@ def _twice(columns: int) -> Array:
     return twice
 
 
-def _ring_average(power: Array, frequency: Array) -> Array:
+def _ring_average(power: Array, frequency: Array, rings: int = 64) -> Array:
     """Replace power by its mean over rings of equal width, which removes the object's details."""
-    ring = np.minimum((frequency / frequency.max() * RINGS).astype(np.intp), RINGS - 1).ravel()
-    count = np.maximum(np.bincount(ring, minlength=RINGS), 1)
-    means = np.bincount(ring, weights=power.ravel(), minlength=RINGS) / count
-    averaged = np.asarray(means[ring].reshape(power.shape))
-    return averaged
+    ring = np.minimum((frequency / frequency.max() * rings).astype(np.intp), rings - 1).ravel()
+    count = np.maximum(np.bincount(ring, minlength=rings), 1)
+    means = np.bincount(ring, weights=power.ravel(), minlength=rings) / count
+    return np.asarray(means[ring].reshape(power.shape))

@@ -11,15 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, positive, whole
 from .._vectors import dot
-from ..errors import SamplingError, SceneError
+from ..errors import SceneError
 from ..imaging.detector import noise_variance
 from ..imaging.geometry import chief_rays, wall_visibility
 from ..imaging.objects import Patches
 from ..imaging.radiometry import (
     LaserSpot,
+    arrivals,
     electrons_per_radiance,
     laser_spot,
-    object_radiance,
 )
 from ..imaging.shadows import wall_samples
 from ..raytrace import occluded
@@ -28,12 +28,8 @@ from ..scene import Material, PlanarObject, Scene, SumMaterial
 Array = NDArray[np.float64]
 
 CELLS = 24  # cells of the object along its longer side
-FIRST_BINS, MOST_BINS = 6, 96  # fewest and most bins of the detector along its longer side
-CONVERGED = 0.03  # relative change of the degrees of freedom at which bins are fine enough
 PARTS = 4  # samples of visibility along each side of a cell
 CONTRAST = 0.3  # assumed rms variation of a cell's reflectance about the mean
-MEAN_ALBEDO = 0.35  # assumed mean reflectance of the object, for the photon noise
-PAIRS = 200_000  # pairs of wall point and cell held in memory at a time
 
 
 def lambert_relay_transfer(frequency: ArrayLike, distance: float) -> Array:
@@ -175,51 +171,6 @@ def lambert_relay_limit(electrons: float, distance: float) -> float:
     return float(scipy.optimize.brentq(excess, 1e-9, 700.0, xtol=1e-14)) / (2 * math.pi * distance)
 
 
-def relay_modes(
-    scene: Scene,
-    *,
-    exposure: float | None = None,
-    light: Array | None = None,
-    freedom: float | None = None,
-    cells: int = CELLS,
-    bins: int | None = None,
-) -> int:
-    """Count the object's modes that the wall's wide lobes pass above the noise.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene. The object's own picture is ignored.
-    exposure : float, optional
-        Exposure, s; by default the camera's.
-    light : ndarray, (ny, nx), optional
-        Expected electrons of all light in each image pixel, which determine the noise. By default
-        the light that these lobes pass from an object of reflectance `MEAN_ALBEDO`.
-    freedom : float, optional
-        Degrees of freedom of an image pixel's speckle, 1/contrast^2; None for no speckle.
-    cells : int
-        Cells of the object along its longer side.
-    bins : int, optional
-        Bins of the detector along its longer side; by default as many as `relay_signal` needs.
-
-    Returns
-    -------
-    int
-        Number of singular values of `relay_signal` above 1.
-
-    Raises
-    ------
-    SamplingError
-        If ``light`` does not have the camera's shape.
-    SceneError
-        If a value is out of range or not finite.
-    """
-    signal = relay_signal(
-        scene, exposure=exposure, light=light, freedom=freedom, cells=cells, bins=bins
-    )
-    return 0 if signal is None else count_modes(signal)
-
-
 def relay_signal(
     scene: Scene,
     *,
@@ -231,23 +182,12 @@ def relay_signal(
 ) -> Array | None:
     """Return the signal-to-noise ratio of every object cell in the light of the wall's wide lobes.
 
-    Parameters
-    ----------
-    scene, exposure, light, freedom, cells
-        See `relay_modes`.
-    bins : int, optional
-        Bins of the detector along its longer side. By default their number is doubled until the
-        degrees of freedom, the sum of v^2/(1 + v^2) over the singular values v, change by less than
-        `CONVERGED`, or bins are as small as pixels, or there are `MOST_BINS`.
+    Returns A (n_bins, n_cells), `CONTRAST` times response over rms noise; None without a wide lobe.
+    The Fisher information on the cells' reflectances is ``A^T A/CONTRAST^2``. ``light`` (ny, nx)
+    are the expected electrons of all light in each pixel, by default of an object of reflectance
+    0.35; ``freedom`` the degrees of freedom of a pixel's speckle. The number of bins along the
+    longer side is doubled, by default, until the degrees of freedom change by less than 3 %.
 
-    Returns
-    -------
-    ndarray, (n_bins, n_cells), or None
-        Matrix A, `CONTRAST` times response over rms noise; None without a wide lobe. The Fisher
-        information on the cells' reflectances is ``A^T A/CONTRAST^2``.
-
-    Notes
-    -----
     The singular values are the signal-to-noise ratios of independent patterns of contrast
     `CONTRAST`. Wide lobes are the diffuse ones, and mirror-like ones that blur over two cells or
     more. Narrower lobes form an image; `picture_modes` counts its modes.
@@ -258,7 +198,6 @@ def relay_signal(
     camera = scene.camera
     exposure = positive("exposure", camera.exposure if exposure is None else exposure)
     freedom = None if freedom is None else positive("freedom", freedom)
-    light = None if light is None else _checked_light(light, camera.shape)
     dark = camera.dark_current * exposure * camera.binning**2
 
     def signal(count: int) -> Array:
@@ -266,7 +205,7 @@ def relay_signal(
             scene, material, exposure=exposure, cells=cells, bins=count
         )
         if light is None:
-            arriving = MEAN_ALBEDO * response.sum(axis=1)
+            arriving = 0.35 * response.sum(axis=1)  # by an object of this mean reflectance
         else:
             arriving = _binned(light, _bin_counts(camera.shape, count)).ravel()
         variance = pixels * noise_variance(camera, arriving / pixels, dark, freedom)
@@ -275,32 +214,20 @@ def relay_signal(
 
     if bins is not None:
         return signal(bins)
-    count, found = FIRST_BINS, signal(FIRST_BINS)
-    while count < min(max(camera.shape), MOST_BINS):
-        before, count = _freedom_of(found), 2 * count
-        found = signal(count)
-        if abs(_freedom_of(found) - before) <= CONVERGED * before:
+    count, result = 6, signal(6)
+    while count < min(max(camera.shape), 96):
+        before, count = _freedom_of(result), 2 * count
+        result = signal(count)
+        if abs(_freedom_of(result) - before) <= 0.03 * before:
             break
-    return found
+    return result
 
 
 def relay_score(scene: Scene, signal: Array | None) -> float:
     """Return the predicted correlation of a linear fit to the diffuse light with the object.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the hidden object, whose picture is averaged over the cells.
-    signal : ndarray, (n_bins, n_cells), or None
-        Result of `relay_signal` for `CELLS` cells.
+    Returns the correlation over the cells, 0 to 1; 0 without light or for a uniform object.
 
-    Returns
-    -------
-    float
-        Correlation over the cells, 0 to 1; 0 without light or for a uniform object.
-
-    Notes
-    -----
     The fit knows the response of every cell and weighs the pattern of singular value v by
     ``w = v^2/(1 + v^2)``, as a Wiener filter does for independent cells of contrast `CONTRAST`.
     With the object's share o of a pattern, and noise of variance ``(CONTRAST/v)^2``, the
@@ -309,11 +236,8 @@ def relay_score(scene: Scene, signal: Array | None) -> float:
     """
     if signal is None:
         return 0.0
-    values, left = (
-        np.linalg.eigh(signal @ signal.T)
-        if len(signal) < signal.shape[1]
-        else (np.linalg.eigh(signal.T @ signal))
-    )
+    wide = len(signal) < signal.shape[1]
+    values, left = np.linalg.eigh(signal @ signal.T if wide else signal.T @ signal)
     kept = values > 1e-12 * max(float(values[-1]), 1e-300)
     values, left = values[kept], left[:, kept]
     weights = values / (1.0 + values)
@@ -323,10 +247,7 @@ def relay_score(scene: Scene, signal: Array | None) -> float:
     else:
         varied = varied - varied.mean()
         whole_power = float((varied * varied).sum())
-        if len(signal) < signal.shape[1]:
-            shares = (left.T @ (signal @ varied)) ** 2 / values
-        else:
-            shares = (left.T @ varied) ** 2
+        shares = (left.T @ (signal @ varied)) ** 2 / values if wide else (left.T @ varied) ** 2
     noise = CONTRAST**2 * float((weights / (1.0 + values)).sum())  # sum of w^2 (CONTRAST/v)^2
     total = whole_power * (float((weights**2 * shares).sum()) + noise)
     return float((weights * shares).sum()) / math.sqrt(total) if total > 0.0 else 0.0
@@ -341,21 +262,6 @@ def _frequencies(values: ArrayLike) -> Array:
     wrong = ~(np.isfinite(found) & (found >= 0.0))
     if wrong.any():
         in_range("frequency", float(found[wrong][0]), 0.0, unit="cycles/m")
-    return found
-
-
-def _checked_light(light: ArrayLike, shape: tuple[int, int]) -> Array:
-    """Return expected electrons per pixel, checked for shape and range."""
-    found = np.asarray(light, dtype=np.float64)
-    if found.shape != shape:
-        raise SamplingError(
-            f"light has shape {found.shape}, must be {shape} like the camera's image; resample it"
-        )
-    if not (np.isfinite(found).all() and float(found.min()) >= 0.0):
-        raise SceneError(
-            f"light spans {float(found.min()):g} to {float(found.max()):g} electrons, must be "
-            "finite and non-negative; give expected values"
-        )
     return found
 
 
@@ -393,26 +299,7 @@ def wide_lobes(scene: Scene, *, cells: int = CELLS) -> Material | None:
 def relay_response(
     scene: Scene, material: Material, *, exposure: float, cells: int = CELLS, bins: int
 ) -> tuple[Array, float]:
-    """Electrons in each detector bin from each white cell of the object.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene. The object's own picture is ignored; every cell is white.
-    material : Material
-        Lobes of the wall that scatter the object's light to the camera.
-    exposure : float
-        Exposure, s.
-    cells, bins : int
-        Cells of the object and bins of the detector along the longer side of each.
-
-    Returns
-    -------
-    response : ndarray, (n_bins, n_cells)
-        Expected electrons.
-    pixels : float
-        Number of image pixels per bin.
-    """
+    """Electrons in each detector bin from each white cell of the object."""
     whole("cells", cells, 2, 64)
     whole("bins", bins, 2, 128)
     camera, spot = scene.camera, laser_spot(scene)
@@ -483,42 +370,11 @@ def passed_radiance(
     normals: Array,
     view: Array,
 ) -> Iterator[tuple[slice, Array]]:
-    """Radiance of wall points toward the camera due to each patch of the object, in blocks.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with laser and object material.
-    spot : LaserSpot
-        Laser spot on the wall.
-    material : Material
-        Lobes of the wall to include.
-    patches : Patches
-        Patches of the object.
-    points, normals, view : ndarray, (n, 3)
-        Wall points, m; their unit normals; unit vectors toward the camera. World frame.
-
-    Yields
-    ------
-    block : slice
-        Wall points of this block.
-    radiance : ndarray, (n_block, n_patches)
-        W/(m^2 sr).
-    """
-    step = max(1, PAIRS // len(patches.areas))
-    for start in range(0, len(points), step):
-        block = slice(start, start + step)
-        toward = patches.points - points[block][:, None]
-        square = dot(toward, toward)
-        toward /= np.sqrt(square)[..., None]
-        leaving = np.maximum(-dot(toward, patches.normals), 0.0)
-        arriving = np.maximum(dot(toward, normals[block][:, None]), 0.0)
-        light = object_radiance(scene, spot, patches.points, patches.normals, -toward)
-        light *= leaving * arriving * patches.areas / square
-        yield (
-            block,
-            light * material.evaluate(toward, view[block][:, None], normals[block][:, None]),
-        )
+    """Radiance of wall points toward the camera due to each patch of the object, in blocks."""
+    for block, toward, light in arrivals(scene, spot, patches, points):
+        facing = normals[block][:, None]
+        light *= np.maximum(dot(toward, facing), 0.0)
+        yield block, light * material.evaluate(toward, view[block][:, None], facing)
 
 
 def plate(scene: Scene) -> tuple[Array, Array, tuple[float, float]]:
@@ -579,9 +435,7 @@ def _binned(picture: Array, counts: tuple[int, int]) -> Array:
         n = picture.shape[axis]
         edges = np.linspace(0.0, n, count + 1)
         lines = np.moveaxis(picture, axis, 0)
-        summed = np.zeros((n + 1, *lines.shape[1:]))
-        for i in range(n):  # `numpy.cumsum` along the first axis takes four times as long
-            np.add(summed[i], lines[i], out=summed[i + 1])
+        summed = np.concatenate([np.zeros((1, *lines.shape[1:])), np.cumsum(lines, axis=0)])
         low = np.minimum(edges.astype(np.intp), n - 1)
         shape = (-1,) + (1,) * (summed.ndim - 1)
         at = summed[low] + (edges - low).reshape(shape) * (summed[low + 1] - summed[low])

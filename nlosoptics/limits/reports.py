@@ -29,16 +29,9 @@ from .modulation import Noise, object_scale, padded, picture_modes, spectra, str
 from .relay import count_modes, lambert_relay_transfer, plate, relay_score, relay_signal
 from .transfer import scene_transfer
 from .verdicts import Case, verdict
-from .wave_bounds import DEFOCUS, wave_bounds
+from .wave_bounds import wave_bounds
 
 Array = NDArray[np.float64]
-
-#: Most image pixels along the longer side. Finer ones are joined, which keeps the signal-to-noise
-#: ratio of every frequency that the joined pixels resolve.
-MOST_PIXELS = 64
-STROKE_PIXELS = 3  # fewest joined pixels along a stroke
-LIMITS = 400  # frequencies at which the resolution limit is searched
-LOWEST = 1e-4  # lowest of them, relative to the highest
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -466,7 +459,7 @@ class _View:
 
     def limit(self) -> float:
         """Frequency at which the signal first falls below the noise, cycles/m."""
-        frequency = float(self.frequency[-1]) * np.geomspace(LOWEST, 1.0, LIMITS)
+        frequency = float(self.frequency[-1]) * np.geomspace(1e-4, 1.0, 400)
         image = self.modulation(frequency) * self.strength()
         relay = self.relay_modulation(frequency) * self.diffuse_strength()
         return first_crossing(frequency, np.maximum(image, relay))
@@ -515,7 +508,7 @@ class _View:
             scale=self._scale,
             pitch=self._scene.camera.image_pitch,
             blur=self.slope * self._reach(),
-            defocus=(0.0, DEFOCUS),
+            defocus=(0.0, 0.5),  # of the second frame, waves rms
         )
         return one, two
 
@@ -538,13 +531,14 @@ class _View:
 def _coarser(scene: Scene, stroke: float, scale: float) -> tuple[Scene, int]:
     """Return the scene with joined pixels, and how many form one of them.
 
-    As many are joined as leave `MOST_PIXELS` along the longer side and `STROKE_PIXELS` along a
-    stroke of width ``stroke``, m, and fill the detector. ``scale`` is that of `object_scale`.
+    As many are joined as leave 64 along the longer side and 3 along a stroke of width ``stroke``,
+    m, and fill the detector. This keeps the signal-to-noise ratio of every frequency that they
+    resolve. ``scale`` is that of `object_scale`.
     """
     camera = scene.camera
-    most = max(camera.shape) / MOST_PIXELS
+    most = max(camera.shape) / 64
     if stroke > 0.0:
-        most = min(most, stroke / (STROKE_PIXELS * camera.image_pitch * scale))
+        most = min(most, stroke / (3 * camera.image_pitch * scale))
     side = next(
         k
         for k in range(max(math.floor(most), 1), 0, -1)
@@ -557,18 +551,8 @@ def _coarser(scene: Scene, stroke: float, scale: float) -> tuple[Scene, int]:
 def first_crossing(frequency: Array, ratio: Array) -> float:
     """Return the frequency at which a ratio first falls below 1.
 
-    Parameters
-    ----------
-    frequency : ndarray, (n,)
-        Increasing frequencies above 0.
-    ratio : ndarray, (n,)
-        Values of the ratio, at least 0.
-
-    Returns
-    -------
-    float
-        Frequency, interpolated between logarithms; 0 if the first value is below 1, and the last
-        frequency if none is.
+    Returns the frequency, interpolated between logarithms; 0 if the first value is below 1, and the
+    last frequency if none is.
     """
     below = np.flatnonzero(ratio < 1.0)
     if not len(below):

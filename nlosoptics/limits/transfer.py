@@ -20,27 +20,16 @@ TOL = 1e-3  # error tolerance of point spreads, relative to their peak
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Transfer:
-    """Modulus of the transfer function of lens, wall and pixels.
+    """Modulus of the transfer function of lens, wall and pixels."""
 
-    Parameters
-    ----------
-    core : PointSpread
-        Point spread of the smooth wall, energy per pixel.
-    rough : PointSpread or None
-        Point spread of a wall with a given roughness, which replaces the lobes.
-    smooth : float
-        Share of the light in lobes without slope.
-    lobes : tuple of (float, RoughView)
-        Share and statistics of each lobe with a slope. Their transfer function is a closed form.
-    wave : Wavefront
-        Wave of the smooth wall.
-    """
-
-    core: PointSpread
+    core: PointSpread  # Point spread of the smooth wall, energy per pixel
+    # Point spread of a wall with a given roughness, which replaces the lobes
     rough: PointSpread | None
-    smooth: float
+    smooth: float  # Share of the light in lobes without slope
+    # (float, RoughView): Share and statistics of each lobe with a slope. Their transfer function is
+    # a closed form
     lobes: tuple[tuple[float, RoughView], ...]
-    wave: Wavefront
+    wave: Wavefront  # Wave of the smooth wall
 
     def sharp(self, u: Array, v: Array) -> Array:
         """Return the modulus of the smooth wall's transfer function, (len(v), len(u)).
@@ -67,18 +56,7 @@ class Transfer:
 
 
 def scene_transfer(optics: SceneOptics) -> Transfer:
-    """Return the transfer function at the hidden object's reference point.
-
-    Parameters
-    ----------
-    optics : SceneOptics
-        Optics of a scene whose wall has a mirror-like lobe.
-
-    Raises
-    ------
-    NlosError
-        If the wave or the point spread cannot be computed; see `psf.scene_point_spread`.
-    """
+    """Return the transfer function at the hidden object's reference point."""
     scene, seen = optics.scene, optics.at()
     pitch = scene.camera.image_pitch
     smooth = MirrorLobes([], 1.0, None)

@@ -23,42 +23,19 @@ NOISELESS = Noise(photons=0.0, readout=0.0, speckle=0.0)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Case:
-    """Inputs of a verdict.
+    """Inputs of a verdict."""
 
-    Parameters
-    ----------
-    picture : Picture
-        Spectra of the image formed by the mirror-like lobes.
-    sharp : ndarray, (rows, columns)
-        Modulus of that image's transfer function if the lobes had no slopes.
-    mirror : float
-        Total reflectance of the mirror-like lobes.
-    slope : float
-        Largest rms slope of these lobes, rad.
-    reach : float
-        Blur on the object per lobe slope, m rms per rad: 2 d1 at normal incidence.
-    stroke : float
-        Stroke width of the object, m; 0 for a dark object.
-    full : float
-        Expected fraction of saturated pixels.
-    diffuse_modes : int
-        Modes above the noise through wide lobes.
-    relay_score : float
-        Predicted correlation of a linear fit to the light of wide lobes.
-    shadowed : bool
-        Whether the scene has occluders.
-    """
-
-    picture: Picture
+    picture: Picture  # Spectra of the image formed by the mirror-like lobes
+    # (rows, columns): Modulus of that image's transfer function if the lobes had no slopes
     sharp: Array
-    mirror: float
-    slope: float
-    reach: float
-    stroke: float
-    full: float
-    diffuse_modes: int
-    relay_score: float
-    shadowed: bool
+    mirror: float  # Total reflectance of the mirror-like lobes
+    slope: float  # Largest rms slope of these lobes, rad
+    reach: float  # Blur on the object per lobe slope, m rms per rad: 2 d1 at normal incidence
+    stroke: float  # Stroke width of the object, m; 0 for a dark object
+    full: float  # Expected fraction of saturated pixels
+    diffuse_modes: int  # Modes above the noise through wide lobes
+    relay_score: float  # Predicted correlation of a linear fit to the light of wide lobes
+    shadowed: bool  # Whether the scene has occluders
 
     @property
     def score(self) -> float:

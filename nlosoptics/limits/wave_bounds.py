@@ -16,14 +16,6 @@ from .modulation import Picture
 
 Array = NDArray[np.float64]
 
-#: Noll indices with reported bounds: defocus to trefoil, and spherical aberration.
-MODES = (4, 5, 6, 7, 8, 9, 10, 11)
-#: Known additional defocus of the second frame, waves rms.
-DEFOCUS = 0.5
-RADII, ANGLES = 20, 12  # polar grid of the spatial frequencies
-NODES = 14  # quadrature nodes along each axis of the overlap of two pupils
-FITTED = 28  # Zernike terms that represent the scene's own wave
-SMALLEST = 1e-4  # coefficients below this are left out, waves rms
 #: Eigenvalues of the information below this fraction of the largest are rounding errors.
 RANK = 1e-10
 
@@ -35,34 +27,10 @@ def wave_bounds(
     scale: float,
     pitch: float,
     blur: float = 0.0,
-    modes: Sequence[int] = MODES,
+    modes: Sequence[int] = (4, 5, 6, 7, 8, 9, 10, 11),  # defocus to trefoil, and spherical
     defocus: Sequence[float] = (0.0,),
 ) -> list[dict[int, float]]:
     """Return Cramer-Rao bounds for the wave's Zernike coefficients when the object is known.
-
-    Parameters
-    ----------
-    picture : Picture
-        Power spectrum of the object and noise, both taken for every frame.
-    wave : Wavefront
-        The scene's wave, at which the information is evaluated.
-    scale : float
-        Metres on the object per metre on the detector.
-    pitch : float
-        Pixel pitch of the image, m.
-    blur : float
-        Blur by the wall's lobe on the object, m rms.
-    modes : sequence of int
-        Noll indices, 4 or larger.
-    defocus : sequence of float
-        Known additional defocus (Noll 4) of each frame, waves rms.
-
-    Returns
-    -------
-    list of dict of int to float
-        Bounds from the first frame, from the first two, and so on: the smallest standard deviation
-        of an unbiased estimate by Noll index, waves rms. It is infinite where the images do not
-        depend on the coefficient to first order, for example for defocus of a wave in focus.
 
     Notes
     -----
@@ -81,16 +49,16 @@ def wave_bounds(
     # image frequency of a pupil separation s is s/(lambda |d_i|)
     per_separation = 1.0 / (wave.wavelength * abs(wave.image_distance))
     cut = min(2.0 * radius * per_separation, 0.5 / pitch)
-    shares, weights = gauss_legendre(RADII)
+    shares, weights = gauss_legendre(20)
     frequencies = cut * shares
-    angles = math.pi * (np.arange(ANGLES) + 0.5) / ANGLES  # half plane; the rest is conjugate
+    angles = math.pi * (np.arange(12) + 0.5) / 12  # half plane; the rest is conjugate
     power = _radial_power(picture, frequencies / scale)
     lobe = np.exp(-2.0 * (math.pi * blur * frequencies / scale) ** 2)
     # spectrum samples per unit frequency area; the factor 2 accounts for the other half plane
     density = _density(picture) / scale**2
-    area = frequencies * (cut * weights) * (math.pi / ANGLES) * density * 2.0
+    area = frequencies * (cut * weights) * (math.pi / len(angles)) * density * 2.0
     coefficients = {
-        j: c for j, c in fit_zernike(wave, FITTED).items() if abs(c) > SMALLEST * wave.wavelength
+        j: c for j, c in fit_zernike(wave, 28).items() if abs(c) > 1e-4 * wave.wavelength
     }
     separations = frequencies / per_separation / radius
     steps, overlap = _steps(separations, {*coefficients, *modes, 2, 3, 4})
@@ -174,7 +142,7 @@ def _overlaps(separations: Array) -> tuple[Array, Array, Array]:
     The discs are separated along x, by ``separations`` (radii,). Nodes (radii, nodes) are relative
     to the centre of the overlap.
     """
-    shares, weights = gauss_legendre(NODES)
+    shares, weights = gauss_legendre(14)
     nodes, weights = 2.0 * shares - 1.0, 2.0 * weights
     top = np.sqrt(np.maximum(1.0 - separations**2 / 4.0, 0.0))[:, None]
     # the substitution v = sin removes the square-root singularity at the tips

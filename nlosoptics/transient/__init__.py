@@ -7,16 +7,10 @@ reconstruct a `VolumeImage`, and `depth_map` returns its depths.
 
 from .capture.capture import TransientCapture
 from .capture.detector import Detector
-from .capture.preprocessing import (
-    distance_weighted,
-    downsampled,
-    gated,
-    smoothed,
-    without_outer_legs,
-)
+from .capture.preprocessing import downsampled, gated, without_outer_legs
 from .capture.wall_points import wall_grid
 from .imaging.backprojection import backprojection
-from .imaging.depth import DepthError, DepthMap, depth_error, depth_map, true_depths, voxelised
+from .imaging.depth import depth_error, depth_map, true_depths
 from .imaging.fk_migration import fk_migration
 from .imaging.light_cone_transform import lct
 from .imaging.phasor_camera import phasor_image
@@ -25,8 +19,6 @@ from .rendering.render import render
 from .rendering.scene import render_scene
 
 __all__ = [
-    "DepthError",
-    "DepthMap",
     "Detector",
     "PhasorImage",
     "TransientCapture",
@@ -35,7 +27,6 @@ __all__ = [
     "backprojection",
     "depth_error",
     "depth_map",
-    "distance_weighted",
     "downsampled",
     "fk_migration",
     "gated",
@@ -43,9 +34,7 @@ __all__ = [
     "phasor_image",
     "render",
     "render_scene",
-    "smoothed",
     "true_depths",
-    "voxelised",
     "wall_grid",
     "without_outer_legs",
 ]

@@ -93,6 +93,8 @@ def _read_heights(_: Path, file: Path) -> Arrays:
 
 
 def _captures(folder: Path) -> list[Path]:
+    from scipy.io import savemat
+
     from nlosoptics.transient import TransientCapture, wall_grid
 
     draw, grid = np.random.default_rng(3), wall_grid(1.0, 3)
@@ -105,13 +107,15 @@ def _captures(folder: Path) -> list[Path]:
         pairing="confocal",
     )
     capture.save(folder / "own.hdf5")
-    return [folder / "own.hdf5"]
+    savemat(folder / "old.mat", {"rect_data": draw.random((4, 4, 16)), "width": np.array([[0.5]])})
+    return [folder / "own.hdf5", folder / "old.mat"]
 
 
 def _read_capture(_: Path, file: Path) -> Arrays:
     from nlosoptics.transient import TransientCapture
 
-    found = TransientCapture.load(file)
+    given = {"delta_t": 0.01} if file.name == "old.mat" else {}
+    found = TransientCapture.load(file, **given)
     return [found.H, np.asarray(found.H.sum()), found.laser_points, found.sensor_points]
 
 

@@ -10,7 +10,8 @@ from PIL import Image
 from pytest import approx
 
 from nlosoptics.errors import NlosError, SamplingError, SceneError
-from nlosoptics.imaging import camera_image, read_camera_file
+from nlosoptics.imaging import camera_image
+from nlosoptics.imaging.camera_files import read_camera_file
 
 RNG = np.random.default_rng(4)
 COUNTS = RNG.integers(20, 200, (12, 16))
@@ -65,11 +66,6 @@ def test_dark_and_flat_are_undone(tmp_path: Path) -> None:
     assert not found.masked.flags.writeable
 
 
-def test_exposures_are_averaged(tmp_path: Path) -> None:
-    paths = [saved(tmp_path / f"{i}.npy", COUNTS + 10.0 * i) for i in range(3)]
-    assert camera_image(paths).values == approx(COUNTS + 10.0, rel=1e-15)
-
-
 def test_full_and_dead_pixels_do_not_count(tmp_path: Path) -> None:
     values = COUNTS.astype(np.uint8)
     values[2, 3], values[5, 5] = 255, 250
@@ -81,19 +77,6 @@ def test_full_and_dead_pixels_do_not_count(tmp_path: Path) -> None:
     assert found.saturated_fraction == 1 / values.size
     # a converter of fewer bits than its file
     assert camera_image(image, full=250).masked.sum() == 2
-
-
-def test_half_of_the_pixels_may_be_lost(tmp_path: Path) -> None:
-    """The limit itself is allowed, for full pixels and for dead ones."""
-    half = np.arange(16) < 8
-    full = np.where(half, 65535, COUNTS).astype(np.uint16)
-    image = saved(tmp_path / "i.npy", full)
-    assert camera_image(image).saturated_fraction == 0.5
-    assert camera_image(image, full=65535.0).masked.sum() == 96
-    flat = saved(tmp_path / "f.npy", np.where(half, 0.1, 100.0) * np.ones((12, 1)))
-    found = camera_image(saved(tmp_path / "j.npy", COUNTS), flat=flat)
-    assert np.array_equal(found.masked, half * np.ones((12, 1), bool))
-    assert found.values[:, :8] == approx(COUNTS[:, 8:].mean() * 0.50050, rel=1e-12)
 
 
 def test_whole_frames_are_summed_to_image_pixels(tmp_path: Path) -> None:

@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from nlosoptics.errors import SceneError
 from nlosoptics.imaging.detector import (
-    PHOTONS,
-    READOUT,
-    SPECKLE,
     full_reading,
     noise_variance,
     read_out,
@@ -96,15 +92,6 @@ def test_speckles_per_pixel_limits():
     assert speckles_per_pixel(9e-6, wavelength, 2.05) == pytest.approx(45, abs=0.5)
 
 
-def test_converter_gives_whole_steps_and_keeps_dark_noise_centred():
-    step = CAMERA.full_well / 2**CAMERA.bit_depth
-    electrons, _ = read_out(CAMERA, np.zeros((SIDE, SIDE)), 0.0, seed=4)
-    counts = electrons / step
-    # a product and a quotient of rounding
-    np.testing.assert_allclose(counts, np.rint(counts), rtol=0, atol=1e-9)
-    assert (electrons < 0).any()
-
-
 def test_coarse_converter_rounds():
     camera = replace(CAMERA, binning=1, pixels=(SIDE, SIDE), bit_depth=4, read_noise=0.0)
     step = 70e3 / 16
@@ -129,40 +116,6 @@ def test_seed_decides_every_bit():
     first, again, other = (read_out(CAMERA, frame, 1.0, freedom=50.0, seed=s)[0] for s in (7, 7, 8))
     np.testing.assert_array_equal(first, again)
     assert (first != other).mean() > 0.9
-
-
-def test_noise_sources_do_not_share_numbers():
-    """Without readout noise the variances of speckle and photons add; a covariance would show."""
-    quiet = replace(CAMERA, read_noise=0.0, full_well=1e9, bit_depth=32)
-    electrons, _ = read_out(quiet, np.full((SIDE, SIDE), 90.0), 0.0, freedom=90.0, seed=9)
-    # five standard errors
-    assert electrons.var() == pytest.approx(90 + 90, rel=5 * np.sqrt(2.2 / COUNT))
-    assert len({SPECKLE, PHOTONS, READOUT}) == 3
-
-
-def test_coarse_converter_adds_the_noise_of_every_native_pixel():
-    camera = replace(CAMERA, bit_depth=10)
-    step = 70e3 / 2**10
-    electrons, _ = read_out(camera, np.full((SIDE, SIDE), 1e4), 0.0, seed=10)
-    variance = 1e4 + 64 * (3.6**2 + step**2 / 12)
-    # five standard errors
-    assert electrons.var() == pytest.approx(variance, rel=5 * np.sqrt(2 / COUNT))
-
-
-def test_full_pixels_still_show_readout_noise():
-    camera = replace(CAMERA, binning=1, pixels=(SIDE, SIDE), read_noise=100.0)
-    electrons, saturated = read_out(camera, np.full((SIDE, SIDE), 1e6), 0.0, seed=11)
-    assert saturated == 1.0
-    # half of a normal deviate is cut off at the converter's top: mean deficit sigma/sqrt(2 pi),
-    # shifted by half a step of 1 electron; five standard errors
-    deficit = 70e3 - electrons.mean()
-    assert deficit == pytest.approx(100 / np.sqrt(2 * np.pi), abs=1 + 5 * 100 * 0.6 / SIDE)
-
-
-@pytest.mark.parametrize("values", [(0.0, 6e-7, 2.0), (9e-6, -1.0, 2.0), (9e-6, 6e-7, np.nan)])
-def test_bad_pixels_are_refused(values):
-    with pytest.raises(SceneError):
-        speckles_per_pixel(*values)
 
 
 @pytest.mark.parametrize("mean", [1e14, 1e16, 1e17])

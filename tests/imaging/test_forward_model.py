@@ -98,13 +98,6 @@ def test_light_beyond_the_frame_is_lost_when_padded_and_kept_when_circular():
     assert periodic.forward(edge).sum() == pytest.approx(1.0)
 
 
-def test_batches_are_images_one_by_one():
-    model = ForwardModel(drawn((5, 4)), shape=(9, 11))
-    stack = drawn((2, 3, 9, 11), 1)
-    np.testing.assert_array_equal(model.forward(stack)[1, 2], model.forward(stack[1, 2]))
-    np.testing.assert_array_equal(model.adjoint(stack)[0, 1], model.adjoint(stack[0, 1]))
-
-
 def test_thread_count_changes_no_bit():
     model = ForwardModel(drawn((33, 31)), shape=(96, 100))
     picture = drawn((96, 100), 1)
@@ -112,23 +105,6 @@ def test_thread_count_changes_no_bit():
     with fft.set_workers(2):
         again = ForwardModel(drawn((33, 31)), shape=(96, 100)).forward(picture)
     assert alone.tobytes() == again.tobytes()
-
-
-def test_grid_holds_the_frame_and_one_arm():
-    # 64 + 64 - 1 would be the arm of a kernel that reaches across the frame.
-    assert ForwardModel(drawn((15, 15)), shape=(64, 64)).grid == (72, 72)
-    assert max(ForwardModel(drawn((999, 999)), shape=(64, 64)).grid) <= 128
-
-
-def test_point_spread_gives_its_pitch_and_is_copied():
-    intensity = np.full((3, 3), 1 / 9)
-    model = ForwardModel(SimpleNamespace(intensity=intensity, pitch=9e-6), shape=(8, 8))
-    assert model.pitch == 9e-6
-    intensity[:] = 0.0
-    assert model.kernel.sum() == pytest.approx(1.0)
-    with pytest.raises(ValueError, match="read-only"):
-        model.kernel[0, 0] = 1.0
-    assert ForwardModel(np.eye(3), shape=(8, 8)).pitch is None
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,9 @@ import pytest
 import trimesh
 
 import nlosoptics as nlos
-from nlosoptics import psf
 from nlosoptics.errors import SceneError
-from nlosoptics.imaging import cast_shadows, diffuse_background, form_image, shadows
+from nlosoptics.imaging import cast_shadows, diffuse_background, form_image
 from nlosoptics.imaging.geometry import chief_rays, pixel_centres
-from nlosoptics.psf.pupil import obstruction
 from nlosoptics.scene import (
     ConcaveWall,
     FlatWall,
@@ -67,15 +65,6 @@ def test_an_occluder_out_of_the_way_changes_no_bit(flat_scene, wall, mesh):
     one, two = (form_image(s, spread(s), seed=1) for s in (scene, shaded))
     for name in ("ideal", "background", "electrons"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
-
-
-def test_no_occluder_casts_no_shadow(flat_scene):
-    scene = finer(flat_scene, binning=512)
-    found = cast_shadows(scene)
-    for part in (found.image, found.view, found.veil):
-        np.testing.assert_array_equal(part, np.ones(scene.camera.shape))
-        assert not part.flags.writeable
-    assert found.spot == 1.0
 
 
 def test_an_occluder_before_the_whole_object_leaves_no_light_of_it(flat_scene):
@@ -266,14 +255,6 @@ def test_a_plate_before_the_lens_hides_the_spot_from_it(flat_scene):
         assert dim[name] == pytest.approx(bare[name] / 2, rel=0.13)
 
 
-def test_a_camera_that_sees_no_wall_sees_no_shadow(flat_scene):
-    camera = replace(flat_scene.camera, aim=(1.5, 1.5, 0.0))
-    scene = replace(flat_scene, wall=FlatWall(size=0.4), camera=camera, occluders=(FAR,))
-    found = cast_shadows(scene)
-    for part in (found.image, found.view, found.veil):
-        np.testing.assert_array_equal(part, 1.0)
-
-
 def test_an_occluder_in_the_beam_is_refused(flat_scene):
     # the beam from (0.6, 0.3, 1.1) passes z = 0.55 at (0.3, 0.15), 1.5 mm wide to each side
     for x in ((0.25, 0.35), (0.3014, 0.35)):
@@ -284,72 +265,10 @@ def test_an_occluder_in_the_beam_is_refused(flat_scene):
     assert cast_shadows(beside).spot == 1.0
 
 
-def test_an_occluder_in_a_part_of_the_cone_is_refused(flat_scene):
-    """Half way from the wall to the lens the cone of the object's centre is 7 mm wide."""
-    x, _, z = (np.array(flat_scene.camera.position) + flat_scene.camera.aim) / 2
-    cut = replace(flat_scene, occluders=(plate((x, x + 0.1), (-0.1, 0.1), z),))
-    with pytest.raises(SceneError, match=r"occluders cut \d+ % of the cone .*; move the occluder"):
-        nlos.plan(cut)
-    with pytest.raises(SceneError, match=r"occluders cut \d+ % of the cone"):
-        psf.wavefront(cut)
-    whole = replace(flat_scene, occluders=(plate((x - 0.1, x + 0.1), (-0.1, 0.1), z),))
-    assert "reference point is hidden" in str(nlos.plan(whole))
-    np.testing.assert_array_equal(
-        psf.wavefront(whole).aberration, psf.wavefront(flat_scene).aberration
-    )
-    beside = replace(flat_scene, occluders=(plate((x + 0.02, x + 0.1), (-0.1, 0.1), z),))
-    assert "hidden" not in str(nlos.plan(beside))
-
-
-@pytest.mark.parametrize("wall", [FlatWall(), ConcaveWall(4.0)], ids=["flat", "concave"])
-def test_lines_of_sight_are_tested_for_occluders_alone(flat_scene, wall, monkeypatch):
-    calls = []
-    for module in (shadows, obstruction):
-        real = module.occluded
-
-        def wrapper(*args, real=real):
-            calls.append(args)
-            return real(*args)
-
-        monkeypatch.setattr(module, "occluded", wrapper)
-    scene = replace(flat_scene.resized(32), wall=wall)
-    result = nlos.simulate(scene)
-    assert "no occluders" in next(s for s in result.plan.skipped if s.name == "shadow rays").reason
-    assert calls == []
-    shaded = nlos.simulate(replace(scene, occluders=(HALF,)))
-    assert calls
-    assert tuple(shaded.timings) == tuple(stage.name for stage in shaded.plan.stages)
-    assert "shadow rays" in shaded.timings
-    spreads = shaded.field or shaded.point_spread
-    wide = psf.widened(spreads, tol=shaded.plan.tol / 4, shape=scene.camera.shape)
-    np.testing.assert_array_equal(
-        shaded.image.electrons,
-        form_image(replace(scene, occluders=(HALF,)), wide).electrons,
-    )
-
-
 def test_shadows_of_another_camera_are_refused(flat_scene):
     scene = replace(flat_scene, occluders=(HALF,))
     with pytest.raises(SceneError, match=r"shadows are of \(32, 32\) pixels, .* \(64, 64\); give"):
         form_image(scene, spread(scene), shadows=cast_shadows(scene.resized(32)))
-
-
-def test_known_shadows_serve_for_another_picture(flat_scene):
-    """A plate hides the light of one half of the object from parts of the wall."""
-    material = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 0.0))
-    scene = replace(
-        flat_scene,
-        laser=replace(flat_scene.laser, position=(-0.6, 0.3, 1.1)),
-        wall_material=material,
-        occluders=(plate((0.0, 0.4), (0.0, 0.3), 0.4),),
-    )
-    left = np.zeros((8, 8))
-    left[:, :4] = 1.0
-    known = cast_shadows(scene)
-    found = diffuse_background(scene, left, shadows=known)
-    assert np.array_equal(found, diffuse_background(scene, left))
-    other = replace(scene, hidden=replace(scene.hidden, image=left))
-    assert not np.allclose(cast_shadows(other).veil, known.veil, rtol=0.01)
 
 
 def test_what_is_left_of_the_object_is_reconstructed(examples):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from pytest import approx
 
-from nlosoptics.limits.blind import ONE_FRAME, STRENGTHS, TWO_FRAMES, blind_forecast
+from nlosoptics.limits.blind import SHARES, blind_forecast
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
 TOLD = {4: 0.01, 5: 0.01}  # bounds that determine a wave
@@ -20,18 +20,17 @@ def test_shares_are_those_of_the_committed_results(name: str, frames: int) -> No
     rows = [
         json.loads(line) for line in (RESULTS / f"evidence_{name}.jsonl").read_text().splitlines()
     ]
-    shares = ONE_FRAME if frames == 1 else TWO_FRAMES
-    for strength, share in zip(STRENGTHS, shares, strict=True):
+    for strength, shares in SHARES.items():
         part = [row["correlation"] > 0.9 for row in rows if row["rms"] == strength]
-        assert share == sum(part) / len(part)
+        assert shares[frames - 1] == sum(part) / len(part)
 
 
 def test_forecast_is_interpolated_between_tested_walls() -> None:
     found = blind_forecast(0.375, 0.01, 0.0, TOLD)
-    assert found.one_frame == approx((ONE_FRAME[0] + ONE_FRAME[1]) / 2)
+    assert found.one_frame == approx((SHARES[0.25][0] + SHARES[0.5][0]) / 2)
     assert found.two_frames == 1.0
     assert "0.38 waves" in found.text
-    assert blind_forecast(1.0, 0.01, 0.0, TOLD).one_frame == ONE_FRAME[-1]
+    assert blind_forecast(1.0, 0.01, 0.0, TOLD).one_frame == SHARES[1.0][0]
 
 
 @pytest.mark.parametrize(

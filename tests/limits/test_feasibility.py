@@ -18,8 +18,8 @@ import nlosoptics
 from nlosoptics import limits
 from nlosoptics.errors import SceneError
 from nlosoptics.imaging.images import light_levels
-from nlosoptics.limits import frequency_table, modulation
-from nlosoptics.limits.modulation import Noise, padded, spectra, stroke_width
+from nlosoptics.limits import modulation
+from nlosoptics.limits.modulation import Noise, padded, spectra
 from nlosoptics.limits.reports import first_crossing
 from nlosoptics.scene import (
     FlatWall,
@@ -94,17 +94,6 @@ def test_resolution_is_the_first_crossing() -> None:
     assert first_crossing(frequency, np.array([0.5, 2.0, 2.0, 2.0, 2.0])) == 0.0
 
 
-def test_joined_pixels_keep_light_noise_and_forecast(scene: Scene) -> None:
-    """512 pixels are joined to 64 or 128; a camera that bins them itself sees the same."""
-    fine, coarse = (limits.feasibility(walled(scene, 0.02).resized(n)) for n in (512, 128))
-    assert fine.electrons["signal"] == approx(coarse.electrons["signal"], rel=0.01)
-    assert fine.electrons["diffuse"] == approx(coarse.electrons["diffuse"], rel=0.01)
-    # noise variances of a pixel are proportional to its area
-    assert fine.noise["total"] == approx(coarse.noise["total"] / 4, rel=0.02)
-    assert fine.score == approx(coarse.score, abs=0.01)
-    assert fine.limit == approx(coarse.limit, rel=0.02)
-
-
 def disc(radius: float, at: np.ndarray) -> trimesh.Trimesh:
     """Disc parallel to the wall."""
     angles = 2 * math.pi * np.arange(32) / 32
@@ -174,21 +163,6 @@ def test_weak_light_is_told_with_the_exposure_that_would_do(scene: Scene) -> Non
     assert not limits.feasibility(dark, exposure=0.9e-4 * factor).recoverable
 
 
-def test_light_too_weak_for_any_exposure_is_not_laid_to_the_optics(scene: Scene) -> None:
-    found = limits.feasibility(walled(scene, 0.0, exposure=1e-12))
-    assert not found.recoverable
-    assert "too faint even at 1e+06 times the exposure" in found.verdict
-
-
-def test_speckle_is_told_as_such(scene: Scene) -> None:
-    """A stop so small that a pixel holds a speckle: no exposure helps."""
-    laser = replace(scene.laser, independent_patterns=1, power=50.0)
-    small = replace(walled(scene, 0.02, stop_diameter=2e-5, exposure=1e4), laser=laser)
-    found = limits.feasibility(small)
-    assert not found.recoverable
-    assert found.noise["speckle"] > found.noise["photons"]
-
-
 def test_full_pixels_and_black_pictures_are_told(scene: Scene) -> None:
     found = limits.feasibility(walled(scene, 0.0, full_well=10.0))
     assert "pixels are full" in found.verdict
@@ -229,44 +203,6 @@ def test_figures_and_text_hold_everything(scene: Scene) -> None:
     assert not found.frequency.flags.writeable
 
 
-@pytest.mark.parametrize("slope", [0.0, 0.02, 0.1])
-def test_table_resolves_the_frequencies_that_the_object_needs(scene: Scene, slope: float) -> None:
-    found = limits.feasibility(walled(scene, slope).resized(512))
-    text = str(found)
-    table = text[text.index("cycles/m  modulation") :].splitlines()[1:]
-    rows = np.array(
-        [[float(word) for word in line.replace("< 1e-12", "0").split()[:5]] for line in table]
-    )
-    assert rows[0, 0] == 0.0
-    (strokes,) = (row[0] for row, line in zip(rows, table, strict=True) if "strokes" in line)
-    assert strokes == approx(0.5 / found.stroke, rel=5e-3)  # three digits are written
-    # a Gaussian falls to the fourth power from one octave to the next
-    assert np.all(rows[2:, 0] / rows[1:-1, 0] < 2.02)
-    assert rows[1, 1] > 0.9
-    assert rows[1, 3] > 0.5
-    beyond = rows[rows[:, 0] > strokes * 1.01, 1]
-    assert slope == 0.0 or np.all(beyond[:-1] > 1e-3)
-    assert not re.search(r"e-(1[3-9]|[2-9]\d|\d{3})", text)
-    # the arrays hold the rows, so that nothing is read off between two samples
-    assert min(abs(found.frequency - 0.5 / found.stroke)) == 0.0
-
-
-def test_a_black_object_needs_no_frequency(scene: Scene) -> None:
-    hidden = PlanarObject(np.zeros((4, 4)), 0.3, position=scene.hidden.position)
-    text = str(limits.feasibility(replace(scene, hidden=hidden)))
-    assert "no bright strokes" in text
-    assert "needed by" not in text
-
-
-def test_strokes_finer_than_pixels_are_told() -> None:
-    frequency = frequency_table.frequencies(0.01, 20.0)
-    curve = np.exp(-frequency / 10.0)
-    lines = frequency_table.lines(0.01, frequency, (curve, curve), (curve, curve))
-    assert lines[-1] == "the strokes need 50 cycles/m, which pixels do not resolve"
-    lines = frequency_table.lines(0.1, frequency, (curve, curve), (curve, curve))
-    assert "pixels" not in lines[-1]
-
-
 def test_curved_wall_magnifies(examples) -> None:
     """Scale at the object's middle, against two points of the picture imaged by chief rays."""
     from nlosoptics.imaging.geometry import chief_rays, picture_coordinates, pixel_centres
@@ -285,26 +221,13 @@ def test_curved_wall_magnifies(examples) -> None:
     assert abs(object_scale(scene) / flat - 1) > 0.05
 
 
-def test_strokes_of_bars_are_their_width() -> None:
-    bars = np.zeros((40, 60))
-    bars[5:35, 10:14] = 1.0
-    bars[5:35, 30:34] = 1.0
-    # 2 area/outline of a bar w by l is w l/(w + l); straight sides count pi/4 of themselves
-    assert stroke_width(bars, 2.0) == approx(2.0 * 4 * 30 / 34 * 4 / math.pi, rel=1e-12)
-    assert stroke_width(np.zeros((3, 3)), 1.0) == 0.0
-
-
-def test_noise_falls_as_exposure_rises() -> None:
-    noise = Noise(photons=8.0, readout=16.0, speckle=3.0).exposed(4.0)
-    assert (noise.photons, noise.readout, noise.speckle) == (2.0, 1.0, 3.0)
-
-
-@pytest.mark.parametrize("falls", [0.0, modulation.PRIOR_POWER])
+@pytest.mark.parametrize("falls", [0.0, modulation.TV_FIT.prior_power])
 def test_score_is_that_of_a_filter_for_its_own_prior(
     monkeypatch: pytest.MonkeyPatch, falls: float
 ) -> None:
     """With one noise it is the Wiener filter's for the expected spectrum, and lower for others."""
-    monkeypatch.setattr(modulation, "LEFT", modulation.SMOOTHED)
+    fit = replace(modulation.TV_FIT, left=modulation.TV_FIT.smoothed)
+    monkeypatch.setattr(modulation, "TV_FIT", fit)
     noise = Noise(photons=3.0, readout=1.0, speckle=0.0)
     image = np.random.default_rng(5).random((32, 32))
     picture = spectra(image, np.ones((64, 33)), 1.0, noise)
@@ -312,9 +235,9 @@ def test_score_is_that_of_a_filter_for_its_own_prior(
     power = 1e4 * (picture.frequency**2 + lowest**2) ** (-falls / 2)
     transfer = np.exp(-((picture.frequency / 0.2) ** 2))
     picture = replace(picture, power=power, transfer=transfer)
-    share = picture.grain**modulation.GRAIN_POWER / math.sqrt(picture.fill)
-    weak = 1.0 + modulation.WEAK_LIGHT / picture.excess
-    white = modulation.SMOOTHED * share * weak * noise.variance * image.size
+    share = picture.grain**fit.grain_power / math.sqrt(picture.fill)
+    weak = 1.0 + fit.weak_light / picture.excess
+    white = fit.smoothed * share * weak * noise.variance * image.size
     passed = power * transfer**2 / (power * transfer**2 + white)
     wiener = math.sqrt((picture.twice * power * passed).sum() / (picture.twice * power).sum())
     if falls:

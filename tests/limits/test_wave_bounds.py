@@ -102,11 +102,3 @@ def test_scale_of_the_object_does_not_count() -> None:
     )
     again = wave_bounds(far, wave(base), scale=20.0, pitch=PITCH)[0]
     assert list(again.values()) == approx(list(near.values()), rel=1e-9)
-
-
-def test_blur_hides_the_wave() -> None:
-    base = {4: 0.2, 7: 0.1}
-    sharp = wave_bounds(point(), wave(base), scale=1.0, pitch=PITCH, modes=(4, 7))[0]
-    soft = wave_bounds(point(), wave(base), scale=1.0, pitch=PITCH, modes=(4, 7), blur=2 * PITCH)[0]
-    assert soft[4] > 2 * sharp[4]
-    assert soft[7] > 2 * sharp[7]

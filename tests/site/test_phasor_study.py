@@ -101,12 +101,12 @@ def test_letters_read_from_the_wall(study: ModuleType) -> None:
     # the sides of the corridor are at 1 m; the wall sees x grow to the left
     assert 1.0 - first.bounds[1, 0] == approx(0.5, abs=1e-12)
     assert second.bounds[0, 0] + 1.0 == approx(0.5, abs=1e-12)
-    depths = transient.true_depths([first, second], (np.array([0.45, -0.45]), np.array([0.0])))
-    assert depths[0] == approx([1.25, 1.70], abs=1e-9)
+    line = transient.Volume([-0.45, 0.45], [0.0], [1.0])
+    depths = transient.true_depths([first, second], line)
+    assert depths[0] == approx([1.70, 1.25], abs=1e-9)
     # the R's left is its stem from top to bottom, its right has gaps above the leg's foot
-    x, y = np.array([0.42, -0.2]), np.array([-0.15])
-    alone = transient.true_depths(first, (x, y))
-    assert np.isfinite(alone[0]).tolist() == [True, False]
+    alone = transient.true_depths(first, transient.Volume([-0.2, 0.42], [-0.15], [1.0]))
+    assert np.isfinite(alone[0]).tolist() == [False, True]
     # volume of a solid: what its triangles cover, extruded; closed and turned outward
     assert first.volume == approx(scenes.THICK * _covered(first), rel=1e-9)
 

@@ -9,7 +9,13 @@ import pytest
 from pytest import approx
 
 from nlosoptics.errors import SceneError
-from nlosoptics.study import Study, optimum, run_study
+from nlosoptics.study import (
+    Study,
+    inverse_sensitivities,
+    optimum,
+    plan_study,
+    run_study,
+)
 
 from .searches import CONCAVE, HERE, METHODS, OFF, POWER, SCENES, made, run
 

@@ -26,19 +26,6 @@ def draw_measured_charts(found: Sequence[Row]) -> Figure:
 
 SECTIONS = (
     Section(
-        "dense_meshes.jsonl",
-        "Three bounces with meshes of many triangles",
-        "Time-resolved light from a mesh of a dragon in a corridor, for one pair of laser and "
-        "sensor point, with a tolerance of 1 % and one thread. The error is the difference from a "
-        "run with a thirtieth of this tolerance.",
-        "python benchmarks/transient/dense_meshes.py --json {file}",
-        table={
-            "pairing of points, mesh": "{pairing}, {triangles} triangles",
-            "time for one pair": "{milliseconds_a_pair:.0f} ms",
-            "mean relative error": "{l1_mean:n2}",
-        },
-    ),
-    Section(
         "bounces.jsonl",
         "Four and five bounces compared with mitransient",
         "Time-resolved light with four and five reflections, from a letter in a corridor, at 32 x "

@@ -16,8 +16,6 @@ from ...kernels.random import uniform
 
 #: Stream of the random generator.
 COUNTS = np.uint64(451)
-#: Counts with a mean from this value on are drawn by rejection, others by inversion.
-MANY = 10.0
 
 
 @njit(cache=True)
@@ -66,7 +64,7 @@ def poisson(means, seed, counts):
         mean = means[i]
         if mean <= 0.0:
             counts[i] = 0.0
-        elif mean < MANY:
+        elif mean < 10.0:
             counts[i] = _few(mean, seed, np.uint64(i))
         else:
             counts[i] = _many(mean, seed, np.uint64(i))

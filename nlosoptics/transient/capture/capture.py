@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..._checks import Vector, counted, one_of, positive, real, vector, whole
 from ..._html import Figures, Shown
@@ -20,8 +20,6 @@ from .wall_points import checked_points, pair_shape
 Array = NDArray[np.floating]
 Pairing = Literal["all", "confocal"]
 Quantity = Literal["irradiance", "radiance", "radiosity", "counts", "unknown"]
-
-QUANTITIES = ("irradiance", "radiance", "radiosity", "counts", "unknown")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -121,8 +119,8 @@ class TransientCapture(Noun, Shown):
     details: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        one_of("pairing", self.pairing, ("all", "confocal"))
-        one_of("quantity", self.quantity, QUANTITIES)
+        one_of("pairing", self.pairing, get_args(Pairing))
+        one_of("quantity", self.quantity, get_args(Quantity))
         put = object.__setattr__
         put(self, "delta_t", positive("delta_t", self.delta_t, unit="m"))
         put(self, "t_start", real("t_start", self.t_start))
@@ -278,70 +276,32 @@ class TransientCapture(Noun, Shown):
         save(self, path, compression=compression)
 
     @classmethod
-    def load(
-        cls,
-        path: str | Path,
-        *,
-        format: str | None = None,
-        bin_width: float | None = None,
-        t_start: float | None = None,
-        side: float | None = None,
-        pairing: Pairing | None = None,
-        laser_point: ArrayLike | None = None,
-        outer_legs: bool | None = None,
-        quantity: Quantity | None = None,
-        gate_start: float | None = None,
-    ) -> TransientCapture:
+    def load(cls, path: str | Path, **values: Any) -> TransientCapture:
         """Read a capture from a file of this or another program.
 
-        The layout is recognised from the names of the variables in the file. The arguments after
-        ``path`` are for values that the file does not state: an error then names the argument that
-        supplies the value. An argument that is given replaces the value in the file.
+        The layout is recognised from the names of the variables in the file.
 
         Parameters
         ----------
         path : str or Path
-            HDF5 file of the library y-tal or of the data sets Z-NLOS (2019) or NLOS-DIRAC; or a
-            ``.mat`` file (v5 or v7.3) from the data of the phasor-field papers (2019, 2020) or of
-            the light-cone transform (LCT, 2018).
-        format : str, optional
-            Layout that the file must have: "tal", "znlos", "dirac", "phasor_field_2019",
-            "phasor_field_2020" or "lct". None: any. Files of the last two layouts do not state some
-            of their conventions; by giving the name you confirm them. For "lct": laser and sensor
-            points are equal (confocal), and the variable ``width`` is half the side of the wall.
-            For "phasor_field_2020": the variable ``SPAD_index`` counts from 0.
-        bin_width : float, optional
-            Width of a bin, m of optical path; 4 ps are 1.2e-3 m.
-        t_start : float, optional
-            Start of bin 0, m of optical path.
-        side : float, optional
-            Full side of the square wall, m. The scanned points are the centres of its cells.
-        pairing : {"all", "confocal"}, optional
-            "all": every laser point is observed at every sensor point. "confocal": laser point i
-            is observed at sensor point i only.
-        laser_point : array_like of 3 floats, optional
-            Position of the only laser point, world frame, m.
-        outer_legs : bool, optional
-            Whether times include the outer legs: the paths from laser to wall and from wall to
-            sensor.
-        quantity : str, optional
-            Physical quantity of the bins, see `TransientCapture`; "unknown" if neither file nor
-            argument states it.
-        gate_start : float, optional
-            Bins that start before this optical path, m, are set to 0, to remove light that goes
-            directly from the laser spot to the sensor.
+            HDF5 file of this library, of the library y-tal or of the data set Z-NLOS (2019); or a
+            ``.mat`` file (v5 or v7.3) of the light-cone transform (LCT, 2018). In LCT files laser
+            and sensor points are equal (confocal), and ``width`` is half the side of the wall; the
+            first bins can be direct light, which `gated` removes.
+        **values
+            Arguments of `TransientCapture` that the file does not state, such as
+            ``delta_t=1.2e-3`` (4 ps) for an LCT file. An error names those that are missing. A
+            value given here replaces that in the file.
 
         Returns
         -------
         TransientCapture
-            Capture with grids ordered [y, x] and row 0 at the lowest y. In phasor-field captures
-            the laser scans the wall and the sensor point is fixed. They are returned with laser and
-            sensor points swapped; by reciprocity this leaves the signal unchanged.
+            Capture with grids ordered [y, x] and row 0 at the lowest y.
 
         Raises
         ------
         SceneError, SamplingError
-            If the file is missing, truncated or of an unknown layout; if a value is missing or not
+            If the file is missing, broken or of an unknown layout; if a value is missing or not
             finite; if a bin width is so small or large that it is probably not in m; or if array
             shapes are inconsistent.
 
@@ -349,21 +309,9 @@ class TransientCapture(Noun, Shown):
         --------
         TransientCapture.save : Write a capture; its example also reads it.
         """
-        from .formats import load_capture
+        from .reading import load_capture
 
-        return load_capture(
-            cls,
-            path,
-            format=format,
-            bin_width=bin_width,
-            t_start=t_start,
-            side=side,
-            pairing=pairing,
-            laser_point=laser_point,
-            outer_legs=outer_legs,
-            quantity=quantity,
-            gate_start=gate_start,
-        )
+        return load_capture(cls, path, values)
 
     def _bins(self, name: str, values: Any) -> Array:
         try:

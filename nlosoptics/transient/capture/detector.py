@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,6 @@ FINEST = 1e-7
 #: Range of the time response, in standard deviations of the Gaussian and in lengths of the tail;
 #: less than 1e-14 of the counts lie beyond.
 SIGMAS, TAILS = 8.0, 33.0
-#: Largest mean count; rounding of doubles would lose whole counts beyond it.
-MOST_COUNTS = 2.0**50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,10 +202,9 @@ class Detector:
         key = checked_seed(seed)
         means = self.expected(capture)
         most = float(means.max())
-        if most > MOST_COUNTS:
-            raise SceneError(
-                f"a bin expects {most:g} counts, limit {MOST_COUNTS:g}; give fewer photons"
-            )
+        if most > 2.0**50:  # rounding of doubles would lose whole counts
+            raise SceneError(f"a bin expects {most:g} counts, limit 2^50; give fewer photons")
+        values = {name: value for name, value in asdict(self).items() if value is not None}
         counts = np.empty(means.size)
         _detector_kernels.poisson(means.ravel(), np.uint64(key), counts)
         return replace(
@@ -216,13 +213,8 @@ class Detector:
             quantity="counts",
             by_bounce={},
             standard_error=np.sqrt(means),
-            details={**capture.details, "detector": self._as_dict(), "detector_seed": key},
+            details={**capture.details, "detector": values, "detector_seed": key},
         )
-
-    def _as_dict(self) -> dict[str, object]:
-        from dataclasses import asdict
-
-        return {name: value for name, value in asdict(self).items() if value is not None}
 
     def _open_share(self, capture: TransientCapture) -> Array:
         """Return the fraction of each bin during which the gate is open, (n_bins,)."""
@@ -254,16 +246,6 @@ class Detector:
         uniform over a bin, the fraction is the second difference of G at j steps, divided by the
         step. G is split into max(x, 0), whose share is 1 at j = 0 and 0 elsewhere, and a
         remainder. The remainder is small far from 0, so that rounding does no harm there.
-
-        Returns
-        -------
-        response : ndarray
-            (n,), fractions for j = -before, 1 - before, ...
-        before : int
-            Index of j = 0 in ``response``.
-        rest : float
-            Fraction one bin after the last of ``response``. From there on the response is
-            exponential; 0 if it ends.
         """
         reach = SIGMAS * self.jitter
         bend = self.jitter**2 / self.tail if self.tail else 0.0

@@ -1,4 +1,4 @@
-"""Preprocessing of captures: gating, binning, smoothing, distance weights, outer legs."""
+"""Preprocessing of captures: gating, binning, outer legs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import counted, in_range, real, whole
+from ..._checks import counted, real, whole
 from ...errors import SamplingError, SceneError
 from .capture import TransientCapture
 
@@ -96,7 +96,6 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
 
     See Also
     --------
-    smoothed : Gaussian blur of a capture.
     gated : Crop a capture to a range of optical path.
 
     Notes
@@ -155,95 +154,6 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
         sensor_normals=normals(capture.sensor_normals),
         standard_error=error,
     )
-
-
-def smoothed(
-    capture: TransientCapture, *, path: float = 0.0, grid: float = 0.0
-) -> TransientCapture:
-    """Blur a capture with a Gaussian, over time and over the wall points, to reduce noise.
-
-    A blur as wide as the detector's time response suppresses noise with little loss of signal.
-
-    Parameters
-    ----------
-    capture : TransientCapture
-        Capture without standard errors.
-    path : float
-        Standard deviation of the Gaussian over time, m of optical path; 0 for no blur.
-    grid : float
-        Standard deviation of the Gaussian along every axis of wall points, in units of the distance
-        between neighbouring points; 0 for no blur.
-
-    Returns
-    -------
-    TransientCapture
-        Capture with blurred values; times and points are unchanged.
-
-    Raises
-    ------
-    SceneError
-        If a standard deviation is below 0, or the capture has standard errors. The blur would
-        correlate the errors of neighbouring values, which a capture cannot store.
-
-    See Also
-    --------
-    downsampled : Sum bins and average points.
-    backprojection : Sum over ellipsoids of equal path.
-
-    Notes
-    -----
-    Beyond the ends of an axis, the outermost value is repeated.
-    """
-    from scipy.ndimage import gaussian_filter
-
-    path, grid = in_range("path", path, 0.0, unit="m"), in_range("grid", grid, 0.0)
-    if capture.standard_error is not None:
-        raise SceneError(
-            "the capture has standard errors, which a blur would correlate; remove them with "
-            "dataclasses.replace(capture, standard_error=None)"
-        )
-    sigma = [path / capture.delta_t, *[grid] * (capture.H.ndim - 1)]
-    return _mapped(capture, lambda h: np.asarray(gaussian_filter(h, sigma, mode="nearest")))
-
-
-def distance_weighted(capture: TransientCapture, power: float) -> TransientCapture:
-    """Multiply each bin by a power of half its optical path, to undo the falloff with distance.
-
-    Half the optical path is the distance of the object in a confocal capture.
-
-    Parameters
-    ----------
-    capture : TransientCapture
-        Capture whose times do not include the outer legs: the paths from laser to wall and from
-        wall to sensor. `without_outer_legs` subtracts them.
-    power : float
-        Exponent of half the path in m: 4 for diffuse objects, 2 for retro-reflective ones.
-
-    Returns
-    -------
-    TransientCapture
-        Capture with weighted values; times and points are unchanged.
-
-    Raises
-    ------
-    SceneError
-        If the times include the outer legs, or the centre of bin 0 is not above 0.
-
-    See Also
-    --------
-    gated : Crop a capture to a range of optical path.
-    backprojection : Sum over ellipsoids of equal path.
-    """
-    power = real("power", power)
-    _inner(capture, "distance_weighted")
-    half = 0.5 * capture.times
-    if half[0] <= 0.0:
-        raise SceneError(
-            f"bin 0 is at a path of {capture.times[0]:g} m, must be above 0; gate the capture with "
-            "transient.gated first"
-        )
-    weights = half**power
-    return _mapped(capture, lambda h: h * weights.reshape(-1, *[1] * (h.ndim - 1)).astype(h.dtype))
 
 
 def without_outer_legs(capture: TransientCapture) -> TransientCapture:
@@ -311,11 +221,6 @@ def outer_legs(capture: TransientCapture) -> Array:
     """Return the length of the outer legs of every pair, m, shaped like ``capture.H[0]``.
 
     It is 0 if the times of the capture do not include outer legs.
-
-    Raises
-    ------
-    SceneError
-        If the times include outer legs and an origin is missing.
     """
     shape = capture.H.shape[1:]
     if not capture.outer_legs:
@@ -335,13 +240,6 @@ def outer_legs(capture: TransientCapture) -> Array:
     if capture.pairing == "confocal":
         return np.asarray(first + last)
     return np.asarray(np.add.outer(first, last))
-
-
-def _inner(capture: TransientCapture, what: str) -> None:
-    if capture.outer_legs:
-        raise SceneError(
-            f"{what} needs times without the outer legs; call transient.without_outer_legs first"
-        )
 
 
 def _means(array: Array, first: int, last: int, count: int) -> Array:

@@ -7,7 +7,6 @@ stored in ``scene_info`` (numbers and text, as JSON, a subset of YAML) and in at
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,19 +18,12 @@ from numpy.typing import NDArray
 from ..._checks import path_of, reason, whole
 from ..._whole_files import whole_files
 from ...errors import SamplingError, SceneError
-from .layouts import Found, array, bins, number, triple, upright
-from .mat_files import AT
+from .reading import Values, array, number, triple, upright
 
 Array = NDArray[Any]
 
-H_FORMATS = {"UNKNOWN": 0, "T_Sx_Sy": 1, "T_Lx_Ly_Sx_Sy": 2, "T_Si": 3, "T_Li_Si": 4}
-GRID_FORMATS = {"UNKNOWN": 0, "N_3": 1, "X_Y_3": 2}
-VOLUME_FORMATS = {"UNKNOWN": 0, "N_3": 1, "X_Y_Z_3": 2, "X_Y_3": 3}
-OURS = "nlosoptics"
 #: Names of the attributes of ``H``; the first and last are prefixes.
 PART, ERROR, DETAIL = "by_bounce_", "standard_error", "details_"
-#: Value of an attribute that equals ``H`` itself.
-SAME = "H"
 #: Key of the names of the origins that are not known; zeros stand for them in the layout.
 UNKNOWN = "unknown_origins"
 
@@ -42,43 +34,12 @@ def save(capture: Any, path: str | Path, *, compression: int = 0) -> None:
 
     path = path_of("path", path)
     level = whole("compression", compression, 0, 9)
-    if path.is_dir() or not path.parent.is_dir():
-        what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
-        raise SceneError(f"{path}: {what}; give a file in an existing folder")
     # attributes larger than 64 KiB need the file format of HDF5 1.8
-    with whole_files(path) as (draft,), _Disk(draft, "w+") as disk:
-        with h5py.File(disk, "w", libver=("v108", "v108")) as file:
-            _write(file, capture, level)
-        if disk.error is not None:
-            raise disk.error
-
-
-class _Disk(io.FileIO):
-    """File that keeps the first error of the disk instead of raising it.
-
-    HDF5 would try to write again whenever one of its objects is released, and print each failure.
-    """
-
-    error: OSError | None = None
-
-    def write(self, content: Any) -> int:
-        """Write all bytes, unless the disk has failed."""
-        left = memoryview(content).cast("B")
-        size = len(left)
-        while left and self.error is None:
-            try:
-                left = left[super().write(left) :]
-            except OSError as error:
-                self.error = error
-        return size
-
-    def truncate(self, size: int | None = None) -> int:
-        """Set the size of the file, unless the disk has failed."""
-        try:
-            return super().truncate(size)
-        except OSError as error:
-            self.error = self.error or error
-            return size or 0
+    with (
+        whole_files(path) as (draft,),
+        h5py.File(draft, "w", libver=("v108", "v108")) as file,
+    ):
+        _write(file, capture, level)
 
 
 def _write(file: Any, capture: Any, level: int) -> None:
@@ -99,7 +60,8 @@ def _write(file: Any, capture: Any, level: int) -> None:
     for key, value in capture.details.items():
         if _is_array(value):
             H.attrs[f"{DETAIL}{key}"] = value
-    _write_enum(file, "H_format", form, H_FORMATS)
+    forms = {"UNKNOWN": 0, "T_Sx_Sy": 1, "T_Lx_Ly_Sx_Sy": 2, "T_Si": 3, "T_Li_Si": 4}
+    _write_enum(file, "H_format", form, forms)
     for name, shape in (("laser", laser), ("sensor", sensor)):
         points = getattr(capture, f"{name}_points")
         normals = getattr(capture, f"{name}_normals")
@@ -113,10 +75,10 @@ def _write(file: Any, capture: Any, level: int) -> None:
         file[f"{name}_xyz"] = h5py.Empty(float) if origin is None else np.array(origin)
         file[f"{name}_grid_xyz"] = _stored_points(points, shape)
         file[f"{name}_grid_normals"] = _stored_points(normals, shape)
-        _write_enum(
-            file, f"{name}_grid_format", "X_Y_3" if len(shape) == 2 else "N_3", GRID_FORMATS
-        )
-    _write_enum(file, "volume_format", "X_Y_Z_3", VOLUME_FORMATS)
+        grid = "X_Y_3" if len(shape) == 2 else "N_3"
+        _write_enum(file, f"{name}_grid_format", grid, {"UNKNOWN": 0, "N_3": 1, "X_Y_3": 2})
+    volumes = {"UNKNOWN": 0, "N_3": 1, "X_Y_Z_3": 2, "X_Y_3": 3}
+    _write_enum(file, "volume_format", "X_Y_Z_3", volumes)
     file["delta_t"] = capture.delta_t
     file["t_start"] = capture.t_start
     file["t_accounts_first_and_last_bounces"] = capture.outer_legs
@@ -140,12 +102,9 @@ def _axes(capture: Any) -> tuple[tuple[int, ...], tuple[int, ...], str]:
 
 
 def _brief(values: Array, H: Any) -> Any:
-    """Return a short form of bins: `SAME` if they equal ``H``, one number if all are the same.
-
-    Other bins are returned unchanged.
-    """
+    """Return a short form of bins: "H" if they equal ``H``, one number if all are the same."""
     if values.dtype == H.dtype and np.array_equal(values, H[...]):
-        return SAME
+        return "H"
     return values.flat[0] if (values == values.flat[0]).all() else values
 
 
@@ -182,7 +141,7 @@ def _scene_info(capture: Any) -> dict[str, Any]:
 
     return {
         "original_format": f"nlosoptics {__version__}",
-        OURS: {
+        "nlosoptics": {
             "pairing": capture.pairing,
             "quantity": capture.quantity,
             "laser_shape": list(capture.laser_shape),
@@ -205,70 +164,55 @@ def _plain(value: Any) -> Any:
     return dict(value) if isinstance(value, Mapping) else str(value)
 
 
-def read(variables: Mapping[str, Any]) -> Found:
+def read(variables: Mapping[str, Any]) -> Values:
     """Read y-tal's layout; a capture written by `save` is restored exactly."""
     info = _info(variables.get("scene_info"))
-    ours = info.get(OURS) if isinstance(info.get(OURS), Mapping) else None
-    H = bins(array(variables, "H", 2, 3, 5))
+    H = array(variables, "H", 2, 3, 5)
     points = {name: _points(variables, f"{name}_grid_xyz") for name in ("laser", "sensor")}
-    lasers, sensors = (_grid_shape(points[name]) for name in ("laser", "sensor"))
+    lasers, sensors = (None if at is None else at.shape[:-1] for at in points.values())
     lasers, paired = _pairs(H, lasers, sensors)
-    _check_format(variables, H.ndim, paired, lasers)
-    found = Found(
-        layout="tal",
-        H=H,
-        sensor_points=points["sensor"],
-        laser_points=points["laser"],
-        sensor_normals=_normals(variables, "sensor", points["sensor"]),
-        laser_normals=_normals(variables, "laser", points["laser"]),
-        sensor_origin=triple(variables, "sensor_xyz"),
-        laser_origin=triple(variables, "laser_xyz"),
-        delta_t=number(variables, "delta_t"),
-        t_start=number(variables, "t_start"),
-        pairing=paired,
-        outer_legs=_flag(variables, "t_accounts_first_and_last_bounces"),
-        by_bounce={
-            int(key.removeprefix(f"H{AT}{PART}")): _at_length(variables[key], H)
-            for key in variables
-            if key.startswith(f"H{AT}{PART}") and key.removeprefix(f"H{AT}{PART}").isdecimal()
+    attributes = {
+        key.removeprefix("H@"): value for key, value in variables.items() if key.startswith("H@")
+    }
+    parts = {
+        int(key.removeprefix(PART)): _at_length(value, H)
+        for key, value in attributes.items()
+        if key.startswith(PART) and key.removeprefix(PART).isdecimal()
+    }
+    values = {
+        "H": H,
+        "sensor_points": points["sensor"],
+        "laser_points": points["laser"],
+        "sensor_normals": _normals(variables, "sensor", points["sensor"]),
+        "laser_normals": _normals(variables, "laser", points["laser"]),
+        "sensor_origin": triple(variables, "sensor_xyz"),
+        "laser_origin": triple(variables, "laser_xyz"),
+        "delta_t": number(variables, "delta_t"),
+        "t_start": number(variables, "t_start"),
+        "pairing": paired,
+        "outer_legs": _flag(variables, "t_accounts_first_and_last_bounces"),
+        "quantity": "unknown",
+        "by_bounce": parts,
+        "standard_error": _at_length(attributes[ERROR], H) if ERROR in attributes else None,
+        "details": {
+            key.removeprefix(DETAIL): np.asarray(value)
+            for key, value in attributes.items()
+            if key.startswith(DETAIL)
         },
-        standard_error=_at_length(variables[f"H{AT}{ERROR}"], H)
-        if f"H{AT}{ERROR}" in variables
-        else None,
-        details={
-            key.removeprefix(f"H{AT}{DETAIL}"): np.asarray(variables[key])
-            for key in variables
-            if key.startswith(f"H{AT}{DETAIL}")
-        },
-    )
-    return _foreign(found, info, lasers) if ours is None else _own(found, ours)
+    }
+    ours = info.get("nlosoptics")
+    return _own(values, ours) if isinstance(ours, Mapping) else _foreign(values, info, lasers)
 
 
 def _info(text: Any) -> dict[str, Any]:
-    """Parse ``scene_info`` to a mapping; text that cannot be parsed is kept under its name."""
+    """Parse ``scene_info`` to a mapping; text that is no JSON is kept under its name."""
     if text is None or text == "":
         return {}
-    if not isinstance(text, str):
-        return {"scene_info": str(text)}
     try:
-        found = json.loads(text)
-    except ValueError:
-        found = _yaml(text)
-    return found if isinstance(found, dict) else {"scene_info": text}
-
-
-def _yaml(text: str) -> Any:
-    """Parse YAML if PyYAML is installed; None if it is not, or if the text is invalid or long."""
-    if len(text) > 1_000_000:  # parsing ground truth stored as text takes minutes
-        return None
-    try:
-        import yaml
-    except ModuleNotFoundError:
-        return None
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError:
-        return None
+        info = json.loads(text)
+    except (TypeError, ValueError):
+        info = None
+    return info if isinstance(info, dict) else {"scene_info": str(text)}
 
 
 def _flag(variables: Mapping[str, Any], key: str) -> bool | None:
@@ -290,10 +234,6 @@ def _points(variables: Mapping[str, Any], key: str) -> Array | None:
             f"{key} has shape {values.shape}, must be (n, 3) or (nx, ny, 3); correct the file"
         )
     return values if values.ndim > 1 else values[None]
-
-
-def _grid_shape(points: Array | None) -> tuple[int, ...] | None:
-    return None if points is None else points.shape[:-1]
 
 
 def _normals(variables: Mapping[str, Any], name: str, points: Array | None) -> Array | None:
@@ -339,68 +279,47 @@ def _pairs(
     )
 
 
-def _check_format(
-    variables: Mapping[str, Any], ndim: int, paired: str | None, lasers: tuple[int, ...] | None
-) -> None:
-    """Raise `SamplingError` if ``H_format`` contradicts the axes of the arrays."""
-    form = variables.get("H_format")
-    if form is None or np.size(form) != 1:
-        return
-    value = whole("H_format", np.asarray(form).reshape(-1)[0], 0)
-    names = {code: name for name, code in H_FORMATS.items()}
-    many = paired == "all" and bool(lasers)
-    fits = {2: "T_Si", 5: "T_Lx_Ly_Sx_Sy", 3: "T_Li_Si" if many else "T_Sx_Sy"}[ndim]
-    if value and value != H_FORMATS[fits]:
-        said = names.get(value, str(value))
-        raise SamplingError(
-            f"H_format is {said}, H of {ndim} axes with these grids is {fits}; correct the file"
-        )
-
-
-def _own(found: Found, ours: Mapping[str, Any]) -> Found:
+def _own(values: Values, ours: Mapping[str, Any]) -> Values:
     """Restore the axes of a capture that was written by `save`."""
     try:
         laser, sensor = (tuple(map(int, ours[f"{name}_shape"])) for name in ("laser", "sensor"))
-        found.pairing, found.quantity = str(ours["pairing"]), str(ours["quantity"])
-        found.details |= ours["details"]
+        values["pairing"], values["quantity"] = str(ours["pairing"]), str(ours["quantity"])
+        values["details"] |= ours["details"]
         for name in ours.get(UNKNOWN, ()):
-            if not np.any(getattr(found, f"{name}_origin") or 0.0):
-                setattr(found, f"{name}_origin", None)
-        points = {"laser": laser, "sensor": sensor}
-        axes = sensor if found.pairing == "confocal" else laser + sensor
+            if not np.any(values[f"{name}_origin"] or 0.0):
+                values[f"{name}_origin"] = None
+        axes = sensor if values["pairing"] == "confocal" else laser + sensor
+        points = values["sensor_points"]
+        grid = 2 if points is not None and points.ndim == 3 else 1
+        lasers = values["H"].ndim - 1 - grid
 
-        grid = 2 if found.sensor_points is not None and found.sensor_points.ndim == 3 else 1
-        lasers = found.H.ndim - 1 - grid
+        def restored(bins: Array | None) -> Array | None:
+            return None if bins is None else _turned(bins, lasers, grid).reshape(-1, *axes)
 
-        def restored(values: Array) -> Array:
-            return _turned(values, lasers, grid).reshape(-1, *axes)
-
-        found.H = restored(found.H)
-        found.by_bounce = {n: restored(part) for n, part in found.by_bounce.items()}
-        if found.standard_error is not None:
-            found.standard_error = restored(found.standard_error)
-        for name, shape in points.items():
+        for key in ("H", "standard_error"):
+            values[key] = restored(values[key])
+        values["by_bounce"] = {n: restored(part) for n, part in values["by_bounce"].items()}
+        for name, shape in {"laser": laser, "sensor": sensor}.items():
             for key in (f"{name}_points", f"{name}_normals"):
-                values = getattr(found, key)
-                if values is not None:
-                    values = values.swapaxes(0, 1) if values.ndim == 3 else values
-                    setattr(found, key, values.reshape(*shape, 3))
+                if values[key] is not None:
+                    at = values[key].swapaxes(0, 1) if values[key].ndim == 3 else values[key]
+                    values[key] = at.reshape(*shape, 3)
     except (KeyError, TypeError, ValueError) as error:
         raise SceneError(
-            f"scene_info.{OURS} does not fit the arrays ({reason(error)}), the "
+            f"scene_info.nlosoptics does not fit the arrays ({reason(error)}), the "
             "file was changed; save the capture again"
         ) from None
-    return found
+    return values
 
 
-def _foreign(found: Found, info: dict[str, Any], lasers: tuple[int, ...] | None) -> Found:
+def _foreign(values: Values, info: dict[str, Any], lasers: tuple[int, ...] | None) -> Values:
     """Convert a capture of another program from [x, y] to rising [y, x]."""
-    found.details = {key: value for key, value in info.items() if key != "ground_truth"}
-    if found.pairing == "all" and lasers == () and found.laser_points is not None:
-        found.laser_points = found.laser_points.reshape(3)
-        if found.laser_normals is not None:
-            found.laser_normals = found.laser_normals.reshape(3)
-    if found.sensor_points is None and found.H.ndim == 3:
-        found.H = found.H.swapaxes(1, 2)  # no points to judge from; the layout defines [x, y]
-        return found
-    return upright(found)
+    values["details"] = {key: value for key, value in info.items() if key != "ground_truth"}
+    if values["pairing"] == "all" and lasers == () and values["laser_points"] is not None:
+        for key in ("laser_points", "laser_normals"):
+            if values[key] is not None:
+                values[key] = values[key].reshape(3)
+    if values["sensor_points"] is None and values["H"].ndim == 3:
+        values["H"] = values["H"].swapaxes(1, 2)  # the layout defines [x, y]
+        return values
+    return upright(values)

@@ -105,15 +105,7 @@ def points_on_wall(name: str, values: ArrayLike) -> NDArray[np.float64]:
 def pair_shape(
     pairing: Any, laser_shape: tuple[int, ...], sensor_shape: tuple[int, ...]
 ) -> tuple[int, ...]:
-    """Return the shape of a capture behind its time axis.
-
-    Raises
-    ------
-    SceneError
-        If ``pairing`` is neither "all" nor "confocal".
-    SamplingError
-        If confocal laser and sensor points differ in shape.
-    """
+    """Return the shape of a capture behind its time axis."""
     if one_of("pairing", pairing, ("all", "confocal")) == "all":
         return laser_shape + sensor_shape
     if laser_shape != sensor_shape:
@@ -129,11 +121,8 @@ def even_axes(points: Array) -> tuple[Array, Array, float]:
 
     This also removes the rounding of single-precision coordinates.
 
-    Returns
-    -------
-    tuple
-        x and y, m, and the largest deviation of the points from that grid along x or y, as a
-        fraction of its pitch.
+    Returns x and y, m, and the largest deviation of the points from that grid along x or y, as a
+    fraction of its pitch.
     """
     first, last = points[0, 0], points[-1, -1]
     x = np.linspace(first[0], last[0], points.shape[1])

@@ -1,4 +1,4 @@
-"""Rayleigh-Sommerfeld sums in torch, for GPUs."""
+"""Convolutions of `plane_convolutions` in torch, for GPUs."""
 
 from __future__ import annotations
 
@@ -16,14 +16,11 @@ from .volume import Volume
 Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 
-#: Largest number of array elements held in one step.
-STEP = 2**26
-
 
 def carry(
     volume: Volume,
     legs: Legs,
-    grid: Lattice | None,
+    grid: Lattice,
     band: Band,
     spectra: ComplexArray,
     times: Array,
@@ -32,26 +29,7 @@ def carry(
 ) -> ComplexArray:
     """Return the field at each voxel, computed in torch.
 
-    Parameters
-    ----------
-    volume, legs, band, spectra, times, advance
-        See `rayleigh_sommerfeld.direct_sum`.
-    grid : Lattice or None
-        Lattice of ``legs.near`` to compute convolutions; None to sum every path.
-    device : str
-        torch device, such as "cuda".
-
-    Returns
-    -------
-    ndarray
-        (t, nz, ny, nx) complex, in the precision of ``spectra``.
-
-    Raises
-    ------
-    MissingExtraError
-        If torch is not installed.
-    SceneError
-        If torch has no such device.
+    Returns (t, nz, ny, nx) complex, in the precision of ``spectra``.
     """
     try:
         import torch
@@ -65,45 +43,8 @@ def carry(
         reason = str(error).splitlines()[0]
         raise SceneError(f"device = {device!r} is not available: {reason}; omit device") from None
     with torch.inference_mode():
-        if grid is None:
-            fields = _direct(torch, volume, legs, band, spectra, times, device, advance)
-        else:
-            fields = _planes(torch, volume, legs, grid, band, spectra, times, device, advance)
+        fields = _planes(torch, volume, legs, grid, band, spectra, times, device, advance)
         return np.asarray(fields.cpu().numpy())
-
-
-def _direct(
-    torch: Any,
-    volume: Volume,
-    legs: Legs,
-    band: Band,
-    spectra: ComplexArray,
-    times: Array,
-    device: str,
-    advance: Advance,
-) -> Any:
-    """Sum every path: for each wave, multiply a matrix (voxels, near points) by the spectra."""
-    light = torch.as_tensor(spectra, device=device)
-    voxels = torch.as_tensor(volume.points.reshape(-1, 3), device=device)
-    near = torch.as_tensor(np.ascontiguousarray(legs.near), device=device)
-    far = torch.as_tensor(np.ascontiguousarray(legs.far), device=device)
-    fields = torch.zeros((len(times), len(voxels)), dtype=light.dtype, device=device)
-    for part in blocks(len(voxels), max(1, STEP // (len(near) + len(far)))):
-        path = torch.cdist(voxels[part], near, compute_mode="donot_use_mm_for_euclid_dist")
-        fall = 1.0 / path if legs.falls else torch.ones_like(path)
-        lead = torch.cdist(voxels[part], far, compute_mode="donot_use_mm_for_euclid_dist")
-        if legs.paired:
-            path, fall = path + lead, fall / lead if legs.falls else fall
-        for k, wave in enumerate(band.wavenumbers):
-            plane = (torch.exp(1j * wave * path) * fall).to(light.dtype) @ light[k].T
-            if len(legs.far) and not legs.paired:
-                there = torch.exp(1j * wave * lead) * (1.0 / lead if legs.falls else 1.0)
-                plane = plane * there.to(light.dtype)
-            plane = plane.sum(dim=1)
-            for t, time in enumerate(times):
-                fields[t, part] += plane * complex(np.exp(1j * wave * time))
-        advance(part.stop / len(voxels))
-    return fields.reshape(len(times), *volume.shape)
 
 
 def _planes(
@@ -129,7 +70,7 @@ def _planes(
     far = torch.as_tensor(np.ascontiguousarray(legs.far), device=device)
     fields = torch.zeros((len(times), *volume.shape), dtype=light.dtype, device=device)
     n_far = walls.shape[1]
-    for part in blocks(len(volume.z), max(1, STEP // (n_far * shape[0] * shape[1]))):
+    for part in blocks(len(volume.z), max(1, 2**26 // (n_far * shape[0] * shape[1]))):
         away = torch.as_tensor(volume.z[part] - grid.depth, device=device)
         ways = 2 if legs.twice else 1
         path = ways * torch.sqrt(away[:, None, None] ** 2 + up[:, None] ** 2 + across**2)

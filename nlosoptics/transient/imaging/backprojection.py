@@ -23,7 +23,6 @@ Falloff = Literal["none", "matched", "diffuse", "retroreflective"]
 
 #: Exponent of r1 r2 in the weight of each path.
 POWERS: Final = {"none": 0, "matched": -2, "diffuse": 2, "retroreflective": 1}
-BLOCK: Final = 8  # rows of voxels between calls of progress
 
 
 def backprojection(
@@ -212,8 +211,8 @@ def _sums(
     legs = outer_legs(capture).ravel()
     found = np.empty((ny, nx, nz))
     seen = np.empty((ny, nx, nz), dtype=np.bool_)
-    for first in range(0, ny, BLOCK):
-        rows = slice(first, first + BLOCK)
+    for first in range(0, ny, 8):  # rows between calls of progress
+        rows = slice(first, first + 8)
         kernels.backproject(
             series,
             lasers,
@@ -231,7 +230,7 @@ def _sums(
             seen[rows],
         )
         if progress is not None:
-            progress("backprojection", min(1.0, (first + BLOCK) / ny))
+            progress("backprojection", min(1.0, (first + 8) / ny))
     unseen = np.flatnonzero(~seen.all(axis=(0, 1)))
     if len(unseen):
         raise SamplingError(

@@ -8,35 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import is_single, one_of, positive, vector, whole
+from ..._checks import is_single, positive, vector, whole
 from ...errors import SamplingError, SceneError
 from ..capture.capture import TransientCapture
 from ..capture.preprocessing import outer_legs
+from ..capture.wall_points import UNEVEN
 from .rayleigh_sommerfeld import Legs
 from .volume import Volume
 
 Array = NDArray[np.floating]
 
-#: Fraction of the volume's paths outside the capture's bins from which on a note is given.
-CUT = 0.01
-#: Variation of a grid's steps, relative to the pitch, from which on a note is given.
-UNEVEN = 1e-3
-
 
 def grid_note(name: str, points: Array, wavelength: float, ways: int) -> str | None:
-    """Return a note if a grid of wall points is too coarse for the wavelength or uneven, or None.
-
-    Parameters
-    ----------
-    name : str
-        Name of the points in the note.
-    points : ndarray
-        (..., 3), m.
-    wavelength : float
-        Virtual wavelength, m of optical path.
-    ways : int
-        2 if each point both emits and receives (confocal), else 1.
-    """
+    """Return a note if wall points are too coarse for the wavelength or uneven, or None."""
     steps = [
         np.linalg.norm(np.diff(points, axis=axis), axis=-1).ravel()
         for axis in range(points.ndim - 1)
@@ -61,13 +45,7 @@ def grid_note(name: str, points: Array, wavelength: float, ways: int) -> str | N
 
 
 def bin_note(delta_t: float, wavelength: float) -> str | None:
-    """Return a note if bins are wider than a quarter of the wavelength, or None.
-
-    Raises
-    ------
-    SamplingError
-        If bins are wider than half of the wavelength.
-    """
+    """Return a note if bins are wider than a quarter of the wavelength, or None."""
     if delta_t > 0.5 * wavelength:
         raise SamplingError(
             f"delta_t = {delta_t:.4g} m exceeds half of wl_mean = {wavelength:.4g} m, so that the "
@@ -82,21 +60,11 @@ def bin_note(delta_t: float, wavelength: float) -> str | None:
 
 
 def window_note(capture: TransientCapture, volume: Volume, paths: Array) -> str | None:
-    """Return a note if part of the volume's paths lies outside the capture's bins, or None.
-
-    Parameters
-    ----------
-    capture : TransientCapture
-        Capture with the bins.
-    volume : Volume
-        Volume to image.
-    paths : ndarray
-        Sample of path lengths, any shape, m, with outer legs if the capture has them.
-    """
+    """Return a note if part of the volume's paths lies outside the capture's bins, or None."""
     edges = capture.edges
     early = float(np.mean(paths < edges[0]))
     late = float(np.mean(paths > edges[-1]))
-    if early + late <= CUT:
+    if early + late <= 0.01:
         return None
     return (
         f"bins from {edges[0]:.4g} to {edges[-1]:.4g} m leave out {100 * (early + late):.2g} % of "
@@ -107,39 +75,23 @@ def window_note(capture: TransientCapture, volume: Volume, paths: Array) -> str 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Setup:
-    """Assignment of a capture's wall points to the near and far points of a virtual camera.
+    """Assignment of a capture's wall points to the near and far points of a virtual camera."""
 
-    Parameters
-    ----------
-    legs : Legs
-        Near and far points, whose distances to a voxel make up its path.
-    grid : ndarray
-        (..., 3), m: ``legs.near`` in the shape of its grid.
-    columns : ndarray of int
-        (m, n): index of the capture's pair that far point j and near point i form.
-    given : ndarray
-        (m, n), m: known path lengths in addition to the legs to a voxel. These are the outer legs
-        and, for a projector, the leg from each laser point to its focus.
-    used : ndarray of bool
-        (n,): near points within the aperture; the spectra of others are set to 0.
-    sides : tuple of str
-        Kind of the near and of the far points, ("sensor", "laser") or ("laser", "sensor").
-    far_points : ndarray
-        (m, 3), m: points by which the light is focused, even if their legs are part of ``given``.
-    far_shape : tuple of int
-        Shape of the grid of ``far_points``.
-    merged : bool
-        Whether the legs of the far points are part of ``given``. Their spectra are then summed.
-    """
-
-    legs: Legs
-    grid: Array
+    legs: Legs  # Near and far points, whose distances to a voxel make up its path
+    grid: Array  # (..., 3), m: ``legs.near`` in the shape of its grid
+    # (m, n): index of the capture's pair that far point j and near point i form
     columns: NDArray[np.intp]
+    # (m, n), m: known path lengths in addition to the legs to a voxel. These are the outer legs
+    # and, for a projector, the leg from each laser point to its focus
     given: Array
+    # (n,): near points within the aperture; the spectra of others are set to 0
     used: NDArray[np.bool_]
+    # Kind of the near and of the far points, ("sensor", "laser") or ("laser", "sensor")
     sides: tuple[str, str]
+    # (m, 3), m: points by which the light is focused, even if their legs are part of ``given``
     far_points: Array
-    far_shape: tuple[int, ...] = ()
+    far_shape: tuple[int, ...] = ()  # Shape of the grid of ``far_points``
+    # Whether the legs of the far points are part of ``given``. Their spectra are then summed
     merged: bool = False
 
     def cut(self, near: NDArray[np.bool_], far: NDArray[np.bool_]) -> Setup:
@@ -196,21 +148,7 @@ class Setup:
 def camera_setup(
     capture: TransientCapture, camera: str, laser: Any, focus: Any, falls: bool
 ) -> Setup:
-    """Assign laser and sensor points to a virtual camera.
-
-    Parameters
-    ----------
-    capture : TransientCapture
-        Capture with the points.
-    camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
-        Virtual camera, see `phasor_image`.
-    laser : int, tuple of int or None
-        Index of the laser point, for "transient".
-    focus : array_like of 3 floats or None
-        Focus of the projector, m, for "projector_camera".
-    falls : bool
-        Whether each leg contributes a factor 1/length.
-    """
+    """Assign laser and sensor points to a virtual camera."""
     lasers, sensors = capture.laser_points.reshape(-1, 3), capture.sensor_points.reshape(-1, 3)
     outer = outer_legs(capture)
     if camera != "projector_camera" and focus is not None:
@@ -296,51 +234,12 @@ def _laser_index(capture: TransientCapture, laser: Any) -> int:
     return int(np.ravel_multi_index(index, shape)) if index else 0
 
 
-def apertures(
-    setup: Setup, aperture: Any, aperture_of: str
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def apertures(setup: Setup, aperture: Any) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return masks of the near points (n,) and the far points (m,) within the aperture."""
-    one_of("aperture_of", aperture_of, ("both", "laser", "sensor"))
-    near_shape, far_shape = setup.grid.shape[:-1], setup.far_shape
-    n_far = len(setup.columns)
-    near, far = np.ones(len(setup.used), dtype=bool), np.ones(n_far, dtype=bool)
     if aperture is None:
-        return near, far
-    if is_single(aperture):
-        side = positive("aperture", aperture, unit="m")
-        if aperture_of in ("both", setup.sides[0]) or setup.legs.paired:
-            near = _square(setup.legs.near, side)
-        if aperture_of in ("both", setup.sides[1]):
-            far = _square(setup.far_points, side)
-        return near, far
-    try:
-        mask = np.asarray(aperture)
-    except ValueError:
-        raise SamplingError(
-            "aperture has rows of several lengths; give a mask shaped like the points"
-        ) from None
-    if mask.dtype != bool:
-        raise SceneError(f"aperture of type {mask.dtype} is no mask; give booleans, or a side in m")
-    fits = [mask.shape == shape for shape in (near_shape, far_shape)]
-    if not any(fits):
-        raise SamplingError(
-            f"aperture has shape {mask.shape}, must be {near_shape} like the "
-            f"{setup.sides[0]} points; give such a mask, or a side in m"
-        )
-    cuts_near = fits[0] and (aperture_of in ("both", setup.sides[0]) or setup.legs.paired)
-    cuts_far = fits[1] and n_far > 1 and aperture_of in ("both", setup.sides[1])
-    if not (cuts_near or cuts_far):
-        raise SamplingError(
-            f"aperture of shape {mask.shape} applies to none of the points that aperture_of = "
-            f"{aperture_of!r} selects; give aperture_of = {setup.sides[0]!r} or 'both'"
-        )
-    if cuts_near:
-        near = mask.ravel()
-    if cuts_far:
-        far = mask.ravel()
-    if not (near.any() and far.any()):
-        raise SamplingError("aperture contains no wall point; give a larger one")
-    return near, far
+        return np.ones(len(setup.used), dtype=bool), np.ones(len(setup.columns), dtype=bool)
+    side = positive("aperture", aperture, unit="m")
+    return _square(setup.legs.near, side), _square(setup.far_points, side)
 
 
 def _square(points: Array, side: float) -> NDArray[np.bool_]:

@@ -19,30 +19,17 @@ Array = NDArray[np.floating]
 
 #: Fraction of the total at the shortest possible paths from which on a capture is refused.
 DIRECT_SHARE = 0.01
-#: Number of time intervals, the darkest of which gives the dark level; and allowance for the noise
-#: of dark counts, in standard deviations.
-STRETCHES, CHANCE = 16, 4.0
 
 
 @dataclass(frozen=True, eq=False)
 class ConfocalGrid:
-    """Even grid of confocal wall points in z = 0, with the time axis as half the optical path.
+    """Even grid of confocal wall points in z = 0, with the time axis as half the optical path."""
 
-    Parameters
-    ----------
-    x, y : ndarray
-        (nx,) and (ny,): coordinates of the points, m.
-    start, pitch : float
-        Start of bin 0 and width of the bins, m of half the optical path.
-    n_bins : int
-        Number of bins.
-    """
-
-    x: Array
+    x: Array  # (nx,) and (ny,): coordinates of the points, m
     y: Array
-    start: float
+    start: float  # Start of bin 0 and width of the bins, m of half the optical path
     pitch: float
-    n_bins: int
+    n_bins: int  # Number of bins
 
     @property
     def depths(self) -> Array:
@@ -61,22 +48,7 @@ class ConfocalGrid:
 
 
 def confocal_grid(capture: TransientCapture, method: str) -> ConfocalGrid:
-    """Return the even confocal grid of a capture, or raise if it has none.
-
-    Parameters
-    ----------
-    capture : TransientCapture
-        Confocal capture.
-    method : str
-        Name of the calling method, for messages.
-
-    Raises
-    ------
-    SamplingError
-        If the capture is not confocal, or its points are not an even, rising grid [y, x] in z = 0.
-    SceneError
-        If the capture has outer legs, direct light or negative values.
-    """
+    """Return the even confocal grid of a capture, or raise if it has none."""
     if not capture.is_confocal:
         raise SamplingError(
             f"{method} needs a confocal capture with equal laser and sensor points, this one has "
@@ -138,7 +110,7 @@ def refuse_direct_light(capture: TransientCapture, method: str) -> None:
     direct, total = (
         float(part[0].sum() - level * part[2, open_bins].sum()) for part in (sums[0], sums.sum(0))
     )
-    chance = CHANCE * spread * math.sqrt(sums[0, 2, open_bins].sum())
+    chance = 4.0 * spread * math.sqrt(sums[0, 2, open_bins].sum())
     if direct > DIRECT_SHARE * max(total, 0.0) + chance:
         raise SceneError(
             f"{method}: {100 * direct / max(total, direct):.2g} % of the capture is direct light "
@@ -148,14 +120,14 @@ def refuse_direct_light(capture: TransientCapture, method: str) -> None:
 
 
 def _dark_level(light: Array, squares: Array, count: Array) -> tuple[float, float]:
-    """Return mean and standard deviation per path and bin of the darkest time interval.
+    """Return mean and standard deviation per path and bin of the darkest of 16 time intervals.
 
     Bins without any counts are ignored; a gate may have been closed there.
     """
     lit = np.flatnonzero(light > 0.0)
     if not lit.size:
         return 0.0, 0.0
-    starts = np.unique(np.linspace(0, lit.size, STRETCHES, endpoint=False).astype(np.int64))
+    starts = np.unique(np.linspace(0, lit.size, 16, endpoint=False).astype(np.int64))
     sums = [np.add.reduceat(values[lit], starts) for values in (light, squares, count)]
     means = sums[0] / sums[2]
     darkest = int(means.argmin())
@@ -164,16 +136,7 @@ def _dark_level(light: Array, squares: Array, count: Array) -> tuple[float, floa
 
 
 def reached_volume(grid: ConfocalGrid, volume: Volume | None, method: str) -> Volume:
-    """Return the volume, by default the grid's own, after checking that the capture covers it.
-
-    Raises
-    ------
-    SamplingError
-        If depths lie outside the time window, or voxels beyond 3/4 of the grid's width from its
-        centre.
-    SceneError
-        If the volume is not in front of the wall.
-    """
+    """Return the volume, by default the grid's own, after checking that the capture covers it."""
     if volume is None:
         volume = grid.volume()
     low, high = float(volume.z[0]), float(volume.z[-1])
@@ -218,20 +181,8 @@ def waves_along(
 ) -> tuple[Array, NDArray[np.complexfloating], NDArray[np.complexfloating]]:
     """Return the lateral frequencies of a padded axis and the matrices of both transforms.
 
-    Parameters
-    ----------
-    own, asked : ndarray
-        (n,) sampled points and (m,) points at which the sum of waves is required, m.
-    size : int
-        Even number of samples of the padded axis. The Nyquist frequency is omitted because its
-        sign is undefined.
-    kind : type
-        Complex type of the matrices.
-
-    Returns
-    -------
-    tuple of ndarray
-        Frequencies (size - 1,), 1/m; forward matrix (size - 1, n); inverse matrix (m, size - 1).
+    Returns frequencies (size - 1,), 1/m; forward matrix (size - 1, n); inverse matrix (m, size -
+    1).
     """
     pitch = own[1] - own[0]
     frequencies = np.arange(-(size // 2) + 1, size // 2) / (size * pitch)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import in_range, is_single, whole
+from ..._checks import in_range, whole
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
 from ..capture.wall_points import real_array
@@ -162,7 +162,7 @@ def depth_map(
 
 def depth_error(
     found: DepthMap | VolumeImage,
-    truth: DepthMap | ArrayLike,
+    truth: ArrayLike,
     *,
     n_thresholds: int = 100,
     min_coverage: float = 0.5,
@@ -177,7 +177,7 @@ def depth_error(
     ----------
     found : DepthMap or VolumeImage
         Reconstructed depths; an image is converted by `depth_map`.
-    truth : DepthMap or array_like
+    truth : array_like
         True depths on the same cells, (ny, nx), m; NaN for cells without a surface.
     n_thresholds : int
         Number n of thresholds to try: 0, 1/n, ..., 1 - 1/n.
@@ -194,7 +194,7 @@ def depth_error(
     Raises
     ------
     SamplingError
-        If the maps differ in shape or cells, or no threshold keeps enough cells.
+        If the maps differ in shape, or no threshold keeps enough cells.
     SceneError
         If all true depths are NaN.
 
@@ -220,19 +220,12 @@ def depth_error(
     """
     if isinstance(found, VolumeImage):
         found = depth_map(found)
-    true = real_array("true depths", truth.depth if isinstance(truth, DepthMap) else truth)
+    true = real_array("true depths", truth)
     if true.shape != found.depth.shape:
         raise SamplingError(
             f"true depths have shape {true.shape}, must be {found.depth.shape} like the "
             "reconstructed ones; compute them on the same cells"
         )
-    if isinstance(truth, DepthMap):
-        off = max(float(np.abs(truth.x - found.x).max()), float(np.abs(truth.y - found.y).max()))
-        if off > 1e-6:
-            raise SamplingError(
-                f"cells of the true depths are shifted by up to {off:g} m from the reconstructed "
-                "ones, limit 1e-06 m; use one grid for both"
-            )
     there = np.isfinite(true)
     if not there.any():
         raise SceneError("the true depths are all NaN; give at least one finite depth")
@@ -268,9 +261,7 @@ def depth_error(
     )
 
 
-def true_depths(
-    meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh], grid: Volume | tuple[ArrayLike, ArrayLike]
-) -> Array:
+def true_depths(meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh], volume: Volume) -> Array:
     """Return the true depth map of meshes: distance from the wall to the first surface along +z.
 
     One ray is traced from each cell centre on the wall z = 0.
@@ -279,9 +270,8 @@ def true_depths(
     ----------
     meshes : trimesh.Trimesh or iterable of them
         Hidden surfaces, world frame, m.
-    grid : Volume or (array_like, array_like)
-        Where to evaluate: cell centres x (nx,) and y (ny,), m, or a volume with these axes, whose
-        depths are ignored.
+    volume : Volume
+        Volume whose x and y are the cell centres; its depths are ignored.
 
     Returns
     -------
@@ -291,123 +281,31 @@ def true_depths(
     Raises
     ------
     SceneError
-        If there is no mesh, or ``grid`` is neither a volume nor a pair of axes.
-    SamplingError
-        If an axis has more than one dimension.
-
-    See Also
-    --------
-    depth_error : Error of a depth map.
-    voxelised : Voxels that a surface passes through.
-
-    Examples
-    --------
-    >>> import trimesh
-    >>> from nlosoptics.transient import true_depths
-    >>> box = trimesh.creation.box((1.0, 1.0, 1.0)).apply_translation((0.0, 0.0, 1.5))
-    >>> print(true_depths(box, ([0.1, 2.0], [0.2])))
-    [[ 1. nan]]
-    """
-    from ...raytrace import intersect_mesh
-
-    x, y = (grid.x, grid.y) if isinstance(grid, Volume) else _cells(grid)
-    origins = np.zeros((len(y), len(x), 3))
-    origins[..., 0], origins[..., 1] = x, y[:, None]
-    nearest = np.full((len(y), len(x)), np.inf)
-    for mesh in _several(meshes):
-        hits = intersect_mesh(mesh, origins, (0.0, 0.0, 1.0))
-        nearest = np.where(hits.status == 0, np.minimum(nearest, hits.distance), nearest)
-    return np.where(np.isfinite(nearest), nearest, np.nan)
-
-
-def voxelised(
-    meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh], volume: Volume
-) -> NDArray[np.bool_]:
-    """Return which voxels of a volume are crossed by the surfaces of meshes.
-
-    The surfaces are found by rays through the centres of the voxels, along each axis with at least
-    two voxels. Rays along a single axis would miss the surfaces that are parallel to it.
-
-    Parameters
-    ----------
-    meshes : trimesh.Trimesh or iterable of them
-        Hidden surfaces, world frame, m.
-    volume : Volume
-        Volume with at least two voxels along z.
-
-    Returns
-    -------
-    ndarray of bool
-        (nz, ny, nx), True for voxels that a surface crosses.
-
-    Raises
-    ------
-    SamplingError
-        If the volume has one voxel along z.
-    SceneError
         If there is no mesh.
 
     See Also
     --------
-    true_depths : Depths of meshes.
-    Volume : Voxel grid.
+    depth_error : Error of a depth map.
 
     Examples
     --------
     >>> import trimesh
-    >>> from nlosoptics.transient import Volume, voxelised
-    >>> box = trimesh.creation.box((1.0, 1.0, 0.8)).apply_translation((0.0, 0.0, 1.5))
-    >>> volume = Volume.box(centre=(0.0, 0.0, 1.5), size=(0.2, 0.2, 1.4), pitch=0.2)
-    >>> print(voxelised(box, volume)[:, 0, 0].astype(int))
-    [0 1 0 0 0 1 0]
+    >>> from nlosoptics.transient import Volume, true_depths
+    >>> box = trimesh.creation.box((1.0, 1.0, 1.0)).apply_translation((0.0, 0.0, 1.5))
+    >>> print(true_depths(box, Volume([0.1, 2.0], [0.2], [1.0])))
+    [[ 1. nan]]
     """
-    if len(volume.z) < 2:
-        raise SamplingError("the volume has 1 voxel along z, must have at least 2; give more")
-    several, axes = _several(meshes), (volume.x, volume.y, volume.z)
-    full = np.zeros([len(a) for a in axes], dtype=bool)
-    for along in range(3):
-        if len(axes[along]) > 1:
-            for mesh in several:
-                _pierce(np.moveaxis(full, along, -1), mesh, axes, along)
-    return np.ascontiguousarray(full.transpose(2, 1, 0))
-
-
-def _pierce(
-    full: NDArray[np.bool_], mesh: trimesh.Trimesh, axes: tuple[Array, ...], along: int
-) -> None:
-    """Mark the voxels of ``full`` (n, m, along) in which rays along an axis meet a mesh."""
-    from ...raytrace import all_hits
-
-    across = [i for i in range(3) if i != along]
-    axis = axes[along]
-    pitch = axis[1] - axis[0]
-    origins = np.empty((*full.shape[:2], 3))
-    origins[..., across[0]] = axes[across[0]][:, None]
-    origins[..., across[1]] = axes[across[1]]
-    origins[..., along] = axis[0] - 0.5 * pitch
-    hits = all_hits(mesh, origins, np.eye(3)[along])
-    level = np.floor(hits.distance / pitch).astype(np.int64)
-    inside = level < len(axis)
-    rows, columns = np.unravel_index(hits.ray[inside], full.shape[:2])
-    full[rows, columns, level[inside]] = True
-
-
-def _cells(grid: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
-    """Return the axes x (nx,) and y (ny,) of a pair of them."""
-    if is_single(grid) or len(grid) != 2:
-        raise SceneError("grid is neither a Volume nor (x, y); give one of them")
-    x, y = (real_array(f"grid.{n}", v, ndmin=1) for n, v in zip("xy", grid, strict=True))
-    if x.ndim != 1 or y.ndim != 1:
-        raise SamplingError(
-            f"grid has axes of shapes {x.shape} and {y.shape}, must be (n,); give lists in m"
-        )
-    return x, y
-
-
-def _several(meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh]) -> Sequence[trimesh.Trimesh]:
     import trimesh
+
+    from ...raytrace import intersect_mesh
 
     several = [meshes] if isinstance(meshes, trimesh.Trimesh) else list(meshes)
     if not several:
         raise SceneError("no mesh was given; give at least one")
-    return several
+    origins = np.zeros((len(volume.y), len(volume.x), 3))
+    origins[..., 0], origins[..., 1] = volume.x, volume.y[:, None]
+    nearest = np.full(origins.shape[:2], np.inf)
+    for mesh in several:
+        hits = intersect_mesh(mesh, origins, (0.0, 0.0, 1.0))
+        nearest = np.where(hits.status == 0, np.minimum(nearest, hits.distance), nearest)
+    return np.where(np.isfinite(nearest), nearest, np.nan)

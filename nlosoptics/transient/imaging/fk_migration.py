@@ -35,8 +35,6 @@ FALLOFF: Final = {"diffuse": 4, "retroreflective": 2}
 ROWS: Final = 8  # lateral frequencies along y per step, to bound the memory
 TAPS: Final = 8  # width of the gridding kernel, in samples of a twofold oversampled grid
 PER_TAP: Final = 2048  # steps of the kernel's table per sample
-BETA: Final = 2.3 * TAPS  # kernel exp(beta (sqrt(1 - x^2) - 1)), Barnett et al. 2019
-MARGIN: Final = 1.5  # period along z over the largest depth; waves beyond the period wrap around
 
 
 def fk_migration(
@@ -207,9 +205,12 @@ def _migrated(
 
 
 def _depth_axis(grid: ConfocalGrid, volume: Volume) -> tuple[float, int]:
-    """Return the pitch, m, and the number of depth samples in one period along z."""
+    """Return the pitch, m, and the number of depth samples in one period along z.
+
+    Waves beyond the period, 1.5 times the largest depth, wrap around.
+    """
     pitch = float(volume.z[1] - volume.z[0]) if len(volume.z) > 1 else grid.pitch
-    return pitch, next_size(MARGIN * grid.stop / pitch)
+    return pitch, next_size(1.5 * grid.stop / pitch)
 
 
 def _gridded(wave: Array, grid: ConfocalGrid, kind: type) -> tuple[Waves, int, float]:
@@ -237,9 +238,9 @@ def _gridded(wave: Array, grid: ConfocalGrid, kind: type) -> tuple[Waves, int, f
 
 
 def _bell(x: Array) -> Array:
-    """Return the gridding kernel, which is 1 at 0 and 0 beyond TAPS/2."""
+    """Return the kernel exp(beta (sqrt(1 - x^2) - 1)), Barnett et al. 2019; 0 beyond TAPS/2."""
     inside = np.clip(1.0 - (2.0 * x / TAPS) ** 2, 0.0, None)
-    return np.asarray(np.where(inside > 0.0, np.exp(BETA * (np.sqrt(inside) - 1.0)), 0.0))
+    return np.asarray(np.where(inside > 0.0, np.exp(2.3 * TAPS * (np.sqrt(inside) - 1.0)), 0.0))
 
 
 @lru_cache(maxsize=1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,6 @@ Array = NDArray[np.floating]
 Waves = NDArray[np.complexfloating]
 Penalty = Literal["size", "curvature"]
 
-FINEST: Final = 2  # largest number of samples of the squared distance per bin
-
 
 def lct(
     capture: TransientCapture,
@@ -47,17 +45,10 @@ def lct(
 
     Parameters
     ----------
-    capture : TransientCapture
-        Capture in which each wall point is observed only while it is lit (confocal), on an evenly
-        spaced grid [y, x] in z = 0. It must not contain light that goes directly from the laser
-        spot to the sensor (remove it with `gated`), nor must its times include the outer legs, the
-        paths from laser to wall and from wall to sensor (remove them with `without_outer_legs`).
-    volume : Volume, optional
-        Voxels within the depths that the time window covers. None: the x and y of the grid's
-        points, at the depths of the bins (half their optical path).
-    target : {"diffuse", "retroreflective"}
-        Kind of hidden surface. It sets the falloff of the intensity that is undone: the fourth or
-        the second power of the distance.
+    capture, volume, target, dtype, progress
+        As in `fk_migration`: confocal capture on an evenly spaced grid, without direct light and
+        outer legs; voxels; kind of hidden surface, "diffuse" or "retroreflective"; precision; and
+        progress callback.
     snr : float
         Assumed ratio of signal to noise power, above 0. A larger value gives a sharper image with
         more noise. The kernel passes some frequencies better than others, so that the ratio depends
@@ -69,10 +60,6 @@ def lct(
         to its mean, plus a term: ``1/snr`` for "size", and ``q^4/snr`` for "curvature". Here q^2 is
         the sum of the three squared frequencies, each relative to its Nyquist frequency; the mean
         of q^2 over all frequencies is 1.
-    dtype : {"float32", "float64"}
-        Precision of the spectra; the error of float32 is about 1e-6 of the brightest voxel.
-    progress : callable(str, float), optional
-        Called with a line of text and the completed fraction, 0 to 1.
 
     Returns
     -------
@@ -83,13 +70,8 @@ def lct(
 
     Raises
     ------
-    SamplingError
-        If the capture is not confocal on an evenly spaced grid, or the volume exceeds the covered
-        range.
-    SceneError
-        If the capture has direct light or negative values, or its times include the outer legs.
-    MemoryLimitError
-        If the spectrum exceeds the free memory.
+    SamplingError, SceneError, MemoryLimitError
+        As by `fk_migration`.
 
     See Also
     --------
@@ -167,11 +149,11 @@ def lct(
 def _squares(grid: ConfocalGrid, volume: Volume) -> Array:
     """Return the centres (n,) of even cells of squared distance, m^2, over window and volume.
 
-    Cells are as fine as the bins at the nearest depth of the volume, with at most `FINEST` per bin.
+    Cells are as fine as the bins at the nearest depth of the volume, with at most two per bin.
     """
     low, high = min(max(grid.start, 0.0), float(volume.z[0])) ** 2, grid.stop**2
     wanted = (high - low) / (2.0 * float(volume.z[0]) * grid.pitch)
-    n = math.ceil(min(max(wanted, grid.n_bins), FINEST * grid.n_bins))
+    n = math.ceil(min(max(wanted, grid.n_bins), 2 * grid.n_bins))
     return np.asarray(low + (np.arange(n) + 0.5) * ((high - low) / n))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,16 +24,14 @@ from .volume import Camera, PhasorImage, Volume
 Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 
-CAMERAS = ("confocal_time_gated", "transient", "direct_light", "projector_camera")
 #: Bytes of spectra that are held at a time; further waves are processed slice by slice.
 SPECTRA = 2**29
 
 #: Number of paths in a direct sum that cost as much time as one element of a plane's transforms.
 PATHS = 8
-
-#: Work beyond which a direct sum that transforms could replace is warned of: the least ratio of
-#: its work to theirs, and the least product of voxels, wall points and waves, about 10 s of a core.
-SLOWER, LARGE = 10.0, 1e9
+#: Products of voxels, wall points and waves, about 10 s of a core, beyond which a direct sum that
+#: transforms could replace is warned of.
+LARGE = 1e9
 
 
 def phasor_image(
@@ -46,8 +44,7 @@ def phasor_image(
     times: ArrayLike | None = None,
     laser: int | tuple[int, ...] | None = None,
     projector_focus: ArrayLike | None = None,
-    aperture: float | ArrayLike | None = None,
-    aperture_of: str = "both",
+    aperture: float | None = None,
     weight: str = "unit",
     tol: float = 1e-3,
     method: str = "auto",
@@ -97,12 +94,9 @@ def phasor_image(
         Index of the laser point l for "transient"; required if there are several.
     projector_focus : array_like of 3 floats, optional
         Point p for "projector_camera", world frame, m; required there.
-    aperture : float or array_like of bool, optional
-        Part of the wall that is used: side of a square about the centre of the wall points, m, or a
-        mask in the shape of the points. None: all points. A single laser or sensor point is always
-        used.
-    aperture_of : {"both", "laser", "sensor"}
-        Wall points to which ``aperture`` applies.
+    aperture : float, optional
+        Part of the wall that is used: side of a square about the centre of the laser points and of
+        the sensor points, m. None: all points. A single laser or sensor point is always used.
     weight : {"unit", "inverse"}
         Weight of each path. "unit": 1. "inverse": 1/r for each straight part of the path between
         the wall and a hidden point, of length r, as in the Rayleigh-Sommerfeld integral.
@@ -118,8 +112,8 @@ def phasor_image(
     dtype : {"float64", "float32"}
         Precision of the transforms; sums of "direct" are always float64.
     device : str, optional
-        Device on which torch computes the field, such as "cuda" or "cpu". None: the CPU, without
-        torch.
+        Device on which torch computes the field by "fft", such as "cuda" or "cpu". None: the CPU,
+        without torch.
     progress : callable(str, float), optional
         Called with a line of text and the completed fraction, 0 to 1.
 
@@ -185,7 +179,7 @@ def phasor_image(
     [0.1 0.  0.6]
     """
     started = time.perf_counter()
-    one_of("camera", camera, CAMERAS)
+    one_of("camera", camera, get_args(Camera))
     one_of("method", method, ("auto", "fft", "direct"))
     one_of("dtype", dtype, ("float64", "float32"))
     one_of("weight", weight, ("unit", "inverse"))
@@ -195,14 +189,21 @@ def phasor_image(
     volume.check_before_wall()
     moments = _times(camera, times)
     setup = camera_setup(capture, camera, laser, projector_focus, weight == "inverse")
-    setup = setup.cut(*apertures(setup, aperture, aperture_of))
+    setup = setup.cut(*apertures(setup, aperture))
     first, last, sample = setup.paths(volume, moments)
     notes = _notes(capture, volume, setup, wl_mean, sample)
-    grid, reason = _grid(setup, volume, wl_mean, method)
+    grid, reason = _grid(setup, volume, wl_mean, "fft" if device is not None else method)
     band = pulse_band(capture, wl_mean, float(wl_sigma), (first, last), tol)
     _check_memory(setup, volume, grid, band, moments, dtype)
-    if grid is None and method == "auto":
-        _warn_of_slow_sum(setup, volume, wl_mean, len(band.numbers))
+    paths = volume.points.size / 3 * len(setup.legs.near)
+    asked = reason in ("requested", "few voxels")
+    if grid is None and not asked and paths * len(band.numbers) > LARGE:
+        warnings.warn(
+            f"{reason}. Each path is summed, often a hundred times the work of transforms; "
+            "method='direct' sums without this warning",
+            PerformanceWarning,
+            stacklevel=2,
+        )
     field = _carry(capture, volume, setup, grid, band, moments, dtype, device, progress)
     light = (field.real**2 + field.imag**2).max(axis=0)
     return PhasorImage(
@@ -289,30 +290,6 @@ def _grid(setup: Setup, volume: Volume, wl_mean: float, method: str) -> tuple[La
         return None, str(error)
 
 
-def _warn_of_slow_sum(setup: Setup, volume: Volume, wl_mean: float, n_waves: int) -> None:
-    """Warn of a long direct sum that a volume on the wall's grid would avoid."""
-    if setup.grid.ndim != 3 or (setup.legs.paired and not setup.legs.twice):
-        return
-    x, y = np.sort(setup.grid[0, :, 0]), np.sort(setup.grid[:, 0, 1])
-    try:
-        fitting = lattice(setup.grid, Volume(x, y, volume.z), wl_mean)
-    except SamplingError:
-        return  # no volume fits these wall points
-    paths = volume.shape[1] * volume.shape[2] * len(setup.legs.near)
-    ratio = paths / (PATHS * fitting.size)
-    if ratio < SLOWER or paths * volume.shape[0] * n_waves < LARGE:
-        return
-    steps = " and ".join(f"{axis[1] - axis[0]:.6g} m" for axis in (x, y) if len(axis) > 1)
-    warnings.warn(
-        f"the volume's voxels lie off the grid of the {setup.sides[0]} points, so each path is "
-        f"summed directly, about {ratio:.0f} times the work of transforms; give volume.x and "
-        f"volume.y the points' steps, {steps}, or a whole multiple or fraction of them, as "
-        "transient.Volume.facing does (method='direct' sums without this warning)",
-        PerformanceWarning,
-        stacklevel=3,
-    )
-
-
 def _slice(setup: Setup, grid: Lattice | None, n_waves: int, dtype: str) -> tuple[int, float]:
     """Return how many waves are propagated at a time, and the bytes per wave."""
     size = 8 if dtype == "float32" else 16
@@ -362,12 +339,12 @@ def _carry(
                 done = (kept.start + share * (kept.stop - kept.start)) / n_waves
                 progress(f"waves {kept.start + 1} to {kept.stop} of {n_waves}", done)
 
-        if device is not None:
+        if grid is None:
+            field = direct_sum(volume, setup.legs, part, spectra, moments, advance)
+        elif device is not None:
             from . import _gpu
 
             field = _gpu.carry(volume, setup.legs, grid, part, spectra, moments, device, advance)
-        elif grid is None:
-            field = direct_sum(volume, setup.legs, part, spectra, moments, advance)
         else:
             field = plane_by_plane(volume, setup.legs, grid, part, spectra, moments, advance)
         total = field if total is None else total + field

@@ -33,24 +33,13 @@ UNEVEN = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Common fine grid of the wall points and of the planes of a volume.
+    """Common fine grid of the wall points and of the planes of a volume."""
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Number of wall points along y and x.
-    flips : tuple of int
-        Axes of the wall grid (0 for y, 1 for x) along which coordinates decrease.
-    depth : float
-        z of the wall points, m.
-    axes : (Axis, Axis)
-        Relation of wall points and voxels along y and x.
-    """
-
-    shape: tuple[int, int]
+    shape: tuple[int, int]  # (int, int): Number of wall points along y and x
+    # Axes of the wall grid (0 for y, 1 for x) along which coordinates decrease
     flips: tuple[int, ...]
-    depth: float
-    axes: tuple[Axis, Axis]
+    depth: float  # z of the wall points, m
+    axes: tuple[Axis, Axis]  # (Axis, Axis): Relation of wall points and voxels along y and x
 
     def walls(self, spectra: ComplexArray) -> ComplexArray:
         """Reshape spectra (n, m, points) to (n, m, ny, nx), with y and x increasing."""
@@ -121,22 +110,7 @@ class Axis:
 
 
 def lattice(points: Array, volume: Volume, wavelength: float) -> Lattice:
-    """Return the common fine grid of wall points and of a volume's planes.
-
-    Parameters
-    ----------
-    points : ndarray
-        (ny, nx, 3): wall points, m.
-    volume : Volume
-        Planes parallel to the wall.
-    wavelength : float
-        Virtual wavelength, m. Points may deviate from the grid by the fraction `UNEVEN` of it.
-
-    Raises
-    ------
-    SamplingError
-        If wall points and planes have no common grid; the message states the mismatch.
-    """
+    """Return the common fine grid of wall points and of a volume's planes."""
     if points.ndim != 3:
         raise SamplingError(
             f"wall points of shape {points.shape[:-1]} are no grid (ny, nx); give method='direct'"
@@ -190,17 +164,7 @@ def plane_by_plane(
 ) -> ComplexArray:
     """Return the field at each voxel by FFT convolution from the wall to each plane.
 
-    Parameters
-    ----------
-    grid : Lattice
-        Common grid of ``legs.near`` and the planes.
-    volume, legs, band, spectra, times, advance
-        See `rayleigh_sommerfeld.direct_sum`.
-
-    Returns
-    -------
-    ndarray
-        (t, nz, ny, nx) complex, in the precision of ``spectra``.
+    Returns (t, nz, ny, nx) complex, in the precision of ``spectra``.
     """
     kind = spectra.dtype
     fields = np.zeros((len(times), *volume.shape), dtype=kind)

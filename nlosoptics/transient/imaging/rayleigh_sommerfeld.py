@@ -31,24 +31,13 @@ Advance = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Legs:
-    """Wall points at both ends of the paths to a voxel.
+    """Wall points at both ends of the paths to a voxel."""
 
-    Parameters
-    ----------
-    near : ndarray
-        (n, 3), m: points of the camera, each with a spectrum.
-    far : ndarray
-        (m, 3), m: points of the focused illumination; (0, 3) if paths have one leg only.
-    paired : bool
-        Whether far point i belongs to near point i only, instead of to all near points.
-    falls : bool
-        Whether each leg contributes a factor 1/length.
-    """
-
-    near: Array
-    far: Array
+    near: Array  # (n, 3), m: points of the camera, each with a spectrum
+    far: Array  # (m, 3), m: points of the focused illumination; (0, 3) if paths have one leg only
+    # Whether far point i belongs to near point i only, instead of to all near points
     paired: bool = False
-    falls: bool = False
+    falls: bool = False  # Whether each leg contributes a factor 1/length
 
     @property
     def twice(self) -> bool:
@@ -61,26 +50,7 @@ def direct_sum(
 ) -> ComplexArray:
     """Return the field at each voxel by summing over every path.
 
-    Parameters
-    ----------
-    volume : Volume
-        Voxels at which to compute the field.
-    legs : Legs
-        Wall points at both ends of the paths.
-    band : Band
-        Plane waves, n wavenumbers.
-    spectra : ndarray
-        (n, m, points) complex: spectrum of each far and near point, weighted by the pulse. m = 1
-        unless every far point belongs to every near point.
-    times : ndarray
-        (t,): times relative to the arrival of the pulse, m of optical path.
-    advance : callable(float)
-        Called with the fraction done.
-
-    Returns
-    -------
-    ndarray
-        (t, nz, ny, nx) complex128.
+    Returns (t, nz, ny, nx) complex128.
     """
     from . import _phasor_kernels as kernels
 

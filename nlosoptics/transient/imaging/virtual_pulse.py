@@ -30,33 +30,17 @@ ComplexArray = NDArray[np.complexfloating]
 
 #: Bytes of transformed time series that are held at a time.
 BLOCK = 2**25
-#: Least standard deviation of a pulse, in bins.
-SHORTEST = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Harmonic waves that make up the virtual pulse, and the bins that they act on.
+    """Harmonic waves that make up the virtual pulse, and the bins that they act on."""
 
-    Parameters
-    ----------
-    numbers : ndarray
-        (n,) int64: wavenumbers in multiples of ``step``.
-    step : float
-        Spacing of wavenumbers, rad/m of optical path.
-    weights : ndarray
-        (n,): weights w_k of the harmonic waves.
-    bins : slice
-        Bins that contribute to any requested time.
-    n_times : int
-        Number of bins in one period; those beyond ``bins`` are 0.
-    """
-
-    numbers: NDArray[np.int64]
-    step: float
-    weights: Array
-    bins: slice
-    n_times: int
+    numbers: NDArray[np.int64]  # (n,) int64: wavenumbers in multiples of ``step``
+    step: float  # Spacing of wavenumbers, rad/m of optical path
+    weights: Array  # (n,): weights w_k of the harmonic waves
+    bins: slice  # Bins that contribute to any requested time
+    n_times: int  # Number of bins in one period; those beyond ``bins`` are 0
 
     @property
     def wavenumbers(self) -> Array:
@@ -75,37 +59,14 @@ def pulse_band(
     times: tuple[float, float],
     tol: float,
 ) -> Band:
-    """Choose the wavenumbers that represent the pulse at all times within an interval.
-
-    Parameters
-    ----------
-    capture : TransientCapture
-        Capture with the bins.
-    wl_mean, wl_sigma : float
-        Wavelength and standard deviation of the pulse, m of optical path.
-    times : (float, float)
-        First and last time at which the response is required, m of optical path.
-    tol : float
-        Largest error of the pulse, relative to its peak.
-
-    Returns
-    -------
-    Band
-
-    Raises
-    ------
-    SamplingError
-        If no bin contributes to these times, or ``wl_sigma`` is less than a quarter of a bin.
-    MemoryLimitError
-        If the pulse is so long that one response exceeds the free memory.
-    """
+    """Choose the wavenumbers that represent the pulse at all times within an interval."""
     import ducc0
     from scipy.special import erfcinv
 
-    if wl_sigma < SHORTEST * capture.delta_t:
+    if wl_sigma < 0.25 * capture.delta_t:
         raise SamplingError(
-            f"wl_sigma = {wl_sigma:.4g} m, limit {SHORTEST * capture.delta_t:.4g} m "
-            f"({SHORTEST:g} bins), is too short for the bins; give a longer pulse, or finer bins"
+            f"wl_sigma = {wl_sigma:.4g} m, limit {0.25 * capture.delta_t:.4g} m "
+            f"(a quarter of a bin), is too short for the bins; give a longer pulse, or finer bins"
         )
     # error budget: half of tol for the limited band, a quarter each for omitted bins and for the
     # periodic repetition
@@ -141,23 +102,7 @@ def responses(
 ) -> ComplexArray:
     """Return a capture's weighted response to each wave of a band, with known legs subtracted.
 
-    Parameters
-    ----------
-    capture : TransientCapture
-        Capture to transform.
-    band : Band
-        Plane waves, n wavenumbers.
-    columns : ndarray of int
-        (m,): indices of the capture's pairs, columns of ``H.reshape(n_bins, -1)``.
-    legs : ndarray
-        (m,): path length to subtract from the times of each pair, m.
-    dtype : {"float64", "float32"}
-        Precision of the real and imaginary parts.
-
-    Returns
-    -------
-    ndarray
-        (n, m) complex: ``w_k sum_j H_j exp(-i k (t_j - legs))``.
+    Returns (n, m) complex: ``w_k sum_j H_j exp(-i k (t_j - legs))``.
     """
     import ducc0
 

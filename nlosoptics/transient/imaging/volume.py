@@ -338,9 +338,9 @@ class PhasorImage(VolumeImage):
         Wavelength of the virtual wave, and standard deviation of its Gaussian pulse, m.
     times : ndarray, optional
         Times of ``field``, (n_times,), m of optical path. None: t = 0 alone.
-    aperture : float or ndarray of bool, optional
+    aperture : float, optional
         Part of the laser and sensor points that was used: those in a square of this side about
-        their centre, m, or those for which a mask of their shape is True. None: all.
+        their centre, m. None: all.
     notes : tuple of str
         Warnings: one text for each limit of sampling that the image exceeds.
 
@@ -356,7 +356,7 @@ class PhasorImage(VolumeImage):
     wl_mean: float
     wl_sigma: float
     times: Array | None = None
-    aperture: Any = None
+    aperture: float | None = None
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -39,7 +39,7 @@ class Surfaces(NamedTuple):
     vectors; ``sides`` (n,) is the side on which all sensors lie, 1 or -1, or 0 for both.
     ``shares`` is the cumulative fraction of the hidden area before each hidden triangle, ending
     with 1; ``area`` is the hidden area, m^2. ``rows`` and ``boxes`` are the hidden triangles and
-    their tree for shadows. If ``asked`` is False, the caller tests shadows.
+    their tree for shadows.
     """
 
     lobes: NDArray[np.float64]
@@ -51,7 +51,6 @@ class Surfaces(NamedTuple):
     area: float
     rows: NDArray[np.float64]
     boxes: NDArray[np.float64]
-    asked: bool
 
 
 @njit(cache=True, inline="always")
@@ -132,7 +131,7 @@ def seen_from(surfaces, sensors, vertices, factor, distance):
             distance[c, j] = math.sqrt(square)
             if vertices[j, TRIANGLE] < 0.0 or d[2] <= 0.0 or product <= 0.0:
                 continue
-            if surfaces.asked and blocked(surfaces.rows, surfaces.boxes, s, d):
+            if blocked(surfaces.rows, surfaces.boxes, s, d):
                 continue
             factor[c, j] = product / (square * square)
 
@@ -294,7 +293,7 @@ def connect(surfaces, laser, vertices, value, length):
         cosine = dot(d, three(vertex, 3)) / r
         if cosine <= 0.0 or d[2] >= 0.0:
             continue
-        if surfaces.asked and blocked(surfaces.rows, surfaces.boxes, three(vertex, 0), d):
+        if blocked(surfaces.rows, surfaces.boxes, three(vertex, 0), d):
             continue
         incident = three(vertex, 6)
         mu, between = dot(incident, three(vertex, 3)), dot(incident, d) / r

@@ -384,29 +384,7 @@ def _hidden(mesh, t, p, cell, size):
 def see(mesh, t, p, outlined, polygons, sizes, count, room):
     """Reduce the polygons of a triangle to the parts that a point sees.
 
-    Parameters
-    ----------
-    mesh : tuple
-        Data of the triangles, `surfaces.Mesh`.
-    t : int
-        Index of the triangle.
-    p : ndarray
-        (3,): point, m.
-    outlined : tuple
-        Result of `outline` for the same point.
-    polygons : ndarray
-        (n, 2 CORNERS): polygons, replaced by their visible parts.
-    sizes : ndarray
-        (n,): numbers of corners, replaced as well.
-    count : int
-        Number of polygons.
-    room : tuple
-        Working arrays of `shadow_room`.
-
-    Returns
-    -------
-    int
-        New number of polygons, or OVERFLOW.
+    Returns the new number of polygons, or OVERFLOW.
     """
     cells, cell_sizes, more, more_sizes, sides = room
     _, _, _, _, crossed, cuts = mesh

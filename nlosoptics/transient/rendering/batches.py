@@ -23,68 +23,37 @@ SLICE: Final = 1 << 11  # least number of rows per task on several threads
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Job:
-    """Data shared by all batches; paths are traced backwards, from ``sensors`` to ``lasers``.
+    """Data shared by all batches; paths are traced backwards, from ``sensors`` to ``lasers``."""
 
-    Parameters
-    ----------
-    around : BounceSurfaces
-        Surfaces that paths can meet.
-    lasers, sensors : ndarray
-        (n, 3): points at which paths end and start, m.
-    rows : ndarray of int64
-        (pairs, 2): indices (laser, sensor), sorted by laser.
-    orders : tuple of int
-        Numbers of reflections, increasing.
-    starts : ndarray
-        (pairs,): start of bin 0, m of optical path.
-    rate : float
-        Bins per m.
-    n_bins, seed : int
-        Number of bins, and seed of the random numbers.
-    n_seen, n_each : int
-        Number of first vertices in a batch, and mean number of paths that continue from each.
-    aimed : (float, float)
-        Fractions of first and of further vertices that are sampled over the surfaces' area.
-    """
-
-    around: BounceSurfaces
-    lasers: Array
+    around: BounceSurfaces  # Surfaces that paths can meet
+    lasers: Array  # (n, 3): points at which paths end and start, m
     sensors: Array
-    rows: NDArray[np.int64]
-    orders: tuple[int, ...]
-    starts: Array
-    rate: float
-    n_bins: int
+    rows: NDArray[np.int64]  # (pairs, 2): indices (laser, sensor), sorted by laser
+    orders: tuple[int, ...]  # Numbers of reflections, increasing
+    starts: Array  # (pairs,): start of bin 0, m of optical path
+    rate: float  # Bins per m
+    n_bins: int  # Number of bins, and seed of the random numbers
     seed: int
+    # Number of first vertices in a batch, and mean number of paths that continue from each
     n_seen: int
     n_each: int
+    # (float, float): Fractions of first and of further vertices that are sampled over the surfaces'
+    # area
     aimed: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Paths:
-    """Paths of a batch, before their connection to lasers.
+    """Paths of a batch, before their connection to lasers."""
 
-    Parameters
-    ----------
-    seen : ndarray
-        (vertices, VERTEX): first vertices.
-    spread : ndarray of int64
-        (vertices + 1,): paths ``spread[j]`` to ``spread[j + 1] - 1`` leave vertex j.
-    first : ndarray
-        (paths, 3): unit vectors in which paths leave their first vertex.
-    table : (ndarray, ndarray)
-        (sensors, vertices) each: factors cos cos/r^2 between sensors and first vertices, 1/m^2,
-        and their distances, m.
-    ends : list of ndarray
-        (paths, VERTEX) for each order: last vertices.
-    """
-
-    seen: Array
+    seen: Array  # (vertices, VERTEX): first vertices
+    # (vertices + 1,): paths ``spread[j]`` to ``spread[j + 1] - 1`` leave vertex j
     spread: NDArray[np.int64]
-    first: Array
+    first: Array  # (paths, 3): unit vectors in which paths leave their first vertex
+    # (ndarray, ndarray): (sensors, vertices) each: factors cos cos/r^2 between sensors and first
+    # vertices, 1/m^2, and their distances, m
     table: tuple[Array, Array]
-    ends: list[Array]
+    ends: list[Array]  # (paths, VERTEX) for each order: last vertices
 
 
 def add_batch(job: Job, number: int, total: Array, squares: Array) -> int:
@@ -129,14 +98,11 @@ def _seen(job: Job, sampler: Any) -> tuple[Array, tuple[Array, Array]]:
     seen = _points(job, sampler)
     shape = (len(job.sensors), len(seen))
     factor, distance = np.empty(shape), np.empty(shape)
-    points = np.ascontiguousarray(seen[:, kernels.P])
 
     def work(part: slice) -> None:
         kernels.seen_from(job.around.kernel, job.sensors[part], seen, factor[part], distance[part])
 
     on_threads(work, len(job.sensors), len(seen))
-    if not job.around.kernel.asked:
-        _shade(job, points, factor)
     # density of vertices per area: rays from all sensors, plus samples over the area
     density = (1.0 - job.aimed[0]) / np.pi * factor.mean(axis=0)
     both = job.around.kernel.sides[seen[:, kernels.TRIANGLE].astype(np.int64)] == 0
@@ -161,17 +127,6 @@ def _spread(job: Job, seen: Array, factor: Array) -> NDArray[np.int64]:
     rest = len(seen) * (job.n_each - 1) * (weight / weight.sum())
     counts = np.where(weight > 0.0, 1 + rest.astype(np.int64), 0)
     return np.append(0, np.cumsum(counts))
-
-
-def _shade(job: Job, points: Array, factor: Array) -> None:
-    """Set factors (sensors, vertices) to 0 where a surface occludes."""
-    step = max(1, ROWS // len(points))
-    for start in range(0, len(job.sensors), step):
-        part = factor[start : start + step]
-        at, vertex = np.nonzero(part > 0.0)
-        value = part[at, vertex]
-        job.around.clear(value, points[vertex], job.sensors[start + at])
-        part[at, vertex] = value
 
 
 def _points(job: Job, sampler: Any) -> Array:
@@ -266,7 +221,7 @@ def _joined(job: Job, ends: list[Array], lasers: Array) -> tuple[Array, Array]:
     """Connect paths to lasers; return weights and lengths (lasers, orders, paths)."""
     n = len(ends[0])
     value, length = np.empty((2, len(lasers), len(ends), n))
-    for order, vertices in enumerate(ends):
+    for order in range(len(ends)):
         for at, laser in enumerate(lasers):
 
             def work(part: slice, at: int = at, order: int = order, laser: Array = laser) -> None:
@@ -279,9 +234,6 @@ def _joined(job: Job, ends: list[Array], lasers: Array) -> tuple[Array, Array]:
                 )
 
             on_threads(work, n, 1)
-            if not job.around.kernel.asked:
-                points = vertices[:, kernels.P]
-                job.around.clear(value[at, order], points, np.broadcast_to(laser, points.shape))
     return value, length
 
 

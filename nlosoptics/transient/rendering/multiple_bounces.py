@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import counted, fits_memory, in_range, pair, positive, whole
+from ..._checks import counted, fits_memory
 from ..._progress import Progress
-from ..._random import checked_seed
-from ...errors import SamplingError, SceneError
 from ..capture.wall_points import pair_shape, points_on_wall
 from .surfaces import HiddenSurfaces, bounce_surfaces
 
@@ -22,31 +20,19 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 LEAST: Final = 8  # least number of batches, whose spread gives the standard error
-WORK: Final = 6e11  # default budget in units of about 1 ns: ten minutes of a core
-MOST: Final = 1 << 27
-PILOT: Final = 1 << 12  # paths to estimate the fraction that leaves the scene
-MOST_ORDER: Final = 32
-MOST_RAYS: Final = 1 << 40
 
 
 class MultipleBounces(NamedTuple):
-    """Intensity by number of reflections, and its standard error.
+    """Intensity by number of reflections, and its standard error."""
 
-    Parameters
-    ----------
-    by_bounce, standard_error : dict of int to ndarray
-        Irradiance per watt that leaves the laser's spot, 1/m^2, integrated over each bin, by number
-        of reflections; (n_bins, *laser_shape, *sensor_shape), confocal (n_bins, *shape).
-    details : dict
-        ``"paths"`` and ``"batches"``: their numbers. ``"reached"``: by number of reflections, the
-        largest expected relative L1 error among pairs with a contribution; infinite if there are
-        none. ``"stopped"``: "tol" if all errors are below ``tol``; "paths" if the paths were used
-        up first; "dark" if some number of reflections contributes nothing and the others reached
-        ``tol``.
-    """
-
+    # Irradiance per watt that leaves the laser's spot, 1/m^2, integrated over each bin, by number
+    # of reflections; (n_bins, *laser_shape, *sensor_shape), confocal (n_bins, *shape)
     by_bounce: dict[int, Array]
     standard_error: dict[int, Array]
+    # ``"paths"`` and ``"batches"``: their numbers. ``"reached"``: by number of reflections, the
+    # largest expected relative L1 error among pairs with a contribution; infinite if there are
+    # none. ``"stopped"``: "tol" if all errors are below ``tol``; "paths" if the paths were used up
+    # first; "dark" if some number of reflections contributes nothing and the others reached ``tol``
     details: dict[str, Any]
 
 
@@ -69,56 +55,8 @@ def multiple_bounces(
 ) -> MultipleBounces:
     """Compute the light that returns to the wall after four or more reflections, by Monte Carlo.
 
-    Parameters
-    ----------
-    surfaces : HiddenSurfaces
-        Hidden triangles in front of the wall z = 0, world frame, m.
-    laser_points, sensor_points : array_like
-        (*laser_shape, 3) and (*sensor_shape, 3): points on the wall, m.
-    pairing : {"all", "confocal"}
-        "all": every laser point with every sensor point. "confocal": laser point i with sensor
-        point i only.
-    wall_albedo : float
-        Albedo of the Lambertian wall, 0 to 1, for reflections between hidden surfaces. The albedo
-        at the laser's spot is not applied, as in `three_bounces`.
-    wall_size : float or (float, float), optional
-        Sides of a wall about the origin, m, that also reflects between hidden surfaces, as in wall,
-        object, wall, object, wall. None: the wall reflects at laser points only.
-    starts : float or array_like
-        Start of bin 0, m of optical path between the wall points: one value, or (pairs,).
-    delta_t : float
-        Width of a bin, m of optical path.
-    n_bins : int
-        Number of bins.
-    orders : iterable of int
-        Numbers of reflections to compute, 4 to 32, including the two at laser and sensor point.
-    tol : float, optional
-        Relative L1 error to reach for every pair of points and every order, 1e-5 to 1. None: draw
-        all ``n_rays`` paths.
-    n_rays : int, optional
-        Largest number of paths. None: as many as take about ten minutes on one core for this number
-        of points and orders.
-    seed : int
-        Seed of the random numbers, 0 to 2^64 - 1. Results are identical for any number of threads.
-    progress : callable(str, float), optional
-        Called with a line of text and the fraction done.
+    Returns the intensity and standard error; ``details`` tells whether ``tol`` was reached.
 
-    Returns
-    -------
-    MultipleBounces
-        Intensity and standard error; ``details`` tells whether ``tol`` was reached.
-
-    Raises
-    ------
-    SceneError
-        If an option is out of range, or points are off the wall.
-    SamplingError
-        If shapes are inconsistent.
-    MemoryLimitError
-        If the bins exceed the free memory.
-
-    Notes
-    -----
     The laser's spot has radiance 1/pi per watt and area. The first vertices are sampled by rays
     from all sensors. The density of a vertex is the mean over all sensors, and each vertex is
     connected to every sensor (balance heuristic, Veach 1997, ch. 9). Several paths continue from
@@ -131,41 +69,42 @@ def multiple_bounces(
     are numerous or confocal, laser points close to a surface have the largest noise, because
     sampling does not favour directions to them.
     """
-    chosen = _orders(orders)
-    if tol is not None:
-        tol = in_range("tol", tol, 1e-5, 1.0)
     lit = points_on_wall("laser_points", laser_points)
     seen = points_on_wall("sensor_points", sensor_points)
     shape = pair_shape(pairing, lit.shape[:-1], seen.shape[:-1])
     lasers, sensors = lit.reshape(-1, 3), seen.reshape(-1, 3)
-    rows = _rows(pairing, len(lasers), len(sensors))
-    count = whole("n_bins", n_bins)
+    if pairing == "confocal":
+        rows = np.stack([np.arange(len(lasers))] * 2, axis=1)
+    else:
+        rows = np.stack(np.divmod(np.arange(len(lasers) * len(sensors)), len(sensors)), axis=1)
+    chosen = tuple(orders)
     fits_memory(
         f"{counted(len(chosen), 'order')} of {counted(len(rows), 'pair')} of points in "
-        f"{counted(count, 'bin')}",
-        32.0 * len(chosen) * len(rows) * count,
+        f"{counted(n_bins, 'bin')}",
+        32.0 * len(chosen) * len(rows) * n_bins,
         "give fewer points, bins or orders",
     )
-    budget = _affordable(len(chosen), min(len(lasers), len(sensors)), len(rows))
-    if n_rays is not None:
-        budget = whole("n_rays", n_rays, LEAST, MOST_RAYS)
+    if n_rays is None:  # ten minutes of a core, from measured costs of legs and connections, ns
+        each = 1000.0 + 150.0 * min(len(lasers), len(sensors)) + 2.0 * len(rows)
+        n_rays = int(min(max(6e11 / (len(chosen) * each), 1 << 16), 1 << 27))
+    begins = np.ascontiguousarray(np.broadcast_to(np.asarray(starts, float).ravel(), len(rows)))
     job, back = _job(
         surfaces,
-        (lasers, sensors, rows, _starts(starts, len(rows))),
+        (lasers, sensors, rows, begins),
         turned=pairing == "all" and len(lasers) > len(sensors),
-        wall=(in_range("wall_albedo", wall_albedo, 0.0, 1.0), wall_size),
-        bins=(positive("delta_t", delta_t, unit="m"), count),
+        wall=(wall_albedo, wall_size),
+        bins=(delta_t, n_bins),
         orders=chosen,
-        budget=budget,
-        seed=checked_seed(seed),
+        budget=n_rays,
+        seed=seed,
     )
-    total, squares, batches, paths, reached = _run(job, tol, budget, progress)
+    total, squares, batches, paths, reached = _run(job, tol, n_rays, progress)
     by_bounce, errors = {}, {}
     for k, number in enumerate(chosen):
         # the radiance of the wall's spot is 1/pi
         error = np.sqrt(_variance(total[k], squares[k], batches))
-        by_bounce[number] = (total[k] / (math.pi * batches))[back].T.reshape(count, *shape)
-        errors[number] = (error / math.pi)[back].T.reshape(count, *shape)
+        by_bounce[number] = (total[k] / (math.pi * batches))[back].T.reshape(n_bins, *shape)
+        errors[number] = (error / math.pi)[back].T.reshape(n_bins, *shape)
     details = {
         "paths": paths,
         "batches": batches,
@@ -195,11 +134,10 @@ def _job(
     lasers, sensors, rows, starts = points
     if turned:
         lasers, sensors, rows = sensors, lasers, rows[:, ::-1]
-    size = None if wall[1] is None else pair("wall_size", wall[1])
     order = np.argsort(rows[:, 0], kind="stable")
     n_seen, n_each = _sizes(len(sensors), budget)
     job = Job(
-        around=bounce_surfaces(surfaces, sensors, wall[0], size),
+        around=bounce_surfaces(surfaces, sensors, *wall),
         lasers=lasers,
         sensors=sensors,
         rows=np.ascontiguousarray(rows[order]),
@@ -273,12 +211,6 @@ def _l1(total: Array, squares: Array, n: int) -> float:
     return math.sqrt(2.0 / math.pi) * float((errors[lit] / light[lit]).max())
 
 
-def _affordable(n_orders: int, n_lasers: int, n_pairs: int) -> int:
-    """Return the number of paths that cost `WORK`, from measured costs of legs and connections."""
-    each = 1000.0 + 150.0 * n_lasers + 2.0 * n_pairs
-    return int(min(max(WORK / (n_orders * each), 1 << 16), MOST))
-
-
 def _sizes(n_sensors: int, budget: int) -> tuple[int, int]:
     """Return the number of first vertices in a batch, and of paths from each of them.
 
@@ -298,34 +230,5 @@ def _aimed(job: Job) -> tuple[float, float]:
     """
     from .batches import openness
 
-    seen, between = openness(dataclasses.replace(job, n_seen=PILOT, n_each=1))
-    return _share(seen), _share(between)
-
-
-def _share(missed: float) -> float:
-    return min(0.75, missed) if missed > 0.02 else 0.0
-
-
-def _orders(orders: Iterable[int]) -> tuple[int, ...]:
-    chosen = sorted({whole("orders", number, 4, MOST_ORDER) for number in orders})
-    if not chosen:
-        raise SceneError("orders are empty; give numbers of reflections such as (4, 5)")
-    return tuple(chosen)
-
-
-def _starts(values: ArrayLike, n_pairs: int) -> Array:
-    starts = np.asarray(values, dtype=np.float64)
-    if starts.size not in (1, n_pairs):
-        raise SamplingError(
-            f"starts has {starts.size} values, must have 1 or {n_pairs}; give one per pair"
-        )
-    if not np.isfinite(starts).all():
-        raise SceneError("starts have values that are not finite; give finite numbers in m")
-    return np.ascontiguousarray(np.broadcast_to(starts.ravel(), n_pairs))
-
-
-def _rows(pairing: str, n_lasers: int, n_sensors: int) -> NDArray[np.int64]:
-    """Return the pairs (n, 2) of laser and sensor index in the order of the result."""
-    if pairing == "confocal":
-        return np.stack([np.arange(n_lasers), np.arange(n_lasers)], axis=1)
-    return np.stack(np.divmod(np.arange(n_lasers * n_sensors), n_sensors), axis=1)
+    seen, between = openness(dataclasses.replace(job, n_seen=1 << 12, n_each=1))
+    return tuple(min(0.75, missed) if missed > 0.02 else 0.0 for missed in (seen, between))

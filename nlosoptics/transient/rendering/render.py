@@ -18,7 +18,7 @@ from ...errors import SamplingError, SceneError
 from ...scene import Material
 from ..capture.capture import Pairing, TransientCapture
 from ..capture.wall_points import pair_shape, points_on_wall
-from .multiple_bounces import LEAST, MOST_ORDER, MOST_RAYS, MultipleBounces, multiple_bounces
+from .multiple_bounces import LEAST, MultipleBounces, multiple_bounces
 from .surfaces import hidden_surfaces
 from .three_bounces import ThreeBounces, three_bounces
 
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class _Setting:
-    """Checked wall points, and the factor from G to the requested quantity for each pair."""
+    """Checked wall points, and the factor from G to the requested quantity."""
 
     laser_points: Array
     sensor_points: Array
@@ -38,7 +38,7 @@ class _Setting:
     lasers: Array  # (pairs, 3), m
     sensors: Array
     legs: Array  # (pairs,), outer legs included in the times, m
-    factors: Array  # (pairs,), requested quantity over G without the wall's albedo
+    factor: float  # requested quantity over G without the wall's albedo
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -48,25 +48,17 @@ class _Setting:
 
     def bins(self, values: Array) -> Array:
         """Convert G (pairs, n_bins) to the requested quantity (n_bins, *shape)."""
-        scaled = np.ascontiguousarray((values * self.factors[:, None]).T)
+        scaled = np.ascontiguousarray((values * self.factor).T)
         return scaled.reshape(len(scaled), *self.shape)
 
-    def each(self, values: Array) -> Array:
-        """Convert values of G (pairs,) to the requested quantity (*shape)."""
-        return np.asarray(values * self.factors).reshape(self.shape)
-
-    def scaled(self, values: Array) -> Array:
-        """Convert G (n_bins, *shape) to the requested quantity."""
-        return values * self.factors.reshape(self.shape)
-
-    def told(self, three: ThreeBounces | None) -> dict[str, Any]:
+    def details(self, three: ThreeBounces | None) -> dict[str, Any]:
         """Return the details of three bounces for a capture; empty if they were not computed."""
         if three is None:
             return {}
         return {
-            "error_estimate": self.each(three.error),
-            "before": self.each(three.before),
-            "after": self.each(three.after),
+            "error_estimate": self.factor * three.error.reshape(self.shape),
+            "before": self.factor * three.before.reshape(self.shape),
+            "after": self.factor * three.after.reshape(self.shape),
             "parts": three.parts.reshape(self.shape),
             "shadows": three.shadows,
         }
@@ -85,7 +77,6 @@ def render(
     min_bounces: int = 3,
     max_bounces: int = 5,
     quantity: Literal["irradiance", "radiance", "radiosity"] = "irradiance",
-    keep_laser_cosine: bool = False,
     outer_legs: bool = False,
     laser_origin: Vector | None = None,
     sensor_origin: Vector | None = None,
@@ -130,17 +121,12 @@ def render(
         width of the bin. For a laser of constant power, the quantity is the sum of all bins. For a
         short pulse, a bin of the irradiance is the energy per area that arrives within the bin, per
         J of the pulse.
-    keep_laser_cosine : bool
-        Whether to multiply all values by ``cos(a)/d^2``, with the angle of incidence a at the laser
-        point and its distance d from ``laser_origin``, m. Some captures contain this factor, the
-        irradiance of the wall by a point source; give True to compare with them.
     outer_legs : bool
         Whether times include the outer legs: the paths from ``laser_origin`` to the wall and from
         the wall to ``sensor_origin``. If False, times begin at the laser point and end at the
         sensor point.
     laser_origin, sensor_origin : (float, float, float), optional
-        Positions of laser and sensor, world frame, m. Both are required with ``outer_legs``, the
-        first with ``keep_laser_cosine``.
+        Positions of laser and sensor, world frame, m. Both are required with ``outer_legs``.
     tol, tol_multiple : float
         Errors allowed for each pair of points: sum of the absolute errors of all bins, relative to
         the sum of their values. ``tol`` is for the light of three bounces. ``tol_multiple`` is for
@@ -219,10 +205,10 @@ def render(
     wanted = in_range("tol", tol, 1e-9, 0.5)
     wanted_multiple = in_range("tol_multiple", tol_multiple, 1e-5, 1.0)
     key = checked_seed(seed)
-    paths = None if n_rays is None else whole("n_rays", n_rays, LEAST, MOST_RAYS)
+    paths = None if n_rays is None else whole("n_rays", n_rays, LEAST, 1 << 40)
     size = None if wall_size is None else pair("wall_size", wall_size)
-    fewest = whole("min_bounces", min_bounces, 3, MOST_ORDER)
-    most = whole("max_bounces", max_bounces, fewest, MOST_ORDER)
+    fewest = whole("min_bounces", min_bounces, 3, 32)
+    most = whole("max_bounces", max_bounces, fewest, 32)
     one_of("quantity", quantity, ("irradiance", "radiance", "radiosity"))
     hidden = hidden_surfaces(surfaces)
     rho = in_range("wall_albedo", wall_albedo, 0.0, 1.0, open_low=True)
@@ -231,9 +217,7 @@ def render(
         None if laser_origin is None else vector("laser_origin", laser_origin),
         None if sensor_origin is None else vector("sensor_origin", sensor_origin),
     )
-    setting = _setting(
-        laser_points, sensor_points, pairing, origins, scale, bool(keep_laser_cosine), outer_legs
-    )
+    setting = _setting(laser_points, sensor_points, pairing, origins, scale, outer_legs)
     bins: dict[str, Any] = {"starts": bin_0 - setting.legs, "delta_t": width, "n_bins": count}
     three, more = None, MultipleBounces({}, {}, {})
     if fewest == 3:
@@ -257,15 +241,14 @@ def render(
     if not any(light.any() for light in more.by_bounce.values()):
         _check_light(three, setting, (fewest, most), (bin_0, bin_0 + count * width))
     by_bounce = {} if three is None else {3: setting.bins(three.G)}
-    by_bounce |= {n: setting.scaled(light) for n, light in more.by_bounce.items()}
-    errors = [setting.scaled(error) for error in more.standard_error.values()]
+    by_bounce |= {n: setting.factor * light for n, light in more.by_bounce.items()}
+    errors = [setting.factor * error for error in more.standard_error.values()]
     H = by_bounce[fewest].copy()
     for n in range(fewest + 1, most + 1):
         H += by_bounce[n]
-    details = setting.told(three) | {
+    details = setting.details(three) | {
         "multiple_bounces": more.details,
         "wall_albedo": rho,
-        "keep_laser_cosine": bool(keep_laser_cosine),
         "seconds": time.perf_counter() - start,
     }
     return TransientCapture(
@@ -291,7 +274,6 @@ def _setting(
     pairing: Any,
     origins: tuple[Vector | None, Vector | None],
     scale: float,
-    keep_laser_cosine: bool,
     outer_legs: bool,
 ) -> _Setting:
     """Check the wall points, form their pairs, and compute outer legs and factors."""
@@ -304,20 +286,17 @@ def _setting(
     else:
         lasers = np.repeat(first, len(second), axis=0)
         sensors = np.tile(second, (len(first), 1))
-    legs, factors = np.zeros(len(lasers)), np.full(len(lasers), scale)
+    legs = np.zeros(len(lasers))
     if outer_legs:
-        legs += _distance("laser_origin", origins[0], lasers, "outer_legs")
-        legs += _distance("sensor_origin", origins[1], sensors, "outer_legs")
-    if keep_laser_cosine:
-        away = _distance("laser_origin", origins[0], lasers, "keep_laser_cosine")
-        factors *= float(np.asarray(origins[0])[2]) / away**3
-    return _Setting(lights, seen, pairing, lasers, sensors, legs, factors)
+        legs += _distance("laser_origin", origins[0], lasers)
+        legs += _distance("sensor_origin", origins[1], sensors)
+    return _Setting(lights, seen, pairing, lasers, sensors, legs, scale)
 
 
-def _distance(name: str, origin: Vector | None, points: Array, option: str) -> Array:
+def _distance(name: str, origin: Vector | None, points: Array) -> Array:
     """Return the distances from a laser or sensor to wall points, m."""
     if origin is None:
-        raise SceneError(f"{option} = True needs {name}; give its position (x, y, z) in m")
+        raise SceneError(f"outer_legs = True needs {name}; give its position (x, y, z) in m")
     if not origin[2] > 0.0:
         raise SceneError(
             f"{name}[z] = {origin[2]:g} m is out of range, must be above 0; move it in front of "

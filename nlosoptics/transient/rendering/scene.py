@@ -20,11 +20,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Largest number of cells across an image that is converted to triangles.
-PICTURE_CELLS = 64
-#: Largest fraction of an image's total reflectance in grey pixels, 0.1 to 0.9.
-MOST_GREY = 0.1
-
 
 def render_scene(
     scene: Scene,
@@ -58,8 +53,8 @@ def render_scene(
     progress : callable(str, float), optional
         Called with a line of text and the completed fraction, 0 to 1.
     **options
-        Further arguments of `render`: ``quantity``, ``keep_laser_cosine``, ``outer_legs``,
-        ``tol_multiple``, ``min_bounces``, ``n_rays``. All others follow from the scene.
+        Further arguments of `render`: ``quantity``, ``outer_legs``, ``tol_multiple``,
+        ``min_bounces``, ``n_rays``. All others follow from the scene.
 
     Returns
     -------
@@ -182,33 +177,18 @@ def _hidden_mesh(hidden: MeshObject | PlanarObject) -> trimesh.Trimesh:
 
 
 def cut_out(picture: PlanarObject) -> trimesh.Trimesh:
-    """Return a mesh of the white area of a hidden image, world frame, m.
-
-    Parameters
-    ----------
-    picture : PlanarObject
-        Black-and-white image with its position and size.
-
-    Returns
-    -------
-    trimesh.Trimesh
-
-    Raises
-    ------
-    SceneError
-        If more than 10 % of its reflectance is in grey pixels, or none is white.
-    """
+    """Return a mesh of the white area of a hidden image, world frame, m."""
     import trimesh
 
     bright = picture.reflectance
     grey = float(bright[(bright > 0.1) & (bright < 0.9)].sum())
-    if grey > MOST_GREY * float(bright.sum()):
+    if grey > 0.1 * float(bright.sum()):
         raise SceneError(
             f"hidden.image has {100 * grey / float(bright.sum()):.3g} % of its reflectance in grey "
-            f"pixels, limit {100 * MOST_GREY:g} % for time-resolved captures; give a "
+            f"pixels, limit 10 % for time-resolved captures; give a "
             "black-and-white image, or hidden.mesh"
         )
-    edges = [np.linspace(0, n, min(n, PICTURE_CELLS) + 1).round().astype(int) for n in bright.shape]
+    edges = [np.linspace(0, n, min(n, 64) + 1).round().astype(int) for n in bright.shape]
     sums = np.add.reduceat(np.add.reduceat(bright, edges[0][:-1], 0), edges[1][:-1], 1)
     areas = np.multiply.outer(np.diff(edges[0]), np.diff(edges[1]))
     boxes = _rectangles(2.0 * sums >= areas)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..._checks import counted
 from ...errors import SceneError
 from ...kernels.codes import BECKMANN, GGX, OREN_NAYAR_FULL
-from ...raytrace import intersect_mesh, occluded
+from ...raytrace import intersect_mesh
 from ...scene import Lambert, Material
 
 if TYPE_CHECKING:
@@ -22,41 +22,21 @@ if TYPE_CHECKING:
     from ._bounce_kernels import Surfaces
 
 Array = NDArray[np.float64]
-GAP: Final = 1e-9  # of the scene's extent: nearer hits are the surface that a path leaves
-ASKED: Final = 4096  # largest number of triangles for which kernels test shadows themselves
 
 
 @dataclass(frozen=True, eq=False)
 class BounceSurfaces:
-    """Meshes that paths can meet, and their data for the kernels.
+    """Meshes that paths can meet, and their data for the kernels."""
 
-    Parameters
-    ----------
-    hidden : trimesh.Trimesh
-        All hidden triangles; only they occlude.
-    met : trimesh.Trimesh
-        Hidden triangles, followed by those of a relay wall that reflects between them, if any.
-    kernel : Surfaces
-        Data of the triangles for the kernels.
-    gap : float
-        Hits nearer than this are ignored, m.
-    """
-
-    hidden: trimesh.Trimesh
+    # Hidden triangles, followed by those of a relay wall that reflects between them, if any
     met: trimesh.Trimesh
-    kernel: Surfaces
-    gap: float
+    kernel: Surfaces  # Data of the triangles for the kernels
+    gap: float  # Hits nearer than this are ignored, m
 
     def first_hits(self, origins: Array, directions: Array) -> tuple[Array, NDArray[np.int32]]:
         """Return distance, m, and triangle of the first hit of rays (n, 3); -1 for no hit."""
         hits = intersect_mesh(self.met, origins, directions, min_distance=self.gap)
         return hits.distance, hits.triangle
-
-    def clear(self, value: Array, starts: Array, ends: Array) -> None:
-        """Set values (n,) to 0 if a hidden surface lies between start and end, (n, 3) each."""
-        rows = np.flatnonzero(value > 0.0)
-        if len(rows):
-            value[rows[occluded(self.hidden, starts[rows], ends[rows])]] = 0.0
 
 
 def bounce_surfaces(
@@ -65,19 +45,7 @@ def bounce_surfaces(
     wall_albedo: float,
     wall_size: tuple[float, float] | None,
 ) -> BounceSurfaces:
-    """Join hidden surfaces and a relay wall for paths of several bounces.
-
-    Parameters
-    ----------
-    surfaces : HiddenSurfaces
-        Hidden triangles, world frame, m.
-    wall_points : ndarray
-        (n, 3): sensor points on the wall, from which paths start, m.
-    wall_albedo : float
-        Albedo of the wall.
-    wall_size : (float, float) or None
-        Sides of a reflecting wall about the origin, m; None for no wall.
-    """
+    """Join hidden surfaces and a relay wall for paths of several bounces."""
     from ...raytrace.intersection.triangles import Facets
     from ._bounce_kernels import Surfaces
 
@@ -105,11 +73,10 @@ def bounce_surfaces(
         area=0.5 * float(shares[-1]),
         rows=facets.rows,
         boxes=facets.boxes,
-        asked=n_hidden <= ASKED,
     )
     met = surfaces.mesh if wall_size is None else _mesh(corners)
     extent = float(np.abs(corners[:n_hidden]).max())
-    return BounceSurfaces(hidden=surfaces.mesh, met=met, kernel=kernel, gap=GAP * extent)
+    return BounceSurfaces(met=met, kernel=kernel, gap=1e-9 * extent)
 
 
 def _sides(corners: Array, normals: Array, points: Array) -> NDArray[np.int64]:
@@ -156,15 +123,7 @@ def occluders(surfaces: HiddenSurfaces) -> tuple[Mesh, Index]:
 def neighbours(corners: Array) -> Index:
     """Return the neighbour of each triangle across each side, coded as in `_visibility_kernels`.
 
-    Parameters
-    ----------
-    corners : ndarray
-        (n, 3, 3), m; corners with equal coordinates are taken as one.
-
-    Returns
-    -------
-    ndarray of int64
-        (n, 3): neighbour across the side from each corner to the next, or `ALONE`.
+    Returns (n, 3): neighbour across the side from each corner to the next, or `ALONE`.
     """
     from ._visibility_kernels import ALONE, FLIPPED
 
@@ -185,24 +144,13 @@ def neighbours(corners: Array) -> Index:
 
 @dataclass(frozen=True, eq=False)
 class HiddenSurfaces:
-    """Triangles of all hidden meshes; both sides of each scatter.
+    """Triangles of all hidden meshes; both sides of each scatter."""
 
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        All triangles, world frame, m, in the order of the meshes.
-    lobes : ndarray
-        (k, 4): lobes of all materials.
-    spans : ndarray of int64
-        (n, 2): range of rows in ``lobes`` for each triangle; the end is exclusive.
-    alphas : ndarray
-        (n,): alpha of the narrowest lobe of each triangle, rad; 1 for wide lobes.
-    """
-
-    mesh: trimesh.Trimesh
-    lobes: Array
+    mesh: trimesh.Trimesh  # All triangles, world frame, m, in the order of the meshes
+    lobes: Array  # (k, 4): lobes of all materials
+    # (n, 2): range of rows in ``lobes`` for each triangle; the end is exclusive
     spans: NDArray[np.int64]
-    alphas: Array
+    alphas: Array  # (n,): alpha of the narrowest lobe of each triangle, rad; 1 for wide lobes
 
     @property
     def corners(self) -> Array:
@@ -211,24 +159,7 @@ class HiddenSurfaces:
 
 
 def hidden_surfaces(surfaces: Iterable[tuple[trimesh.Trimesh, Material]]) -> HiddenSurfaces:
-    """Check and join hidden meshes.
-
-    Parameters
-    ----------
-    surfaces : iterable of (trimesh.Trimesh, Material)
-        Meshes, world frame, m, with their materials, in front of the relay wall z = 0. They may
-        touch it.
-
-    Returns
-    -------
-    HiddenSurfaces
-
-    Raises
-    ------
-    SceneError
-        If there is no mesh; if a mesh has vertices that are not finite, or triangles without area,
-        behind the wall or in it; or if a material is a mirror of zero slope.
-    """
+    """Check and join hidden meshes."""
     import trimesh
 
     pairs = _pairs(surfaces)

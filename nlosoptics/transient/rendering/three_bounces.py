@@ -29,29 +29,16 @@ MOST_SIGHTS, MOST_KEPT = 1 << 26, 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class ThreeBounces:
-    """Impulse responses of pairs of wall points, with error estimates.
+    """Impulse responses of pairs of wall points, with error estimates."""
 
-    Parameters
-    ----------
-    G : ndarray
-        (pairs, n_bins): impulse response, integrated over each bin, without the wall's albedo,
-        1/m^2.
-    before, after : ndarray
-        (pairs,): contribution of paths shorter and longer than the bins, 1/m^2.
-    error : ndarray
-        (pairs,): difference of the last two passes, summed over bins, 1/m^2.
-    parts : ndarray of int64
-        (pairs,): number of parts of the surface in the last pass.
-    shadows : bool
-        Whether shadows were searched. They are skipped if no triangle lies in front of another
-        one's plane, which is tested for up to `ASKED` triangles.
-    """
-
+    # (pairs, n_bins): impulse response, integrated over each bin, without the wall's albedo, 1/m^2
     G: Array
-    before: Array
+    before: Array  # (pairs,): contribution of paths shorter and longer than the bins, 1/m^2
     after: Array
-    error: Array
-    parts: NDArray[np.int64]
+    error: Array  # (pairs,): difference of the last two passes, summed over bins, 1/m^2
+    parts: NDArray[np.int64]  # (pairs,): number of parts of the surface in the last pass
+    # Whether shadows were searched. They are skipped if no triangle lies in front of another one's
+    # plane, which is tested for up to `ASKED` triangles
     shadows: bool
 
 
@@ -68,38 +55,6 @@ def three_bounces(
 ) -> ThreeBounces:
     """Compute the impulse responses of three bounces for pairs of points on the wall z = 0.
 
-    Parameters
-    ----------
-    surfaces : HiddenSurfaces
-        Hidden triangles in front of the wall, world frame, m.
-    lasers, sensors : ndarray
-        (pairs, 3): points on the wall, m, z = 0.
-    starts : ndarray
-        (pairs,): start of bin 0, m of the path r1 + r2.
-    delta_t : float
-        Width of a bin, m of optical path.
-    n_bins : int
-        Number of bins.
-    tol : float
-        Relative L1 error over the bins of each pair.
-    progress : callable(str, float), optional
-        Called with a line of text and the fraction done.
-
-    Returns
-    -------
-    ThreeBounces
-
-    Raises
-    ------
-    SceneError
-        If a wall point lies on a surface.
-    SamplingError
-        If a pair does not reach ``tol``.
-    MemoryLimitError
-        If the bins exceed the free memory.
-
-    Notes
-    -----
     ``G = (1/pi) Int cos_l cos_h1 f cos_h2 cos_c / (r1^2 r2^2) V dA``, with f the bidirectional
     reflectance of the hidden material and V the visibility; physics as in O'Toole et al., Nature
     555, 338 (2018), with all cosines. Shadows are cut out as exact polygons. The visible parts are
@@ -175,16 +130,9 @@ def _shared(lasers: Array, sensors: Array) -> tuple[Array, Array, Array, Index, 
     """Order each pair so that the side with fewer different points comes first.
 
     G is symmetric, so laser and sensor points may be swapped.
-
-    Returns
-    -------
-    tuple
-        First and second points of the pairs, (pairs, 3), m; the different first points; their index
-        for each pair, (pairs,); and for each pair whether the shadows of its second point are cut
-        out first. The endpoint that more pairs share goes first, or the one that sorts lower if
-        both are shared equally. Swapping laser and sensor then performs identical arithmetic, so
-        reciprocity holds bit for bit.
     """
+    # the point that more pairs share goes first, or that which sorts lower: swapping laser and
+    # sensor then performs identical arithmetic, so reciprocity holds bit for bit
     points, places = np.unique(np.concatenate([lasers, sensors]), axis=0, return_inverse=True)
     first, second = places.reshape(2, -1)
     pairs = np.bincount(first, minlength=len(points)) + np.bincount(second, minlength=len(points))
@@ -197,15 +145,7 @@ def _shared(lasers: Array, sensors: Array) -> tuple[Array, Array, Array, Index, 
 
 
 def _sights(mesh: Mesh, clear: NDArray[np.bool_], lights: Array, ask: bool) -> Any:
-    """Compute which triangles each point of ``lights`` sees, and the visible polygons of each.
-
-    Returns
-    -------
-    tuple
-        `known` of `_three_bounce_kernels.three_bounces`: visibility (points, triangles), polygon
-        ranges (points, triangles + 1), polygons, their numbers of corners, and whether the table is
-        complete, so that no shadows of these points need be computed again.
-    """
+    """Compute which triangles each point of ``lights`` sees, and the visible polygons of each."""
     from . import _three_bounce_kernels as kernels
     from ._visibility_kernels import CORNERS
 

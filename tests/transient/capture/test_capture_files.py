@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import errno
 import json
-from contextlib import nullcontext
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from types import MappingProxyType
 
 import h5py
@@ -15,7 +13,6 @@ import pytest
 from nlosoptics import cli
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.transient import TransientCapture, wall_grid
-from nlosoptics.transient.capture import tal_files
 
 GRID = wall_grid(2.0, 3) * (1.0, 0.5, 1.0)
 LIST = np.array([[0.1, 0.2, 0.0], [0.3, -0.4, 0.0], [0.5, 0.6, 0.0], [-0.2, 0.1, 0.0]])
@@ -117,20 +114,6 @@ def test_unknown_origins_are_zeros_for_others_and_unknown_for_us(tmp_path):
     assert TransientCapture.load(path).laser_origin is None
 
 
-def test_gates_close_parts_and_errors_too(tmp_path):
-    H = np.random.default_rng(2).random((6, 2, 3))
-    made(H=H, by_bounce={3: 0.7 * H, 4: 0.3 * H}, standard_error=0.1 * H).save(tmp_path / "x.hdf5")
-    edges = made(H=H).edges
-    after = TransientCapture.load(tmp_path / "x.hdf5", gate_start=edges[2])
-    late = H * (np.arange(6) >= 2)[:, None, None]
-    assert np.array_equal(after.H, late)
-    assert np.array_equal(after.by_bounce[3], 0.7 * late)
-    assert np.array_equal(after.by_bounce[4], 0.3 * late)
-    assert np.array_equal(after.standard_error, 0.1 * late)
-    with pytest.raises(SamplingError, match=r"gate_start = 5000 m is after the last bin"):
-        TransientCapture.load(tmp_path / "x.hdf5", gate_start=5000)
-
-
 def test_single_precision_is_kept_and_compression_packs(tmp_path):
     even = made(dtype=np.float32, H=np.zeros((500, 2, 3), np.float32))
     even.save(tmp_path / "plain.hdf5")
@@ -150,13 +133,6 @@ def test_equal_and_even_bins_take_no_room(tmp_path):
     after = TransientCapture.load(tmp_path / "parts.hdf5")
     assert np.array_equal(after.by_bounce[3], H)
     assert np.array_equal(after.standard_error, 0 * H)
-
-
-def test_parts_beyond_the_limit_of_an_old_attribute(tmp_path):
-    """HDF5's first format ends attributes at 64 KiB."""
-    H = np.random.default_rng(1).random((5000, 2, 3))
-    made(H=2 * H, by_bounce={3: H}).save(tmp_path / "x.hdf5")
-    assert np.array_equal(TransientCapture.load(tmp_path / "x.hdf5").by_bounce[3], H)
 
 
 def test_file_is_in_ytals_words(tmp_path):
@@ -237,29 +213,24 @@ def test_a_foreign_laser_grid_pairs_where_it_is_as_large(tmp_path):
 def test_arguments_go_before_the_file(tmp_path):
     after = TransientCapture.load(
         foreign(tmp_path),
-        bin_width=0.02,
+        delta_t=0.02,
         t_start=1.0,
-        laser_point=(0.0, 0.5, 0.0),
+        laser_points=(0.0, 0.5, 0.0),
         outer_legs=True,
         quantity="counts",
-        gate_start=1.03,
     )
     assert (after.delta_t, after.t_start, after.outer_legs) == (0.02, 1.0, True)
     assert after.laser_points.tolist() == [0.0, 0.5, 0.0]
     assert after.quantity == "counts"
-    # bins begin at 1, 1.02 and 1.04 m
-    assert not after.H[:2].any()
-    assert np.array_equal(after.H[2:], made("single").H[2:])
+    assert np.array_equal(after.H, made("single").H)
 
 
-def test_side_lays_a_grid(tmp_path):
+def test_points_may_be_given(tmp_path):
     made("confocal").save(tmp_path / "x.hdf5")
     path = changed(tmp_path / "x.hdf5", scene_info="", sensor_grid_xyz=None, laser_grid_xyz=None)
-    with pytest.raises(SceneError, match="sensor points; give side"):
+    with pytest.raises(SceneError, match=r"give sensor_points \(.*pairing \(.*laser_points \("):
         TransientCapture.load(path)
-    with pytest.raises(SceneError, match="give pairing = 'confocal', or laser_point"):
-        TransientCapture.load(path, side=2.0)
-    after = TransientCapture.load(path, side=2.0, pairing="confocal")
+    after = TransientCapture.load(path, sensor_points=wall_grid(2.0, 3), pairing="confocal")
     assert after.is_confocal
     assert np.array_equal(after.sensor_points, wall_grid(2.0, 3))
     assert np.array_equal(after.H, made("confocal").H)
@@ -278,38 +249,27 @@ def test_one_point_may_have_one_axis(tmp_path):
         assert np.array_equal(after.H, before.H)
 
 
-EMPTY = h5py.Empty(float)
 NAN = np.where(np.arange(42).reshape(7, 3, 2) == 3, np.nan, 1.0)
 
 
 @pytest.mark.parametrize(
     ("changes", "kind", "words"),
     [
-        ({"delta_t": 4e-12}, SceneError, r"delta_t = 4e-12 .*bin_width = 0.00119917"),
-        ({"delta_t": 16.0}, SceneError, r"delta_t = 16 is too long .*give bin_width = 0.0047"),
-        ({"delta_t": EMPTY}, SceneError, "does not say delta_t; give bin_width"),
-        ({"delta_t": -0.1}, SceneError, "delta_t = -0.1 m is out of range"),
+        ({"delta_t": 4e-12}, SceneError, r"delta_t = 4e-12 .*give delta_t = 0.00119917"),
+        ({"delta_t": 16.0}, SceneError, r"delta_t = 16 is too long .*give delta_t = 0.0047"),
+        ({"delta_t": h5py.Empty(float)}, SceneError, r"give delta_t \(width of a bin"),
         ({"t_start": 6e-9}, SceneError, r"t_start = 6e-09 is too short .*give t_start = 1.79875"),
-        ({"t_start": None}, SceneError, "does not say t_start; give t_start"),
         ({"t_start": np.nan}, SceneError, "t_start = nan is not finite"),
-        ({"t_accounts_first_and_last_bounces": EMPTY}, SceneError, "give outer_legs"),
+        ({"t_accounts_first_and_last_bounces": None}, SceneError, "give outer_legs"),
         ({"H": NAN}, SceneError, "H has 1 of 42 values that are not finite"),
-        ({"H": np.full_like(NAN, 1e308)}, SceneError, "H has values up to 1e\\+308, whose sum"),
         ({"H": np.ones((7, 3, 3))}, SamplingError, r"H has shape \(7, 3, 3\), must be"),
-        ({"H": np.ones(7)}, SamplingError, r"H has shape \(7,\)"),
         ({"H": np.array([b"abc"] * 7)}, SceneError, "must be real numbers"),
         ({"H_format": 2}, SamplingError, "H_format is T_Lx_Ly_Sx_Sy, H of 3 axes .* is T_Sx_Sy"),
-        ({"laser_grid_xyz": None}, SceneError, "pairing = 'confocal', or laser_point"),
+        ({"laser_grid_xyz": None}, SceneError, r"give pairing \('confocal' or 'all'\)"),
         ({"laser_grid_xyz": np.zeros((2, 1, 3))}, SamplingError, "2 laser points are neither"),
-        ({"sensor_grid_xyz": np.zeros((3, 2, 2))}, SamplingError, r"must be \(n, 3\)"),
         ({"sensor_grid_normals": np.ones((2, 2, 3))}, SamplingError, "like sensor_grid_xyz"),
         ({"laser_xyz": np.ones(2)}, SceneError, "laser_xyz has 2 components"),
-        ({"laser_xyz": "here"}, SceneError, "laser_xyz holds <U4 values, must be real"),
         ({"t_accounts_first_and_last_bounces": "no"}, SceneError, "= no is neither 0 nor 1"),
-        ({"t_accounts_first_and_last_bounces": np.nan}, SceneError, "= nan is neither 0 nor 1"),
-        ({"t_accounts_first_and_last_bounces": np.ones(0)}, SceneError, "give outer_legs"),
-        ({"H_format": np.nan}, SceneError, "H_format = nan is not finite"),
-        ({"H_format": "T_Si"}, SceneError, "H_format = .* is not a whole number"),
         ({"H": None}, SceneError, "no known layout; give a file of y-tal"),
     ],
 )
@@ -331,28 +291,14 @@ def test_files_that_are_no_captures(tmp_path):
 
     made().save(tmp_path / "x.hdf5")
     whole = (tmp_path / "x.hdf5").read_bytes()
-    refused("half.hdf5", whole[: len(whole) // 2], "broken HDF5 file .*copy")
-    refused("head.hdf5", whole[:20], "broken HDF5 file")
+    refused("half.hdf5", whole[: len(whole) // 2], "is broken .*copy")
+    refused("head.hdf5", whole[:20], "is broken")
     refused("text.hdf5", b"x" * 500, "neither HDF5 nor a MATLAB file")
     refused("empty.mat", b"", "neither HDF5 nor a MATLAB file")
     with pytest.raises(SceneError, match="is missing; give the path"):
         TransientCapture.load(tmp_path / "none.hdf5")
     with pytest.raises(SceneError, match="is a folder"):
         TransientCapture.load(tmp_path)
-    with pytest.raises(SceneError, match="format = 'lct', the file has the layout 'tal'"):
-        TransientCapture.load(tmp_path / "x.hdf5", format="lct")
-    with pytest.raises(SceneError, match="format = 'exr' is unknown"):
-        TransientCapture.load(tmp_path / "x.hdf5", format="exr")
-
-
-def test_names_that_lead_nowhere_or_to_no_array(tmp_path):
-    for name, item, words in (
-        ("broken", h5py.SoftLink("/none"), "broken HDF5 file .the link sensor_xyz has no target"),
-        ("typed", np.dtype("f8"), "has sensor_xyz, which is no array"),
-    ):
-        made().save(tmp_path / name)
-        with pytest.raises(SceneError, match=words):
-            TransientCapture.load(changed(tmp_path / name, sensor_xyz=item))
 
 
 def test_a_changed_file_of_ours_is_seen(tmp_path):
@@ -447,21 +393,3 @@ def test_a_foreign_laser_point_keeps_its_normal(tmp_path):
     path = foreign(tmp_path, laser_grid_normals=np.array([[[0.0, 0.6, 0.8]]]))
     found = TransientCapture.load(path)
     assert (found.laser_shape, found.laser_normals.tolist()) == ((), [0.0, 0.6, 0.8])
-
-
-FULL = Path("/dev/full")  # takes nothing
-
-
-@pytest.mark.skipif(not FULL.exists(), reason="the system has no device that is always full")
-def test_the_first_error_of_a_disk_is_kept_and_raised_once(tmp_path, monkeypatch):
-    with tal_files._Disk(FULL, "w+") as disk:
-        assert disk.write(b"abc") == 3
-        first = disk.error
-        assert first.errno == errno.ENOSPC
-        assert disk.write(b"") == 0
-        assert disk.truncate(7) == 7  # a device has no size
-        assert disk.error is first
-
-    monkeypatch.setattr(tal_files, "whole_files", lambda _: nullcontext((FULL,)))
-    with pytest.raises(OSError, match="No space left on device"):
-        made().save(tmp_path / "x.hdf5")

@@ -1,4 +1,4 @@
-"""Cropped, coarser and blurred captures, and captures without outer legs, keep their light."""
+"""Cropped and coarser captures, and captures without outer legs, keep their light."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ import pytest
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.transient import (
     TransientCapture,
-    distance_weighted,
     downsampled,
     gated,
-    smoothed,
     wall_grid,
     without_outer_legs,
 )
@@ -80,31 +78,6 @@ def test_one_laser_point_stays_and_grids_of_both_are_coarser():
     assert coarse.sensor_normals == pytest.approx(np.array([[[0, 0, 1.0]]]))
 
 
-def test_a_blur_keeps_the_middle_and_adds_its_variance():
-    H = np.zeros((101, 9, 9), dtype=np.float32)
-    H[50, 4, 4] = 8.0
-    grid = wall_grid(1.0, 9)
-    soft = smoothed(capture(H=H, laser_points=grid, sensor_points=grid), path=0.4, grid=1.0)
-    assert soft.H.dtype == np.float32
-    assert soft.H.sum() == pytest.approx(8.0, rel=1e-5)  # single precision
-    bins = np.arange(101)
-    line = soft.H.sum(axis=(1, 2))
-    assert bins @ line / line.sum() == pytest.approx(50.0, abs=1e-4)
-    # 4 bins; a Gaussian on samples, cut at four of its widths, lacks 1e-3 of its variance
-    assert (bins - 50) ** 2 @ line / line.sum() == pytest.approx(16.0, rel=2e-3)
-    with pytest.raises(SceneError, match="standard errors"):
-        smoothed(capture(standard_error=np.ones((12, 4, 4))), path=0.1)
-    with pytest.raises(SceneError, match="path = -1"):
-        smoothed(capture(), path=-1.0)
-
-
-def test_weights_are_powers_of_half_the_path():
-    whole = capture()
-    heavy = distance_weighted(whole, 4.0)
-    half = 0.5 * (1.0 + 0.1 * (np.arange(12) + 0.5))
-    assert heavy.H == pytest.approx(whole.H * half[:, None, None] ** 4, rel=1e-14)
-
-
 @pytest.mark.parametrize("pairing", ["confocal", "all"])
 def test_outer_legs_are_taken_away_path_by_path(pairing):
     laser, sensor = np.array([0.3, -0.2, 1.0]), np.array([-0.4, 0.1, 0.7])
@@ -144,14 +117,6 @@ def test_outer_legs_are_taken_away_path_by_path(pairing):
         ),
         (lambda: downsampled(capture(), grid=3), SamplingError, "4 points along an axis"),
         (lambda: downsampled(capture(), bins=0), SceneError, "bins"),
-        (lambda: distance_weighted(capture(t_start=-0.1), 2), SceneError, "gate the capture"),
-        (
-            lambda: distance_weighted(
-                capture(outer_legs=True, laser_origin=(0, 0, 1), sensor_origin=(0, 0, 1)), 2
-            ),
-            SceneError,
-            "without_outer_legs",
-        ),
         (
             lambda: without_outer_legs(capture(outer_legs=True, sensor_origin=(0, 0, 1))),
             SceneError,
@@ -175,7 +140,7 @@ def test_bad_input_is_one_clear_line(call, kind, words):
 def test_nothing_is_changed_in_place():
     whole = capture()
     before = whole.H.copy()
-    for other in (gated(whole), downsampled(whole), distance_weighted(whole, 2)):
+    for other in (gated(whole), downsampled(whole)):
         assert other is not whole
     assert np.array_equal(replace(whole).H, before)
 

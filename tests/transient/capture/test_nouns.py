@@ -114,21 +114,6 @@ def test_projection_takes_the_brightest():
         image.projection("zy")
 
 
-@pytest.mark.parametrize(
-    ("side", "count", "centre"),
-    [
-        (1.0, 2.5, (0, 0)),
-        (1.0, 0, (0, 0)),
-        (1.0, 2, (np.nan, 0)),
-        (1.0, 2, (0, 0, 0)),
-        (1.0, 2, 0.0),
-    ],
-)
-def test_wall_grids_have_cells_and_places(side, count, centre):
-    with pytest.raises(SceneError):
-        wall_grid(side, count, centre=centre)
-
-
 def test_points_of_single_precision_have_even_volumes():
     """Rounding moves points of 2 m by 1e-7 m, 1e-5 of the pitch."""
     points = wall_grid(1.9, 97, centre=(0.7, -0.3)).astype(np.float32)
@@ -139,17 +124,3 @@ def test_points_of_single_precision_have_even_volumes():
     assert Volume(line, [0.0], [1.0]).shape == (1, 1, 97)
     with pytest.raises(SamplingError, match="of their pitch off"):
         Volume.facing(points + 0.01 * points[..., [1, 0, 2]], (0.5, 0.8, 0.1))
-
-
-@pytest.mark.parametrize("lasers", [(0.0, 0.0, 0.0), GRID], ids=["one", "grid"])
-def test_a_capture_tells_its_shapes_and_times(lasers):
-    light = np.zeros((6, *np.shape(lasers)[:-1], 4, 4))
-    rows = capture(H=light, laser_points=lasers, outer_legs=len(lasers) == 4)._figures().rows
-    assert rows == {
-        "bins": "6 of 10 mm, 1 to 1.06 m",
-        "laser points": "4 x 4" if len(lasers) == 4 else "one point",
-        "sensor points": "4 x 4",
-        "pairing": "all",
-        "quantity": "irradiance",
-        "outer legs": "included in times" if len(lasers) == 4 else "not included in times",
-    }

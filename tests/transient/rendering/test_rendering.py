@@ -294,8 +294,6 @@ def test_quantities_and_legs():
     assert radiosity.H == pytest.approx(0.5 * half.H)
     origin = (-0.5, 0.0, 0.25)
     leg = math.dist(origin, LASER)
-    lamp = light(surfaces, keep_laser_cosine=True, laser_origin=origin)
-    assert lamp.H == pytest.approx(0.25 / leg**3 * base.H)
     eye = (0.2, 0.3, 1.1)
     shift = leg + math.dist(eye, SENSORS[0])
     far = light(
@@ -400,7 +398,6 @@ def with_nan():
         ([(plate(), WHITE)], {"seed": 2**64}, SceneError, "seed"),
         ([(plate(), WHITE)], {"quantity": "counts"}, SceneError, "counts"),
         ([(plate(), WHITE)], {"wall_albedo": 1.5}, SceneError, "wall_albedo"),
-        ([(plate(), WHITE)], {"keep_laser_cosine": True}, SceneError, "laser_origin"),
         (
             [(plate(), WHITE)],
             {"outer_legs": True, "laser_origin": (0, 0, 1)},
@@ -435,6 +432,12 @@ def peer(name):
         return np.moveaxis(file["H"].astype(float), 2, 0), json.loads(str(file["meta"])), path
 
 
+def lamp(meta, points):
+    """Irradiance of wall points by the peer's lamp of 100 W/sr."""
+    lines = points - np.array(meta["sensor_origin"])
+    return 100.0 * meta["sensor_origin"][2] / np.linalg.norm(lines, axis=-1) ** 3
+
+
 @pytest.mark.parametrize(
     "name", ["plane_single16_3b", "Z_single16_3b", "Z_single32_3b", "Z_confocal16_3b"]
 )
@@ -453,10 +456,8 @@ def test_peer_transient(name):
         n_bins=meta["bins"],
         max_bounces=3,
         quantity="radiosity",
-        keep_laser_cosine=True,
-        laser_origin=meta["sensor_origin"],
     )
-    true = 100.0 * found.H  # its lamp has 100 W/sr
+    true = lamp(meta, found.laser_points) * found.H
     off = H.sum(axis=0) / true.sum(axis=0) - 1.0
     # 0.6 % per pixel, the peer's noise
     assert math.sqrt((off**2).mean()) < 6e-3
@@ -487,12 +488,11 @@ def test_peer_corridor():
         "n_bins": 800,
         "max_bounces": 3,
         "quantity": "radiosity",
-        "keep_laser_cosine": True,
-        "laser_origin": meta["sensor_origin"],
         "tol": 1e-2,
     }
-    letter_alone = 100.0 * render([z], **setting).H
-    rest = 100.0 * render([z, *walls], **setting).H - letter_alone
+    power = lamp(meta, np.zeros(3))
+    letter_alone = power * render([z], **setting).H
+    rest = power * render([z, *walls], **setting).H - letter_alone
     shares = np.linalg.lstsq(np.stack([letter_alone.ravel(), rest.ravel()], 1), H.ravel())[0]
     # the peer's noise in 205 000 bins, some of it in fireflies
     assert shares[1] == pytest.approx(1.0, abs=0.01)

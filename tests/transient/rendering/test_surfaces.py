@@ -11,7 +11,6 @@ import trimesh
 from nlosoptics.errors import SceneError
 from nlosoptics.raytrace import intersect_mesh
 from nlosoptics.scene import Lambert, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
-from nlosoptics.transient.rendering import surfaces
 from nlosoptics.transient.rendering.surfaces import bounce_surfaces, hidden_surfaces
 
 MIXED = SumMaterial(Lambert(0.3), Ward(0.2, 0.15), SpecularMicrofacet(0.1, 0.08))
@@ -52,60 +51,6 @@ def test_the_narrowest_lobe_of_a_triangle(material, alpha):
     assert hidden_surfaces([(ONE, material)]).alphas == pytest.approx([alpha] * 5, rel=1e-15)
 
 
-@pytest.mark.parametrize("wall", [None, (1.4, 0.6)])
-def test_what_kernels_are_told_of_the_surfaces(wall):
-    around = bounce_surfaces(HIDDEN, POINTS, 0.4, wall)
-    kernel, corners = around.kernel, HIDDEN.corners
-    lobes, spans = HIDDEN.lobes, HIDDEN.spans.tolist()
-    if wall is not None:
-        a, b, c, d = ([x, y, 0.0] for x, y in ((-0.7, -0.3), (0.7, -0.3), (0.7, 0.3), (-0.7, 0.3)))
-        corners = np.concatenate([corners, [[a, b, c], [a, c, d]]])
-        lobes, spans = np.concatenate([lobes, Lambert(0.4).lobe_table()]), [*spans, [4, 5], [4, 5]]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    double = np.linalg.norm(across, axis=1)
-    assert np.array_equal(kernel.lobes, lobes)
-    assert kernel.spans.tolist() == spans
-    assert kernel.triangles[:, :3] == pytest.approx(corners[:, 0])
-    assert kernel.triangles[:, 3:6] == pytest.approx(corners[:, 1] - corners[:, 0])
-    assert kernel.triangles[:, 6:] == pytest.approx(corners[:, 2] - corners[:, 0])
-    assert kernel.normals == pytest.approx(across / double[:, None], abs=1e-14)
-    assert kernel.area == pytest.approx(double[:8].sum() / 2, rel=1e-14)
-    assert kernel.shares == pytest.approx([0.0, *np.cumsum(double[:8]) / double[:8].sum()])
-    assert np.array_equal(around.hidden.triangles, HIDDEN.corners)
-    assert np.array_equal(around.met.triangles, corners)
-    # the farthest coordinate is below 0
-    assert HIDDEN.corners.max() < 1.4 < -HIDDEN.corners.min()
-    assert around.gap == pytest.approx(-1e-9 * HIDDEN.corners.min(), rel=1e-14)
-
-
-def test_sides_of_planes_on_which_the_points_are():
-    heights = np.einsum("tk,tpk->tp", np.cross(*two_sides()), POINTS - HIDDEN.corners[:, :1])
-    sides = bounce_surfaces(HIDDEN, POINTS, 0.4, None).kernel.sides
-    certain = np.all(heights > 0.0, axis=1).astype(int) - np.all(heights < 0.0, axis=1)
-    # the box about the points can be on both sides where the points are not
-    assert ((sides == certain) | (sides == 0)).all()
-    single = bounce_surfaces(HIDDEN, POINTS[:1], 0.4, None).kernel.sides
-    assert np.array_equal(single, np.sign(heights[:, 0]))
-    assert {*single.tolist()} == {1, -1}
-    two = np.array([[0.3, -0.4, 0.0], [0.3, 0.2, 0.0]])
-    upright = np.array([[[0.3, -0.1, 0.2], [0.9, -0.1, 0.2], [0.3, -0.1, 0.8]]])  # y = -0.1
-    mesh = trimesh.Trimesh(upright[0], [[0, 1, 2], [0, 2, 1]], process=False)
-    for points, wanted in ((two, [0, 0]), (two[:1], [1, -1]), (two[1:], [-1, 1])):
-        around = bounce_surfaces(hidden_surfaces([(mesh, MIXED)]), points, 0.4, None)
-        assert around.kernel.sides.tolist() == wanted
-
-
-def two_sides():
-    corners = HIDDEN.corners
-    return corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-
-
-def test_few_triangles_are_asked_by_kernels(monkeypatch):
-    for most, asked in ((7, False), (8, True), (9, True)):
-        monkeypatch.setattr(surfaces, "ASKED", most)
-        assert bounce_surfaces(HIDDEN, POINTS, 0.4, (1.0, 1.0)).kernel.asked is asked
-
-
 def test_hits_and_shadows_of_rays():
     around = bounce_surfaces(HIDDEN, POINTS, 0.4, (3.0, 3.0))
     draw = np.random.default_rng(3)
@@ -117,13 +62,6 @@ def test_hits_and_shadows_of_rays():
     np.testing.assert_allclose(distance, wanted.distance, rtol=1e-12)
     assert np.array_equal(triangle, wanted.triangle)
     assert {*triangle.tolist()} >= {8, 9}  # the wall behind
-    value = draw.uniform(0.1, 1.0, 60)
-    value[::7], value[1::7] = 0.0, -0.5
-    free, dark = (triangle >= 8) | (triangle < 0), value <= 0.0
-    assert 10 < free.sum() < 50
-    left = np.where(free | dark, value, 0.0)
-    around.clear(value, starts, ends)
-    assert np.array_equal(value, left)
     # a ray that starts on a triangle, to rounding, does not meet it
     middle = HIDDEN.corners[0].mean(axis=0)
     near = middle + 0.5 * around.gap * around.kernel.normals[0]
@@ -131,14 +69,6 @@ def test_hits_and_shadows_of_rays():
     assert found[1][0] != 0
     near = middle + 2.0 * around.gap * around.kernel.normals[0]
     assert around.first_hits(near[None], -around.kernel.normals[:1])[1][0] == 0
-
-
-def test_the_extent_of_occluders_counts_both_signs():
-    (rows, _, reach, mates, *_), names = surfaces.occluders(HIDDEN)
-    assert reach == -HIDDEN.corners.min()
-    assert sorted(names.tolist()) == [*range(8)]
-    assert rows[:, :3] == pytest.approx(HIDDEN.corners[names, 0])
-    assert mates.shape == (8, 3)
 
 
 def test_meshes_may_touch_the_wall_but_not_pass_it():
