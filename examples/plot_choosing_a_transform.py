@@ -7,8 +7,6 @@ methods, called transforms. Each is the fastest for some wavefronts and inaccura
 `psf.point_spread` selects one without running the others.
 """
 
-import time
-
 import matplotlib.pyplot as plt
 
 from nlosoptics import psf

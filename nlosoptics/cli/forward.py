@@ -28,7 +28,6 @@ from .shell import (
     errors_told,
     in_bytes,
     load,
-    print_table,
     progress_bar,
     stage_rows,
     typed,

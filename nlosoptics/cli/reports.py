@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
-from .._whole_files import RECORD, sweep, write_whole
+from .._whole_files import RECORD, write_whole
 from ..runs.record import PAGE, record_text
-from .shell import Debug, app, can_draw, check_file, errors_told, progress_bar
+from .shell import Debug, app, check_file, errors_told, progress_bar
 
 
 @app.command("report", short_help="Write one HTML page about a result folder.")

@@ -16,7 +16,6 @@ from .shell import (
     check_file,
     errors_told,
     interruptible,
-    numbers,
     progress_bar,
     require,
 )

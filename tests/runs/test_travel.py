@@ -16,7 +16,6 @@ import pytest
 
 import nlosoptics as nlos
 from nlosoptics import imaging, psf, raytrace, scene, study, transient
-from nlosoptics._html import Shown
 from nlosoptics.errors import SceneError
 
 ROOT = Path(__file__).parents[2]

@@ -11,9 +11,7 @@ from pytest import approx
 from nlosoptics.errors import SceneError
 from nlosoptics.study import (
     Study,
-    inverse_sensitivities,
     optimum,
-    plan_study,
     run_study,
 )
 

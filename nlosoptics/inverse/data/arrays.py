@@ -11,7 +11,6 @@ import sys
 from typing import Any
 
 import numpy as np
-import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 from scipy import fft
 

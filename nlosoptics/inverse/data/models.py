@@ -10,7 +10,7 @@ import scipy  # its parts are loaded on first use
 from ..._checks import counted
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
-from .arrays import Values, as_double, irfft2, is_tensor, library, rfft2
+from .arrays import Values, as_double, is_tensor, library
 
 if TYPE_CHECKING:
     from .forward import TorchForwardModel

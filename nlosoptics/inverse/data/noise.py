@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from ..._checks import squarable
 from ...errors import SamplingError
-from .arrays import MEDIAN_OVER_SIGMA, Values, check_finite, check_shape, irfft2, real_array, rfft2
+from .arrays import MEDIAN_OVER_SIGMA, Values, check_finite, check_shape, real_array
 from .models import AnyModel, model_shape
 from .spectra import (
     beyond_optics,

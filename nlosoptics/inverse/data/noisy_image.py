@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 from scipy import fft, special
 

@@ -14,7 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ...imaging.forward_model import ForwardModel
-from .arrays import half_spectrum_weights, irfft2, rfft2
+from .arrays import half_spectrum_weights
 from .models import AnyModel, numpy_model
 
 Array = NDArray[np.float64]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 from scipy.special import j1
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy  # its parts are loaded on first use
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy.special import erfc, j0, j1

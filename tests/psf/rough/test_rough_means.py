@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from nlosoptics.psf.rough._spline_kernels import spline_filter, spline_values
 from pytest import approx
 from scipy import ndimage, signal
 
 from nlosoptics import psf
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.psf.rough import otf
-from nlosoptics.psf.rough._spline_kernels import spline_filter, spline_values
 from nlosoptics.psf.wave.detilted import split
 from nlosoptics.scene import ConcaveWall
 
