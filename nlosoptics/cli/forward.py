@@ -28,6 +28,7 @@ from .shell import (
     errors_told,
     in_bytes,
     load,
+    print_table,
     progress_bar,
     stage_rows,
     typed,
@@ -69,7 +70,7 @@ def run_command(
         typer.Option("--reconstruct/--no-reconstruct", help="Also reconstruct the hidden object."),
     ] = True,
     memory: Memory = None,
-    max_seconds: MaxSeconds = MOST_SECONDS,
+    max_seconds: MaxSeconds = 900.0,
     figures: Annotated[
         bool, typer.Option("--figures", help="Also draw each figure of the overview by itself.")
     ] = False,
@@ -87,43 +88,39 @@ def run_command(
         from ..runs.plan import looked_at
         from ..runs.record import write_record
         from ..runs.results import write_result
+        from ..runs.simulate import carried_out
         from .figures import write_figures, write_overview
-        from .first_run import compiled_ahead
 
         seed = checked_seed(seed)
-        with compiled_ahead():
-            from ..runs.simulate import carried_out
-
-            scene = load(scene_file, size, changes)
-            loaded = time.perf_counter()
-            planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
-            check_target(folder)
-            ready = time.perf_counter()
-            drawn = can_draw()
-            with progress_bar() as progress:
-                result = carried_out(planned, optics, seed, progress)
-                progress("writing", 1.0)
-                with whole_folder(folder) as new:
-                    began = time.perf_counter()
-                    report = write_result(result, new) | {"command_line": typed(context)}
-                    written = time.perf_counter()
-                    if drawn:
-                        write_overview(result, new)
-                        if figures:
-                            write_figures(result, new)
-                    ended = time.perf_counter()
-                    seconds = {
-                        "loading": loaded - start,
-                        "planning": ready - loaded,
-                        **report["seconds"],
-                        "writing": written - began,
-                        "figures": ended - written,
-                    }
-                    # what lies between the stages
-                    seconds["other"] = ended - start - sum(seconds.values())
-                    report["seconds"] = seconds | {"total": ended - start}
-                    write_record(report, new)
-        _print_summary(report, folder)
+        scene = load(scene_file, size, changes)
+        loaded = time.perf_counter()
+        planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
+        check_target(folder)
+        ready = time.perf_counter()
+        drawn = can_draw()
+        with progress_bar() as progress:
+            result = carried_out(planned, optics, seed, progress)
+            progress("writing", 1.0)
+            with whole_folder(folder) as new:
+                began = time.perf_counter()
+                report = write_result(result, new) | {"command_line": typed(context)}
+                written = time.perf_counter()
+                if drawn:
+                    write_overview(result, new)
+                    if figures:
+                        write_figures(result, new)
+                ended = time.perf_counter()
+                seconds = {
+                    "loading": loaded - start,
+                    "planning": ready - loaded,
+                    **report["seconds"],
+                    "writing": written - began,
+                    "figures": ended - written,
+                }
+                seconds["other"] = ended - start - sum(seconds.values())
+                report["seconds"] = seconds | {"total": ended - start}
+                write_record(report, new)
+        print_table(_summary(report, folder))
 
 
 @app.command("schema", short_help="Print all keys of scene files, as a JSON schema.")

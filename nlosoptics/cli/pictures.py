@@ -75,14 +75,12 @@ def view_command(
             check_file(out, ".png", ".html", ".glb")
         require("pyvista", "views")
         from .. import views
-        from ..views.stages import window
+        from ..views.stages import rendering_works, window
 
-        # some systems require windows in the main thread; the render test runs beside loading
         plotter = window() if out is None else None
-        with ThreadPoolExecutor(1) as beside:
-            trial = beside.submit(_try_to_render, out)
-            scene = load(scene_file, None, changes)
-            trial.result()
+        if out is not None and out.suffix.lower() == ".png":
+            rendering_works()  # before any work is done
+        scene = load(scene_file, None, changes)
         with progress_bar() as progress:
             if paths:
                 drawn = _drawn(scene, paths, bounces, colour, seed, progress)
@@ -104,14 +102,6 @@ def view_command(
         else:
             size, spent = out.stat().st_size / 1e6, time.perf_counter() - start
             typer.echo(f"written to {out}, {size:.2f} MB, in {spent:.1f} s")
-
-
-def _try_to_render(out: Path | None) -> None:
-    """Raise if a PNG is requested but this machine cannot render."""
-    from ..views.stages import rendering_works
-
-    if out is not None and out.suffix.lower() == ".png":
-        rendering_works()
 
 
 def _drawn(

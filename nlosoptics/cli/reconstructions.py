@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -164,8 +165,7 @@ def reconstruct_command(
             raise typer.Exit(INTERRUPTED)
 
 
-def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
-    """Print a reconstruction's figures as a table."""
+def _reconstruction_rows(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
     f = report["figures"]
     told = (
         f"{f['method']}: {f['reconstruction_status']} after {counted(f['iterations'], 'iteration')}"

@@ -47,7 +47,7 @@ def report_command(
         with progress_bar() as progress:
             progress("report", 0.0)
             text = report.page(folder, computed=three_d)
-        page, contents = text.encode(), {}
+        page = text.encode()
         if file.resolve().parent == folder.resolve():
             _add(folder, {file.name: page})
         else:

@@ -16,6 +16,7 @@ from .shell import (
     check_file,
     errors_told,
     interruptible,
+    numbers,
     progress_bar,
     require,
 )
@@ -186,7 +187,7 @@ def plot_command(
         chosen = default_kind(results) if kind is Kind.AUTO else kind.value
         if contours is not None and chosen not in ("map", "panels"):
             raise typer.BadParameter("contours belong to a map; use --kind map or panels")
-        levels = _numbers(contours)
+        levels = list(numbers("--contours", contours))
         axes = study_picture(results, figure, chosen, boundary=boundary, contours=levels)
         views.save(axes, out)
         typer.echo(f"{out}: {figure} of {results.path}")
@@ -290,13 +291,3 @@ def _told(results: Any) -> str:
 def _require_parts() -> None:
     for part in PARTS:
         require(part, "study")
-
-
-def _numbers(text: str | None) -> list[float]:
-    """Return the numbers of a list with commas."""
-    try:
-        return [float(part) for part in (text or "").split(",") if part.strip()]
-    except ValueError:
-        raise typer.BadParameter(
-            f"--contours {text!r} is not a list of numbers such as 0.2,0.5,0.8"
-        ) from None

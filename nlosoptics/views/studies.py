@@ -16,14 +16,8 @@ from .maps import point_spread
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from ..study import Fraction, Results
+    from ..study import Fraction, Optimum, Results
     from ..study.answers import Sensitivity
-
-MOST_TEXTS = 80  # cells of a map that show their value
-MOST_TICKS = 9
-MOST_CURVES = len(SERIES)
-PANELS = 3  # in a row
-MOST_PANELS = 6
 
 
 def study_map(
@@ -613,10 +607,9 @@ def yield_curve(
         for name in ("value", "low", "high")
     )
     axes.fill_between(x, low, high, color=BLUE, alpha=0.2, lw=0, label="confidence interval")
-    points = fractions[0].points if len(fractions) else 0
-    failed = fractions[0].failed if len(fractions) else 0
-    told = f"{points} draws, {failed} failed"
-    axes.step(x, value, color=BLUE, label=told, where="mid")
+    first = fractions[0] if len(fractions) else None
+    text = f"{first.points} draws, {first.failed} failed" if first else "no draws"
+    axes.step(x, value, color=BLUE, label=text, where="mid")
     axes.axhline(50.0, color=GREY, lw=0.5)
     name = f"limit of {label}" if label else "limit"
     axes.set(xlabel=name, ylabel="yield (%)", ylim=(0.0, 102.0))

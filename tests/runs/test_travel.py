@@ -126,9 +126,8 @@ MADE: Mapping[str, Any] = {
         wl_sigma=0.1,
     ),
     "TracedImage": lambda: raytrace.trace_image(
-        room(), wavelengths=[5e-7], n_rays=256, max_bounces=3, t_start=3.0, delta_t=1.0, n_bins=4
+        room(), n_rays=256, max_bounces=3, t_start=3.0, delta_t=1.0, n_bins=4
     ),
-    "Spectrum": lambda: scene.Spectrum((4e-7, 6e-7), (0.2, 0.5)),
     "Plan": lambda: nlos.plan(room()),
     "Study": lambda: study.Study.from_tables(
         {
@@ -140,47 +139,6 @@ MADE: Mapping[str, Any] = {
     ),
     "Result": result,
 }
-#: What the fields of the other nouns are drawn as, by their annotations.
-DRAWN: Mapping[str, Any] = {
-    "Array": lambda: RNG.random((3, 4)),
-    "Array | None": lambda: RNG.random((3, 4)),
-    "ComplexArray": lambda: RNG.random((3, 4)) + 1j * RNG.random((3, 4)),
-    "Mask": lambda: RNG.random((3, 4)) > 0.5,
-    "NDArray[np.int8]": lambda: RNG.integers(0, 2, (3, 4), dtype=np.int8),
-    "NDArray[np.int32]": lambda: RNG.integers(0, 99, (3, 4), dtype=np.int32),
-    "NDArray[np.int64]": lambda: RNG.integers(0, 99, (3, 4)),
-    "Any": lambda: RNG.random((3, 4)),
-    "float": RNG.random,
-    "float | None": RNG.random,
-    "int": lambda: int(RNG.integers(99)),
-    "bool": lambda: True,
-    "str": lambda: "of its own",
-    "Status": lambda: "converged",
-    "Ordering": lambda: "noll",
-    "tuple[int, int]": lambda: (3, 4),
-    "tuple[str, ...]": lambda: ("too dark", "too bright"),
-    "tuple[float, float]": lambda: (RNG.random(), RNG.random()),
-    "Mapping[str, float]": lambda: {"one": RNG.random(), "other": RNG.random()},
-    "Mapping[int, float]": lambda: {4: RNG.random(), 5: np.inf},
-    "Mapping[str, int]": lambda: MappingProxyType({"rays": 3}),
-    "Mapping[str, Any]": lambda: {"gain": 2.5, "coefficients": RNG.random(4)},
-    "Mapping[str, NDArray[np.float64]]": lambda: {"residual": RNG.random(5)},
-    "Regime": lambda: drawn(psf.Regime),
-}
-
-
-def drawn(kind: type) -> Any:
-    """A noun of random fields."""
-    if is_dataclass(kind):
-        given = {entry.name: str(entry.type) for entry in fields(kind) if entry.init}
-    else:  # a tuple with names
-        given = {name: form.__forward_arg__ for name, form in kind.__annotations__.items()}
-    return kind(**{name: DRAWN[form]() for name, form in given.items()})
-
-
-def example(kind: type) -> Any:
-    """A noun of a class; a class that has none is to be given one in `MADE`."""
-    return MADE[kind.__name__]() if kind.__name__ in MADE else drawn(kind)
 
 
 def assert_same(one: Any, other: Any, place: str, *, locked: bool = True) -> None:
@@ -227,7 +185,6 @@ USES: Mapping[type, Any] = {
     psf.Aperture: lambda outline: outline.nodes(5, 5)[2],
     psf.Roughness: lambda rough: rough.correlation(np.geomspace(1e-5, 1e-2, 9)),
     psf.Wavefront: lambda found: psf.point_spread(found, shape=64).intensity,
-    psf.PointSpreadField: lambda spread: spread.modes,
     imaging.ForwardModel: lambda model: model.forward(np.eye(8, 9)),
     transient.TransientCapture: lambda found: found.edges,
 }
