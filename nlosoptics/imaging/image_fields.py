@@ -22,7 +22,6 @@ from ..psf import PointSpreadField, SceneOptics
 from ..psf.pupil.paraxial import wave_bends
 from ..psf.pupil.scene_optics import optics_of
 from ..psf.walls.field import (
-    HELD_OUT,
     Place,
     SampledSpreads,
     chebyshev_weights,
@@ -140,7 +139,7 @@ def checked_places(picture: Array) -> list[Place]:
     ``picture`` is the result of `picture_frame`. The parts are those of the rectangle that holds
     all its bright pixels.
     """
-    draws = generator(0, HELD_OUT).uniform(size=(2, CHECKED, CHECKED))
+    draws = generator(0, 501).uniform(size=(2, CHECKED, CHECKED))
     shares = (np.indices((CHECKED, CHECKED)) + draws) / CHECKED
     up, across = np.empty((2, CHECKED, CHECKED))
     for axis, at in enumerate((up, across)):

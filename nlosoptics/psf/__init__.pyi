@@ -1,8 +1,6 @@
 from .aperture.aperture import Aperture as Aperture
 from .aperture.quadrature_nodes import grid_nodes as grid_nodes
 from .aperture.quadrature_nodes import polar_nodes as polar_nodes
-from .batch.point_spreads import PointSpreads as PointSpreads
-from .batch.point_spreads import point_spreads as point_spreads
 from .exchange.prysm_maps import PrysmPupil as PrysmPupil
 from .exchange.prysm_maps import from_prysm as from_prysm
 from .exchange.prysm_maps import to_prysm as to_prysm
@@ -38,8 +36,6 @@ from .rough.mean import RoughPointSpread as RoughPointSpread
 from .rough.mean import mean_point_spread as mean_point_spread
 from .rough.roughness import Roughness as Roughness
 from .rough.sample import sample_point_spread as sample_point_spread
-from .transform.huygens import SurfacePointSpread as SurfacePointSpread
-from .transform.huygens import huygens_point_spread as huygens_point_spread
 from .transform.point_spread import PointSpread as PointSpread
 from .transform.point_spread import point_spread as point_spread
 from .walls.diffraction_tail import widened as widened

@@ -219,8 +219,7 @@ def reconstructed(
     if task.iterations is not None:
         options["max_iterations"] = task.iterations
     if task.method in BLIND:
-        return _blind(task, start, progress)
-    solver = getattr(inverse, KNOWN[task.method])
+        return _blind(task, options)
     (image,) = task.images
     model = model or known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
     noise = camera_noise(task.scene, image, model)
