@@ -102,4 +102,9 @@ def _closed(value: Any) -> Any:
     return value
 
 
-copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))
+def _sealed(mapping: dict[Any, Any]) -> Any:
+    """Return a read-only mapping; pickle does not find its class by name."""
+    return MappingProxyType(mapping)
+
+
+copyreg.pickle(MappingProxyType, lambda mapping: (_sealed, (dict(mapping),)))

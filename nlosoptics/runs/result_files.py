@@ -103,7 +103,9 @@ def read(tree: Any, folder: Path) -> dict[str, Any]:
     files: dict[str, Mapping[str, NDArray[Any]]] = {}
 
     def restored(node: dict[str, Any]) -> Any:
-        ((kind, content),) = node.items() if len(node) == 1 else ((None, None),)
+        if len(node) != 1:  # fields of a noun
+            return node
+        ((kind, content),) = node.items()
         if kind == "float":
             return {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}[content]
         if kind == "scalar":

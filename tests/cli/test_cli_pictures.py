@@ -81,7 +81,7 @@ def test_a_png_is_drawn_where_that_works(scene, capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["--out", "room.gif"], 2, "room.gif does not end in .png, .html or .glb"),
+        (["--out", "room.gif"], 2, "room.gif does not end in .png or .html or .glb"),
         (["--out", "room.glb", "--colour", "red"], 2, "not one of 'bounces', 'path_length'"),
         (
             ["--out", "room.glb", "--bounces", "1", "--paths", "5"],

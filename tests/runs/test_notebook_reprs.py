@@ -184,13 +184,3 @@ def test_text_stands_in_for_pictures_without_matplotlib(examples):
     assert text.count("pip install &#x27;nlosoptics[views]&#x27;") == 2
     assert "of the peak" in text
     assert "632.8 nm" in text
-
-
-def test_pictures_of_scenes_that_cannot_be_drawn_are_told_in_words(flat_scene, tmp_path):
-    from nlosoptics.scene import MeshObject
-
-    pytest.importorskip("matplotlib")
-    broken = replace(flat_scene, hidden=MeshObject(tmp_path / "none.obj", position=(0.3, 0.0, 1.0)))
-    text = broken._repr_html_()
-    assert "none.obj" in text
-    assert Page(text).images == []

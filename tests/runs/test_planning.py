@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
 from pytest import approx
 
 import nlosoptics as nlos
@@ -17,15 +16,12 @@ from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
 from nlosoptics.scene import (
     ConcaveWall,
     ConvexWall,
-    FacetWall,
     FlatWall,
     Lambert,
-    MeshObject,
     MeshWall,
     SpecularMicrofacet,
     SumMaterial,
     SumWall,
-    WallRoughness,
     WavyWall,
 )
 
@@ -37,15 +33,6 @@ CURVED = [
     WavyWall(2e-5, 0.3, 0.4),
     SumWall(WavyWall(1e-5, 0.3), WavyWall(1e-5, 0.3, direction=np.pi / 2)),
 ]
-
-
-def test_every_stage_runs_or_says_why_not(flat_scene):
-    plan = nlos.plan(flat_scene, reconstruct=True)
-    assert all(stage.runs and stage.reason and stage.error for stage in plan.stages)
-    assert all(not stage.runs and stage.reason for stage in plan.skipped)
-    for stage in plan.stages + plan.skipped:
-        assert stage.name in str(plan)
-        assert stage.reason in str(plan)
 
 
 @pytest.mark.thorough
@@ -255,38 +242,9 @@ def test_a_coarse_mesh_leaves_the_waves_out(flat_scene):
         nlos.simulate(scene)
 
 
-def test_interreflection_is_named_where_the_wall_sees_itself(flat_scene):
-    for wall, seen in ((ConvexWall(2.0), False), (ConcaveWall(5.0), True), (CURVED[3], True)):
-        plan = nlos.plan(replace(flat_scene, wall=wall))
-        reason = next(s.reason for s in plan.skipped if s.name == "interreflection")
-        assert ("raytrace.trace" in reason) == seen
-
-
 @pytest.mark.thorough
 def test_a_picture_seen_by_too_many_periods_of_the_wall_is_refused_by_the_plan():
     """The run would find it only after 27 x 27 point spreads."""
     case = random_case(301393, wild=True)
     with pytest.raises(SamplingError, match="27 x 27 point spreads .* use tol = 4"):
         nlos.plan(case.scene, tol=2e-5)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("why", ["object is a mesh", "edge cuts off a part of the cone"])
-def test_a_pattern_that_is_not_sampled_has_its_reason(flat_scene, why):
-    """Waves of other object points are compared for a picture whose whole cone meets the wall."""
-    rough = replace(
-        flat_scene,
-        wall_material=SumMaterial(SpecularMicrofacet(0.1, 0.0), Lambert(0.6)),
-        wall_roughness=WallRoughness(FacetWall(1e-3, 2e-3, seed=1)),
-        camera=replace(flat_scene.camera, pixels=(1024, 1024)),
-    )
-    if "mesh" in why:
-        ball = trimesh.creation.icosphere(1, 0.02)
-        rough = replace(rough, hidden=MeshObject(ball, position=rough.hidden.position))
-    else:
-        small = replace(rough.hidden, size=0.002)
-        rough = replace(rough, wall=FlatWall(size=(0.34, 0.3)), hidden=small)
-    stages = [stage.reason for stage in nlos.plan(rough).stages]
-    reasons = [reason for reason in stages if "mean over all walls of this roughness" in reason]
-    assert len(reasons) == 1
-    assert why in reasons[0]

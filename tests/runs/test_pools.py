@@ -100,7 +100,6 @@ if __name__ == "__main__":
 
 
 @pytest.mark.thorough
-@pytest.mark.thorough
 @pytest.mark.timeout(620)
 def test_a_pool_gives_the_bits_of_a_loop(examples: Path, tmp_path: Path) -> None:
     """With two threads, and after the parent has used them: what numba ends a forked child for."""

@@ -109,30 +109,6 @@ def test_a_reconstruction_comes_back(found: nlos.Result, tmp_path: Path) -> None
     assert not (tmp_path / "tensor").exists()
 
 
-def test_no_pickle_is_read_or_written(found: nlos.Result, tmp_path: Path) -> None:
-    found.save(tmp_path / "kept")
-    for path in (tmp_path / "kept").glob("*.npz"):
-        with np.load(path, allow_pickle=False) as file:
-            assert not any(file[entry].dtype.hasobject for entry in file.files)
-
-
-def test_a_saved_result_is_reported(found: nlos.Result, tmp_path: Path) -> None:
-    """The report takes it as a run of the command line, and it stays a result."""
-    pytest.importorskip("typer")
-    pytest.importorskip("matplotlib")
-    from typer.testing import CliRunner
-
-    from nlosoptics.cli import app
-
-    found.save(tmp_path / "kept")
-    answer = CliRunner().invoke(app, ["report", str(tmp_path / "kept")])
-    assert answer.exit_code == 0, answer.output
-    assert (tmp_path / "kept" / "report.html").is_file()
-    assert_same(found, nlos.load_result(tmp_path / "kept"))
-    found.save(tmp_path / "kept")  # what is ours may be replaced
-    assert not (tmp_path / "kept" / "report.html").exists()
-
-
 def test_a_run_of_the_command_line_is_a_result(examples: Path, tmp_path: Path) -> None:
     pytest.importorskip("typer")
     pytest.importorskip("matplotlib")
@@ -221,16 +197,6 @@ def test_damage_is_told_in_one_line(
         nlos.load_result(folder)
     assert "\n" not in str(error.value)
     assert "kept" in str(error.value)
-
-
-def test_a_folder_of_others_is_left_alone(found: nlos.Result, tmp_path: Path) -> None:
-    (tmp_path / "thesis").mkdir()
-    (tmp_path / "thesis" / "chapter.tex").write_text("all of it")
-    with pytest.raises(SceneError, match=r"holds chapter.tex, which nlosoptics did not write"):
-        found.save(tmp_path / "thesis")
-    with pytest.raises(SceneError, match=r"is no folder; create it first"):
-        found.save(tmp_path / "none" / "kept")
-    assert (tmp_path / "thesis" / "chapter.tex").read_text() == "all of it"
 
 
 def test_a_save_that_fails_leaves_the_old_result(
