@@ -46,7 +46,7 @@ from nlosoptics import psf
 from nlosoptics.errors import NlosError
 from nlosoptics.psf.aperture import cell_nodes
 from nlosoptics.psf.aperture import quadrature_nodes as keepers
-from nlosoptics.psf.transform import airy, antialiased_fft, spread_grid
+from nlosoptics.psf.transform import antialiased_fft
 from nlosoptics.psf.wave import (
     cell_series,
     detilted,
@@ -203,12 +203,10 @@ def timed(run, repeats):
 def forget():
     """Drop all that nlosoptics keeps between calls."""
     kept = (
-        airy,
         keepers,
         pupil_polynomials,
         detilted,
         antialiased_fft,
-        spread_grid,
         cell_nodes,
         cell_series,
         polar_series,

@@ -1,8 +1,8 @@
 """The transforms against each other, where they differ only by rounding, nodes or the rim.
 
-Held elsewhere: one grid by fft, mdft and nufft (test_scattered_transforms), spherical waves against
-quadrature (test_huygens), rays against waves for defocus and astigmatism (test_geometric), the sum
-of a whole period and the flux that passes (test_transforms).
+Held elsewhere: one grid by fft, mdft and nufft (test_scattered_transforms), rays against waves for
+defocus and astigmatism (test_geometric), the sum of a whole period and the flux that passes
+(test_transforms).
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from scipy.integrate import quad
 from scipy.special import j1
 
 from nlosoptics import psf
-from nlosoptics.scene import Camera, ConcaveWall, Laser, PlanarObject, Scene
 
 WAVELENGTH, RADIUS = 632.8e-9, 12.5e-3
 LENS = {"wavelength": WAVELENGTH, "image_distance": 50e-3}
@@ -93,6 +92,7 @@ def test_hard_edge_on_a_grid_falls_with_its_cells(method, waves):
 # rays
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("waves", [{8: 10.0}, {11: 15.2}], ids=["coma", "spherical"])
 def test_rays_of_coma_and_spherical_hold_the_energy_of_the_waves(waves):
     """2 % above 50 waves from peak to valley, on pixels."""
@@ -201,51 +201,3 @@ def test_a_polar_wave_by_mdft_sums_to_its_estimate():
     exact = energy_in_a_square(waves, 33 / 4)
     # the peak's pixel holds 0.04: as if 25 of them had the estimated error; 1e-8 as measured
     assert abs(spread.intensity.sum() - exact) < spread.error_estimate < 1e-6
-
-
-# field
-
-
-def small_scene():
-    """A hollow wall, and pixels that hold its point spreads in a dozen a side."""
-    return Scene(
-        Laser(wavelength=632.8e-9, power=5e-3, beam_diameter=3e-3, position=(0.6, 0.3, 1.1)),
-        ConcaveWall(8.0, size=(2.0, 2.0)),
-        PlanarObject(np.ones((4, 4)), 0.3, position=(0.38, 0.0, 1.0)),
-        Camera(
-            position=(-0.38, 0.0, 0.8),
-            aim=(0.0, 0.0, 0.0),
-            focal_length=50e-3,
-            stop_diameter=5e-3,
-            pixels=(64, 64),
-            pixel_pitch=12e-6,
-            binning=1,
-        ),
-    )
-
-
-def test_a_fine_field_is_a_few_modes_and_holds_between_its_nodes():
-    scene, tol = small_scene(), 2e-3
-    field = psf.point_spread_field(scene, 16, tol=tol, checks=2)
-    assert field.weights.shape[1:] == (16, 16)
-    assert 1 < len(field.modes) < 12
-    assert field.truncation_error <= tol / 2
-    assert field.error_estimate >= field.truncation_error
-    corners, side = scene.hidden.corners, field.modes.shape[1]
-    right, upward = corners[0] - corners[3], corners[0] - corners[1]
-    centre, changed = field.point_spread(0.0, 0.0), 0.0
-    nodes = [(field.across[i], field.up[k]) for i, k in ((0, 0), (15, 7), (4, 12))]
-    for across, up in [*nodes, (0.93, -0.87), (-0.48, 0.13), (0.21, 0.99)]:
-        place = np.array(scene.hidden.position) + across / 2 * right + up / 2 * upward
-        exact = psf.point_spread(
-            psf.wavefront(scene, place),
-            pitch=field.pitch,
-            shape=side,
-            pixel_integrated=True,
-            tol=1e-6,
-        ).intensity
-        apart = np.abs(field.point_spread(across, up) - exact).max() / exact.max()
-        # modes left out, and the reference's own tolerance
-        assert apart <= field.error_estimate + 1e-6
-        changed = max(changed, np.abs(centre - exact).max() / exact.max())
-    assert changed > 50 * field.error_estimate

@@ -8,8 +8,8 @@ import pytest
 from pytest import approx
 
 from nlosoptics import psf
-from nlosoptics.errors import MemoryLimitError, SamplingError
-from nlosoptics.psf.transform import costs, selection
+from nlosoptics.errors import SamplingError
+from nlosoptics.psf.transform import selection
 from nlosoptics.psf.wave.detilted import split
 from nlosoptics.psf.wave.regime import regime
 
@@ -104,19 +104,6 @@ def test_piston_and_tilt_are_no_part_of_it():
     assert found.peak_to_valley < 1e-9
     assert found.reach < 1e-9
     assert not found.folded
-
-
-def test_rough_walls_fill_in_their_part():
-    rough = psf.Roughness(WAVELENGTH / (4 * math.pi), 4e-3)
-    kwargs = {"footprint": 0.5, "cos_sum": 2.0, "pitch": UNIT / 2, "shape": 33}
-    mean = psf.mean_point_spread(zernike_wave(), rough, **kwargs)
-    assert mean.regime.rayleigh_parameter == approx(1.0)
-    assert mean.rayleigh_parameter == mean.regime.rayleigh_parameter
-    assert mean.regime.coherent_fraction == approx(math.exp(-1))
-    assert "63.2 % of the energy, s = 1 rad; core: airy is the cheapest" in mean.reason
-    one = psf.sample_point_spread(zernike_wave(), rough, effective_distance=0.5, seed=1, **kwargs)
-    assert one.regime == mean.regime
-    assert one.reason.startswith("fresnel was requested")
 
 
 # the reason
@@ -219,16 +206,6 @@ def test_what_cannot_reach_tol_is_not_run(monkeypatch):
     assert "fft ruled out: error of its rim about" in spread.reason
 
 
-def test_few_waves_on_wide_pixels_are_sent_to_what_takes_them():
-    """Rays are never tried for them, at whatever tol."""
-    options = {"pitch": 200 * UNIT, "shape": (2001, 2001)}
-    wave = defocus(0.5)
-    with pytest.raises(MemoryLimitError, match=r"shape, or psf\.wide_point_spread$"):
-        psf.point_spread(wave, pixel_integrated=True, **options)
-    found = psf.wide_point_spread(wave, tol=1e-3, **options)
-    assert found.error_estimate <= 1e-3
-
-
 def test_coarse_nodes_are_refused_unrun_and_said():
     """The series of noise does not fall off: its nodes cannot hold it."""
     wave = zernike_wave()
@@ -300,6 +277,7 @@ def study(root, monkeypatch):
     return psf_study
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["polar", "cells", "grid", "scattered", "map"])
 def test_errors_of_random_waves_stay_within_estimates(study, kind):
     """Another seed than the committed study's; remedies that refusals name are tried."""
@@ -317,14 +295,3 @@ def test_errors_of_random_waves_stay_within_estimates(study, kind):
     for row in rows:
         if "refusal" in row:
             assert "; use " in row["refusal"], row
-
-
-@pytest.mark.parametrize("counted", range(4))
-def test_time_of_scattered_light_is_a_sum_over_its_parts(counted):
-    """Each count adds to the predicted time in proportion, whatever the other counts are."""
-    few, many = np.array([3e5, 2e4, 1e6, 1e4]), np.zeros(4)
-    many[counted] = 1e6
-    alone = costs.scattered(*many) - costs.scattered(*np.zeros(4))
-    # rounding of a sum of about 1 s
-    assert costs.scattered(*(few + many)) - costs.scattered(*few) == approx(alone, rel=1e-13)
-    assert 1e-7 < alone / 1e6 < 1e-6  # from a tenth of a microsecond to a microsecond each

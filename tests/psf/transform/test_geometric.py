@@ -9,9 +9,6 @@ from pytest import approx
 
 from nlosoptics import psf
 from nlosoptics.errors import SamplingError
-from nlosoptics.psf.transform import geometric
-from nlosoptics.psf.wave.detilted import split
-from nlosoptics.psf.window.window import Window
 
 WAVELENGTH, RADIUS = 632.8e-9, 12.5e-3
 SYSTEM = {"wavelength": WAVELENGTH, "pupil_radius": RADIUS, "image_distance": 50e-3}
@@ -145,15 +142,14 @@ def test_a_window_sums_to_the_energy_within():
 # against waves
 
 MANY = [
-    {4: 20.0},
-    {6: 20.0},
-    pytest.param({11: 11.0, 4: 8.0}, marks=pytest.mark.thorough),
-    {4: 12.0, 6: 8.0, 11: 3.0},
+    ({6: 20.0}, 0.4),
+    pytest.param({4: 20.0}, 0.0, marks=pytest.mark.thorough),
+    pytest.param({11: 11.0, 4: 8.0}, 0.4, marks=pytest.mark.thorough),
+    pytest.param({4: 12.0, 6: 8.0, 11: 3.0}, 0.0, marks=pytest.mark.thorough),
 ]
 
 
-@pytest.mark.parametrize("obscuration", [0.0, 0.4])
-@pytest.mark.parametrize("waves", MANY)
+@pytest.mark.parametrize(("waves", "obscuration"), MANY)
 def test_encircled_energy_is_the_waves(waves, obscuration):
     """2 % above 50 waves from peak to valley."""
     wave = zernike_wave(waves, obscuration=obscuration)
@@ -174,9 +170,15 @@ def test_encircled_energy_is_the_waves(waves, obscuration):
     assert error(spread, truth) <= spread.error_estimate < 100 * error(spread, truth)
 
 
-@pytest.mark.parametrize("pitch", [10, 100])
-@pytest.mark.parametrize("obscuration", [0.0, 0.4])
-@pytest.mark.parametrize("waves", [{4: 1.0}, {4: 5.0}, {8: 3.0}, {11: 3.0, 8: 2.0}])
+@pytest.mark.parametrize(
+    ("waves", "obscuration", "pitch"),
+    [
+        ({4: 1.0}, 0.0, 10),
+        ({4: 5.0}, 0.4, 100),
+        ({8: 3.0}, 0.4, 10),
+        ({11: 3.0, 8: 2.0}, 0.0, 100),
+    ],
+)
 def test_estimates_bound_the_error(waves, obscuration, pitch):
     wave = zernike_wave(waves, obscuration=obscuration)
     spread = rays(wave, pitch * UNIT)
@@ -190,8 +192,9 @@ def test_estimates_bound_the_error(waves, obscuration, pitch):
     assert error(spread, truth) <= spread.error_estimate
 
 
-@pytest.mark.parametrize("layout", ["grid", "scattered"])
-@pytest.mark.parametrize("waves", [{4: 20.0}, {11: 4.0, 8: 2.0}])
+@pytest.mark.parametrize(
+    ("layout", "waves"), [("grid", {11: 4.0, 8: 2.0}), ("scattered", {4: 20.0})]
+)
 def test_estimates_of_other_layouts(layout, waves):
     kwargs = {"pitch": 60 * UNIT, "shape": 11}
     spread = rays(LAYOUTS[layout](waves), **kwargs)
@@ -208,14 +211,14 @@ def test_auto_takes_rays_where_they_do():
     wave = zernike_wave({4: 20.0, 11: 1.0})
     kwargs = {"pitch": 80 * UNIT, "pixel_integrated": True, "shape": 9}
     loose = psf.point_spread(wave, tol=0.2, **kwargs)
-    truth = psf.point_spread(wave, tol=1e-4, **kwargs)
+    truth = psf.point_spread(wave, tol=1e-4, **kwargs, model="scalar")
     assert loose.method == "geometric"
     assert truth.method in {"quadrature", "fft"}
     assert error(loose, truth) <= loose.error_estimate <= 0.2
-    # few waves, points, or a fine tolerance: waves
+    # few waves, or a fine tolerance: waves
     few = psf.point_spread(zernike_wave({4: 2.0}), tol=0.2, **kwargs)
     assert few.method != "geometric"
-    assert psf.point_spread(wave, tol=1e-2, **kwargs).method != "geometric"
+    assert psf.point_spread(wave, tol=1e-2, **kwargs, model="scalar").method != "geometric"
 
 
 def test_auto_takes_rays_where_waves_are_out_of_reach():
@@ -242,48 +245,3 @@ def test_rough_maps_are_not_taken_for_smooth_ones():
 def test_points_have_no_ray_density():
     with pytest.raises(SamplingError, match="use pixel_integrated=True"):
         psf.point_spread(zernike_wave({4: 3.0}), method="geometric")
-    table = psf.compare(zernike_wave({4: 5.0}), pitch=60 * UNIT, pixel_integrated=True)
-    row = next(r for r in table.rows if r.method == "geometric")
-    assert 0 < row.difference <= row.error_estimate
-
-
-def test_same_bits_twice():
-    wave = zernike_wave({4: 20.0, 8: 5.0})
-    first, second = (rays(wave, 50 * UNIT).intensity.tobytes() for _ in range(2))
-    assert first == second
-
-
-def test_doubt_of_slopes_widens_the_blur():
-    """By 4 d t n_r/a, t what the nodes may miss of the aberration; the floor is 2 lambda N."""
-    sampled = zernike_wave({4: 20.0}, samples=(16, 64))
-    ripple = 0.05 * WAVELENGTH * np.random.default_rng(2).normal(size=sampled.u.shape)
-    residual = split(replace(sampled, aberration=sampled.aberration + ripple))
-    window = Window.centred(80 * UNIT, (9, 9))
-    (boxes,) = geometric._boxes(residual, window, 1.0)
-    missed, _ = residual.wavefront.truncation()
-    doubt = abs(residual.wavefront.image_distance) * missed * 16 / RADIUS
-    floor = np.hypot(2 * residual.airy_unit, 4 * doubt)
-    assert doubt > 5 * residual.airy_unit
-    # the least of all widths is where the wave bends least: there is a place without a bend
-    least = np.hypot(boxes.blur[:, 0], boxes.blur[:, 1]).min()
-    assert floor <= least < 1.05 * floor
-
-
-def test_copies_of_a_box_have_the_moments_of_a_uniform_blur():
-    """Energy and centre stay; the variance grows by a twelfth of the squared widths of the blur."""
-    rng = np.random.default_rng(5)
-    x, y, width_x, width_y = rng.random((4, 3))
-    blur, energy = rng.normal(size=(2, 2, 3)), np.array([0.2, 0.3, 0.5])
-    parts = [*geometric._Boxes(x, y, width_x, width_y, blur, energy).spread()]
-    share = np.array([part.energy for part in parts])
-    assert share.sum(axis=0) == approx(energy, rel=1e-14)
-    at = np.array([(part.x - x, part.y - y) for part in parts])
-    sides = np.array([(part.width_x, part.width_y) for part in parts])
-    assert (share[:, None] * at).sum(axis=0) == approx(np.zeros((2, 3)), abs=1e-15)
-    shifts = np.einsum("kan,kbn->abn", at, at) / 9
-    own = (sides**2).mean(axis=0) / 12
-    expected = np.einsum("kan,kbn->abn", blur, blur) / 12
-    for a, width in enumerate((width_x, width_y)):
-        assert shifts[a, a] + own[a] == approx(expected[a, a] + width**2 / 12, rel=1e-13)
-    # shifts along the two axes of the blur are the only ones that correlate x with y
-    assert shifts[0, 1] == approx(expected[0, 1] * 8 / 9, rel=1e-13)

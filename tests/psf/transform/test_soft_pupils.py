@@ -125,7 +125,7 @@ def test_pupils_of_few_cells_keep_their_estimate(obscuration, tol):
     assert error(spread, reference) <= spread.error_estimate + 1e-12
 
 
-@pytest.mark.parametrize("pitch", [1.3, 4.0])
+@pytest.mark.parametrize("pitch", [1.3, pytest.param(4.0, marks=pytest.mark.thorough)])
 def test_samples_beyond_nyquist_fold_the_pupil(pitch):
     wave = zernike_wave({j: 20 * w for j, w in MIX.items()} | {2: 3.3})
     kwargs = {"pitch": pitch * UNIT, "shape": 512, "normalisation": "ideal-peak"}

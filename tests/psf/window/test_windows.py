@@ -360,9 +360,8 @@ def test_errors_of_a_soft_rim(continuation):
 
 
 def test_bounds_of_a_kernel_that_ends():
-    assert antialiased_disc.cut(12.0, antialiased_disc.SHORT_REACH) == approx(4e-5 / 12)
-    assert antialiased_disc.cut(12.0, antialiased_disc.REACH) == approx(1e-12 * 2.5**4)
-    assert antialiased_disc.cut(45.0, antialiased_disc.REACH) == approx(1e-12)
+    assert antialiased_disc.cut(12.0) == approx(1e-12 * 2.5**4)
+    assert antialiased_disc.cut(45.0) == approx(1e-12)
 
 
 def test_spikes_of_straight_edges():
