@@ -1,7 +1,5 @@
 """Pupils of any outline against closed forms, denser rules and grids."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from pytest import approx
@@ -12,7 +10,6 @@ from nlosoptics.errors import SamplingError
 from nlosoptics.psf.rough.otf import transfer
 from nlosoptics.psf.transform import quadrature
 from nlosoptics.psf.wave.detilted import split
-from nlosoptics.psf.window import rim_tails
 from nlosoptics.psf.window.window import Window
 
 from ..spherical_waves import spherical_waves
@@ -305,21 +302,6 @@ def test_estimate_bounds_the_lack_of_nodes(name, samples):
     assert few.error_estimate < 2e5 * missed
 
 
-def test_default_samples_hold_the_function():
-    smooth, steep = (of(APERTURES["ellipse"], f) for f in (None, bumpy))
-    assert smooth.u.shape == (4, 12, 12)
-    assert steep.u.shape[1] > 12
-    straight = of(APERTURES["box"])
-    assert straight.u.shape[1:] == (8, 8)
-    for wave in (smooth, steep, straight):
-        path, amplitude = wave.truncation()
-        assert 2 * np.pi / WAVELENGTH * path < 1e-10
-        assert amplitude < 1e-10
-    polar = psf.Wavefront.from_function(bumpy, pupil_radius=9 * MM, **SYSTEM)
-    assert polar.layout == "polar"
-    assert 2 * np.pi / WAVELENGTH * polar.truncation()[0] < 1e-10
-
-
 def test_round_aperture_is_the_polar_pupil():
     coefficients = {4: 0.3 * WAVELENGTH, 8: 0.2 * WAVELENGTH}
     given = {"pupil_radius": 9 * MM, **SYSTEM}
@@ -330,7 +312,6 @@ def test_round_aperture_is_the_polar_pupil():
     assert cells.layout == "cells"
     assert np.abs(np.abs(field(cells)) - np.abs(field(polar))).max() < 1e-11
     assert psf.strehl(cells) == approx(psf.strehl(polar), rel=1e-11)
-    assert psf.peak_strehl(cells) == approx(psf.peak_strehl(polar), rel=1e-11)
     assert psf.rms_aberration(cells) == approx(psf.rms_aberration(polar), rel=1e-11)
     fitted = psf.fit_zernike(cells, 8)
     assert fitted[8] == approx(0.2 * WAVELENGTH, rel=1e-9)
@@ -353,9 +334,15 @@ def test_resampling_changes_nothing():
 # grids
 
 
-@pytest.mark.parametrize("pixels", [False, True])
-@pytest.mark.parametrize("aberration", [None, bumpy])
-@pytest.mark.parametrize("name", ["ellipse", "box", "arrow", "lens", "vanes", "triangle"])
+@pytest.mark.parametrize(
+    ("name", "aberration", "pixels"),
+    [
+        ("ellipse", bumpy, True),
+        ("box", None, False),
+        ("arrow", None, True),
+        ("vanes", bumpy, False),
+    ],
+)
 def test_grids_agree_within_their_estimate(name, aberration, pixels):
     aperture = APERTURES[name]
     window = {"pitch": 0.75e-6, "shape": 96, "pixel_integrated": pixels}
@@ -374,15 +361,6 @@ def test_grids_agree_within_their_estimate(name, aberration, pixels):
         assert error(psf.point_spread(grid, method="nufft", **window), spread) < 1e-8
     # second order, on rims that squares cut by chance
     assert errors[1] < 0.4 * errors[0]
-
-
-def test_fft_of_a_grid_agrees():
-    grid = of(APERTURES["lens"], bumpy, nodes="grid", samples=256)
-    spread = psf.point_spread(grid, method="fft", tol=0.1)
-    truth = psf.point_spread(
-        of(APERTURES["lens"], bumpy), pitch=spread.pitch, shape=spread.shape, tol=0.1
-    )
-    assert error(spread, truth) < spread.error_estimate < 0.01
 
 
 def test_segments_on_a_grid():
@@ -414,18 +392,6 @@ def test_transfer_function_of_a_box_on_a_grid(samples):
         transfer(split(of(APERTURES["box"])))
 
 
-def test_a_box_that_fits_its_grid_has_a_rim_all_the_same():
-    """Its squares are whole, yet they stand for the box and not for points."""
-    box = psf.Aperture.polygon(4 * MM * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]))
-    grid = of(box, nodes="grid", samples=65)
-    assert np.ptp(grid.weights) < 1e-12 * grid.weights.max()
-    grid = replace(grid, weights=np.full_like(grid.weights, grid.weights.max()))
-    window = {"pitch": 1e-6, "shape": 64}
-    spread = psf.point_spread(grid, method="mdft", **window)
-    missed = error(spread, psf.point_spread(of(box), **window, model="scalar"))
-    assert 1e-6 < missed < spread.error_estimate < 1e-3
-
-
 def test_squares_that_two_cells_share_count_as_one_of_them():
     left = psf.Aperture.polygon(3 * MM * np.array([(-1, -1), (0, -1), (0, 1), (-1, 1)]))
     # not of one width, or what is wrong would be a quarter wave off everywhere
@@ -444,54 +410,7 @@ def test_squares_that_two_cells_share_count_as_one_of_them():
 # energy
 
 
-@pytest.mark.parametrize("name", ["ellipse", "ring", "box", "arrow", "lens"])
-def test_light_far_out_is_that_of_the_perimeter(name):
-    """All light but ``perimeter lambda d/(2 pi^2 A r)``, from the overlap of displaced pupils."""
-    aperture = APERTURES[name]
-    wave = of(aperture)
-    spread = psf.point_spread(wave, pitch=0.7e-6, shape=601, tol=0.01)
-    radii = np.array([140e-6, 200e-6])
-    beyond = 1 - psf.encircled_energy(spread, radii)
-    scale = aperture.perimeter * WAVELENGTH * DISTANCE / (2 * np.pi**2 * aperture.area)
-    # circles through pixels, and what the corners add, of order 1/r^2
-    assert beyond == approx(scale / radii, rel=0.05)
-
-
-def test_upright_edges_within_rounding_send_light_the_same_way():
-    """Each of the two may lean to either side by rounding; they count together all the same."""
-    reaches = []
-    for lean in (0.0, 1e-19, -1e-19):
-        corners = BOX[:, ::-1] - np.array([3 * MM, 0])  # one of the long edges is at 0, and leans
-        corners[2, 0] = lean
-        aperture = psf.Aperture.polygon(corners)
-        reaches.append(rim_tails.reach(aperture, WAVELENGTH * DISTANCE, 1e-6, 1e-6))
-    assert reaches == approx([reaches[0]] * 3, rel=1e-6)  # to what edges are told apart by
-
-
-@pytest.mark.parametrize("name", ["box", "hexagons", "ellipse"])
-def test_pixels_beyond_the_window_are_dark(name):
-    wave = of(APERTURES[name])
-    pitch = 1.5e-6
-    side = psf.window_shape(wave, pitch=pitch, tol=1e-3)
-    wide = psf.point_spread(wave, pitch=pitch, shape=2 * side + 1, pixel_integrated=True)
-    cut = slice((side + 3) // 2, (side + 3) // 2 + side)
-    outside = np.array(wide.intensity)
-    outside[cut, cut] = 0.0
-    assert outside.max() < 1e-3 * wide.intensity.max()
-    assert outside.max() > 1e-5 * wide.intensity.max()  # nor is it far too wide
-
-
 # other transforms
-
-
-def test_spherical_waves_of_a_slow_beam_agree():
-    wave = of(APERTURES["arrow"].moved((-4 * MM, -4 * MM)), bumpy, image_distance=2.0)
-    spread = psf.point_spread(wave, pitch=30e-6, shape=16, normalisation="ideal-peak", tol=1e-5)
-    y, x = np.meshgrid(spread.y, spread.x, indexing="ij")
-    points = np.stack([x, y, 2.0 + 0 * x], axis=-1).reshape(-1, 3)
-    waves, _ = spherical_waves(wave, points, counts=(40, 40))
-    # F/70: 1/(4 N^2) is 5e-5, times the slopes' square over the window
-    assert np.abs(waves.reshape(16, 16) - spread.intensity).max() < 1e-3 * waves.max()
 
 
 def strong(u, v):
@@ -499,7 +418,8 @@ def strong(u, v):
     return WAVELENGTH * (24 * (u / (9 * MM)) ** 2 + 16 * (v / (9 * MM)) ** 3)
 
 
-@pytest.mark.parametrize("name", ["ellipse", "arrow", "hexagons"])
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["ellipse", "arrow"])
 def test_rays_land_within_their_estimate(name):
     wave = of(APERTURES[name], strong)
     window = {"pitch": 24e-6, "shape": 41, "pixel_integrated": True}
@@ -519,12 +439,3 @@ def test_rays_of_a_disc_are_those_of_polar_nodes():
     # rays on other places, a quarter of a pixel apart
     assert error(cells, polar) < 0.02
     assert cells.error_estimate == approx(polar.error_estimate, rel=0.1)
-
-
-def test_table_of_transforms():
-    table = psf.compare(of(APERTURES["box"], bumpy), shape=32)
-    ran = {row.method for row in table.rows if row.seconds is not None}
-    assert ran == {"quadrature", "fft"}
-    reasons = {row.method: row.reason for row in table.rows}
-    assert "method='quadrature'" in reasons["airy"]
-    assert "wavefront.resampled" in reasons["nufft"]

@@ -57,28 +57,6 @@ def test_energy_in_circles_and_squares(uneven):
     assert psf.encircled_energy(uneven, []).shape == psf.ensquared_energy(uneven, []).shape == (0,)
 
 
-@pytest.mark.parametrize(
-    ("shape", "pixels"), [((9, 12), 4.5), ((12, 9), 4.5), ((10, 7), 3.5), ((8, 30), 3.5)]
-)
-def test_figures_reach_the_window_and_no_farther(shape, pixels):
-    flat = pictured(np.ones(shape))
-    edge, count = pixels * PITCH, shape[0] * shape[1]
-    assert psf.encircled_energy(flat, edge * (1 - 1e-9)) == approx(
-        0.83 * math.pi * pixels**2 / count, rel=1e-8
-    )
-    assert psf.ensquared_energy(flat, 2 * edge * (1 + 9e-13)) == approx(
-        0.83 * 4 * pixels**2 / count, rel=1e-11
-    )
-    wide = edge * (1 + 1e-9)
-    with pytest.raises(
-        SamplingError, match=f"radius = {wide:.3g} m passes .* edge at {edge:.3g} m"
-    ):
-        psf.encircled_energy(flat, [1e-7, wide])
-    message = f"side = {2 * wide:.3g} m passes the window, which holds {2 * edge:.3g} m"
-    with pytest.raises(SamplingError, match=message):
-        psf.ensquared_energy(flat, [1e-7, 2 * wide])
-
-
 def test_sizes_that_are_no_sizes(uneven):
     for bad in (-1e-9, math.nan, math.inf):
         with pytest.raises(SceneError, match=re.escape("give finite radii of at least 0")):
@@ -119,23 +97,6 @@ def test_widths_of_a_gaussian_off_the_centre(row, column):
     half = 2 * math.sqrt(2 * math.log(2)) * PITCH
     # polynomials of the tenth degree on 1.7 samples per standard deviation
     assert psf.fwhm(pictured(spot)) == approx((2.3 * half, 1.7 * half), rel=3e-4)
-
-
-@pytest.mark.parametrize("ends", [(1, 1), (1, 0), (0, 1)])
-def test_widths_of_few_samples(ends):
-    """A parabola through three to five samples, which may fall below half at the last of them."""
-    left, right = (2 - end for end in ends)
-    i = np.arange(-left, right + 1)
-    cut = 1 - 0.3 * i**2 if max(left, right) == 1 else 1 - 0.2 * i**2
-    known = abs(cut[0]) < 0.5 and abs(cut[-1]) < 0.5
-    spread = pictured(np.outer([0.2, 1.0, 0.1], cut))
-    if not known:
-        with pytest.raises(SamplingError, match=f"edge of the window of {cut.size} samples"):
-            psf.fwhm(spread)
-    wide = pictured(np.outer([0.1, 1.0, 0.1], 1 - 0.21 * np.arange(-2, 3) ** 2))
-    assert psf.fwhm(wide) == approx(
-        [2 * math.sqrt(0.5 / 0.21) * PITCH, 2 * math.sqrt(0.5 / 0.9) * PITCH], rel=1e-9
-    )
 
 
 def scattered(n=400, seed=5, **terms):
@@ -189,33 +150,6 @@ def test_scattered_nodes_after_removal(remove):
     assert psf.strehl(wave, remove=remove) == approx(ratio, rel=1e-9)
 
 
-@pytest.mark.parametrize("waves", [0.0, 1.1])
-def test_brightest_point_of_an_uneven_grid(waves):
-    """Coma lifts other maxima, among which a search from the wrong side ends."""
-
-    def path(u, v):
-        x, y = u / RADIUS, v / RADIUS
-        return rough(u, v) + waves * WAVELENGTH * (x * x + y * y) * (x - 0.4 * y)
-
-    wave = psf.Wavefront.from_function(
-        path, amplitude=lambda u, v: 1 + 0.5 * v / RADIUS, nodes="grid", samples=64, **SYSTEM
-    )
-    pupil = wave.amplitude * wave.weights * np.exp(2j * math.pi / WAVELENGTH * wave.aberration)
-    best, place, step = 0.0, np.zeros(2), 2.5e-5
-    for _ in range(14):  # ever finer lattices about the best point
-        offsets = np.linspace(-step, step, 41)
-        x, y = (place[k] + offsets for k in (0, 1))
-        turn = -2j * math.pi / (WAVELENGTH * DISTANCE)
-        along = np.exp(turn * np.outer(x, wave.u)), np.exp(turn * np.outer(y, wave.v))
-        found = np.abs((along[1] * pupil.ravel()) @ along[0].T) ** 2
-        row, column = np.unravel_index(found.argmax(), found.shape)
-        best, place, step = found.max(), np.array([x[column], y[row]]), step / 5
-    ratio = best / np.sum(wave.amplitude * wave.weights) ** 2
-    assert np.hypot(*place) > 1e-6
-    assert psf.peak_strehl(wave) == approx(ratio, rel=1e-9)
-    assert psf.peak_strehl(replace(wave, image_distance=-DISTANCE)) == approx(ratio, rel=1e-9)
-
-
 @pytest.mark.parametrize(("ordering", "first"), [("noll", 1), ("osa", 0), ("fringe", 1)])
 @pytest.mark.parametrize("n", [1, 6])
 def test_fits_of_each_ordering(ordering, first, n):
@@ -259,43 +193,3 @@ def test_nodes_that_do_not_determine_a_fit():
             else:
                 with pytest.raises(MemoryLimitError, match="a fit of 3 Zernike terms needs"):
                     psf.fit_zernike(few, 3)
-
-
-def test_spot_of_scattered_rays():
-    """Slopes of a polynomial: lit rays alone, from the axis, with the energy of each."""
-    wave = psf.Wavefront.from_function(
-        rough,
-        amplitude=lambda u, v: (1 + 0.4 * u / RADIUS) * (v > -0.5 * RADIUS),
-        nodes="grid",
-        samples=96,
-        **SYSTEM,
-    )
-    spots = psf.spot_diagram(wave)
-    share = (wave.amplitude**2 * wave.weights).ravel()
-    share = share[share > 0] / share.sum()
-    assert spots.energy == approx(share, rel=1e-12)
-    lit = wave.amplitude * wave.weights > 0
-    u, v = wave.u[lit] / RADIUS, wave.v[lit] / RADIUS
-    scale = DISTANCE * WAVELENGTH / RADIUS
-    x = scale * (0.21 + 0.34 * u + 0.15 * u**2 - 0.04 * v)
-    y = scale * (-0.13 + 0.34 * v - 0.04 * u)
-    middle = (share @ x, share @ y)
-    # one-sided slopes at the rim of a grid
-    assert np.median(np.abs(spots.x - x)) < 1e-3 * scale
-    assert np.median(np.abs(spots.y - y)) < 1e-3 * scale
-    assert spots.centroid == approx(middle, abs=5e-3 * scale)
-    radius = math.sqrt(share @ ((x - middle[0]) ** 2 + (y - middle[1]) ** 2))
-    assert spots.radius == approx(radius, rel=1e-2)
-    for values in (spots.x, spots.y, spots.energy):
-        assert not values.flags.writeable
-
-
-@pytest.mark.parametrize("rings", [3, 60])
-def test_rays_of_more_rings_than_samples(rings):
-    wave = psf.Wavefront.from_zernike({4: 1e-7}, **SYSTEM)
-    n_r, n_theta = wave.u.shape
-    assert psf.spot_diagram(wave).x.size == max(24, n_r) * max(48, n_theta)
-    spots = psf.spot_diagram(wave, rings=rings)
-    assert spots.x.size == max(rings, n_r) * max(2 * rings, n_theta)
-    with pytest.raises(SceneError, match="rings = 0"):
-        psf.spot_diagram(wave, rings=0)

@@ -244,6 +244,9 @@ def test_nodes_in_a_line_are_refused():
         psf.point_spread(line, pitch=UNIT / 4, shape=32)
 
 
+# comparison
+
+
 def test_absurd_windows_are_refused_before_they_are_allocated():
     wave = scattered_wave({}, sunflower(500))
     for method in ("auto", "nufft"):

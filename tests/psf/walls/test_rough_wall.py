@@ -173,18 +173,6 @@ def test_run_of_a_small_picture_uses_patterns(letter):
     assert result.errors["field of point spreads"] < 0.1
 
 
-def test_error_of_the_mean_is_that_of_few_facets(letter):
-    """The predicted difference of the images, against images of several walls by rays."""
-    from nlosoptics.runs.patterns import _mean_error
-
-    scene = rough(letter, FacetWall(2e-3, 2e-3, seed=0))
-    predicted = _mean_error(seen_by(scene), scene.hidden)
-    assert 1e-3 < predicted < 0.1
-    finer = rough(letter, FacetWall(1e-3, 2e-3, seed=0))
-    # four times as many facets: half the difference
-    assert _mean_error(seen_by(finer), finer.hidden) == pytest.approx(predicted / 2, rel=1e-6)
-
-
 def test_a_cut_cone_cannot_be_traced_on_steep_facets(letter):
     wall = replace(letter.wall, size=(0.011, 0.011))
     scene = rough(replace(letter, wall=wall, laser=letter.laser), FacetWall(1e-3, 3e-2))
@@ -197,13 +185,6 @@ def test_statistical_paths_take_the_mean_of_the_roughness(letter):
     scene = rough(letter, FACETS)
     lobe = replace(letter, wall_material=SpecularMicrofacet(0.05, FACETS.slope_rms))
     assert scene.mirror_lobes == lobe.wall_material.mirror_lobes
-    wave = psf.wavefront(letter)
-    pitch = scene.camera.image_pitch / 8
-    one, other = (
-        psf.lobe_point_spread(s, wave, pitch=pitch, shape=9, tol=1e-2).intensity
-        for s in (scene, lobe)
-    )
-    np.testing.assert_array_equal(one, other)
 
 
 def test_facets_too_fine_for_any_window_are_refused(letter):
