@@ -76,34 +76,6 @@ def scene():
     )
 
 
-def description():
-    """The same as numbers for JSON: m and W; the lit spot stands for the laser."""
-    vertices, faces = letter_triangles()
-    strokes = np.multiply(STROKES, CELL)
-    return {
-        "letter": {"vertices": (vertices + LETTER).tolist(), "faces": faces.tolist()},
-        "strokes": [
-            {"centre": [x - (a + b) / 2, y + (c + d) / 2, z], "size": [b - a, d - c]}
-            for (x, y, z), (a, b, c, d) in ((LETTER.tolist(), row) for row in strokes.tolist())
-        ],
-        "letter_albedo": LETTER_ALBEDO,
-        "wall": WALL,
-        "wall_albedo": WALL_ALBEDO,
-        "spot": SPOT.tolist(),
-        "spot_area": math.pi / 4 * BEAM**2 / math.cos(INCIDENCE),
-        "spot_power": WALL_ALBEDO * POWER,
-        "camera": {
-            "position": CAMERA.tolist(),
-            "aim": [0.0, 0.0, 0.0],
-            "sensor": SENSOR,
-            "image_distance": FOCAL_LENGTH * FOCUS / (FOCUS - FOCAL_LENGTH),
-            "focus_distance": FOCUS,
-            "stop_diameter": STOP,
-            "transmission": TRANSMISSION,
-        },
-    }
-
-
 def rectangle(low, high, nodes):
     """Gauss-Legendre points (n, 2) and weights (n,) of a rectangle."""
     t, w = np.polynomial.legendre.leggauss(nodes)

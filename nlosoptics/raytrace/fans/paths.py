@@ -131,9 +131,9 @@ class RayPaths(Noun):
     queries: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        arrays = (self.points, self.path_length, self.weight, self.n_bounces, self.status)
-        arrays += (self.surface, self.lobe, self.by_bounce, self.by_bounce_error)
-        for array in arrays:
+        for name in ("points", "path_length", "weight", "n_bounces", "status", "surface", "lobe"):
+            getattr(self, name).flags.writeable = False
+        for array in (self.by_bounce, self.by_bounce_error):
             array.flags.writeable = False
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -402,7 +402,7 @@ def _bins(
     )
 
 
-def _means(sums: Array, rays: int) -> dict[str, Array]:
+def _means(sums: Array, rays: int) -> dict[str, Any]:
     """Return the means of `Film` sums (groups, layers, ...), W, and their errors, by field."""
     power, variance = mean_map(sums[:, 1:].sum(axis=1), rays)
     layers = [mean_map(sums[:, k], rays) for k in range(sums.shape[1])]

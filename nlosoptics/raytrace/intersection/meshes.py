@@ -88,7 +88,8 @@ def intersect_mesh(
 
     Notes
     -----
-    Large meshes, of more than 256 triangles, are first searched in single precision. A ray may then
+    Large meshes, of more than 256 triangles, are first searched in single precision by the library
+    Embree, where it is installed (there is no wheel for Linux on ARM processors). A ray may then
     be assigned a wrong triangle, or none, in two cases: where two sheets of the mesh are closer to
     each other than 1e-6 of its extent, and where the ray passes within this distance of a sharp
     corner or of the mesh's silhouette as seen along the ray. Smaller meshes are searched

@@ -25,8 +25,6 @@ Found = tuple[Array, Array, Array, NDArray[np.int32]]
 ASIDE: Final = 1e-6  # lateral displacement of rays, in half extents; 16 roundings of float32
 MARGIN: Final = 3e-6  # largest lateral error of Embree, in half extents, including ASIDE
 SMALL: Final = 1e-3  # parts below this share of the mesh's extent need a finer scale than Embree's
-
-
 NO_LIMIT: Final = np.empty(0)
 
 

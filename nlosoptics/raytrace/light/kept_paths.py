@@ -34,7 +34,8 @@ def kept_paths(
     surfaces = np.full(points.shape[:2], NO_SURFACE, dtype=np.int8)
     lobes = np.full_like(surfaces, -1)
     for j, vertex in enumerate(vertices):
-        come, go = _units(corners[j] - corners[j + 1]), _units(corners[j + 2] - corners[j + 1])
+        ways = [corners[i] - corners[j + 1] for i in (j, j + 2)]
+        come, go = (way / np.maximum(np.sqrt(dot(way, way)), 1e-300)[:, None] for way in ways)
         for kind, surface, table in (
             (surround.WALL, ON_WALL, world.wall),
             (surround.OBJECT, ON_OBJECT, world.thing),
@@ -61,9 +62,3 @@ def _strongest(table: Array, come: Array, go: Array, normals: Array) -> NDArray[
             # a smooth mirror has no finite value; all light in its exact direction is its own
             values[j, mirrored] = np.inf if table[j, 1] * table[j, 3] > 0.0 else 0.0
     return np.asarray(values.argmax(axis=0), dtype=np.int8)
-
-
-def _units(vectors: Array) -> Array:
-    """Return vectors (n, 3) divided by their lengths; zero vectors stay zero."""
-    length = np.sqrt(dot(vectors, vectors))
-    return np.asarray(vectors / np.where(length > 0.0, length, 1.0)[:, None])

@@ -91,20 +91,9 @@ def flux_of(
         if not (plan.glossy or plan.wall_to_wall):
             break
         onward = block.rays.onward(light, bounce)
-        kernels.lens_hits(
-            world,
-            counted,
-            plan.glossy,
-            bounce == 1,
-            light,
-            block.rays.leave,
-            onward,
-            block.rays.fates,
-            by_mirrors,
-            block.value,
-            *block.at,
-            block.imaged,
-        )
+        walk = (light, block.rays.leave, onward, block.rays.fates, by_mirrors)
+        seen = (block.value, *block.at, block.imaged)
+        kernels.lens_hits(world, counted, plan.glossy, bounce == 1, *walk, *seen)
         block.book(bounce)
         block.keep()
         if not plan.wall_to_wall:

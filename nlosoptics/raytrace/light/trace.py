@@ -192,7 +192,7 @@ def until_done(
         )
     begun = time.perf_counter()
     total, counts, kept = np.zeros((GROUPS, job.columns)), Counter[str](), []
-    done, stopped = 0, "rays"
+    done, stopped, report = 0, "rays", progress or (lambda stage, share: None)
     goal = min(most, FIRST) if open_end else most
     while True:
         for sums, asked, paths in blocks(done, goal):
@@ -201,9 +201,9 @@ def until_done(
             counts += asked
             kept += paths
             spent = time.perf_counter() - begun
-            if progress is not None and tol is None:
+            if tol is None:
                 share = spent / max_seconds if max_seconds is not None else 0.0
-                progress("rays", min(1.0, max(share, counts["rays"] / most)))
+                report("rays", min(1.0, max(share, counts["rays"] / most)))
             if max_seconds is not None and spent > max_seconds:
                 stopped = "time"
                 break
@@ -215,8 +215,7 @@ def until_done(
             if flux > 0.0 and error <= tol * flux:
                 stopped = "tol"
                 break
-            if progress is not None:
-                progress("rays", min(0.99, (tol * flux / error) ** 2) if error > 0.0 else 0.0)
+            report("rays", min(0.99, (tol * flux / error) ** 2) if error > 0.0 else 0.0)
             if flux == 0.0 and done >= GIVE_UP:
                 raise SceneError(
                     f"no light of {done} rays reached the detector via the hidden object, but tol "
@@ -224,8 +223,7 @@ def until_done(
                     "instead of tol"
                 )
         goal = min(most, 2 * done)
-    if progress is not None:
-        progress("rays", 1.0)
+    report("rays", 1.0)
     return result_of(job, total, counts, kept, stopped, time.perf_counter() - begun)
 
 
