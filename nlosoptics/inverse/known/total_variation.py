@@ -107,7 +107,7 @@ def tv_deconvolve(
     --------
     wiener : Linear filter that weighs the noise.
     richardson_lucy : Multiplicative, non-negative iteration.
-    registered_scores : Correlation, PSNR and SSIM with the truth.
+    registered_correlation : Correlation with the truth.
 
     Notes
     -----
