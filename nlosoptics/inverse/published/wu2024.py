@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ..._checks import in_range, one_of, positive, whole
@@ -330,8 +329,8 @@ class _Pcin(Solver[_Turns]):
             "model": model,
             "background": beside(self.data, level, model)[0],
             "status": "trivial" if alike > 0.95 else "unconverged",
-            "coefficients": _frozen(coefficients.to(torch.float64)),
-            "network_weights": _frozen(joined(list(network.parameters()))),
+            "coefficients": coefficients.to(torch.float64).cpu().numpy(),
+            "network_weights": joined(list(network.parameters())).cpu().numpy(),
             "network_base": float(network.base),
             "network_depth": float(network.depth),
             "strehl": float(model.kernel.max() / flat.kernel.max()),
@@ -398,9 +397,3 @@ def _from_earlier(
     spread("network_weights", found["network_weights"], list(network.network.parameters()))
     angles = torch.from_numpy(np.array(found["coefficients"])).to(pupil_psf.coefficients)
     return angles, network
-
-
-def _frozen(values: Tensor) -> NDArray[Any]:
-    array = values.cpu().numpy().copy()
-    array.flags.writeable = False
-    return array
