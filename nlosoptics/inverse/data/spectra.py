@@ -40,7 +40,7 @@ def frame_transfer(transfer: NDArray[np.complex128], model: ForwardModel) -> NDA
     """Return a transfer function on a model's grid, at the frequencies of its frame."""
     kernel = irfft2(transfer, model.grid[1])
     for axis, (side, length) in enumerate(zip(model.grid, model.shape, strict=True)):
-        # Offsets of at least the frame's length are negative ones, see `padded_transfer`.
+        # Offsets of at least the frame's length are negative ones.
         offsets = np.arange(side)
         offsets = np.where(offsets < length, offsets, offsets - side) % length
         wrapped = np.zeros((length, kernel.shape[1 - axis]))

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement, PupilPSF, evidence_fit, pcin, registered_correlation
 from nlosoptics.inverse.blind.evidence_search import Search
 from nlosoptics.inverse.blind.free_energy import FreeEnergy, Stage
@@ -47,9 +48,9 @@ def images(size, coefficients, defocus=DEFOCUS, *, noise=0.01, background=0.2, s
     """Images on a period of two frames, whose point spread the fit never sees."""
     wide = PupilPSF.from_zernike(MODES, shape=2 * size, dtype=torch.float64, **OPTICS)
     with torch.no_grad():
-        seen = wide.image(
-            torch.from_numpy(letter(size)), torch.as_tensor(coefficients), defocus=defocus
-        ).numpy()
+        spreads = wide(torch.as_tensor(coefficients), defocus=defocus).numpy()
+    models = [ForwardModel(spread, shape=(size, size)) for spread in spreads]
+    seen = np.stack([model.forward(letter(size)) for model in models])
     sigma = noise * seen.max()
     return seen + background + sigma * np.random.default_rng(seed).normal(size=seen.shape), sigma
 
