@@ -72,7 +72,12 @@ def registered_correlation(
     1.0
     """
     upsampling = whole("upsampling", upsampling)
-    first, second = _pair(reconstruction, truth)
+    first, second = _mean_free("reconstruction", reconstruction), _mean_free("truth", truth)
+    if first.shape != second.shape:
+        raise SamplingError(
+            f"reconstruction has shape {first.shape} and truth {second.shape}; "
+            "resample one to the other's pixels"
+        )
     norm = math.sqrt(float((first * first).sum()) * float((second * second).sum()))
     if norm == 0.0:
         return 0.0
@@ -93,22 +98,9 @@ def _highest_peak(first: Array, second: Array, upsampling: int) -> float:
     return float(max(correlation[peak], near.max() if upsampling > 1 else -math.inf))
 
 
-def _pair(reconstruction: Any, truth: Any) -> tuple[Array, Array]:
-    """Return both images minus their means, checked to have the same shape."""
-    if isinstance(reconstruction, Reconstruction):
-        reconstruction = reconstruction.object
-    first = _mean_free("reconstruction", reconstruction)
-    second = _mean_free("truth", truth)
-    if first.shape != second.shape:
-        raise SamplingError(
-            f"reconstruction has shape {first.shape} and truth {second.shape}; "
-            "resample one to the other's pixels"
-        )
-    return first, second
-
-
 def _mean_free(name: str, image: Any) -> Array:
-    values = real_array(name, image)
+    """Return an image minus its mean, checked."""
+    values = real_array(name, image.object if isinstance(image, Reconstruction) else image)
     if values.ndim != 2 or not values.size:
         raise SamplingError(f"{name} has shape {values.shape}; give one image, (H, W)")
     check_finite(name, values, "replace them before comparing")

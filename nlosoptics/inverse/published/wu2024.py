@@ -20,7 +20,7 @@ from ..data._threads import gradients, single_thread
 from ..data.adam import descend, joined, spread
 from ..data.arrays import real_array
 from ..data.driver import Iterate, Run, Solver, reconstructed, solved
-from ..data.measurement import Measurement, measured
+from ..data.measurement import measured
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from ..data.scaled_images import ScaledImage, total_variation
@@ -176,7 +176,17 @@ def wu2024_fit(
     tv_weight = in_range("tv_weight", tv_weight, 0.0)
     rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
     one_of("network_input", network_input, ("image", "reconstruction", "noise"))
-    image = _only(measured(images), pupil_psf)
+    if not isinstance(pupil_psf, PupilPSF):
+        raise SceneError(
+            f"pupil_psf of type {type(pupil_psf).__name__} is no PupilPSF; build one with "
+            "PupilPSF.from_zernike"
+        )
+    image, *others = measured(images).each()
+    if others:
+        raise SamplingError(
+            f'images has {1 + len(others)} frames, recipe "wu2024" takes one; give one of them, or '
+            'all of them to recipe "evidence"'
+        )
     if defocus is not None:
         defocus = np.atleast_1d(real_array("defocus", defocus))
     optics = _Optics(pupil_psf, known_defoci(defocus, 1).tolist())
@@ -301,20 +311,15 @@ class _Pcin(Solver[_Turns]):
         noise = self.data.sigma / self.image.unit
         ends = (state.count + 1) % self.every == 0 or state.count + 1 == self.max_iterations
         if self.feeds_back and ends:
-            self.network.set_guide(self.object())
+            with torch.no_grad():
+                self.network.set_guide(self.network())
             state.guide = self.network.guide
         return loss.item(), rms / noise if noise > 0.0 else rms, change.item()
-
-    def object(self) -> Tensor:
-        """Return the current output of the network, (H, W), 0 to 1."""
-        with torch.no_grad():
-            picture: Tensor = self.network()
-        return picture
 
     def level(self, state: _Turns) -> Tensor:
         """Return the object (H, W) in image units."""
         with torch.no_grad():
-            picture = self.object()
+            picture = self.network()
             gain = self.image.misfit(_seen(picture, self.optics.transfer(self.angles)))[0].item()
         return gain * self.image.unit * picture.double()
 
@@ -323,7 +328,7 @@ class _Pcin(Solver[_Turns]):
         coefficients = self.angles.detach()
         model = self.optics.model(coefficients)
         flat = _Optics(self.optics.pupil_psf, [0.0]).model(torch.zeros_like(coefficients))
-        alike = registered_correlation(self.object(), self.data.data)
+        alike = registered_correlation(level, self.data.data)
         network = self.network.network
         return {
             "model": model,
@@ -342,22 +347,6 @@ def _seen(picture: Tensor, transfer: Tensor) -> Tensor:
     """Return the modelled image, eq. 8 of the paper without noise."""
     seen: Tensor = torch.fft.irfft2(torch.fft.rfft2(picture) * transfer, s=picture.shape)
     return seen
-
-
-def _only(images: Measurement, pupil_psf: PupilPSF) -> Measurement:
-    """Return the single image, (H, W), of a measurement (H, W) or (1, H, W)."""
-    if not isinstance(pupil_psf, PupilPSF):
-        raise SceneError(
-            f"pupil_psf of type {type(pupil_psf).__name__} is no PupilPSF; build one with "
-            "PupilPSF.from_zernike"
-        )
-    one, *others = images.each()
-    if others:
-        raise SamplingError(
-            f'images has {1 + len(others)} frames, recipe "wu2024" takes one; give one of them, or '
-            'all of them to recipe "evidence"'
-        )
-    return one
 
 
 def _random_angles(pupil_psf: PupilPSF, start_rms: float | None, seed: int) -> Tensor:
