@@ -82,32 +82,14 @@ def case(
 ) -> Case:
     """Images of one object by one or more walls.
 
-    Parameters
-    ----------
-    object_name : str
-        A picture of examples/objects or of the test objects in NLOSOPTICS_DATA, or a path.
-    wall_seed : int
-        The same seed is the same wall, whatever the object.
-    rms_waves : float
-        Of the wave at the exit pupil, without piston and tilt.
-    size : int
-        Image pixels along each side; the picture fills them.
-    noise : float
-        rms over the blurred image's maximum.
-    defocus : tuple of float
-        Known extra Noll-4 of each image, m rms.
-    n_walls : int
-        Walls, each of which is seen with every defocus.
-    noise_seed : int, optional
-        By default made of the wall's and the object's.
-    higher : float
-        rms of the modes n = 6..8 of a smooth wall, over that of the wall.
-    field_variation : float
-        rms by which the wave changes from the frame's centre to its edges, waves.
-    surround : float
-        Radiance around the frame, over that of white.
-    fine : int
-        Samples per pixel.
+    ``object_name`` is a picture of examples/objects or of the test objects in NLOSOPTICS_DATA, or a
+    path. The same ``wall_seed`` is the same wall, whatever the object; ``rms_waves`` is that of the
+    wave at the exit pupil, without piston and tilt. The picture fills ``size`` pixels along each
+    side. ``noise`` is rms over the blurred image's maximum, ``defocus`` the known extra Noll-4 of
+    each image, m rms, and each of ``n_walls`` walls is seen with every defocus. ``higher`` is the
+    rms of the modes n = 6..8 over that of the wall, ``field_variation`` the rms by which the wave
+    changes from the frame's centre to its edges, waves, and ``surround`` the radiance around the
+    frame over that of white; ``fine`` are samples per pixel.
     """
     if max(np.abs(defocus)) > 1e-4:
         raise ValueError(f"defocus = {defocus} m; give metres rms, waves * WAVELENGTH")
