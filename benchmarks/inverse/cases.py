@@ -33,25 +33,11 @@ HIGHER = tuple(range(22, 46))  # n = 6..8
 class Case:
     """Data of one fit, and the truth.
 
-    Parameters
-    ----------
-    images : ndarray, (K, H, W)
-        Electrons, [y, x]; wall by wall, and of each wall its defoci.
-    truth : ndarray, (H, W)
-        The picture as the camera would see it without blur, largest value 1.
-    defocus : ndarray, (K,)
-        Known extra Noll-4 of each image, m rms.
-    wall_of_image : ndarray of int, (K,)
-    noise_sigma : ndarray, (K,)
-        rms noise, electrons.
-    coefficients : ndarray, (n_walls, 18)
-        Noll 4 to 21 of each wall at the frame's centre, waves rms, least squares.
-    pupil : dict
-        ``wavelength``, ``pupil_radius``, ``image_distance`` and ``pitch`` (m), as
-        `inverse.PupilPSF.from_zernike` takes them.
-    wavefronts : tuple of psf.Wavefront
-        Of each wall, at the frame's centre.
-    name : str
+    ``images`` (K, H, W) are electrons, wall by wall and of each wall its defoci, with ``defocus``
+    (K,), m rms of Noll 4, ``wall_of_image`` (K,) and ``noise_sigma`` (K,). ``truth`` (H, W) is the
+    picture as the camera would see it without blur. ``coefficients`` (n_walls, 18) are Noll 4 to 21
+    of each wall at the frame's centre, waves rms; ``pupil`` are options of
+    `inverse.PupilPSF.from_zernike`, m.
     """
 
     images: np.ndarray
@@ -61,8 +47,6 @@ class Case:
     noise_sigma: np.ndarray
     coefficients: np.ndarray
     pupil: dict[str, float]
-    wavefronts: tuple[psf.Wavefront, ...]
-    name: str
 
 
 def case(
@@ -100,15 +84,14 @@ def case(
         "pupil_radius": pupil.radius,
         "image_distance": pupil.image_distance,
     }
-    images, sigmas, waves, coefficients, truth = [], [], [], [], None
+    images, sigmas, coefficients, truth = [], [], [], None
     number = _object_number(object_name)
     noise_seed = wall_seed if noise_seed is None else noise_seed
     rng = np.random.default_rng([noise_seed, number, 1])
     for wall in range(n_walls):
         draw = np.random.default_rng([wall_seed, wall, 0])
         shape = _Wall(draw, rms_waves, higher, field_variation)
-        waves.append(shape.wave((0.0, 0.0), 0.0, optics))
-        coefficients.append(_projected(waves[-1]))
+        coefficients.append(_projected(shape.wave((0.0, 0.0), 0.0, optics)))
         for extra in defocus:
             field = _field(shape, extra, optics, scene, fine)
             taken = imaging.form_image(scene, field, seed=0)
@@ -124,8 +107,6 @@ def case(
         noise_sigma=np.array(sigmas),
         coefficients=np.array(coefficients),
         pupil={**optics, "pitch": fine * scene.camera.image_pitch},
-        wavefronts=tuple(waves),
-        name=f"{object_name}-{wall_seed}-{rms_waves:g}w-{size}-{noise:g}",
     )
 
 
