@@ -3,8 +3,7 @@
     from pictures import fine_picture
     kind, picture = fine_picture(0, 17)
 
-The glyphs are those of the fonts that matplotlib ships, without the capital F and without arrows,
-which tests use. Nothing is drawn from examples/objects, from handwriting or from photographs.
+The glyphs are those of the fonts that matplotlib ships, without the capital F and without arrows.
 """
 
 from __future__ import annotations

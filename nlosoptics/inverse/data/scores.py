@@ -41,13 +41,6 @@ def registered_correlation(
     float
         Largest correlation over all shifts, 0 to 1; 0 if an image is uniform.
 
-    Raises
-    ------
-    SamplingError
-        If the shapes differ or are not two-dimensional.
-    SceneError
-        If a value is not finite or not a real number.
-
     See Also
     --------
     Reconstruction : Result of every solver.

@@ -67,12 +67,9 @@ def wiener(
     and no background is fitted, the mean square of the image takes the place of its variance.
 
     The equations of the minimum are solved by conjugate gradients, with the classical Wiener filter
-    as preconditioner. If ``model.boundary`` is "circular", the point spread function is the same
-    for all pixels and the noise is uniform, the result is that of the classical Wiener filter,
-    after one step.
-
-    If ``model.boundary`` is "padded", as by default, the object is assumed to be 0 outside the
-    image. The edges of the image then need no tapering and cause no ringing.
+    as preconditioner, which is the exact solution of a periodic image with uniform noise. If
+    ``model.boundary`` is "padded", the object is assumed to be 0 outside the image, so that the
+    edges cause no ringing.
 
     References
     ----------

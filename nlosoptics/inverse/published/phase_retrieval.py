@@ -87,13 +87,6 @@ def phase_retrieval(
         from the measured modulus. ``physical_parameters`` contains the least ``fourier_error``,
         ``object_size`` and ``noise_sigma``.
 
-    Raises
-    ------
-    SamplingError
-        If an array does not have the model's shape, or the autocorrelation shows no object.
-    SceneError
-        If a value is out of range or not finite.
-
     See Also
     --------
     object_from_autocorrelation : Object from a given autocorrelation.
@@ -107,11 +100,10 @@ def phase_retrieval(
     image. The object may fill at most half of the image's width. The result is the mean of the runs
     with nearly the least Fourier error.
 
-    Agreement of the two halves of the runs is no proof. Without the constraint to non-negative
-    values they can agree on a wrong object. In a box much larger than the object, a copy turned by
-    half a turn can be superimposed. A tight ``object_size`` helps most. The method "alternating"
-    [2]_ is proven to converge for random measurements, but not for the modulus of a Fourier
-    spectrum.
+    Agreement of the two halves of the runs is no proof: without the constraint to non-negative
+    values they can agree on a wrong object, and in a box much larger than the object, a copy turned
+    by half a turn can be superimposed. A tight ``object_size`` helps most. The method "alternating"
+    [2]_ is proven to converge for random measurements, but not for the modulus of a spectrum.
 
     References
     ----------
@@ -180,13 +172,6 @@ def object_from_autocorrelation(
     Reconstruction
         As from `phase_retrieval`, in an array of the autocorrelation's shape. ``status`` is
         "converged" if the score is at least 0.9.
-
-    Raises
-    ------
-    SamplingError
-        If the numbers of rows and columns are not odd, or the array shows no object.
-    SceneError
-        If a value is out of range or not finite.
 
     See Also
     --------

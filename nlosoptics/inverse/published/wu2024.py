@@ -108,13 +108,6 @@ def wu2024_fit(
         aberration) and ``iterations``. The status is "trivial" if the object is the image itself (a
         correlation of 0.95 or more), otherwise "unconverged" (see Notes).
 
-    Raises
-    ------
-    SamplingError
-        If there are several images, or shapes do not fit.
-    SceneError
-        If a value is out of range or not finite.
-
     See Also
     --------
     pcin : Reconstruction via an unknown wall.
@@ -156,11 +149,10 @@ def wu2024_fit(
     background take their least-squares values in every step, and the optimisers keep their state
     through the alternation. The image is treated as periodic, as equation 8 implies.
 
-    In tests with random angles and one image, this method never found the true object and wall. The
-    result was the image itself, or another object that agrees with the image within the noise
-    (`benchmarks/inverse/wu2024.py`). Fits that started at the true wall moved away from it. A
-    residual at the noise level is therefore no sign of success, and the status is never
-    "converged".
+    In tests with random angles and one image, this method never found the true object and wall, but
+    the image itself, or another object that agrees with the image within the noise
+    (`benchmarks/inverse/wu2024.py`). A residual at the noise level is therefore no sign of success,
+    and the status is never "converged".
 
     References
     ----------

@@ -65,6 +65,15 @@ class PupilPSF(nn.Module):
         per pupil radius. Unlike all lengths, which are in m, they are in units of the wavelength,
         so that the steps of an optimiser have a suitable size.
 
+    Raises
+    ------
+    SceneError
+        If a length, mode or angle is out of range or not finite, or coefficients are no tensor.
+    SamplingError
+        If pitch and shape do not resolve the pupil or the image, or shapes do not match.
+    CausticError, NotWaveGradeError
+        If the wave of a scene is undefined, see `psf.wavefront`.
+
     See Also
     --------
     pcin : Reconstruction via an unknown wall.
@@ -127,13 +136,6 @@ class PupilPSF(nn.Module):
         -------
         PupilPSF
             PSF with ``coefficients`` of shape (M,), waves rms.
-
-        Raises
-        ------
-        SceneError
-            If a length or mode is out of range.
-        SamplingError
-            If pitch or shape do not resolve the pupil or the image.
 
         Examples
         --------
@@ -237,15 +239,6 @@ class PupilPSF(nn.Module):
         -------
         PupilPSF
             PSF with ``coefficients`` of shape (M,), waves rms.
-
-        Raises
-        ------
-        CausticError, NotWaveGradeError
-            If W is undefined, see `psf.wavefront`.
-        SamplingError
-            If pitch or shape do not resolve the pupil or the image.
-        SceneError
-            If the scene, a mode or a length is invalid.
         """
         wave = wavefront(scene, object_point, "polar")
         optics = optics_of(wave, pitch, shape, **options)
@@ -278,14 +271,6 @@ class PupilPSF(nn.Module):
         """Compute the PSF: energy per sample, (..., H, W), or (..., K, H, W) with ``defocus``.
 
         It is centred at [H//2, W//2] and sums to 1.
-
-        Raises
-        ------
-        SamplingError
-            If a shape or the coefficients' dtype does not match.
-        SceneError
-            If the coefficients are not a tensor, or a defocus is not finite or exceeds 1e-3 m rms:
-            such a large value was probably given in waves instead of metres.
         """
         return self.optics.point_spread(self._turns(coefficients, defocus))
 
