@@ -326,10 +326,12 @@ def _without_object(
 
 def _levels(frames: Frames, gain: float, backgrounds: Floats) -> dict[str, Any]:
     """Return gain, backgrounds and noise in image units; numbers for one image, else arrays."""
-    each: dict[str, Any] = {"background": backgrounds, "noise_sigma": frames.sigmas * frames.scale}
-    if len(frames.measured) == 1:
-        each = {name: float(values[0]) for name, values in each.items()}
-    return {"gain": gain, **each}
+    one, sigmas = len(frames.measured) == 1, frames.sigmas * frames.scale
+    return {
+        "gain": gain,
+        "background": float(backgrounds[0]) if one else backgrounds,
+        "noise_sigma": float(sigmas[0]) if one else sigmas,
+    }
 
 
 def _walls_first(frames: Frames, count: int) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,15 +103,11 @@ class Ending:
         return abs(earlier - residuals[-1]) <= LIMITS.drift * residuals[-1]
 
 
-@dataclass(frozen=True, eq=False)
-class Judgement:
+class Judgement(NamedTuple):
     """Status of a fit, the reasons against "converged", and the estimated error of a sharp fit.
 
-    ``status``: "does_not_fit" if a test of the model failed; otherwise "too_few_photons" if the
-    noise hides most of the object. ``reasons``: A sentence for each failed test, with the value,
-    the limit and a likely cause. ``expected_correlation``: correlation with the truth to expect if
-    the model is right; None without a second fit. ``error`` (H, W): estimated error of each pixel
-    of the object, image units; None without a second fit.
+    ``expected_correlation`` and ``error`` (H, W), image units, hold if the model is right; None
+    without a second fit.
     """
 
     status: Status

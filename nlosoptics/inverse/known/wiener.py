@@ -20,9 +20,6 @@ from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from .conjugate_gradients import conjugate_direction
 
-# Transmitted power, relative to that of the mean, that is only rounding error.
-_ROUNDING = 1e-12
-
 
 @single_thread()
 def wiener(
@@ -143,7 +140,7 @@ class _NormalEquations(Solver[_Gradients]):
             steady = data.background(data.background_strength(data.data))
         elif data.is_noise_about(steady):  # only the mean is left to scale the prior
             steady, passed = 0.0, passed + of_mean
-        if passed <= _ROUNDING * of_mean:  # an even kernel over a periodic frame, or one pixel
+        if passed <= 1e-12 * of_mean:  # an even kernel over a periodic frame, or one pixel
             passed = of_mean
         # A detected object may be fainter than the error of the whole frame's mean square.
         excess = max(data.score(steady) ** 2 - 1.0, math.sqrt(2.0 / data.counted))
