@@ -41,10 +41,11 @@ class Starts:
 
     ``coefficients`` (B, M): Zernike coefficients of the walls, waves rms; those of several walls
     one after the other. ``free`` (B, H, W): free parameters x of the objects (x + sqrt(x^2 +
-    s^2))/2. ``gains`` (B, K): relative brightness of the images. ``variances`` (B, 2): posterior variances of the objects' differences along x and y. ``energy`` (B,): free energy at
-    the end of the last stage, infinite before. ``chi_square`` (B, K): mean squared residual of each
-    image over its noise variance. ``radius`` (B,): fixed norm of the coefficients, waves rms;
-    infinite if it is free.
+    s^2))/2. ``gains`` (B, K): relative brightness of the images. ``variances`` (B, 2): posterior
+    variances of the objects' differences along x and y. ``energy`` (B,): free energy at the end of
+    the last stage, infinite before. ``chi_square`` (B, K): mean squared residual of each image over
+    its noise variance. ``radius`` (B,): fixed norm of the coefficients, waves rms; infinite if it
+    is free.
     """
 
     coefficients: Floats
