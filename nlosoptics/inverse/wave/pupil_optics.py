@@ -147,9 +147,11 @@ class PupilOptics(nn.Module):
         ``turns`` (..., n_v, n_u) is the wave aberration divided by the wavelength.
         """
         if not self.pixel_integrated:
-            return torch.fft.fftshift(self._periodic(turns), dim=(-2, -1))
-        spread = torch.fft.irfft2(self.transfer(turns), s=self.shape)
-        return torch.fft.fftshift(spread, dim=(-2, -1))
+            spread = self._periodic(turns)
+        else:
+            spread = torch.fft.irfft2(self.transfer(turns), s=self.shape)
+        centred: Tensor = torch.fft.fftshift(spread, dim=(-2, -1))
+        return centred
 
     def transfer(self, turns: Tensor) -> Tensor:
         """Return ``rfft2`` of the point spreads, (..., H, W//2 + 1), their centre at sample [0, 0].
@@ -195,7 +197,8 @@ class PupilOptics(nn.Module):
         phase = turns * math.copysign(2 * math.pi, self.image_distance)
         pupil = torch.complex(self._amplitude * phase.cos(), self._amplitude * phase.sin())
         field = torch.fft.fft(torch.fft.fft(pupil, n=columns, dim=-1), n=rows, dim=-2)
-        return field.real.square() + field.imag.square()
+        intensity: Tensor = field.real.square() + field.imag.square()
+        return intensity
 
     def _period_axis(self, side: int) -> Array:
         """Return cell centres, m, for which ``side`` image pixels are exactly one period."""

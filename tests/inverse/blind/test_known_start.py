@@ -15,7 +15,8 @@ from nlosoptics import inverse
 from nlosoptics.errors import NlosError, SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement, PupilPSF, evidence_fit, pcin, registered_correlation
-from nlosoptics.inverse.blind.free_energy import FreeEnergy, Stage
+from nlosoptics.inverse.blind.free_energy import FreeEnergy
+from nlosoptics.inverse.blind.search_settings import Stage
 from nlosoptics.inverse.wave.frames import frames_of
 from nlosoptics.inverse.wave.pupil_waves import noll_mode
 from nlosoptics.psf import Wavefront, point_spread
