@@ -86,8 +86,6 @@ class FreeEnergy:
     ``late``: function that each iteration of a descent calls; if it returns True, `OutOfTime` is
     raised.
 
-    Notes
-    -----
     With residuals r, noise s, prior strength kappa, differences D, mean object m, variances v,
     transfer functions H and posterior covariance C [1]_::
 

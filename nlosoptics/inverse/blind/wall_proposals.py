@@ -159,8 +159,6 @@ def at_nyquist(image: Floats, noise: float, scale: float) -> tuple[Tensor, float
     ``image`` (H, W): image, any unit. ``noise``: standard deviation of its noise, image units.
     ``scale``: its pitch relative to Nyquist's, at most about 1.
 
-    Notes
-    -----
     The median of the edges becomes 0, and so does all that surrounds the image. A longer side is
     cut to SIDE pixels about the centroid of the light.
     """

@@ -232,8 +232,6 @@ def lone_pixels(
     pixel, image units: no pixel within six of it is bad. ``masked`` (H, W): pixels that hold no
     measured value; they are not examined, and get predictions as well.
 
-    Notes
-    -----
     The image is taken as a normal variable with the spectrum ``P = S + sigma^2``, where S is the
     `expected_signal` times 100. The deviation of a pixel from the mean of all others, in standard
     deviations, is then ``ifft(fft(image)/P)`` over ``sqrt(mean(1/P))``. A bad pixel deviates alone:

@@ -449,4 +449,4 @@ def _laplacian(grid: tuple[int, int]) -> Array:
     """Return the transfer function of the negative discrete Laplacian, (rows, columns//2 + 1)."""
     rows = np.arange(grid[0]) * (2.0 * math.pi / grid[0])
     columns = np.arange(grid[1] // 2 + 1) * (2.0 * math.pi / grid[1])
-    return (2.0 - 2.0 * np.cos(rows))[:, None] + (2.0 - 2.0 * np.cos(columns))
+    return np.asarray((2.0 - 2.0 * np.cos(rows))[:, None] + (2.0 - 2.0 * np.cos(columns)))

@@ -18,7 +18,7 @@ from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
 from ..data.arrays import half_spectrum_weights, shape_of
-from ..data.checkpoints import goes_on, state_of
+from ..data.checkpoints import State, goes_on, state_of
 from ..data.forward import TorchForwardModel, torch_model
 from ..data.measurement import measured
 from ..data.models import one_kernel_shape
@@ -235,16 +235,18 @@ class _Search:
         if self.method == "alternating":
             used = random.random((self.restarts, *modulus.shape)) < 0.5
             objects = spectral_start(objects, modulus, support, torch.from_numpy(used).to(device))
-        for iteration in range(self.iterations):
-            share = iteration / self.iterations
-            objects = stepped(objects, modulus, support, self.method, share)
-            if iteration % 20 == 0 and not goes_on(
-                self.progress,
-                f"phase retrieval: {counted(self.restarts, 'restart')} by {self.method}",
-                share,
-                lambda now=objects: state_of(_framed(now[0], spectrum, shape)),
+        text = f"phase retrieval: {counted(self.restarts, 'restart')} by {self.method}"
+
+        def snapshot() -> State:
+            return state_of(_framed(objects[0], spectrum, shape))
+
+        for count in range(1, self.iterations + 1):
+            objects = stepped(objects, modulus, support, self.method, (count - 1) / self.iterations)
+            last = count == self.iterations
+            if (last or count % 20 == 0) and not goes_on(
+                self.progress, text, count / self.iterations, snapshot
             ):
-                self.stopped = True
+                self.stopped = not last
                 break
         if self.method == "alternating":  # the modulus does not determine the overall sign
             sums = objects.sum(dim=(-2, -1), keepdim=True)

@@ -110,8 +110,6 @@ class UNetObject(nn.Module):
     variance 1. The object has the same device and precision. ``base``, ``depth``: size of the
     network, see `UNet`. ``seed``: seed of its initial weights.
 
-    Notes
-    -----
     The network's structure alone favours objects over noise. It is fitted to one image [1]_.
 
     References

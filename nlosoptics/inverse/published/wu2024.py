@@ -313,7 +313,8 @@ class _Pcin(Solver[_Turns]):
         with torch.no_grad():
             picture = self.network()
             gain = self.image.misfit(_seen(picture, self.optics.transfer(self.angles)))[0].item()
-        return gain * self.image.unit * picture.double()
+        level: Tensor = gain * self.image.unit * picture.double()
+        return level
 
     def answer(self, found: Run[_Turns], level: Tensor) -> dict[str, Any]:
         """Return image model, background and status, and the parameters of angles and network."""
