@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import torch
 
-from nlosoptics import inverse, psf
+from nlosoptics import imaging, inverse, psf
 
 plt.style.use("nlosoptics.views.palette")
 
@@ -42,7 +42,8 @@ defocus = np.array([0.0, 0.5 * wavelength])
 
 wide = inverse.PupilPSF.from_zernike(modes, shape=2 * size, dtype=torch.float64, **optics)
 with torch.no_grad():
-    seen = wide.image(torch.from_numpy(letter), torch.from_numpy(wall), defocus=defocus).numpy()
+    spreads = wide(torch.from_numpy(wall), defocus=defocus).numpy()
+seen = np.stack([imaging.ForwardModel(s, shape=letter.shape).forward(letter) for s in spreads])
 noise = 0.01 * seen.max()
 pictures = seen + noise * random.normal(size=seen.shape)
 

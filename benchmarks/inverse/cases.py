@@ -33,25 +33,11 @@ HIGHER = tuple(range(22, 46))  # n = 6..8
 class Case:
     """Data of one fit, and the truth.
 
-    Parameters
-    ----------
-    images : ndarray, (K, H, W)
-        Electrons, [y, x]; wall by wall, and of each wall its defoci.
-    truth : ndarray, (H, W)
-        The picture as the camera would see it without blur, largest value 1.
-    defocus : ndarray, (K,)
-        Known extra Noll-4 of each image, m rms.
-    wall_of_image : ndarray of int, (K,)
-    noise_sigma : ndarray, (K,)
-        rms noise, electrons.
-    coefficients : ndarray, (n_walls, 18)
-        Noll 4 to 21 of each wall at the frame's centre, waves rms, least squares.
-    pupil : dict
-        ``wavelength``, ``pupil_radius``, ``image_distance`` and ``pitch`` (m), as
-        `inverse.PupilPSF.from_zernike` takes them.
-    wavefronts : tuple of psf.Wavefront
-        Of each wall, at the frame's centre.
-    name : str
+    ``images`` (K, H, W) are electrons, wall by wall and of each wall its defoci, with ``defocus``
+    (K,), m rms of Noll 4, ``wall_of_image`` (K,) and ``noise_sigma`` (K,). ``truth`` (H, W) is the
+    picture as the camera would see it without blur. ``coefficients`` (n_walls, 18) are Noll 4 to 21
+    of each wall at the frame's centre, waves rms; ``pupil`` are options of
+    `inverse.PupilPSF.from_zernike`, m.
     """
 
     images: np.ndarray
@@ -61,8 +47,6 @@ class Case:
     noise_sigma: np.ndarray
     coefficients: np.ndarray
     pupil: dict[str, float]
-    wavefronts: tuple[psf.Wavefront, ...]
-    name: str
 
 
 def case(
@@ -82,32 +66,14 @@ def case(
 ) -> Case:
     """Images of one object by one or more walls.
 
-    Parameters
-    ----------
-    object_name : str
-        A picture of examples/objects or of the test objects in NLOSOPTICS_DATA, or a path.
-    wall_seed : int
-        The same seed is the same wall, whatever the object.
-    rms_waves : float
-        Of the wave at the exit pupil, without piston and tilt.
-    size : int
-        Image pixels along each side; the picture fills them.
-    noise : float
-        rms over the blurred image's maximum.
-    defocus : tuple of float
-        Known extra Noll-4 of each image, m rms.
-    n_walls : int
-        Walls, each of which is seen with every defocus.
-    noise_seed : int, optional
-        By default made of the wall's and the object's.
-    higher : float
-        rms of the modes n = 6..8 of a smooth wall, over that of the wall.
-    field_variation : float
-        rms by which the wave changes from the frame's centre to its edges, waves.
-    surround : float
-        Radiance around the frame, over that of white.
-    fine : int
-        Samples per pixel.
+    ``object_name`` is a picture of examples/objects or of the test objects in NLOSOPTICS_DATA, or a
+    path. The same ``wall_seed`` is the same wall, whatever the object; ``rms_waves`` is that of the
+    wave at the exit pupil, without piston and tilt. The picture fills ``size`` pixels along each
+    side. ``noise`` is rms over the blurred image's maximum, ``defocus`` the known extra Noll-4 of
+    each image, m rms, and each of ``n_walls`` walls is seen with every defocus. ``higher`` is the
+    rms of the modes n = 6..8 over that of the wall, ``field_variation`` the rms by which the wave
+    changes from the frame's centre to its edges, waves, and ``surround`` the radiance around the
+    frame over that of white; ``fine`` are samples per pixel.
     """
     if max(np.abs(defocus)) > 1e-4:
         raise ValueError(f"defocus = {defocus} m; give metres rms, waves * WAVELENGTH")
@@ -118,15 +84,14 @@ def case(
         "pupil_radius": pupil.radius,
         "image_distance": pupil.image_distance,
     }
-    images, sigmas, waves, coefficients, truth = [], [], [], [], None
+    images, sigmas, coefficients, truth = [], [], [], None
     number = _object_number(object_name)
     noise_seed = wall_seed if noise_seed is None else noise_seed
     rng = np.random.default_rng([noise_seed, number, 1])
     for wall in range(n_walls):
         draw = np.random.default_rng([wall_seed, wall, 0])
         shape = _Wall(draw, rms_waves, higher, field_variation)
-        waves.append(shape.wave((0.0, 0.0), 0.0, optics))
-        coefficients.append(_projected(waves[-1]))
+        coefficients.append(_projected(shape.wave((0.0, 0.0), 0.0, optics)))
         for extra in defocus:
             field = _field(shape, extra, optics, scene, fine)
             taken = imaging.form_image(scene, field, seed=0)
@@ -142,8 +107,6 @@ def case(
         noise_sigma=np.array(sigmas),
         coefficients=np.array(coefficients),
         pupil={**optics, "pitch": fine * scene.camera.image_pitch},
-        wavefronts=tuple(waves),
-        name=f"{object_name}-{wall_seed}-{rms_waves:g}w-{size}-{noise:g}",
     )
 
 

@@ -87,12 +87,7 @@ def main():
                     if options.json:
                         with options.json.open("a") as file:
                             file.write(json.dumps(row) + "\n")
-                cells = (
-                    f"{m} {row[m]['correlation']:.3f} (halves {row[m]['halves']:.3f}, "
-                    f"{row[m]['seconds']:.1f} s)"
-                    for m in METHODS
-                )
-                print(f"{name:44s}", "  ".join(cells), flush=True)
+                print(json.dumps(row), flush=True)
 
 
 if __name__ == "__main__":

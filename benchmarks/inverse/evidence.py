@@ -94,16 +94,6 @@ def finished(path: Path | None) -> list[dict[str, Any]]:
     return rows
 
 
-def report(row: dict[str, Any]) -> str:
-    """One line to read."""
-    margin = "" if row["margin"] is None else f" margin {row['margin']:6.0f}"
-    return (
-        f"{row['object']:14s} wall {row['wall']} {row['rms']:.2f} waves: "
-        f"{row['correlation']:.3f} (image {row['image_correlation']:.3f}) {row['status']:11s} "
-        f"error {row['model_error']:.4f}{margin} {row['rounds']} rounds {row['cpu_seconds']:.0f} s"
-    )
-
-
 def main() -> None:
     """Run what is not there yet and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -127,7 +117,7 @@ def main() -> None:
     with ProcessPoolExecutor(options.jobs) as pool:
         for task in as_completed([pool.submit(solved, key, options.folder) for key in left]):
             rows.append(task.result())
-            print(report(rows[-1]), flush=True)
+            print(json.dumps(rows[-1]), flush=True)
             if options.json is not None:
                 with options.json.open("a") as file:
                     file.write(json.dumps(rows[-1]) + "\n")

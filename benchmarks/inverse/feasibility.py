@@ -225,13 +225,8 @@ def main():
             file.write(json.dumps(line) + "\n")
             file.flush()
     lines = sorted(finished(), key=lambda line: line["scene"])
-    for line in lines:
-        right = line["predicted"] == (line["correlation"] > GOOD)
-        print(
-            f"{line['scene']:3d} {'   ' if right else '!! '}{line['score']:.3f} "
-            f"+- {line['spread']:.3f} {line['correlation']:.3f} {line['status']:16s} "
-            f"{line['verdict'][:90]}"
-        )
+    right = sum(line["predicted"] == (line["correlation"] > GOOD) for line in lines)
+    print(f"{right} of {len(lines)} verdicts right")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,11 @@
 """Reconstruction of the hidden object from camera images.
 
 The solvers take numpy arrays or torch tensors, and return an object of the same type.
-`tv_deconvolve` and the scores run without torch; the other solvers need it.
+`tv_deconvolve` and `registered_correlation` run without torch; the other solvers need it.
 `nlosoptics.limits.feasibility` predicts how well a fit can recover the object.
+
+All functions raise a `SamplingError` if an array does not have the shape of the image model or of
+the other arrays, and a `SceneError` if a value is out of range, not finite or not a real number.
 """
 
 from typing import Any

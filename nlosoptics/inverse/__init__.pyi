@@ -5,9 +5,7 @@ from .data.forward import TorchForwardModel as TorchForwardModel
 from .data.measurement import Measurement as Measurement
 from .data.noise import estimate_noise as estimate_noise
 from .data.reconstruction import Reconstruction as Reconstruction
-from .data.scores import RegisteredScores as RegisteredScores
 from .data.scores import registered_correlation as registered_correlation
-from .data.scores import registered_scores as registered_scores
 from .known.inverse_filter import inverse_filter as inverse_filter
 from .known.richardson_lucy import richardson_lucy as richardson_lucy
 from .known.total_variation import tv_deconvolve as tv_deconvolve

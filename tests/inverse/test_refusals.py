@@ -6,21 +6,15 @@ import sys
 
 import numpy as np
 import pytest
-import torch
 
 from nlosoptics import inverse
 from nlosoptics.errors import MissingExtraError, NlosError
 from nlosoptics.inverse.blind import wall_proposals
-from nlosoptics.inverse.data.adam import take_up_adam
 
 OPTICS = {"pupil_radius": 1e-3, "image_distance": 0.05, "wavelength": 6e-7}
 OPTICS |= {"pitch": 7e-6, "shape": 16}
 TENT = np.minimum.outer(*[7.0 - np.abs(np.arange(-6.0, 7.0))] * 2)
 EDGE = np.pad(np.zeros((5, 5)), 4, constant_values=1.0)
-
-
-def adam():
-    return torch.optim.Adam([torch.zeros(3, requires_grad=True)])
 
 
 def zernike():
@@ -33,10 +27,6 @@ def angles(values=None, pitch=1e-3):
 
 
 TABLE = {
-    "state of another solver": (
-        lambda: take_up_adam("angles", adam(), {"network": 1.0}),
-        "start holds no angles; give a state of the same solver, or leave it out",
-    ),
     "modes twice": (
         lambda: inverse.PupilPSF.from_zernike([4, 6, 5, 6], **OPTICS),
         "modes holds 6 more than once; give each index once",

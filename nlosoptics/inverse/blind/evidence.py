@@ -131,13 +131,6 @@ def evidence_fit(
         ``background`` is (K,) for several images. ``history`` has one entry for each wall that was
         fitted to the end, with the values of the best wall so far.
 
-    Raises
-    ------
-    SamplingError
-        If array shapes do not match, or several images have the same wall and defocus.
-    SceneError
-        If a value is out of range or not finite.
-
     See Also
     --------
     pcin : Reconstruction via an unknown wall.
@@ -146,63 +139,34 @@ def evidence_fit(
 
     Notes
     -----
-    **Criterion.** Many walls are fitted, and the one with the least free energy is returned; for
-    one image, see also "Sharp walls". The free energy is a variational approximation of
-    -log(evidence). The evidence of a wall is the probability of the images for this wall, averaged
-    over all objects. Comparing squared residuals instead would prefer no blur to the truth if there
-    is only one image.
+    **Criterion.** Many walls are fitted, and the one with the least free energy is returned: a
+    variational approximation of -log(evidence). The evidence of a wall is the probability of the
+    images for this wall, averaged over all objects. Comparing squared residuals instead would
+    prefer no blur to the truth if there is only one image.
 
-    **Network.** For one image without ``start_error``, a trained network proposes the starts, with
-    the Noll modes 4 to 21. The network is used if the pixels are at most as wide as the Nyquist
-    pitch, which is lambda N/2 with the wavelength lambda and the F-number N; if the image is 24 to
-    96 Nyquist pitches wide and high; and if the pupil has no known wave or transmission. Otherwise
-    all starts are random walls.
+    **One image.** Without ``start_error``, a trained network proposes the starts, with the Noll
+    modes 4 to 21, if the pixels are at most as wide as the Nyquist pitch lambda N/2 (wavelength
+    lambda, F-number N), the image is 24 to 96 Nyquist pitches wide and high, and the pupil has no
+    known wave or transmission. If ``strength`` or the network says that the wall has more than 0.35
+    waves, walls are ranked by the free energy plus ``0.2 n ln(q/q_0)``, for n pixels and the sum q
+    of the squares of the PSF above the value q_0 that 90 % of the expected walls exceed: waves of
+    little blur have a low free energy long before the right one is found.
 
-    **Sharp walls.** With one image, waves of little blur have a low free energy long before the
-    right one is found. If ``strength`` or the network says that the wall has more than 0.35 waves,
-    the search therefore ranks walls by a score. It is the free energy plus ``0.2 n ln(q/q_0)`` if
-    the sum q of the squares of the PSF exceeds q_0. Of the walls that are expected, 90 % exceed
-    q_0, and n is the number of pixels. Expected are the network's proposals, or random walls of
-    ``strength``. The answer is then the wall of least score. Its status depends on free energies
-    alone.
+    **Residual.** For the status "converged", ``model_error`` must be at most
+    ``sqrt(a^2 + 3 s^2 sqrt(2/n))``. For several images a is ``0.004 + 0.003 w``, for one
+    ``0.004 + 0.01 w``; w is the smaller of 1 and the wall's rms aberration in waves, and s the rms
+    noise as a fraction of the images' range. Images of one wall whose defoci differ by less than
+    0.1 waves count as one. If the residual of several images exceeds the noise, further modes are
+    fitted, up to radial order 5, then 7, then 8. If noise hides the residual of a wrong wall (the
+    root of the second term exceeds 0.0035), two rounds must find the same object instead.
 
-    **Residual.** For the status "converged" the result must explain the images: ``model_error``
-    must be at most ``sqrt(a^2 + 3 s^2 sqrt(2/n))``. For several images a is ``0.004 + 0.003 w``,
-    and for one image ``0.004 + 0.01 w``; w is the smaller of 1 and the wall's rms aberration in
-    waves. The second term is three standard errors of the mean squared residual, with s the rms
-    noise as a fraction of the images' range and n the number of pixels. Images of one wall whose
-    defoci differ by less than 0.1 waves count as one image. If the residual of several images
-    exceeds the noise significantly, further Zernike modes are fitted: up to radial order 5, then 7,
-    then 8. They are kept if the free energy falls by more than additional parameters alone would
-    cause.
-
-    **Much noise.** For several images, a wrong wall can leave no residual beyond the noise if the
-    square root of the second term exceeds 0.0035: with two images of 64 x 64 pixels, if the noise
-    is above 1.6 % of the range. Without ``start_error``, the status is then "converged" only if two
-    rounds, with different random walls, found the same object (correlation above 0.93; a known
-    object: PSFs whose rms difference is below 0.3), and if the wall needs no further modes.
-
-    **No blur.** For the status "converged", one image must also exclude that there is no blur and
-    the image itself is the object. The limits depend on s, the rms noise as a fraction of the
-    image's range. Without ``start_error``, one of two conditions must be met:
-
-    - ``margin`` is below -70.
-    - ``sharp_margin`` divided by the number of pixels is below -0.092 if s is at least 0.01, and
-      below ``-0.092 - 0.045 ln(0.01/s)`` for less noise. This condition is needed because the fit
-      that starts without blur sometimes finds the wall as well; ``margin`` is then close to 0. The
-      free energies of all different walls that the search found must exceed the result's by 100.
-      Walls are different if the rms difference of their PSFs is above 0.3 of the result's rms.
-      The result's rms aberration must be at least 0.6 of ``strength``, or of the one that the
-      network expects: if both are unknown, this condition is not met.
-
-    With ``start_error``, ``margin`` must be below -50, or three conditions must be met:
-
-    - ``margin - P`` is below -100. The fit that starts without blur ends at M coefficients c, and
-      ``P = M |c - c_0|^2/(2 start_error^2)`` measures how far they are from the given ones, c_0.
-    - ``margin`` is below 1/s, for example 100 if s is 0.01. A positive ``margin`` is thus accepted
-      if the fit without blur is far from the given coefficients.
-    - The rms residual is at least 0.93 of the noise. A smaller residual shows that noise was
-      fitted.
+    **No blur.** One image must also exclude that there is no blur. Without ``start_error``,
+    ``margin`` must be below -70, or ``sharp_margin`` per pixel below -0.092 (for s below 0.01:
+    ``-0.092 - 0.045 ln(0.01/s)``), while all different walls have 100 more free energy, and the
+    wall has at least 0.6 of its expected strength. With ``start_error``, ``margin`` must be below
+    -50, or three conditions must be met: ``margin - P`` is below -100, where P is what the prior
+    adds to the fit without blur; ``margin`` is below 1/s; and the rms residual is at least 0.93 of
+    the noise.
 
     The status is "trivial" if the result has almost no blur (less than 0.12 waves rms), or is the
     same as that of a fit that starts without blur.
@@ -362,10 +326,12 @@ def _without_object(
 
 def _levels(frames: Frames, gain: float, backgrounds: Floats) -> dict[str, Any]:
     """Return gain, backgrounds and noise in image units; numbers for one image, else arrays."""
-    each: dict[str, Any] = {"background": backgrounds, "noise_sigma": frames.sigmas * frames.scale}
-    if len(frames.measured) == 1:
-        each = {name: float(values[0]) for name, values in each.items()}
-    return {"gain": gain, **each}
+    one, sigmas = len(frames.measured) == 1, frames.sigmas * frames.scale
+    return {
+        "gain": gain,
+        "background": float(backgrounds[0]) if one else backgrounds,
+        "noise_sigma": float(sigmas[0]) if one else sigmas,
+    }
 
 
 def _walls_first(frames: Frames, count: int) -> tuple[int, ...]:

@@ -40,12 +40,12 @@ class Starts:
     """Walls and objects during a fit, one per row.
 
     ``coefficients`` (B, M): Zernike coefficients of the walls, waves rms; those of several walls
-    one after the other. ``free`` (B, H, W): free parameters from which `softly_positive` computes
-    the objects. ``gains`` (B, K): relative brightness of the images. ``variances`` (B, 2):
-    posterior variances of the objects' differences along x and y. ``energy`` (B,): free energy at
-    the end of the last stage, infinite before. ``chi_square`` (B, K): mean squared residual of each
-    image over its noise variance. ``radius`` (B,): fixed norm of the coefficients, waves rms;
-    infinite if it is free.
+    one after the other. ``free`` (B, H, W): free parameters x of the objects (x + sqrt(x^2 +
+    s^2))/2. ``gains`` (B, K): relative brightness of the images. ``variances`` (B, 2): posterior
+    variances of the objects' differences along x and y. ``energy`` (B,): free energy at the end of
+    the last stage, infinite before. ``chi_square`` (B, K): mean squared residual of each image over
+    its noise variance. ``radius`` (B,): fixed norm of the coefficients, waves rms; infinite if it
+    is free.
     """
 
     coefficients: Floats
@@ -86,8 +86,6 @@ class FreeEnergy:
     ``late``: function that each iteration of a descent calls; if it returns True, `OutOfTime` is
     raised.
 
-    Notes
-    -----
     With residuals r, noise s, prior strength kappa, differences D, mean object m, variances v,
     transfer functions H and posterior covariance C [1]_::
 
@@ -224,8 +222,9 @@ class FreeEnergy:
         """Return the mean objects, (B, H, W), in the images' unit."""
         if self._known is not None:
             return np.repeat(self._known[None], len(starts), axis=0)
-        mean = np.empty_like(starts.free)
-        kernels.softly_positive(starts.free, self._support, _SOFTNESS, mean)
+        half, softness = self._dtype(0.5), self._dtype(_SOFTNESS)
+        positive = starts.free + np.sqrt(np.square(starts.free) + softness * softness)
+        mean: Floats = half * self._support * positive
         return mean
 
     def evaluate(
@@ -399,17 +398,15 @@ class FreeEnergy:
         pupil = torch.complex(phase.cos() * self._amplitude, phase.sin() * self._amplitude)
         lit = pupil.view(count, frames, *self._cells)
         field = torch.fft.fft(torch.fft.fft(lit, n=rows, dim=-2), n=columns, dim=-1).numpy()
-        spread = np.empty(field.shape, dtype=self._dtype)
-        kernels.intensity(field, spread)
+        spread = np.square(field.real) + np.square(field.imag)
         return torch.fft.rfft2(self._to_pixels(torch.from_numpy(spread))).numpy(), pupil, field
 
     def _wall_gradient(self, toward: Floats, pupil: Tensor, field: Floats) -> Floats:
         rows, columns = self._cells
         spread = torch.fft.irfft2(torch.from_numpy(toward), s=self.grid)
-        spread = self._from_pixels(spread).contiguous()
-        pulled = np.empty(field.shape, dtype=field.dtype)
+        spread = self._from_pixels(spread)
         scale = 2.0 * float(math.prod(self.grid)) * math.prod(self._fine)
-        kernels.pull_back(field, spread.numpy(), scale, pulled)
+        pulled = field * (self._dtype(scale) * spread.numpy())
         cells = torch.fft.ifft(torch.from_numpy(pulled), dim=-1)[..., :columns]
         cells = torch.fft.ifft(cells, dim=-2)[..., :rows, :].contiguous()
         walls = len(self.twin) // len(self.modes)

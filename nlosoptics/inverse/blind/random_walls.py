@@ -29,8 +29,6 @@ def children(
     point spread, W(x) -> -W(-x). ``near``: size of the changes. ``random``: source of random
     numbers.
 
-    Notes
-    -----
     A third of the children takes each coefficient from one of two parents, of which the second is
     replaced by its twin if that is closer. A third changes signs. Most others move in a random
     direction. A few change all signs, which mirrors the point spread.

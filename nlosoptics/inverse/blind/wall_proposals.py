@@ -1,7 +1,8 @@
 """Waves that a trained network proposes for one image, as starts of a search.
 
 The network has seen images of 64 x 64 pixels at Nyquist's pitch. Others are resampled, and cut out
-about their light or surrounded by black.
+about their light or surrounded by black. It was trained by benchmarks/inverse/train_proposals.py,
+which the history holds (commit b2dc0d51).
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ class WallProposals:
         parts = (weights, means, deviations)
         self._parts: list[Floats] = [one.double().numpy() for one in parts]
         self.mean = self._meeting()
-        self.length = self._expected_length()
+        squares = (np.square(self._parts[1]) + np.square(self._parts[2])).sum(axis=1)
+        self.length = math.sqrt(float(self._parts[0] @ squares / self._parts[0].sum()))
 
     def walls(self, count: int, random: Generator) -> Floats:
         """Return coefficients (count, M), waves rms: the mean, and draws from the density.
@@ -93,11 +95,6 @@ class WallProposals:
             at = (pull @ (precision * every)) / (pull @ precision)
         best: Floats = at[int(np.logaddexp.reduce(chances(at), axis=1).argmax())]
         return best
-
-    def _expected_length(self) -> float:
-        weights, means, deviations = self._parts
-        squares = (np.square(means) + np.square(deviations)).sum(axis=1)
-        return math.sqrt(float(weights @ squares / weights.sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +159,6 @@ def at_nyquist(image: Floats, noise: float, scale: float) -> tuple[Tensor, float
     ``image`` (H, W): image, any unit. ``noise``: standard deviation of its noise, image units.
     ``scale``: its pitch relative to Nyquist's, at most about 1.
 
-    Notes
-    -----
     The median of the edges becomes 0, and so does all that surrounds the image. A longer side is
     cut to SIDE pixels about the centroid of the light.
     """

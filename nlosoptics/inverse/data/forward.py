@@ -8,34 +8,9 @@ from typing import Any, Self
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from ...errors import SamplingError, SceneError
-from ...imaging.forward_model import ForwardModel, padded_grid
-
-
-def padded_transfer(kernel: Tensor, frame: tuple[int, int]) -> tuple[tuple[int, int], Tensor]:
-    """Return the FFT grid for a frame, and the transfer functions of kernels on it.
-
-    ``kernel`` (..., ky, kx) has its centre at [ky//2, kx//2], and ``frame`` is rows and columns of
-    object and image. The grid equals that of `imaging.ForwardModel`. The transfer functions (...,
-    rows, columns//2 + 1) are the ``rfft2`` of the kernels with their centre at sample [0, 0]. Parts
-    of a kernel longer than the frame are omitted, since no light of the frame reaches the frame
-    through them.
-    """
-    sides = kernel.shape[-2:]
-    grid = padded_grid(tuple(sides), frame)
-    places, cuts = [], []
-    for side, length in zip(sides, frame, strict=True):
-        centre = side // 2
-        first = max(0, centre - length + 1)
-        cuts.append(slice(first, min(side, centre + length)))
-        places.append(first - centre)
-    kept = kernel[..., cuts[0], cuts[1]]
-    room = [n - m for n, m in zip(grid, kept.shape[-2:], strict=True)]
-    on_grid = functional.pad(kept, (0, room[1], 0, room[0])).roll(places, (-2, -1))
-    transfer: Tensor = torch.fft.rfft2(on_grid)
-    return grid, transfer
+from ...imaging.forward_model import ForwardModel
 
 
 class TorchForwardModel(nn.Module):

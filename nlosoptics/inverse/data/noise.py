@@ -55,14 +55,6 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
         Rms noise in the unit of the image; 0 for a uniform image or one with identical rows or
         columns.
 
-    Raises
-    ------
-    SamplingError
-        If the array is not a single image of at least 3 x 3 pixels, or does not have the model's
-        shape.
-    SceneError
-        If a value is not finite or not a real number.
-
     See Also
     --------
     tv_deconvolve : Non-negative deconvolution with total variation.
@@ -72,27 +64,18 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
     -----
     Without a model, second differences of the image along both axes are taken [1]_, in which a
     smooth image nearly vanishes and noise remains. The noise follows from the median of their
-    magnitudes [2]_, on which a few edges have little effect. Because the noise may vary over the
-    image, this is done in blocks of about 12 x 12 pixels, and the squares are averaged. A block
-    whose median is zero, for example a dark region with few counts, contributes its rms value
-    instead. For uniform noise the result is 2 % too high, with a relative standard deviation of
-    2/sqrt(number of pixels). Fine detail of a sharp image increases the result: by up to 35 % for
-    images of 64 x 64 pixels with 0.5 % noise.
+    magnitudes [2]_ in blocks of about 12 x 12 pixels, whose squares are averaged; a block whose
+    median is zero contributes its rms value instead. For uniform noise the result is 2 % too high,
+    with a relative standard deviation of 2/sqrt(number of pixels). Fine detail of a sharp image
+    increases it: by up to 35 % for images of 64 x 64 pixels with 0.5 % noise.
 
-    With a model, the noise is measured at spatial frequencies f at which the given image contains
-    almost nothing else. To find them, the power spectrum of the image without noise is predicted.
-    It is proportional to 1/f^2, as for a typical object, times the squared modulus of the transfer
-    function. Its total is the given image's variance minus that of the noise. A frequency is used
-    if the predicted power is below 5 % of the noise's power. The mean power of the given image at
-    these frequencies, minus the predicted power, is the variance of the noise. Because the
-    selection of frequencies depends on the noise, it is made three times, at first with the noise
-    by second differences.
-
-    If fewer than 500 frequencies are found, the result by second differences is returned. For n
-    frequencies the relative standard error is 1/sqrt(2 n). Differences between opposite edges of
-    the image are removed first, because they would spread over all frequencies [3]_. The noise's
-    share in these differences, about 2/N of its power in N x N pixels, is added again. Dead, hot
-    and clipped pixels are replaced by predictions first.
+    With a model, the noise is measured at spatial frequencies f at which the image contains almost
+    nothing else: where the power of the image of a typical object, 1/f^2 times the squared modulus
+    of the transfer function, scaled to the image's variance, is below 5 % of the noise's. For n
+    frequencies the relative standard error is 1/sqrt(2 n). If fewer than 500 are found, the result
+    by second differences is returned. Differences between opposite edges of the image are removed
+    first, because they would spread over all frequencies [3]_. Dead, hot and clipped pixels are
+    replaced by predictions first.
 
     References
     ----------
@@ -251,8 +234,6 @@ def lone_pixels(
     pixel, image units: no pixel within six of it is bad. ``masked`` (H, W): pixels that hold no
     measured value; they are not examined, and get predictions as well.
 
-    Notes
-    -----
     The image is taken as a normal variable with the spectrum ``P = S + sigma^2``, where S is the
     `expected_signal` times 100. The deviation of a pixel from the mean of all others, in standard
     deviations, is then ``ifft(fft(image)/P)`` over ``sqrt(mean(1/P))``. A bad pixel deviates alone:

@@ -175,8 +175,6 @@ class NoisyImage:
 
         ``model``: image model; if omitted, all frequencies are taken to pass.
 
-        Notes
-        -----
         Weighted sums of the spectrum's power are compared with their distributions for white
         noise. The weights are the transfer function's power times 1, 1/f and 1/f^2, for dots,
         strokes and extended objects. A weighted sum of exponential variables is nearly a gamma

@@ -63,7 +63,7 @@ class Reconstruction(Noun, Shown):
     --------
     tv_deconvolve : Non-negative deconvolution with total variation.
     pcin : Reconstruction via an unknown wall.
-    registered_scores : Correlation, PSNR and SSIM with the truth.
+    registered_correlation : Correlation with the truth.
     nlosoptics.views.reconstruction : Object next to the truth.
     """
 

@@ -41,13 +41,13 @@ def frame_transfer(transfer: NDArray[np.complex128], model: ForwardModel) -> NDA
     """Return a transfer function on a model's grid, at the frequencies of its frame."""
     kernel = scipy.fft.irfft2(transfer, model.grid)
     for axis, (side, length) in enumerate(zip(model.grid, model.shape, strict=True)):
-        # Offsets of at least the frame's length are negative ones, see `padded_transfer`.
+        # Offsets of at least the frame's length are negative ones.
         offsets = np.arange(side)
         offsets = np.where(offsets < length, offsets, offsets - side) % length
         wrapped = np.zeros((length, kernel.shape[1 - axis]))
         np.add.at(wrapped, offsets, np.moveaxis(kernel, axis, 0))
         kernel = np.moveaxis(wrapped, 0, axis)
-    return np.asarray(scipy.fft.rfft2(kernel))
+    return np.asarray(rfft2(kernel))
 
 
 def half_weights(shape: tuple[int, ...]) -> Array:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,15 +103,11 @@ class Ending:
         return abs(earlier - residuals[-1]) <= LIMITS.drift * residuals[-1]
 
 
-@dataclass(frozen=True, eq=False)
-class Judgement:
+class Judgement(NamedTuple):
     """Status of a fit, the reasons against "converged", and the estimated error of a sharp fit.
 
-    ``status``: "does_not_fit" if a test of the model failed; otherwise "too_few_photons" if the
-    noise hides most of the object. ``reasons``: A sentence for each failed test, with the value,
-    the limit and a likely cause. ``expected_correlation``: correlation with the truth to expect if
-    the model is right; None without a second fit. ``error`` (H, W): estimated error of each pixel
-    of the object, image units; None without a second fit.
+    ``expected_correlation`` and ``error`` (H, W), image units, hold if the model is right; None
+    without a second fit.
     """
 
     status: Status
@@ -130,8 +126,6 @@ def judged(
     which only the mean point spread is used in the tests of spectra. ``ending``: how the solver
     ended.
 
-    Notes
-    -----
     The image does not fit the model if
 
     - the noise beyond the optics' cut-off is not the stated one;
@@ -141,9 +135,8 @@ def judged(
     - more of the object's power is negative than noise makes negative.
 
     The image has too few photons if a second fit, to the image of the object by a wider point
-    spread with other noise, lets expect a low correlation with the truth. This parametric bootstrap
-    needs the wider point spread: what blur and noise have hidden is missing from the object
-    already, and the wider one takes about as much from what is left. Without a second fit, the
+    spread with other noise, lets expect a low correlation with the truth: the wider one takes about
+    as much from the object as blur and noise have taken from it already. Without a second fit, the
     Wiener filter must recover enough of an object with the spectrum 1/f^2.
     """
     data, level = data.in_numpy(), as_double(as_numpy(level))
@@ -209,7 +202,7 @@ class _Tests:
         one, other = self._level - self._level.mean(), again - again.mean()
         norm = math.sqrt(float((one**2).sum() * (other**2).sum()))
         unlike = max(1.0 - float((one * other).sum()) / max(norm, 1e-300), 0.0)
-        lack = 0.88 * (unlike * (1.0 - self._share)) ** (2.0 / 3.0)
+        lack: float = 0.88 * (unlike * (1.0 - self._share)) ** (2.0 / 3.0)
         return 1.0 - min(lack if self._data.least is None else 2.0 * lack, 1.0)
 
     def status(self, ending: Ending, expected: float | None) -> tuple[Status, tuple[str, ...]]:

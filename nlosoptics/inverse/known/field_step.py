@@ -66,12 +66,15 @@ class FieldStep:
 
     def _forward(self, picture: Array) -> Array:
         parts = rfft2(self._weights * picture) * self._transfer
-        return irfft2(parts.sum(0), picture.shape[-1])
+        image: Array = irfft2(parts.sum(0), picture.shape[-1])
+        return image
 
     def _adjoint(self, image: Array) -> Array:
         spectra = rfft2(image) * self._transfer.conj()
-        return (irfft2(spectra, image.shape[-1]) * self._weights).sum(0)
+        picture: Array = (irfft2(spectra, image.shape[-1]) * self._weights).sum(0)
+        return picture
 
 
 def _filtered(picture: Array, response: Array) -> Array:
-    return irfft2(rfft2(picture) * response, picture.shape[-1])
+    filtered: Array = irfft2(rfft2(picture) * response, picture.shape[-1])
+    return filtered

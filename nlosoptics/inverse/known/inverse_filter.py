@@ -19,9 +19,6 @@ from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from ..data.status import Ending
 
-# Transfer modulus, relative to the largest, that is only rounding error.
-_ROUNDING = 1e-13
-
 
 @single_thread()
 def inverse_filter(
@@ -70,7 +67,7 @@ def inverse_filter(
     .. [1] Wu et al., Advanced Photonics Nexus 3 (2024) 026010, eq. 1.
     .. [2] Hansen, Discrete Inverse Problems, SIAM (2010), sec. 5.2.
     """
-    guard = None if guard is None else in_range("guard", guard, _ROUNDING, 1.0)
+    guard = None if guard is None else in_range("guard", guard, 1e-13, 1.0)
 
     def solve(data: NoisyImage) -> dict[str, Any]:
         twin = torch_model(model, data.data.device, torch.float64)
@@ -120,4 +117,4 @@ def _noise_guard(data: NoisyImage, spectrum: Tensor, size: Tensor, grid: tuple[i
     order = torch.argsort(size.flatten())
     left_out = torch.cumsum(power.flatten()[order], dim=0) / (grid[0] * grid[1])
     first_kept = int(torch.searchsorted(left_out, data.noise_power(), right=True))
-    return max(float(size.flatten()[order][min(first_kept, size.numel() - 1)]), _ROUNDING)
+    return max(float(size.flatten()[order][min(first_kept, size.numel() - 1)]), 1e-13)

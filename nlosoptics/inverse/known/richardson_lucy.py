@@ -70,10 +70,9 @@ def richardson_lucy(
     unknown background is updated in the same way. It starts from an estimate with the Wiener
     filter, because a bad start would need thousands of iterations.
 
-    The method needs positive pixels, but noise can make dark pixels negative. A constant that lifts
-    every pixel to at least one standard deviation of the noise is therefore added to image and
-    model [3]_. The iteration stops at the noise level, since further iterations would fit the
-    noise. The acceleration follows Biggs and Andrews [4]_. ``objective`` in the history is the
+    A constant that lifts every pixel to at least one standard deviation of the noise is added to
+    image and model, since the method needs positive pixels [3]_. The iteration stops at the noise
+    level. The acceleration follows Biggs and Andrews [4]_. ``objective`` in the history is the
     weighted Kullback-Leibler divergence between image and model, in units of the image's range.
 
     References

@@ -96,18 +96,11 @@ def tv_deconvolve(
         the correlation of the object with the truth, and ``object_error``, (H, W), the error of
         each pixel of the object.
 
-    Raises
-    ------
-    SamplingError
-        If an array does not have the model's shape.
-    SceneError
-        If a value is out of range or not finite.
-
     See Also
     --------
     wiener : Linear filter that weighs the noise.
     richardson_lucy : Multiplicative, non-negative iteration.
-    registered_scores : Correlation, PSNR and SSIM with the truth.
+    registered_correlation : Correlation with the truth.
 
     Notes
     -----
@@ -120,17 +113,16 @@ def tv_deconvolve(
     step [2]_.
 
     The automatic weight aims at a residual slightly below the noise, because a fit always follows
-    some of the noise. For noise alone, the sum of ``(residual/sigma_i)^2`` is the number of pixels.
-    The target is smaller by the number of pixels along the image's outline, and by less for faint
-    images. For 128 x 128 pixels the rms residual is then 0.984 of the noise. At frequencies that
-    the point spread does not pass, the image shows its noise, and the target contains the measured
-    power instead of the expected one. This makes the weight less random in faint images.
+    some of the noise: the sum of ``(residual/sigma_i)^2`` shall be the number of pixels, minus that
+    along the image's outline, or less for faint images. For 128 x 128 pixels the rms residual is
+    then 0.984 of the noise. At frequencies that the point spread does not pass, the image shows its
+    noise, and the measured power takes the place of the expected one.
 
     With the automatic weight, a second fit serves the status and the estimates of the error: the
     fitted object is imaged by a point spread that is sqrt(2) times as wide, with other noise, and
     fitted again, with 8 times the tolerance. Blur and noise have taken some detail of the truth
     from the first object, and the wider point spread takes a similar amount from this object:
-    ``object_error`` is the modulus of the difference. This takes about as long as half the fit.
+    ``object_error`` is the modulus of the difference.
 
     Saturated pixels count only where the fitted image is below their level.
 
@@ -457,4 +449,4 @@ def _laplacian(grid: tuple[int, int]) -> Array:
     """Return the transfer function of the negative discrete Laplacian, (rows, columns//2 + 1)."""
     rows = np.arange(grid[0]) * (2.0 * math.pi / grid[0])
     columns = np.arange(grid[1] // 2 + 1) * (2.0 * math.pi / grid[1])
-    return (2.0 - 2.0 * np.cos(rows))[:, None] + (2.0 - 2.0 * np.cos(columns))
+    return np.asarray((2.0 - 2.0 * np.cos(rows))[:, None] + (2.0 - 2.0 * np.cos(columns)))

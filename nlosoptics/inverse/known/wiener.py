@@ -20,9 +20,6 @@ from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from .conjugate_gradients import conjugate_direction
 
-# Transmitted power, relative to that of the mean, that is only rounding error.
-_ROUNDING = 1e-12
-
 
 @single_thread()
 def wiener(
@@ -67,12 +64,9 @@ def wiener(
     and no background is fitted, the mean square of the image takes the place of its variance.
 
     The equations of the minimum are solved by conjugate gradients, with the classical Wiener filter
-    as preconditioner. If ``model.boundary`` is "circular", the point spread function is the same
-    for all pixels and the noise is uniform, the result is that of the classical Wiener filter,
-    after one step.
-
-    If ``model.boundary`` is "padded", as by default, the object is assumed to be 0 outside the
-    image. The edges of the image then need no tapering and cause no ringing.
+    as preconditioner, which is the exact solution of a periodic image with uniform noise. If
+    ``model.boundary`` is "padded", the object is assumed to be 0 outside the image, so that the
+    edges cause no ringing.
 
     References
     ----------
@@ -146,7 +140,7 @@ class _NormalEquations(Solver[_Gradients]):
             steady = data.background(data.background_strength(data.data))
         elif data.is_noise_about(steady):  # only the mean is left to scale the prior
             steady, passed = 0.0, passed + of_mean
-        if passed <= _ROUNDING * of_mean:  # an even kernel over a periodic frame, or one pixel
+        if passed <= 1e-12 * of_mean:  # an even kernel over a periodic frame, or one pixel
             passed = of_mean
         # A detected object may be fainter than the error of the whole frame's mean square.
         excess = max(data.score(steady) ** 2 - 1.0, math.sqrt(2.0 / data.counted))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -19,8 +18,7 @@ from ..data.noisy_image import NoisyImage
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SpectrumModulus:
+class SpectrumModulus(NamedTuple):
     """Estimated modulus of the object's spectrum, the input of phase retrieval.
 
     ``modulus`` (g_y, g_x//2 + 1): modulus of the object's ``rfft2``, float64, any scale. The grid

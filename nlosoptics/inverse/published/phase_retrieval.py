@@ -18,7 +18,7 @@ from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
 from ..data.arrays import half_spectrum_weights, shape_of
-from ..data.checkpoints import goes_on, state_of
+from ..data.checkpoints import State, goes_on, state_of
 from ..data.forward import TorchForwardModel, torch_model
 from ..data.measurement import measured
 from ..data.models import one_kernel_shape
@@ -87,13 +87,6 @@ def phase_retrieval(
         from the measured modulus. ``physical_parameters`` contains the least ``fourier_error``,
         ``object_size`` and ``noise_sigma``.
 
-    Raises
-    ------
-    SamplingError
-        If an array does not have the model's shape, or the autocorrelation shows no object.
-    SceneError
-        If a value is out of range or not finite.
-
     See Also
     --------
     object_from_autocorrelation : Object from a given autocorrelation.
@@ -107,11 +100,10 @@ def phase_retrieval(
     image. The object may fill at most half of the image's width. The result is the mean of the runs
     with nearly the least Fourier error.
 
-    Agreement of the two halves of the runs is no proof. Without the constraint to non-negative
-    values they can agree on a wrong object. In a box much larger than the object, a copy turned by
-    half a turn can be superimposed. A tight ``object_size`` helps most. The method "alternating"
-    [2]_ is proven to converge for random measurements, but not for the modulus of a Fourier
-    spectrum.
+    Agreement of the two halves of the runs is no proof: without the constraint to non-negative
+    values they can agree on a wrong object, and in a box much larger than the object, a copy turned
+    by half a turn can be superimposed. A tight ``object_size`` helps most. The method "alternating"
+    [2]_ is proven to converge for random measurements, but not for the modulus of a spectrum.
 
     References
     ----------
@@ -181,13 +173,6 @@ def object_from_autocorrelation(
         As from `phase_retrieval`, in an array of the autocorrelation's shape. ``status`` is
         "converged" if the score is at least 0.9.
 
-    Raises
-    ------
-    SamplingError
-        If the numbers of rows and columns are not odd, or the array shows no object.
-    SceneError
-        If a value is out of range or not finite.
-
     See Also
     --------
     phase_retrieval : Object from a speckle image.
@@ -250,16 +235,18 @@ class _Search:
         if self.method == "alternating":
             used = random.random((self.restarts, *modulus.shape)) < 0.5
             objects = spectral_start(objects, modulus, support, torch.from_numpy(used).to(device))
-        for iteration in range(self.iterations):
-            share = iteration / self.iterations
-            objects = stepped(objects, modulus, support, self.method, share)
-            if iteration % 20 == 0 and not goes_on(
-                self.progress,
-                f"phase retrieval: {counted(self.restarts, 'restart')} by {self.method}",
-                share,
-                lambda now=objects: state_of(_framed(now[0], spectrum, shape)),
+        text = f"phase retrieval: {counted(self.restarts, 'restart')} by {self.method}"
+
+        def snapshot() -> State:
+            return state_of(_framed(objects[0], spectrum, shape))
+
+        for count in range(1, self.iterations + 1):
+            objects = stepped(objects, modulus, support, self.method, (count - 1) / self.iterations)
+            last = count == self.iterations
+            if (last or count % 20 == 0) and not goes_on(
+                self.progress, text, count / self.iterations, snapshot
             ):
-                self.stopped = True
+                self.stopped = not last
                 break
         if self.method == "alternating":  # the modulus does not determine the overall sign
             sums = objects.sum(dim=(-2, -1), keepdim=True)

@@ -37,14 +37,11 @@ class UNet(nn.Module):
 
     Notes
     -----
-    At each resolution the encoder has two 3 x 3 convolutions and the decoder has one. In a decoder
-    with two convolutions, the second took a third of the whole run time without a better fit. Each
-    convolution is followed by normalisation over all channels and pixels of an image and by a leaky
-    ReLU. The decoder doubles the number of samples along each side and appends the encoder's
-    channels of the same resolution (skip connections). A final 1 x 1 convolution without activation
-    gives the output, which is not bounded. If 2^depth does not divide a side of the image, the
-    image is padded with its last samples, and the output is cropped. The weights have torch's
-    memory format channels_last, with which a step on a CPU is a fifth faster.
+    At each resolution the encoder has two 3 x 3 convolutions and the decoder one, each followed by
+    normalisation over all channels and pixels of an image and by a leaky ReLU. The decoder doubles
+    the number of samples along each side and appends the encoder's channels of the same resolution.
+    A final 1 x 1 convolution gives the output, which is not bounded. If 2^depth does not divide a
+    side of the image, the image is padded with its last samples, and the output is cropped.
 
     References
     ----------
@@ -113,8 +110,6 @@ class UNetObject(nn.Module):
     variance 1. The object has the same device and precision. ``base``, ``depth``: size of the
     network, see `UNet`. ``seed``: seed of its initial weights.
 
-    Notes
-    -----
     The network's structure alone favours objects over noise. It is fitted to one image [1]_.
 
     References

@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ..._checks import in_range, one_of, positive, whole
@@ -21,7 +20,7 @@ from ..data._threads import gradients, single_thread
 from ..data.adam import descend, joined, spread
 from ..data.arrays import real_array
 from ..data.driver import Iterate, Run, Solver, reconstructed, solved
-from ..data.measurement import Measurement, measured
+from ..data.measurement import measured
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from ..data.scaled_images import ScaledImage, total_variation
@@ -109,13 +108,6 @@ def wu2024_fit(
         aberration) and ``iterations``. The status is "trivial" if the object is the image itself (a
         correlation of 0.95 or more), otherwise "unconverged" (see Notes).
 
-    Raises
-    ------
-    SamplingError
-        If there are several images, or shapes do not fit.
-    SceneError
-        If a value is out of range or not finite.
-
     See Also
     --------
     pcin : Reconstruction via an unknown wall.
@@ -157,11 +149,10 @@ def wu2024_fit(
     background take their least-squares values in every step, and the optimisers keep their state
     through the alternation. The image is treated as periodic, as equation 8 implies.
 
-    In tests with random angles and one image, this method never found the true object and wall. The
-    result was the image itself, or another object that agrees with the image within the noise
-    (`benchmarks/inverse/wu2024.py`). Fits that started at the true wall moved away from it. A
-    residual at the noise level is therefore no sign of success, and the status is never
-    "converged".
+    In tests with random angles and one image, this method never found the true object and wall, but
+    the image itself, or another object that agrees with the image within the noise
+    (`benchmarks/inverse/wu2024.py`). A residual at the noise level is therefore no sign of success,
+    and the status is never "converged".
 
     References
     ----------
@@ -177,7 +168,17 @@ def wu2024_fit(
     tv_weight = in_range("tv_weight", tv_weight, 0.0)
     rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
     one_of("network_input", network_input, ("image", "reconstruction", "noise"))
-    image = _only(measured(images), pupil_psf)
+    if not isinstance(pupil_psf, PupilPSF):
+        raise SceneError(
+            f"pupil_psf of type {type(pupil_psf).__name__} is no PupilPSF; build one with "
+            "PupilPSF.from_zernike"
+        )
+    image, *others = measured(images).each()
+    if others:
+        raise SamplingError(
+            f'images has {1 + len(others)} frames, recipe "wu2024" takes one; give one of them, or '
+            'all of them to recipe "evidence"'
+        )
     if defocus is not None:
         defocus = np.atleast_1d(real_array("defocus", defocus))
     optics = _Optics(pupil_psf, known_defoci(defocus, 1).tolist())
@@ -302,36 +303,32 @@ class _Pcin(Solver[_Turns]):
         noise = self.data.sigma / self.image.unit
         ends = (state.count + 1) % self.every == 0 or state.count + 1 == self.max_iterations
         if self.feeds_back and ends:
-            self.network.set_guide(self.object())
+            with torch.no_grad():
+                self.network.set_guide(self.network())
             state.guide = self.network.guide
         return loss.item(), rms / noise if noise > 0.0 else rms, change.item()
-
-    def object(self) -> Tensor:
-        """Return the current output of the network, (H, W), 0 to 1."""
-        with torch.no_grad():
-            picture: Tensor = self.network()
-        return picture
 
     def level(self, state: _Turns) -> Tensor:
         """Return the object (H, W) in image units."""
         with torch.no_grad():
-            picture = self.object()
+            picture = self.network()
             gain = self.image.misfit(_seen(picture, self.optics.transfer(self.angles)))[0].item()
-        return gain * self.image.unit * picture.double()
+        level: Tensor = gain * self.image.unit * picture.double()
+        return level
 
     def answer(self, found: Run[_Turns], level: Tensor) -> dict[str, Any]:
         """Return image model, background and status, and the parameters of angles and network."""
         coefficients = self.angles.detach()
         model = self.optics.model(coefficients)
         flat = _Optics(self.optics.pupil_psf, [0.0]).model(torch.zeros_like(coefficients))
-        alike = registered_correlation(self.object(), self.data.data)
+        alike = registered_correlation(level, self.data.data)
         network = self.network.network
         return {
             "model": model,
             "background": beside(self.data, level, model)[0],
             "status": "trivial" if alike > 0.95 else "unconverged",
-            "coefficients": _frozen(coefficients.to(torch.float64)),
-            "network_weights": _frozen(joined(list(network.parameters()))),
+            "coefficients": coefficients.to(torch.float64).cpu().numpy(),
+            "network_weights": joined(list(network.parameters())).cpu().numpy(),
             "network_base": float(network.base),
             "network_depth": float(network.depth),
             "strehl": float(model.kernel.max() / flat.kernel.max()),
@@ -343,22 +340,6 @@ def _seen(picture: Tensor, transfer: Tensor) -> Tensor:
     """Return the modelled image, eq. 8 of the paper without noise."""
     seen: Tensor = torch.fft.irfft2(torch.fft.rfft2(picture) * transfer, s=picture.shape)
     return seen
-
-
-def _only(images: Measurement, pupil_psf: PupilPSF) -> Measurement:
-    """Return the single image, (H, W), of a measurement (H, W) or (1, H, W)."""
-    if not isinstance(pupil_psf, PupilPSF):
-        raise SceneError(
-            f"pupil_psf of type {type(pupil_psf).__name__} is no PupilPSF; build one with "
-            "PupilPSF.from_zernike"
-        )
-    one, *others = images.each()
-    if others:
-        raise SamplingError(
-            f'images has {1 + len(others)} frames, recipe "wu2024" takes one; give one of them, or '
-            'all of them to recipe "evidence"'
-        )
-    return one
 
 
 def _random_angles(pupil_psf: PupilPSF, start_rms: float | None, seed: int) -> Tensor:
@@ -398,9 +379,3 @@ def _from_earlier(
     spread("network_weights", found["network_weights"], list(network.network.parameters()))
     angles = torch.from_numpy(np.array(found["coefficients"])).to(pupil_psf.coefficients)
     return angles, network
-
-
-def _frozen(values: Tensor) -> NDArray[Any]:
-    array = values.cpu().numpy().copy()
-    array.flags.writeable = False
-    return array

@@ -69,10 +69,20 @@ class PupilOptics(nn.Module):
         dtype: torch.dtype = torch.float32,
     ) -> None:
         super().__init__()
-        check_precision(dtype)
-        self.wavelength = checked_wavelength(wavelength)
+        if dtype not in (torch.float32, torch.float64):
+            raise SamplingError(
+                f"dtype = {dtype} is not supported by the transform; use torch.float32 or "
+                "torch.float64"
+            )
+        self.wavelength = in_range(
+            "wavelength", wavelength, 1e-8, 1e-3, unit="m", remedy="give metres in vacuum"
+        )
         self.pupil_radius = positive("pupil_radius", pupil_radius, unit="m")
-        self.image_distance = checked_distance(image_distance)
+        self.image_distance = real("image_distance", image_distance)
+        if self.image_distance == 0.0:
+            raise SceneError(
+                "image_distance = 0 m, must not be 0; give the signed distance from pupil to image"
+            )
         self.pitch = positive("pitch", pitch, unit="m")
         self.shape = shape_of(shape)
         self.pixel_integrated = bool(pixel_integrated)
@@ -137,8 +147,11 @@ class PupilOptics(nn.Module):
         ``turns`` (..., n_v, n_u) is the wave aberration divided by the wavelength.
         """
         if not self.pixel_integrated:
-            return centred(self._periodic(turns))
-        return centred(torch.fft.irfft2(self.transfer(turns), s=self.shape))
+            spread = self._periodic(turns)
+        else:
+            spread = torch.fft.irfft2(self.transfer(turns), s=self.shape)
+        centred: Tensor = torch.fft.fftshift(spread, dim=(-2, -1))
+        return centred
 
     def transfer(self, turns: Tensor) -> Tensor:
         """Return ``rfft2`` of the point spreads, (..., H, W//2 + 1), their centre at sample [0, 0].
@@ -184,7 +197,8 @@ class PupilOptics(nn.Module):
         phase = turns * math.copysign(2 * math.pi, self.image_distance)
         pupil = torch.complex(self._amplitude * phase.cos(), self._amplitude * phase.sin())
         field = torch.fft.fft(torch.fft.fft(pupil, n=columns, dim=-1), n=rows, dim=-2)
-        return field.real.square() + field.imag.square()
+        intensity: Tensor = field.real.square() + field.imag.square()
+        return intensity
 
     def _period_axis(self, side: int) -> Array:
         """Return cell centres, m, for which ``side`` image pixels are exactly one period."""
@@ -227,32 +241,3 @@ class PupilOptics(nn.Module):
             # a pixel is _finer samples wide: its energy is their mean times their number
             y, x = (np.fft.fftfreq(n, 1 / self._finer) for n in self.fine_grid)
             keep("_pixel", np.outer(np.sinc(y), np.sinc(x[: len(x) // 2 + 1])) * self._finer**2)
-
-
-def centred(spread: Tensor) -> Tensor:
-    """Move the centre of point spreads (..., H, W) from sample [0, 0] to [H//2, W//2]."""
-    shifted: Tensor = torch.fft.fftshift(spread, dim=(-2, -1))
-    return shifted
-
-
-def check_precision(dtype: torch.dtype) -> None:
-    """Raise a `SamplingError` if a pupil model does not support a data type."""
-    if dtype not in (torch.float32, torch.float64):
-        raise SamplingError(
-            f"dtype = {dtype} is not supported by the transform; use torch.float32 or torch.float64"
-        )
-
-
-def checked_wavelength(wavelength: float) -> float:
-    """Return a wavelength, m; raise a `SceneError` if it is out of range."""
-    return in_range("wavelength", wavelength, 1e-8, 1e-3, unit="m", remedy="give metres in vacuum")
-
-
-def checked_distance(image_distance: float) -> float:
-    """Return the signed distance from pupil to image, m; raise a `SceneError` if it is 0."""
-    distance = real("image_distance", image_distance)
-    if distance == 0.0:
-        raise SceneError(
-            "image_distance = 0 m, must not be 0; give the signed distance from pupil to image"
-        )
-    return distance

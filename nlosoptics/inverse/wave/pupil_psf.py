@@ -9,12 +9,10 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from ..._checks import one_of, positive
+from ..._checks import positive
 from ...errors import SamplingError, SceneError
-from ...imaging.forward_model import Boundary
 from ...psf import wavefront
 from ...scene import Scene
-from ..data.forward import padded_transfer
 from .pupil_optics import ImageOptions, PupilOptics
 from .pupil_waves import (
     DEFOCUS,
@@ -66,6 +64,15 @@ class PupilPSF(nn.Module):
         Fit parameters: Zernike coefficients in waves rms over the full pupil, or slopes in waves
         per pupil radius. Unlike all lengths, which are in m, they are in units of the wavelength,
         so that the steps of an optimiser have a suitable size.
+
+    Raises
+    ------
+    SceneError
+        If a length, mode or angle is out of range or not finite, or coefficients are no tensor.
+    SamplingError
+        If pitch and shape do not resolve the pupil or the image, or shapes do not match.
+    CausticError, NotWaveGradeError
+        If the wave of a scene is undefined, see `psf.wavefront`.
 
     See Also
     --------
@@ -129,13 +136,6 @@ class PupilPSF(nn.Module):
         -------
         PupilPSF
             PSF with ``coefficients`` of shape (M,), waves rms.
-
-        Raises
-        ------
-        SceneError
-            If a length or mode is out of range.
-        SamplingError
-            If pitch or shape do not resolve the pupil or the image.
 
         Examples
         --------
@@ -239,15 +239,6 @@ class PupilPSF(nn.Module):
         -------
         PupilPSF
             PSF with ``coefficients`` of shape (M,), waves rms.
-
-        Raises
-        ------
-        CausticError, NotWaveGradeError
-            If W is undefined, see `psf.wavefront`.
-        SamplingError
-            If pitch or shape do not resolve the pupil or the image.
-        SceneError
-            If the scene, a mode or a length is invalid.
         """
         wave = wavefront(scene, object_point, "polar")
         optics = optics_of(wave, pitch, shape, **options)
@@ -280,14 +271,6 @@ class PupilPSF(nn.Module):
         """Compute the PSF: energy per sample, (..., H, W), or (..., K, H, W) with ``defocus``.
 
         It is centred at [H//2, W//2] and sums to 1.
-
-        Raises
-        ------
-        SamplingError
-            If a shape or the coefficients' dtype does not match.
-        SceneError
-            If the coefficients are not a tensor, or a defocus is not finite or exceeds 1e-3 m rms:
-            such a large value was probably given in waves instead of metres.
         """
         return self.optics.point_spread(self._turns(coefficients, defocus))
 
@@ -300,63 +283,6 @@ class PupilPSF(nn.Module):
         of an object, (H, W), it is the spectrum of the object's image, with both periodic.
         """
         return self.optics.transfer(self._turns(coefficients, defocus))
-
-    def image(
-        self,
-        object_image: Tensor,
-        coefficients: Tensor | None = None,
-        *,
-        defocus: Tensor | Sequence[float] | None = None,
-        gain: Tensor | float = 1.0,
-        background: Tensor | float = 0.0,
-        boundary: Boundary = "padded",
-    ) -> Tensor:
-        """Compute an object's image: ``gain * (PSF convolved with object) + background``.
-
-        Parameters
-        ----------
-        object_image : Tensor
-            Object, (..., h, w), on the image's pixels. If ``boundary`` is "circular", (h, w) must
-            be the shape of the PSF. Batch dimensions broadcast with those of the coefficients.
-        coefficients, defocus
-            See `PupilPSF`.
-        gain, background : float or Tensor
-            Factor and offset of the image, in any unit; tensors broadcast with the result.
-        boundary : {"padded", "circular"}
-            Surroundings of the object: dark, or periodic copies.
-
-        Returns
-        -------
-        Tensor
-            Image, (..., h, w), or (..., K, h, w) with ``defocus``.
-        """
-        one_of("boundary", boundary, ("padded", "circular"))
-        if not isinstance(object_image, Tensor):
-            raise SceneError(
-                f"object_image of type {type(object_image).__name__} is not a tensor; give "
-                "torch.from_numpy(picture)"
-            )
-        frame = tuple(object_image.shape[-2:])
-        if object_image.ndim < 2 or 0 in frame:
-            raise SamplingError(
-                f"object_image has shape {tuple(object_image.shape)}, must be (..., h, w); give at "
-                "least one image"
-            )
-        if boundary == "circular":
-            if frame != self.shape:
-                raise SamplingError(
-                    f"object_image has shape {tuple(object_image.shape)}, must end in {self.shape} "
-                    "like the point spread; resample it, or use boundary='padded'"
-                )
-            grid, transfer = self.shape, self.transfer(coefficients, defocus=defocus)
-        else:
-            spread = self(coefficients, defocus=defocus)
-            grid, transfer = padded_transfer(spread, (frame[0], frame[1]))
-        if defocus is not None:
-            object_image = object_image.unsqueeze(-3)
-        seen: Tensor = torch.fft.irfft2(torch.fft.rfft2(object_image, s=grid) * transfer, s=grid)
-        seen = gain * seen[..., : frame[0], : frame[1]] + background
-        return seen
 
     def aberration(self, coefficients: Tensor | None = None) -> Tensor:
         """Compute the wave aberration W, (..., n_v, n_u), m, 0 outside the pupil.

@@ -10,10 +10,12 @@ import pytest
 import torch
 
 from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement, PupilPSF, evidence_fit, pcin, registered_correlation
 from nlosoptics.inverse.blind.evidence_search import Search
-from nlosoptics.inverse.blind.free_energy import FreeEnergy, Stage
-from nlosoptics.inverse.blind.random_walls import Breeding, children, random_walls
+from nlosoptics.inverse.blind.free_energy import FreeEnergy
+from nlosoptics.inverse.blind.random_walls import children, random_walls
+from nlosoptics.inverse.blind.search_settings import Neighbourhood, Stage
 from nlosoptics.inverse.blind.verdict import Verdict
 from nlosoptics.inverse.wave.frames import frames_of
 from nlosoptics.inverse.wave.pupil_optics import PupilOptics
@@ -47,9 +49,9 @@ def images(size, coefficients, defocus=DEFOCUS, *, noise=0.01, background=0.2, s
     """Images on a period of two frames, whose point spread the fit never sees."""
     wide = PupilPSF.from_zernike(MODES, shape=2 * size, dtype=torch.float64, **OPTICS)
     with torch.no_grad():
-        seen = wide.image(
-            torch.from_numpy(letter(size)), torch.as_tensor(coefficients), defocus=defocus
-        ).numpy()
+        spreads = wide(torch.as_tensor(coefficients), defocus=defocus).numpy()
+    models = [ForwardModel(spread, shape=(size, size)) for spread in spreads]
+    seen = np.stack([model.forward(letter(size)) for model in models])
     sigma = noise * seen.max()
     return seen + background + sigma * np.random.default_rng(seed).normal(size=seen.shape), sigma
 
@@ -212,7 +214,7 @@ def test_twin_has_the_same_point_spread(pupil, energy):
 def test_children_differ_from_their_parents_and_repeat(energy):
     walls = random_walls(4, len(MODES), np.array([0.4]), np.random.default_rng(1))
     parents = energy.starts(walls, 5.0)
-    breeding = Breeding(flips=0.1, noise=0.3)
+    breeding = Neighbourhood(1, 12, flips=0.1, noise=0.3)
     one, two = (
         children(parents, 12, energy.twin, breeding, np.random.default_rng(5)) for _ in range(2)
     )
@@ -226,7 +228,7 @@ def test_children_of_a_wall_and_its_twin_change_one_of_them():
     wall, twin = rng.normal(size=9), np.where(np.arange(9) % 2, -1.0, 1.0)
     parents = np.array([wall, twin * wall])
     starts = SimpleNamespace(coefficients=parents)
-    found = children(starts, count, twin, Breeding(flips=0.0, noise=0.1), rng)
+    found = children(starts, count, twin, Neighbourhood(1, 12, flips=0.0, noise=0.1), rng)
     away = np.linalg.norm(found[:, None] - parents, axis=2) / np.linalg.norm(wall)
     nearest = away.min(axis=1)
     mixed = np.isclose(nearest, 0.15, rtol=1e-9)

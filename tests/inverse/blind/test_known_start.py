@@ -15,7 +15,8 @@ from nlosoptics import inverse
 from nlosoptics.errors import NlosError, SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement, PupilPSF, evidence_fit, pcin, registered_correlation
-from nlosoptics.inverse.blind.free_energy import FreeEnergy, Stage
+from nlosoptics.inverse.blind.free_energy import FreeEnergy
+from nlosoptics.inverse.blind.search_settings import Stage
 from nlosoptics.inverse.wave.frames import frames_of
 from nlosoptics.inverse.wave.pupil_waves import noll_mode
 from nlosoptics.psf import Wavefront, point_spread
@@ -156,17 +157,18 @@ def made(shape=(32, 40), gains=(1.0,), noise=0.01, hidden=0.0):
     spread = PupilPSF.from_zernike((4, 5, 6), **optics, shape=shape)
     twice = (2 * shape[0], 2 * shape[1])
     full = PupilPSF.from_zernike((4, 5, 6, 9), **optics, shape=twice)
-    truth = torch.zeros(shape)
+    truth = np.zeros(shape)
     truth[10:20, 12:26] = 1.0
     defocus = [3e-7 * k for k in range(len(gains))]
     with torch.no_grad():
         spread.coefficients.copy_(torch.tensor(WAVE))
-        light = full.image(truth, torch.tensor([*WAVE, hidden]), defocus=defocus)
+        spreads = full(torch.tensor([*WAVE, hidden]), defocus=defocus).double().numpy()
+    light = np.stack([ForwardModel(s, shape=shape).forward(truth) for s in spreads])
     rng = np.random.default_rng(0)
-    clean = light.numpy() * np.array(gains)[:, None, None] * 500.0
+    clean = light * np.array(gains)[:, None, None] * 500.0
     sigma = noise * clean.max()
     images = clean + sigma * rng.normal(size=clean.shape)
-    return images, spread, np.array(defocus), truth.numpy()
+    return images, spread, np.array(defocus), truth
 
 
 NEAR = {"start_error": 0.1, "max_iterations": 1}

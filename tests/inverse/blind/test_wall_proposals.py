@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from nlosoptics.errors import SceneError
+from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import PupilPSF
 from nlosoptics.inverse.blind import wall_proposals as proposals
 from nlosoptics.inverse.blind.random_walls import random_walls
@@ -47,13 +48,8 @@ def image(truth, wall, pitch=NYQUIST, noise=0.01, seed=0, **options):
     """Image of a picture; the point spread has twice its room."""
     wide = pupil(pitch, 2 * max(truth.shape), **options)
     with torch.no_grad():
-        seen = (
-            wide.image(
-                torch.from_numpy(truth).float(), torch.from_numpy(wall).float(), defocus=np.zeros(1)
-            )[0]
-            .double()
-            .numpy()
-        )
+        spread = wide(torch.from_numpy(wall).float()).double().numpy()
+    seen = ForwardModel(spread, shape=truth.shape).forward(truth)
     return seen + noise * seen.max() * np.random.default_rng(seed).normal(size=seen.shape)
 
 

@@ -87,6 +87,7 @@ def test_each_image_gets_its_own_values():
     assert alone.noise_sigma == 0.4
 
 
+@pytest.mark.thorough
 def test_masked_frames_of_a_blind_fit_need_no_noise():
     optics = {"wavelength": 6e-7, "pupil_radius": 9e-4, "image_distance": 0.05, "pitch": 8e-6}
     pupil = PupilPSF.from_zernike((4, 6), shape=24, **optics)

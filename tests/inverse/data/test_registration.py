@@ -8,7 +8,7 @@ import torch
 from scipy import fft, ndimage
 
 from nlosoptics.errors import SamplingError, SceneError
-from nlosoptics.inverse import registered_correlation, registered_scores
+from nlosoptics.inverse import registered_correlation
 
 
 def blobs(shape=(48, 50), seed=0):
@@ -83,53 +83,6 @@ def test_bad_pictures_are_refused():
         registered_correlation(blobs(), np.where(blobs() == blobs().max(), np.nan, blobs()))
     with pytest.raises(SceneError, match="upsampling = 0"):
         registered_correlation(blobs(), blobs(), upsampling=0)
-
-
-@pytest.mark.parametrize("noise", [0.05, 0.5])
-def test_scores_are_scikit_images_once_moved_and_scaled(noise):
-    metrics = pytest.importorskip("skimage.metrics")
-    truth = 2.0 + blobs()
-    noisy = truth + noise * truth.std() * np.random.default_rng(3).normal(size=truth.shape)
-    slope, offset = np.polyfit(noisy.ravel(), truth.ravel(), 1)
-    fitted, peak = slope * noisy + offset, np.ptp(truth)
-    found = registered_scores(5.0 * np.roll(noisy, (7, -4), (0, 1)) - 1.0, truth, upsampling=1)
-    expected = metrics.structural_similarity(
-        fitted,
-        truth,
-        data_range=peak,
-        gaussian_weights=True,
-        sigma=1.5,
-        use_sample_covariance=False,
-    )
-    # rounding
-    assert found.ssim == pytest.approx(expected, abs=1e-10)
-    expected = metrics.peak_signal_noise_ratio(truth, fitted, data_range=peak)
-    assert found.psnr == pytest.approx(expected, abs=1e-9)
-    assert found.correlation == pytest.approx(np.corrcoef(noisy.ravel(), truth.ravel())[0, 1])
-
-
-def test_scores_of_the_truth_itself_are_full_between_pixels_and_turned():
-    truth = blobs()
-    for picture, flip in (
-        (moved(truth, 0.35, -2.6), False),
-        (moved(truth, 3.0, 0.5)[::-1, ::-1], True),
-    ):
-        found = registered_scores(picture, truth, flip=flip)
-        # shifts are whole numbers of twentieths; a shift between pixels drops Nyquist's frequency,
-        # of which these smooth pictures have 1e-6
-        assert found.psnr > 100.0
-        assert found.ssim == pytest.approx(1.0, abs=1e-9)
-
-
-def test_scores_of_a_uniform_picture_are_none():
-    truth = blobs()
-    found = registered_scores(np.ones(truth.shape), truth)
-    assert found.correlation == 0.0
-    assert found.psnr == pytest.approx(10 * np.log10(np.ptp(truth) ** 2 / truth.var()))
-    with pytest.raises(SceneError, match="data_range = 0"):
-        registered_scores(truth, np.ones(truth.shape))
-    with pytest.raises(SamplingError, match="too small"):
-        registered_scores(truth[:8, :8], truth[:8, :8])
 
 
 @pytest.mark.parametrize(

@@ -106,6 +106,7 @@ def full_well(clean, noise, seed=0):
     return np.minimum(clean + noise, LEVEL) + readout, full
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sigma", [0.03, 0.06])
 def test_stated_full_pixels_are_better_than_search_and_mask(sigma):
     gains = []

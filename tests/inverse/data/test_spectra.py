@@ -68,6 +68,7 @@ def test_periodic_image_is_left_alone():
     assert float(periodic_power(wave)[3, 2]) == pytest.approx(float(half[3, 2]), rel=0.2)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("noise", [0.005, 0.1])
 def test_noise_is_taken_from_beyond_the_cut_off(mismatches, noise):
     """Fine detail raises the estimate from second differences, not the one with the model."""
@@ -82,6 +83,7 @@ def test_noise_is_taken_from_beyond_the_cut_off(mismatches, noise):
     assert np.abs(own).mean() < np.abs(plain).mean()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("shape", [(8, 8), (9, 14)])
 def test_share_of_white_noise_is_the_mean_of_many(shape):
     """Brute force; only at the lowest frequencies do the corners add more than a part of 1/N^2."""
@@ -94,6 +96,7 @@ def test_share_of_white_noise_is_the_mean_of_many(shape):
     assert 1.0 - share[shape[0] // 2, -1] > 2 * error[shape[0] // 2, -1]
 
 
+@pytest.mark.thorough
 def test_noise_at_the_edges_counts(mismatches):
     """The mean over 40 images: without the edges' share it is 1.2 % too low."""
     ratios = []

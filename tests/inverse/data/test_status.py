@@ -256,6 +256,7 @@ def test_other_pictures_in_a_scene_converge():
         assert inverse.registered_correlation(found, truth) > 0.99
 
 
+@pytest.mark.thorough
 def test_status_is_the_same_for_a_tensor(drawn):
     case, model = drawn("gradient", seed=3, wall="smooth", subject="glyph", noise=0.03)
     array, tensor = (
@@ -264,6 +265,7 @@ def test_status_is_the_same_for_a_tensor(drawn):
     assert array.reasons == tensor.reasons
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("noise", [0.01, 0.06])
 def test_the_expected_error_is_that_found(drawn, noise):
     """Correlation and rms error of the pixels, each within a factor of two, over six walls."""

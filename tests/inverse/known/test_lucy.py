@@ -70,6 +70,7 @@ def test_plain_steps_never_raise_the_divergence(case):
     assert (np.diff(objective) <= 1e-5 * objective[:-1]).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("wall", ["smooth", "speckle"])
 @pytest.mark.parametrize("noise", [0.01, 0.05])
 def test_stops_at_the_noise_before_it_is_fitted(case, wall, noise):

@@ -79,6 +79,7 @@ def test_a_weight_above_all_light_leaves_the_background_alone(tv_weight):
     assert found.physical_parameters["background"] == pytest.approx(image.mean(), abs=1e-5)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("name", ["F", "cartoon_smile", "hanzi_zhong"])
 @pytest.mark.parametrize(("wall", "limit"), [("smooth", 0.95), ("speckle", 0.99)])
@@ -97,6 +98,7 @@ def test_one_per_cent_noise(case, wall, limit, name, seed):
     assert {values.size for values in found.history.values()} == {len(found.history["change"])}
 
 
+@pytest.mark.thorough
 def test_less_noise_is_absorbed_in_faint_light(case):
     """The target rises from sqrt(1 - outline/pixels) of the noise to the noise itself."""
     data, model = case("F", "smooth", noise=1.0)
@@ -133,6 +135,7 @@ def test_five_per_cent_noise_beats_the_linear_filter(case, wall, limit):
     assert reached > inverse.registered_correlation(linear, data.truth)
 
 
+@pytest.mark.thorough
 def test_weight_that_was_found_gives_the_same_object_when_given(case):
     data, model = case("F", "speckle")
     tight = {"tolerance": 1e-5, "max_iterations": 4000}
@@ -147,6 +150,7 @@ def test_weight_that_was_found_gives_the_same_object_when_given(case):
     assert smoother.score > given.score
 
 
+@pytest.mark.thorough
 def test_units_background_and_gain_change_nothing_but_their_parameters(case):
     data, model = case("R", "smooth")
     plain = inverse.tv_deconvolve(
@@ -171,6 +175,7 @@ def test_units_background_and_gain_change_nothing_but_their_parameters(case):
     assert known.object.max() * 2.0 == pytest.approx(first["gain"], rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_background_far_above_the_noise_costs_nothing(case):
     data, model = case("R", "smooth")
     level = 1e6 * data.noise_sigma
@@ -196,6 +201,7 @@ def test_known_background_is_not_fitted_twice(case):
     assert inverse.registered_correlation(found, data.truth) > 0.99
 
 
+@pytest.mark.thorough
 def test_noise_map_is_used(case):
     data, model = case("R", "speckle")
     sigma = data.noise_sigma * np.where(np.arange(128) < 64, 0.5, 5.0) * np.ones((128, 1))
@@ -229,6 +235,7 @@ def test_periodic_and_oblong_frames():
         assert found.physical_parameters["background"] == pytest.approx(2.0, abs=0.02)
 
 
+@pytest.mark.thorough
 def test_low_noise_runs_in_double_precision(case):
     data, model = case("F", "smooth", 0, 1e-5)
     found = inverse.tv_deconvolve(

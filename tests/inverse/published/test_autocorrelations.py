@@ -88,22 +88,6 @@ def test_lags_of_a_known_wall_are_wiener_filtered():
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * found.max())
 
 
-def test_lags_of_a_frame_that_repeats_reach_half_of_it():
-    model = ForwardModel(np.eye(1), shape=(5, 9), boundary="circular")
-    optics = inverse.TorchForwardModel.from_numpy(model, dtype=torch.float64)
-    assert image_lags(measured(IMAGE[:5], model), optics).shape == (5, 9)
-
-
-def test_an_image_that_is_noise_alone_has_faint_lags():
-    """Its mean power is no larger than that of the noise, which leaves nothing to divide by."""
-    kernel = np.full((3, 3), 1 / 9)
-    model = ForwardModel(kernel, shape=IMAGE.shape)
-    optics = inverse.TorchForwardModel.from_numpy(model, dtype=torch.float64)
-    sure, lost = (image_lags(measured(IMAGE, model, noise), optics) for noise in (0.01, 2.0))
-    assert np.isfinite(lost).all()
-    assert np.abs(lost).max() < 1e-9 * sure.max()
-
-
 OBJECT = DRAW.random((4, 6)) + 0.2
 
 
@@ -184,20 +168,6 @@ def test_extent_is_that_of_the_lags_above_the_background(sizes):
     assert found == tuple(math.ceil(1.4 * (2 * n + 3) / 2) + 1 for n in sizes)
 
 
-def test_lags_stand_out_by_three_deviations():
-    assert min(spectrum_modulus(noisy_lags(3.01, (4, 5)), None).object_size) > 3
-    with pytest.raises(SamplingError, match=r"no lags stand out .* or give object_size"):
-        spectrum_modulus(noisy_lags(2.99, (4, 5)), None)
-
-
-def test_extent_is_at_most_that_of_the_array():
-    lags = object_lags((21, 15))
-    down, right = np.abs(np.arange(21) - 10)[:, None], np.abs(np.arange(15) - 7)
-    lags[(down < 9) & (right < 6)] = 5.0
-    lags[10, 7] = 9.0
-    assert spectrum_modulus(lags, None).object_size == (11, 8)
-
-
 @pytest.mark.parametrize(
     ("lags", "size", "words"),
     [
@@ -210,11 +180,6 @@ def test_extent_is_at_most_that_of_the_array():
 def test_lags_of_no_object_are_refused(lags, size, words):
     with pytest.raises(SamplingError, match=words):
         spectrum_modulus(lags, size)
-
-
-def test_three_lags_are_enough():
-    lags = np.array([[0.0, 1.0, 0.0], [2.0, 0.0, 2.0], [0.0, 1.0, 0.0]])
-    assert spectrum_modulus(lags, (2, 2)).grid == (4, 4)
 
 
 def test_given_lags_become_symmetric():

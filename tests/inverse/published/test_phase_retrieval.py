@@ -46,6 +46,7 @@ def autocorrelation(picture):
     return fft.fftshift(fft.ifft2(np.abs(fft.fft2(picture)) ** 2).real)[1:, 1:]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", METHODS)
 def test_clean_autocorrelation_gives_the_object_up_to_place_and_half_a_turn(method):
     truth = letter(64, 4)

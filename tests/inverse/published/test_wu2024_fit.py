@@ -143,6 +143,7 @@ def test_cold_start_is_random_and_of_the_rms_asked_for(image, pupil_psf, sigma):
     assert not pupil_psf.coefficients.detach().any()
 
 
+@pytest.mark.thorough
 def test_the_wall_is_not_kept(image, truth, pupil_psf, sigma, cold):
     """Started within 0.03 waves of the wall it drifts to "no blur", and says so."""
     start = replace(
@@ -155,6 +156,7 @@ def test_the_wall_is_not_kept(image, truth, pupil_psf, sigma, cold):
     assert found.status == "trivial"
 
 
+@pytest.mark.thorough
 def test_no_blur_is_told(truth, pupil_psf):
     """A sharp image by a perfect wave has the trivial answer, and it is called by its name."""
     found = wu2024_fit(

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.inverse import Measurement, PupilPSF
-from nlosoptics.inverse.wave import pupil_waves
 from nlosoptics.inverse.wave.frames import frames_of
 
 SIDES = (11, 14)
@@ -103,35 +100,3 @@ def test_images_that_do_not_fit_are_refused(change, words):
     seen = Measurement(IMAGES, noise_sigma=asked.pop("noise_sigma"))
     with pytest.raises((SamplingError, SceneError), match=words):
         frames_of(seen, spread, **asked)
-
-
-@pytest.mark.parametrize("count", [2, 3, 4, 7])
-def test_splines_hold_polynomials(count):
-    nodes, cells = np.linspace(-1.0, 2.0, count), np.linspace(-0.9, 1.8, 5)
-    table = pupil_waves._spline(nodes, cells)
-    for degree in range(min(4, count)):
-        assert table @ nodes**degree == pytest.approx(cells**degree, abs=1e-12)
-
-
-def test_modes_and_their_start():
-    assert pupil_waves.start_values((4, 9), 6e-7) == [0.0, 0.0]
-    assert pupil_waves.start_values({4: 3e-7, 9: -6e-8}, 6e-7) == pytest.approx([0.5, -0.1])
-    optics = SimpleNamespace(
-        v=np.array([-0.3, 0.2]),
-        u=np.array([-0.5, 0.1, 0.4]),
-        pupil_radius=0.8,
-        share=np.array([[1.0, 0.5, 1e-9], [0.0, 1.0, 1.0]]),
-    )
-    u, v = np.meshgrid(optics.u / 0.8, optics.v / 0.8)
-    coma = np.sqrt(8) * (3 * (u**2 + v**2) - 2) * v  # Noll 7
-    assert pupil_waves.noll_mode(7, optics) == pytest.approx(np.where(optics.share > 0, coma, 0.0))
-    for modes, words in (
-        ("45", "modes = '45'; give a sequence of Noll indices"),
-        (4, "modes = 4; give a sequence"),
-        ((), "modes is empty; give Noll indices from 2 on"),
-        ((0, 4), "mode = 0"),
-        ((4, 1), "modes holds 1, piston"),
-        ((4, 6, 9, 6, 9, 9), "modes holds 6 more than once; give each index once"),
-    ):
-        with pytest.raises(SceneError, match=words):
-            pupil(modes=modes)

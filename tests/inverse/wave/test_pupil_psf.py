@@ -8,7 +8,6 @@ import torch
 
 from nlosoptics._checks import Budget, within
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
-from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import PupilPSF
 from nlosoptics.inverse.wave.frames import known_defoci
 from nlosoptics.psf import Wavefront, point_spread, zernike
@@ -173,53 +172,6 @@ def test_second_and_forward_derivatives_and_maps_over_batches():
     torch.testing.assert_close(torch.func.vmap(module)(stack), module(stack), rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize("boundary", ["padded", "circular"])
-@pytest.mark.parametrize("shape", [(64, 64), (41, 40)])
-@pytest.mark.parametrize("frame", [(64, 64), (17, 80), (120, 23)])
-def test_images_equal_those_of_the_numpy_model(boundary, shape, frame):
-    if boundary == "circular":
-        frame = shape
-    module = pupil(shape=shape, cells=8.0)
-    objects = np.random.default_rng(0).random((2, *frame))
-    model = ForwardModel(module().detach().numpy(), shape=frame, boundary=boundary)
-    expected = 3.0 * model.forward(objects) + 0.25
-    found = module.image(torch.from_numpy(objects), gain=3.0, background=0.25, boundary=boundary)
-    # roundings of transforms of values of some units
-    np.testing.assert_allclose(found.detach().numpy(), expected, rtol=0, atol=1e-13)
-
-
-def test_images_of_batches_of_objects_waves_and_frames():
-    module = pupil([5, 6], shape=(20, 21), cells=4.0)
-    generator = torch.Generator().manual_seed(1)
-    waves = 0.2 * torch.randn(3, 2, dtype=torch.float64, generator=generator)
-    objects = torch.rand(3, 20, 21, dtype=torch.float64, generator=generator)
-    defocus = [0.0, 1e-7, -2e-7]
-    for boundary in ("padded", "circular"):
-        found = module.image(objects, waves, defocus=defocus, boundary=boundary)
-        assert tuple(found.shape) == (3, 3, 20, 21)
-        for b, k in np.ndindex(3, 3):
-            alone = module.image(
-                objects[b], waves[b], defocus=defocus[k : k + 1], boundary=boundary
-            )
-            # roundings of transforms of values below 1
-            torch.testing.assert_close(found[b, k], alone[0], rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize("boundary", ["padded", "circular"])
-def test_gradients_of_images(boundary):
-    module = pupil([5, 8], shape=(10, 9), cells=2.0)
-    generator = torch.Generator().manual_seed(2)
-    picture = torch.rand(10, 9, dtype=torch.float64, generator=generator).requires_grad_()
-    waves = torch.tensor([0.1, -0.3], dtype=torch.float64, requires_grad=True)
-    gain = torch.tensor(2.0, dtype=torch.float64, requires_grad=True)
-    level = torch.tensor(0.5, dtype=torch.float64, requires_grad=True)
-
-    def image(picture, waves, gain, level):
-        return module.image(picture, waves, gain=gain, background=level, boundary=boundary)
-
-    assert torch.autograd.gradcheck(image, (picture, waves, gain, level))
-
-
 def test_start_values_are_waves_of_the_given_metres():
     module = pupil()
     torch.testing.assert_close(
@@ -276,10 +228,6 @@ def test_wrong_leaves_are_refused():
     module = pupil()
     with pytest.raises(SamplingError, match=r"must end in \(5,\)"):
         module(torch.zeros(4, dtype=torch.float64))
-    with pytest.raises(SamplingError, match=r"must end in \(64, 64\) like the point spread"):
-        module.image(torch.zeros(64, 63), boundary="circular")
-    with pytest.raises(SamplingError, match=r"must be \(..., h, w\)"):
-        module.image(torch.zeros(64))
     with pytest.raises(SamplingError, match=r"must be \(K,\)"):
         module(defocus=torch.zeros(2, 2))
 
@@ -315,8 +263,6 @@ def test_defocus_in_waves_or_words_is_refused(defocus, words):
         with pytest.raises(SceneError, match=words) as caught:
             call(defocus=defocus)
         assert "\n" not in str(caught.value)
-    with pytest.raises(SceneError, match="object_image of type ndarray is not a tensor"):
-        module.image(np.zeros((8, 8)))
 
 
 def test_the_largest_defocus_is_a_millimetre():

@@ -174,6 +174,7 @@ def test_a_scene_starts_at_the_wave_of_its_wall(concave):
     assert np.abs(found).max() > 0.1  # waves: there is something to fit
 
 
+@pytest.mark.thorough
 def test_a_scene_has_its_point_spread(concave):
     expected = psf.point_spread(psf.wavefront(concave), pitch=4.5e-6, shape=96, tol=1e-4).intensity
     found = scene_pupil(concave)().detach().numpy()
