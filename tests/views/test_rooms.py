@@ -103,7 +103,7 @@ def test_filters_keep_what_they_say(flat_scene):
 
 
 def test_of_many_paths_lines_are_as_dense_as_the_light(flat_scene):
-    """Every tenth of equal paths; of a bright and many faint ones the bright, and every tenth."""
+    """Paths are drawn in proportion to their power; one that has half of all power is drawn."""
     one = made_paths()
     n = 1000
     many = replace(
@@ -116,18 +116,17 @@ def test_of_many_paths_lines_are_as_dense_as_the_light(flat_scene):
     )
     even = np.unique(lines(views.ray_paths(many, flat_scene, most=100))["path"])
     assert len(even) == 100
-    assert np.all(np.diff(even) == 10)
+    assert np.all(np.diff(even) > 0)
     weight = np.ones(n)
     weight[500] = 1000.0  # half of all power
     uneven = replace(many, weight=weight)
     drawn = np.unique(lines(views.ray_paths(uneven, flat_scene, most=100))["path"])
     assert 500 in drawn
     assert len(drawn) == 100
-    assert np.diff(drawn[drawn != 500]).max() <= 11
     rising = replace(many, weight=np.arange(1.0, n + 1))
     drawn = np.unique(lines(views.ray_paths(rising, flat_scene, most=100))["path"])
-    # three quarters of the power are in the upper half, to one step
-    assert abs(np.count_nonzero(drawn >= n // 2) - 75) <= 1
+    # three quarters of the power are in the upper half; four standard deviations of 100 draws
+    assert abs(np.count_nonzero(drawn >= n // 2) - 75) <= 4 * np.sqrt(100 * 0.75 * 0.25)
     dark = replace(many, weight=np.zeros(n))
     assert len(np.unique(lines(views.ray_paths(dark, flat_scene, most=100))["path"])) == 100
 
@@ -159,12 +158,6 @@ def test_colours_are_the_quantity_that_the_bar_names(flat_scene, colour):
         assert mapper.lookup_table.log_scale
         assert high == pytest.approx(4e-12)
         assert 0 < low <= 1e-12
-
-
-def test_equal_powers_have_a_scale(flat_scene):
-    paths = replace(made_paths(), weight=np.full(3, 2e-12))
-    mapper = views.ray_paths(paths, flat_scene, colour="weight").actors["ray paths"].mapper
-    assert mapper.scalar_range == pytest.approx((2e-13, 2e-12))
 
 
 def test_aberration_is_that_of_the_ray(flat_scene):
@@ -436,8 +429,8 @@ def test_volumes_without_a_surface_are_refused():
 def test_missing_pyvista_is_told_in_one_line():
     code = (
         "import sys; sys.modules['pyvista'] = None\n"
-        "from nlosoptics import views\n"
-        "for call in (views.rendering_works, views.window):\n"
+        "from nlosoptics.views.stages import rendering_works, window\n"
+        "for call in (rendering_works, window):\n"
         "    try: call()\n"
         "    except ImportError as error: print(type(error).__name__, error)"
     )
