@@ -85,7 +85,7 @@ def test_no_paths_is_the_room_alone(scene, capsys, tmp_path):
 
 def test_a_png_is_drawn_where_that_works(scene, capsys, tmp_path):
     try:
-        views.rendering_works()
+        stages.rendering_works()
     except MissingExtraError as error:
         pytest.skip(str(error))
     out = tmp_path / "room.png"
@@ -156,9 +156,9 @@ def test_with_a_display_a_window_is_shown(scene, capsys, monkeypatch, untried):
     monkeypatch.setattr(stages, "TRIAL", "print('vtkXOpenGLRenderWindow')")
     shown, made_in = [], []
     monkeypatch.setattr(pyvista.Plotter, "show", lambda plotter: shown.append(plotter))
-    window = views.window
+    window = stages.window
     monkeypatch.setattr(
-        views, "window", lambda: (made_in.append(threading.current_thread()), window())[1]
+        stages, "window", lambda: (made_in.append(threading.current_thread()), window())[1]
     )
     code, _, wrong = run(capsys, scene, "--paths", "20")
     assert (code, wrong) == (0, "")

@@ -186,7 +186,9 @@ def test_saltelli_draws_are_plotted_as_sobol_indices(study: Path, capsys, monkey
     study.write_text(text)
     assert call(capsys, "study", study, "--workers", 0)[0] == 0
     seen = []
-    monkeypatch.setattr(views, "sobol_bars", lambda found, label: seen.append((found, label)) or 1)
+    monkeypatch.setattr(
+        "nlosoptics.views.studies.tornado", lambda found, label: seen.append((found, label)) or 1
+    )
     monkeypatch.setattr(views, "save", lambda axes, out: None)
     assert call(capsys, "study", "plot", "powers.zarr", "power")[0] == 0
     ((found, label),) = seen

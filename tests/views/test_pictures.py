@@ -95,14 +95,6 @@ def test_wavefront_of_cells_is_drawn_patch_by_patch() -> None:
     assert left.get_coordinates()[..., 0].max() < -0.9
 
 
-def test_wavefront_in_nm() -> None:
-    """One wave is 632.8 nm."""
-    wave = one_wave_of_tilt("grid")
-    (in_waves,) = views.wavefront(wave).collections
-    (in_nm,) = views.wavefront(wave, unit="nm").collections
-    assert in_nm.get_clim()[1] == pytest.approx(632.8 * in_waves.get_clim()[1])
-
-
 def test_dark_nodes_are_blank() -> None:
     """Nodes outside the pupil carry no value, whatever their aberration says."""
     wave = one_wave_of_tilt("grid")
@@ -110,14 +102,6 @@ def test_dark_nodes_are_blank() -> None:
     blank = np.ma.getmaskarray(drawn.get_array()).reshape(wave.u.shape)
     np.testing.assert_array_equal(blank, wave.weights == 0)
     assert blank.any()
-
-
-def test_wavefront_without_aberration_is_drawn() -> None:
-    """A colour range of zero width would warn."""
-    wave = one_wave_of_tilt("grid")
-    flat = replace(wave, aberration=np.zeros_like(wave.u))
-    (drawn,) = views.wavefront(flat).collections
-    assert drawn.get_clim() == (-1.0, 1.0)
 
 
 def test_point_spread_centre_is_at_zero() -> None:
@@ -173,16 +157,6 @@ def test_reconstruction_reads() -> None:
         np.testing.assert_array_equal(shown(axes), letter())
 
 
-def test_reconstruction_in_metres_reads() -> None:
-    """Axes about the middle of the image grow to the right and up."""
-    seen = letter()[:, ::-1]
-    found = SimpleNamespace(object=seen, status="converged")
-    (axes,) = views.reconstruction(found, pitch=0.01)  # type: ignore[arg-type]
-    np.testing.assert_array_equal(shown(axes), letter())
-    np.testing.assert_allclose((*axes.get_xlim(), *axes.get_ylim()), (-0.04, 0.04, -0.04, 0.04))
-    assert axes.get_ylabel() == "up (m on the object)"
-
-
 def test_reconstruction_names_its_scale() -> None:
     """Each picture its own: only what has the largest value 1 is relative."""
     found = SimpleNamespace(object=np.diag([3.0, 0.5]), status="converged")
@@ -223,12 +197,6 @@ def test_save_writes_equal_bytes(tmp_path: Path, suffix: str, begins: bytes) -> 
     assert contents.pop().startswith(begins)
 
 
-def test_unknown_unit_is_refused() -> None:
-    """One line with the choices."""
-    with pytest.raises(ValueError, match="unit = 'mm' is unknown, must be one of waves, nm"):
-        views.wavefront(one_wave_of_tilt("grid"), unit="mm")  # type: ignore[arg-type]
-
-
 def test_pyplot_is_never_loaded(tmp_path: Path) -> None:
     """pyplot would pick a window system and keep figures alive."""
     code = (
@@ -242,21 +210,6 @@ def test_pyplot_is_never_loaded(tmp_path: Path) -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert answer.stdout == "False\n"
-
-
-def test_sketch_shows_every_occluder_and_names_one(flat_scene):
-    import trimesh
-
-    from nlosoptics.scene import Occluder
-
-    box = trimesh.creation.box((0.2, 0.3, 0.4))
-    boxes = tuple(Occluder(box, position=(x, 0.1, 1.5)) for x in (0.5, 1.0))
-    top, _ = views.scene_sketch(replace(flat_scene, occluders=boxes))
-    drawn = [line for line in top.lines if "occluder" in str(line.get_label())]
-    assert [line.get_label() for line in drawn] == ["occluder", "_occluder"]
-    x, z = drawn[1].get_data()
-    assert (min(x), max(x), min(z), max(z)) == pytest.approx((0.9, 1.1, 1.3, 1.7), abs=1e-12)
-    assert not [a for a in views.scene_sketch(flat_scene)[1].lines if a.get_label() == "occluder"]
 
 
 def test_feasibility_draws_both_ways_and_their_noise() -> None:

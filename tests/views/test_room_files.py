@@ -201,6 +201,7 @@ def test_files_appear_whole_or_not_at_all(room, tmp_path, monkeypatch):
     assert target.read_bytes()[:4] == b"glTF"
 
 
+@pytest.mark.thorough
 def test_the_terminal_stays_clean(tmp_path, renders):
     """VTK says on stderr that there is no display; a user is not to see it."""
     code = (

@@ -206,22 +206,6 @@ def test_bad_wishes_are_refused_in_one_line(flat_scene, options, said):
     assert "\n" not in str(told.value)
 
 
-def test_no_paths_and_no_detected_paths_are_told_apart(flat_scene):
-    empty = replace(
-        made_paths(),
-        points=np.zeros((0, 5, 3)),
-        path_length=np.zeros(0),
-        weight=np.zeros(0),
-        n_bounces=np.zeros(0, dtype=np.int32),
-        status=np.zeros(0, dtype=np.int8),
-    )
-    with pytest.raises(SceneError, match="keep_paths=True"):
-        views.ray_paths(empty, flat_scene)
-    lost = replace(made_paths(), status=np.ones(3, dtype=np.int8))
-    with pytest.raises(SceneError, match="none of 3 paths reaches the detector"):
-        views.ray_paths(lost, flat_scene)
-
-
 def test_the_room_stands_where_the_scene_says(flat_scene):
     scene = replace(flat_scene, wall=WavyWall(0.01, 0.2, size=(1.4, 1.0)))
     plotter = views.scene_3d(scene)
@@ -325,6 +309,7 @@ def grain(scene):
     return float(np.diff(shading[..., 0].astype(float), axis=1).std())
 
 
+@pytest.mark.thorough
 def test_a_rough_wall_looks_rougher_than_a_mirror(flat_scene):
     mirror = replace(flat_scene, wall_material=SpecularMicrofacet(0.9, 0.0))
     satin = replace(flat_scene, wall_material=SpecularMicrofacet(0.9, 0.08))
@@ -398,17 +383,6 @@ def test_the_surface_lies_around_the_bright_voxel():
     )
 
 
-def test_a_volume_in_a_room_keeps_the_room(flat_scene):
-    image, _ = bright_voxel()
-    plotter = views.scene_3d(flat_scene)
-    place = plotter.camera.position
-    views.phasor_volume(image, plotter=plotter)
-    assert {"relay wall", "hidden scene"} <= set(plotter.actors)
-    assert plotter.camera.position == pytest.approx(place)
-    assert "hidden object" in legend(plotter)
-    assert "volume" in legend(plotter)
-
-
 def test_volumes_without_a_surface_are_refused():
     image, _ = bright_voxel()
     flat = VolumeImage(
@@ -439,15 +413,3 @@ def test_missing_pyvista_is_told_in_one_line():
     )
     line = "MissingExtraError pyvista is not installed; run pip install 'nlosoptics[views]'"
     assert [text[: len(line)] for text in answer.stdout.splitlines()] == [line] * 2
-
-
-@pytest.mark.parametrize("wall", [None, ConcaveWall(5.0, size=(1.4, 1.0))])
-def test_no_axis_is_hidden_by_the_wall(flat_scene, wall):
-    """Arrows and letters stand nearer to the viewer than any of the wall, within the floor."""
-    scene = flat_scene if wall is None else replace(flat_scene, wall=wall)
-    actors = views.scene_3d(scene).actors
-    axes, wall_, floor = (
-        np.reshape(actors[name].bounds, (3, 2)) for name in ("axes", "relay wall", "floor grid")
-    )
-    assert axes[2, 0] > wall_[2, 1]
-    assert axes[2, 1] < floor[2, 1]

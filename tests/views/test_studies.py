@@ -196,15 +196,6 @@ def test_slices_of_draws_are_dots_and_failures_are_marked() -> None:
     assert panels[0].get_legend().get_texts()[0].get_text() == "1 failed"
 
 
-def test_slices_of_single_changes_are_refused() -> None:
-    study = Study.from_tables(
-        {"scene": str(SCENE), "figures": ["strehl"], "one_at_a_time": {"wall.radius": ["4 m"]}}
-    )
-    dataset = xr.Dataset({"strehl": ("case", [0.1, 0.2]), "status": ("case", ["done"] * 2)})
-    with pytest.raises(SceneError, match="not case; draw a tornado"):
-        views.study_slices(Results(path=Path("s"), study=study, dataset=dataset), "strehl")
-
-
 def test_sobol_bars_are_sorted_and_have_their_intervals() -> None:
     found = {
         "first": [0.1, 0.6], "first_low": [0.05, 0.5], "first_high": [0.2, 0.7],
