@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import runpy
 import warnings
 from collections.abc import Iterator
@@ -99,15 +98,3 @@ def labelled(axes: Any) -> bool:
             for label in (tick.label1, tick.label2)
         )
     )
-
-
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
-def test_script_is_told_in_words(script: Path) -> None:
-    """A title with text, prose in cells, and figures in words that are computed, not typed."""
-    source = script.read_text()
-    title, line, *text = (ast.get_docstring(ast.parse(source)) or "").splitlines()
-    assert set(line) == {"="}
-    assert len(line) == len(title)
-    assert len(" ".join(text).split()) > 20
-    assert source.count("\n# %%\n# ") >= 3
-    assert "# Result" in source

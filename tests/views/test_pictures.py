@@ -197,21 +197,6 @@ def test_save_writes_equal_bytes(tmp_path: Path, suffix: str, begins: bytes) -> 
     assert contents.pop().startswith(begins)
 
 
-def test_pyplot_is_never_loaded(tmp_path: Path) -> None:
-    """pyplot would pick a window system and keep figures alive."""
-    code = (
-        "import sys\nfrom types import SimpleNamespace\nimport numpy as np\n"
-        "from nlosoptics import views\n"
-        "axes = views.image(SimpleNamespace(electrons=np.eye(4), pitch=1e-6))\n"
-        f"views.save(axes, {str(tmp_path / 'eye.png')!r})\n"
-        "print('matplotlib.pyplot' in sys.modules)"
-    )
-    answer = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert answer.stdout == "False\n"
-
-
 def test_feasibility_draws_both_ways_and_their_noise() -> None:
     """Curves are the modulation, dashed lines what noise hides, and the strokes are marked."""
     from nlosoptics.limits import Feasibility
@@ -394,3 +379,16 @@ def test_wrong_options_of_a_point_spread_are_refused():
     ):
         with pytest.raises(SceneError, match=message):
             views.point_spread(light, **options)
+
+
+@pytest.mark.thorough
+def test_pyplot_is_never_loaded(tmp_path: Path) -> None:
+    """pyplot would pick a window system and keep figures alive."""
+    code = (
+        "import sys\nfrom types import SimpleNamespace\nimport numpy as np\n"
+        "from nlosoptics import views\n"
+        "axes = views.image(SimpleNamespace(electrons=np.eye(4), pitch=1e-6))\n"
+        f"views.save(axes, {str(tmp_path / 'eye.png')!r})\n"
+        "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

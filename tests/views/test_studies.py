@@ -70,22 +70,6 @@ def test_map_shows_the_last_two_dimensions_at_the_middle_of_the_others() -> None
     }
 
 
-@pytest.mark.parametrize(
-    ("factor", "told"),
-    [
-        (0.2, ["2.40", "2.60", "2.80", "failed", "3.20", "3.40"]),
-        (0.07, ["0.84", "0.91", "0.98", "failed", "1.12", "1.19"]),
-        (1e-9, ["1.2e-08", "1.3e-08", "1.4e-08", "failed", "1.6e-08", "1.7e-08"]),
-    ],
-)
-def test_values_of_cells_have_the_digits_of_their_range(factor: float, told: list[str]) -> None:
-    """The ranges are 1, 0.35 and 5e-9; a hundredth of the first two has two decimals."""
-    found = results()
-    found.dataset["strehl"] = found.dataset["strehl"] * factor
-    axes = views.study_map(found, "strehl")
-    assert [text.get_text() for text in axes.texts] == told
-
-
 def test_curve_shows_errors_and_chosen_steps() -> None:
     axes = views.study_map(results(), "strehl", at={"hidden.image": 0, "laser.power": 2})
     line = axes.lines[0]
