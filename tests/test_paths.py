@@ -42,7 +42,6 @@ TAKING_PATHS: dict[str, Callable[[Any], Any]] = {
     "Study.load": Study.load,
     "Results.load": Results.load,
     "report.page": report.page,
-    "report.study_page": report.study_page,
     "views.save": partial(views.save, None),  # type: ignore[arg-type]
 }
 PATHS = {

@@ -10,7 +10,7 @@ from string import Template
 from .. import __version__
 from .._checks import path_of, reason
 from .._html import joined, tag
-from ..errors import SceneError
+from ..errors import NlosError, SceneError
 from . import runs, studies
 
 
@@ -62,7 +62,7 @@ def page(folder: str | Path, *, computed: bool = True) -> str:
         try:
             title, head, parts = runs.contents(path, record, computed)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            if isinstance(error, SceneError):
+            if isinstance(error, NlosError):
                 raise
             raise SceneError(
                 f"{path / 'result.json'} does not have the form that nlosoptics {__version__} "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -116,14 +116,14 @@ def _head(name: str, record: dict[str, Any]) -> Html:
     )
 
 
-def _card(noun: Any, axes: Any = None) -> Iterator[Html]:
-    """Yield the picture and the figures of a result; ``axes`` replace its usual picture."""
+def _card(noun: Any, draw: Callable[[Any], Any] | None = None) -> Iterator[Html]:
+    """Yield the picture and the figures of a result; ``draw`` replaces its usual picture."""
     from ..views import cards
     from ..views.saving import figure_file
 
     title, rows, alt = noun._figures()
     try:
-        picture = plot(figure_file(cards.axes(noun) if axes is None else axes), title, alt)
+        picture = plot(figure_file((draw or cards.axes)(noun)), title, alt)
     except MissingExtraError as error:
         picture = tag("p", f"The picture is left out: {error}.", class_="notice")
     yield tag("div", picture, facts(rows.items()), class_="figures")
@@ -222,8 +222,10 @@ def _fit(result: Any, figures: dict[str, Any]) -> Iterator[Html]:
     from ..views.run_overview import ground_truth
 
     pitch = object_scale(result.scene) * result.image.pitch
-    fit = result.reconstruction
-    yield from _card(fit, views.reconstruction(fit, ground_truth(result), pitch=pitch))
+    truth = ground_truth(result)
+    yield from _card(
+        result.reconstruction, lambda fit: views.reconstruction(fit, truth, pitch=pitch)
+    )
     yield _outcome(figures)
 
 

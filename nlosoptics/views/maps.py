@@ -63,19 +63,20 @@ def wavefront(
     """
     one_of("unit", unit, ("waves", "nm"))
     (axes,) = (axes,) if axes is not None else new_axes(width=5.6, height=4.6)
-    if hasattr(wavefront, "phase"):
-        _draw_phase(axes, wavefront)
+    wave: Any = wavefront
+    if hasattr(wave, "phase"):
+        _draw_phase(axes, wave)
         return axes
-    scale = wavefront.wavelength if unit == "waves" else 1e-9
-    lit = (wavefront.amplitude > 0) & (wavefront.weights > 0)
-    values = np.where(lit, wavefront.aberration / scale, np.nan)
+    scale = wave.wavelength if unit == "waves" else 1e-9
+    lit = (wave.amplitude > 0) & (wave.weights > 0)
+    values = np.where(lit, wave.aberration / scale, np.nan)
     largest = float(np.nanmax(abs(values), initial=0.0)) or 1.0
     style: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -largest, "vmax": largest}
-    u, v = wavefront.u * 1e3, wavefront.v * 1e3
+    u, v = wave.u * 1e3, wave.v * 1e3
     drawn: Any
-    if wavefront.layout == "grid":
+    if wave.layout == "grid":
         drawn = axes.pcolormesh(u, v, values, shading="nearest", rasterized=True, **style)
-    elif wavefront.layout == "cells":
+    elif wave.layout == "cells":
         for patch in range(len(u)):
             drawn = axes.pcolormesh(
                 u[patch], v[patch], values[patch], shading="gouraud", rasterized=True, **style

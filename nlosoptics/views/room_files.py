@@ -7,7 +7,7 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
+import trimesh as _trimesh
 from trimesh.viewer.notebook import scene_to_html
 
 from .._html import joined, tag
@@ -15,16 +15,18 @@ from .canvas import pyvista
 from .stages import legend_entries
 
 if TYPE_CHECKING:
-    from pyvista import Actor, Plotter
+    from pyvista import Plotter
+
+trimesh: Any = _trimesh  # untyped
 
 
-def model(plotter: Plotter) -> trimesh.Scene:
+def model(plotter: Plotter) -> Any:
     """Return surfaces, lines (as thin tubes), textures and camera of a plotter, without rendering.
 
     Parts have the names of the plotter's actors. Coordinates are world coordinates, m. Legend,
     colour bars and other 2-D text are left out.
     """
-    scene: Any = trimesh.Scene()
+    scene = trimesh.Scene()
     thin = 4e-4 * plotter.renderer.length
     for name, actor in plotter.actors.items():
         if isinstance(actor, pyvista().Actor) and actor.visibility and actor.mapper is not None:
@@ -47,7 +49,7 @@ def model(plotter: Plotter) -> trimesh.Scene:
     return scene
 
 
-def _mesh(actor: Actor, name: str, thin: float) -> Any:
+def _mesh(actor: Any, name: str, thin: float) -> Any:
     """Return an actor as a mesh of trimesh; lines become tubes of the radius ``thin``, m."""
     surface = actor.mapper.dataset
     if surface.n_lines:
@@ -59,7 +61,7 @@ def _mesh(actor: Actor, name: str, thin: float) -> Any:
     look: dict[str, Any] = {"alphaMode": "BLEND"} if prop.opacity < 1.0 else {}
     # Beckmann width with the same highlight as Phong's exponent: Walter et al. 2007, eq. 32
     alpha = math.sqrt(2.0 / (prop.specular_power + 2.0)) if prop.specular > 0.0 else 1.0
-    visual: Any = trimesh.visual.TextureVisuals(uv=surface.active_texture_coordinates)
+    visual = trimesh.visual.TextureVisuals(uv=surface.active_texture_coordinates)
     if actor.mapper.scalar_visibility:
         values = surface.point_data[actor.mapper.array_name]
         shades = np.array(actor.mapper.lookup_table(values), dtype=np.float64)

@@ -663,7 +663,8 @@ def search(found: Optimum, *, first: int = 0, second: int = 1, axes: Axes | None
         (axes,) = new_axes(width=6.4, height=4.6)
     aims = [f"{name}, to {goal}" for name, goal in zip(found.labels, found.goals, strict=True)]
     single = count == 1
-    x, y = (np.arange(len(values)), values[:, 0]) if single else values.T[[first, second]]
+    x = np.arange(len(values)) if single else values[:, first]
+    y = values[:, 0 if single else second]
     outside = ~found.feasible & ~found.failed
     for trials, marker, colour, text in (
         (found.feasible, "o", BLUE, "feasible"),

@@ -68,7 +68,7 @@ def test_paths_are_counted_and_chosen(scene, capsys, monkeypatch, tmp_path):
 @pytest.mark.thorough
 def test_a_png_is_drawn_where_that_works(scene, capsys, tmp_path):
     try:
-        views.rendering_works()
+        stages.rendering_works()
     except MissingExtraError as error:
         pytest.skip(str(error))
     out = tmp_path / "room.png"
@@ -119,4 +119,46 @@ def test_without_a_display_a_file_is_proposed(scene, capsys, monkeypatch, untrie
     assert wrong == (
         "nlosoptics: there is no display to open a window on; write a file instead, such as "
         "room.html\n"
+    )
+
+
+def test_with_a_display_a_window_is_shown(scene, capsys, monkeypatch, untried):
+    """The plotter is not off the screen, holds the paths, and is shown once.
+
+    It is made in the main thread: macOS ends a process that makes windows elsewhere.
+    """
+    import pyvista
+
+    monkeypatch.setattr(stages, "TRIAL", "print('vtkXOpenGLRenderWindow')")
+    shown, made_in = [], []
+    monkeypatch.setattr(pyvista.Plotter, "show", lambda plotter: shown.append(plotter))
+    window = stages.window
+    monkeypatch.setattr(
+        stages, "window", lambda: (made_in.append(threading.current_thread()), window())[1]
+    )
+    code, _, wrong = run(capsys, scene, "--paths", "20")
+    assert (code, wrong) == (0, "")
+    assert made_in == [threading.main_thread()]
+    (plotter,) = shown
+    assert not plotter.off_screen
+    assert "ray paths" in plotter.actors
+
+
+def test_without_pyvista_the_extra_is_named(scene, tmp_path):
+    code = (
+        "import importlib.util as tools\nfind = tools.find_spec\n"
+        "tools.find_spec = lambda name, *a: None if name == 'pyvista' else find(name, *a)\n"
+        f"from nlosoptics.cli import main; main(['view', {scene!r}, '--out', 'room.png'])"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    assert answer.returncode == 1
+    assert answer.stderr == (
+        "nlosoptics: pyvista is not installed; run pip install 'nlosoptics[views]'\n"
     )

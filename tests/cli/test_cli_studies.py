@@ -138,6 +138,25 @@ def test_plot_has_a_picture_for_each_kind(study: Path, capsys) -> None:
         assert err.count("\n") == 1
 
 
+def test_saltelli_draws_are_plotted_as_sobol_indices(study: Path, capsys, monkeypatch) -> None:
+    drawn = [f'"{a}" = {{ from = {v}, to = {w} }}' for a, v, w in (
+        ("laser.power", '"1 mW"', '"2 mW"'), ("camera.f_number", 2, 4))]  # fmt: skip
+    text = study.read_text().partition("[axes]")[0]
+    text += '[draws]\ncount = 8\nmethod = "saltelli"\n[draws.of]\n' + "\n".join(drawn)
+    study.write_text(text)
+    assert call(capsys, "study", study, "--workers", 0)[0] == 0
+    seen = []
+    monkeypatch.setattr(
+        "nlosoptics.views.studies.tornado", lambda found, label: seen.append((found, label)) or 1
+    )
+    monkeypatch.setattr(views, "save", lambda axes, out: None)
+    assert call(capsys, "study", "plot", "powers.zarr", "power")[0] == 0
+    ((found, label),) = seen
+    assert label == "power"
+    # the figure is the power itself; 8 draws leave an error of the order of 1/8
+    assert found["total"].values == pytest.approx([1.0, 0.0], abs=0.3)
+
+
 def test_report_is_written_next_to_the_caller(study: Path, capsys) -> None:
     assert call(capsys, "study", study, "--workers", 0)[0] == 0
     code, out, err = call(capsys, "study", "report", "powers.zarr", "--no-gallery")

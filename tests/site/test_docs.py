@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import re
 import shlex
-import shutil
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -122,13 +121,14 @@ def test_material_models_that_pages_name_exist() -> None:
 
 def test_every_reference_is_held_by_a_test(extension: Callable[[str], ModuleType]) -> None:
     page = extension("validation_page")
+    assert {path.name for path in (ROOT / "tests" / "truths").glob("*.json")} == set(page.TITLES)
     text = page.text()
     for path in (ROOT / "tests" / "truths").glob("*.json"):
         for name in page.references(path):
             assert f"| {name.replace('_', ' ')} |" in text
-    nobody = {"a truth that nobody reads": [{"formula": "", "source": "", "tolerance": ""}]}
+    rows = [{"formula": "", "source": "", "tolerance": ""}]
     with pytest.raises(LookupError, match="which no test reads"):
-        page.reference_table(nobody, [])
+        page.reference_table({"a": rows, "unread": rows}, {"tests/test_x.py": "a"})
 
 
 def test_every_benchmark_is_on_the_page(
@@ -147,46 +147,6 @@ def test_every_benchmark_is_on_the_page(
         page.pages(tmp_path)
 
 
-def test_figures_of_the_tables_are_those_of_the_files(
-    extension: Callable[[str], ModuleType],
-) -> None:
-    cells, tables = extension("performance.cells"), extension("tables")
-    assert [tables.seconds(value).split() for value in (2e-6, 0.0034, 12.34, 1234.5, None)] == [
-        ["2", "µs"],
-        ["3.4", "ms"],
-        ["12.3", "s"],
-        ["1230", "s"],
-        [],
-    ]
-    assert [tables.number(value) for value in (0.12345, 1e-7, 0, None)] == [
-        "0.123",
-        "1.0e\N{MINUS SIGN}07",
-        "0",
-        "",
-    ]
-    found = [
-        {"name": "x, a", "seconds": 2.0, "error": 1e-4},
-        {"name": "x, b", "seconds": 1.0, "error": 1e-2},
-        {"name": "y", "seconds": 3.0, "error": 1e-9},
-    ]
-    best = extension("performance.point_spreads").fastest(found, 1e-3)
-    assert [best[name]["seconds"] for name in ("x", "y")] == [2.0, 3.0]
-    fits = [
-        {"rms": 1, "correlation": 0.95, "status": "converged", "seconds": 1.0},
-        {"rms": 1, "correlation": 0.85, "status": "converged", "seconds": 3.0},
-        {"rms": 1, "correlation": 0.10, "status": "trivial", "seconds": 2.0},
-    ]
-    (group,) = cells.by("rms")(fits)
-    columns = extension("performance.inverse").FITS.values()
-    assert [cells.fill(cell, group) for cell in columns] == [
-        "3",
-        "1",
-        "1",
-        "0.85",
-        "2\N{NARROW NO-BREAK SPACE}s",
-    ]
-
-
 def test_templates_of_the_tables(extension: Callable[[str], ModuleType]) -> None:
     """Words apply from left to right; only a name with a question mark may be missing."""
     cells = extension("performance.cells")
@@ -200,15 +160,6 @@ def test_templates_of_the_tables(extension: Callable[[str], ModuleType]) -> None
         assert cells.fill(template, row) == text
     with pytest.raises(KeyError, match="gone"):
         cells.fill("{gone:time}", row)
-
-
-def test_scaling_on_paper_stops_at_the_slower_side(extension: Callable[[str], ModuleType]) -> None:
-    """1,000 workers of 10 s a point need 10 ms of the client; a client of 20 ms is too slow."""
-    studies = extension("performance.studies")
-    rows = [{"client": client, "worker": 10.0, "block": 2} for client in (0.005, 0.02)]
-    quick, slow = studies.on_paper(rows)
-    assert (quick["limit"], quick["rate"], quick["fed"]) == ("workers", 100.0, 2000.0)
-    assert (slow["limit"], slow["rate"], slow["needed"]) == ("client", 50.0, 40.0)
 
 
 def test_site_is_whole(extension: Callable[[str], ModuleType], tmp_path: Path) -> None:
@@ -232,20 +183,3 @@ def test_site_is_whole(extension: Callable[[str], ModuleType], tmp_path: Path) -
     built = ROOT / "out" / "docs"
     if built.is_dir():
         assert check.faults(built) == []
-
-
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium here")
-def test_pages_wider_than_a_phone_are_found(
-    extension: Callable[[str], ModuleType], tmp_path: Path
-) -> None:
-    """A wide block counts in the page and in an article that scrolls, but not in its own frame."""
-    check = extension("check_site")
-    head = '<!doctype html><body style="margin: 0">'
-    block = '<div style="width: 500px; height: 9px"></div>'
-    frame = f'<div style="overflow-x: auto">{block}</div>'
-    article = f'<div class="bd-article-container" style="overflow-x: auto">{block}</div>'
-    for name, body in (("page", block), ("frame", frame), ("article", article)):
-        (tmp_path / f"{name}.html").write_text(head + body)
-    assert check.wide_pages(tmp_path) == [
-        f"{name}.html: 500 pixels wide, limit 420" for name in ("article", "page")
-    ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from pathlib import Path
 from types import ModuleType
@@ -58,43 +57,11 @@ def test_smallest_case_runs_and_is_not_run_again(
     assert len(study.finished(path)) == len(lines)
 
 
-def test_a_refusal_is_a_line(study: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a solver refuses is recorded with its reason."""
-    from nlosoptics.errors import SamplingError
-
-    def refuses(*_: object) -> None:
-        raise SamplingError("no object shows")
-
-    monkeypatch.setitem(study.methods._METHODS, "hio", refuses)
-    key = next(key for key in study.keys("smallest") if key["method"] == "hio")
-    line, pictures = study.methods.solved(key)
-    assert line["status"] == "refused"
-    assert line["error"] == "no object shows"
-    assert "object" not in pictures
-    assert study.report._cell([line]) == "refused"
-
-
 def test_cases_of_a_setting_differ(study: ModuleType) -> None:
     """No case is asked for twice, under the names that tell finished ones."""
     for setting in study.SETTINGS:
         names = [study.report.name_of(key, key["method"]) for key in study.keys(setting)]
         assert len(set(names)) == len(names)
-
-
-def test_every_row_of_the_papers_figures_in_both_regimes(study: ModuleType) -> None:
-    """Each row of figures 5 to 11 has all methods and three seeds, smooth and rough."""
-    asked = {
-        (k["scale"], k["object"], k["wall"], k["exposure_ms"], k["method"], k["seed"])
-        for k in study.keys("small")
-    }
-    methods = [m for m in study.methods.NAMES if m != "wu2024_warm"]
-    for scale in ("smooth", "rough"):
-        rows = study.figures(scale)
-        assert sorted(rows) == [5, 6, 7, 8, 9, 10, 11]
-        for row, method, seed in itertools.product(
-            itertools.chain(*rows.values()), methods, (1, 2, 3)
-        ):
-            assert (scale, *row, method, seed) in asked
 
 
 def test_exposures_scale_and_walls_bend(study: ModuleType) -> None:

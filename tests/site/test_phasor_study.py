@@ -82,13 +82,6 @@ def test_pages_hold_what_their_lines_say(study: ModuleType, setting: str) -> Non
     assert "the material of the hidden objects does not matter much" in holds
 
 
-def test_cases_of_a_setting_differ(study: ModuleType) -> None:
-    """No case is asked for twice, under the names that tell finished ones."""
-    for setting in study.SETTINGS:
-        names = [study.cases.name_of(key) for key in study.keys(setting)]
-        assert len(set(names)) == len(names)
-
-
 def test_letters_read_from_the_wall(study: ModuleType) -> None:
     """R before D, of the sizes and at the places of the paper, the right way round."""
     scenes = study.scenes
@@ -117,24 +110,6 @@ def _covered(mesh: object) -> float:
     return float(mesh.area_faces[facing].sum())  # type: ignore[attr-defined]
 
 
-def test_dragon_has_its_size_and_its_place(study: ModuleType) -> None:
-    """1.25 m x 0.9 m x 0.55 m from 1.1 m on, seen by the wall in part aslant."""
-    pytest.importorskip("pyvista")
-    scenes = study.scenes
-    (mesh,) = scenes.objects("dragon", cell=0.05)
-    assert mesh.bounds[0] == approx([-0.625, -0.45, 1.1], abs=1e-9)
-    assert mesh.bounds[1] == approx([0.625, 0.45, 1.65], abs=1e-9)
-    grid = scenes.volume("dragon", scenes.SIDE / 64)
-    cosines = scenes.facing([mesh], grid)
-    seen = np.isfinite(cosines)
-    assert np.array_equal(seen, np.isfinite(transient.true_depths(mesh, grid)))
-    aslant = (cosines[seen] < 0.9).mean()
-    assert 0.2 < aslant < 0.9  # a free form has both
-    # it looks to the right, -x: the neck and the head are above, the tail is below
-    columns = grid.x < -0.3
-    assert grid.y[seen[:, columns].any(axis=1)].max() > 0.2
-
-
 def test_corridor_is_open_at_one_side(study: ModuleType) -> None:
     """Rays from the middle leave by the opening and by the relay wall's end alone."""
     from nlosoptics.raytrace import intersect_mesh
@@ -148,39 +123,3 @@ def test_corridor_is_open_at_one_side(study: ModuleType) -> None:
     assert deeper.distance[0] == approx(1.0)
     # floor, ceiling, far end, side, and the side without a metre
     assert mesh.area == approx(6.0 + 6.0 + 4.0 + 6.0 + 4.0)
-
-
-def test_refusals_are_lines(
-    study: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """What the renderer refuses is recorded with its reason."""
-    from nlosoptics.errors import SceneError
-
-    def refuses(*_: object) -> None:
-        raise SceneError("no light comes back")
-
-    monkeypatch.setattr(study.cases, "capture_of", refuses)
-    line, pictures = study.cases.solved(study.keys("smallest")[0], tmp_path)
-    assert line["status"] == "refused"
-    assert line["error"] == "no light comes back"
-    assert not pictures
-
-
-def test_overlap_is_that_of_the_best_level(study: ModuleType) -> None:
-    """Four cells of an outline, one of which is as dim as one beside it."""
-    outline = np.array([True, True, True, True, False, False])
-    bright = np.array([1.0, 0.8, 0.6, 0.2, 0.2, 0.0])
-    # above 0.2: three of four; from 0.2 on: four of five
-    assert study.cases.overlap(bright, outline) == approx(0.8)
-
-
-def test_mirror_points_are_half_way(study: ModuleType) -> None:
-    """Cells within a quarter of the aperture, and the share of the light that they have."""
-    x, y = np.array([-0.6, -0.2, 0.2, 0.6]), np.array([0.0, 0.5])
-    light = np.array([[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0]])
-    grid = transient.Volume(x, y, np.array([1.0]))
-    outline = np.array([[True, True, True, False], [True, False, False, False]])
-    # of the four cells, two are within 0.45 m along both axes
-    cells, bright = study.cases.mirrored(grid, light, outline, 1.8)
-    assert cells == approx(2.0 / 4.0)
-    assert bright == approx(5.0 / 11.0)

@@ -12,10 +12,12 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from nlosoptics import psf, views
+import nlosoptics as nlos
+from nlosoptics import limits, psf, views
 from nlosoptics.errors import SceneError
 from nlosoptics.psf.wave.wavefront import Wavefront
 from nlosoptics.scene import Scene
+from nlosoptics.views.canvas import SERIES
 
 pytest.importorskip("matplotlib")
 
@@ -93,14 +95,6 @@ def test_wavefront_of_cells_is_drawn_patch_by_patch() -> None:
     assert left.get_coordinates()[..., 0].max() < -0.9
 
 
-def test_wavefront_in_nm() -> None:
-    """One wave is 632.8 nm."""
-    wave = one_wave_of_tilt("grid")
-    (in_waves,) = views.wavefront(wave).collections
-    (in_nm,) = views.wavefront(wave, unit="nm").collections
-    assert in_nm.get_clim()[1] == pytest.approx(632.8 * in_waves.get_clim()[1])
-
-
 def test_dark_nodes_are_blank() -> None:
     """Nodes outside the pupil carry no value, whatever their aberration says."""
     wave = one_wave_of_tilt("grid")
@@ -108,14 +102,6 @@ def test_dark_nodes_are_blank() -> None:
     blank = np.ma.getmaskarray(drawn.get_array()).reshape(wave.u.shape)
     np.testing.assert_array_equal(blank, wave.weights == 0)
     assert blank.any()
-
-
-def test_wavefront_without_aberration_is_drawn() -> None:
-    """A colour range of zero width would warn."""
-    wave = one_wave_of_tilt("grid")
-    flat = replace(wave, aberration=np.zeros_like(wave.u))
-    (drawn,) = views.wavefront(flat).collections
-    assert drawn.get_clim() == (-1.0, 1.0)
 
 
 def test_point_spread_centre_is_at_zero() -> None:
@@ -171,31 +157,12 @@ def test_reconstruction_reads() -> None:
         np.testing.assert_array_equal(shown(axes), letter())
 
 
-def test_reconstruction_in_metres_reads() -> None:
-    """Axes about the middle of the image grow to the right and up."""
-    seen = letter()[:, ::-1]
-    found = SimpleNamespace(object=seen, status="converged")
-    (axes,) = views.reconstruction(found, pitch=0.01)  # type: ignore[arg-type]
-    np.testing.assert_array_equal(shown(axes), letter())
-    np.testing.assert_allclose((*axes.get_xlim(), *axes.get_ylim()), (-0.04, 0.04, -0.04, 0.04))
-    assert axes.get_ylabel() == "up (m on the object)"
-
-
 def test_reconstruction_names_its_scale() -> None:
     """Each picture its own: only what has the largest value 1 is relative."""
     found = SimpleNamespace(object=np.diag([3.0, 0.5]), status="converged")
     axes = views.reconstruction(found, np.eye(2))  # type: ignore[arg-type]
     told = [axis.child_axes[0].get_ylabel() for axis in axes]
     assert told == ["relative brightness", "object units"]
-
-
-def test_reconstruction_without_truth_is_one_picture() -> None:
-    """One axes in, one out, and the same one."""
-    (axes,) = views.reconstruction(SimpleNamespace(object=letter(), status="converged"))  # type: ignore[arg-type]
-    assert views.reconstruction(
-        SimpleNamespace(object=letter(), status="converged"),  # type: ignore[arg-type]
-        axes=[axes],
-    ) == (axes,)
 
 
 def test_sketch_shows_each_part(flat_scene: Scene) -> None:
@@ -216,15 +183,6 @@ def test_sketch_shows_each_part(flat_scene: Scene) -> None:
     assert before[0] / before[1] == pytest.approx(-after[0] / after[1], rel=1e-9)
 
 
-def test_axes_go_in_and_come_out(flat_scene: Scene) -> None:
-    """Given axes are drawn on, and no figure is made."""
-    from matplotlib.figure import Figure
-
-    top, side, single = Figure().subplots(1, 3)
-    assert views.scene_sketch(flat_scene, axes=(top, side)) == (top, side)
-    assert views.wavefront(one_wave_of_tilt("polar"), axes=single) is single
-
-
 @pytest.mark.parametrize(
     ("suffix", "begins"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")]
 )
@@ -237,154 +195,6 @@ def test_save_writes_equal_bytes(tmp_path: Path, suffix: str, begins: bytes) -> 
     contents = {file.read_bytes() for file in files}
     assert len(contents) == 1
     assert contents.pop().startswith(begins)
-
-
-@pytest.mark.parametrize("drawn", ["sketch", "wavefront", "reconstruction"])
-def test_saved_figure_is_that_of_savefig_with_titles_placed_by_matplotlib(
-    tmp_path: Path, flat_scene: Scene, drawn: str
-) -> None:
-    """`save` draws once and sets the heights of titles, `savefig` draws twice and searches them."""
-    from PIL import Image
-
-    found = SimpleNamespace(object=np.diag([3.0, 0.5]), status="converged")
-
-    def figure() -> Any:
-        axes = {
-            "sketch": lambda: views.scene_sketch(flat_scene, stacked=True),
-            "wavefront": lambda: (views.wavefront(one_wave_of_tilt("polar")),),
-            "reconstruction": lambda: views.reconstruction(found, np.eye(2)),  # type: ignore[arg-type]
-        }[drawn]()
-        return axes
-
-    views.save(figure(), tmp_path / "ours.png")
-    axes = figure()
-    for axis in axes:
-        axis.set_title(axis.get_title())
-    axes[0].get_figure().savefig(tmp_path / "theirs.png", metadata={"Software": None})
-    ours, theirs = (
-        Image.open(tmp_path / name).convert("RGB") for name in ("ours.png", "theirs.png")
-    )
-    np.testing.assert_array_equal(ours, theirs)
-
-
-def test_save_follows_settings_of_matplotlib(tmp_path: Path) -> None:
-    """A figure of 5.6 x 4.6 inches has 50 pixels per inch if matplotlib's settings say so."""
-    import matplotlib
-    from PIL import Image
-
-    with matplotlib.rc_context({"savefig.dpi": 50}):
-        views.save(views.wavefront(one_wave_of_tilt("grid")), tmp_path / "small.png")
-    with Image.open(tmp_path / "small.png") as picture:
-        assert picture.size == (280, 230)
-
-
-def test_unknown_unit_is_refused() -> None:
-    """One line with the choices."""
-    with pytest.raises(ValueError, match="unit = 'mm' is unknown, must be one of waves, nm"):
-        views.wavefront(one_wave_of_tilt("grid"), unit="mm")  # type: ignore[arg-type]
-
-
-def test_missing_matplotlib_is_told_in_one_line() -> None:
-    """Without the extra, the first picture names it."""
-    code = (
-        "import sys; sys.modules['matplotlib'] = None\n"
-        "from nlosoptics import views\n"
-        "try: views.image(None)\n"
-        "except ImportError as error: print(type(error).__name__, error)"
-    )
-    answer = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert answer.stdout.startswith(
-        "MissingExtraError matplotlib is not installed; run pip install"
-    )
-
-
-def test_pyplot_is_never_loaded(tmp_path: Path) -> None:
-    """pyplot would pick a window system and keep figures alive."""
-    code = (
-        "import sys\nfrom types import SimpleNamespace\nimport numpy as np\n"
-        "from nlosoptics import views\n"
-        "axes = views.image(SimpleNamespace(electrons=np.eye(4), pitch=1e-6))\n"
-        f"views.save(axes, {str(tmp_path / 'eye.png')!r})\n"
-        "print('matplotlib.pyplot' in sys.modules)"
-    )
-    answer = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert answer.stdout == "False\n"
-
-
-def test_sketch_for_phones_has_its_views_one_above_the_other(flat_scene):
-    top, side = views.scene_sketch(flat_scene, stacked=True)
-    figure = top.get_figure()
-    figure.draw_without_rendering()
-    above, below = top.get_position(), side.get_position()
-    assert above.y0 > below.y1
-    assert above.x0 == pytest.approx(below.x0)
-    # the legend is within the picture
-    (legend,) = figure.legends
-    box = legend.get_window_extent()
-    assert box.x0 >= 0
-    assert box.x1 <= figure.bbox.width
-
-
-def test_sketch_shows_every_occluder_and_names_one(flat_scene):
-    import trimesh
-
-    from nlosoptics.scene import Occluder
-
-    box = trimesh.creation.box((0.2, 0.3, 0.4))
-    boxes = tuple(Occluder(box, position=(x, 0.1, 1.5)) for x in (0.5, 1.0))
-    top, _ = views.scene_sketch(replace(flat_scene, occluders=boxes))
-    drawn = [line for line in top.lines if "occluder" in str(line.get_label())]
-    assert [line.get_label() for line in drawn] == ["occluder", "_occluder"]
-    x, z = drawn[1].get_data()
-    assert (min(x), max(x), min(z), max(z)) == pytest.approx((0.9, 1.1, 1.3, 1.7), abs=1e-12)
-    assert not [a for a in views.scene_sketch(flat_scene)[1].lines if a.get_label() == "occluder"]
-
-
-def test_irradiance_is_drawn_where_it_falls() -> None:
-    """Looking along -z with y up, high x is on the right: the axes are right-handed."""
-    from nlosoptics.raytrace import WallIrradiance
-
-    light = np.zeros((2, 3))
-    light[0, 2] = 5.0
-    found = WallIrradiance(
-        x=np.array([-0.2, 0.0, 0.2]),
-        y=np.array([-0.1, 0.1]),
-        irradiance=light,
-        standard_error=light,
-        power=1.0,
-        power_error=0.0,
-        n_rays=1,
-        seconds=0.0,
-    )
-    axes = views.irradiance(found)
-    assert not axes.xaxis_inverted()
-    assert not axes.yaxis_inverted()
-    (drawn,) = axes.collections
-    cell = np.argmax(np.asarray(drawn.get_array()))
-    box = drawn.get_paths()[cell].get_extents()
-    assert (box.x0 + box.x1) / 2 == pytest.approx(0.2)
-    assert (box.y0 + box.y1) / 2 == pytest.approx(-0.1)
-    assert "W/m" in axes.child_axes[0].get_ylabel()
-
-
-def test_parts_of_a_hybrid_share_one_scale():
-    """Colours of the three maps stand for the same light; a dark part is drawn as the floor."""
-    coherent, diffuse = np.zeros((3, 5)), np.full((3, 5), 1e-4)
-    coherent[1, 2] = 0.5
-    found = spread(coherent + diffuse)
-    found.coherent, found.halo, found.diffuse = coherent, 0 * coherent, diffuse
-    found.coherent_flux, found.halo_flux, found.diffuse_flux = 0.5, 0.0, 0.5
-    axes = views.hybrid_parts(found, decades=5.0)
-    images = [axis.images[0] for axis in axes]
-    assert {image.norm.vmax for image in images} == {0.5001}
-    for image, part in zip(images, (coherent, 0 * coherent, diffuse), strict=True):
-        assert image.norm.vmin == pytest.approx(5.001e-6, rel=1e-12)
-        assert np.asarray(image.get_array()) == pytest.approx(np.maximum(part, 5.001e-6))
-    assert axes[0].get_title() == "coherent part, total 0.5"
 
 
 def test_feasibility_draws_both_ways_and_their_noise() -> None:
@@ -450,3 +260,135 @@ def test_through_focus_marks_the_best_plane_and_the_depth_of_focus():
     assert width == pytest.approx(4e3 * WAVELENGTH * wave.f_number**2)
     spots = views.through_focus(psf.through_focus(wave, found.shifts, criterion="spot"))
     assert spots.get_ylabel() == "spot (µm)"
+
+
+def test_the_style_sheet_has_the_colours_of_the_views():
+    import matplotlib.style
+    from matplotlib.colors import to_hex
+
+    with matplotlib.style.context("nlosoptics.views.palette"):
+        cycle = matplotlib.rcParams["axes.prop_cycle"].by_key()["color"]
+    assert [to_hex(colour).upper() for colour in cycle] == list(SERIES)
+
+
+def test_rays_land_where_they_do_about_the_dark_ring(assert_drawn):
+    wave = psf.Wavefront.from_zernike(
+        {2: 2e-6, 8: 3e-7}, wavelength=6e-7, pupil_radius=5e-3, image_distance=0.05
+    )
+    spots = psf.spot_diagram(wave)
+    axes = views.spot_diagram(spots)
+    (dots,) = axes.collections
+    np.testing.assert_allclose(dots.get_offsets().T, [1e6 * spots.x, 1e6 * spots.y])
+    (ring,) = axes.patches
+    np.testing.assert_allclose(ring.center, 1e6 * np.array(spots.centroid))
+    assert ring.radius == pytest.approx(1e6 * spots.airy_radius)
+    low, high = axes.get_ylim()
+    assert low > high  # y grows downward, as on the camera
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x (µm)", "y (µm)")
+    assert f"rms radius {1e6 * spots.radius:.3g} µm" in axes.get_legend().get_texts()[0].get_text()
+    assert_drawn(axes)
+    (few,) = views.spot_diagram(spots, most=10).collections
+    assert len(few.get_offsets()) <= 10
+    with pytest.raises(SceneError, match="most = 0"):
+        views.spot_diagram(spots, most=0)
+
+
+def test_colour_bars_are_as_high_as_their_map():
+    """Of a wide picture, whose axes are lower than the figure leaves room for."""
+    axes = views.image(SimpleNamespace(electrons=np.ones((8, 32)), pitch=1e-5))
+    axes.figure.canvas.draw()
+    (bar,) = axes.child_axes
+    ours, theirs = axes.get_window_extent(), bar.get_window_extent()
+    assert (theirs.y0, theirs.y1) == pytest.approx((ours.y0, ours.y1), abs=1.0)  # a pixel
+    assert bar.get_ylabel() == "electrons per pixel"
+
+
+def test_reconstructions_may_be_tensors_with_gradients():
+    torch = pytest.importorskip("torch")
+    values = torch.arange(6.0, requires_grad=True).reshape(2, 3)
+    (axes,) = views.reconstruction(SimpleNamespace(object=values, status="too_few_photons"))
+    np.testing.assert_array_equal(axes.images[0].get_array(), [[0, 1, 2], [3, 4, 5]])
+    assert axes.get_title() == "reconstruction, too few photons"
+
+
+def test_overview_shows_a_whole_run(flat_scene, assert_drawn):
+    """Six maps with a reconstruction and four without; the scale is that of the camera image."""
+    scene = flat_scene.resized(32)
+    result = nlos.simulate(scene, seed=0, reconstruct=True)
+    axes = views.overview(result)
+    assert_drawn(axes)
+    titles = [drawn.get_title().split(",")[0] for drawn in axes]
+    assert titles == [
+        "top view",
+        "wave aberration",
+        "point spread function",
+        "camera image",
+        "reconstruction",
+        "ground truth",
+    ]
+    width = limits.object_scale(scene) * scene.camera.image_pitch * 32
+    assert np.ptp(axes[4].get_xlim()) == pytest.approx(width)
+    without = views.overview(replace(result, reconstruction=None))
+    assert [drawn.get_title() for drawn in without][3:] == ["camera image"]
+
+
+NO_MATPLOTLIB = """
+import sys
+sys.modules["matplotlib"] = None
+import numpy as np
+from nlosoptics import psf, views
+from nlosoptics.errors import MissingExtraError
+
+wave = psf.Wavefront.from_zernike({}, wavelength=6e-7, pupil_radius=5e-3, image_distance=0.05)
+for draw in (
+    lambda: views.wavefront(wave),
+    lambda: views.point_spread(psf.point_spread(wave, shape=16)),
+    lambda: views.spot_diagram(psf.spot_diagram(wave)),
+):
+    try:
+        draw()
+    except MissingExtraError as error:
+        assert "pip install 'nlosoptics[views]'" in str(error)
+    else:
+        raise AssertionError("drawn without matplotlib")
+"""
+
+
+def test_without_matplotlib_every_picture_names_the_extra():
+    answer = subprocess.run([sys.executable, "-c", NO_MATPLOTLIB], capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+
+
+def test_phase_of_a_field_is_cut_to_its_lit_part():
+    """Dark samples are blank; the first index is v, which points up."""
+    values = np.zeros((8, 8), complex)
+    values[3:5, 3:5] = [[1.0, 1j], [-1.0, -1j]]
+    axes = views.wavefront(psf.PupilField(values=values, pitch=1e-3))
+    (drawn,) = axes.images
+    assert np.asarray(drawn.get_array()) == pytest.approx(np.angle(values[3:5, 3:5]))
+    assert drawn.get_extent() == pytest.approx([-1.5, 0.5, -1.5, 0.5])
+    assert drawn.origin == "lower"
+
+
+def test_wrong_options_of_a_point_spread_are_refused():
+    light = spread(np.eye(4))
+    for options, message in (
+        ({"scale": "cubic"}, "scale = 'cubic' is unknown, must be one of log, linear"),
+        ({"decades": 0.0}, "decades = 0 is out of range"),
+        ({"half_width": -1e-6}, "half_width = -1e-06 m is out of range"),
+    ):
+        with pytest.raises(SceneError, match=message):
+            views.point_spread(light, **options)
+
+
+@pytest.mark.thorough
+def test_pyplot_is_never_loaded(tmp_path: Path) -> None:
+    """pyplot would pick a window system and keep figures alive."""
+    code = (
+        "import sys\nfrom types import SimpleNamespace\nimport numpy as np\n"
+        "from nlosoptics import views\n"
+        "axes = views.image(SimpleNamespace(electrons=np.eye(4), pitch=1e-6))\n"
+        f"views.save(axes, {str(tmp_path / 'eye.png')!r})\n"
+        "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

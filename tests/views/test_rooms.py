@@ -103,7 +103,7 @@ def test_filters_keep_what_they_say(flat_scene):
 
 
 def test_of_many_paths_lines_are_as_dense_as_the_light(flat_scene):
-    """Every tenth of equal paths; of a bright and many faint ones the bright, and every tenth."""
+    """Paths are drawn in proportion to their power; one that has half of all power is drawn."""
     one = made_paths()
     n = 1000
     many = replace(
@@ -116,18 +116,17 @@ def test_of_many_paths_lines_are_as_dense_as_the_light(flat_scene):
     )
     even = np.unique(lines(views.ray_paths(many, flat_scene, most=100))["path"])
     assert len(even) == 100
-    assert np.all(np.diff(even) == 10)
+    assert np.all(np.diff(even) > 0)
     weight = np.ones(n)
     weight[500] = 1000.0  # half of all power
     uneven = replace(many, weight=weight)
     drawn = np.unique(lines(views.ray_paths(uneven, flat_scene, most=100))["path"])
     assert 500 in drawn
     assert len(drawn) == 100
-    assert np.diff(drawn[drawn != 500]).max() <= 11
     rising = replace(many, weight=np.arange(1.0, n + 1))
     drawn = np.unique(lines(views.ray_paths(rising, flat_scene, most=100))["path"])
-    # three quarters of the power are in the upper half, to one step
-    assert abs(np.count_nonzero(drawn >= n // 2) - 75) <= 1
+    # three quarters of the power are in the upper half; four standard deviations of 100 draws
+    assert abs(np.count_nonzero(drawn >= n // 2) - 75) <= 4 * np.sqrt(100 * 0.75 * 0.25)
     dark = replace(many, weight=np.zeros(n))
     assert len(np.unique(lines(views.ray_paths(dark, flat_scene, most=100))["path"])) == 100
 
@@ -159,12 +158,6 @@ def test_colours_are_the_quantity_that_the_bar_names(flat_scene, colour):
         assert mapper.lookup_table.log_scale
         assert high == pytest.approx(4e-12)
         assert 0 < low <= 1e-12
-
-
-def test_equal_powers_have_a_scale(flat_scene):
-    paths = replace(made_paths(), weight=np.full(3, 2e-12))
-    mapper = views.ray_paths(paths, flat_scene, colour="weight").actors["ray paths"].mapper
-    assert mapper.scalar_range == pytest.approx((2e-13, 2e-12))
 
 
 def test_aberration_is_that_of_the_ray(flat_scene):
@@ -211,22 +204,6 @@ def test_bad_wishes_are_refused_in_one_line(flat_scene, options, said):
     with pytest.raises(SceneError, match=said) as told:
         views.ray_paths(made_paths(), flat_scene, **options)
     assert "\n" not in str(told.value)
-
-
-def test_no_paths_and_no_detected_paths_are_told_apart(flat_scene):
-    empty = replace(
-        made_paths(),
-        points=np.zeros((0, 5, 3)),
-        path_length=np.zeros(0),
-        weight=np.zeros(0),
-        n_bounces=np.zeros(0, dtype=np.int32),
-        status=np.zeros(0, dtype=np.int8),
-    )
-    with pytest.raises(SceneError, match="keep_paths=True"):
-        views.ray_paths(empty, flat_scene)
-    lost = replace(made_paths(), status=np.ones(3, dtype=np.int8))
-    with pytest.raises(SceneError, match="none of 3 paths reaches the detector"):
-        views.ray_paths(lost, flat_scene)
 
 
 def test_the_room_stands_where_the_scene_says(flat_scene):
@@ -332,6 +309,7 @@ def grain(scene):
     return float(np.diff(shading[..., 0].astype(float), axis=1).std())
 
 
+@pytest.mark.thorough
 def test_a_rough_wall_looks_rougher_than_a_mirror(flat_scene):
     mirror = replace(flat_scene, wall_material=SpecularMicrofacet(0.9, 0.0))
     satin = replace(flat_scene, wall_material=SpecularMicrofacet(0.9, 0.08))
@@ -405,17 +383,6 @@ def test_the_surface_lies_around_the_bright_voxel():
     )
 
 
-def test_a_volume_in_a_room_keeps_the_room(flat_scene):
-    image, _ = bright_voxel()
-    plotter = views.scene_3d(flat_scene)
-    place = plotter.camera.position
-    views.phasor_volume(image, plotter=plotter)
-    assert {"relay wall", "hidden scene"} <= set(plotter.actors)
-    assert plotter.camera.position == pytest.approx(place)
-    assert "hidden object" in legend(plotter)
-    assert "volume" in legend(plotter)
-
-
 def test_volumes_without_a_surface_are_refused():
     image, _ = bright_voxel()
     flat = VolumeImage(
@@ -436,8 +403,8 @@ def test_volumes_without_a_surface_are_refused():
 def test_missing_pyvista_is_told_in_one_line():
     code = (
         "import sys; sys.modules['pyvista'] = None\n"
-        "from nlosoptics import views\n"
-        "for call in (views.rendering_works, views.window):\n"
+        "from nlosoptics.views.stages import rendering_works, window\n"
+        "for call in (rendering_works, window):\n"
         "    try: call()\n"
         "    except ImportError as error: print(type(error).__name__, error)"
     )
@@ -446,15 +413,3 @@ def test_missing_pyvista_is_told_in_one_line():
     )
     line = "MissingExtraError pyvista is not installed; run pip install 'nlosoptics[views]'"
     assert [text[: len(line)] for text in answer.stdout.splitlines()] == [line] * 2
-
-
-@pytest.mark.parametrize("wall", [None, ConcaveWall(5.0, size=(1.4, 1.0))])
-def test_no_axis_is_hidden_by_the_wall(flat_scene, wall):
-    """Arrows and letters stand nearer to the viewer than any of the wall, within the floor."""
-    scene = flat_scene if wall is None else replace(flat_scene, wall=wall)
-    actors = views.scene_3d(scene).actors
-    axes, wall_, floor = (
-        np.reshape(actors[name].bounds, (3, 2)) for name in ("axes", "relay wall", "floor grid")
-    )
-    assert axes[2, 0] > wall_[2, 1]
-    assert axes[2, 1] < floor[2, 1]

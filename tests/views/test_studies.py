@@ -11,8 +11,8 @@ from nlosoptics import psf, views
 from nlosoptics.errors import SceneError
 
 xr = pytest.importorskip("xarray")  # of the extra "study"
-from nlosoptics.study import Fraction, Optimum, Results, Study  # noqa: E402
-from nlosoptics.study.answers import Sensitivity  # noqa: E402
+from nlosoptics.study import Fraction, Optimum, Results, Sensitivity, Study  # noqa: E402
+from nlosoptics.views.studies import study_gallery  # noqa: E402
 
 SCENE = Path(__file__).parents[2] / "examples" / "scenes" / "letter_concave.toml"
 
@@ -68,22 +68,6 @@ def test_map_shows_the_last_two_dimensions_at_the_middle_of_the_others() -> None
         ((0.5, 0.5), (0.5, 1.5)),
         ((0.5, 1.5), (0.5, 0.5)),
     }
-
-
-@pytest.mark.parametrize(
-    ("factor", "told"),
-    [
-        (0.2, ["2.40", "2.60", "2.80", "failed", "3.20", "3.40"]),
-        (0.07, ["0.84", "0.91", "0.98", "failed", "1.12", "1.19"]),
-        (1e-9, ["1.2e-08", "1.3e-08", "1.4e-08", "failed", "1.6e-08", "1.7e-08"]),
-    ],
-)
-def test_values_of_cells_have_the_digits_of_their_range(factor: float, told: list[str]) -> None:
-    """The ranges are 1, 0.35 and 5e-9; a hundredth of the first two has two decimals."""
-    found = results()
-    found.dataset["strehl"] = found.dataset["strehl"] * factor
-    axes = views.study_map(found, "strehl")
-    assert [text.get_text() for text in axes.texts] == told
 
 
 def test_curve_shows_errors_and_chosen_steps() -> None:
@@ -163,8 +147,6 @@ def test_slices_hold_the_others_and_share_a_scale() -> None:
     ]
     assert [p.get_title() for p in panels][1] == "wall.radius = 2 m\nlaser.power = 1 mW"
     assert len({panel.get_ylim() for panel in panels}) == 1
-    with pytest.raises(SceneError, match="axes has 1 axes, must have 3"):
-        views.study_slices(results(), "strehl", axes=panels[:1])
 
 
 def drawn_results() -> Results:
@@ -198,15 +180,6 @@ def test_slices_of_draws_are_dots_and_failures_are_marked() -> None:
     assert panels[0].get_legend().get_texts()[0].get_text() == "1 failed"
 
 
-def test_slices_of_single_changes_are_refused() -> None:
-    study = Study.from_tables(
-        {"scene": str(SCENE), "figures": ["strehl"], "one_at_a_time": {"wall.radius": ["4 m"]}}
-    )
-    dataset = xr.Dataset({"strehl": ("case", [0.1, 0.2]), "status": ("case", ["done"] * 2)})
-    with pytest.raises(SceneError, match="not case; draw a tornado"):
-        views.study_slices(Results(path=Path("s"), study=study, dataset=dataset), "strehl")
-
-
 def test_sobol_bars_are_sorted_and_have_their_intervals() -> None:
     found = {
         "first": [0.1, 0.6], "first_low": [0.05, 0.5], "first_high": [0.2, 0.7],
@@ -216,7 +189,7 @@ def test_sobol_bars_are_sorted_and_have_their_intervals() -> None:
         {name: ("address", values) for name, values in found.items()},
         {"address": ["laser.power", "wall.radius"]},
     )
-    axes = views.sobol_bars(indices, label="strehl")
+    axes = views.tornado(indices, label="strehl")
     assert labels(axes.yaxis) == ["wall.radius", "laser.power"]
     first, total = axes.containers[1], axes.containers[3]
     assert [bar.get_width() for bar in first] == [0.6, 0.1]
@@ -247,7 +220,7 @@ def test_gallery_opens_the_extreme_points_again(smallest: bool) -> None:
         | {"status": ("camera.focus_distance", ["done", "failed", "done", "done"])}
     )
     held = Results(path=Path("store"), study=study, dataset=dataset)
-    panels = views.study_gallery(held, figures[smallest], smallest_is_best=smallest)
+    panels = study_gallery(held, figures[smallest], smallest_is_best=smallest)
     order = [2, 0, 3] if smallest else [3, 0, 2]
     focus = {0: "2.1 m", 2: "2 m", 3: "2.05 m"}
     for panel, rank, index in zip(panels, ("worst", "median", "best"), order, strict=True):
@@ -260,7 +233,7 @@ def test_gallery_opens_the_extreme_points_again(smallest: bool) -> None:
     assert len({panel.get_xlim() for panel in panels}) == 1
     dataset["strehl"][:] = np.nan
     with pytest.raises(SceneError, match="strehl is known at no point"):
-        views.study_gallery(held, "strehl")
+        study_gallery(held, "strehl")
 
 
 def searched(objectives: list[list[float]], goals: tuple[str, ...]) -> Optimum:
@@ -292,7 +265,7 @@ def test_front_runs_through_what_its_points_dominate(goals, corner) -> None:
     nan = np.nan
     worst = [9.0, 9.0] if goals[0] == "minimise" else [0.0, 0.0]
     found = searched([[2.0, 1.0], [1.0, 3.0], [nan, nan], [0.5, 0.5], worst], goals)
-    axes = views.pareto(found)
+    axes = views.search(found)
     front = next(line for line in axes.lines if str(line.get_label()).startswith("front"))
     assert front.get_xydata().tolist() == [[1.0, 3.0], [2.0, 1.0]]
     # between its two points a step has one corner
@@ -303,17 +276,15 @@ def test_front_runs_through_what_its_points_dominate(goals, corner) -> None:
     assert texts == [*told, "front: 2 trials"]
     assert axes.get_xlabel() == f"objective 0 (m), to {goals[0]}"
     with pytest.raises(SceneError, match="objectives 0 and 2 are not two of 2"):
-        views.pareto(found, second=2)
-    with pytest.raises(SceneError, match="draw them with pareto"):
-        views.search_history(found)
+        views.search(found, second=2)
 
 
 def test_history_shows_the_best_feasible_trial_so_far() -> None:
     nan = np.nan
     found = searched([[3.0], [2.0], [nan], [1.0], [2.5]], ("minimise",))
-    axes = views.search_history(found)
+    axes = views.search(found)
     best = next(line for line in axes.lines if line.get_label() == "best so far")
     assert best.get_ydata().tolist() == [3.0, 2.0, 2.0, 2.0, 2.0]
     failed = searched([[nan]] * 5, ("minimise",))
     with pytest.raises(SceneError, match="no trial with values"):
-        views.search_history(failed)
+        views.search(failed)

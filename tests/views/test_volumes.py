@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from nlosoptics import views
-from nlosoptics.errors import SceneError
 from nlosoptics.transient import Volume, VolumeImage
 
 pytest.importorskip("matplotlib")
@@ -44,15 +43,3 @@ def test_x_grows_to_the_left_where_the_wall_looks(image):
     assert views.volume(image).xaxis_inverted()
     assert views.volume(image, axis="y").xaxis_inverted()
     assert not views.volume(image, axis="x").xaxis_inverted()
-
-
-def test_given_axes_are_drawn_on_and_dark_or_flat_volumes_too(image, tmp_path):
-    axes = views.volume(image)
-    flat = VolumeImage(
-        intensity=np.zeros((1, 2, 2)), volume=Volume([0.0, 1.0], [0.0, 1.0], [1.0]), method="dark"
-    )
-    assert views.volume(flat, axes=axes) is axes
-    views.save(views.volume(flat, axis="y"), tmp_path / "dark.png")
-    assert (tmp_path / "dark.png").stat().st_size > 1000
-    with pytest.raises(SceneError, match="axis = 'w'"):
-        views.volume(image, axis="w")
