@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..._checks import Vector, in_range, positive, vector, whole
 from ...errors import SceneError
+from ._quantities import Angle, Length, Rate, Time
 
 #: Longest exposure, s, about the age of the universe: numbers of photons stay finite.
 LONGEST: Final = 1e18
@@ -103,21 +104,21 @@ class Camera:
 
     position: Vector
     aim: Vector
-    focal_length: float
-    stop_diameter: float
-    pixel_pitch: float = 9e-6
+    focal_length: Length
+    stop_diameter: Length
+    pixel_pitch: Length = 9e-6
     pixels: tuple[int, int] = (4096, 4096)
     binning: int = 8
-    exposure: float = 40e-3
+    exposure: Time = 40e-3
     quantum_efficiency: float = 0.7
     transmission: float = 0.9
     full_well: float = 70e3
     read_noise: float = 3.6
-    dark_current: float = 0.0
+    dark_current: Rate = 0.0
     bit_depth: int = 16
-    focus_distance: float | None = None
+    focus_distance: Length | None = None
     glare_fraction: float = 0.0
-    field_stop: float | None = None
+    field_stop: Angle | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__

@@ -7,6 +7,7 @@ from typing import Final
 
 from ..._checks import Vector, in_range, positive, vector, whole
 from ...errors import SceneError
+from ._quantities import Length, Power
 
 #: Largest power, W, far above that of any laser: numbers of photons stay finite.
 MOST_POWER: Final = 1e18
@@ -53,9 +54,9 @@ class Laser:
     (0.0, 0.0, 0.0)
     """
 
-    wavelength: float
-    power: float
-    beam_diameter: float
+    wavelength: Length
+    power: Power
+    beam_diameter: Length
     position: Vector
     aim: Vector = (0.0, 0.0, 0.0)
     independent_patterns: int | None = None

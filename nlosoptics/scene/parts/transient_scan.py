@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from ..._checks import in_range, one_of, positive, real, whole
 from ...errors import SceneError
+from ._quantities import Length
 
 SCANS = ("single", "confocal", "exhaustive")
 #: Keys of the reconstruction volume: either all are given or none.
@@ -65,17 +67,17 @@ class TransientScan:
     Camera : Lens and detector.
     """
 
-    side: float
+    side: Length
     count: int
-    delta_t: float
+    delta_t: Length
     n_bins: int
-    scan: str = "single"
-    t_start: float = 0.0
+    scan: Annotated[str, SCANS] = "single"
+    t_start: Length = 0.0
     max_bounces: int = 3
-    wl_mean: float | None = None
-    near: float | None = None
-    far: float | None = None
-    step: float | None = None
+    wl_mean: Length | None = None
+    near: Length | None = None
+    far: Length | None = None
+    step: Length | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__

@@ -13,6 +13,7 @@ from ..._checks import in_range, positive, whole
 from ..._random import philox
 from ...errors import SceneError
 from ...kernels.codes import BUMPS, EXTREME, FACETS
+from ..parts._quantities import Angle, Length
 from .analytic import Array, Wall, _term
 
 OFFSETS: Final = 303  # stream number of the random generator
@@ -155,8 +156,8 @@ class FacetWall(_Relief):
     ray_seconds: ClassVar[float] = 2e-6
     screen_seconds: ClassVar[float] = 7e-8
 
-    cell: float
-    slope_rms: float
+    cell: Length
+    slope_rms: Angle
     _: KW_ONLY
     seed: int = 0
     size: tuple[float, float] | None = None
@@ -253,8 +254,8 @@ class GaussianWall(_Relief):
     ray_seconds: ClassVar[float] = 8e-5
     screen_seconds: ClassVar[float] = 2.2e-7
 
-    height_rms: float
-    correlation_length: float
+    height_rms: Length
+    correlation_length: Length
     _: KW_ONLY
     seed: int = 0
     size: tuple[float, float] | None = None

@@ -65,7 +65,7 @@ def test_lobes_round_trip_exactly(material, examples: Path, tmp_path: Path) -> N
     [
         (
             'lobe = "ward"\nalbedo = 0.2',
-            ("hidden.material.alpha is missing", "add for example alpha = 0.4"),
+            ("hidden.material.alpha is missing; add it",),
         ),
         (
             'lobe = "ward"\nalbedo = 0.2\nalpha = 3.0',

@@ -622,7 +622,7 @@ def test_examples_name_the_schema(path: Path) -> None:
 def test_schema_knows_every_key_that_is_written(flat: Scene) -> None:
     """Keys of a saved scene are in the schema, with a note for whoever edits."""
     tables = scene_schema()["$defs"]
-    for section, table in (("laser", "LaserTable"), ("camera", "CameraTable")):
+    for section, table in (("laser", "Laser"), ("camera", "Camera")):
         text = scene_files(flat)["scene.toml"].decode().split(f"[{section}]\n")[1].split("\n\n")[0]
         for key in re.findall(r"^(\w+) =", text, re.MULTILINE):
             assert tables[table]["properties"][key]["description"]

@@ -11,23 +11,24 @@ import mpmath
 import pytest
 
 from nlosoptics.scene.file import units
-from nlosoptics.scene.file.units import ANGLE, LENGTH, POWER, RATE, TIME, parse, written
+from nlosoptics.scene.file.units import parse, written
+from nlosoptics.scene.parts._quantities import Kind
 
 
 @pytest.mark.parametrize(
     ("unit", "kind", "exponent"),
     [
-        ("nm", LENGTH, -9),
-        ("um", LENGTH, -6),
-        ("µm", LENGTH, -6),
-        ("mm", LENGTH, -3),
-        ("cm", LENGTH, -2),
-        ("km", LENGTH, 3),
-        ("ps", TIME, -12),
-        ("ms", TIME, -3),
-        ("mW", POWER, -3),
-        ("kHz", RATE, 3),
-        ("mrad", ANGLE, -3),
+        ("nm", Kind.LENGTH, -9),
+        ("um", Kind.LENGTH, -6),
+        ("µm", Kind.LENGTH, -6),
+        ("mm", Kind.LENGTH, -3),
+        ("cm", Kind.LENGTH, -2),
+        ("km", Kind.LENGTH, 3),
+        ("ps", Kind.TIME, -12),
+        ("ms", Kind.TIME, -3),
+        ("mW", Kind.POWER, -3),
+        ("kHz", Kind.RATE, 3),
+        ("mrad", Kind.ANGLE, -3),
     ],
 )
 def test_prefixes_shift_the_decimal_point(unit: str, kind, exponent: int) -> None:
@@ -38,14 +39,14 @@ def test_prefixes_shift_the_decimal_point(unit: str, kind, exponent: int) -> Non
 
 
 def test_angles() -> None:
-    assert parse("180 deg", ANGLE) == math.pi
-    assert parse("-90 degree", ANGLE) == -math.pi / 2
+    assert parse("180 deg", Kind.ANGLE) == math.pi
+    assert parse("-90 degree", Kind.ANGLE) == -math.pi / 2
     with mpmath.workdps(40):
         for degrees in range(1, 360):
-            assert parse(f"{degrees}°", ANGLE) == float(mpmath.pi * degrees / 180)
-    assert parse("10800 arcmin", ANGLE) == math.pi
-    assert parse("648000 arcsec", ANGLE) == math.pi
-    assert parse("0.3 rad", ANGLE) == 0.3
+            assert parse(f"{degrees}°", Kind.ANGLE) == float(mpmath.pi * degrees / 180)
+    assert parse("10800 arcmin", Kind.ANGLE) == math.pi
+    assert parse("648000 arcsec", Kind.ANGLE) == math.pi
+    assert parse("0.3 rad", Kind.ANGLE) == 0.3
 
 
 @pytest.mark.parametrize("unit", sorted(units._USUAL))
@@ -67,18 +68,23 @@ def test_usual_units_do_not_load_pint() -> None:
 
 
 def test_forms() -> None:
-    assert parse("2 m / m * m", LENGTH) == 2.0
-    assert parse("3 kg m^2 / s^3", POWER) == 3.0
-    assert parse("  1.2m ", LENGTH) == 1.2
-    assert parse("1_000 meter", LENGTH) == 1000.0
-    assert parse(".5 metres", LENGTH) == 0.5
-    assert parse("+5.e-1 m", LENGTH) == 0.5
-    assert parse("1 in", LENGTH) == 0.0254
-    assert parse("0.1 / s", RATE) == parse("0.1 1/s", RATE) == parse("0.1 Hz", RATE) == 0.1
+    assert parse("2 m / m * m", Kind.LENGTH) == 2.0
+    assert parse("3 kg m^2 / s^3", Kind.POWER) == 3.0
+    assert parse("  1.2m ", Kind.LENGTH) == 1.2
+    assert parse("1_000 meter", Kind.LENGTH) == 1000.0
+    assert parse(".5 metres", Kind.LENGTH) == 0.5
+    assert parse("+5.e-1 m", Kind.LENGTH) == 0.5
+    assert parse("1 in", Kind.LENGTH) == 0.0254
+    assert (
+        parse("0.1 / s", Kind.RATE)
+        == parse("0.1 1/s", Kind.RATE)
+        == parse("0.1 Hz", Kind.RATE)
+        == 0.1
+    )
 
 
 @pytest.mark.parametrize("value", [0.0, 1 / 3, -2e-300, 5e-324, 1.7976931348623157e308, 6.328e-07])
-@pytest.mark.parametrize("kind", [LENGTH, TIME, RATE, POWER, ANGLE], ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", list(Kind), ids=lambda kind: kind.name)
 def test_what_is_written_reads_back(value: float, kind) -> None:
     assert parse(written(value, kind), kind) == value
 
@@ -109,7 +115,7 @@ def test_what_is_written_reads_back(value: float, kind) -> None:
 )
 def test_wrong_quantities(text, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        parse(text, LENGTH)
+        parse(text, Kind.LENGTH)
 
 
 def test_a_parser_that_does_not_load_is_no_unknown_unit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,4 +126,4 @@ def test_a_parser_that_does_not_load_is_no_unknown_unit(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(units, "_registry", broken)
     with pytest.raises(TypeError, match="frozen"):
-        parse("3 furlong", LENGTH)
+        parse("3 furlong", Kind.LENGTH)
