@@ -27,8 +27,6 @@ import tempfile
 import time
 from pathlib import Path
 
-from studies import Clock, cpu_seconds
-
 import nlosoptics as nlos
 from nlosoptics.study import Study, plan_study, run_study
 
@@ -37,16 +35,27 @@ FIGURES = ["strehl", {"figure": "mtf", "frequency": 60.0}]
 FOCUS = {"camera.focus_distance": {"from": "1.8 m", "to": "2.3 m"}}
 
 
-class Watch(Clock):
-    """Progress callback that also keeps the client's memory over the second half of the points."""
+class Watch:
+    """Progress callback that keeps times, and the client's memory over the second half."""
 
-    half = None
+    begun = ended = half = None
+
+    def passed(self):
+        """Seconds on the wall and of CPU from the first to the last block."""
+        return tuple(end - begin for begin, end in zip(self.begun, self.ended, strict=True))
 
     def __call__(self, text, share):
-        super().__call__(text, share)
+        now = time.perf_counter(), time.process_time()
+        self.begun, self.ended = self.begun or now, now
         if share >= 0.5:
             self.last = _resident()
             self.half = self.half or self.last
+
+
+def cpu_seconds():
+    """CPU seconds of this process, and of its ended children."""
+    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return [one.ru_utime + one.ru_stime for one in used]
 
 
 def with_one_worker(kind, study, store):

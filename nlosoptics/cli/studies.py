@@ -20,8 +20,6 @@ from .shell import (
     require,
 )
 
-PARTS = ("xarray", "zarr")  # packages of the extra `study`
-
 
 class Kind(StrEnum):
     """Picture of a study."""
@@ -139,7 +137,7 @@ def run_command(
 def status_command(store: StoreFolder, debug: Debug = False) -> None:
     """Show the state of a study: finished points, range of each figure of merit, and failures.
 
-    For an optimisation or an inverse sensitivity, also show the answer.
+    For an optimisation, also show the best trials.
     """
     with errors_told(debug):
         typer.echo(_told(_results(store)))
@@ -279,26 +277,16 @@ def _results(store: Path) -> Any:
 
 
 def _told(results: Any) -> str:
-    """Return a study's results as text, with the answers of its search."""
-    from ..study import inverse_sensitivities, optimum
+    """Return a study's results as text, with the best trials of a search."""
+    from ..study import optimum
 
-    table, lines = results.study.table, [str(results)]
-    if table.optimise is not None:
-        lines.append(str(optimum(results, incomplete=True)))
-    elif table.inverse_sensitivity is not None and results.complete:
-        lines += map(str, inverse_sensitivities(results))
-    return "\n".join(lines)
+    search = results.study.table.optimise is not None
+    return f"{results}\n{optimum(results, incomplete=True)}" if search else str(results)
 
 
 def _require_parts() -> None:
-    for part in PARTS:
+    for part in ("xarray", "zarr"):
         require(part, "study")
-
-
-def _label(results: Any, figure: str) -> str:
-    """Return a figure's name with its unit."""
-    unit = results.study.figure(figure).unit
-    return f"{figure} ({unit})" if unit else figure
 
 
 def _default_kind(results: Any) -> Kind:
@@ -319,7 +307,8 @@ def _drawn(
     from .. import study, views
     from ..study import answers
 
-    label = _label(results, figure)
+    unit = results.study.figure(figure).unit
+    label = f"{figure} ({unit})" if unit else figure
     if kind is Kind.TORNADO:
         return views.tornado(study.sensitivities(results, figure, incomplete=True), label=label)
     if kind is Kind.SOBOL:

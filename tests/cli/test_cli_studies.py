@@ -87,28 +87,6 @@ def test_bad_study_is_one_line(edit, arguments, told: str, study: Path, capsys) 
     assert re.search(told, err)
 
 
-def test_fast_draws_are_planned_run_and_drawn(study: Path, capsys) -> None:
-    study.write_text(
-        f'scene = "{SCENE}"\nfigures = ["strehl"]\n'
-        'set = { "camera.f_number" = 16, "camera.binning" = 8 }\n'
-        '[draws]\ncount = 32\ntier = "fast"\ncheck = 3\n'
-        '[draws.of]\n"wall.radius" = { sigma = "20 cm" }\n'
-    )
-    code, out, err = call(capsys, "study", study, "--plan")
-    assert (code, err) == (0, "")
-    assert "fast draws     32, from about 7 waves expanded to second order" in out
-    assert "checked draws  3, 1 figure each" in out
-    code, out, err = call(capsys, "study", study, "--workers", 0)
-    assert (code, err) == (0, "")
-    assert "powers.zarr: 32 points: 3 done, 29 fast" in out
-    assert "fast minus full" in out
-    assert call(capsys, "study", "plot", "powers.zarr", "strehl", "--out", "yield.png")[0] == 0
-    study.write_text(study.read_text().replace('"strehl"', '"photons"'))
-    code, out, err = call(capsys, "study", study, "--workers", 0)
-    assert (code, err.count("\n")) == (2, 1)
-    assert "photons is not among those of tier = 'fast'" in err
-
-
 def test_failed_points_are_counted(study: Path, capsys) -> None:
     study.write_text(study.read_text().replace('"powers:power"', '"powers:power", "powers:fails"'))
     code, out, _ = call(capsys, "study", study, "--workers", 0)
@@ -267,14 +245,3 @@ def test_search_is_stopped_resumed_and_drawn(search: Path, capsys) -> None:
     code, _, err = call(capsys, "study", "plot", "powers.zarr", "power")
     assert (code, err.count("\n")) == (shell.BAD_INPUT, 1)
     assert "use nlosoptics study optimum" in err
-
-
-def test_inverse_sensitivity_is_told(study: Path, capsys) -> None:
-    study.write_text(
-        study.read_text().partition("[axes]")[0] + '[inverse_sensitivity]\nfigure = "power"\n'
-        'loss = 1e-3\n[inverse_sensitivity.of]\n"laser.power" = { from = "3 mW", to = "6 mW" }\n'
-    )
-    code, out, err = call(capsys, "study", study, "--workers", 0)
-    assert (code, err) == (0, "")
-    # half way to the limit, which the first halving meets
-    assert re.search(r"laser.power +4 mW to 6 mW or more, nominal 5 mW", out)
