@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import in_range, positive
-from ...scene import MirrorLobe, Scene
+from ...scene import Scene
+from ...scene.parts._material import MirrorLobe
 from ..aperture.aperture import Aperture
 from ..pupil.wall_view import WallView, wall_view
 from ..rough.mean import detilted_mean

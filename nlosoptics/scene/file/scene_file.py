@@ -75,16 +75,8 @@ def read_scene(
         If the pitch of a random wall is so fine that its heights would not fit in memory.
     """
     path = Path(path)
-    raw = _read(path)
-    with located(f"{path}: "):
-        tables: _file_tables.SceneFile = validated(_file_tables.SceneFile, raw)
-    camera = _camera_values(path, tables.camera, (path.resolve(),))
-    if changes:
-        with located(f"{path}: "):
-            raw = changed(raw | {"camera": _whole_camera(path, raw["camera"])}, changes)
-            tables = validated(_file_tables.SceneFile, raw)
-        camera = _camera_values(path, tables.camera, (path.resolve(),))
-    return _built(tables, camera, path, lambda name: _resolved(path.parent, name), scene, {})
+    raw = scene_tables(path, changes)
+    return scene_from_tables(raw, path, lambda name: _resolved(path.parent, name), scene, {})
 
 
 def scene_tables(path: Path, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -105,10 +97,12 @@ def scene_tables(path: Path, changes: Mapping[str, Any] | None = None) -> dict[s
     raw = _read(path)
     with located(f"{path}: "):
         validated(_file_tables.SceneFile, raw)
-    raw["camera"] = _whole_camera(path, raw["camera"])
+    raw["camera"] = _whole_camera(path, raw["camera"], (path.resolve(),))
     with located(f"{path}: "):
         raw = changed(raw, changes or {})
         validated(_file_tables.SceneFile, raw)
+    if "file" in raw["camera"]:  # one of the changes
+        raw["camera"] = _whole_camera(path, raw["camera"], (path.resolve(),))
     return raw
 
 
@@ -145,19 +139,7 @@ def scene_from_tables(
     """
     with located(f"{path}: "):
         tables: _file_tables.SceneFile = validated(_file_tables.SceneFile, changed(raw, changes))
-    camera = _camera_values(path, tables.camera, (path.resolve(),))
-    return _built(tables, camera, path, opened, scene, {} if parts is None else parts)
-
-
-def _built(
-    tables: _file_tables.SceneFile,
-    camera: dict[str, Any],
-    path: Path,
-    opened: Opener,
-    scene: Callable[..., T],
-    parts: dict[str, Any],
-) -> T:
-    """Return the scene of checked tables and of camera values, with all its files opened."""
+    parts = {} if parts is None else parts
 
     def part(make: Callable[[Any, Any], Any], table: Any, key: Any) -> Any:
         text = f"{make.__name__} {key!r}"
@@ -179,7 +161,7 @@ def _built(
             _laser(tables.laser),
             part(_wall, tables.wall, _given(tables.wall, *SURFACE)),
             part(_hidden, tables.hidden, tables.hidden),
-            _camera(camera),
+            _camera(_given(tables.camera)),
             part(_occluders, tables.occluder or [], tables.occluder),
             **optional,
         )
@@ -411,49 +393,33 @@ def _lobe(place: str, table: Any) -> Material:
         return lobe
 
 
-def _camera_values(path: Path, table: Any, seen: tuple[Path, ...]) -> dict[str, Any]:
-    """Return the keys of a camera table merged over those of the file that it names.
+def _whole_camera(path: Path, own: dict[str, Any], seen: tuple[Path, ...]) -> dict[str, Any]:
+    """Return a checked camera table of a file, joined with that of the file that it names.
 
-    Parameters
-    ----------
-    path : Path
-        File that contains the table.
-    table : CameraTable
-        Camera table, maybe with a ``file``.
-    seen : tuple of Path
-        Files read so far, to find a circular reference.
+    ``seen`` are the files read so far, to find a circular reference.
     """
-    own = _given(table, "file")
-    for pair in CAMERA_PAIRS:
-        if all(name in own for name in pair):
+    for one, other in CAMERA_PAIRS:
+        if one in own and other in own:
             raise SceneError(
-                f"{path}: camera.{pair[1]} and camera.{pair[0]} are both given, limit is one of "
-                "them; remove the other"
+                f"{path}: camera.{other} and camera.{one} are both given, limit is one of them; "
+                "remove the other"
             )
-    if table.file is None:
-        return own
-    with located(f"{path}: camera.file = "):
-        other = _resolved(path.parent, table.file)
-    if other in seen:
-        raise SceneError(f"{path}: camera.file = {table.file!r} leads back to itself; remove it")
-    if not other.is_file():
-        raise SceneError(
-            f"{path}: camera.file = {table.file!r}: there is no file {other}; give the path of a "
-            "TOML file with a [camera] table"
-        )
-    raw = _read(other)
-    with located(f"{other}: "):
-        included: Any = validated(_file_tables.CameraFile, raw)
-    values = _camera_values(other, included.camera, (*seen, other))
-    return _without_alternatives(values, own) | own
-
-
-def _whole_camera(path: Path, own: dict[str, Any]) -> dict[str, Any]:
-    """Return the camera table of a checked file, joined with that of the file that it names."""
     if "file" not in own:
         return own
-    other = _resolved(path.parent, own["file"])
-    values = _whole_camera(other, _read(other)["camera"])
+    name = own["file"]
+    with located(f"{path}: camera.file = "):
+        file = _resolved(path.parent, name)
+    if file in seen:
+        raise SceneError(f"{path}: camera.file = {name!r} leads back to itself; remove it")
+    if not file.is_file():
+        raise SceneError(
+            f"{path}: camera.file = {name!r}: there is no file {file}; give the path of a TOML "
+            "file with a [camera] table"
+        )
+    raw = _read(file)
+    with located(f"{file}: "):
+        validated(_file_tables.CameraFile, raw)
+    values = _whole_camera(file, raw["camera"], (*seen, file))
     return _without_alternatives(values, own) | {k: own[k] for k in own if k != "file"}
 
 

@@ -313,7 +313,7 @@ SHAPES = {
     "wavy": _wall("wavy", WavyWall),
     "sum": _table(
         SumWall,
-        _SURFACE | {"terms": (list["WallTable"], notes_of(SumWall)["terms"])},  # type: ignore[name-defined]  # noqa: F821
+        _SURFACE | {"terms": (list["WallTable"], notes_of(SumWall)["terms"])},  # type: ignore[name-defined]
         kind=("shape", "sum"),
     ),
     "mesh": _wall("mesh", MeshWall),

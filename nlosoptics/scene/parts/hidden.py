@@ -56,14 +56,8 @@ class PlanarObject(Posed):
         follows from the image's shape.
     position : (float, float, float)
         Centre of the image, world frame, m.
-    yaw : float
-        Right-handed rotation about the world's y axis, rad. It is applied last: the order is roll,
-        pitch, yaw.
-    pitch : float
-        Right-handed rotation about the world's x axis, rad. It is applied after roll and before
-        yaw.
-    roll : float
-        Right-handed rotation about the world's z axis, rad. It is applied first: the order is roll,
+    yaw, pitch, roll : float
+        Right-handed rotations about the world's y, x and z axis, rad, applied in the order roll,
         pitch, yaw.
     material : Material
         Bidirectional reflectance of a white pixel.
@@ -250,14 +244,8 @@ class MeshObject(PosedMesh):
         Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
     position : (float, float, float)
         Position of the mesh's origin, world frame, m.
-    yaw : float
-        Right-handed rotation about the world's y axis, rad. It is applied last: the order is roll,
-        pitch, yaw.
-    pitch : float
-        Right-handed rotation about the world's x axis, rad. It is applied after roll and before
-        yaw.
-    roll : float
-        Right-handed rotation about the world's z axis, rad. It is applied first: the order is roll,
+    yaw, pitch, roll : float
+        Right-handed rotations about the world's y, x and z axis, rad, applied in the order roll,
         pitch, yaw.
     material : Material
         Bidirectional reflectance of the whole surface.
