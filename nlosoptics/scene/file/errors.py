@@ -24,13 +24,7 @@ def located(place: str, inner: str = "") -> Iterator[None]:
 
 
 def validated(model: Any, raw: dict[str, Any]) -> Any:
-    """Return ``raw`` validated as the pydantic class ``model``.
-
-    Raises
-    ------
-    SceneError
-        For the first problem, in one line.
-    """
+    """Return ``raw`` validated as the pydantic class ``model``."""
     try:
         return model.model_validate(raw)
     except ValidationError as error:

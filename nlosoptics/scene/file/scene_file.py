@@ -47,53 +47,14 @@ SURFACE = ("material", "roughness")  # keys of a wall that are parts of the scen
 def read_scene(
     path: str | Path, scene: Callable[..., T], changes: Mapping[str, Any] | None = None
 ) -> T:
-    """Read a scene file, and open the images and meshes that it names.
-
-    Parameters
-    ----------
-    path : str or Path
-        TOML file.
-    scene : callable
-        The class `Scene`, passed in because this module must not import it. It is called with
-        laser, wall, hidden object, camera and occluders, and with the optional keywords
-        ``wall_material``, ``wall_roughness`` and ``transient``.
-    changes : mapping of str to value, optional
-        Values that replace those of the file, by address; see `Scene.load`.
-
-    Returns
-    -------
-    Scene
-        Result of ``scene``.
-
-    Raises
-    ------
-    SceneError
-        If a file, key or value is wrong. One line names file, key, value, limit and remedy.
-    SamplingError
-        If the pitch of a random wall is too coarse for its correlation length.
-    MemoryLimitError
-        If the pitch of a random wall is so fine that its heights would not fit in memory.
-    """
+    """Read a scene file, and open the images and meshes that it names."""
     path = Path(path)
     raw = scene_tables(path, changes)
     return scene_from_tables(raw, path, lambda name: _resolved(path.parent, name), scene, {})
 
 
 def scene_tables(path: Path, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Return the tables of a scene file as the file writes them, without a file for the camera.
-
-    Parameters
-    ----------
-    path : Path
-        TOML file.
-    changes : mapping of str to value, optional
-        Values that replace those of the file, by address; see `Scene.load`.
-
-    Raises
-    ------
-    SceneError
-        If the file, a key or the form of a value is wrong.
-    """
+    """Return the tables of a scene file as the file writes them, without a file for the camera."""
     raw = _read(path)
     with located(f"{path}: "):
         validated(_file_tables.SceneFile, raw)
@@ -114,29 +75,7 @@ def scene_from_tables(
     changes: Mapping[str, Any],
     parts: dict[str, Any] | None = None,
 ) -> T:
-    """Return the scene of tables from `scene_tables`.
-
-    Parameters
-    ----------
-    raw : dict
-        Tables; not modified.
-    path : Path
-        File that messages name.
-    opened : callable
-        Returns the path of a picture or mesh by its name in the tables.
-    scene : callable
-        The class `Scene`; see `read_scene`.
-    changes : mapping of str to value
-        Values that replace those of the tables, by address.
-    parts : dict, optional
-        Walls, hidden objects and occluders of earlier calls by their tables. They are used again,
-        with all that they have computed, and new ones are added.
-
-    Raises
-    ------
-    NlosError
-        As for `read_scene`.
-    """
+    """Return the scene of tables from `scene_tables`."""
     with located(f"{path}: "):
         tables: _file_tables.SceneFile = validated(_file_tables.SceneFile, changed(raw, changes))
     parts = {} if parts is None else parts
@@ -178,18 +117,6 @@ def save_scene(scene: Any, path: str | Path) -> None:
     their key, for ``room.toml``: ``room_hidden_image.png`` (``.npy`` if the values are no 8- or
     16-bit levels), ``room_wall_heights.npy`` and ``room_wall_mesh.ply``. If writing fails, no
     incomplete file is left behind.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene to write.
-    path : str or Path
-        File to write; existing files of these names are replaced.
-
-    Raises
-    ------
-    SceneError
-        If the folder does not exist, or a wall or material cannot be written in a scene file.
     """
     path = Path(path)
     if path.is_dir():

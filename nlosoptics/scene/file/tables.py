@@ -150,23 +150,7 @@ def _table(
     name: str = "",
     **fixed: Any,
 ) -> type[Table]:
-    """Return the table of the parameters of a class or function.
-
-    Parameters
-    ----------
-    source : callable
-        Constructor of the part.
-    own : mapping, optional
-        Annotation and description of optional keys of the file alone.
-    kind : (str, str), optional
-        Key and value by which a file chooses this table.
-    without, optional : tuple of str
-        Parameters that the file does not have, and that it need not have.
-    name : str
-        Name in the JSON schema; by default that of the class.
-    **fixed
-        Arguments that are the same for all tables of this kind.
-    """
+    """Return the table of the parameters of a class or function."""
     hints = get_type_hints(source, include_extras=True)
     if inspect.isclass(source) and not source.__dataclass_params__.init:  # its own constructor
         hints |= get_type_hints(source.__init__, include_extras=True)

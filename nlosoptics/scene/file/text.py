@@ -30,21 +30,7 @@ Naming = Callable[[str, SourceFile | tuple[str, bytes]], str]
 
 
 def saved_files(scene: Any, path: Path) -> dict[Path, bytes]:
-    """Return the files to write for saving ``scene`` at ``path``.
-
-    Returns
-    -------
-    dict of Path to bytes
-        The scene file in SI units, and one file for each image, height map or mesh that is in
-        memory or whose file is missing or was changed since it was read. Their names consist of
-        the stem of ``path`` and their key, such as ``room_hidden_image.png``. Other files are not
-        copied; the scene file refers to them by relative paths.
-
-    Raises
-    ------
-    SceneError
-        If a wall or material cannot be written in a scene file.
-    """
+    """Return the files to write for saving ``scene`` at ``path``."""
     base = path.parent.resolve()
     made: dict[Path, bytes] = {}
 
@@ -63,24 +49,7 @@ def saved_files(scene: Any, path: Path) -> dict[Path, bytes]:
 
 
 def scene_files(scene: Any) -> dict[str, bytes]:
-    """Return the files of a self-contained folder for ``scene`` that can be moved anywhere.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene to write.
-
-    Returns
-    -------
-    dict of str to bytes
-        ``scene.toml``, and copies of all images, meshes and height maps. Their names are their
-        keys, such as ``hidden_image.png``.
-
-    Raises
-    ------
-    SceneError
-        If a file cannot be read, or a wall or material cannot be written in a scene file.
-    """
+    """Return the files of a self-contained folder for ``scene`` that can be moved anywhere."""
     copies: dict[str, bytes] = {}
 
     def copied(key: str, held: SourceFile | tuple[str, bytes]) -> str:

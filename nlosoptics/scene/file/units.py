@@ -99,14 +99,7 @@ def measured(text: object) -> tuple[float, Kind] | None:
 
 
 def parse(text: object, kind: Kind) -> float:
-    """Return the value in SI units of a text such as "2 mrad", for a dimension ``kind``.
-
-    Raises
-    ------
-    ValueError
-        If the text has no such value. The message reads "is not a length", for example; the caller
-        puts the key and its value in front of it.
-    """
+    """Return the value in SI units of a text such as "2 mrad", for a dimension ``kind``."""
     write = f'; write for example "{kind.example}"'
     match = _NUMBER_AND_UNIT.fullmatch(text) if isinstance(text, str) else None
     if match is None:

@@ -39,13 +39,7 @@ class SourceFile(_Path):
 
     @cached_property
     def content(self) -> bytes:
-        """Bytes of the file, read at the first access.
-
-        Raises
-        ------
-        SceneError
-            If the file cannot be read.
-        """
+        """Bytes of the file, read at the first access."""
         try:
             return Path(self).read_bytes()
         except OSError as error:
@@ -115,21 +109,7 @@ def bare_mesh(value: Any) -> Any:
 
 
 def picture_file(values: NDArray[np.float64]) -> tuple[str, bytes]:
-    """Encode an image losslessly in the smallest possible file format.
-
-    Parameters
-    ----------
-    values : ndarray, (ny, nx)
-        Brightness from 0 to 1, float64, row 0 on top.
-
-    Returns
-    -------
-    suffix : str
-        ``.png`` if all values are integer multiples of 1/255 or 1/65535 and the picture has at
-        most `MOST_PIXELS` pixels, else ``.npy``.
-    content : bytes
-        Contents of the file.
-    """
+    """Encode an image losslessly in the smallest possible file format."""
     from PIL import Image
 
     for largest, kind in _DEPTHS if values.size <= MOST_PIXELS else ():

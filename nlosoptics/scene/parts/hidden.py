@@ -156,20 +156,7 @@ class PlanarObject(Posed):
 
 
 def checked_picture(name: str, values: Any) -> Array:
-    """Return a greyscale image as a read-only float64 array with values from 0 to 1.
-
-    Parameters
-    ----------
-    name : str
-        Name of the image in error messages.
-    values : array_like, (ny, nx)
-        Brightness: 0 to 1, or integers of 8 or 16 bits, divided by the largest value of the type.
-
-    Raises
-    ------
-    SceneError
-        If it is not a two-dimensional array of finite brightness within these limits.
-    """
+    """Return a greyscale image as a read-only float64 array with values from 0 to 1."""
     try:
         raw = np.asarray(values)
     except ValueError:
@@ -194,13 +181,7 @@ def checked_picture(name: str, values: Any) -> Array:
 
 
 def read_picture(path: Path) -> Array:
-    """Read an image file as relative reflectance, (ny, nx), 0 to 1, row 0 on top.
-
-    Raises
-    ------
-    SceneError
-        If the file is missing, is not an image, or is empty.
-    """
+    """Read an image file as relative reflectance, (ny, nx), 0 to 1, row 0 on top."""
     file = SourceFile.at(path)
     if not file.is_held and not file.is_file():
         raise SceneError(f"hidden.image: there is no file {path}; give the path of an image")

@@ -171,18 +171,7 @@ def named_material(name: str) -> Material:
 
 
 def lobe_tables(name: str) -> list[dict[str, Any]]:
-    """Return the lobes of a named material as a scene file writes them.
-
-    Parameters
-    ----------
-    name : str
-        Name in the library.
-
-    Raises
-    ------
-    SceneError
-        If the library has no such name.
-    """
+    """Return the lobes of a named material as a scene file writes them."""
     return [
         {key: f"{value!r} rad" if key in ANGLES else value for key, value in lobe.items()}
         for lobe in _lobes(_entries()[entry(name).name])

@@ -53,21 +53,7 @@ class Dimension:
 
 
 def dimensions(table: StudyTable, value_of: Callable[[str], Any]) -> tuple[Dimension, ...]:
-    """Return the dimensions of a study file; the points are their product.
-
-    Parameters
-    ----------
-    table : StudyTable
-        Checked study file.
-    value_of : callable
-        Value of the base scene at an address.
-
-    Raises
-    ------
-    SceneError
-        If the design has no or too many points, mixes units, repeats a value, or varies an address
-        twice.
-    """
+    """Return the dimensions of a study file; the points are their product."""
     found = []
     if table.optimise is not None:
         found.append(Dimension(name="trial", deltas=()))  # grows as the search goes on
@@ -156,13 +142,7 @@ def _drawn(draws: Draws, seed: int, value_of: Callable[[str], Any]) -> Dimension
 
 
 def named_materials(table: StudyTable) -> dict[str, str]:
-    """Return the materials whose spread is drawn, by address; the base scene gets them.
-
-    Raises
-    ------
-    SceneError
-        If an address is no material, a name is unknown, or the table ``set`` gives another one.
-    """
+    """Return the materials whose spread is drawn, by address; the base scene gets them."""
     found = {}
     for address, given in (table.draws.of if table.draws else {}).items():
         if isinstance(given, list) or given.spread_of is None:
@@ -184,13 +164,7 @@ def named_materials(table: StudyTable) -> dict[str, str]:
 
 
 def _laws(draws: Draws) -> dict[str, list[Any] | Distribution]:
-    """Return the distributions by address, with one for each value of a named material.
-
-    Raises
-    ------
-    SceneError
-        If a name has other keys next to it, or an address is drawn twice.
-    """
+    """Return the distributions by address, with one for each value of a named material."""
     laws: dict[str, list[Any] | Distribution] = {}
     for address, given in draws.of.items():
         found: dict[str, list[Any] | Distribution] = {address: given}

@@ -199,13 +199,7 @@ ENDINGS = ("_error", "_status", "_compensated")
 
 
 def figure(given: str | FigureTable, folder: Path) -> Figure:
-    """Return the figure of an entry of a study file; functions are imported to see that they exist.
-
-    Raises
-    ------
-    SceneError
-        If there is no such figure, function or option.
-    """
+    """Return the figure of an entry of a study file, whose function is imported."""
     source = given if isinstance(given, str) else given.figure
     options = {} if isinstance(given, str) else dict(given.model_extra or {})
     name = source.rpartition(":")[2] if isinstance(given, str) else given.name or source
@@ -243,19 +237,7 @@ def plain_name(address: str) -> str:
 def with_compensation(
     figures: tuple[Figure, ...], table: Compensate, folder: Path, variables: tuple[Variable, ...]
 ) -> tuple[Figure, ...]:
-    """Return figures, the same after compensation, and the values that the compensators take.
-
-    Parameters
-    ----------
-    figures : tuple of Figure
-        Figures of a study.
-    table : Compensate
-        Table of the study file.
-    folder : Path
-        Folder of the study file.
-    variables : tuple of Variable
-        Values to adjust.
-    """
+    """Return figures, the same after compensation, and the values that the compensators take."""
     best = next((f for f in figures if f.name == table.figure), None) or figure(
         table.figure, folder
     )
@@ -293,17 +275,7 @@ def with_compensation(
 
 
 def compensated(point: StudyPoint, table: Mapping[str, Any], folder: Path) -> StudyPoint:
-    """Return a point at which some values are adjusted for the best figure; itself if that is best.
-
-    Parameters
-    ----------
-    point : StudyPoint
-        Point before compensation.
-    table : mapping
-        Figure, goal and variables, as `with_compensation` writes them.
-    folder : Path
-        Folder of the study file.
-    """
+    """Return a point at which some values are adjusted for the best figure."""
     function, options = _function(table["figure"]["source"], folder), table["figure"]["options"]
     sign = 1.0 if table["goal"] == "minimise" else -1.0
 

@@ -77,26 +77,7 @@ class Variable:
 
 
 def variable(name: str, address: str, given: list[Any] | Limits, own: Any, base: Base) -> Variable:
-    """Return a variable of a study file.
-
-    Parameters
-    ----------
-    name : str
-        Key of the study file, for messages.
-    address : str
-        Address of the value.
-    given : list or Limits
-        What the file gives.
-    own : value
-        The scene's own value at the address; None if it has none.
-    base : Base
-        Base scene, which keeps files that a list names.
-
-    Raises
-    ------
-    SceneError
-        If limits are empty or mix units.
-    """
+    """Return a variable of a study file."""
     if isinstance(given, Limits):
         (low, high), unit = numbers(name, given.low, given.high)
         if not low < high:

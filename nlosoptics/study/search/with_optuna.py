@@ -15,22 +15,7 @@ from .problem import Ask, Problem
 
 
 def sampled(problem: Problem, ask: Ask, method: str) -> str:
-    """Choose points by a sampler of Optuna.
-
-    Parameters
-    ----------
-    problem : Problem
-        What may be chosen.
-    ask : callable
-        Returns the outcomes of points.
-    method : str
-        "tpe" or "nsga-ii".
-
-    Raises
-    ------
-    MissingExtraError
-        If Optuna is not installed.
-    """
+    """Choose points by a sampler of Optuna."""
     with _quiet() as optuna:
         sampler = _sampler(optuna.samplers, problem, method)
         study = optuna.create_study(directions=["minimize"] * problem.objectives, sampler=sampler)
