@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 else:
     _Path = type(Path())  # Python 3.11 has a class of paths for each system
 
-#: Largest value and type of the integers that a PNG file can store.
-_DEPTHS = ((255, np.uint8), (65535, np.uint16))
-
 
 class SourceFile(_Path):
     """Path of a file whose bytes are read once and then kept with it, also in a pickle.
@@ -112,7 +109,8 @@ def picture_file(values: NDArray[np.float64]) -> tuple[str, bytes]:
     """Encode an image losslessly in the smallest possible file format."""
     from PIL import Image
 
-    for largest, kind in _DEPTHS if values.size <= MOST_PIXELS else ():
+    depths = ((255, np.uint8), (65535, np.uint16))  # that a PNG file can store
+    for largest, kind in depths if values.size <= MOST_PIXELS else ():
         levels = np.rint(values * largest)
         if (levels / largest).tobytes() == values.tobytes():
             held = io.BytesIO()

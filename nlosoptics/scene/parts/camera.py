@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +11,6 @@ from numpy.typing import NDArray
 from ..._checks import Vector, in_range, positive, vector, whole
 from ...errors import SceneError
 from ._quantities import Angle, Length, Rate, Time
-
-#: Longest exposure, s, about the age of the universe: numbers of photons stay finite.
-LONGEST: Final = 1e18
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +126,8 @@ class Camera:
             ("full_well", "electrons"),
         ):
             put(self, name, positive(f"camera.{name}", getattr(self, name), unit=unit))
-        time = in_range("camera.exposure", self.exposure, 0.0, LONGEST, open_low=True, unit="s")
+        # at most about the age of the universe, so that numbers of photons stay finite
+        time = in_range("camera.exposure", self.exposure, 0.0, 1e18, open_low=True, unit="s")
         put(self, "exposure", time)
         pitch = in_range("camera.pixel_pitch", self.pixel_pitch, 1e-12, 1.0, unit="m")
         put(self, "pixel_pitch", pitch)

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     import trimesh
 
 BLACK = Lambert(0.0)  # material of occluders that only block light
-ROUNDING = 1e-12  # relative to the largest coordinate: error of rotating a mesh onto the wall
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +141,8 @@ def joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh | None:
 def _refuse_behind(name: str, mesh: trimesh.Trimesh, remedy: str) -> None:
     """Raise `SceneError` if the mesh reaches below z = 0 by more than rounding."""
     lowest = float(mesh.vertices[:, 2].min())
-    if lowest < -ROUNDING * float(np.abs(mesh.vertices).max()):
+    # rotating a mesh onto the wall has an error of 1e-12 of the largest coordinate
+    if lowest < -1e-12 * float(np.abs(mesh.vertices).max()):
         raise SceneError(
             f"{name} reaches z = {lowest:g} m, behind the wall's plane, must be at least 0; "
             f"{remedy}"

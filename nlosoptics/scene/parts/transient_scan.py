@@ -10,8 +10,6 @@ from ...errors import SceneError
 from ._quantities import Length
 
 SCANS = ("single", "confocal", "exhaustive")
-#: Keys of the reconstruction volume: either all are given or none.
-VOLUME = ("near", "far", "step")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,13 +86,14 @@ class TransientScan:
         one_of("transient.scan", self.scan, SCANS)
         put(self, "t_start", real("transient.t_start", self.t_start))
         put(self, "max_bounces", whole("transient.max_bounces", self.max_bounces, 3, 5))
-        for name in ("wl_mean", *VOLUME):
+        volume = ("near", "far", "step")
+        for name in ("wl_mean", *volume):
             if getattr(self, name) is not None:
                 value = positive(f"transient.{name}", getattr(self, name), unit="m")
                 put(self, name, value)
-        given = [name for name in VOLUME if getattr(self, name) is not None]
+        given = [name for name in volume if getattr(self, name) is not None]
         if 0 < len(given) < 3:
-            missing = next(name for name in VOLUME if name not in given)
+            missing = next(name for name in volume if name not in given)
             raise SceneError(
                 f"transient.{missing} is missing although transient.{given[0]} is given; give "
                 "near, far and step, or none of them"

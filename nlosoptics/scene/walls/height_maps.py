@@ -21,7 +21,6 @@ from ..parts._quantities import Length
 from ..parts._sources import SourceFile, source
 from .analytic import Array, Wall, _term
 
-HEIGHTS: Final = 301  # stream number of the random generator
 #: Lag, in correlation lengths, beyond which the autocorrelation is below 1e-15.
 REACH: Final = {"gaussian": 6.0, "exponential": 35.0}
 
@@ -202,7 +201,7 @@ class HeightMapWall(Wall):
         lags = np.exp(-square if autocorrelation == "gaussian" else -np.sqrt(square))
         # rounding can make vanishing parts of the spectrum slightly negative
         spectrum = np.maximum(fft.rfft2(lags).real, 0.0)
-        noise = generator(seed, HEIGHTS).standard_normal((counts[1], counts[0]))
+        noise = generator(seed, 301).standard_normal((counts[1], counts[0]))
         heights = fft.irfft2(fft.rfft2(noise) * np.sqrt(spectrum), s=noise.shape)
         wall = cls(height_rms * heights[: nodes[1], : nodes[0]], pitch)
         drawn = {
