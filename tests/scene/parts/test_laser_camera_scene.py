@@ -93,7 +93,7 @@ BAD = [
     (CAMERA, "binning", 3, r"camera.binning = 3 does not divide .*\(4096, 4096\); use a common"),
     (CAMERA, "exposure", 1.1e18, r"camera.exposure = 1.1e\+18 s .* above 0 to 1e\+18 s"),
     (CAMERA, "full_well", 0, "camera.full_well = 0 electrons .* above 0"),
-    (CAMERA, "bit_depth", 33, "camera.bit_depth = 33 is too many, must be 1 to 32"),
+    (CAMERA, "bit_depth", 33, "camera.bit_depth = 33 is out of range, must be from 1 to 32"),
     (CAMERA, "field_stop", 0, "camera.field_stop = 0 .* must be above 0"),
     (SCENE, "wall_material", 0.7, "scene.wall_material is a float; give a Material"),
     (SCENE, "occluders", 1, "scene.occluders is a int; give a tuple of meshes"),
