@@ -238,10 +238,8 @@ def interval(
 
 def _exact(met: int, count: int, confidence: float) -> tuple[float, float]:
     """Return the Clopper-Pearson interval of a share."""
-    tail = (1.0 - confidence) / 2
-    low = scipy.special.betaincinv(met, count - met + 1, tail) if met > 0 else 0.0
-    high = scipy.special.betaincinv(met + 1, count - met, 1.0 - tail) if met < count else 1.0
-    return float(low), float(high)
+    ends = scipy.stats.binomtest(met, count).proportion_ci(confidence, "exact")
+    return float(ends.low), float(ends.high)
 
 
 def smallest_is_best(figure: Figure) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import SceneError
 from .base import Base
-from .designs import listed, numbers
+from .designs import listed, span
 from .file import Limits
 from .values import canonical, label, number, with_unit
 
@@ -79,11 +79,7 @@ class Variable:
 def variable(name: str, address: str, given: list[Any] | Limits, own: Any, base: Base) -> Variable:
     """Return a variable of a study file."""
     if isinstance(given, Limits):
-        (low, high), unit = numbers(name, given.low, given.high)
-        if not low < high:
-            raise SceneError(f"{name}: from = {low:g} is not below to = {high:g}; exchange them")
-        if given.spacing == "log" and low <= 0.0:
-            raise SceneError(f"{name}: spacing = log needs values above 0; give such limits")
+        low, high, unit = span(name, given)
         values: tuple[Any, ...] = ()
         ordered = True
     else:
