@@ -36,23 +36,26 @@ FOCUS = {"camera.focus_distance": {"from": "1.8 m", "to": "2.3 m"}}
 
 
 class Watch:
-    """Progress callback: times of the first and the last block, and the client's memory."""
+    """Progress callback that keeps times, and the client's memory over the second half."""
 
-    begun = ended = None
-    half = None
+    begun = ended = half = None
+
+    def passed(self):
+        """Seconds on the wall and of CPU from the first to the last block."""
+        return tuple(end - begin for begin, end in zip(self.begun, self.ended, strict=True))
 
     def __call__(self, text, share):
-        self.ended = time.process_time()
-        self.begun = self.begun or self.ended
+        now = time.perf_counter(), time.process_time()
+        self.begun, self.ended = self.begun or now, now
         if share >= 0.5:
             self.last = _resident()
             self.half = self.half or self.last
 
 
 def cpu_seconds():
-    """CPU seconds of the ended children of this process."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    """CPU seconds of this process, and of its ended children."""
+    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return [one.ru_utime + one.ru_stime for one in used]
 
 
 def with_one_worker(kind, study, store):

@@ -4,7 +4,8 @@ from pathlib import Path
 
 from tables import table, write
 
-from nlosoptics.scene import MaterialValue, material_library
+from nlosoptics.scene import material_library
+from nlosoptics.scene.parts.library import MaterialValue
 
 
 def pages(target: Path) -> None:

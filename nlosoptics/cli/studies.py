@@ -21,8 +21,6 @@ from .shell import (
     require,
 )
 
-PARTS = ("xarray", "zarr")  # packages of the extra `study`
-
 
 class Kind(StrEnum):
     """Picture of a study."""
@@ -140,7 +138,7 @@ def run_command(
 def status_command(store: StoreFolder, debug: Debug = False) -> None:
     """Show the state of a study: finished points, range of each figure of merit, and failures.
 
-    For an optimisation or an inverse sensitivity, also show the answer.
+    For an optimisation, also show the best trials.
     """
     with errors_told(debug):
         typer.echo(_told(_results(store)))
@@ -277,17 +275,60 @@ def _results(store: Path) -> Any:
 
 
 def _told(results: Any) -> str:
-    """Return a study's results as text, with the answers of its search."""
-    from ..study import inverse_sensitivities, optimum
+    """Return a study's results as text, with the best trials of a search."""
+    from ..study import optimum
 
-    table, lines = results.study.table, [str(results)]
-    if table.optimise is not None:
-        lines.append(str(optimum(results, incomplete=True)))
-    elif table.inverse_sensitivity is not None and results.complete:
-        lines += map(str, inverse_sensitivities(results))
-    return "\n".join(lines)
+    search = results.study.table.optimise is not None
+    return f"{results}\n{optimum(results, incomplete=True)}" if search else str(results)
 
 
 def _require_parts() -> None:
-    for part in PARTS:
+    for part in ("xarray", "zarr"):
         require(part, "study")
+
+
+def _default_kind(results: Any) -> Kind:
+    """Return the picture that fits a study's design."""
+    names = [dimension.name for dimension in results.study.dimensions]
+    if names == ["case"]:
+        return Kind.TORNADO
+    if names == ["draw"]:
+        method = results.study.definition["draws"].get("method")
+        return Kind.SOBOL if method == "saltelli" else Kind.YIELD
+    return Kind.MAP
+
+
+def _drawn(
+    results: Any, figure: str, kind: Kind, boundary: float | None, contours: list[float]
+) -> Any:
+    """Draw a picture of a study."""
+    from .. import study, views
+    from ..study import answers
+
+    unit = results.study.figure(figure).unit
+    label = f"{figure} ({unit})" if unit else figure
+    if kind is Kind.TORNADO:
+        return views.tornado(study.sensitivities(results, figure, incomplete=True), label=label)
+    if kind is Kind.SOBOL:
+        return views.sobol_bars(study.sobol_indices(results, figure), label=figure)
+    if kind is Kind.YIELD:
+        limits, found = answers.yields(results, figure)
+        return views.yield_curve(limits, found, label=label)
+    if kind is Kind.PANELS:
+        return views.study_panels(results, figure, boundary=boundary, contours=contours)
+    if kind is Kind.SLICES:
+        return views.study_slices(results, figure, boundary=boundary)
+    if kind is Kind.GALLERY:
+        smallest = answers.smallest_is_best(results.study.figure(figure))
+        return views.study_gallery(results, figure, smallest_is_best=smallest)
+    return views.study_map(results, figure, boundary=boundary, contours=contours)
+
+
+def _numbers(text: str | None) -> list[float]:
+    """Return the numbers of a list with commas."""
+    try:
+        return [float(part) for part in (text or "").split(",") if part.strip()]
+    except ValueError:
+        raise typer.BadParameter(
+            f"--contours {text!r} is not a list of numbers such as 0.2,0.5,0.8"
+        ) from None

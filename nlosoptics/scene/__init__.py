@@ -1,10 +1,9 @@
 """Scene description: laser, wall, hidden object, occluders, camera, materials and scene files."""
 
-from .parts._material import MirrorLobe
-from .parts.camera import Camera, pupil_frame
+from .parts.camera import Camera
 from .parts.hidden import MeshObject, PlanarObject
 from .parts.laser import Laser
-from .parts.library import MaterialValue, NamedMaterial, material_library, named_material
+from .parts.library import material_library, named_material
 from .parts.materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
 from .parts.occluders import Occluder
 from .parts.spectrum import Spectrum
@@ -28,11 +27,8 @@ __all__ = [
     "Lambert",
     "Laser",
     "Material",
-    "MaterialValue",
     "MeshObject",
     "MeshWall",
-    "MirrorLobe",
-    "NamedMaterial",
     "Occluder",
     "OrenNayar",
     "PlanarObject",
@@ -48,5 +44,4 @@ __all__ = [
     "WavyWall",
     "material_library",
     "named_material",
-    "pupil_frame",
 ]

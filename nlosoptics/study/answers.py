@@ -226,17 +226,7 @@ def fraction_within(
 def interval(
     good: NDArray[np.bool_], confidence: float, *, sobol: bool = False
 ) -> tuple[float, float]:
-    """Return the confidence interval of the share of draws that are good.
-
-    Parameters
-    ----------
-    good : (n,) ndarray of bool
-        Which draws meet a specification.
-    confidence : float
-        Confidence level, 0 to 1.
-    sobol : bool
-        Whether they are Sobol draws, in their order; see the notes of `fraction_within`.
-    """
+    """Return the confidence interval of the share of draws that are good."""
     met, count = int(good.sum()), len(good)
     if not sobol or min(met, count - met) < 80:
         return _exact(met, count, confidence)
@@ -248,10 +238,8 @@ def interval(
 
 def _exact(met: int, count: int, confidence: float) -> tuple[float, float]:
     """Return the Clopper-Pearson interval of a share."""
-    tail = (1.0 - confidence) / 2
-    low = scipy.special.betaincinv(met, count - met + 1, tail) if met > 0 else 0.0
-    high = scipy.special.betaincinv(met + 1, count - met, 1.0 - tail) if met < count else 1.0
-    return float(low), float(high)
+    ends = scipy.stats.binomtest(met, count).proportion_ci(confidence, "exact")
+    return float(ends.low), float(ends.high)
 
 
 def smallest_is_best(figure: Figure) -> bool:
@@ -260,27 +248,7 @@ def smallest_is_best(figure: Figure) -> bool:
 
 
 def yields(results: Results, figure: str) -> tuple[NDArray[np.float64], tuple[Fraction, ...]]:
-    """Return the yield against the limit over the range of a figure, finished points only.
-
-    Parameters
-    ----------
-    results : Results
-        Results of a study whose only dimension is ``draw``; see `fraction_within`.
-    figure : str
-        Name of the figure of merit.
-
-    Returns
-    -------
-    limits : (n,) ndarray
-        Limits from the smallest to the largest value of the figure.
-    fractions : tuple of n Fraction
-        Share of the draws on the better side of each limit.
-
-    Raises
-    ------
-    SceneError
-        If the study has other dimensions, or the figure is known at no point.
-    """
+    """Return the yield against the limit over the range of a figure, finished points only."""
     values = results.values(figure, incomplete=True)
     good = values[np.isfinite(values)]
     if not len(good):

@@ -25,11 +25,6 @@ def prepared(study: Study, path: Path) -> tuple[Store, Study]:
     """Open or create the store of a study, with a row for every point.
 
     The study is returned with the trials that the store has of its search.
-
-    Raises
-    ------
-    SceneError
-        If the store belongs to another base scene or design. The message names the difference.
     """
     store = Store.open(path, write=True)
     about: dict[str, Any] = about_study(study) | {"versions": versions()}

@@ -76,13 +76,6 @@ class Engine:
     ) -> Iterator[tuple[Block, Answers]]:
         """Yield blocks with their answers as they are finished.
 
-        Parameters
-        ----------
-        blocks : iterator of Block
-            Blocks, taken as workers become free.
-        interrupted : callable
-            Whether to end after the blocks in flight.
-
         Notes
         -----
         If a worker process ends, the blocks in flight are repeated point by point, since any of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -168,11 +169,8 @@ class Results(Noun):
 
     def failures(self) -> dict[str, int]:
         """Return each error message of failed points with the number of points that have it."""
-        status, told = (self.dataset[name].values.ravel() for name in ("status", "message"))
-        found: dict[str, int] = {}
-        for text in told[np.isin(status, ("failed", "lost"))]:
-            found[text] = found.get(text, 0) + 1
-        return found
+        status, texts = (self.dataset[name].values.ravel() for name in ("status", "message"))
+        return dict(Counter(texts[np.isin(status, ("failed", "lost"))]))
 
     def __str__(self) -> str:
         """Return status and range of every figure as text."""

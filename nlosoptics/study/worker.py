@@ -47,18 +47,7 @@ class Answers(NamedTuple):
 
 
 def prepare(key: str, packed: bytes, *, own_process: bool = True) -> None:
-    """Unpickle the study once in this process.
-
-    Parameters
-    ----------
-    key : str
-        Key under which `evaluate` finds the study.
-    packed : bytes
-        Pickled study.
-    own_process : bool
-        Whether this process only computes points: it then has one thread, ignores Ctrl-C, which
-        is the client's, and ends with the client, even with one that was killed.
-    """
+    """Unpickle the study once in this process."""
     if own_process:
         import signal
 

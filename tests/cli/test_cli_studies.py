@@ -50,7 +50,7 @@ def test_study_runs_resumes_and_answers(study: Path, capsys) -> None:
     code, out, err = call(capsys, "study", study, "--workers", 0)
     assert (code, err) == (0, "")
     assert "powers.zarr: 6 points: 6 done\npower" in out
-    chunk = next(Path("powers.zarr/power_status/c").iterdir())
+    chunk = next(Path("powers.zarr/status/c").rglob("0/0"))
     written = chunk.stat().st_mtime_ns
     assert call(capsys, "study", "run", study, "--workers", 0) == (0, out, "")
     assert chunk.stat().st_mtime_ns == written
@@ -169,3 +169,63 @@ def test_report_is_written_next_to_the_caller(study: Path, capsys) -> None:
     code, out, err = call(capsys, "study", "report", "nothing.zarr")
     assert (code, out) == (2, "")
     assert "nothing.zarr has no results of a study" in err
+
+
+SEARCH = """[optimise]
+method = "nsga-ii"
+evaluations = 12
+population = 4
+objectives = [{ figure = "power", goal = "minimise" }, { figure = "gap", goal = "minimise" }]
+[optimise.variables]
+"laser.power" = { from = "1 mW", to = "9 mW" }
+"""
+
+
+@pytest.fixture
+def search(study: Path) -> Path:
+    """A search of the least power and the least distance from 9 mW."""
+    (study.parent / "gaps.py").write_text(  # Python keeps a module of a name that it has read
+        "import time\n"
+        "def power(point):\n    time.sleep(0.05)\n    return point.scene.laser.power\n"
+        "def gap(point):\n    return 9e-3 - point.scene.laser.power\n"
+    )
+    text = study.read_text().replace('"powers:power"', '"gaps:power", "gaps:gap"')
+    study.write_text(text.partition("[axes]")[0] + SEARCH)
+    return study
+
+
+def test_search_is_stopped_resumed_and_drawn(search: Path, capsys) -> None:
+    code, out, err = call(capsys, "study", search, "--plan")
+    assert (code, err) == (0, "")
+    assert "points         12, 2 figures each" in out
+    assert not Path("powers.zarr").exists()
+
+    def few_trials() -> None:
+        while len(list(Path("powers.zarr").glob("power_status/c/*"))) < 5:
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=few_trials)
+    thread.start()
+    code, out, err = call(capsys, "study", search, "--workers", 0)
+    thread.join()
+    assert code == shell.FAILED
+    assert "search: running; " in out
+    assert err == "nlosoptics: interrupted; the same command continues\n"
+    code, _, err = call(capsys, "study", "optimum", "powers.zarr")
+    assert (code, err.count("\n")) == (shell.BAD_INPUT, 1)
+    code, out, err = call(capsys, "study", search, "--workers", 0)
+    assert (code, err) == (0, "")
+    # both objectives fall and rise with the power, so that every trial is on the front
+    assert "search: 12 evaluations; 12 trials, 12 feasible, 0 failed" in out
+    assert len(re.findall(r"^trial \d+: power [\d.e-]+, gap", out, re.MULTILINE)) == 12
+    assert call(capsys, "study", "status", "powers.zarr") == (0, out, "")
+    code, out, err = call(capsys, "study", "optimum", "powers.zarr", "--out", "front.svg")
+    assert (code, err) == (0, "")
+    assert "<svg" in Path("front.svg").read_text()
+    assert call(capsys, "study", "export", "powers.zarr", "table.csv")[0] == 0
+    with Path("table.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 12
+    code, _, err = call(capsys, "study", "plot", "powers.zarr", "power")
+    assert (code, err.count("\n")) == (shell.BAD_INPUT, 1)
+    assert "use nlosoptics study optimum" in err

@@ -61,13 +61,9 @@ def test_one_way_to_say_a_thing_replaces_the_other(monkeypatch, request):
     ("changes", "words"),
     [
         ({"wall.radus": "2 m"}, r"letter_flat.toml: wall.radus = \"2 m\" is an unknown key"),
-        ({"laser.power": 3}, "laser.power = 3 has no unit"),
         ({"radius": "2 m"}, "'radius' is not the address of a value"),
-        ({"wall..radius": "2 m"}, "not the address"),
         ({"camera.position[3]": "2 m"}, r"camera.position\[3\]: camera.position has 3 elements"),
-        ({"camera.position.x": "2 m"}, "is a list; give an index"),
         ({"laser.power.x": "2 m"}, "laser.power.x: laser.power is one value"),
-        ({"laser[0].power": "2 mW"}, r"laser is not a list here; leave out \[0\]"),
         ({"occluder[0].scale": 2.0}, r"occluder is not a list"),
     ],
 )

@@ -233,7 +233,6 @@ def test_a_study_file_names_itself_in_errors(tmp_path: Path) -> None:
     [
         ("read_a_letter", "design_study.md"),
         ("tolerances", "tolerance_study.md"),
-        ("tolerance_yield", "tolerance_study.md"),
     ],
 )
 def test_the_examples_are_short_and_on_their_pages(name: str, page: str) -> None:

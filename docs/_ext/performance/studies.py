@@ -1,4 +1,4 @@
-"""Design studies: their cost, and scaling on paper."""
+"""Design studies: their cost, and what many workers would give."""
 
 from collections.abc import Iterator, Sequence
 

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import vector
 from ...errors import CausticError, SceneError
-from ...scene import CallableWall, Wall, pupil_frame
+from ...scene import CallableWall, Wall
+from ...scene.parts.camera import pupil_frame
 
 Array = NDArray[np.float64]
 

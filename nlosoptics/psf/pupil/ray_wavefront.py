@@ -11,7 +11,7 @@ from ..._checks import counted, positive
 from ...errors import CausticError, SamplingError, SceneError
 from ...raytrace import RayPaths
 from ...raytrace.fans.paths import DETECTED, ESCAPED
-from ...scene import pupil_frame
+from ...scene.parts.camera import pupil_frame
 from ..wave.removed import Removed
 from ..wave.scattered_fits import cell_areas
 from ..wave.wavefront import Wavefront

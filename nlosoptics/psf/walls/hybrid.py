@@ -17,7 +17,8 @@ from ...errors import SamplingError, SceneError
 from ...raytrace import PointTrace, ray_plan, trace_point
 from ...raytrace.light.trace import MOST, MOST_BOUNCES
 from ...raytrace.light.trace_point import EMISSIONS, Emission, point_normal, point_scene
-from ...scene import MirrorLobe, Scene
+from ...scene import Scene
+from ...scene.parts._material import MirrorLobe
 from ..pupil.scene_optics import PointOptics, SceneOptics
 from ..pupil.wall_wavefront import AimedWave
 from ..rough.otf import transfer

@@ -10,7 +10,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...scene import MirrorLobe, Scene
+from ..._checks import in_range, positive
+from ...scene import Scene
+from ...scene.parts._material import MirrorLobe
 from ..aperture.aperture import Aperture
 from ..pupil.wall_view import WallView
 from ..rough.mean import detilted_mean

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import fits_memory, vector, whole
 from ..._random import checked_seed, philox
-from ...scene import Scene, pupil_frame
+from ...scene import Scene
+from ...scene.parts.camera import pupil_frame
 from ..intersection.intersections import intersect
 from .footprints import lens_footprint, lens_plane, reflected
 from .paths import DETECTED, ESCAPED, LEFT, RayPaths

@@ -27,11 +27,6 @@ def parsed(changes: list[str]) -> dict[str, Any]:
     """Return changes such as ``wall.radius=2 m`` as values by address.
 
     A value is read like one of a scene file; text needs no quotation marks.
-
-    Raises
-    ------
-    SceneError
-        If a change has no equals sign, or an address is set twice.
     """
     values: dict[str, Any] = {}
     for change in changes:
@@ -65,21 +60,7 @@ def _lobes_of(value: Any) -> Any:
 
 
 def changed(raw: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a copy of a scene file's tables with other values at some addresses.
-
-    Parameters
-    ----------
-    raw : dict
-        Tables of the file; not modified.
-    changes : mapping of str to value
-        Values, as the file would hold them, by address. Tables on the way are added.
-
-    Raises
-    ------
-    SceneError
-        If an address is malformed, or leads through something that is no table or list, or beyond
-        the end of a list.
-    """
+    """Return a copy of a scene file's tables with other values at some addresses."""
     tables = copy.deepcopy(raw)
     for address in changes:
         if not _ADDRESS.fullmatch(str(address)):

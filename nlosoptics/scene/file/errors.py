@@ -12,7 +12,6 @@ from pydantic import ValidationError
 
 from ...errors import NlosError, SceneError
 from . import tables
-from .text import toml_value
 
 
 @contextmanager
@@ -25,13 +24,7 @@ def located(place: str, inner: str = "") -> Iterator[None]:
 
 
 def validated(model: Any, raw: dict[str, Any]) -> Any:
-    """Return ``raw`` validated as the pydantic class ``model``.
-
-    Raises
-    ------
-    SceneError
-        For the first problem, in one line.
-    """
+    """Return ``raw`` validated as the pydantic class ``model``."""
     try:
         return model.model_validate(raw)
     except ValidationError as error:
@@ -54,27 +47,23 @@ def _problem(problem: Any, model: Any) -> str:
     owner = model
     for element in location[:-1]:
         owner = tables.OWNERS.get(element, owner)
-    keys = [element for element in location if element not in tables.TAGS]
+    keys = [element for element in location if ":" not in str(element)]
     name = "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in keys).lstrip(".")
     value = _shown(problem["input"])
     if kind == "extra_forbidden":
         return _unknown_key(name, str(keys[-1]), value, owner)
     if kind == "missing":
-        return missing_key(name, str(keys[-1]), top=len(keys) == 1)
+        what = f"the table [{name}]" if len(keys) == 1 else name
+        return f"{what} is missing; add it"
     if kind in ("union_tag_not_found", "union_tag_invalid"):
         return _unknown_choice(name, str(keys[0]), problem["input"])
     if kind == "list_type" and isinstance(problem["input"], dict):
         return f"{name} = {value} is one table; write [[{name}]] for each of them"
-    last = next((k for k in reversed(keys) if isinstance(k, str)), "")
-    example = tables.example(_section(name), last)
-    hint = f"; write for example {toml_value(example)}" if example is not None else ""
     if kind == "value_error":
-        told = f"{name} = {value} {problem['ctx']['error']}"
-        # the library's message lists all names
-        return told if last == "material" else told + hint
+        return f"{name} = {value} {problem['ctx']['error']}"
     if kind in ("model_type", "dict_type", "model_attributes_type"):
         return f"{name} = {value} is not a table; write [{name}] and its keys below"
-    return f"{name} = {value}: {problem['msg'].replace('Input should', 'it should')}{hint}"
+    return f"{name} = {value}: {problem['msg'].replace('Input should', 'it should')}"
 
 
 def _unknown_key(name: str, key: str, value: str, owner: Any) -> str:
@@ -83,19 +72,6 @@ def _unknown_key(name: str, key: str, value: str, owner: Any) -> str:
     near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
     hint = f"did you mean {near[0]}?" if near else f"the keys here are {', '.join(known)}"
     return f"{name} = {value} is an unknown key; {hint}"
-
-
-def missing_key(name: str, key: str, *, top: bool = False) -> str:
-    """Return the message for a missing key, or with ``top`` for a missing table."""
-    if top:
-        return f"the table [{name}] is missing; add it with its keys"
-    example = tables.example(_section(name), key)
-    return f"{name} is missing; add for example {key} = {toml_value(example)}"
-
-
-def _section(name: str) -> str:
-    """Return the section of `tables.EXAMPLES` to which a key belongs."""
-    return "roughness" if "roughness." in name else name.partition(".")[0]
 
 
 def _unknown_choice(name: str, section: str, value: Any) -> str:
@@ -108,9 +84,9 @@ def _unknown_choice(name: str, section: str, value: Any) -> str:
     if not isinstance(value, dict):
         return f"{name} = {_shown(value)} is not a table; write [{name}] and its keys below"
     if key not in value:
-        return missing_key(f"{name}.{key}", key)
+        return f"{name}.{key} is missing; add one of {', '.join(choices)}"
     near = difflib.get_close_matches(str(value[key]), choices, n=1, cutoff=0.5)
-    hint = f"; did you mean {toml_value(near[0])}?" if near else ""
+    hint = f'; did you mean "{near[0]}"?' if near else ""
     known = ", ".join(choices)
     return f"{name}.{key} = {_shown(value[key])} is unknown, must be one of {known}{hint}"
 

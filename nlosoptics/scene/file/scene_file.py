@@ -22,19 +22,16 @@ from ...errors import SceneError
 from ..parts.camera import Camera
 from ..parts.hidden import MeshObject, PlanarObject
 from ..parts.laser import Laser
-from ..parts.library import LOBE_CLASSES
 from ..parts.materials import Material, SumMaterial
 from ..parts.occluders import Occluder
 from ..parts.spectrum import Spectrum
 from ..parts.transient_scan import TransientScan
-from ..walls.analytic import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
-from ..walls.height_maps import HeightMapWall
+from ..walls.analytic import SumWall, Wall
 from ..walls.mesh_walls import MeshWall
-from ..walls.relief import FacetWall, GaussianWall
 from ..walls.roughness import WallRoughness
 from . import tables as _file_tables
 from .addresses import CAMERA_PAIRS, changed
-from .errors import located, missing_key, validated
+from .errors import located, validated
 from .schema import scene_schema
 from .text import saved_files, scene_files
 
@@ -44,75 +41,29 @@ T = TypeVar("T")
 #: Returns the path of a picture, mesh or height map by its name in a table.
 Opener = Callable[[str], Path]
 
-#: Most characters of a scene file and of a line; a parser's time grows with their square.
-MOST_TEXT, MOST_LINE = 4_000_000, 20_000
+SURFACE = ("material", "roughness")  # keys of a wall that are parts of the scene
 
 
 def read_scene(
     path: str | Path, scene: Callable[..., T], changes: Mapping[str, Any] | None = None
 ) -> T:
-    """Read a scene file, and open the images and meshes that it names.
-
-    Parameters
-    ----------
-    path : str or Path
-        TOML file.
-    scene : callable
-        The class `Scene`, passed in because this module must not import it. It is called with
-        laser, wall, hidden object, camera and occluders, and with the optional keywords
-        ``wall_material``, ``wall_roughness`` and ``transient``.
-    changes : mapping of str to value, optional
-        Values that replace those of the file, by address; see `Scene.load`.
-
-    Returns
-    -------
-    Scene
-        Result of ``scene``.
-
-    Raises
-    ------
-    SceneError
-        If a file, key or value is wrong. One line names file, key, value, limit and remedy.
-    SamplingError
-        If the pitch of a random wall is too coarse for its correlation length.
-    MemoryLimitError
-        If the pitch of a random wall is so fine that its heights would not fit in memory.
-    """
+    """Read a scene file, and open the images and meshes that it names."""
     path = Path(path)
-    raw = _read(path)
-    with located(f"{path}: "):
-        tables: _file_tables.SceneFile = validated(_file_tables.SceneFile, raw)
-    camera = _camera_values(path, tables.camera, (path.resolve(),))
-    if changes:
-        with located(f"{path}: "):
-            raw = changed(raw | {"camera": _whole_camera(path, raw["camera"])}, changes)
-            tables = validated(_file_tables.SceneFile, raw)
-        camera = _camera_values(path, tables.camera, (path.resolve(),))
-    return _built(tables, camera, path, lambda name: _resolved(path.parent, name), scene, {})
+    raw = scene_tables(path, changes)
+    return scene_from_tables(raw, path, lambda name: _resolved(path.parent, name), scene, {})
 
 
 def scene_tables(path: Path, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Return the tables of a scene file as the file writes them, without a file for the camera.
-
-    Parameters
-    ----------
-    path : Path
-        TOML file.
-    changes : mapping of str to value, optional
-        Values that replace those of the file, by address; see `Scene.load`.
-
-    Raises
-    ------
-    SceneError
-        If the file, a key or the form of a value is wrong.
-    """
+    """Return the tables of a scene file as the file writes them, without a file for the camera."""
     raw = _read(path)
     with located(f"{path}: "):
         validated(_file_tables.SceneFile, raw)
-    raw["camera"] = _whole_camera(path, raw["camera"])
+    raw["camera"] = _whole_camera(path, raw["camera"], (path.resolve(),))
     with located(f"{path}: "):
         raw = changed(raw, changes or {})
         validated(_file_tables.SceneFile, raw)
+    if "file" in raw["camera"]:  # one of the changes
+        raw["camera"] = _whole_camera(path, raw["camera"], (path.resolve(),))
     return raw
 
 
@@ -124,44 +75,10 @@ def scene_from_tables(
     changes: Mapping[str, Any],
     parts: dict[str, Any] | None = None,
 ) -> T:
-    """Return the scene of tables from `scene_tables`.
-
-    Parameters
-    ----------
-    raw : dict
-        Tables; not modified.
-    path : Path
-        File that messages name.
-    opened : callable
-        Returns the path of a picture or mesh by its name in the tables.
-    scene : callable
-        The class `Scene`; see `read_scene`.
-    changes : mapping of str to value
-        Values that replace those of the tables, by address.
-    parts : dict, optional
-        Walls, hidden objects and occluders of earlier calls by their tables. They are used again,
-        with all that they have computed, and new ones are added.
-
-    Raises
-    ------
-    NlosError
-        As for `read_scene`.
-    """
+    """Return the scene of tables from `scene_tables`."""
     with located(f"{path}: "):
         tables: _file_tables.SceneFile = validated(_file_tables.SceneFile, changed(raw, changes))
-    camera = _camera_values(path, tables.camera, (path.resolve(),))
-    return _built(tables, camera, path, opened, scene, {} if parts is None else parts)
-
-
-def _built(
-    tables: _file_tables.SceneFile,
-    camera: dict[str, Any],
-    path: Path,
-    opened: Opener,
-    scene: Callable[..., T],
-    parts: dict[str, Any],
-) -> T:
-    """Return the scene of checked tables and of camera values, with all its files opened."""
+    parts = {} if parts is None else parts
 
     def part(make: Callable[[Any, Any], Any], table: Any, key: Any) -> Any:
         text = f"{make.__name__} {key!r}"
@@ -181,9 +98,9 @@ def _built(
             optional["transient"] = TransientScan(**_given(tables.transient))
         made = scene(
             _laser(tables.laser),
-            part(_wall, tables.wall, _given(tables.wall, "material", "roughness")),
+            part(_wall, tables.wall, _given(tables.wall, *SURFACE)),
             part(_hidden, tables.hidden, tables.hidden),
-            _camera(camera),
+            _camera(_given(tables.camera)),
             part(_occluders, tables.occluder or [], tables.occluder),
             **optional,
         )
@@ -200,18 +117,6 @@ def save_scene(scene: Any, path: str | Path) -> None:
     their key, for ``room.toml``: ``room_hidden_image.png`` (``.npy`` if the values are no 8- or
     16-bit levels), ``room_wall_heights.npy`` and ``room_wall_mesh.ply``. If writing fails, no
     incomplete file is left behind.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene to write.
-    path : str or Path
-        File to write; existing files of these names are replaced.
-
-    Raises
-    ------
-    SceneError
-        If the folder does not exist, or a wall or material cannot be written in a scene file.
     """
     path = Path(path)
     if path.is_dir():
@@ -228,10 +133,11 @@ def _read(path: Path) -> dict[str, Any]:
         raise SceneError(f"{path}: the scene file is {what}; give the path of a TOML file")
     try:
         text = path.read_text(encoding="utf-8")
-        if len(text) > MOST_TEXT or max(map(len, text.splitlines()), default=0) > MOST_LINE:
+        # a parser's time grows with the square of both
+        if len(text) > 4_000_000 or max(map(len, text.splitlines()), default=0) > 20_000:
             raise SceneError(
-                f"{path}: {len(text)} characters, limit {MOST_TEXT:,} and {MOST_LINE:,} in a line; "
-                "give a scene file, and keep heights and meshes in files of their own"
+                f"{path}: {len(text)} characters, limit 4,000,000 and 20,000 in a line; give a "
+                "scene file, and keep heights and meshes in files of their own"
             )
         return tomllib.loads(text)
     except UnicodeDecodeError as error:
@@ -251,7 +157,17 @@ def _given(table: Any, *without: str) -> dict[str, Any]:
     return {name: getattr(table, name) for name in table.model_fields_set if name not in without}
 
 
-def _laser(table: _file_tables.LaserTable) -> Laser:
+def _made(place: str, table: Any, opened: Opener, *without: str) -> Any:
+    """Return the part of a table; ``place`` is the table's key."""
+    values = _given(table, *without)
+    for name in values.keys() & _file_tables.FILES:
+        values[name] = opened(values[name])
+    if "material" in values:
+        values["material"] = _material(f"{place}.material", values["material"])
+    return table.source(**values, **table.fixed)
+
+
+def _laser(table: Any) -> Laser:
     """Return the laser, with its position from distance and incidence if these are given."""
     values = _given(table, "distance", "incidence", "azimuth")
     polar = [name for name in ("distance", "incidence") if name in table.model_fields_set]
@@ -288,28 +204,16 @@ def _laser(table: _file_tables.LaserTable) -> Laser:
 
 def _wall(table: Any, opened: Opener) -> Wall:
     """Return the wall of a table."""
-    values = _given(table, "shape", "material", "roughness")
-    if table.shape == "mesh":
-        return MeshWall(opened(values.pop("mesh")), **values)
-    if table.shape == "random":
-        return HeightMapWall.random(**values)
-    if table.shape == "height_map":
-        return HeightMapWall(opened(values.pop("heights")), **values)
-    if table.shape == "flat":
-        return FlatWall(**values)
-    if table.shape == "wavy":
-        return WavyWall(**values)
     if table.shape == "sum":
-        return SumWall(*_terms(values.pop("terms"), opened), **values)
-    bend, shape = table.shape.split("_")
-    kind = ConcaveWall if bend == "concave" else ConvexWall
-    return kind(values.pop("radius"), shape=shape, **values)
+        return SumWall(*_terms(table.terms, opened), **_given(table, "shape", "terms", *SURFACE))
+    wall: Wall = _made("wall", table, opened, "shape", *SURFACE)
+    return wall
 
 
 def _terms(tables: list[Any], opened: Opener) -> Iterator[Wall]:
     """Yield the summands of a wall."""
     for index, table in enumerate(tables):
-        for key in ("material", "roughness"):
+        for key in SURFACE:
             if getattr(table, key) is not None:
                 raise SceneError(
                     f"wall.terms[{index}].{key} belongs to a summand, which has no {key} of its "
@@ -322,19 +226,16 @@ def _terms(tables: list[Any], opened: Opener) -> Iterator[Wall]:
 def _roughness(table: Any, material: Material | None, opened: Opener) -> WallRoughness:
     """Return the roughness of a table; a slope that it omits is that of a mirror-like lobe."""
     values = _given(table, "model", "realisation")
-    options = _given(table, *values, "model")
     with located("wall.roughness.", "wall."):
-        heights: FacetWall | GaussianWall | HeightMapWall
         if table.model == "height_map":
-            heights = HeightMapWall(opened(values.pop("heights")), **values)
-        elif table.model == "facets":
-            if "slope_rms" not in values:
-                values["slope_rms"] = _lobe_slope(material, "slope_rms")
-            heights = FacetWall(**values)
-        else:
-            heights = GaussianWall(**_with_height(values, material))
+            values["heights"] = opened(values["heights"])
+        elif table.model == "gaussian":
+            values = _with_height(values, material)
+        elif "slope_rms" not in values:
+            values["slope_rms"] = _lobe_slope(material, "slope_rms")
+        heights = table.source(**values)
     with located("wall.roughness.", "wall_roughness."):
-        return WallRoughness(heights, **options)
+        return WallRoughness(heights, **_given(table, *values, "slope_rms", "model"))
 
 
 def _with_height(values: dict[str, Any], material: Material | None) -> dict[str, Any]:
@@ -367,25 +268,17 @@ def _lobe_slope(material: Material | None, missing: str) -> float:
 
 def _hidden(table: Any, opened: Opener) -> PlanarObject | MeshObject:
     """Return the hidden object of a table."""
-    values = _given(table, "material")
-    if table.material is not None:
-        values["material"] = _material("hidden.material", table.material)
-    if isinstance(table, _file_tables.MeshObjectTable):
-        return MeshObject(opened(values.pop("mesh")), **values)
-    return PlanarObject(opened(values.pop("image")), **values)
+    hidden: PlanarObject | MeshObject = _made("hidden", table, opened)
+    return hidden
 
 
-def _occluders(tables: list[_file_tables.OccluderTable], opened: Opener) -> tuple[Occluder, ...]:
+def _occluders(tables: list[Any], opened: Opener) -> tuple[Occluder, ...]:
     """Return the occluders of a scene file."""
-    found = []
+    occluders = []
     for index, table in enumerate(tables):
-        values = _given(table, "material")
-        mesh = opened(values.pop("mesh"))
-        if table.material is not None:
-            values["material"] = _material(f"occluder[{index}].material", table.material)
         with located(f"occluder[{index}].", "occluder."):
-            found.append(Occluder(mesh, **values))
-    return tuple(found)
+            occluders.append(_made("occluder", table, opened))
+    return tuple(occluders)
 
 
 def _resolved(folder: Path, name: str) -> Path:
@@ -422,54 +315,37 @@ def _lobe(place: str, table: Any) -> Material:
             with located(f"{place}{key}."):
                 values[key] = Spectrum(**_given(value))
     with located(place):
-        return LOBE_CLASSES[table.lobe](**values)
+        lobe: Material = table.source(**values)
+        return lobe
 
 
-def _camera_values(
-    path: Path, table: _file_tables.CameraTable, seen: tuple[Path, ...]
-) -> dict[str, Any]:
-    """Return the keys of a camera table merged over those of the file that it names.
+def _whole_camera(path: Path, own: dict[str, Any], seen: tuple[Path, ...]) -> dict[str, Any]:
+    """Return a checked camera table of a file, joined with that of the file that it names.
 
-    Parameters
-    ----------
-    path : Path
-        File that contains the table.
-    table : CameraTable
-        Camera table, maybe with a ``file``.
-    seen : tuple of Path
-        Files read so far, to find a circular reference.
+    ``seen`` are the files read so far, to find a circular reference.
     """
-    own = _given(table, "file")
-    for pair in CAMERA_PAIRS:
-        if all(name in own for name in pair):
+    for one, other in CAMERA_PAIRS:
+        if one in own and other in own:
             raise SceneError(
-                f"{path}: camera.{pair[1]} and camera.{pair[0]} are both given, limit is one of "
-                "them; remove the other"
+                f"{path}: camera.{other} and camera.{one} are both given, limit is one of them; "
+                "remove the other"
             )
-    if table.file is None:
-        return own
-    with located(f"{path}: camera.file = "):
-        other = _resolved(path.parent, table.file)
-    if other in seen:
-        raise SceneError(f"{path}: camera.file = {table.file!r} leads back to itself; remove it")
-    if not other.is_file():
-        raise SceneError(
-            f"{path}: camera.file = {table.file!r}: there is no file {other}; give the path of a "
-            "TOML file with a [camera] table"
-        )
-    raw = _read(other)
-    with located(f"{other}: "):
-        included: _file_tables.CameraFile = validated(_file_tables.CameraFile, raw)
-    values = _camera_values(other, included.camera, (*seen, other))
-    return _without_alternatives(values, own) | own
-
-
-def _whole_camera(path: Path, own: dict[str, Any]) -> dict[str, Any]:
-    """Return the camera table of a checked file, joined with that of the file that it names."""
     if "file" not in own:
         return own
-    other = _resolved(path.parent, own["file"])
-    values = _whole_camera(other, _read(other)["camera"])
+    name = own["file"]
+    with located(f"{path}: camera.file = "):
+        file = _resolved(path.parent, name)
+    if file in seen:
+        raise SceneError(f"{path}: camera.file = {name!r} leads back to itself; remove it")
+    if not file.is_file():
+        raise SceneError(
+            f"{path}: camera.file = {name!r}: there is no file {file}; give the path of a TOML "
+            "file with a [camera] table"
+        )
+    raw = _read(file)
+    with located(f"{file}: "):
+        validated(_file_tables.CameraFile, raw)
+    values = _whole_camera(file, raw["camera"], (*seen, file))
     return _without_alternatives(values, own) | {k: own[k] for k in own if k != "file"}
 
 
@@ -483,10 +359,10 @@ def _camera(values: dict[str, Any]) -> Camera:
     """Return the camera, with field of view and F-number converted to focal length and stop."""
     for name in ("position", "aim"):
         if name not in values:
-            raise SceneError(missing_key(f"camera.{name}", name))
+            raise SceneError(f"camera.{name} is missing; add {name} with three lengths")
     for pair in CAMERA_PAIRS:
         if not any(name in values for name in pair):
-            raise SceneError(missing_key(f"camera.{pair[0]}", pair[0]))
+            raise SceneError(f"camera.{pair[0]} is missing; add {pair[0]} or {pair[1]}")
     values = dict(values)
     if "pixels" in values:
         values["pixels"] = tuple(values["pixels"])

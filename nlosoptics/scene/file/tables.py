@@ -1,221 +1,206 @@
-"""Tables of a scene file as pydantic models: their keys and the form of each value.
+"""Tables of a scene file as pydantic models, made from the constructors of the parts.
 
-The dataclasses built from the tables check the limits and hold the defaults.
+The annotations of a constructor are the keys of its table: a float with a dimension is written with
+its unit. The constructors check the limits and hold the defaults.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+import functools
+import inspect
+import operator
+import re
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import (
+    BaseModel,
+    ConfigDict,
     Discriminator,
     Field,
+    PlainSerializer,
     PlainValidator,
     Tag,
     TypeAdapter,
+    WithJsonSchema,
+    create_model,
 )
 
+from ..._checks import Vector, counted
 from ...errors import SceneError
-from ..parts.library import lobe_tables, material_library
-from .quantities import (
-    AngleText,
-    LengthText,
-    PowerText,
-    RateText,
-    SizeText,
-    Table,
-    TimeText,
-    VectorText,
-    key,
-)
+from ..parts._quantities import Kind
+from ..parts.camera import Camera
+from ..parts.hidden import MeshObject, PlanarObject
+from ..parts.laser import Laser
+from ..parts.library import LOBE_CLASSES, lobe_tables, material_library
+from ..parts.materials import Material
+from ..parts.occluders import Occluder
+from ..parts.spectrum import Spectrum
+from ..parts.transient_scan import TransientScan
+from ..walls.analytic import ConcaveWall, ConvexWall, FlatWall, SumWall, WavyWall
+from ..walls.height_maps import HeightMapWall
+from ..walls.mesh_walls import MeshWall
+from ..walls.relief import FacetWall, GaussianWall
+from ..walls.roughness import WallRoughness
+from .units import parse, written
 
-#: A valid value of each key, shown by errors and editors.
-EXAMPLES: dict[str, Any] = {
-    "wavelength": "632.8 nm",
-    "power": "5 mW",
-    "beam_diameter": "3 mm",
-    "position": ["0.5 m", "0 m", "1 m"],
-    "aim": ["0 m", "0 m", "0 m"],
-    "distance": "1.2 m",
-    "incidence": "15 deg",
-    "azimuth": "0 deg",
-    "independent_patterns": 1,
-    "shape": "flat",
-    "size": ["0.4 m", "0.4 m"],
-    "radius": "5 m",
-    "axis": "y",
-    "amplitude": "0.1 mm",
-    "period": "250 mm",
-    "phase": "90 deg",
-    "direction": "0 deg",
-    "terms": [{"shape": "wavy", "amplitude": "0.1 mm", "period": "250 mm"}],
-    "mesh": "../walls/concave_5m.obj",
-    "heights": "../walls/measured.npy",
-    "wall.pitch": "1 mm",
-    "height_rms": "1 um",
-    "correlation_length": "10 mm",
-    "autocorrelation": "gaussian",
-    "seed": 0,
-    "scale": 1.0,
-    "roughness": {"model": "facets", "cell": "1 mm", "slope_rms": "2 mrad"},
-    "roughness.model": "facets",
-    "roughness.slope_rms": "2 mrad",
-    "roughness.height_rms": "1 um",
-    "roughness.correlation_length": "1 mm",
-    "roughness.pitch": "0.5 mm",
-    "roughness.heights": "../walls/measured.npy",
-    "cell": "1 mm",
-    "realisation": "pattern",
-    "material": "whiteboard",
-    "lobe": "lambert",
-    "albedo": 0.7,
-    "wavelengths": ["450 nm", "650 nm"],
-    "values": [0.2, 0.6],
-    "slope_rms": "0.3 rad",
-    "model": "full",
-    "normalised": True,
-    "alpha": 0.4,
-    "variant": "bounded",
-    "reflectance": 0.05,
-    "distribution": "ggx",
-    "index": [1.5, 0.0],
-    "image": "../objects/F.png",
-    "yaw": "10 deg",
-    "pitch": "10 deg",
-    "roll": "10 deg",
-    "file": "camera_wu2024.toml",
-    "focal_length": "50 mm",
-    "field_of_view": "40 deg",
-    "sensor_width": "36.864 mm",
-    "stop_diameter": "25 mm",
-    "f_number": 2.0,
-    "pixel_pitch": "9 um",
-    "pixels": [4096, 4096],
-    "binning": 8,
-    "exposure": "40 ms",
-    "quantum_efficiency": 0.7,
-    "transmission": 0.9,
-    "full_well": 70e3,
-    "read_noise": 3.6,
-    "dark_current": "0.1 / s",
-    "bit_depth": 16,
-    "focus_distance": "2 m",
-    "glare_fraction": 0.0,
-    "field_stop": "40 deg",
-    "side": "2 m",
-    "count": 32,
-    "scan": "single",
-    "delta_t": "1 cm",
-    "n_bins": 200,
-    "t_start": "1.8 m",
-    "max_bounces": 3,
-    "wl_mean": "25 cm",
-    "near": "0.8 m",
-    "far": "1.2 m",
-    "step": "2 cm",
-}
+#: Keys whose values are names of files.
+FILES = ("image", "mesh", "heights")
 
 
-def example(section: str, key: str) -> Any:
-    """Return a valid value of ``key`` in the table ``section``; None for an unknown key."""
-    return EXAMPLES.get(f"{section}.{key}", EXAMPLES.get(key))
+class Table(BaseModel):
+    """Base class of tables: unknown keys are errors, and strings are not read as numbers."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+    #: Constructor of the part, and arguments that the kind of the table determines.
+    source: ClassVar[Callable[..., Any]]
+    fixed: ClassVar[Mapping[str, Any]]
 
 
-# Values of the keys that decide the kind of a table, with the tags of their classes. Tags contain a
-# colon, so that they cannot be confused with keys in a pydantic error location.
-LOBES = {name: f"lobe:{name}" for name in ("lambert", "oren_nayar", "specular", "ward")}
-SHAPES = {
-    "flat": "wall:flat",
-    "concave_sphere": "wall:sphere",
-    "convex_sphere": "wall:sphere",
-    "concave_cylinder": "wall:cylinder",
-    "convex_cylinder": "wall:cylinder",
-    "wavy": "wall:wavy",
-    "sum": "wall:sum",
-    "mesh": "wall:mesh",
-    "height_map": "wall:height_map",
-    "random": "wall:random",
-}
+def _quantity(kind: Kind, count: int | None = None) -> Any:
+    """Return the annotation of a quantity, or of a list of ``count`` quantities."""
+
+    def read(text: object) -> Any:
+        if count is None:
+            return parse(text, kind)
+        if not isinstance(text, list):
+            raise ValueError("is not a list")
+        if len(text) != count:
+            raise ValueError(f"has {counted(len(text), 'component')}, must have {count}")
+        return tuple(parse(component, kind) for component in text)
+
+    def write(value: Any) -> Any:
+        several = isinstance(value, tuple | list)
+        return [written(one, kind) for one in value] if several else written(value, kind)
+
+    schema: dict[str, Any] = {
+        "type": "string",
+        "pattern": r"^\s*[+-]?(\d[\d_]*\.?\d*|\.\d+)([eE][+-]?\d+)?\s*[^\d\s].*$",
+        "description": f"{kind.title} with its unit",
+        "examples": [kind.example],
+    }
+    if count is not None:
+        schema = {"type": "array", "items": schema, "minItems": count, "maxItems": count}
+    return Annotated[Any, PlainValidator(read), PlainSerializer(write), WithJsonSchema(schema)]
 
 
-ROUGHNESSES = {name: f"roughness:{name}" for name in ("facets", "gaussian", "height_map")}
+def _listed(value: object) -> str:
+    """Return the tag of a width, or of a width and a height."""
+    return "size:pair" if isinstance(value, list | tuple) else "size:one"
 
 
-class SpectrumTable(Table):
-    """Albedo or reflectance that depends on the wavelength."""
-
-    wavelengths: list[LengthText]
-    values: list[float]
+def _pair_of(form: Any) -> Any:
+    return Annotated[list[form], Field(min_length=2, max_length=2)]
 
 
-#: An albedo is one number, or a table of them.
-AlbedoTable = Annotated[
-    Annotated[float, Tag("albedo:one")] | Annotated[SpectrumTable, Tag("albedo:spectrum")],
-    Discriminator(
-        lambda v: "albedo:spectrum" if isinstance(v, dict | SpectrumTable) else "albedo:one"
-    ),
-]
+def _form(key: str, hint: Any) -> Any:
+    """Return how a file writes the value of a parameter with an annotation."""
+    options = [option for option in get_args(hint) if option is not type(None)]
+    if key in FILES:
+        return str
+    if key == "size":
+        pair, one = _quantity(Kind.LENGTH, 2), _quantity(Kind.LENGTH)
+        both = Annotated[pair, Tag("size:pair")] | Annotated[one, Tag("size:one")]
+        return Annotated[both, Discriminator(_listed)]
+    if key == "index":  # n + ik
+        return _pair_of(float)
+    if hint is Material:
+        return MaterialTable
+    if Spectrum in options:
+        return AlbedoTable
+    if hint == Vector:
+        return _quantity(Kind.LENGTH, 3)
+    if get_origin(hint) is Annotated:
+        (note,) = hint.__metadata__
+        return _quantity(note) if isinstance(note, Kind) else Literal[tuple(note)]
+    if get_origin(hint) is tuple:
+        inner = _form(key, options[0])
+        return list[inner] if options[1] is ... else _pair_of(inner)  # type: ignore[valid-type]
+    if type(None) in get_args(hint):
+        return _form(key, options[0])
+    return hint
 
 
-class LambertTable(Table):
-    """Ideal diffuse reflection."""
+def notes_of(source: Any) -> dict[str, str]:
+    """Return the description of each parameter of a numpydoc docstring, in one line.
 
-    lobe: Literal["lambert"]
-    albedo: AlbedoTable
-
-
-class OrenNayarTable(Table):
-    """Diffuse reflection of a rough surface (Oren and Nayar)."""
-
-    lobe: Literal["oren_nayar"]
-    albedo: AlbedoTable
-    slope_rms: AngleText
-    model: Literal["fit", "full"] | None = None
-    normalised: bool | None = None
-
-
-class SpecularTable(Table):
-    """Glossy or mirror-like reflection by microfacets."""
-
-    lobe: Literal["specular"]
-    reflectance: AlbedoTable
-    slope_rms: AngleText
-    distribution: Literal["beckmann", "ggx"] | None = None
-    index: list[float] | None = Field(
-        None,
-        min_length=2,
-        max_length=2,
-        description="Refractive index [n, k], for the polarisation of reflected light.",
-    )
+    References such as [1]_ and the marks of code are left out.
+    """
+    notes: dict[str, str] = {}
+    names: list[str] = []
+    _, _, section = (inspect.getdoc(source) or "").partition("Parameters\n----------\n")
+    for line in section.splitlines():
+        if line.startswith("---"):
+            break
+        if line and not line.startswith(" "):
+            names = line.partition(" : ")[0].strip().lstrip("*").split(", ")
+        elif line:
+            for name in names:
+                notes[name] = f"{notes.get(name, '')} {line.strip()}".strip()
+    return {name: re.sub(r" \[\d+\]_|``?", "", note) for name, note in notes.items()}
 
 
-class WardTable(Table):
-    """Glossy reflection after Ward, centred on the mirror direction."""
+def _table(
+    source: Callable[..., Any],
+    own: Mapping[str, tuple[Any, str]] | None = None,
+    *,
+    kind: tuple[str, str] | None = None,
+    without: tuple[str, ...] = (),
+    optional: tuple[str, ...] = (),
+    name: str = "",
+    **fixed: Any,
+) -> type[Table]:
+    """Return the table of the parameters of a class or function."""
+    hints = get_type_hints(source, include_extras=True)
+    if inspect.isclass(source) and not source.__dataclass_params__.init:  # its own constructor
+        hints |= get_type_hints(source.__init__, include_extras=True)
+    notes, fields = notes_of(source), {}
+    if kind is not None:
+        fields[kind[0]] = (Literal[kind[1]], ...)
+    for key, parameter in inspect.signature(source).parameters.items():
+        if key in (*without, *fixed) or parameter.kind is parameter.VAR_POSITIONAL:
+            continue
+        form, note = _form(key, hints[key]), notes.get(key)
+        if parameter.default is parameter.empty and key not in optional:
+            fields[key] = (form, Field(description=note))
+        else:
+            fields[key] = (form | None, Field(None, description=note))
+    for key, (form, note) in (own or {}).items():
+        fields[key] = (form | None, Field(None, description=note))
+    title = (inspect.getdoc(source) or "").partition("\n")[0]
+    options: Any = {"__base__": Table, "__doc__": title, **fields}
+    model: type[Table] = create_model(name or source.__name__, **options)
+    model.source, model.fixed = source, fixed
+    return model
 
-    lobe: Literal["ward"]
-    albedo: AlbedoTable
-    alpha: float
-    variant: Literal["1992", "duer", "bounded"] | None = None
 
-
-def _choose(key: str, tables: dict[str, str]) -> Discriminator:
-    """Return a discriminator of tables by the value of ``key``; ``tables`` maps values to tags."""
+def _choice(section: str, key: str, tables: Mapping[str, type[Table]]) -> Any:
+    """Return the annotation of a table whose class follows from the value of ``key``."""
+    tags = {value: f"{section}:{value}" for value in tables}
+    OWNERS.update({tags[value]: table for value, table in tables.items()})
 
     def tag(table: Any) -> str | None:
-        """Return the tag of a table's class; None if the key is missing or unknown."""
         value = table.get(key) if isinstance(table, dict) else getattr(table, key, None)
-        return tables.get(value) if isinstance(value, str) else None
+        return tags.get(value) if isinstance(value, str) else None
 
-    return Discriminator(tag)
+    members = tuple(Annotated[table, Tag(tags[value])] for value, table in tables.items())
+    return Annotated[functools.reduce(operator.or_, members), Discriminator(tag)]
 
 
-LobeTable = Annotated[
-    Annotated[LambertTable, Tag("lobe:lambert")]
-    | Annotated[OrenNayarTable, Tag("lobe:oren_nayar")]
-    | Annotated[SpecularTable, Tag("lobe:specular")]
-    | Annotated[WardTable, Tag("lobe:ward")],
-    _choose("lobe", LOBES),
+#: Table of each kind of a part, by the tags in the locations of pydantic's errors. A tag contains
+#: a colon, so that it cannot be confused with a key.
+OWNERS: dict[str, type[Table]] = {}
+SpectrumTable = _table(Spectrum, without=("wavelength",))
+OWNERS["albedo:spectrum"] = SpectrumTable
+AlbedoTable = Annotated[
+    Annotated[float, Tag("albedo:one")] | Annotated[SpectrumTable, Tag("albedo:spectrum")],  # type: ignore[valid-type]
+    Discriminator(lambda v: f"albedo:{'spectrum' if isinstance(v, dict | Table) else 'one'}"),
 ]
+LOBES = {
+    lobe: _table(source, kind=("lobe", lobe), without=("spectrum",))
+    for lobe, source in LOBE_CLASSES.items()
+}
+LobeTable: Any = _choice("lobe", "lobe", LOBES)
 
 
 def _from_library(name: str) -> list[Any]:
@@ -240,278 +225,150 @@ def _material_tag(value: object) -> str:
 
 
 #: A single table is one lobe, an array of tables a sum of lobes, and a text a name of the library.
-MaterialTable = Annotated[
+MaterialTable: Any = Annotated[
     Annotated[LobeTable, Tag("material:one")]
     | Annotated[list[LobeTable], Tag("material:sum"), Field(min_length=1)]
-    | Annotated[
-        list[Any],
-        PlainValidator(_from_library),
-        _LibraryNames(),
-        Tag("material:named"),
-    ],
+    | Annotated[list[Any], PlainValidator(_from_library), _LibraryNames(), Tag("material:named")],
     Discriminator(_material_tag),
 ]
-
-
-class LaserTable(Table):
-    """Laser. Its place is given by position, or by distance and incidence as seen from aim."""
-
-    wavelength: LengthText
-    power: PowerText
-    beam_diameter: LengthText
-    aim: VectorText | None = None
-    position: VectorText | None = None
-    distance: LengthText | None = key(
-        "Distance from aim to the start of the beam. With incidence it replaces position."
+_REALISATION = {"realisation": (Literal["pattern", "mean"], notes_of(WallRoughness)["realisation"])}
+_SLOPE = {
+    "slope_rms": (
+        _quantity(Kind.ANGLE),
+        "Rms slope along each axis, sqrt(2) height_rms / correlation_length; replaces height_rms. "
+        "By default that of the wall's mirror-like lobe.",
     )
-    incidence: AngleText | None = key(
-        "Angle between beam and normal of the plane z = 0. With distance it replaces position."
-    )
-    azimuth: AngleText | None = key(
-        "Direction from aim to the laser in the plane z = 0, from +x toward +y; by default 0."
-    )
-    independent_patterns: int | None = None
+}
+ROUGHNESSES = {
+    "facets": _table(
+        FacetWall,
+        _REALISATION,
+        kind=("model", "facets"),
+        without=("size",),
+        optional=("slope_rms",),
+    ),
+    "gaussian": _table(
+        GaussianWall,
+        _REALISATION | _SLOPE,
+        kind=("model", "gaussian"),
+        without=("size",),
+        optional=("height_rms",),
+    ),
+    "height_map": _table(
+        HeightMapWall,
+        _REALISATION,
+        kind=("model", "height_map"),
+        without=("size",),
+        name="RoughHeightMap",
+    ),
+}
+_SURFACE = {
+    "material": (
+        MaterialTable,
+        "Bidirectional reflectance of the wall: one lobe (a table), a sum of lobes (an array of "
+        "tables), or the name of a material of the library. By default matt paint of albedo 0.7 "
+        "with a smooth mirror-like lobe of reflectance 0.05.",
+    ),
+    "roughness": (
+        _choice("roughness", "model", ROUGHNESSES),
+        "Random or measured heights that are added to the wall. They determine the slope of its "
+        "mirror-like lobes. By default no heights are added.",
+    ),
+}
 
 
-class _RoughnessTable(Table):
-    """Keys common to all kinds of roughness."""
-
-    seed: int | None = None
-    realisation: Literal["pattern", "mean"] | None = None
+def _wall(value: str, source: Callable[..., Any], /, **options: Any) -> type[Table]:
+    return _table(source, _SURFACE, kind=("shape", value), **options)
 
 
-class FacetsTable(_RoughnessTable):
-    """Plane random facets. The default of slope_rms is the slope of the wall's mirror-like lobe."""
-
-    model: Literal["facets"]
-    cell: LengthText
-    slope_rms: AngleText | None = None
-
-
-class GaussianTable(_RoughnessTable):
-    """Smooth random heights. The default of slope_rms is that of the wall's mirror-like lobe."""
-
-    model: Literal["gaussian"]
-    correlation_length: LengthText
-    height_rms: LengthText | None = None
-    slope_rms: AngleText | None = key(
-        "Rms slope along each axis, sqrt(2) height_rms / correlation_length; replaces height_rms."
-    )
-
-
-class RoughMapTable(Table):
-    """Measured heights in m on a grid, from an .npy file."""
-
-    model: Literal["height_map"]
-    heights: str
-    pitch: LengthText
-    realisation: Literal["pattern", "mean"] | None = None
-
-
-RoughnessTable = Annotated[
-    Annotated[FacetsTable, Tag("roughness:facets")]
-    | Annotated[GaussianTable, Tag("roughness:gaussian")]
-    | Annotated[RoughMapTable, Tag("roughness:height_map")],
-    _choose("model", ROUGHNESSES),
-]
-
-
-class _WallTable(Table):
-    """Keys common to most walls."""
-
-    shape: str
-    size: SizeText | None = None
-    material: MaterialTable | None = None
-    roughness: RoughnessTable | None = None
-
-
-class FlatTable(_WallTable):
-    """Flat wall."""
-
-    shape: Literal["flat"]
-
-
-class SphereTable(_WallTable):
-    """Spherical wall."""
-
-    shape: Literal["concave_sphere", "convex_sphere"]
-    radius: LengthText
-
-
-class CylinderTable(_WallTable):
-    """Cylindrical wall."""
-
-    shape: Literal["concave_cylinder", "convex_cylinder"]
-    radius: LengthText
-    axis: Literal["x", "y"] | None = None
-
-
-class WavyTable(_WallTable):
-    """Wall whose height is a sine wave along one direction."""
-
-    shape: Literal["wavy"]
-    amplitude: LengthText
-    period: LengthText
-    phase: AngleText | None = None
-    direction: AngleText | None = None
-
-
-class SumTable(_WallTable):
-    """Wall whose height is the sum of the heights of several walls."""
-
-    shape: Literal["sum"]
-    terms: list[WallTable] = Field(min_length=1)
-
-
-class MeshWallTable(Table):
-    """Wall from a mesh file, which also determines its size."""
-
-    shape: Literal["mesh"]
-    mesh: str
-    scale: float | None = None
-    smooth: bool | None = None
-    material: MaterialTable | None = None
-    roughness: RoughnessTable | None = None
-
-
-class HeightMapTable(_WallTable):
-    """Wall that interpolates heights in m on a grid, from an .npy file."""
-
-    shape: Literal["height_map"]
-    heights: str
-    pitch: LengthText
-
-
-class RandomTable(Table):
-    """Wall with random heights."""
-
-    shape: Literal["random"]
-    height_rms: LengthText
-    correlation_length: LengthText
-    size: SizeText
-    pitch: LengthText
-    autocorrelation: Literal["gaussian", "exponential"] | None = None
-    seed: int | None = None
-    material: MaterialTable | None = None
-    roughness: RoughnessTable | None = None
-
-
-WallTable = Annotated[
-    Annotated[FlatTable, Tag("wall:flat")]
-    | Annotated[SphereTable, Tag("wall:sphere")]
-    | Annotated[CylinderTable, Tag("wall:cylinder")]
-    | Annotated[WavyTable, Tag("wall:wavy")]
-    | Annotated[SumTable, Tag("wall:sum")]
-    | Annotated[MeshWallTable, Tag("wall:mesh")]
-    | Annotated[HeightMapTable, Tag("wall:height_map")]
-    | Annotated[RandomTable, Tag("wall:random")],
-    _choose("shape", SHAPES),
-]
-
-
-class _HiddenTable(Table):
-    """Keys common to hidden objects."""
-
-    position: VectorText
-    yaw: AngleText | None = None
-    pitch: AngleText | None = None
-    roll: AngleText | None = None
-    material: MaterialTable | None = None
-
-
-class PictureTable(_HiddenTable):
-    """Hidden image on a plane."""
-
-    image: str
-    size: SizeText
-
-
-class MeshObjectTable(_HiddenTable):
-    """Hidden triangle mesh."""
-
-    mesh: str
-    scale: float | None = None
+SHAPES = {
+    "flat": _wall("flat", FlatWall),
+    **{
+        f"{bend}_{shape}": _wall(
+            f"{bend}_{shape}",
+            source,
+            name=f"{source.__name__}_{shape}",
+            without=("axis",) if shape == "sphere" else (),
+            shape=shape,
+        )
+        for bend, source in (("concave", ConcaveWall), ("convex", ConvexWall))
+        for shape in ("sphere", "cylinder")
+    },
+    "wavy": _wall("wavy", WavyWall),
+    "sum": _table(
+        SumWall,
+        _SURFACE | {"terms": (list["WallTable"], notes_of(SumWall)["terms"])},  # type: ignore[name-defined]
+        kind=("shape", "sum"),
+    ),
+    "mesh": _wall("mesh", MeshWall),
+    "height_map": _wall("height_map", HeightMapWall),
+    "random": _wall("random", HeightMapWall.random, name="RandomWall"),
+}
+WallTable: Any = _choice("wall", "shape", SHAPES)
+SHAPES["sum"].model_rebuild(_types_namespace={"WallTable": WallTable})
+PictureTable: Any = _table(PlanarObject)
+MeshTable: Any = _table(MeshObject)
+OWNERS |= {"hidden:picture": PictureTable, "hidden:mesh": MeshTable}
 
 
 def _hidden_tag(table: Any) -> str:
     """Return the tag of a hidden object's table, decided by the keys image and mesh."""
-    if isinstance(table, MeshObjectTable):
-        return "hidden:mesh"
-    if isinstance(table, dict) and "mesh" in table:
-        return "hidden:both" if "image" in table else "hidden:mesh"
+    keys = table if isinstance(table, dict) else type(table).model_fields
+    if "mesh" in keys:
+        return "hidden:both" if "image" in keys else "hidden:mesh"
     return "hidden:picture"
 
 
-class OccluderTable(Table):
-    """Triangle mesh that blocks light. It is black unless a material is given."""
-
-    mesh: str
-    scale: float | None = None
-    position: VectorText | None = None
-    yaw: AngleText | None = None
-    pitch: AngleText | None = None
-    roll: AngleText | None = None
-    material: MaterialTable | None = None
-
-
-HiddenTable = Annotated[
-    Annotated[PictureTable, Tag("hidden:picture")] | Annotated[MeshObjectTable, Tag("hidden:mesh")],
+HiddenTable: Any = Annotated[
+    Annotated[PictureTable, Tag("hidden:picture")] | Annotated[MeshTable, Tag("hidden:mesh")],
     Discriminator(_hidden_tag),
 ]
-
-
-class CameraTable(Table):
-    """Camera. Its keys override those of the table [camera] in the given file, if any."""
-
-    file: str | None = key("Path of a file with a table [camera], whose keys are the defaults.")
-    position: VectorText | None = None
-    aim: VectorText | None = None
-    focal_length: LengthText | None = None
-    field_of_view: AngleText | None = key(
-        "Full angle that the lens sees across the width sensor_width; replaces focal_length."
-    )
-    sensor_width: LengthText | None = key(
-        "Width on the sensor to which field_of_view refers; by default pixels[0] * pixel_pitch."
-    )
-    stop_diameter: LengthText | None = None
-    f_number: float | None = key(
-        "F-number of the lens, focal_length / stop_diameter. It replaces stop_diameter."
-    )
-    pixel_pitch: LengthText | None = None
-    pixels: list[int] | None = Field(None, min_length=2, max_length=2)
-    binning: int | None = None
-    exposure: TimeText | None = None
-    quantum_efficiency: float | None = None
-    transmission: float | None = None
-    full_well: float | None = None
-    read_noise: float | None = None
-    dark_current: RateText | None = None
-    bit_depth: int | None = None
-    focus_distance: LengthText | None = None
-    glare_fraction: float | None = None
-    field_stop: AngleText | None = None
+LaserTable: Any = _table(
+    Laser,
+    {
+        "distance": (
+            _quantity(Kind.LENGTH),
+            "Distance from aim to the start of the beam. With incidence it replaces position.",
+        ),
+        "incidence": (
+            _quantity(Kind.ANGLE),
+            "Angle between beam and normal of the plane z = 0. With distance it replaces position.",
+        ),
+        "azimuth": (
+            _quantity(Kind.ANGLE),
+            "Direction from aim to the laser in the plane z = 0, from +x toward +y; by default 0.",
+        ),
+    },
+    optional=("position",),
+)
+CameraTable: Any = _table(
+    Camera,
+    {
+        "file": (str, "Path of a file with a table [camera], whose keys are the defaults."),
+        "field_of_view": (
+            _quantity(Kind.ANGLE),
+            "Full angle that the lens sees across the width sensor_width; replaces focal_length.",
+        ),
+        "sensor_width": (
+            _quantity(Kind.LENGTH),
+            "Width on the sensor to which field_of_view refers; by default pixels[0] * "
+            "pixel_pitch.",
+        ),
+        "f_number": (
+            float,
+            "F-number of the lens, focal_length / stop_diameter. It replaces stop_diameter.",
+        ),
+    },
+    optional=("position", "aim", "focal_length", "stop_diameter"),
+)
+OccluderTable: Any = _table(Occluder)
+TransientTable: Any = _table(TransientScan)
 
 
 class CameraFile(Table):
     """File that contains only a camera."""
 
     camera: CameraTable
-
-
-class TransientTable(Table):
-    """Time-resolved capture. Times are optical path lengths: time times the speed of light."""
-
-    side: LengthText
-    count: int
-    delta_t: LengthText
-    n_bins: int
-    scan: Literal["single", "confocal", "exhaustive"] | None = None
-    t_start: LengthText | None = None
-    max_bounces: int | None = None
-    wl_mean: LengthText | None = None
-    near: LengthText | None = None
-    far: LengthText | None = None
-    step: LengthText | None = None
 
 
 class SceneFile(Table):
@@ -525,37 +382,9 @@ class SceneFile(Table):
     transient: TransientTable | None = None
 
 
-SumTable.model_rebuild()
-
-#: Table class for each element of a pydantic error location.
-OWNERS: dict[str, type[Table]] = {
+OWNERS |= {
     "laser": LaserTable,
     "camera": CameraTable,
     "occluder": OccluderTable,
     "transient": TransientTable,
-    "albedo:spectrum": SpectrumTable,
-    "lobe:lambert": LambertTable,
-    "lobe:oren_nayar": OrenNayarTable,
-    "lobe:specular": SpecularTable,
-    "lobe:ward": WardTable,
-    "wall:flat": FlatTable,
-    "wall:sphere": SphereTable,
-    "wall:cylinder": CylinderTable,
-    "wall:wavy": WavyTable,
-    "wall:sum": SumTable,
-    "wall:mesh": MeshWallTable,
-    "wall:height_map": HeightMapTable,
-    "wall:random": RandomTable,
-    "roughness:facets": FacetsTable,
-    "roughness:gaussian": GaussianTable,
-    "roughness:height_map": RoughMapTable,
-    "hidden:picture": PictureTable,
-    "hidden:mesh": MeshObjectTable,
-}
-#: Elements of a pydantic error location that are not keys.
-TAGS = {*OWNERS, "albedo:one", "material:one", "material:sum", "material:named"} - {
-    "laser",
-    "camera",
-    "occluder",
-    "transient",
 }

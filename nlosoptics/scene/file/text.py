@@ -13,15 +13,16 @@ import numpy as np
 
 from ...errors import SceneError
 from ..parts._sources import SourceFile, array_file, mesh_file, picture_file
-from ..parts.hidden import MeshObject, PlanarObject
-from ..parts.materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
+from ..parts.hidden import PlanarObject
+from ..parts.library import LOBE_CLASSES
+from ..parts.materials import Material, SumMaterial
 from ..parts.occluders import BLACK, Occluder
-from ..walls.analytic import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
+from ..walls.analytic import SumWall, Wall
 from ..walls.height_maps import HeightMapWall
 from ..walls.mesh_walls import MeshWall
 from ..walls.relief import FacetWall, GaussianWall
 from ..walls.roughness import WallRoughness
-from . import tables as _file_tables
+from . import tables as _tables
 
 #: Function of a key and its data that returns the file name to write in the scene file. The data
 #: are a `SourceFile`, or suffix and bytes if they are in memory.
@@ -29,21 +30,7 @@ Naming = Callable[[str, SourceFile | tuple[str, bytes]], str]
 
 
 def saved_files(scene: Any, path: Path) -> dict[Path, bytes]:
-    """Return the files to write for saving ``scene`` at ``path``.
-
-    Returns
-    -------
-    dict of Path to bytes
-        The scene file in SI units, and one file for each image, height map or mesh that is in
-        memory or whose file is missing or was changed since it was read. Their names consist of
-        the stem of ``path`` and their key, such as ``room_hidden_image.png``. Other files are not
-        copied; the scene file refers to them by relative paths.
-
-    Raises
-    ------
-    SceneError
-        If a wall or material cannot be written in a scene file.
-    """
+    """Return the files to write for saving ``scene`` at ``path``."""
     base = path.parent.resolve()
     made: dict[Path, bytes] = {}
 
@@ -62,24 +49,7 @@ def saved_files(scene: Any, path: Path) -> dict[Path, bytes]:
 
 
 def scene_files(scene: Any) -> dict[str, bytes]:
-    """Return the files of a self-contained folder for ``scene`` that can be moved anywhere.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene to write.
-
-    Returns
-    -------
-    dict of str to bytes
-        ``scene.toml``, and copies of all images, meshes and height maps. Their names are their
-        keys, such as ``hidden_image.png``.
-
-    Raises
-    ------
-    SceneError
-        If a file cannot be read, or a wall or material cannot be written in a scene file.
-    """
+    """Return the files of a self-contained folder for ``scene`` that can be moved anywhere."""
     copies: dict[str, bytes] = {}
 
     def copied(key: str, held: SourceFile | tuple[str, bytes]) -> str:
@@ -96,168 +66,121 @@ def scene_files(scene: Any) -> dict[str, bytes]:
 
 def _text(scene: Any, named: Naming) -> str:
     """Return the TOML text of a scene."""
-    laser, camera = scene.laser, scene.camera
-    tables = _file_tables.SceneFile.model_construct(
-        laser=_file_tables.LaserTable.model_construct(**vars(laser)),
-        wall=_wall_table("wall", scene.wall, named).model_copy(
+    wall = _wall_table("wall", scene.wall, named)
+    values = {
+        "laser": _table(_tables.LaserTable, "laser", scene.laser, named),
+        "wall": wall.model_copy(
             update={
                 "material": _material_table(scene.wall_material),
                 "roughness": _roughness_table(scene.wall_roughness, named),
             }
         ),
-        hidden=_hidden_table(scene.hidden, named),
-        camera=_file_tables.CameraTable.model_construct(
-            **vars(camera) | {"pixels": list(camera.pixels)}
+        "hidden": _table(
+            _tables.PictureTable if isinstance(scene.hidden, PlanarObject) else _tables.MeshTable,
+            "hidden",
+            scene.hidden,
+            named,
         ),
-        occluder=[
-            _occluder_table(f"occluder[{index}].mesh", occluder, named)
+        "camera": _table(_tables.CameraTable, "camera", scene.camera, named),
+    }
+    if scene.occluders:
+        values["occluder"] = [
+            _occluder_table(f"occluder[{index}]", occluder, named)
             for index, occluder in enumerate(scene.occluders)
         ]
-        or None,
-        transient=None
-        if scene.transient is None
-        else _file_tables.TransientTable.model_construct(**vars(scene.transient)),
-    )
-    return _toml(tables.model_dump(exclude_none=True))
+    if scene.transient is not None:
+        values["transient"] = _table(_tables.TransientTable, "transient", scene.transient, named)
+    return _toml(_tables.SceneFile.model_construct(**values).model_dump(exclude_none=True))
+
+
+def _table(table: Any, key: str, part: Any, named: Naming, /, **own: Any) -> Any:
+    """Return the table of a part, whose attributes are the keys; ``key`` is that of the table."""
+    values = {name: getattr(part, name) for name in table.model_fields if hasattr(part, name)}
+    for name in values.keys() & _tables.FILES:
+        values[name] = _file(f"{key}.{name}", values[name], named)
+    if isinstance(values.get("material"), Material):
+        values["material"] = _material_table(values["material"])
+    if "pixels" in values:
+        values["pixels"] = list(values["pixels"])
+    return table.model_construct(**values | own)
 
 
 def _material_table(material: Material) -> Any:
     """Return the table of a material; a list of tables for a sum."""
     if isinstance(material, SumMaterial):
         return [_material_table(part) for part in material.parts]
-    spectrum: Any = material.spectrum and _file_tables.SpectrumTable.model_construct(
-        wavelengths=list(material.spectrum.wavelengths), values=list(material.spectrum.values)
-    )
-    if isinstance(material, Lambert):
-        return _file_tables.LambertTable.model_construct(
-            lobe="lambert", albedo=spectrum or material.rho
+    lobe = next((name for name, kind in LOBE_CLASSES.items() if type(material) is kind), None)
+    if lobe is None:
+        raise SceneError(
+            f"{type(material).__name__} cannot be written in a scene file; use a material made of "
+            "lobes"
         )
-    if isinstance(material, OrenNayar):
-        return _file_tables.OrenNayarTable.model_construct(
-            lobe="oren_nayar",
-            albedo=spectrum or material.rho,
-            slope_rms=material.slope_rms,
-            model=material.model,
-            normalised=material.normalised,
+    model = _tables.LOBES[lobe]
+    values = {name: getattr(material, name, None) for name in model.model_fields}
+    value = "albedo" if "albedo" in values else "reflectance"
+    values[value] = getattr(material, "rho", values[value])
+    if material.spectrum is not None:
+        values[value] = _tables.SpectrumTable.model_construct(
+            wavelengths=list(material.spectrum.wavelengths), values=list(material.spectrum.values)
         )
-    if isinstance(material, SpecularMicrofacet):
-        return _file_tables.SpecularTable.model_construct(
-            lobe="specular",
-            reflectance=spectrum or material.reflectance,
-            slope_rms=material.slope_rms,
-            distribution=material.distribution,
-            index=None if material.index is None else [material.index.real, material.index.imag],
-        )
-    if isinstance(material, Ward):
-        return _file_tables.WardTable.model_construct(
-            lobe="ward",
-            albedo=spectrum or material.rho,
-            alpha=material.alpha,
-            variant=material.variant,
-        )
-    raise SceneError(
-        f"{type(material).__name__} cannot be written in a scene file; use a material made of lobes"
-    )
+    index = values.get("index")
+    if index is not None:
+        values["index"] = [index.real, index.imag]
+    return model.model_construct(**values | {"lobe": lobe})
 
 
 def _roughness_table(roughness: WallRoughness | None, named: Naming) -> Any:
     """Return the table of a wall's roughness; None without one."""
     if roughness is None:
         return None
-    heights, realisation = roughness.heights, roughness.realisation
+    heights, own = roughness.heights, {"realisation": roughness.realisation}
+    model = "height_map"
     if isinstance(heights, FacetWall):
-        return _file_tables.FacetsTable.model_construct(
-            model="facets",
-            cell=heights.cell,
-            slope_rms=heights.slope_rms,
-            seed=heights.seed,
-            realisation=realisation,
-        )
-    if isinstance(heights, GaussianWall):
-        return _file_tables.GaussianTable.model_construct(
-            model="gaussian",
-            correlation_length=heights.correlation_length,
-            height_rms=heights.height_rms,
-            seed=heights.seed,
-            realisation=realisation,
-        )
-    return _file_tables.RoughMapTable.model_construct(
-        model="height_map",
-        heights=_file("wall.roughness.heights", heights.heights, named),
-        pitch=heights.pitch,
-        realisation=realisation,
-    )
+        model = "facets"
+    elif isinstance(heights, GaussianWall):
+        model, own["slope_rms"] = "gaussian", None  # height_rms says the same
+    table = _tables.ROUGHNESSES[model]
+    return _table(table, "wall.roughness", heights, named, model=model, **own)
 
 
 def _wall_table(key: str, wall: Wall, named: Naming) -> Any:
     """Return the table of a wall without its material; ``key`` is the table's key in the file."""
-    common: dict[str, Any] = {"size": wall.size}
-    if isinstance(wall, MeshWall):
-        return _file_tables.MeshWallTable.model_construct(
-            shape="mesh",
-            mesh=_file(f"{key}.mesh", wall.mesh, named),
-            scale=wall.scale,
-            smooth=None if wall.smooth else False,
-        )
     if isinstance(wall, HeightMapWall) and wall.drawn is not None:
-        return _file_tables.RandomTable.model_construct(shape="random", **wall.drawn)
-    if isinstance(wall, HeightMapWall):
-        return _file_tables.HeightMapTable.model_construct(
-            shape="height_map",
-            heights=_file(f"{key}.heights", wall.heights, named),
-            pitch=wall.pitch,
-            **common,
-        )
-    if isinstance(wall, FlatWall):
-        return _file_tables.FlatTable.model_construct(shape="flat", **common)
-    if isinstance(wall, WavyWall):
-        return _file_tables.WavyTable.model_construct(shape="wavy", **{**vars(wall), **common})
-    if isinstance(wall, SumWall):
-        terms = [
-            _wall_table(f"{key}.terms[{index}]", term, named)
-            for index, term in enumerate(wall.terms)
-        ]
-        return _file_tables.SumTable.model_construct(shape="sum", terms=terms, **common)
-    if isinstance(wall, (ConcaveWall, ConvexWall)):
-        shape = f"{'concave' if isinstance(wall, ConcaveWall) else 'convex'}_{wall.shape}"
-        if wall.shape == "sphere":
-            return _file_tables.SphereTable.model_construct(
-                shape=shape, radius=wall.radius, **common
-            )
-        return _file_tables.CylinderTable.model_construct(
-            shape=shape, radius=wall.radius, axis=wall.axis, **common
-        )
+        return _tables.SHAPES["random"].model_construct(shape="random", **wall.drawn)
     if isinstance(wall, FacetWall | GaussianWall):
         raise SceneError(
             f"{type(wall).__name__} cannot be written as a wall in a scene file; give the scene a "
             "FlatWall and wall_roughness"
         )
-    raise SceneError(
-        f"{type(wall).__name__} cannot be written in a scene file; save its heights as .npy and "
-        "use HeightMapWall"
-    )
+    shape = next((shape for shape, table in _tables.SHAPES.items() if _fits(wall, table)), None)
+    if shape is None:
+        raise SceneError(
+            f"{type(wall).__name__} cannot be written in a scene file; save its heights as .npy "
+            "and use HeightMapWall"
+        )
+    own: dict[str, Any] = {"shape": shape}
+    if isinstance(wall, SumWall):
+        own["terms"] = [
+            _wall_table(f"{key}.terms[{index}]", term, named)
+            for index, term in enumerate(wall.terms)
+        ]
+    if isinstance(wall, MeshWall) and wall.smooth:
+        own["smooth"] = None
+    return _table(_tables.SHAPES[shape], key, wall, named, **own)
 
 
-def _hidden_table(hidden: PlanarObject | MeshObject, named: Naming) -> Any:
-    """Return the table of a hidden object."""
-    common = {name: getattr(hidden, name) for name in ("position", "yaw", "pitch", "roll")}
-    common["material"] = _material_table(hidden.material)
-    if isinstance(hidden, PlanarObject):
-        image = _file("hidden.image", hidden.image, named)
-        return _file_tables.PictureTable.model_construct(image=image, size=hidden.size, **common)
-    mesh = _file("hidden.mesh", hidden.mesh, named)
-    return _file_tables.MeshObjectTable.model_construct(mesh=mesh, scale=hidden.scale, **common)
+def _fits(wall: Wall, table: Any) -> bool:
+    """Return whether a table describes walls of this kind."""
+    fixed = table.fixed.items()
+    return type(wall) is table.source and all(getattr(wall, k) == value for k, value in fixed)
 
 
 def _occluder_table(key: str, occluder: Any, named: Naming) -> Any:
-    """Return the table of an occluder; ``key`` is the key of its mesh."""
+    """Return the table of an occluder; ``key`` is the key of its table."""
     if not isinstance(occluder, Occluder):
         occluder = Occluder(occluder)
-    values = {key: getattr(occluder, key) for key in ("scale", "position", "yaw", "pitch", "roll")}
-    if occluder.material != BLACK:
-        values["material"] = _material_table(occluder.material)
-    mesh = _file(key, occluder.mesh, named)
-    return _file_tables.OccluderTable.model_construct(mesh=mesh, **values)
+    own = {"material": None} if occluder.material == BLACK else {}
+    return _table(_tables.OccluderTable, key, occluder, named, **own)
 
 
 def _file(key: str, held: Any, named: Naming) -> str:

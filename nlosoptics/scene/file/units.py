@@ -12,39 +12,34 @@ import re
 from contextlib import suppress
 from decimal import Decimal
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
+
+from ..parts._quantities import Kind
 
 if TYPE_CHECKING:
     import pint
 
 
-class Kind(NamedTuple):
-    """A physical dimension: its name, its SI unit, and an example."""
-
-    name: str
-    unit: str
-    example: str
-
-
-LENGTH = Kind("a length", "m", "1.2 m")
-TIME = Kind("a time", "s", "40 ms")
-RATE = Kind("a rate", "1/s", "0.1 / s")
-POWER = Kind("a power", "W", "5 mW")
-ANGLE = Kind("an angle", "rad", "15 deg")
-
 _PREFIXES = {"": "1", "k": "1e3", "c": "1e-2", "m": "1e-3", "µ": "1e-6", "μ": "1e-6", "u": "1e-6"}
 _PREFIXES |= {"n": "1e-9", "p": "1e-12"}
-_DEGREE = Decimal("3.14159265358979323846264338327950288") / 180
 #: Kind and value in SI units by the text of a unit.
 _USUAL: dict[str, tuple[Kind, Decimal]] = {
-    "deg": (ANGLE, _DEGREE),
-    "°": (ANGLE, _DEGREE),
-    "in": (LENGTH, Decimal("0.0254")),
+    "in": (Kind.LENGTH, Decimal("0.0254")),
 }
+_USUAL["deg"] = _USUAL["°"] = (
+    Kind.ANGLE,
+    Decimal("3.14159265358979323846264338327950288") / 180,
+)
 for _prefix, _value in _PREFIXES.items():
-    for _unit, _kind in (("m", LENGTH), ("s", TIME), ("W", POWER), ("rad", ANGLE), ("Hz", RATE)):
+    for _unit, _kind in (
+        ("m", Kind.LENGTH),
+        ("s", Kind.TIME),
+        ("W", Kind.POWER),
+        ("rad", Kind.ANGLE),
+        ("Hz", Kind.RATE),
+    ):
         _USUAL[_prefix + _unit] = (_kind, Decimal(_value))
-    _USUAL[f"/{_prefix}s"] = _USUAL[f"1/{_prefix}s"] = (RATE, 1 / Decimal(_value))
+    _USUAL[f"/{_prefix}s"] = _USUAL[f"1/{_prefix}s"] = (Kind.RATE, 1 / Decimal(_value))
 
 # reading pint's own definitions takes 0.2 s; these suffice for scene files and take 5 ms
 _DEFINITIONS = """
@@ -84,9 +79,9 @@ def _registry() -> pint.UnitRegistry[Any]:
 
 def _kind_of(quantity: Any) -> str:
     """Return the name of a quantity's dimension, for messages."""
-    for kind in (LENGTH, TIME, RATE, POWER, ANGLE):
+    for kind in Kind:
         if quantity.is_compatible_with(kind.unit):
-            return kind.name
+            return kind.title
     return "something else"
 
 
@@ -97,44 +92,38 @@ def measured(text: object) -> tuple[float, Kind] | None:
         usual = _usual(*match.groups())
         if usual is not None:
             return usual
-    for kind in (LENGTH, TIME, RATE, POWER, ANGLE):
+    for kind in Kind:
         with suppress(ValueError):
             return parse(text, kind), kind
     return None
 
 
 def parse(text: object, kind: Kind) -> float:
-    """Return the value in SI units of a text such as "2 mrad", for a dimension ``kind``.
-
-    Raises
-    ------
-    ValueError
-        If the text has no such value. The message reads "is not a length", for example; the caller
-        puts the key and its value in front of it.
-    """
+    """Return the value in SI units of a text such as "2 mrad", for a dimension ``kind``."""
+    write = f'; write for example "{kind.example}"'
     match = _NUMBER_AND_UNIT.fullmatch(text) if isinstance(text, str) else None
     if match is None:
         if isinstance(text, (int, float)) and not isinstance(text, bool):
-            raise ValueError(f"has no unit, must be {kind.name}")
-        raise ValueError(f"is not {kind.name}")
+            raise ValueError(f"has no unit, must be {kind.title}{write}")
+        raise ValueError(f"is not {kind.title}{write}")
     number, unit = match.groups()
     if unit == "":
-        raise ValueError(f"has no unit, must be {kind.name}")
+        raise ValueError(f"has no unit, must be {kind.title}{write}")
     if not math.isfinite(float(number)):
         raise ValueError("is not finite")
     usual = _usual(number, unit)
     if usual is not None:
         if usual[1] != kind:
-            raise ValueError(f"is {usual[1].name}, must be {kind.name}")
+            raise ValueError(f"is {usual[1].title}, must be {kind.title}{write}")
         return usual[0]
     registry = _registry()  # outside of `try`: a pint that does not load is no unknown unit
     try:
         # a leading slash marks a rate, such as "0.1 / s"
         quantity = registry.Quantity(Decimal(number), f"1{unit}" if unit[0] == "/" else unit)
     except Exception:  # the parser of pint raises arbitrary exception types
-        raise ValueError(f"has the unknown unit {unit!r}, must be {kind.name}") from None
+        raise ValueError(f"has the unknown unit {unit!r}, must be {kind.title}{write}") from None
     if not quantity.is_compatible_with(kind.unit):
-        raise ValueError(f"is {_kind_of(quantity)}, must be {kind.name}")
+        raise ValueError(f"is {_kind_of(quantity)}, must be {kind.title}{write}")
     return float(quantity.to(kind.unit).magnitude)
 
 

@@ -50,17 +50,6 @@ def over_slopes(material: Material, theta: float, scale: float, *, smooth: bool 
     The facet with normal (-p, -q, 1) reflects the light to the exitant o, with
     ``dOmega_o = 4 (i.h) cos^3(h) dp dq``. Facets that reflect below the horizon lie outside a
     circle of radius 1/cos(theta) about (-tan(theta), 0).
-
-    Parameters
-    ----------
-    material : Material
-        Lobe to integrate.
-    theta : float
-        Angle of incidence, rad.
-    scale : float
-        Rms slope of the lobe.
-    smooth : bool
-        True for a lobe with Gaussian tails whose integrand is smooth at the horizon.
     """
     sine, cosine = math.sin(theta), math.cos(theta)
     reach = 8.5 * scale if smooth else 1e7 * scale  # the rest is below exp(-36) or 1e-12

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..._checks import Vector, positive, real, vector
 from ..._nouns import Noun
+from ._quantities import Angle
 from ._sources import bare_mesh, equal_sources, source
 
 if TYPE_CHECKING:
@@ -41,9 +42,9 @@ class Posed(Noun):
     source: ClassVar[str]
     _: KW_ONLY
     position: Vector
-    yaw: float = 0.0
-    pitch: float = 0.0
-    roll: float = 0.0
+    yaw: Angle = 0.0
+    pitch: Angle = 0.0
+    roll: Angle = 0.0
 
     def __post_init__(self) -> None:
         put = object.__setattr__

@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 else:
     _Path = type(Path())  # Python 3.11 has a class of paths for each system
 
-#: Largest value and type of the integers that a PNG file can store.
-_DEPTHS = ((255, np.uint8), (65535, np.uint16))
-
 
 class SourceFile(_Path):
     """Path of a file whose bytes are read once and then kept with it, also in a pickle.
@@ -39,13 +36,7 @@ class SourceFile(_Path):
 
     @cached_property
     def content(self) -> bytes:
-        """Bytes of the file, read at the first access.
-
-        Raises
-        ------
-        SceneError
-            If the file cannot be read.
-        """
+        """Bytes of the file, read at the first access."""
         try:
             return Path(self).read_bytes()
         except OSError as error:
@@ -115,24 +106,11 @@ def bare_mesh(value: Any) -> Any:
 
 
 def picture_file(values: NDArray[np.float64]) -> tuple[str, bytes]:
-    """Encode an image losslessly in the smallest possible file format.
-
-    Parameters
-    ----------
-    values : ndarray, (ny, nx)
-        Brightness from 0 to 1, float64, row 0 on top.
-
-    Returns
-    -------
-    suffix : str
-        ``.png`` if all values are integer multiples of 1/255 or 1/65535 and the picture has at
-        most `MOST_PIXELS` pixels, else ``.npy``.
-    content : bytes
-        Contents of the file.
-    """
+    """Encode an image losslessly in the smallest possible file format."""
     from PIL import Image
 
-    for largest, kind in _DEPTHS if values.size <= MOST_PIXELS else ():
+    depths = ((255, np.uint8), (65535, np.uint16))  # that a PNG file can store
+    for largest, kind in depths if values.size <= MOST_PIXELS else ():
         levels = np.rint(values * largest)
         if (levels / largest).tobytes() == values.tobytes():
             held = io.BytesIO()

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import Vector, in_range, positive, vector, whole
+from ..._checks import Vector, in_range, vector, whole
 from ...errors import SceneError
-
-#: Longest exposure, s, about the age of the universe: numbers of photons stay finite.
-LONGEST: Final = 1e18
+from ._quantities import Angle, Length, Rate, Time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,67 +101,59 @@ class Camera:
 
     position: Vector
     aim: Vector
-    focal_length: float
-    stop_diameter: float
-    pixel_pitch: float = 9e-6
+    focal_length: Length
+    stop_diameter: Length
+    pixel_pitch: Length = 9e-6
     pixels: tuple[int, int] = (4096, 4096)
     binning: int = 8
-    exposure: float = 40e-3
+    exposure: Time = 40e-3
     quantum_efficiency: float = 0.7
     transmission: float = 0.9
     full_well: float = 70e3
     read_noise: float = 3.6
-    dark_current: float = 0.0
+    dark_current: Rate = 0.0
     bit_depth: int = 16
-    focus_distance: float | None = None
+    focus_distance: Length | None = None
     glare_fraction: float = 0.0
-    field_stop: float | None = None
+    field_stop: Angle | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
         for name in ("position", "aim"):
             put(self, name, vector(f"camera.{name}", getattr(self, name)))
-        for name, unit in (
-            ("focal_length", "m"),
-            ("stop_diameter", "m"),
-            ("full_well", "electrons"),
-        ):
-            put(self, name, positive(f"camera.{name}", getattr(self, name), unit=unit))
-        time = in_range("camera.exposure", self.exposure, 0.0, LONGEST, open_low=True, unit="s")
-        put(self, "exposure", time)
-        pitch = in_range("camera.pixel_pitch", self.pixel_pitch, 1e-12, 1.0, unit="m")
-        put(self, "pixel_pitch", pitch)
-        for name in ("read_noise", "dark_current"):
-            put(self, name, in_range(f"camera.{name}", getattr(self, name), 0.0))
-        for name in ("quantum_efficiency", "transmission"):
-            value = in_range(f"camera.{name}", getattr(self, name), 0.0, 1.0, open_low=True)
-            put(self, name, value)
-        put(self, "glare_fraction", in_range("camera.glare_fraction", self.glare_fraction, 0, 1))
+        limits: dict[str, dict[str, Any]] = {
+            "focal_length": {"open_low": True, "unit": "m"},
+            "stop_diameter": {"open_low": True, "unit": "m"},
+            "pixel_pitch": {"low": 1e-12, "high": 1.0, "unit": "m"},
+            # at most about the age of the universe, so that numbers of photons stay finite
+            "exposure": {"high": 1e18, "open_low": True, "unit": "s"},
+            "quantum_efficiency": {"high": 1.0, "open_low": True},
+            "transmission": {"high": 1.0, "open_low": True},
+            "full_well": {"open_low": True, "unit": "electrons"},
+            "read_noise": {},
+            "dark_current": {},
+            "glare_fraction": {"high": 1.0},
+            "focus_distance": {"open_low": True, "unit": "m"},
+            "field_stop": {"high": math.pi, "open_low": True},
+        }
+        for name, limit in limits.items():
+            value = getattr(self, name)
+            if value is not None or name not in ("focus_distance", "field_stop"):
+                put(self, name, in_range(f"camera.{name}", value, **{"low": 0.0} | limit))
         if not isinstance(self.pixels, (tuple, list)) or len(self.pixels) != 2:
             raise SceneError(f"camera.pixels = {self.pixels!r}; give two whole numbers, x and y")
         put(self, "pixels", tuple(whole("camera.pixels", n) for n in self.pixels))
         put(self, "binning", whole("camera.binning", self.binning))
-        put(self, "bit_depth", whole("camera.bit_depth", self.bit_depth))
-        if self.bit_depth > 32:
-            raise SceneError(f"camera.bit_depth = {self.bit_depth} is too many, must be 1 to 32")
+        put(self, "bit_depth", whole("camera.bit_depth", self.bit_depth, 1, 32))
         if any(n % self.binning for n in self.pixels):
             raise SceneError(
                 f"camera.binning = {self.binning} does not divide camera.pixels = {self.pixels}; "
                 "use a common divisor"
             )
-        if self.focus_distance is not None:
-            focus_distance = positive("camera.focus_distance", self.focus_distance, unit="m")
-            put(self, "focus_distance", focus_distance)
-            if self.focus_distance <= self.focal_length:
-                raise SceneError(
-                    f"camera.focus_distance = {self.focus_distance:g} m is within the focal length "
-                    f"{self.focal_length:g} m, where there is no real image; use a larger distance"
-                )
-        if self.field_stop is not None:
-            put(
-                self,
-                "field_stop",
-                in_range("camera.field_stop", self.field_stop, 0, math.pi, open_low=True),
+        if self.focus_distance is not None and self.focus_distance <= self.focal_length:
+            raise SceneError(
+                f"camera.focus_distance = {self.focus_distance:g} m is within the focal length "
+                f"{self.focal_length:g} m, where there is no real image; use a larger distance"
             )
         if self.position[2] <= 0:
             raise SceneError(

@@ -56,14 +56,8 @@ class PlanarObject(Posed):
         follows from the image's shape.
     position : (float, float, float)
         Centre of the image, world frame, m.
-    yaw : float
-        Right-handed rotation about the world's y axis, rad. It is applied last: the order is roll,
-        pitch, yaw.
-    pitch : float
-        Right-handed rotation about the world's x axis, rad. It is applied after roll and before
-        yaw.
-    roll : float
-        Right-handed rotation about the world's z axis, rad. It is applied first: the order is roll,
+    yaw, pitch, roll : float
+        Right-handed rotations about the world's y, x and z axis, rad, applied in the order roll,
         pitch, yaw.
     material : Material
         Bidirectional reflectance of a white pixel.
@@ -162,20 +156,7 @@ class PlanarObject(Posed):
 
 
 def checked_picture(name: str, values: Any) -> Array:
-    """Return a greyscale image as a read-only float64 array with values from 0 to 1.
-
-    Parameters
-    ----------
-    name : str
-        Name of the image in error messages.
-    values : array_like, (ny, nx)
-        Brightness: 0 to 1, or integers of 8 or 16 bits, divided by the largest value of the type.
-
-    Raises
-    ------
-    SceneError
-        If it is not a two-dimensional array of finite brightness within these limits.
-    """
+    """Return a greyscale image as a read-only float64 array with values from 0 to 1."""
     try:
         raw = np.asarray(values)
     except ValueError:
@@ -200,13 +181,7 @@ def checked_picture(name: str, values: Any) -> Array:
 
 
 def read_picture(path: Path) -> Array:
-    """Read an image file as relative reflectance, (ny, nx), 0 to 1, row 0 on top.
-
-    Raises
-    ------
-    SceneError
-        If the file is missing, is not an image, or is empty.
-    """
+    """Read an image file as relative reflectance, (ny, nx), 0 to 1, row 0 on top."""
     file = SourceFile.at(path)
     if not file.is_held and not file.is_file():
         raise SceneError(f"hidden.image: there is no file {path}; give the path of an image")
@@ -250,14 +225,8 @@ class MeshObject(PosedMesh):
         Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
     position : (float, float, float)
         Position of the mesh's origin, world frame, m.
-    yaw : float
-        Right-handed rotation about the world's y axis, rad. It is applied last: the order is roll,
-        pitch, yaw.
-    pitch : float
-        Right-handed rotation about the world's x axis, rad. It is applied after roll and before
-        yaw.
-    roll : float
-        Right-handed rotation about the world's z axis, rad. It is applied first: the order is roll,
+    yaw, pitch, roll : float
+        Right-handed rotations about the world's y, x and z axis, rad, applied in the order roll,
         pitch, yaw.
     material : Material
         Bidirectional reflectance of the whole surface.

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 from ..._checks import Vector, in_range, positive, vector, whole
 from ...errors import SceneError
-
-#: Largest power, W, far above that of any laser: numbers of photons stay finite.
-MOST_POWER: Final = 1e18
+from ._quantities import Length, Power
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,9 +50,9 @@ class Laser:
     (0.0, 0.0, 0.0)
     """
 
-    wavelength: float
-    power: float
-    beam_diameter: float
+    wavelength: Length
+    power: Power
+    beam_diameter: Length
     position: Vector
     aim: Vector = (0.0, 0.0, 0.0)
     independent_patterns: int | None = None
@@ -74,7 +71,8 @@ class Laser:
                 remedy="was it given in nanometres?",
             ),
         )
-        power = in_range("laser.power", self.power, 0.0, MOST_POWER, open_low=True, unit="W")
+        # far above any laser, so that numbers of photons stay finite
+        power = in_range("laser.power", self.power, 0.0, 1e18, open_low=True, unit="W")
         put(self, "power", power)
         put(self, "beam_diameter", positive("laser.beam_diameter", self.beam_diameter, unit="m"))
         put(self, "position", vector("laser.position", self.position))

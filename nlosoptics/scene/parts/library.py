@@ -25,7 +25,6 @@ LOBE_CLASSES: dict[str, type[Material]] = {
     "ward": Ward,
 }
 ANGLES = ("slope_rms",)  # keys whose values are angles, rad
-MOST_HINTS = 3  # near names in a message
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,18 +170,7 @@ def named_material(name: str) -> Material:
 
 
 def lobe_tables(name: str) -> list[dict[str, Any]]:
-    """Return the lobes of a named material as a scene file writes them.
-
-    Parameters
-    ----------
-    name : str
-        Name in the library.
-
-    Raises
-    ------
-    SceneError
-        If the library has no such name.
-    """
+    """Return the lobes of a named material as a scene file writes them."""
     return [
         {key: f"{value!r} rad" if key in ANGLES else value for key, value in lobe.items()}
         for lobe in _lobes(_entries()[entry(name).name])
@@ -196,8 +184,8 @@ def entry(name: str) -> NamedMaterial:
     wanted = _plain(str(name))
     if wanted not in plain:
         near = [known for known in plain if wanted and wanted in known]
-        near += difflib.get_close_matches(wanted, plain, n=MOST_HINTS, cutoff=0.5)
-        hint = " or ".join(f'"{plain[one].name}"' for one in list(dict.fromkeys(near))[:MOST_HINTS])
+        near += difflib.get_close_matches(wanted, plain, n=3, cutoff=0.5)
+        hint = " or ".join(f'"{plain[one].name}"' for one in list(dict.fromkeys(near))[:3])
         raise SceneError(
             f"{name!r} is not in the library of materials; "
             + (f"did you mean {hint}? Its" if near else "its")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +27,7 @@ from ...kernels.codes import (
 )
 from ._albedo import directional_albedo, over_exitant_angles, over_slopes
 from ._material import MIRROR_SLOPE, Array, Material, MirrorLobe, check_angle
+from ._quantities import Angle
 from .spectrum import Spectrum
 
 __all__ = [
@@ -159,9 +160,9 @@ class OrenNayar(Material):
     def __init__(
         self,
         albedo: float | Spectrum,
-        slope_rms: float,
+        slope_rms: Angle,
         *,
-        model: str = "fit",
+        model: Annotated[str, ("fit", "full")] = "fit",
         normalised: bool = False,
     ) -> None:
         self._set_strength("rho", "albedo", albedo)
@@ -248,9 +249,9 @@ class SpecularMicrofacet(MirrorLobe):
     def __init__(
         self,
         reflectance: float | Spectrum,
-        slope_rms: float,
+        slope_rms: Angle,
         *,
-        distribution: str = "beckmann",
+        distribution: Annotated[str, _DISTRIBUTIONS] = "beckmann",
         index: complex | None = None,
         spectrum: Spectrum | None = None,
     ) -> None:
@@ -361,7 +362,13 @@ class Ward(MirrorLobe):
     variant: str = "1992"
     spectrum: Spectrum | None = field(default=None, repr=False)
 
-    def __init__(self, albedo: float | Spectrum, alpha: float, *, variant: str = "1992") -> None:
+    def __init__(
+        self,
+        albedo: float | Spectrum,
+        alpha: float,
+        *,
+        variant: Annotated[str, _WARDS] = "1992",
+    ) -> None:
         self._set_strength("rho", "albedo", albedo)
         object.__setattr__(self, "alpha", in_range("alpha", alpha, _LEAST_SLOPE, 1.0))
         object.__setattr__(self, "variant", one_of("variant", variant, _WARDS))

@@ -20,21 +20,7 @@ _NO_LOG = logging.NullHandler()
 
 
 def load_mesh(name: str, given: Any) -> trimesh.Trimesh:
-    """Return a triangle mesh from a file or from memory, checked.
-
-    Parameters
-    ----------
-    name : str
-        Key of the mesh in error messages, such as ``"hidden.mesh"``.
-    given : str, Path or trimesh.Trimesh
-        Mesh file, or a mesh in memory.
-
-    Raises
-    ------
-    SceneError
-        If the file is missing or unreadable, or the mesh has no triangles, no area or vertices
-        that are not finite.
-    """
+    """Return a triangle mesh from a file or from memory, checked."""
     import trimesh
 
     # Otherwise trimesh's log of a file that it cannot read, with a traceback, goes to stderr.

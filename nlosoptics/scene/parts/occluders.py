@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     import trimesh
 
 BLACK = Lambert(0.0)  # material of occluders that only block light
-ROUNDING = 1e-12  # relative to the largest coordinate: error of rotating a mesh onto the wall
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +41,8 @@ class Occluder(PosedMesh):
         Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
     position : (float, float, float)
         Position of the mesh's origin, world frame, m.
-    yaw : float
-        Right-handed rotation about the world's y axis, rad. It is applied last: the order is roll,
-        pitch, yaw.
-    pitch : float
-        Right-handed rotation about the world's x axis, rad. It is applied after roll and before
-        yaw.
-    roll : float
-        Right-handed rotation about the world's z axis, rad. It is applied first: the order is roll,
+    yaw, pitch, roll : float
+        Right-handed rotations about the world's y, x and z axis, rad, applied in the order roll,
         pitch, yaw.
     material : Material
         Bidirectional reflectance of the surface, from both sides. The default is black.
@@ -148,7 +141,8 @@ def joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh | None:
 def _refuse_behind(name: str, mesh: trimesh.Trimesh, remedy: str) -> None:
     """Raise `SceneError` if the mesh reaches below z = 0 by more than rounding."""
     lowest = float(mesh.vertices[:, 2].min())
-    if lowest < -ROUNDING * float(np.abs(mesh.vertices).max()):
+    # rotating a mesh onto the wall has an error of 1e-12 of the largest coordinate
+    if lowest < -1e-12 * float(np.abs(mesh.vertices).max()):
         raise SceneError(
             f"{name} reaches z = {lowest:g} m, behind the wall's plane, must be at least 0; "
             f"{remedy}"

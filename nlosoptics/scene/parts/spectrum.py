@@ -10,6 +10,7 @@ import numpy as np
 
 from ..._checks import in_range
 from ...errors import SceneError
+from ._quantities import Length
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Spectrum:
     (0.1, 0.25)
     """
 
-    wavelengths: tuple[float, ...]
+    wavelengths: tuple[Length, ...]
     values: tuple[float, ...]
     wavelength: float | None = None
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from ..._checks import in_range, one_of, positive, real, whole
 from ...errors import SceneError
+from ._quantities import Length
 
 SCANS = ("single", "confocal", "exhaustive")
-#: Keys of the reconstruction volume: either all are given or none.
-VOLUME = ("near", "far", "step")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,17 +65,17 @@ class TransientScan:
     Camera : Lens and detector.
     """
 
-    side: float
+    side: Length
     count: int
-    delta_t: float
+    delta_t: Length
     n_bins: int
-    scan: str = "single"
-    t_start: float = 0.0
+    scan: Annotated[str, SCANS] = "single"
+    t_start: Length = 0.0
     max_bounces: int = 3
-    wl_mean: float | None = None
-    near: float | None = None
-    far: float | None = None
-    step: float | None = None
+    wl_mean: Length | None = None
+    near: Length | None = None
+    far: Length | None = None
+    step: Length | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -86,13 +86,14 @@ class TransientScan:
         one_of("transient.scan", self.scan, SCANS)
         put(self, "t_start", real("transient.t_start", self.t_start))
         put(self, "max_bounces", whole("transient.max_bounces", self.max_bounces, 3, 5))
-        for name in ("wl_mean", *VOLUME):
+        volume = ("near", "far", "step")
+        for name in ("wl_mean", *volume):
             if getattr(self, name) is not None:
                 value = positive(f"transient.{name}", getattr(self, name), unit="m")
                 put(self, name, value)
-        given = [name for name in VOLUME if getattr(self, name) is not None]
+        given = [name for name in volume if getattr(self, name) is not None]
         if 0 < len(given) < 3:
-            missing = next(name for name in VOLUME if name not in given)
+            missing = next(name for name in volume if name not in given)
             raise SceneError(
                 f"transient.{missing} is missing although transient.{given[0]} is given; give "
                 "near, far and step, or none of them"

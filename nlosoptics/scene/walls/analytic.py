@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import trimesh
 
 from ...kernels.codes import CYLINDER, GRID, PLANE, SPHERE, WAVE
+from ..parts._quantities import Angle, Length
 
 Array = NDArray[np.float64]
 
@@ -300,11 +301,11 @@ class FlatWall(Wall):
 class _CurvedWall(Wall):
     """Base class of spherical and cylindrical walls."""
 
-    radius: float
+    radius: Length
     _: KW_ONLY
     size: tuple[float, float] | None = None
     shape: str = "sphere"
-    axis: str = "y"
+    axis: Annotated[str, ("x", "y")] = "y"
 
     _sign = 1.0
 
@@ -447,12 +448,12 @@ class WavyWall(Wall):
     CallableWall : Wall from Python functions.
     """
 
-    amplitude: float
-    period: float
-    phase: float = 0.0
+    amplitude: Length
+    period: Length
+    phase: Angle = 0.0
     _: KW_ONLY
     size: tuple[float, float] | None = None
-    direction: float = 0.0
+    direction: Angle = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "amplitude", real("wall.amplitude", self.amplitude))

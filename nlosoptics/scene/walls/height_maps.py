@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,10 +17,10 @@ from ..._nouns import check_pickles
 from ..._random import generator
 from ...errors import SamplingError, SceneError
 from ...kernels.codes import GRID
+from ..parts._quantities import Length
 from ..parts._sources import SourceFile, source
 from .analytic import Array, Wall, _term
 
-HEIGHTS: Final = 301  # stream number of the random generator
 #: Lag, in correlation lengths, beyond which the autocorrelation is below 1e-15.
 REACH: Final = {"gaussian": 6.0, "exponential": 35.0}
 
@@ -66,7 +66,7 @@ class HeightMapWall(Wall):
     screen_seconds: ClassVar[float] = 1.6e-7
 
     heights: Any
-    pitch: float
+    pitch: Length
     _: KW_ONLY
     size: Any = None
     drawn: dict[str, Any] | None = field(default=None, init=False, repr=False)
@@ -112,11 +112,11 @@ class HeightMapWall(Wall):
     def random(
         cls,
         *,
-        height_rms: float,
-        correlation_length: float,
+        height_rms: Length,
+        correlation_length: Length,
         size: float | tuple[float, float],
-        pitch: float,
-        autocorrelation: str = "gaussian",
+        pitch: Length,
+        autocorrelation: Annotated[str, REACH] = "gaussian",
         seed: int = 0,
     ) -> HeightMapWall:
         """Draw a wall with random heights: a stationary Gaussian process on a grid.
@@ -201,7 +201,7 @@ class HeightMapWall(Wall):
         lags = np.exp(-square if autocorrelation == "gaussian" else -np.sqrt(square))
         # rounding can make vanishing parts of the spectrum slightly negative
         spectrum = np.maximum(fft.rfft2(lags).real, 0.0)
-        noise = generator(seed, HEIGHTS).standard_normal((counts[1], counts[0]))
+        noise = generator(seed, 301).standard_normal((counts[1], counts[0]))
         heights = fft.irfft2(fft.rfft2(noise) * np.sqrt(spectrum), s=noise.shape)
         wall = cls(height_rms * heights[: nodes[1], : nodes[0]], pitch)
         drawn = {

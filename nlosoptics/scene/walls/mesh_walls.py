@@ -246,17 +246,7 @@ def _distinct(values: Array, tolerance: float) -> NDArray[np.float64]:
 
 
 def _scattered_fit(points: Array, size: tuple[float, float]) -> tuple[Any, float, tuple[int, int]]:
-    """Fit scattered vertices (n, 3) by a least-squares bicubic spline.
-
-    Returns
-    -------
-    spline : scipy.interpolate.LSQBivariateSpline
-        Height as a function of x and y.
-    residual : float
-        Largest misfit at a vertex, m.
-    counts : (int, int)
-        Nodes in x and y that resolve the spline.
-    """
+    """Fit scattered vertices (n, 3) by a least-squares bicubic spline."""
     import warnings
 
     from scipy.interpolate import LSQBivariateSpline

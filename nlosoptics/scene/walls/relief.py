@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,9 +13,8 @@ from ..._checks import in_range, positive, whole
 from ..._random import philox
 from ...errors import SceneError
 from ...kernels.codes import BUMPS, EXTREME, FACETS
+from ..parts._quantities import Angle, Length
 from .analytic import Array, Wall, _term
-
-OFFSETS: Final = 303  # stream number of the random generator
 
 
 def relief_limits(row: Array) -> tuple[float, float]:
@@ -43,7 +42,7 @@ class _Relief(Wall):
 
     def _offset(self) -> tuple[float, float]:
         """Return the random place of the lattice in units of its cell, each in [0, 1)."""
-        address = np.array([0, 0, 0, OFFSETS], dtype=np.uint32)
+        address = np.array([0, 0, 0, 303], dtype=np.uint32)
         words = philox(address, self.seed).astype(np.float64)
         along, across = (
             np.floor(w / 64) * 2.0**27 + np.floor(v / 32) for w, v in (words[:2], words[2:])
@@ -155,8 +154,8 @@ class FacetWall(_Relief):
     ray_seconds: ClassVar[float] = 2e-6
     screen_seconds: ClassVar[float] = 7e-8
 
-    cell: float
-    slope_rms: float
+    cell: Length
+    slope_rms: Angle
     _: KW_ONLY
     seed: int = 0
     size: tuple[float, float] | None = None
@@ -253,8 +252,8 @@ class GaussianWall(_Relief):
     ray_seconds: ClassVar[float] = 8e-5
     screen_seconds: ClassVar[float] = 2.2e-7
 
-    height_rms: float
-    correlation_length: float
+    height_rms: Length
+    correlation_length: Length
     _: KW_ONLY
     seed: int = 0
     size: tuple[float, float] | None = None

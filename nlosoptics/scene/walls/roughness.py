@@ -18,8 +18,6 @@ from .analytic import SumWall, Wall
 from .height_maps import CallableWall, HeightMapWall
 from .relief import FacetWall, GaussianWall
 
-SAME = 1e-9  # relative difference of slopes that count as equal
-
 
 @dataclass(frozen=True)
 class WallRoughness(Noun):
@@ -227,4 +225,4 @@ def _mirrors(material: Material) -> Iterator[MirrorLobe]:
 
 def _same(slope: float, other: float) -> bool:
     """Return whether two slopes are equal to within rounding."""
-    return math.isclose(slope, other, rel_tol=SAME)
+    return math.isclose(slope, other, rel_tol=1e-9)

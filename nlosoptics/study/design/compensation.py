@@ -23,15 +23,6 @@ def adjusted(
 
     One value is searched between its limits by Brent's method. Several values start at those of
     the point and follow the simplex of Nelder and Mead.
-
-    Parameters
-    ----------
-    point : StudyPoint
-        Point before compensation.
-    variables : mapping
-        Limits by address, as the table of a study file.
-    cost : callable
-        Number to minimise at a point; any exception says that it has no value there.
     """
     chosen = tuple(
         variable(address, address, Limits(**limits), point.value(address), point.base)

@@ -53,21 +53,7 @@ class Dimension:
 
 
 def dimensions(table: StudyTable, value_of: Callable[[str], Any]) -> tuple[Dimension, ...]:
-    """Return the dimensions of a study file; the points are their product.
-
-    Parameters
-    ----------
-    table : StudyTable
-        Checked study file.
-    value_of : callable
-        Value of the base scene at an address.
-
-    Raises
-    ------
-    SceneError
-        If the design has no or too many points, mixes units, repeats a value, or varies an address
-        twice.
-    """
+    """Return the dimensions of a study file; the points are their product."""
     found = []
     if table.optimise is not None:
         found.append(Dimension(name="trial", deltas=()))  # grows as the search goes on
@@ -102,10 +88,8 @@ def dimensions(table: StudyTable, value_of: Callable[[str], Any]) -> tuple[Dimen
 def listed(name: str, given: list[Any] | Range) -> list[Any]:
     """Return the values of an axis in SI units; ``name`` is its key, for messages."""
     if isinstance(given, Range):
-        (low, high), unit = numbers(name, given.low, given.high)
+        low, high, unit = span(name, given, ordered=False)
         space = np.linspace if given.spacing == "linear" else np.geomspace
-        if given.spacing == "log" and min(low, high) <= 0.0:
-            raise SceneError(f"{name}: spacing = log needs values above 0; give such limits")
         return [with_unit(value, unit) for value in space(low, high, given.count).tolist()]
     if not given:
         raise SceneError(f"{name} = [] has no values; give at least one")
@@ -135,6 +119,16 @@ def numbers(name: str, *values: Any) -> tuple[list[float], str]:
     return [one[0] for one in found if one is not None], units.pop()
 
 
+def span(name: str, given: Any, *, ordered: bool = True) -> tuple[float, float, str]:
+    """Return the limits ``low`` and ``high`` of a table and their unit, checked."""
+    (low, high), unit = numbers(name, given.low, given.high)
+    if ordered and not low < high:
+        raise SceneError(f"{name}: from = {low:g} is not below to = {high:g}; exchange them")
+    if given.spacing == "log" and min(low, high) <= 0.0:
+        raise SceneError(f"{name}: spacing = log needs values above 0; give such limits")
+    return low, high, unit
+
+
 def _zipped(columns: dict[str, list[Any]]) -> Dimension:
     """Return one dimension along which several addresses change together."""
     counts = {address: len(values) for address, values in columns.items()}
@@ -156,13 +150,7 @@ def _drawn(draws: Draws, seed: int, value_of: Callable[[str], Any]) -> Dimension
 
 
 def named_materials(table: StudyTable) -> dict[str, str]:
-    """Return the materials whose spread is drawn, by address; the base scene gets them.
-
-    Raises
-    ------
-    SceneError
-        If an address is no material, a name is unknown, or the table ``set`` gives another one.
-    """
+    """Return the materials whose spread is drawn, by address; the base scene gets them."""
     found = {}
     for address, given in (table.draws.of if table.draws else {}).items():
         if isinstance(given, list) or given.spread_of is None:
@@ -184,13 +172,7 @@ def named_materials(table: StudyTable) -> dict[str, str]:
 
 
 def _laws(draws: Draws) -> dict[str, list[Any] | Distribution]:
-    """Return the distributions by address, with one for each value of a named material.
-
-    Raises
-    ------
-    SceneError
-        If a name has other keys next to it, or an address is drawn twice.
-    """
+    """Return the distributions by address, with one for each value of a named material."""
     laws: dict[str, list[Any] | Distribution] = {}
     for address, given in draws.of.items():
         found: dict[str, list[Any] | Distribution] = {address: given}
@@ -260,11 +242,8 @@ def _quantile(
     if given.sigma is None:
         if None in limits or given.mean is not None:
             raise SceneError(f"{name} needs sigma, or from and to; add them")
-        (low, high), unit = numbers(name, *limits)
-        _check_order(name, low, high)
+        low, high, unit = span(name, given)
         if given.spacing == "log":
-            if low <= 0.0:
-                raise SceneError(f"{name}: spacing = log needs values above 0; give such limits")
             return lambda u: [with_unit(v, unit) for v in low * (high / low) ** u]
         return lambda u: [with_unit(v, unit) for v in low + (high - low) * u]
     mean = value_of(address) if given.mean is None else given.mean
@@ -278,11 +257,7 @@ def _quantile(
         raise SceneError(f"{name}.sigma = {sigma:g} is not above 0; give a width")
     low = -np.inf if given.low is None else numbers(name, given.low)[0][0]
     high = np.inf if given.high is None else numbers(name, given.high)[0][0]
-    _check_order(name, low, high)
-    law = scipy.stats.truncnorm((low - centre) / sigma, (high - centre) / sigma, centre, sigma)
-    return lambda u: [with_unit(v, unit) for v in law.ppf(u)]
-
-
-def _check_order(name: str, low: float, high: float) -> None:
     if not low < high:
         raise SceneError(f"{name}: from = {low:g} is not below to = {high:g}; exchange them")
+    law = scipy.stats.truncnorm((low - centre) / sigma, (high - centre) / sigma, centre, sigma)
+    return lambda u: [with_unit(v, unit) for v in law.ppf(u)]

@@ -84,22 +84,48 @@ class Figure:
         return shared
 
 
+@dataclass(frozen=True)
+class _Known:
+    function: Callable[..., Answer]
+    unit: str
+    stage: str
+    has_error: bool
+
+
+#: Figures of merit of the library by name.
+FIGURES: dict[str, _Known] = {}
+
+
+def _figure(stage: str, unit: str = "", *, has_error: bool = False) -> Callable[..., Any]:
+    """Return a decorator that adds a figure of merit under the name of its function."""
+
+    def added(function: Callable[..., Answer]) -> Callable[..., Answer]:
+        FIGURES[function.__name__] = _Known(function, unit, stage, has_error)
+        return function
+
+    return added
+
+
+@_figure("point spread")
 def strehl(point: StudyPoint) -> Answer:
     """Strehl ratio of the smooth wall's wave, without tilt."""
     return psf.strehl(point.point_spread.wavefront, remove=("piston", "tilt"))
 
 
+@_figure("point spread", "waves")
 def aberration_rms(point: StudyPoint) -> Answer:
     """Rms wave aberration of the smooth wall, waves."""
     wave = point.point_spread.wavefront
     return psf.rms_aberration(wave) / wave.wavelength
 
 
+@_figure("point spread", "m")
 def spot_rms(point: StudyPoint) -> Answer:
     """Rms radius of the geometric spot of the smooth wall, on the detector."""
     return psf.spot_radius(point.point_spread.wavefront)
 
 
+@_figure("point spread", "m")
 def encircled_energy_radius(point: StudyPoint, fraction: float = 0.8) -> Answer:
     """Radius about the reference point that holds a fraction of the energy, on the detector."""
     fraction = in_range("fraction", fraction, 0.0, 0.999, open_low=True)
@@ -117,6 +143,7 @@ def encircled_energy_radius(point: StudyPoint, fraction: float = 0.8) -> Answer:
     return float(found)
 
 
+@_figure("point spread")
 def mtf(point: StudyPoint, frequency: float, azimuth: float = 0.0) -> Answer:
     """Modulation of the point spread with pixels at a frequency on the object, cycles/m."""
     frequency = positive("frequency", frequency, unit="cycles/m")
@@ -124,31 +151,37 @@ def mtf(point: StudyPoint, frequency: float, azimuth: float = 0.0) -> Answer:
     return float(psf.mtf(point.point_spread.point_spread, on_detector, azimuth=azimuth))
 
 
+@_figure("forecast")
 def photons(point: StudyPoint) -> Answer:
     """Photons of the object's image in one exposure."""
     return point.forecast.photons
 
 
+@_figure("forecast")
 def contrast(point: StudyPoint) -> Answer:
     """Share of the object's image in the light on the detector."""
     return 1.0 - point.forecast.veil
 
 
+@_figure("forecast", "1/m")
 def resolution(point: StudyPoint) -> Answer:
     """Highest frequency on the object above the noise, cycles/m."""
     return point.forecast.limit
 
 
+@_figure("forecast")
 def relay_modes(point: StudyPoint) -> Answer:
     """Independent patterns of the object above the noise, by mirror-like or diffuse light."""
     return float(point.forecast.modes)
 
 
+@_figure("forecast", has_error=True)
 def predicted_correlation(point: StudyPoint) -> Answer:
     """Predicted correlation of a reconstruction with the object, with the spread of fits."""
     return point.forecast.score, point.forecast.score_spread
 
 
+@_figure("scene")
 def value(point: StudyPoint, address: str) -> Answer:
     """Value of the scene at an address."""
     found = number(point.value(address))
@@ -159,27 +192,6 @@ def value(point: StudyPoint, address: str) -> Answer:
     return found[0]
 
 
-@dataclass(frozen=True)
-class _Known:
-    function: Callable[..., Answer]
-    unit: str
-    stage: str
-    has_error: bool = False
-
-
-FIGURES: Mapping[str, _Known] = {
-    "strehl": _Known(strehl, "", "point spread"),
-    "aberration_rms": _Known(aberration_rms, "waves", "point spread"),
-    "spot_rms": _Known(spot_rms, "m", "point spread"),
-    "encircled_energy_radius": _Known(encircled_energy_radius, "m", "point spread"),
-    "mtf": _Known(mtf, "", "point spread"),
-    "photons": _Known(photons, "", "forecast"),
-    "contrast": _Known(contrast, "", "forecast"),
-    "resolution": _Known(resolution, "1/m", "forecast"),
-    "relay_modes": _Known(relay_modes, "", "forecast"),
-    "predicted_correlation": _Known(predicted_correlation, "", "forecast", True),
-    "value": _Known(value, "", "scene"),
-}
 #: Names that arrays of the results have themselves.
 TAKEN = ("status", "message", "seconds", "case", "draw", "trial", "zip", "point", "id")
 #: Endings of names of arrays that belong to a figure.
@@ -187,13 +199,7 @@ ENDINGS = ("_error", "_status", "_compensated")
 
 
 def figure(given: str | FigureTable, folder: Path) -> Figure:
-    """Return the figure of an entry of a study file; functions are imported to see that they exist.
-
-    Raises
-    ------
-    SceneError
-        If there is no such figure, function or option.
-    """
+    """Return the figure of an entry of a study file, whose function is imported."""
     source = given if isinstance(given, str) else given.figure
     options = {} if isinstance(given, str) else dict(given.model_extra or {})
     name = source.rpartition(":")[2] if isinstance(given, str) else given.name or source
@@ -231,19 +237,7 @@ def plain_name(address: str) -> str:
 def with_compensation(
     figures: tuple[Figure, ...], table: Compensate, folder: Path, variables: tuple[Variable, ...]
 ) -> tuple[Figure, ...]:
-    """Return figures, the same after compensation, and the values that the compensators take.
-
-    Parameters
-    ----------
-    figures : tuple of Figure
-        Figures of a study.
-    table : Compensate
-        Table of the study file.
-    folder : Path
-        Folder of the study file.
-    variables : tuple of Variable
-        Values to adjust.
-    """
+    """Return figures, the same after compensation, and the values that the compensators take."""
     best = next((f for f in figures if f.name == table.figure), None) or figure(
         table.figure, folder
     )
@@ -281,17 +275,7 @@ def with_compensation(
 
 
 def compensated(point: StudyPoint, table: Mapping[str, Any], folder: Path) -> StudyPoint:
-    """Return a point at which some values are adjusted for the best figure; itself if that is best.
-
-    Parameters
-    ----------
-    point : StudyPoint
-        Point before compensation.
-    table : mapping
-        Figure, goal and variables, as `with_compensation` writes them.
-    folder : Path
-        Folder of the study file.
-    """
+    """Return a point at which some values are adjusted for the best figure."""
     function, options = _function(table["figure"]["source"], folder), table["figure"]["options"]
     sign = 1.0 if table["goal"] == "minimise" else -1.0
 

@@ -13,19 +13,7 @@ LEAST = {"differential-evolution": 5, "tpe": 1, "nsga-ii": 2}
 def check_search(
     table: Optimise, variables: tuple[Variable, ...], varied: set[str], figures: tuple[str, ...]
 ) -> None:
-    """Raise `SceneError` if a search does not fit its study.
-
-    Parameters
-    ----------
-    table : Optimise
-        Checked table of the study file.
-    variables : tuple of Variable
-        Values that the search may change.
-    varied : set of str
-        Addresses that the rest of the study changes.
-    figures : tuple of str
-        Names of the figures.
-    """
+    """Raise `SceneError` if a search does not fit its study."""
     method, objectives = table.method, table.objectives
     for kind, entries in (("objectives", objectives), ("constraints", table.constraints)):
         for i, entry in enumerate(entries):

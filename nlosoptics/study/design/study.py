@@ -59,15 +59,7 @@ def _figures_and_variables(
 
 
 def search_variables(table: StudyTable, base: Base) -> tuple[Variable, ...]:
-    """Return the values that the search of a study may change; empty if it has no search.
-
-    Parameters
-    ----------
-    table : StudyTable
-        Checked study file.
-    base : Base
-        Base scene.
-    """
+    """Return the values that the search of a study may change; empty if it has no search."""
     given = {} if table.optimise is None else table.optimise.variables
     return _variables("optimise.variables", given, base)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import SceneError
 from .base import Base
-from .designs import listed, numbers
+from .designs import listed, span
 from .file import Limits
 from .values import canonical, label, number, with_unit
 
@@ -77,32 +77,9 @@ class Variable:
 
 
 def variable(name: str, address: str, given: list[Any] | Limits, own: Any, base: Base) -> Variable:
-    """Return a variable of a study file.
-
-    Parameters
-    ----------
-    name : str
-        Key of the study file, for messages.
-    address : str
-        Address of the value.
-    given : list or Limits
-        What the file gives.
-    own : value
-        The scene's own value at the address; None if it has none.
-    base : Base
-        Base scene, which keeps files that a list names.
-
-    Raises
-    ------
-    SceneError
-        If limits are empty or mix units.
-    """
+    """Return a variable of a study file."""
     if isinstance(given, Limits):
-        (low, high), unit = numbers(name, given.low, given.high)
-        if not low < high:
-            raise SceneError(f"{name}: from = {low:g} is not below to = {high:g}; exchange them")
-        if given.spacing == "log" and low <= 0.0:
-            raise SceneError(f"{name}: spacing = log needs values above 0; give such limits")
+        low, high, unit = span(name, given)
         values: tuple[Any, ...] = ()
         ordered = True
     else:

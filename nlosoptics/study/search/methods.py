@@ -11,15 +11,7 @@ from .with_scipy import cobyqa, evolution
 
 
 def search(study: Study, ask: Ask) -> str:
-    """Choose points until the method ends, and return why it ended.
-
-    Parameters
-    ----------
-    study : Study
-        Study with the table ``optimise``.
-    ask : callable
-        Returns the outcomes of points. The same outcomes lead to the same points.
-    """
+    """Choose points until the method ends, and return why it ended."""
     table = search_table(study)
     problem = Problem(
         variables=study.variables,

@@ -101,15 +101,7 @@ def population(table: Optimise) -> int:
 
 
 def outcome(table: Optimise, figures: Mapping[str, Array]) -> Outcome:
-    """Return objectives and margins of one trial.
-
-    Parameters
-    ----------
-    table : Optimise
-        Objectives and constraints.
-    figures : mapping of str to ndarray, (points,)
-        Each figure at all points of the trial, such as draws; NaN where it failed.
-    """
+    """Return objectives and margins of one trial."""
     return Outcome(
         tuple(_objective(one, figures[one.figure]) for one in table.objectives),
         tuple(_margin(one, figures[one.figure]) for one in table.constraints),

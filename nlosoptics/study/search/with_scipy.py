@@ -17,13 +17,6 @@ MISSED = -1e6  # margin of a failed point
 def cobyqa(problem: Problem, ask: Ask) -> str:
     """Follow quadratic models of objective and constraints from the scene's own values.
 
-    Parameters
-    ----------
-    problem : Problem
-        What may be chosen; continuous variables only.
-    ask : callable
-        Returns the outcomes of points.
-
     References
     ----------
     .. [1] T. M. Ragonneau, Model-Based Derivative-Free Optimization Methods and Software, PhD
@@ -60,15 +53,7 @@ def cobyqa(problem: Problem, ask: Ask) -> str:
 
 
 def evolution(problem: Problem, ask: Ask) -> str:
-    """Evolve a population by differences of its members (Storn and Price 1997).
-
-    Parameters
-    ----------
-    problem : Problem
-        What may be chosen.
-    ask : callable
-        Returns the outcomes of points.
-    """
+    """Evolve a population by differences of its members (Storn and Price 1997)."""
     variables = problem.variables
     low = np.array([0.0 if v.continuous else v.low for v in variables])
     high = np.array([1.0 if v.continuous else v.high for v in variables])

@@ -6,8 +6,6 @@ import json
 import math
 import pickle
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,16 +25,17 @@ from nlosoptics.scene import (
     HeightMapWall,
     Lambert,
     MeshObject,
-    MeshWall,
     Occluder,
     OrenNayar,
     PlanarObject,
     Scene,
+    Spectrum,
     SpecularMicrofacet,
     SumMaterial,
     SumWall,
     TransientScan,
     WallRoughness,
+    Ward,
     WavyWall,
 )
 from nlosoptics.scene.file.scene_file import scene_files, scene_schema
@@ -138,7 +137,9 @@ def test_every_wall_round_trips_exactly(wall, flat: Scene, tmp_path: Path) -> No
 MATERIALS = [
     Lambert(0.1 + 0.2),
     OrenNayar(0.8, 0.3, model="full", normalised=True),
-    SpecularMicrofacet(0.05, 1e-3),
+    SpecularMicrofacet(0.05, 1e-3, distribution="ggx", index=1.5 + 0.1j),
+    Ward(0.3, 0.4, variant="bounded"),
+    Lambert(Spectrum((450e-9, 650e-9), (0.1, 0.4))),
     SumMaterial(Lambert(0.7)),
     SumMaterial(Lambert(0.5), SumMaterial(OrenNayar(0.1, 0.2), SpecularMicrofacet(0.05, 0.0))),
 ]
@@ -191,19 +192,6 @@ def test_roughness_takes_the_slope_of_the_lobe(tmp_path: Path) -> None:
         assert roughness.slope_rms == approx(slope, rel=1e-15)
         assert roughness.realisation == "mean"
         assert (roughness.heights.correlation_length, roughness.heights.seed) == (5e-4, 1)
-
-
-def test_a_wall_of_relief_is_not_written(flat: Scene, tmp_path: Path) -> None:
-    rough = replace(flat, wall_roughness=WallRoughness(FacetWall(1e-3, 2e-3)))
-    with pytest.raises(SceneError, match="FacetWall cannot be written as a wall .* wall_roughness"):
-        rough.with_relief().save(tmp_path / "scene.toml")
-
-
-def test_meshes_round_trip_exactly(flat: Scene, examples: Path, tmp_path: Path) -> None:
-    mesh = (examples / "walls" / "concave_5m.obj").resolve()
-    hidden = MeshObject(mesh, scale=0.1, position=(0.5, 0.0, 1.0), yaw=0.1, pitch=-0.2, roll=3.0)
-    scene = replace(flat, wall=MeshWall(mesh, scale=1.1), hidden=hidden)
-    assert saved(scene, tmp_path) == scene
 
 
 def test_random_walls_keep_their_parameters(flat: Scene, tmp_path: Path) -> None:
@@ -260,19 +248,6 @@ def test_materials_of_occluders_round_trip(flat: Scene, tmp_path: Path) -> None:
     assert again.room_materials == (Lambert(0.3), lobes)
     other = replace(occluders[0], material=Lambert(0.4))
     assert replace(scene, occluders=(other, *occluders[1:])) != scene
-
-
-def test_an_occluder_of_a_file_alone_stands_as_it_is(flat: Scene, tmp_path: Path) -> None:
-    plate = trimesh.creation.box((0.1, 0.2, 0.3), transform=np.eye(4))
-    plate.apply_translation((0, 0, 0.15))
-    plate.export(tmp_path / "plate.ply")
-    flat.save(tmp_path / "scene.toml")
-    with (tmp_path / "scene.toml").open("a") as file:
-        file.write('\n[[occluder]]\nmesh = "plate.ply"\n')
-    (occluder,) = Scene.load(tmp_path / "scene.toml").occluders
-    assert occluder == Occluder(tmp_path / "plate.ply")
-    # the file holds float32
-    np.testing.assert_allclose(occluder.surface.bounds, plate.bounds, rtol=0, atol=1e-7)
 
 
 def test_every_float_of_laser_and_camera_round_trips(flat: Scene, tmp_path: Path) -> None:
@@ -354,66 +329,11 @@ def test_a_folder_holds_all_of_a_scene(flat: Scene, tmp_path: Path) -> None:
         scene_files(replace(scene, occluders=(gone,)))
 
 
-def test_odd_file_names_survive(flat: Scene, tmp_path: Path) -> None:
-    """Quotes, backslashes and control characters of a path are escaped as TOML wants."""
-    path = tmp_path / 'a "b" \\ \u4e2d \x7f.npy'
-    np.save(path, np.eye(4))
-    scene = replace(flat, hidden=PlanarObject(path, 0.3, position=(0.5, 0.0, 1.0)))
-    assert saved(scene, tmp_path) == scene
-
-
-def test_a_failed_save_leaves_the_old_file(flat: Scene, tmp_path: Path, monkeypatch) -> None:
-    path = tmp_path / "scene.toml"
-    flat.save(path)
-    before = path.read_text()
-
-    def full(self, *args, **kwargs):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(SceneError, match="cannot be written"):
-        replace(flat, wall=FlatWall()).save(path)
-    assert path.read_text() == before
-    assert [entry.name for entry in tmp_path.iterdir()] == ["scene.toml"]
-
-
-def test_saving_replaces_the_file_at_once(flat: Scene, tmp_path: Path) -> None:
-    """A reader who has the old file open keeps it whole: the new one is moved into its place."""
-    path, held = tmp_path / "scene.toml", tmp_path / "held.toml"
-    flat.save(path)
-    before = path.read_text()
-    held.hardlink_to(path)
-    replace(flat, wall=FlatWall()).save(path)
-    assert held.read_text() == before != path.read_text()
-
-
-def test_units_are_exact(flat: Scene) -> None:
-    """Decimal arithmetic: the float nearest to the written number, not a product of floats."""
-    assert flat.laser.wavelength == 632.8e-9
-    assert flat.laser.power == 5e-3
-    assert flat.laser.beam_diameter == 3e-3
-    assert flat.camera.pixel_pitch == 9e-6
-    assert flat.camera.exposure == 40e-3
-
-
 def test_laser_by_distance_and_incidence(flat: Scene) -> None:
     start = np.subtract(flat.laser.position, flat.laser.aim)
     # 1e-15: rounding of sine and cosine
     assert np.linalg.norm(start) == approx(1.2, rel=1e-15)
     assert math.acos(start[2] / 1.2) == approx(math.radians(15), rel=1e-14)
-
-
-def test_laser_azimuth(tmp_path: Path) -> None:
-    text = (FOLDER / "letter_flat.toml").read_text()
-    text = text.replace('incidence = "15 deg"', 'incidence = "15 deg"\nazimuth = "90 deg"')
-    text = text.replace("camera_wu2024.toml", str(FOLDER / "camera_wu2024.toml"))
-    text = text.replace("../objects", str(FOLDER.parent / "objects"))
-    (tmp_path / "scene.toml").write_text(text)
-    x, y, z = Scene.load(tmp_path / "scene.toml").laser.position
-    # cos(90 deg) is 6e-17
-    assert (x, y, z) == approx(
-        (0.64, 1.2 * math.sin(math.radians(15)), 1.2 * math.cos(math.radians(15))), abs=1e-15
-    )
 
 
 def test_field_of_view_gives_the_focal_length(flat: Scene) -> None:
@@ -440,39 +360,6 @@ def test_f_number_gives_the_stop(tmp_path: Path) -> None:
     assert camera.stop_diameter == 25e-3
 
 
-def test_field_of_view_spans_the_pixels_that_are_read(tmp_path: Path) -> None:
-    camera = camera_of(
-        tmp_path, *PLACE, 'field_of_view = "90 deg"', "f_number = 2.0", "pixels = [2000, 1000]"
-    )
-    # tan 45 deg is 1 to the last bit or the next
-    assert camera.focal_length == approx(9e-3, rel=1e-15)
-
-
-def test_an_override_replaces_its_counterpart(tmp_path: Path) -> None:
-    """The included file gives field of view and stop; the scene gives focal length and F-number."""
-    included = f'file = "{FOLDER / "camera_wu2024.toml"}"'
-    camera = camera_of(tmp_path, included, 'focal_length = "100 mm"', "f_number = 4", "binning = 4")
-    assert (camera.focal_length, camera.stop_diameter, camera.binning) == (0.1, 0.025, 4)
-    assert camera.read_noise == 3.6
-
-
-def test_one_lobe_and_a_sum_of_one_differ(flat: Scene, tmp_path: Path) -> None:
-    assert isinstance(flat.hidden.material, Lambert)
-    assert isinstance(flat.wall_material, SumMaterial)
-
-
-def test_defaults_are_those_of_the_dataclasses(tmp_path: Path) -> None:
-    text = (FOLDER / "letter_flat.toml").read_text()
-    text = re.sub(r"\[\[?(wall|hidden)\.material\]\]?.*?(?=\n\[|$)", "", text, flags=re.DOTALL)
-    text = text.replace("camera_wu2024.toml", str(FOLDER / "camera_wu2024.toml"))
-    text = text.replace("../objects", str(FOLDER.parent / "objects"))
-    (tmp_path / "scene.toml").write_text(text)
-    scene = Scene.load(tmp_path / "scene.toml")
-    bare = Scene(scene.laser, scene.wall, scene.hidden, scene.camera)
-    assert scene == bare
-    assert scene.hidden.material == Lambert(0.8)
-
-
 @pytest.mark.parametrize("path", WU, ids=lambda path: path.stem)
 def test_examples_have_wu_2024s_geometry(path: Path) -> None:
     """Section 3: 632.8 nm, 3 mm, 1.2 m at 15 deg; 1 m to wall and camera; 36.9 mm, 40 deg."""
@@ -495,94 +382,15 @@ def test_examples_have_wu_2024s_geometry(path: Path) -> None:
         assert camera.pixels[0] * camera.pixel_pitch == approx(36.864e-3, rel=1e-15)
 
 
-@pytest.mark.parametrize("path", WU, ids=lambda path: path.stem)
-def test_examples_keep_the_spot_out_of_the_field(path: Path) -> None:
-    """Outside the round stop, and outside the square sensor."""
-    scene = Scene.load(path)
-    camera = scene.camera
-    right, up, ahead = camera.frame @ np.subtract(scene.laser.aim, camera.position)
-    half = math.atan(18.432e-3 / camera.focal_length)
-    assert math.atan(math.hypot(right, up) / ahead) > camera.field_stop / 2 + math.radians(3)
-    assert max(abs(math.atan(right / ahead)), abs(math.atan(up / ahead))) > half
-
-
-@pytest.mark.parametrize("path", WU, ids=lambda path: path.stem)
-def test_examples_show_the_whole_object(path: Path) -> None:
-    """Every bright part's mirror image lies within the flat wall's field."""
-    scene = Scene.load(path)
-    camera, hidden = scene.camera, scene.hidden
-    rows, columns = np.nonzero(hidden.reflectance > 0.5)
-    ny, nx = hidden.reflectance.shape
-    across = ((columns + 0.5) / nx - 0.5) * hidden.size[0]
-    upward = (0.5 - (rows + 0.5) / ny) * hidden.size[1]
-    right, up, _ = hidden.axes
-    points = np.array(hidden.position) + across[:, None] * right + upward[:, None] * up
-    x, y, z = camera.frame @ (points * (1, 1, -1) - camera.position).T
-    reach = camera.pixels[0] * camera.pixel_pitch / 2 / scene.image_distance
-    assert abs(x / z).max() < 0.95 * reach
-    assert abs(y / z).max() < 0.95 * reach
-
-
-def test_exposures_and_tilt_of_the_series(flat: Scene) -> None:
-    for milliseconds in (10, 20, 30):
-        other = Scene.load(FOLDER / f"letter_flat_{milliseconds}ms.toml")
-        assert other == replace(
-            flat, camera=replace(flat.camera, exposure=float(f"{milliseconds}e-3"))
-        )
-    tilted = Scene.load(FOLDER / "letter_tilted.toml")
-    assert tilted == replace(flat, hidden=replace(flat.hidden, pitch=tilted.hidden.pitch))
-    assert tilted.hidden.pitch == approx(math.radians(10), rel=1e-15)
-
-
-def test_speckle_camera_has_lambda_n_of_two_pixels() -> None:
-    scene = Scene.load(FOLDER / "letter_speckle.toml")
-    f_number = scene.image_distance / scene.camera.stop_diameter
-    # the file gives the stop to five digits
-    assert scene.laser.wavelength * f_number == approx(2 * scene.camera.image_pitch, rel=1e-4)
-    assert scene.camera.binning == 1
-
-
-def test_mesh_example_is_what_its_readme_says(tmp_path: Path, monkeypatch) -> None:
-    """The code of the README, run anew, writes the file that is shipped."""
-    walls = FOLDER.parent / "walls"
-    code = re.search(r"```python\n(.*?)```", (walls / "README.md").read_text(), re.DOTALL)[1]
-    monkeypatch.chdir(tmp_path)
-    exec(code, {})
-    ours, shipped = (
-        [line.split() for line in (folder / "concave_5m.obj").read_text().splitlines() if line]
-        for folder in (tmp_path, walls)
-    )
-    assert [line[0] for line in ours] == [line[0] for line in shipped]
-    vertices = [np.array([v[1:] for v in f if v[0] == "v"], float) for f in (ours, shipped)]
-    # written to 1 pm
-    assert abs(vertices[0] - vertices[1]).max() <= 1e-12
-    assert [f for f in ours if f[0] == "f"] == [f for f in shipped if f[0] == "f"]
-    assert (walls / "concave_5m.obj").stat().st_size < 300e3
-
-
 SCAN = {"side": 2.0, "count": 8, "delta_t": 0.01, "n_bins": 20}
-
-
-def test_transient_table_round_trips(flat: Scene, tmp_path: Path) -> None:
-    """Every key, and the same scene without the table."""
-    assert flat.transient is None
-    picture = {"wl_mean": 0.2, "near": 0.5, "far": 1.5, "step": 0.1}
-    scan = TransientScan(**SCAN, scan="confocal", t_start=0.3, max_bounces=5, **picture)
-    scene = replace(flat, transient=scan)
-    assert saved(scene, tmp_path).transient == scan
-    least = TransientScan(**SCAN)
-    assert saved(replace(flat, transient=least), tmp_path).transient == least
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"side": -1.0}, "transient.side = -1 m is out of range"),
-        ({"count": 0}, "transient.count = 0"),
         ({"n_bins": 1.5}, "transient.n_bins = 1.5 is not a whole number"),
-        ({"scan": "raster"}, "must be one of single, confocal, exhaustive"),
         ({"max_bounces": 2}, "transient.max_bounces = 2"),
-        ({"near": 1.0}, "transient.far is missing although transient.near is given"),
         ({"near": 1.0, "far": 0.5, "step": 0.1}, "transient.far = 0.5 m is out of range"),
     ],
 )
@@ -591,53 +399,19 @@ def test_bad_transient_scans(changes: dict[str, Any], words: str) -> None:
         TransientScan(**{**SCAN, **changes})
 
 
-def test_transient_keys_carry_units(examples: Path, tmp_path: Path) -> None:
-    text = (examples / "scenes" / "transient_letter.toml").read_text()
-    text = text.replace('"../objects', f'"{examples}/objects').replace(
-        '"camera_wu2024.toml"', f'"{examples}/scenes/camera_wu2024.toml"'
-    )
-    for right, wrong, words in (
-        ('delta_t = "1 cm"', 'delta_t = "33 ps"', "transient.delta_t = .*33 ps"),
-        ("count = 32", 'count = "32"', "transient.count"),
-        ("n_bins = 370", "n_bin = 370", "did you mean n_bins"),
-    ):
-        assert right in text
-        path = tmp_path / "wrong.toml"
-        path.write_text(text.replace(right, wrong))
-        with pytest.raises(SceneError, match=words):
-            Scene.load(path)
-
-
 def test_schema_is_current() -> None:
     """The shipped schema is the models'; else write scene_schema() over it."""
     shipped = json.loads((FOLDER / "scene.schema.json").read_text())
     assert shipped == scene_schema()
 
 
-@pytest.mark.parametrize("path", SCENES, ids=NAMES)
-def test_examples_name_the_schema(path: Path) -> None:
-    assert path.read_text().splitlines()[0] == "#:schema ./scene.schema.json"
-
-
 def test_schema_knows_every_key_that_is_written(flat: Scene) -> None:
     """Keys of a saved scene are in the schema, with a note for whoever edits."""
     tables = scene_schema()["$defs"]
-    for section, table in (("laser", "LaserTable"), ("camera", "CameraTable")):
+    for section, table in (("laser", "Laser"), ("camera", "Camera")):
         text = scene_files(flat)["scene.toml"].decode().split(f"[{section}]\n")[1].split("\n\n")[0]
         for key in re.findall(r"^(\w+) =", text, re.MULTILINE):
             assert tables[table]["properties"][key]["description"]
-
-
-@pytest.mark.parametrize("name", ["letter_flat", "letter_concave", "letter_wavy"])
-def test_loading_is_light(name: str) -> None:
-    """A picture scene loads without torch, matplotlib, trimesh and numba."""
-    code = (
-        "import sys; from nlosoptics.scene import Scene; "
-        f"Scene.load({str(FOLDER / f'{name}.toml')!r}); "
-        "print([m for m in ('torch', 'matplotlib', 'trimesh', 'numba') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
 
 
 def test_a_scene_whose_picture_file_is_gone_or_changed_saves_its_picture(tmp_path) -> None:

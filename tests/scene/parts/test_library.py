@@ -11,10 +11,9 @@ import pytest
 from pytest import approx
 
 from nlosoptics.errors import SceneError
-from nlosoptics.scene import Scene, SumMaterial, material_library, named_material
+from nlosoptics.scene import Scene, material_library, named_material
 from nlosoptics.scene.file.addresses import value_at
 from nlosoptics.scene.file.scene_file import save_scene
-from nlosoptics.scene.file.text import toml_value
 
 FILE = tomllib.loads(files("nlosoptics.scene.parts").joinpath("library.toml").read_text())
 VALUES = [
@@ -80,15 +79,6 @@ def test_material_reflects_what_its_values_say(name: str) -> None:
     assert np.all(entry.material.albedo(np.radians([0.0, 45.0, 75.0])) <= 1.0)
 
 
-@pytest.mark.parametrize("name", material_library())
-def test_scene_file_names_a_material(name: str, examples) -> None:
-    path = examples / "scenes" / "letter_flat.toml"
-    scene = Scene.load(path, {"wall.material": name, "hidden.material": name.upper()})
-    wanted = named_material(name)
-    parts = wanted.parts if isinstance(wanted, SumMaterial) else (wanted,)
-    assert scene.wall_material == scene.hidden.material == SumMaterial(*parts)
-
-
 def test_name_and_single_values_go_together(examples, tmp_path) -> None:
     """A value below a name replaces the library's, and a saved scene holds the lobes."""
     path = examples / "scenes" / "letter_flat.toml"
@@ -107,14 +97,9 @@ def test_name_and_single_values_go_together(examples, tmp_path) -> None:
     ("changes", "told"),
     [
         ({"wall.material": "whitebord"}, 'wall.material = "whitebord" is not in .*"whiteboard"'),
-        ({"hidden.material": "?"}, r'hidden.material = "\?" is not in .*; its names are matt'),
         (
             {"wall.material": "whitebord", "wall.material[0].albedo": 0.5},
             "wall.material = 'whitebord' is not in .*\"whiteboard\"",
-        ),
-        (
-            {"wall.material": "paper", "wall.material[1].albedo": 0.5},
-            r"wall.material\[1\].albedo: wall.material has 1 element",
         ),
     ],
 )
@@ -122,21 +107,3 @@ def test_unknown_name_is_one_line_with_near_names(changes: dict, told: str, exam
     with pytest.raises(SceneError, match=told) as error:
         Scene.load(examples / "scenes" / "letter_flat.toml", changes)
     assert "\n" not in str(error.value)
-
-
-def test_names_in_python() -> None:
-    assert named_material(" White-Ceramic_tile ") == named_material("white ceramic tile")
-    with pytest.raises(SceneError, match='did you mean "rolled aluminium"'):
-        named_material("rolled aluminum")
-    with pytest.raises(SceneError, match="3 is not in the library"):
-        named_material(3)
-    with pytest.raises(TypeError):
-        material_library()["mine"] = None
-
-
-def test_slopes_are_written_with_their_unit() -> None:
-    """The text of the tables is what a scene file would hold."""
-    from nlosoptics.scene.parts.library import lobe_tables
-
-    text = "\n".join(toml_value(lobe) for lobe in lobe_tables("whiteboard"))
-    assert 'slope_rms = "0.002509 rad"' in text

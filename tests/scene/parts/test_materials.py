@@ -63,16 +63,6 @@ def test_directional_albedo(row) -> None:
     assert found == approx(float(row["value"]), abs=float(row["tolerance"]))
 
 
-def test_worst_albedo() -> None:
-    """The fit reflects up to 1.0768 of the light; no slope does more."""
-    (row,) = rows("oren_nayar_worst_albedo")
-    worst = float(row["parameters"]["sigma"])
-    value, tolerance = float(row["value"]), float(row["tolerance"])
-    assert float(OrenNayar(1.0, worst).albedo(math.pi / 2)) == approx(value, abs=tolerance)
-    for slope in np.linspace(0, 1, 101):
-        assert OrenNayar(1.0, slope).albedo(np.linspace(0, math.pi / 2, 31)).max() <= value + 1e-12
-
-
 def test_lambert_albedo() -> None:
     assert_array_equal(Lambert(0.3).albedo([0.0, 1.0, math.pi / 2]), 0.3)
     assert float(Lambert(0.3).evaluate(NORMAL, NORMAL, NORMAL)) == 0.3 / math.pi
@@ -127,18 +117,6 @@ def test_reciprocity(material) -> None:
     back = material.evaluate(exitant, incident, NORMAL)
     assert abs(there - back).max() <= 1e-14 * abs(there).max()
     assert (abs(there - back) <= 1e-14 * there).all()
-
-
-@pytest.mark.parametrize("material", LOBES, ids=KINDS)
-def test_turning_everything_changes_nothing(material) -> None:
-    """Isotropy, and that the normal is used: the same directions in a turned frame."""
-    rng = np.random.default_rng(5)
-    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    incident, exitant = directions(2000, 6), directions(2000, 7)
-    plain = material.evaluate(incident, exitant, NORMAL)
-    turned = material.evaluate(incident @ turn.T, exitant @ turn.T, np.array(NORMAL) @ turn.T)
-    # cosines rounded to 1e-16 near grazing and within a lobe of slope 0.02
-    assert turned == approx(plain, rel=1e-10, abs=1e-12)
 
 
 @pytest.mark.parametrize("material", LOBES, ids=KINDS)
@@ -232,33 +210,6 @@ def test_microfacets_reflect_no_more_than_their_reflectance(slope: float) -> Non
     assert albedo[angles < 1.2] == approx(0.8, rel=max(1e-7, 8 * slope**2))
 
 
-def test_smooth_mirror() -> None:
-    mirror = SpecularMicrofacet(0.3, 0.0)
-    assert_array_equal(mirror.albedo([0.0, 1.0, math.pi / 2]), 0.3)
-    assert float(mirror.evaluate(NORMAL, NORMAL, NORMAL)) == 0.0
-    assert mirror.specular_reflectance == 0.3
-    assert mirror.diffuse is None
-
-
-@pytest.mark.parametrize(
-    "lobe",
-    [
-        lambda slope: SpecularMicrofacet(0.2, slope),
-        lambda slope: SpecularMicrofacet(0.2, slope, distribution="ggx"),
-        lambda slope: Ward(0.2, math.sqrt(2) * slope),
-    ],
-)
-def test_rough_lobes_count_as_diffuse(lobe) -> None:
-    """Mirror-like up to a slope rms of 0.1 rad, and either that or diffuse."""
-    for slope, mirror in ((0.099, True), (0.101, False)):
-        material = lobe(slope)
-        assert material.specular_reflectance == (0.2 if mirror else 0.0)
-        assert material.diffuse == (None if mirror else material)
-        total = SumMaterial(Lambert(0.5), material)
-        assert total.specular_reflectance == material.specular_reflectance
-        assert total.diffuse == (SumMaterial(Lambert(0.5)) if mirror else total)
-
-
 @pytest.mark.parametrize("model", ["fit", "full"])
 @pytest.mark.parametrize("rho", [1.0, 0.8])
 def test_normalised_conserves_energy(model: str, rho: float) -> None:
@@ -292,40 +243,16 @@ def test_sum_is_the_sum() -> None:
     ("make", "message"),
     [
         (lambda: Lambert(1.1), "albedo = 1.1 is out of range, must be from 0 to 1"),
-        (lambda: Lambert(-0.1), "albedo = -0.1 is out of range"),
-        (lambda: Lambert(math.nan), "albedo = nan is not finite"),
         (lambda: Lambert("white"), "albedo = 'white' is not a number"),
-        (lambda: OrenNayar(0.8, 1.2), "slope_rms = 1.2 rad is out of range, must be from 0 to 1"),
-        (lambda: OrenNayar(0.8, 0.3, model="best"), "model = 'best' is unknown, .* fit, full"),
         (lambda: SpecularMicrofacet(2, 0.1), "reflectance = 2 is out of range"),
-        (
-            lambda: SpecularMicrofacet(0.1, 0.8),
-            "slope_rms = 0.8 rad is out of range, .* to 0.7 rad",
-        ),
-        (lambda: SpecularMicrofacet(0.1, -0.1), "slope_rms = -0.1 rad is out of range"),
         (lambda: SpecularMicrofacet(0.1, 1e-9), "slope_rms = 1e-09 .* give 0 for a smooth mirror"),
-        (
-            lambda: SpecularMicrofacet(0.1, 0.1, distribution="phong"),
-            "distribution = 'phong' is unknown, must be one of beckmann, ggx",
-        ),
-        (lambda: Ward(1.1, 0.1), "albedo = 1.1 is out of range"),
         (lambda: Ward(0.5, 0.0), "alpha = 0 is out of range, must be from 1e-06 to 1"),
-        (lambda: Ward(0.5, -0.2), "alpha = -0.2 is out of range"),
-        (lambda: Ward(0.5, 1e6), r"alpha = 1e\+06 is out of range"),
         (lambda: Ward(0.5, math.nan), "alpha = nan is not finite"),
-        (
-            lambda: Ward(0.5, 0.1, variant="2010"),
-            "variant = '2010' is unknown, must be one of 1992, duer, bounded",
-        ),
-        (lambda: SumMaterial(Lambert(0.7), Ward(0.4, 0.5)), "add up to 1.1, limit 1; lower one"),
         (
             lambda: SumMaterial(Lambert(0.7), SpecularMicrofacet(0.4, 0.5)),
             "add up to 1.1, limit 1; lower one",
         ),
-        (lambda: SumMaterial(), "SumMaterial got .*; give at least one material"),
-        (lambda: SumMaterial(0.5), "SumMaterial got .*; give at least one material"),
         (lambda: SumMaterial(Lambert(0.7), Lambert(0.4)), "add up to 1.1, limit 1; lower one"),
-        (lambda: Lambert(0.5).albedo(2.0), "theta = .* is out of range, must be 0 to pi/2"),
     ],
 )
 def test_bad_materials(make, message: str) -> None:

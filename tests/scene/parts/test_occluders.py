@@ -33,16 +33,6 @@ def test_an_occluder_may_stand_on_the_wall_and_not_reach_behind_it() -> None:
         _ = behind.surface
 
 
-def test_a_mesh_in_the_world_is_checked_by_the_scene(flat_scene) -> None:
-    box = trimesh.creation.box((0.2, 0.2, 0.2))
-    with pytest.raises(SceneError, match=r"scene.occluders\[0\] reaches z = -0.1 m, behind"):
-        replace(flat_scene, occluders=(box,))
-    high = box.copy()
-    high.apply_translation((0, 0, 1))
-    with pytest.raises(SceneError, match=r"scene.occluders\[1\]: .* holds no triangles"):
-        replace(flat_scene, occluders=(high, trimesh.Trimesh()))
-
-
 def test_all_occluders_are_one_mesh(flat_scene) -> None:
     assert flat_scene.occluding_mesh is None
     box = trimesh.creation.box((0.2, 0.2, 0.2))

@@ -110,14 +110,6 @@ DRAWS = qmc.Sobol(5, seed=1).random(2**15)
 
 
 @pytest.mark.parametrize("row", NADIR, ids=lambda row: row["value"])
-def test_quadrature_meets_its_closed_form(row) -> None:
-    """One reflection at normal incidence and exitance."""
-    found = quadrature(NORMAL, NORMAL, float(row["parameters"]["sigma"]))
-    # Gauss-Legendre on a Gaussian, far converged; 1e-10 leaves room for rounding
-    assert math.pi * found == approx(float(row["value"]), rel=1e-10)
-
-
-@pytest.mark.parametrize("row", NADIR, ids=lambda row: row["value"])
 def test_monte_carlo_meets_its_closed_form(row) -> None:
     # the first reflection at nadir is cos(tilt), smooth in one Sobol dimension: 1e-5 measured
     found, _ = Grooves(NORMAL, float(row["parameters"]["sigma"]), DRAWS).reflected(NORMAL)
@@ -134,14 +126,6 @@ def test_monte_carlo_meets_the_quadrature(slope_rms: float) -> None:
             truth = quadrature(direction(theta * DEGREE), exitant, slope_rms)
             # 2^15 Sobol points on edges of shadows
             assert grooves.reflected(exitant)[0] == approx(truth, rel=0.01), (theta, out, phi)
-
-
-def test_second_reflection_is_reciprocal() -> None:
-    for theta, out, phi in ((0, 60, 0), (20, 50, 90), (30, 70, 180)):
-        there, back = direction(theta * DEGREE), direction(out * DEGREE, phi * DEGREE)
-        _, f = Grooves(there, 0.5, DRAWS).reflected(back)
-        _, g = Grooves(back, 0.5, DRAWS).reflected(there)
-        assert f == approx(g, rel=0.03)  # rare paths, 2^15 of them
 
 
 @functools.cache
@@ -182,62 +166,3 @@ def test_fit_within_a_tenth_on_the_near_side(slope_rms: float, rho: float) -> No
     """At angles up to 60 deg and azimuths up to 90 deg; 5.6 % is the worst that was found."""
     table = excess("fit", rho, slope_rms, (0, 15, 30, 45, 60), AZIMUTHS[AZIMUTHS <= 90])
     assert max(map(abs, table.values())) < 0.10, max(table.items(), key=lambda item: abs(item[1]))
-
-
-#: Excess beyond those limits, at equal angles of incidence and exitance and albedo 0.8:
-#: (model, slope rms, angle, azimuth): excess. The fit is too bright away from the source.
-BEYOND = {
-    ("fit", 0.1, 45, 180): 0.01,
-    ("fit", 0.1, 60, 135): 0.02,
-    ("fit", 0.1, 60, 180): 0.03,
-    ("fit", 0.1, 75, 0): 0.01,
-    ("fit", 0.1, 75, 90): -0.00,
-    ("fit", 0.1, 75, 180): 0.16,
-    ("fit", 0.3, 45, 180): 0.08,
-    ("fit", 0.3, 60, 135): 0.17,
-    ("fit", 0.3, 60, 180): 0.27,
-    ("fit", 0.3, 75, 0): 0.03,
-    ("fit", 0.3, 75, 90): -0.04,
-    ("fit", 0.3, 75, 180): 0.98,
-    ("fit", 0.5, 45, 180): 0.18,
-    ("fit", 0.5, 60, 135): 0.29,
-    ("fit", 0.5, 60, 180): 0.48,
-    ("fit", 0.5, 75, 0): -0.01,
-    ("fit", 0.5, 75, 90): -0.13,
-    ("fit", 0.5, 75, 180): 1.26,
-    ("full", 0.1, 45, 180): -0.02,
-    ("full", 0.1, 60, 135): -0.01,
-    ("full", 0.1, 60, 180): -0.01,
-    ("full", 0.1, 75, 0): 0.01,
-    ("full", 0.1, 75, 90): 0.02,
-    ("full", 0.1, 75, 180): 0.09,
-    ("full", 0.3, 45, 180): -0.07,
-    ("full", 0.3, 60, 135): -0.01,
-    ("full", 0.3, 60, 180): -0.02,
-    ("full", 0.3, 75, 0): 0.03,
-    ("full", 0.3, 75, 90): 0.07,
-    ("full", 0.3, 75, 180): 0.33,
-    ("full", 0.5, 45, 180): -0.07,
-    ("full", 0.5, 60, 135): -0.03,
-    ("full", 0.5, 60, 180): -0.05,
-    ("full", 0.5, 75, 0): -0.01,
-    ("full", 0.5, 75, 90): 0.04,
-    ("full", 0.5, 75, 180): 0.10,
-}
-
-
-@pytest.mark.parametrize("case", BEYOND, ids=str)
-def test_known_excess_beyond(case) -> None:
-    model, slope_rms, angle, azimuth = case
-    (found,) = excess(model, 0.8, slope_rms, (angle,), (azimuth,)).values()
-    assert found == approx(BEYOND[case], abs=0.015)  # Monte Carlo to 1 %, figures rounded
-
-
-def test_fit_over_one_reflection_opposite_the_source() -> None:
-    """At slope 0.5 by 29 %, 75 % and 230 % at 45, 60 and 75 deg, without interreflection."""
-    for angle, expected in ((45, 0.29), (60, 0.75), (75, 2.3)):
-        incident, exitant = direction(angle * DEGREE), direction(angle * DEGREE, math.pi)
-        f = float(OrenNayar(1.0, 0.5).evaluate(incident, exitant, NORMAL))
-        mutual = 0.17 * 0.25 / 0.38 / math.pi * (1 + (2 * angle / 180) ** 2)
-        # figures of two digits from a Monte Carlo run
-        assert (f - mutual) / quadrature(incident, exitant, 0.5) - 1 == approx(expected, rel=0.03)

@@ -1,14 +1,12 @@
 """Height maps: the surface through the samples, and the statistics of random ones."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from nlosoptics import raytrace
 from nlosoptics.errors import SamplingError, SceneError
-from nlosoptics.scene import HeightMapWall, Scene, SumWall, WavyWall
+from nlosoptics.scene import HeightMapWall, WavyWall
 from nlosoptics.scene.walls.height_maps import grid_limits
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "scenes"
@@ -53,19 +51,6 @@ def test_curvature_and_height_bounds_hold():
     low, high, _ = grid_limits(term[0], table)
     assert low <= h[:, 0].min()
     assert h[:, 0].max() <= high
-
-
-def test_rays_meet_a_map_in_a_sum():
-    wave = WavyWall(1e-4, 0.1)
-    wall = SumWall(sampled(wave), WavyWall(5e-4, 0.2, direction=1.0), size=0.3)
-    truth = SumWall(wave, WavyWall(5e-4, 0.2, direction=1.0), size=0.3)
-    draw = np.random.default_rng(4)
-    o = draw.uniform((-0.3, -0.3, 0.5), (0.3, 0.3, 1), (300, 3))
-    d = draw.uniform((-0.1, -0.1, 0), (0.1, 0.1, 0), (300, 3)) - o
-    found, exact = raytrace.intersect(wall, o, d), raytrace.intersect(truth, o, d)
-    assert found.hit.all()
-    # the map's own departure over the cosine
-    np.testing.assert_allclose(found.distance, exact.distance, rtol=0, atol=5e-10)
 
 
 @pytest.mark.parametrize(
@@ -131,31 +116,3 @@ def test_bad_maps_are_refused(tmp_path):
         HeightMapWall(flat, 0.1, size=0.51)
     with pytest.raises(SamplingError, match="below two pitches"):
         HeightMapWall.random(height_rms=1e-6, correlation_length=1e-3, size=0.1, pitch=1e-3)
-
-
-def test_scene_file_holds_the_path_of_a_map(tmp_path):
-    scene = Scene.load(EXAMPLES / "letter_flat.toml")
-    heights = 1e-6 * np.random.default_rng(6).normal(size=(20, 20))
-    np.save(tmp_path / "heights.npy", heights)
-    wall = HeightMapWall(tmp_path / "heights.npy", 0.02, size=0.3)
-    replace(scene, wall=wall).save(tmp_path / "scene.toml")
-    assert 'heights = "heights.npy"' in (tmp_path / "scene.toml").read_text()
-    assert Scene.load(tmp_path / "scene.toml").wall == wall
-    in_memory = HeightMapWall(heights, 0.02)
-    replace(scene, wall=in_memory).save(tmp_path / "other.toml")
-    assert 'heights = "other_wall_heights.npy"' in (tmp_path / "other.toml").read_text()
-    assert Scene.load(tmp_path / "other.toml").wall == in_memory
-
-
-def test_object_behind_a_height_map_is_refused():
-    """A map's height is looked up wherever the object stands."""
-    from dataclasses import replace
-    from pathlib import Path
-
-    from nlosoptics.scene import Scene
-
-    scene = Scene.load(Path(__file__).parents[3] / "examples" / "scenes" / "letter_flat.toml")
-    slab = HeightMapWall(np.full((64, 64), 0.5), 0.03)
-    near = replace(scene.hidden, position=(0.1, 0.0, 0.4), size=0.05)
-    with pytest.raises(SceneError, match=r"behind the wall, whose height there is 0\.5 m"):
-        replace(scene, wall=slab, hidden=near)

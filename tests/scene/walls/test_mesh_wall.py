@@ -7,7 +7,7 @@ from pytest import approx
 from scipy.spatial import Delaunay
 
 from nlosoptics.errors import SceneError
-from nlosoptics.scene import ConcaveWall, FlatWall, MeshWall, WavyWall
+from nlosoptics.scene import ConcaveWall, MeshWall, WavyWall
 
 
 def scattered(wall, n=4000, half=0.5, seed=0):
@@ -55,26 +55,6 @@ def test_surface_is_continuous_with_its_slope():
     assert below[:3] == approx(above[:3], abs=1e-10)
 
 
-def test_files_keep_what_their_precision_holds(tmp_path):
-    """Binary STL holds float32: 1e-8 of a metre."""
-    mesh = ConcaveWall(5.0, size=1.0).to_mesh(max_sag_error=2e-5)
-    mesh.export(tmp_path / "wall.stl")
-    fitted = MeshWall(tmp_path / "wall.stl")
-    assert fitted.size == approx((1.0, 1.0), abs=1e-7)
-    assert float(fitted.height(0.2, 0.1)) == approx(
-        float(ConcaveWall(5.0).height(0.2, 0.1)), abs=2e-8
-    )
-    assert 1e-11 < fitted.fit_residual < 1e-8
-
-
-def test_scale_is_for_files_in_other_units():
-    mesh = ConcaveWall(5.0, size=1.0).to_mesh(max_sag_error=2e-5)
-    mesh.apply_scale(1000.0)
-    assert float(MeshWall(mesh, scale=1e-3).height(0.3, 0.0)) == approx(
-        float(ConcaveWall(5.0).height(0.3, 0.0)), abs=1e-9
-    )
-
-
 def gridded(wall, n, width):
     """Mesh of a wall on a square grid of n by n vertices, each square cut in two."""
     nodes = np.linspace(-width / 2, width / 2, n)
@@ -108,13 +88,6 @@ def test_one_rule_says_what_is_wave_grade():
     assert not wall.wave_grade(0.9999 * limit)
     with pytest.raises(SceneError, match="wavelength = 0"):
         wall.wave_grade(0.0)
-
-
-def test_flat_mesh_is_flat():
-    fitted = MeshWall(scattered(FlatWall(), n=500))
-    assert fitted.mesh_error < 1e-15
-    assert abs(fitted.height([0.1, -0.2], [0.3, 0.0])).max() < 1e-15
-    assert fitted.fit_residual < 1e-15
 
 
 @pytest.mark.parametrize(
