@@ -290,7 +290,7 @@ def test_points_drawn_over_the_area_change_the_noise_alone(monkeypatch):
     sensors = np.array([[-0.2, 0.0, 0.0], [0.25, 0.1, 0.0]])
 
     def run(share):
-        monkeypatch.setattr(multiple_module, "_share", lambda missed: share)
+        monkeypatch.setattr(multiple_module, "_aimed", lambda job: (share, share))
         return multiple_bounces(
             hidden_surfaces(things),
             [0.1, 0.0, 0.0],
