@@ -74,17 +74,15 @@ def _planes(
         away = torch.as_tensor(volume.z[part] - grid.depth, device=device)
         ways = 2 if legs.twice else 1
         path = ways * torch.sqrt(away[:, None, None] ** 2 + up[:, None] ** 2 + across**2)
-        fall = (ways / path) ** ways if legs.falls else 1.0
         lead = None
         if len(legs.far) and not legs.paired:
             lead = torch.linalg.norm(points[part, None] - far[:, None, None], dim=-1)
         for k, wave in enumerate(band.wavenumbers):
-            response = torch.fft.fft2((torch.exp(1j * wave * path) * fall).to(light.dtype))
+            response = torch.fft.fft2(torch.exp(1j * wave * path).to(light.dtype))
             planes = torch.fft.ifft2(light[k] * response[:, None])
             planes = planes[..., y.kept, x.kept]
             if lead is not None:
-                there = torch.exp(1j * wave * lead) * (1.0 / lead if legs.falls else 1.0)
-                planes = planes * there.to(light.dtype)
+                planes = planes * torch.exp(1j * wave * lead).to(light.dtype)
             plane = planes.sum(dim=1)
             for t, time in enumerate(times):
                 fields[t, part] += plane * complex(np.exp(1j * wave * time))

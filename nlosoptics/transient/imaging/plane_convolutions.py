@@ -245,7 +245,7 @@ class Room:
         values = np.empty(shape, dtype=kind)
         ways = 2 if self.legs.twice else 1
         first, step = self.band.wavenumbers[0], self.band.step
-        _phasor_kernels.fill_kernels(across, up, away, ways, self.legs.falls, first, step, values)
+        _phasor_kernels.fill_kernels(across, up, away, ways, first, step, values)
         if self.mirrored:
             # the transform of an even kernel is the cosine transform of one quadrant
             real = values.view(values.real.dtype).reshape(*shape, 2)
@@ -310,7 +310,6 @@ class Room:
             volume.y,
             volume.z[part],
             far,
-            self.legs.falls,
             waves[0],
             self.band.step,
             np.exp(1j * np.outer(times, waves)),
