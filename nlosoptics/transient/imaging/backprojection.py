@@ -99,26 +99,6 @@ def backprojection(
        using ultrafast time-of-flight imaging, Nature Communications 3, 745 (2012).
     .. [2] Laurenzis, Velten, Feature selection and back-projection algorithms for
        non-line-of-sight laser-gated viewing, J. Electron. Imaging 23, 063003 (2014).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from nlosoptics.transient import TransientCapture, Volume, backprojection, wall_grid
-    >>> wall = wall_grid(side=1.0, count=16)
-    >>> laser = np.array([0.0, 0.0, 0.0])
-    >>> target = np.array([0.1, 0.0, 0.6])
-    >>> path = np.linalg.norm(laser - target) + np.linalg.norm(wall - target, axis=-1)
-    >>> capture = TransientCapture(
-    ...     H=np.stack([path // 0.02 == k for k in range(100)]).astype(float),
-    ...     laser_points=laser,
-    ...     sensor_points=wall,
-    ...     delta_t=0.02,
-    ... )
-    >>> volume = Volume.box(centre=(0.0, 0.0, 0.6), size=(0.5, 0.5, 0.3), pitch=0.1)
-    >>> image = backprojection(capture, volume)
-    >>> z, y, x = np.unravel_index(image.intensity.argmax(), volume.shape)
-    >>> print(volume.points[z, y, x].round(3) + 0.0)
-    [0.1 0.  0.6]
     """
     begun = time.perf_counter()
     one_of("filter", filter, ("none", "second_derivative", "laplacian"))
