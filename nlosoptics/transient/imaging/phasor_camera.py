@@ -47,7 +47,6 @@ def phasor_image(
     tol: float = 1e-3,
     method: str = "auto",
     dtype: str = "float64",
-    device: str | None = None,
     progress: Progress | None = None,
 ) -> PhasorImage:
     """Image a hidden volume by phasor fields: a virtual camera in place of the relay wall.
@@ -103,9 +102,6 @@ def phasor_image(
         `Volume.facing` makes such a volume. "auto" selects "fft" if possible and faster.
     dtype : {"float64", "float32"}
         Precision of the transforms; sums of "direct" are always float64.
-    device : str, optional
-        Device on which torch computes the field by "fft", such as "cuda" or "cpu". None: the CPU,
-        without torch.
     progress : callable(str, float), optional
         Called with a line of text and the completed fraction, 0 to 1.
 
@@ -181,7 +177,7 @@ def phasor_image(
     setup = setup.cut(*apertures(setup, aperture))
     first, last, sample = setup.paths(volume, moments)
     notes = _notes(capture, volume, setup, wl_mean, sample)
-    grid, reason = _grid(setup, volume, wl_mean, "fft" if device is not None else method)
+    grid, reason = _grid(setup, volume, wl_mean, method)
     band = pulse_band(capture, wl_mean, float(wl_sigma), (first, last), tol)
     _check_memory(setup, volume, grid, band, moments, dtype)
     paths = volume.points.size / 3 * len(setup.legs.near)
@@ -193,7 +189,7 @@ def phasor_image(
             PerformanceWarning,
             stacklevel=2,
         )
-    field = _carry(capture, volume, setup, grid, band, moments, dtype, device, progress)
+    field = _carry(capture, volume, setup, grid, band, moments, dtype, progress)
     light = (field.real**2 + field.imag**2).max(axis=0)
     return PhasorImage(
         intensity=light,
@@ -207,7 +203,6 @@ def phasor_image(
             "bins": (band.bins.start, band.bins.stop),
             "tol": tol,
             "dtype": dtype,
-            "device": device or "processor",
         },
         field=field[0] if times is None else field,
         camera=camera,
@@ -312,7 +307,6 @@ def _carry(
     band: Band,
     moments: Array,
     dtype: str,
-    device: str | None,
     progress: Progress | None,
 ) -> ComplexArray:
     """Return the field (t, nz, ny, nx), summed over slices of waves to bound the memory."""
@@ -329,10 +323,6 @@ def _carry(
 
         if grid is None:
             field = direct_sum(volume, setup.legs, part, spectra, moments, advance)
-        elif device is not None:
-            from . import _gpu
-
-            field = _gpu.carry(volume, setup.legs, grid, part, spectra, moments, device, advance)
         else:
             field = plane_by_plane(volume, setup.legs, grid, part, spectra, moments, advance)
         total = field if total is None else total + field

@@ -103,11 +103,6 @@ class Axis:
         index = np.arange(size)
         return self.pitch * (np.where(index < self.spans[1], index, index - size) + self.shift)
 
-    @property
-    def kept(self) -> slice:
-        """Elements of the full inverse transform that are voxels."""
-        return slice(0, self.spans[1], self.voxel_step)
-
 
 def lattice(points: Array, volume: Volume, wavelength: float) -> Lattice:
     """Return the common fine grid of wall points and of a volume's planes."""

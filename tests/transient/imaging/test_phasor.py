@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import warnings
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 
 from nlosoptics.errors import (
     MemoryLimitError,
-    MissingExtraError,
     PerformanceWarning,
     SamplingError,
     SceneError,
@@ -388,7 +386,6 @@ def test_share_of_paths_outside_the_bins_is_exact_for_few_voxels():
         (SINGLE, {"aperture": np.ones((6, 6))}, SceneError, "aperture"),
         (SINGLE, {"wl_sigma": 1e-9}, SamplingError, "wl_sigma = 1e-09 m, limit 0.005 m"),
         (SINGLE, {"wl_sigma": 1e12}, MemoryLimitError, "a pulse of wl_sigma"),
-        (SINGLE, {"device": "no such"}, SceneError, "device = 'no such' is not available"),
     ],
 )
 def test_errors_say_what_is_wrong(capture, options, kind, message):
@@ -409,18 +406,6 @@ def test_transforms_refuse_what_is_no_grid():
         quiet(noise_capture(t_start=30.0), uneven, wl_mean=0.3)
     with pytest.raises(SceneError, match="must be above 0"):
         quiet(SINGLE, Volume([0.0], [0.0], [0.0, 0.1]), wl_mean=0.3)
-
-
-@pytest.mark.parametrize("capture", [SINGLE, CONFOCAL, EXHAUSTIVE], ids=["one", "pairs", "all"])
-def test_torch_sums_alike(capture):
-    pytest.importorskip("torch")
-    options = {"wl_mean": 0.3, "method": "fft", "times": [0.0, 0.1]}
-    for volume in (VOLUMES["before"], VOLUMES["between"]):
-        ours = quiet(capture, volume, **options)
-        torchs = quiet(capture, volume, device="cpu", **options)
-        assert relative(torchs.field, ours.field) < 1e-12
-    coarse = quiet(capture, volume, device="cpu", dtype="float32", **options)
-    assert relative(coarse.field, ours.field) < 1e-4
 
 
 @pytest.mark.parametrize("method", ["fft", "direct"])
@@ -469,9 +454,3 @@ def test_what_does_not_fit_is_refused_before_it_is_made():
     axis = 0.1 + 1e-4 * np.arange(20000)
     with pytest.raises(MemoryLimitError, match="ask for fewer voxels or times"):
         quiet(SINGLE, Volume(axis, axis, axis), wl_mean=0.3)
-
-
-def test_a_device_needs_torch(monkeypatch):
-    monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingExtraError, match="device needs torch; install"):
-        quiet(SINGLE, VOLUMES["before"], wl_mean=0.3, device="cpu")
