@@ -335,14 +335,8 @@ def diffuse_background(
     ----------
     scene : Scene
         Scene to image.
-    object_image : array_like, (rows, columns), optional
-        Reflectances, 0 to 1, that replace the image on a planar object, row 0 on top. None: the
-        scene's own.
-    exposure : float, optional
-        Exposure time, s; by default the camera's.
-    shadows : Shadows, optional
-        Result of `cast_shadows` for this scene; what ``object_image`` changes is computed again.
-        None: computed if the scene has occluders.
+    object_image, exposure, shadows
+        As in `form_image`. What ``object_image`` changes in ``shadows`` is computed again.
 
     Returns
     -------

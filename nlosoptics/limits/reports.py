@@ -164,27 +164,7 @@ class Feasibility(Noun, Shown):
 
     def __str__(self) -> str:
         """Return verdict, key figures and the table of frequencies as text."""
-        e, n = self.electrons, self.noise
-        lines = [
-            self.verdict,
-            f"predicted correlation   {self._scores()}",
-            f"photons of the picture  {self.photons:.3g}, brightest pixel "
-            f"{self.brightest:.3g} electrons",
-            f"electrons               signal {e['signal']:.3g}, diffuse {e['diffuse']:.3g}, spot "
-            f"{e['spot']:.3g}, glare {e['glare']:.3g}, dark {e['dark']:.3g}; veil {self.veil:.2g}",
-            f"noise of a pixel        {n['total']:.3g} electrons rms: photons {n['photons']:.3g}, "
-            f"readout {n['readout']:.3g}, speckle {n['speckle']:.3g}",
-            f"modes above noise       {self.modes}, by diffuse light alone {self.diffuse_modes}",
-            f"resolution              {self.limit:.3g} cycles/m; {self._strokes()}",
-        ]
-        for name, bounds in (
-            ("wave, one frame", self.wave_bounds),
-            ("wave, two frames", self.two_frame_bounds),
-        ):
-            if bounds:
-                told = ", ".join(f"Z{index} {value:.2g}" for index, value in bounds.items())
-                lines.append(f"{name:23s} {told} waves rms at least")
-        lines.append(f"wall unknown            {self.blind}")
+        lines = [self.verdict, *(f"{name:23s} {text}" for name, text in self._rows().items())]
         lines += frequency_table.lines(
             self.stroke,
             self.frequency,
@@ -193,35 +173,37 @@ class Feasibility(Noun, Shown):
         )
         return "\n".join(lines)
 
-    def _scores(self) -> str:
-        """Predicted correlations with the image and with the diffuse light, as text."""
-        return (
-            f"{self.score:.3f} +- {self.score_spread:.2g} by the image, {self.relay_score:.3f} by "
-            "diffuse light"
-        )
-
-    def _strokes(self) -> str:
-        """Width of the strokes and the frequency that they need, as text."""
-        if self.stroke <= 0.0:
-            return "the object has no bright strokes"
-        needed = frequency_table.needed(self.stroke)
-        return f"strokes are {1e3 * self.stroke:.3g} mm wide and need {needed:.3g} cycles/m"
+    def _rows(self) -> dict[str, str]:
+        """Return the key figures as text, by name."""
+        e, n = self.electrons, self.noise
+        strokes = "the object has no bright strokes"
+        if self.stroke > 0.0:
+            needed = frequency_table.needed(self.stroke)
+            strokes = f"strokes are {1e3 * self.stroke:.3g} mm wide and need {needed:.3g} cycles/m"
+        rows = {
+            "predicted correlation": f"{self.score:.3f} +- {self.score_spread:.2g} by the image, "
+            f"{self.relay_score:.3f} by diffuse light",
+            "photons of the picture": f"{self.photons:.3g}, brightest pixel "
+            f"{self.brightest:.3g} electrons",
+            "electrons": ", ".join(f"{name} {e[name]:.3g}" for name in e)
+            + f"; veil {self.veil:.2g}",
+            "noise of a pixel": f"{n['total']:.3g} electrons rms: photons {n['photons']:.3g}, "
+            f"readout {n['readout']:.3g}, speckle {n['speckle']:.3g}",
+            "modes above noise": f"{self.modes}, by diffuse light alone {self.diffuse_modes}",
+            "resolution": f"{self.limit:.3g} cycles/m; {strokes}",
+        }
+        for name, bounds in (
+            ("wave, one frame", self.wave_bounds),
+            ("wave, two frames", self.two_frame_bounds),
+        ):
+            if bounds:
+                least = ", ".join(f"Z{index} {value:.2g}" for index, value in bounds.items())
+                rows[name] = f"{least} waves rms at least"
+        return rows | {"wall unknown": self.blind}
 
     def _figures(self) -> Figures:
-        e = self.electrons
-        figures = {
-            "verdict": self.verdict,
-            "predicted correlation": self._scores(),
-            "photons of the picture": f"{self.photons:.3g}",
-            "brightest pixel": f"{self.brightest:.3g} electrons",
-            "veil": f"{100 * self.veil:.2g} % of the light",
-            "electrons": ", ".join(f"{name} {e[name]:.3g}" for name in e),
-            "modes above noise": f"{self.modes}, by diffuse light alone {self.diffuse_modes}",
-            "resolution": f"{self.limit:.3g} cycles/m; {self._strokes()}",
-            "wall unknown": self.blind,
-        }
         alt = "Modulation against frequency on the object, with the noise limit"
-        return Figures("Feasibility", figures, alt)
+        return Figures("Feasibility", {"verdict": self.verdict, **self._rows()}, alt)
 
     def figures(self) -> dict[str, Any]:
         """Return all fields as a dictionary that JSON can express: None for infinity and NaN."""
@@ -300,7 +282,7 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     view = _View(scene)
     modulation, strength = view.modulation(view.frequency), view.strength()
     relay, diffuse = view.relay_modulation(view.frequency), view.diffuse_strength()
-    signal = view.relay_signal()
+    signal = relay_signal(view.coarse, light=view.light, freedom=view.levels.freedom)
     by_diffuse = 0 if signal is None else count_modes(signal)
     case = view.case(by_diffuse, relay_score(scene, signal))
     recoverable, words = verdict(case)
@@ -351,10 +333,13 @@ class _View:
         self.slope = max(scene.mirror_slopes, default=0.0)
         self.transfer = scene_transfer(self._optics) if self.mirror > 0.0 else None
         self._scale = object_scale(scene)
-        self.stroke = self._stroke()
-        self._coarse, self.joined = _coarser(scene, self.stroke, self._scale)
-        self.levels = levels = light_levels(self._coarse)
-        if not isinstance(scene.hidden, PlanarObject):
+        hidden, self.stroke = scene.hidden, 0.0
+        if isinstance(hidden, PlanarObject):
+            texel = hidden.size[0] / hidden.reflectance.shape[1]
+            self.stroke = stroke_width(hidden.reflectance, texel)
+        self.coarse, self.joined = _coarser(scene, self.stroke, self._scale)
+        self.levels = levels = light_levels(self.coarse)
+        if not isinstance(hidden, PlanarObject):
             self.stroke = stroke_width(levels.ideal, self._pixel)
         self._sums()
         top = 0.5 / (scene.camera.image_pitch * self._scale)
@@ -363,17 +348,11 @@ class _View:
     @property
     def _pixel(self) -> float:
         """Side of a joined pixel on the object, m."""
-        return self._coarse.camera.image_pitch * self._scale
-
-    def _stroke(self) -> float:
-        hidden = self._scene.hidden
-        if not isinstance(hidden, PlanarObject):
-            return 0.0
-        return stroke_width(hidden.reflectance, hidden.size[0] / hidden.reflectance.shape[1])
+        return self.coarse.camera.image_pitch * self._scale
 
     def _sums(self) -> None:
         """Compute light, noise and the spectra of the image."""
-        levels, camera = self.levels, self._coarse.camera
+        levels, camera = self.levels, self.coarse.camera
         shape = levels.ideal.shape
         grid = padded(shape)
         u = np.fft.rfftfreq(grid[1], camera.image_pitch).astype(np.float64)
@@ -385,7 +364,7 @@ class _View:
         spectrum = scipy.fft.rfft2(levels.ideal, grid) * passed
         blurred = scipy.fft.irfft2(spectrum, grid)[: shape[0], : shape[1]]
         self.blurred = signal = np.maximum(blurred, 0.0)
-        self._light = light = signal + levels.stray
+        self.light = light = signal + levels.stray
         dark = levels.dark
         self._variance = noise_variance(camera, light, dark, levels.freedom)
         bright = 0.0 if levels.freedom is None else float((light**2).mean()) / levels.freedom
@@ -410,7 +389,7 @@ class _View:
         """Expected fraction of saturated pixels."""
         camera, levels = self._scene.camera, self.levels
         well = camera.full_well * camera.binning**2
-        light = self._light + levels.dark
+        light = self.light + levels.dark
         if self.joined == 1 or self.electrons["spot"] == 0.0:
             return float((light >= well * self.joined).mean())
         # the spot's image is narrower than joined pixels
@@ -463,10 +442,6 @@ class _View:
         image = self.modulation(frequency) * self.strength()
         relay = self.relay_modulation(frequency) * self.diffuse_strength()
         return first_crossing(frequency, np.maximum(image, relay))
-
-    def relay_signal(self) -> Array | None:
-        """Signal-to-noise ratios of the object's cells in the diffuse light."""
-        return relay_signal(self._coarse, light=self._light, freedom=self.levels.freedom)
 
     def case(self, diffuse_modes: int, by_diffuse: float) -> Case:
         """Inputs of the verdict."""

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..psf import Wavefront, fit_zernike
 from ..psf.aperture.quadrature_nodes import gauss_legendre
-from ..psf.wave.zernikes import zernike, zernike_order
+from ..psf.wave.zernikes import zernike
 from .modulation import Picture
 
 Array = NDArray[np.float64]
@@ -61,79 +60,31 @@ def wave_bounds(
         j: c for j, c in fit_zernike(wave, 28).items() if abs(c) > 1e-4 * wave.wavelength
     }
     separations = frequencies / per_separation / radius
-    steps, overlap = _steps(separations, {*coefficients, *modes, 2, 3, 4})
+    x, y, overlap = (part[:, None] for part in _overlaps(separations))
+    # ends of pairs of pupil points, (radii, angles, nodes), at each separation
+    half = separations[:, None, None] / 2
+    ends = [
+        (np.hypot(x + s * half, y), np.arctan2(y, x + s * half) + angles[:, None]) for s in (1, -1)
+    ]
+    steps = {
+        j: zernike(j, *ends[0]) - zernike(j, *ends[1]) for j in {*coefficients, *modes, 2, 3, 4}
+    }
     along, across = (frequencies[:, None] * f(angles) * pitch for f in (np.cos, np.sin))
     passed = lobe[:, None] * np.sinc(along) * np.sinc(across)
-    waves = sum(c * steps[j].at(angles) for j, c in coefficients.items())
-    phase = waves * (2 * math.pi / wave.wavelength)
-    defocused = 2 * math.pi * steps[4].at(angles)
+    phase = sum(c * steps[j] for j, c in coefficients.items()) * (2 * math.pi / wave.wavelength)
     weight = area * power / (picture.noise.variance * math.prod(picture.grid))
-    moved = [steps[j] for j in (*modes, 2, 3)]
-    first, second = (
-        np.stack([getattr(s, end) for s in moved], axis=1) for end in ("first", "second")
-    )
-    turns = np.outer([step.order for step in moved], angles)[:, None]
-    information, found = np.zeros((len(modes), len(modes))), []
+    moved = np.stack(np.broadcast_arrays(*(steps[j] for j in (*modes, 2, 3))))
+    information, bounds = np.zeros((len(modes), len(modes))), []
     for extra in defocus:
-        turn = phase + extra * defocused
+        light = overlap * np.exp(1j * (phase + 2 * math.pi * extra * steps[4]))
         # a shift of the phase by a coefficient multiplies the sum's terms by i times its step
-        even, odd = (overlap[:, None] * f(turn) for f in (np.cos, np.sin))
-        real, imaginary = (
-            2
-            * math.pi
-            * sum(
-                f(turns) * np.moveaxis(part_of @ np.swapaxes(part, 1, 2), 1, 0)
-                for f, part_of in ((np.cos, first), (np.sin, second))
-            )
-            for part in (-odd, even)
-        )
-        derivatives = np.concatenate([real + 1j * imaginary, [(even + 1j * odd).sum(axis=-1)]])
+        changes = 2j * math.pi * np.einsum("kran,ran->kra", moved, light)
+        derivatives = np.concatenate([changes, [light.sum(axis=-1)]])
         derivatives *= passed
         full = np.einsum("r,kra,lra->kl", weight, derivatives.conj(), derivatives).real
         information += _reduced(full, len(modes))
-        found.append(dict(zip(modes, _bounds(information), strict=True)))
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """Difference ``cos(m a) first + sin(m a) second`` of a Zernike polynomial at angles ``a``.
-
-    ``first`` and ``second`` are (radii, nodes), and ``order`` is m.
-    """
-
-    order: int
-    first: Array
-    second: Array
-
-    def at(self, angles: Array) -> Array:
-        """Return the differences at some angles, (radii, angles, nodes)."""
-        cosine, sine = (f(self.order * angles)[:, None] for f in (np.cos, np.sin))
-        return self.first[:, None] * cosine + self.second[:, None] * sine
-
-
-def _steps(separations: Array, indices: Iterable[int]) -> tuple[dict[int, _Step], Array]:
-    """Return differences of Zernike polynomials between pairs of pupil points, and weights.
-
-    The pairs are the points of the pupils' overlap for each separation. ``separations`` are in
-    pupil radii, below 2. The differences are keyed by Noll index; the weights (radii, nodes) hold
-    for all angles.
-    """
-    x, y, weights = _overlaps(separations)
-    half = separations[:, None] / 2
-    ends = [(np.hypot(x + s * half, y), np.arctan2(y, x + s * half)) for s in (1, -1)]
-
-    def difference(index: int, turn: float) -> Array:
-        (r, at), (other, there) = ends
-        return zernike(index, r, at + turn) - zernike(index, other, there + turn)
-
-    found = {}
-    for j in indices:
-        m = abs(zernike_order(j)[1])
-        # cos(m (t + a)) is a sum of cos(m t) and of cos(m (t + pi/2m)) = -sin(m t)
-        second = difference(j, math.pi / (2 * m)) if m else np.zeros_like(x)
-        found[j] = _Step(m, difference(j, 0.0), second)
-    return found, weights
+        bounds.append(dict(zip(modes, _bounds(information), strict=True)))
+    return bounds
 
 
 def _overlaps(separations: Array) -> tuple[Array, Array, Array]:

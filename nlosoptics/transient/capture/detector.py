@@ -116,17 +116,6 @@ class Detector:
                 )
             put(self, "gate", (opens, closes))
 
-    @property
-    def mean_delay(self) -> float:
-        """Mean time from the arrival of a photon to its time stamp, m of optical path."""
-        return self.tail_share * self.tail
-
-    @property
-    def spread(self) -> float:
-        """Standard deviation of the error of a time stamp, m of optical path."""
-        tail = self.tail_share * (2.0 - self.tail_share) * self.tail**2
-        return math.sqrt(self.jitter**2 + tail)
-
     def expected(self, capture: TransientCapture) -> Array:
         """Return the expected counts in every bin, without photon noise.
 

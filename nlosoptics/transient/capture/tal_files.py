@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..._checks import path_of, reason, whole
 from ..._whole_files import whole_files
 from ...errors import SamplingError, SceneError
-from .reading import Values, array, number, triple, upright
+from .layouts import Values, array, number, triple, upright
 
 Array = NDArray[Any]
 

@@ -23,13 +23,13 @@ def distance(a, b):
 
 
 @njit(cache=True)
-def add_path(path, amplitude, first, step, spectrum, field):
-    """Add spectrum[j] * amplitude exp(i k path) to ``field[j]``, for k = first + j step.
+def add_path(path, first, step, spectrum, field):
+    """Add spectrum[j] * exp(i k path) to ``field[j]``, for k = first + j step.
 
     Four wavenumbers advance in parallel, which avoids a chain of dependent products.
     """
     turn = complex(math.cos(step * path), math.sin(step * path))
-    one = amplitude * complex(math.cos(first * path), math.sin(first * path))
+    one = complex(math.cos(first * path), math.sin(first * path))
     two = one * turn
     turn *= turn
     three, four = one * turn, two * turn
@@ -54,12 +54,12 @@ def add_path(path, amplitude, first, step, spectrum, field):
 
 
 @threaded()
-def direct_sum(voxels, near, far, legs, falls, first, step, spectrum, turns, fields):
+def direct_sum(voxels, near, far, legs, first, step, spectrum, turns, fields):
     """Fill ``fields`` (times, voxels) with sums of spectrum[j, i, k] exp(i k (path + t)).
 
     The sum runs over points j, i and wavenumbers k. ``legs`` defines the path; ALONE:
-    |x - near_i|; ALL: |x - far_j| + |x - near_i|; PAIRED: |x - far_i| + |x - near_i|. With
-    ``falls``, each term is divided by the length of each leg. ``turns`` (times, k) is exp(i k t).
+    |x - near_i|; ALL: |x - far_j| + |x - near_i|; PAIRED: |x - far_i| + |x - near_i|.
+    ``turns`` (times, k) is exp(i k t).
     """
     n_far = far.shape[0] if legs == ALL else 1
     for v in prange(voxels.shape[0]):
@@ -70,10 +70,7 @@ def direct_sum(voxels, near, far, legs, falls, first, step, spectrum, turns, fie
                 leg = distance(voxels[v], near[i])
                 if legs == PAIRED:
                     lead = distance(voxels[v], far[i])
-                amplitude = 1.0
-                if falls:
-                    amplitude = 1.0 / leg if legs == ALONE else 1.0 / (leg * lead)
-                add_path(leg + lead, amplitude, first, step, spectrum[j, i], field)
+                add_path(leg + lead, first, step, spectrum[j, i], field)
         for t in range(turns.shape[0]):
             total = 0j
             for k in range(len(field)):
@@ -82,8 +79,8 @@ def direct_sum(voxels, near, far, legs, falls, first, step, spectrum, turns, fie
 
 
 @njit(cache=True, nogil=True)
-def fill_kernels(across, up, away, ways, falls, first, step, kernels):
-    """Fill ``kernels`` (k, z, y, x) with exp(i ways k r), divided by r^ways if ``falls``.
+def fill_kernels(across, up, away, ways, first, step, kernels):
+    """Fill ``kernels`` (k, z, y, x) with exp(i ways k r).
 
     r is the length of the vector (across[x], up[y], away[z]), m. Each wavenumber follows from the
     one before by a factor exp(i step ways r).
@@ -94,8 +91,7 @@ def fill_kernels(across, up, away, ways, falls, first, step, kernels):
         z, y = flat // len(up), flat % len(up)
         for x in range(len(across)):
             path = ways * math.sqrt(across[x] ** 2 + up[y] ** 2 + away[z] ** 2)
-            amplitude = (ways / path) ** ways if falls else 1.0
-            values[x] = amplitude * complex(math.cos(first * path), math.sin(first * path))
+            values[x] = complex(math.cos(first * path), math.sin(first * path))
             turns[x] = complex(math.cos(step * path), math.sin(step * path))
         for k in range(kernels.shape[0]):
             for x in range(len(across)):
@@ -159,11 +155,11 @@ def sum_waves(spectra, kernels, products):
 
 
 @njit(cache=True, nogil=True)
-def add_waves(fields, xs, ys, zs, far, falls, first, step, turns, total):
+def add_waves(fields, xs, ys, zs, far, first, step, turns, total):
     """Add the sum over k of fields[k] turns[t, k] exp(i k r) to ``total`` (t, z, y, x).
 
     Wavenumbers are k = first + j step. r is the distance of a voxel from the point ``far`` (1, 3),
-    m, and 0 if ``far`` is empty. With ``falls``, terms are divided by r.
+    m, and 0 if ``far`` is empty.
     """
     legs = far.shape[0] > 0
     for flat in range(len(zs) * len(ys)):
@@ -174,8 +170,7 @@ def add_waves(fields, xs, ys, zs, far, falls, first, step, turns, total):
             square = (ys[y] - far[0, 1]) ** 2 + (zs[z] - far[0, 2]) ** 2
             for x in range(len(xs)):
                 leg = math.sqrt((xs[x] - far[0, 0]) ** 2 + square)
-                amplitude = 1.0 / leg if falls else 1.0
-                values[x] = amplitude * complex(math.cos(first * leg), math.sin(first * leg))
+                values[x] = complex(math.cos(first * leg), math.sin(first * leg))
                 steps[x] = complex(math.cos(step * leg), math.sin(step * leg))
         for k in range(fields.shape[0]):
             for t in range(total.shape[0]):

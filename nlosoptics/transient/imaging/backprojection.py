@@ -15,7 +15,7 @@ from ...errors import SamplingError, SceneError
 from ..capture.capture import TransientCapture
 from ..capture.preprocessing import outer_legs
 from .confocal_grids import refuse_direct_light
-from .volume import Volume, VolumeImage, axes_before
+from .volume import Volume, VolumeImage
 
 Array = NDArray[np.floating]
 Filter = Literal["none", "second_derivative", "laplacian"]
@@ -27,7 +27,7 @@ POWERS: Final = {"none": 0, "matched": -2, "diffuse": 2, "retroreflective": 1}
 
 def backprojection(
     capture: TransientCapture,
-    volume: Volume | None = None,
+    volume: Volume,
     *,
     filter: Filter = "none",
     width: float | None = None,
@@ -46,11 +46,8 @@ def backprojection(
         Capture of any pairing and grid, without light that goes directly from the laser spot to the
         sensor. Its times may or may not include the outer legs: the paths from laser to wall and
         from wall to sensor.
-    volume : Volume, optional
-        Voxels in front of the wall. None: x and y are those of the sensor points, and z the depths
-        of the bins (half their optical path). Planes so deep that some of their voxels might have
-        no path within the bins are left out. This default requires an evenly spaced grid of sensor
-        points [y, x] and times without outer legs.
+    volume : Volume
+        Voxels in front of the wall; `Volume.facing` puts one column before each wall point.
     filter : {"none", "second_derivative", "laplacian"}
         Filter that sharpens the sums, applied after a Gaussian blur. "second_derivative":
         ``-d^2/dz^2``. "laplacian": minus the Laplacian over all axes with at least 3 voxels.
@@ -102,33 +99,12 @@ def backprojection(
        using ultrafast time-of-flight imaging, Nature Communications 3, 745 (2012).
     .. [2] Laurenzis, Velten, Feature selection and back-projection algorithms for
        non-line-of-sight laser-gated viewing, J. Electron. Imaging 23, 063003 (2014).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from nlosoptics.transient import TransientCapture, Volume, backprojection, wall_grid
-    >>> wall = wall_grid(side=1.0, count=16)
-    >>> laser = np.array([0.0, 0.0, 0.0])
-    >>> target = np.array([0.1, 0.0, 0.6])
-    >>> path = np.linalg.norm(laser - target) + np.linalg.norm(wall - target, axis=-1)
-    >>> capture = TransientCapture(
-    ...     H=np.stack([path // 0.02 == k for k in range(100)]).astype(float),
-    ...     laser_points=laser,
-    ...     sensor_points=wall,
-    ...     delta_t=0.02,
-    ... )
-    >>> volume = Volume.box(centre=(0.0, 0.0, 0.6), size=(0.5, 0.5, 0.3), pitch=0.1)
-    >>> image = backprojection(capture, volume)
-    >>> z, y, x = np.unravel_index(image.intensity.argmax(), volume.shape)
-    >>> print(volume.points[z, y, x].round(3) + 0.0)
-    [0.1 0.  0.6]
     """
     begun = time.perf_counter()
     one_of("filter", filter, ("none", "second_derivative", "laplacian"))
     one_of("falloff", falloff, POWERS)
     if filter == "none" and width is not None:
         raise SceneError("width is for a filter, but filter = 'none'; omit width or give a filter")
-    volume = _own_volume(capture) if volume is None else volume
     volume.check_before_wall()
     if filter != "none":
         pitch = volume.z[1] - volume.z[0] if len(volume.z) > 2 else 0.0
@@ -161,35 +137,6 @@ def backprojection(
         seconds=time.perf_counter() - begun,
         details=details,
     )
-
-
-def _own_volume(capture: TransientCapture) -> Volume:
-    points = capture.sensor_points
-    if points.ndim != 3 or capture.outer_legs:
-        raise SamplingError(
-            f"sensor points {capture.sensor_shape} with outer_legs = {capture.outer_legs} define "
-            "no default volume, which needs a grid (ny, nx) and no outer legs; give volume"
-        )
-    depths = 0.5 * capture.times
-    # at depth z, the longest of the shortest paths is z + sqrt(z^2 + farthest^2), for the sensor
-    # point that is farthest from all laser points
-    end, farthest = float(capture.edges[-1]), 0.0
-    if capture.pairing == "confocal":
-        apart = np.linalg.norm(capture.laser_points - points, axis=-1)
-        farthest = float(apart.max())
-    else:
-        from scipy.spatial import cKDTree
-
-        nearest = cKDTree(capture.laser_points.reshape(-1, 3)).query(points.reshape(-1, 3))[0]
-        farthest = float(np.max(nearest))
-    last = 0.5 * (end - farthest**2 / end) if end > 0.0 else 0.0
-    depths = depths[(depths > 0.0) & (depths <= last)]
-    if not len(depths):
-        raise SamplingError(
-            f"bins up to {end:g} m of optical path cover no complete plane in front of the wall "
-            "points; give volume, or capture more bins"
-        )
-    return Volume(*axes_before(points), depths)
 
 
 def _sums(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import is_single, positive, vector, whole
+from ..._checks import positive, whole
 from ...errors import SamplingError, SceneError
 from ..capture.capture import TransientCapture
 from ..capture.preprocessing import outer_legs
@@ -81,28 +81,22 @@ class Setup:
     grid: Array  # (..., 3), m: ``legs.near`` in the shape of its grid
     # (m, n): index of the capture's pair that far point j and near point i form
     columns: NDArray[np.intp]
-    # (m, n), m: known path lengths in addition to the legs to a voxel. These are the outer legs
-    # and, for a projector, the leg from each laser point to its focus
-    given: Array
+    given: Array  # (m, n), m: outer legs, in addition to the legs to a voxel
     # (n,): near points within the aperture; the spectra of others are set to 0
     used: NDArray[np.bool_]
     # Kind of the near and of the far points, ("sensor", "laser") or ("laser", "sensor")
     sides: tuple[str, str]
-    # (m, 3), m: points by which the light is focused, even if their legs are part of ``given``
-    far_points: Array
+    far_points: Array  # (m, 3), m: points from which the light comes
     far_shape: tuple[int, ...] = ()  # Shape of the grid of ``far_points``
-    # Whether the legs of the far points are part of ``given``. Their spectra are then summed
-    merged: bool = False
 
     def cut(self, near: NDArray[np.bool_], far: NDArray[np.bool_]) -> Setup:
         """Return the setup without unused far points and with ``near`` as its used near points."""
         keep = np.flatnonzero(far)
         if len(keep) == len(far):
             return replace(self, used=near)
-        legs = self.legs if self.merged else replace(self.legs, far=self.legs.far[keep])
         return replace(
             self,
-            legs=legs,
+            legs=replace(self.legs, far=self.legs.far[keep]),
             columns=self.columns[keep],
             given=self.given[keep],
             far_points=self.far_points[keep],
@@ -145,27 +139,20 @@ class Setup:
         return np.asarray(paths[..., None] + moments)
 
 
-def camera_setup(
-    capture: TransientCapture, camera: str, laser: Any, focus: Any, falls: bool
-) -> Setup:
+def camera_setup(capture: TransientCapture, camera: str, laser: int | None) -> Setup:
     """Assign laser and sensor points to a virtual camera."""
     lasers, sensors = capture.laser_points.reshape(-1, 3), capture.sensor_points.reshape(-1, 3)
     outer = outer_legs(capture)
-    if camera != "projector_camera" and focus is not None:
-        raise SceneError(
-            f"projector_focus is for camera = 'projector_camera', not {camera!r}; omit it"
-        )
     if camera != "transient" and laser is not None:
         raise SceneError(f"laser is for camera = 'transient', not {camera!r}; omit it")
     if capture.pairing == "confocal":
-        if camera in ("transient", "projector_camera"):
+        if camera == "transient":
             raise SamplingError(
                 f"camera = {camera!r} needs a laser point observed at many sensor points, but this "
                 "capture has pairs; give camera = 'confocal_time_gated'"
             )
-        legs = Legs(near=sensors, far=lasers, paired=True, falls=falls)
         return Setup(
-            legs=legs,
+            legs=Legs(near=sensors, far=lasers, paired=True),
             grid=capture.sensor_points,
             columns=np.arange(len(sensors))[None],
             given=outer.reshape(1, -1),
@@ -176,30 +163,24 @@ def camera_setup(
     columns = np.arange(len(lasers) * len(sensors)).reshape(len(lasers), len(sensors))
     outer = outer.reshape(columns.shape)
     grid, sides, far_shape = capture.sensor_points, ("sensor", "laser"), capture.laser_shape
-    # by reciprocity, one sensor with many lasers equals one laser with many sensors
-    if len(sensors) == 1 and len(lasers) > 1 and camera in ("confocal_time_gated", "direct_light"):
-        lasers, sensors, columns, outer = sensors, lasers, columns.T, outer.T
-        grid, sides, far_shape = capture.laser_points, ("laser", "sensor"), ()
-    far: Array = lasers
-    merged = False
+    far: Array
     if camera == "transient":
-        row = _laser_index(capture, laser)
+        if laser is None and len(lasers) > 1:
+            raise SceneError(
+                f"camera = 'transient' needs laser for a capture of {len(lasers)} laser points; "
+                "give the index of one of them"
+            )
+        row = whole("laser", 0 if laser is None else laser, 0, len(lasers) - 1)
         lasers, columns, outer = lasers[[row]], columns[[row]], outer[[row]]
         far, far_shape = np.empty((0, 3)), ()
-    elif camera == "projector_camera":
-        if min(len(lasers), len(sensors)) < 2:
-            raise SamplingError(
-                f"camera = 'projector_camera' needs several laser and several sensor points, this "
-                f"capture has {len(lasers)} and {len(sensors)}; give another camera"
-            )
-        if focus is None:
-            raise SceneError(
-                "camera = 'projector_camera' needs projector_focus; give (x, y, z) in m"
-            )
-        lead = np.linalg.norm(lasers - np.asarray(vector("projector_focus", focus)), axis=-1)
-        outer, far, merged = outer + lead[:, None], np.empty((0, 3)), True
+    # by reciprocity, one sensor with many lasers equals one laser with many sensors
+    elif len(sensors) == 1 and len(lasers) > 1:
+        lasers, sensors, columns, outer = sensors, lasers, columns.T, outer.T
+        far, grid, sides, far_shape = lasers, capture.laser_points, ("laser", "sensor"), ()
+    else:
+        far = lasers
     return Setup(
-        legs=Legs(near=sensors, far=far, falls=falls),
+        legs=Legs(near=sensors, far=far),
         grid=grid,
         columns=columns,
         given=outer,
@@ -207,31 +188,7 @@ def camera_setup(
         sides=sides,
         far_points=lasers,
         far_shape=far_shape,
-        merged=merged,
     )
-
-
-def _laser_index(capture: TransientCapture, laser: Any) -> int:
-    shape = capture.laser_shape
-    count = int(np.prod(shape, dtype=int))
-    if laser is None:
-        if count == 1:
-            return 0
-        raise SceneError(
-            f"camera = 'transient' needs laser for a capture of {count} laser points; give the "
-            "index of one of them"
-        )
-    if is_single(laser):
-        return whole("laser", laser, 0, count - 1)
-    if len(laser) != len(shape):
-        raise SceneError(
-            f"laser has {len(laser)} indices, must be {len(shape)} for laser points of shape "
-            f"{shape}; give one index per axis"
-        )
-    index = tuple(
-        whole(f"laser[{i}]", v, 0, n - 1) for i, (v, n) in enumerate(zip(laser, shape, strict=True))
-    )
-    return int(np.ravel_multi_index(index, shape)) if index else 0
 
 
 def apertures(setup: Setup, aperture: Any) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

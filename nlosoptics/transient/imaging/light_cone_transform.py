@@ -75,7 +75,7 @@ def lct(
 
     See Also
     --------
-    fk_migration : Wave-based reconstruction without regularisation.
+    fk_migration : Wave-based reconstruction without regularisation, called in the same way.
     backprojection : For any pairing and any grid.
 
     Notes
@@ -90,25 +90,6 @@ def lct(
     ----------
     .. [1] O'Toole, Lindell, Wetzstein, Confocal non-line-of-sight imaging based on the light-cone
        transform, Nature 555, 338 (2018).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from nlosoptics.transient import TransientCapture, Volume, lct, wall_grid
-    >>> wall = wall_grid(side=1.0, count=16)
-    >>> path = 2 * np.linalg.norm(wall - (0.1, 0.0, 0.6), axis=-1)  # echo of one point
-    >>> capture = TransientCapture(
-    ...     H=np.stack([path // 0.02 == k for k in range(80)]).astype(float),
-    ...     laser_points=wall,
-    ...     sensor_points=wall,
-    ...     delta_t=0.02,
-    ...     pairing="confocal",
-    ... )
-    >>> volume = Volume.box(centre=(0.0, 0.0, 0.6), size=(0.5, 0.5, 0.3), pitch=0.1)
-    >>> image = lct(capture, volume)
-    >>> z, y, x = np.unravel_index(image.intensity.argmax(), volume.shape)
-    >>> print(volume.points[z, y, x].round(3) + 0.0)
-    [0.1 0.  0.6]
     """
     begun = time.perf_counter()
     one_of("target", target, FALLOFF)

@@ -42,14 +42,11 @@ def phasor_image(
     wl_mean: float,
     wl_sigma: float | None = None,
     times: ArrayLike | None = None,
-    laser: int | tuple[int, ...] | None = None,
-    projector_focus: ArrayLike | None = None,
+    laser: int | None = None,
     aperture: float | None = None,
-    weight: str = "unit",
     tol: float = 1e-3,
     method: str = "auto",
     dtype: str = "float64",
-    device: str | None = None,
     progress: Progress | None = None,
 ) -> PhasorImage:
     """Image a hidden volume by phasor fields: a virtual camera in place of the relay wall.
@@ -69,8 +66,6 @@ def phasor_image(
       x, is in focus. It equals "confocal_time_gated" with ``times=None``.
     - "transient": ``sum_s (H_ls * K)(|x-s| + t)`` for one laser point l. A camera focused on x
       films a pulse that leaves l at t = 0.
-    - "projector_camera": ``sum_ls (H_ls * K)(|p-l| + |x-s| + t)``. The pulse is focused on a
-      point p, where it arrives at t = 0; the camera is focused on x.
 
     Parameters
     ----------
@@ -80,8 +75,8 @@ def phasor_image(
         ``sensor_origin``.
     volume : Volume
         Voxels to image, in front of the wall, z > 0.
-    camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
-        Virtual camera, one of the four described at the beginning.
+    camera : {"confocal_time_gated", "transient", "direct_light"}
+        Virtual camera, one of the three described at the beginning.
     wl_mean : float
         Wavelength of the virtual wave, m; at least twice the spacing of the wall points (four times
         in confocal captures).
@@ -90,16 +85,12 @@ def phasor_image(
     times : array_like, optional
         Times t of the field, (n_times,), m of optical path. Required for "transient", not accepted
         for "direct_light". None: t = 0 alone.
-    laser : int or tuple of int, optional
-        Index of the laser point l for "transient"; required if there are several.
-    projector_focus : array_like of 3 floats, optional
-        Point p for "projector_camera", world frame, m; required there.
+    laser : int, optional
+        Index of the laser point l for "transient", counted over the rows of a grid; required if
+        there are several.
     aperture : float, optional
         Part of the wall that is used: side of a square about the centre of the laser points and of
         the sensor points, m. None: all points. A single laser or sensor point is always used.
-    weight : {"unit", "inverse"}
-        Weight of each path. "unit": 1. "inverse": 1/r for each straight part of the path between
-        the wall and a hidden point, of length r, as in the Rayleigh-Sommerfeld integral.
     tol : float
         Largest error of the computed pulse, relative to the peak of K, 1e-14 to 0.1. The pulse is
         computed as a sum of harmonic waves of different wavelengths. Their number, and with it the
@@ -111,9 +102,6 @@ def phasor_image(
         `Volume.facing` makes such a volume. "auto" selects "fft" if possible and faster.
     dtype : {"float64", "float32"}
         Precision of the transforms; sums of "direct" are always float64.
-    device : str, optional
-        Device on which torch computes the field by "fft", such as "cuda" or "cpu". None: the CPU,
-        without torch.
     progress : callable(str, float), optional
         Called with a line of text and the completed fraction, 0 to 1.
 
@@ -149,15 +137,13 @@ def phasor_image(
 
     Notes
     -----
-    The cameras follow [1]_, the projector follows [2]_. The falloff of the real light with distance
-    and its cosines are not compensated.
+    The cameras follow [1]_, where paths have equal weights, since 1/r varies little over the wall.
+    The falloff of the real light with distance and its cosines are not compensated.
 
     References
     ----------
     .. [1] Liu et al., Non-line-of-sight imaging using phasor-field virtual wave optics, Nature 572,
        620 (2019).
-    .. [2] Marco et al., Virtual light transport matrices for non-line-of-sight imaging, ICCV
-       (2021).
 
     Examples
     --------
@@ -182,17 +168,16 @@ def phasor_image(
     one_of("camera", camera, get_args(Camera))
     one_of("method", method, ("auto", "fft", "direct"))
     one_of("dtype", dtype, ("float64", "float32"))
-    one_of("weight", weight, ("unit", "inverse"))
     wl_mean = positive("wl_mean", wl_mean, unit="m")
     wl_sigma = wl_mean / np.sqrt(2.0) if wl_sigma is None else positive("wl_sigma", wl_sigma)
     tol = in_range("tol", tol, 1e-14, 0.1)
     volume.check_before_wall()
     moments = _times(camera, times)
-    setup = camera_setup(capture, camera, laser, projector_focus, weight == "inverse")
+    setup = camera_setup(capture, camera, laser)
     setup = setup.cut(*apertures(setup, aperture))
     first, last, sample = setup.paths(volume, moments)
     notes = _notes(capture, volume, setup, wl_mean, sample)
-    grid, reason = _grid(setup, volume, wl_mean, "fft" if device is not None else method)
+    grid, reason = _grid(setup, volume, wl_mean, method)
     band = pulse_band(capture, wl_mean, float(wl_sigma), (first, last), tol)
     _check_memory(setup, volume, grid, band, moments, dtype)
     paths = volume.points.size / 3 * len(setup.legs.near)
@@ -204,7 +189,7 @@ def phasor_image(
             PerformanceWarning,
             stacklevel=2,
         )
-    field = _carry(capture, volume, setup, grid, band, moments, dtype, device, progress)
+    field = _carry(capture, volume, setup, grid, band, moments, dtype, progress)
     light = (field.real**2 + field.imag**2).max(axis=0)
     return PhasorImage(
         intensity=light,
@@ -218,8 +203,6 @@ def phasor_image(
             "bins": (band.bins.start, band.bins.stop),
             "tol": tol,
             "dtype": dtype,
-            "device": device or "processor",
-            "weight": weight,
         },
         field=field[0] if times is None else field,
         camera=camera,
@@ -324,7 +307,6 @@ def _carry(
     band: Band,
     moments: Array,
     dtype: str,
-    device: str | None,
     progress: Progress | None,
 ) -> ComplexArray:
     """Return the field (t, nz, ny, nx), summed over slices of waves to bound the memory."""
@@ -341,10 +323,6 @@ def _carry(
 
         if grid is None:
             field = direct_sum(volume, setup.legs, part, spectra, moments, advance)
-        elif device is not None:
-            from . import _gpu
-
-            field = _gpu.carry(volume, setup.legs, grid, part, spectra, moments, device, advance)
         else:
             field = plane_by_plane(volume, setup.legs, grid, part, spectra, moments, advance)
         total = field if total is None else total + field
@@ -353,9 +331,9 @@ def _carry(
 
 
 def _spectra(capture: TransientCapture, setup: Setup, band: Band, dtype: str) -> ComplexArray:
-    """Return the spectra (n, m, points); m = 1 if far legs are known, so that spectra add up."""
+    """Return the spectra (n, m, points) of m far points."""
     columns, given = setup.columns, setup.given
     light = responses(capture, band, columns.ravel(), given.ravel(), dtype)
     light = light.reshape(len(light), *columns.shape)
     light[:, :, ~setup.used] = 0.0
-    return light.sum(axis=1, keepdims=True) if setup.merged else light
+    return light

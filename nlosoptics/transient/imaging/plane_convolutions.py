@@ -103,11 +103,6 @@ class Axis:
         index = np.arange(size)
         return self.pitch * (np.where(index < self.spans[1], index, index - size) + self.shift)
 
-    @property
-    def kept(self) -> slice:
-        """Elements of the full inverse transform that are voxels."""
-        return slice(0, self.spans[1], self.voxel_step)
-
 
 def lattice(points: Array, volume: Volume, wavelength: float) -> Lattice:
     """Return the common fine grid of wall points and of a volume's planes."""
@@ -245,7 +240,7 @@ class Room:
         values = np.empty(shape, dtype=kind)
         ways = 2 if self.legs.twice else 1
         first, step = self.band.wavenumbers[0], self.band.step
-        _phasor_kernels.fill_kernels(across, up, away, ways, self.legs.falls, first, step, values)
+        _phasor_kernels.fill_kernels(across, up, away, ways, first, step, values)
         if self.mirrored:
             # the transform of an even kernel is the cosine transform of one quadrant
             real = values.view(values.real.dtype).reshape(*shape, 2)
@@ -310,7 +305,6 @@ class Room:
             volume.y,
             volume.z[part],
             far,
-            self.legs.falls,
             waves[0],
             self.band.step,
             np.exp(1j * np.outer(times, waves)),

@@ -5,8 +5,8 @@ The field of a wave with wavenumber k at a voxel x is the Rayleigh-Sommerfeld su
     F_k(x) = sum_ji s_k[j, i] exp(i k (|x - far_j| + |x - near_i|)),
 
 without the far leg if the illumination is not focused. The sign of the phase propagates back in
-time, from the wall to the origin of the light. Paths have equal weights (Liu et al., Nature 572,
-620 (2019), drop 1/r because it varies little over the wall), or 1/r for each leg.
+time, from the wall to the origin of the light. Paths have equal weights: Liu et al., Nature 572,
+620 (2019), drop 1/r because it varies little over the wall.
 """
 
 from __future__ import annotations
@@ -37,7 +37,6 @@ class Legs:
     far: Array  # (m, 3), m: points of the focused illumination; (0, 3) if paths have one leg only
     # Whether far point i belongs to near point i only, instead of to all near points
     paired: bool = False
-    falls: bool = False  # Whether each leg contributes a factor 1/length
 
     @property
     def twice(self) -> bool:
@@ -64,7 +63,7 @@ def direct_sum(
     for part in blocks(len(voxels), max(1, int(STEP // last.size))):
         out = np.empty((len(times), part.stop - part.start), dtype=np.complex128)
         kernels.direct_sum(
-            voxels[part], legs.near, far, kind, legs.falls, waves[0], band.step, last, turns, out
+            voxels[part], legs.near, far, kind, waves[0], band.step, last, turns, out
         )
         fields[:, part] = out
         advance(part.stop / len(voxels))

@@ -315,7 +315,7 @@ def _axis(name: str, values: ArrayLike) -> Array:
 
 
 ComplexArray = NDArray[np.complexfloating]
-Camera = Literal["confocal_time_gated", "transient", "direct_light", "projector_camera"]
+Camera = Literal["confocal_time_gated", "transient", "direct_light"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -331,8 +331,8 @@ class PhasorImage(VolumeImage):
     field : ndarray
         Complex field of the virtual wave: (n_times, nz, ny, nx) if times were given, else
         (nz, ny, nx). Its unit is that of ``TransientCapture.H``, the signal of the capture in each
-        bin, unless `phasor_image` was called with ``weight="inverse"``.
-    camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
+        bin.
+    camera : {"confocal_time_gated", "transient", "direct_light"}
         Virtual camera, see `phasor_image`.
     wl_mean, wl_sigma : float
         Wavelength of the virtual wave, and standard deviation of its Gaussian pulse, m.

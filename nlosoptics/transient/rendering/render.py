@@ -313,23 +313,18 @@ def _check_light(
     span: tuple[float, float],
 ) -> None:
     """Raise if no light returns to the wall, or none within the bins."""
-    held = "" if not setting.legs.any() else " (times include the outer legs)"
-    if three is None:
-        raise SamplingError(
-            f"no light of {bounces[0]} to {bounces[1]} bounces arrives in the bins, which hold "
-            f"paths from {span[0]:g} to {span[1]:g} m{held}; change t_start or n_bins, raise "
-            "n_rays, or add a second surface, for example by wall_size"
-        )
-    if three.G.any():
+    if three is not None and three.G.any():
         return
-    early, late = bool(three.before.any()), bool(three.after.any())
-    if not (early or late):
+    if three is not None and not (three.before.any() or three.after.any()):
         raise SceneError(
             "no light returns: every triangle is hidden or seen edge-on from the wall points, or "
             "has a material of albedo 0; rotate or move the surfaces"
         )
-    when = "before and after" if early and late else "before" if early else "after"
+    legs = " (times include the outer legs)" if setting.legs.any() else ""
+    when, more = "", ", raise n_rays, or add a second surface, for example by wall_size"
+    if three is not None:
+        when, more = f" (all arrives {'before' if three.before.any() else 'after'} them)", ""
     raise SamplingError(
-        f"all light arrives {when} the bins, which hold paths from {span[0]:g} to {span[1]:g} m"
-        f"{held}; change t_start or n_bins"
+        f"no light of {bounces[0]} to {bounces[1]} bounces arrives in the bins{when}, which hold "
+        f"paths from {span[0]:g} to {span[1]:g} m{legs}; change t_start or n_bins{more}"
     )

@@ -20,8 +20,6 @@ Index = NDArray[np.int64]
 ASKED = 8000
 #: Largest number of parts of the surface for one pair of points.
 MOST_PARTS = 20_000_000
-#: Number of blocks of pairs that threads share, and largest number of pairs at a time.
-BLOCKS, MOST_PAIRS = 64, 1 << 16
 #: Largest tables of visibility that are kept: triangles times points, and polygons of partly
 #: visible triangles, which take 256 bytes each.
 MOST_SIGHTS, MOST_KEPT = 1 << 26, 1 << 20
@@ -87,11 +85,10 @@ def three_bounces(
     if not shared:
         lights, sight = lights[:1], np.zeros_like(sight)
     known = _sights(mesh, clear, lights, shared and not clear.all())
-    # few pairs at first, so that an unreachable tol is reported early
-    first, step = 0, 64
-    while first < count:
+    step = min(64 + count // 50, 1 << 16)
+    for first in range(0, count, step):
         part = slice(first, min(first + step, count))
-        blocks = np.unique(np.linspace(0, part.stop - first, BLOCKS + 1).astype(np.int64))
+        blocks = np.unique(np.linspace(0, part.stop - first, 65).astype(np.int64))  # of threads
         kernels.three_bounces(
             mesh,
             clear,
@@ -115,7 +112,6 @@ def three_bounces(
                 f"three bounces: {part.stop} of {counted(count, 'pair')} of points",
                 part.stop / count,
             )
-        first, step = part.stop, min(4 * step, MOST_PAIRS if progress is None else count // 50 + 64)
     return ThreeBounces(
         out[:, 1:-1],
         out[:, 0],

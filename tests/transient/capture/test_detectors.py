@@ -39,16 +39,18 @@ def moments(capture, counts):
     ],
 )
 def test_response_keeps_counts_mean_and_variance(detector):
+    share, tail = detector.tail_share, detector.tail
     light = spike()
     after = detector.expected(light)
     # 8 standard deviations and 33 tails leave out 1e-14
     assert after.sum() == pytest.approx(1.0, abs=5e-14)
     assert not after[:, 1].any()
     mean, variance = moments(light, after[:, 0])
-    assert mean - light.times[200] == pytest.approx(detector.mean_delay, abs=1e-11)
+    assert mean - light.times[200] == pytest.approx(share * tail, abs=1e-11)
     # a photon r bins past a middle is stamped there or one later, which adds r (1 - r) steps
     # squared: 0 to 1/4, and 1/6 on average where errors are smooth over bins
-    added = (variance - detector.spread**2) / STEP**2
+    spread_sq = detector.jitter**2 + share * (2.0 - share) * tail**2
+    added = (variance - spread_sq) / STEP**2
     assert 0.0 < added < 0.25
     if detector.jitter > 2 * STEP:
         assert added == pytest.approx(1 / 6, abs=1e-7)

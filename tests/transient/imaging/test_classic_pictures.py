@@ -403,40 +403,20 @@ def test_what_transforms_refuse(method, given, volume, kind, words):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("lasers", ["one", "grid"])
-def test_backprojection_has_a_volume_of_its_own(lasers):
-    """A voxel before each sensor point, as deep as the last bin reaches from all of a plane."""
-    laser = (0.4, 0.3, 0.0)
-    H, options = np.zeros((80, COUNT, COUNT)), {"delta_t": 0.025}
-    H[60:] = 1.0  # after the direct light
-    if lasers == "grid":
-        own = backprojection(capture(H, **options)).volume
-        assert own.z[-1] == pytest.approx(0.5 * (2.0 - 0.0125))  # the last bin's middle
-        return
-    own = backprojection(capture(H, laser_points=laser, pairing="all", **options)).volume
-    far = math.hypot(0.5 - 0.5 * PITCH + 0.4, 0.5 - 0.5 * PITCH + 0.3)
-    path = own.z[-1] + math.hypot(own.z[-1], far)
-    assert path <= 2.0 < path + 0.025 * 2
-    assert own.x == pytest.approx(GRID[0, :, 0])
-
-
 def test_what_backprojection_refuses():
     light = capture(point_light(POINT))
     with pytest.raises(SamplingError, match=r"depths 1\.6 to 2 m have no path"):
         backprojection(light, Volume([0.0], [0.0], np.linspace(1.0, 2.0, 21)))
     with pytest.raises(SceneError, match="lit point itself"):
-        backprojection(direct())
+        backprojection(direct(), Volume([0.0], [0.0], [0.7, 0.8]))
     with pytest.raises(SamplingError, match="at least 3 voxels"):
         backprojection(light, Volume([0.0], [0.0], [1.0]), filter="laplacian")
     with pytest.raises(SceneError, match="sharpen"):
-        backprojection(light, filter="sharpen")
+        backprojection(light, Volume([0.0], [0.0], [1.0]), filter="sharpen")
     with pytest.raises(SceneError, match="width is for a filter"):
-        backprojection(light, width=0.02)
+        backprojection(light, Volume([0.0], [0.0], [1.0]), width=0.02)
     with pytest.raises(SceneError, match=r"volume\.z begins at 0 m, must be above 0"):
         backprojection(light, Volume([0.0], [0.0], [0.0, 1.0]), falloff="matched")
-    with pytest.raises(SamplingError, match="define no default volume"):
-        backprojection(replace(light, sensor_origin=(0, 0, 1), laser_origin=(0, 0, 1),
-                               outer_legs=True))  # fmt: skip
     with pytest.raises(SceneError, match="snr"):
         lct(light, snr=0.0)
     with pytest.raises(SceneError, match="target"):

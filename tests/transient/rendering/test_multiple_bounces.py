@@ -70,6 +70,7 @@ def by_quadrature(materials, edges):
     return bins
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "materials",
     [
@@ -208,6 +209,7 @@ def analog(laser, sensors, n, edges, seed):
     return {k: (v.mean(axis=0), v.std(axis=0) / np.sqrt(15)) for k, v in sums.items()}
 
 
+@pytest.mark.thorough
 def test_connections_are_unbiased_against_an_analog_walk():
     sensors = POINTS.reshape(-1, 3)
     laser = np.array([0.05, -0.1, 0.0])
@@ -237,6 +239,7 @@ def test_connections_are_unbiased_against_an_analog_walk():
         assert light.sum() == pytest.approx(mean.sum(), rel=0.04)
 
 
+@pytest.mark.thorough
 def test_light_goes_either_way():
     hidden = hidden_surfaces(CORRIDOR)
     options = {
@@ -263,6 +266,7 @@ def test_light_goes_either_way():
         assert (((a - c)[lit] / noise[lit]) ** 2).mean() < 2.5
 
 
+@pytest.mark.thorough
 def test_standard_errors_are_those_of_other_seeds():
     hidden = hidden_surfaces(CORRIDOR)
     runs = [
@@ -280,6 +284,7 @@ def test_standard_errors_are_those_of_other_seeds():
         assert 0.6 < ratio.mean() < 1.5
 
 
+@pytest.mark.thorough
 def test_points_drawn_over_the_area_change_the_noise_alone(monkeypatch):
     # a fin that wall points see from either side, between two plates
     things = [
@@ -290,7 +295,7 @@ def test_points_drawn_over_the_area_change_the_noise_alone(monkeypatch):
     sensors = np.array([[-0.2, 0.0, 0.0], [0.25, 0.1, 0.0]])
 
     def run(share):
-        monkeypatch.setattr(multiple_module, "_share", lambda missed: share)
+        monkeypatch.setattr(multiple_module, "_aimed", lambda job: (share, share))
         return multiple_bounces(
             hidden_surfaces(things),
             [0.1, 0.0, 0.0],
@@ -440,6 +445,7 @@ def test_render_keeps_bounces_apart():
     np.testing.assert_allclose(capture.standard_error, 0.64 * error, rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_further_bounces_alone_are_those_of_all():
     setting = {
         "laser_points": LASER,

@@ -412,6 +412,7 @@ def test_one_clear_line(surfaces, changes, kind, words):
     assert "\n" not in str(raised.value)
 
 
+@pytest.mark.thorough
 def test_a_wall_may_touch_the_relay_wall():
     """A floor from the wall into the room: no bound is met where no point lies on it."""
     floor = mesh([[-1, -1, 0], [1, -1, 0], [1, -1, 3], [-1, -1, 3]], [[0, 1, 2], [0, 2, 3]])
