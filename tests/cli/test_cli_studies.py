@@ -149,7 +149,7 @@ def test_saltelli_draws_are_plotted_as_sobol_indices(study: Path, capsys, monkey
     monkeypatch.setattr(
         "nlosoptics.views.studies.tornado", lambda found, label: seen.append((found, label)) or 1
     )
-    monkeypatch.setattr(views, "save", lambda axes, out: None)
+    monkeypatch.setattr("nlosoptics.views.save", lambda axes, out: None)
     assert call(capsys, "study", "plot", "powers.zarr", "power")[0] == 0
     ((found, label),) = seen
     assert label == "power"

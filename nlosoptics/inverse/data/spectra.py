@@ -47,7 +47,7 @@ def frame_transfer(transfer: NDArray[np.complex128], model: ForwardModel) -> NDA
         wrapped = np.zeros((length, kernel.shape[1 - axis]))
         np.add.at(wrapped, offsets, np.moveaxis(kernel, axis, 0))
         kernel = np.moveaxis(wrapped, 0, axis)
-    return np.asarray(rfft2(kernel))
+    return np.asarray(scipy.fft.rfft2(kernel))
 
 
 def half_weights(shape: tuple[int, ...]) -> Array:

@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import in_range, positive
 from ...scene import Scene
 from ...scene.parts._material import MirrorLobe
 from ..aperture.aperture import Aperture

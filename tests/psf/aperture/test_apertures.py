@@ -12,8 +12,6 @@ from nlosoptics.psf.transform import quadrature
 from nlosoptics.psf.wave.detilted import split
 from nlosoptics.psf.window.window import Window
 
-from ..spherical_waves import spherical_waves
-
 WAVELENGTH, DISTANCE = 632.8e-9, 50e-3
 SYSTEM = {"wavelength": WAVELENGTH, "image_distance": DISTANCE}
 MM = 1e-3

@@ -13,8 +13,6 @@ from nlosoptics import psf
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.psf.wave.detilted import split
 
-from ..spherical_waves import spherical_waves
-
 WAVELENGTH = 500e-9
 #: F/200: spheres differ from paraxial ones by 1/(16 N^2), 2e-6 of the defocus.
 SLOW = {"wavelength": WAVELENGTH, "pupil_radius": 0.25, "image_distance": 100.0}

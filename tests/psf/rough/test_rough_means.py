@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from nlosoptics.psf.rough._spline_kernels import spline_filter, spline_values
 from pytest import approx
 from scipy import signal
 

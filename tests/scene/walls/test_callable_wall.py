@@ -8,7 +8,7 @@ import pytest
 
 from nlosoptics import raytrace
 from nlosoptics.errors import SceneError
-from nlosoptics.psf.pupil.wall_wavefront import aim, path_difference
+from nlosoptics.psf.pupil.wall_wavefront import aim
 from nlosoptics.scene import CallableWall, ConvexWall, WavyWall
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "scenes"
