@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 
-from . import records
 from .chromium import page
 
 __all__ = ["page"]
@@ -31,36 +30,9 @@ gc.set_threshold(200_000)
 FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    """``--record`` writes the results of tests that compare with a record."""
-    choices, told = ("new", "common"), "write results on record: new ones, or strike out others"
-    parser.addoption("--record", choices=choices, help=told)
-
-
 def pytest_collection_finish() -> None:
     """Exempt tests and libraries from the search for garbage, because they stay until the end."""
     gc.freeze()
-
-
-@pytest.fixture
-def on_record(request: pytest.FixtureRequest) -> Iterator[Callable[..., None]]:
-    """``on_record(result, tolerance)``: a test's result is that in the record of its file.
-
-    So is the memory that its calls state to need. The limits do not depend on the machine.
-    """
-    from nlosoptics._checks import Budget, within
-
-    file, record = request.path.with_suffix(".json"), request.config.getoption("record")
-    limit = _Limit(2.0**33)
-
-    def check(result: Any, tolerance: float = records.TOLERANCE) -> None:
-        name = request.node.name
-        records.check(file, name, result, limit.seen, tolerance=tolerance, record=record)
-
-    if record:
-        records.clear_caches()
-    with within(Budget(memory=limit, seconds=60.0)):
-        yield check
 
 
 @pytest.fixture(scope="session", autouse=True)

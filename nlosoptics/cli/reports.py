@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from .._whole_files import RECORD, write_whole
+from .._whole_files import RECORD, sweep, write_whole
 from ..runs.record import PAGE, record_text
 from .shell import Debug, app, check_file, errors_told, progress_bar
 
@@ -42,6 +42,8 @@ def report_command(
             raise typer.BadParameter(
                 f"{file} does not end in .html; give a name that does", param_hint="--out"
             )
+        if not folder.exists():
+            sweep(folder)  # a killed command may have moved it aside
         read_record(folder)  # check the input before the output path
         check_file(file)
         with progress_bar() as progress:

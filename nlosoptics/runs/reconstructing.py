@@ -9,10 +9,10 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,19 +22,19 @@ from numpy.typing import NDArray
 from .._checks import counted
 from .._progress import Progress
 from .._random import checked_seed
-from .._whole_files import RECORD, whole_folder
+from .._whole_files import RECORD, whole_folder, write_whole
 from ..errors import SamplingError, SceneError
 from ..imaging import CameraImage, ForwardModel, camera_image
 from ..psf import PointSpreadField, SceneOptics
 from ..scene import Scene
 from .noise import camera_noise
 from .plan import plan
-from .record import arrays, now, scene_hash, versions
+from .record import arrays, now, record_text, scene_hash, versions, write_record
 from .simulate import image_model, image_spreads
 from .veil import fitted_veil
 
 if TYPE_CHECKING:
-    from ..inverse import CnnBaseline, Reconstruction
+    from ..inverse import Reconstruction
     from ..inverse.data.checkpoints import Snapshot
 
 Array = NDArray[np.float64]
@@ -45,24 +45,18 @@ KNOWN = {
     "wiener": "wiener",
     "inverse_filter": "inverse_filter",
     "richardson_lucy": "richardson_lucy",
-    "deep_image_prior": "deep_image_prior",
     "phase_retrieval": "phase_retrieval",
 }
 #: Those that need a single point spread.
 SINGLE = ("inverse_filter", "phase_retrieval")
 #: Recipes of `inverse.pcin`, which fit the wall's wave as well as the object.
 BLIND = ("evidence", "wu2024")
-CNN = "cnn"
-METHODS = (*KNOWN, CNN, *BLIND)
+METHODS = (*KNOWN, *BLIND)
 #: Noll indices of the wave modes that a blind method fits: radial orders 2 to 5.
 MODES = tuple(range(4, 22))
 #: Parameters with more values than this are saved in the arrays, not in ``result.json``.
 MOST_VALUES = 200
 CHECKPOINT, PREVIEW = "checkpoint.npz", "preview.png"
-STATE = (CHECKPOINT, PREVIEW)
-FILES = ("object.npy", "object.png", "reconstruction.npz")
-KEPT_EVERY = 5.0  # s between two saved states
-LEAST_WITHIN = 0.5  # least fraction of the point spread's energy inside the image frame
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -76,16 +70,14 @@ class Task:
     images : tuple of CameraImage
         One image, or several for the methods "evidence" and "wu2024", which also fit the wall.
     method : str
-        Name of the solver: "tv", "wiener", "inverse_filter", "richardson_lucy", "deep_image_prior",
-        "phase_retrieval", "cnn", "evidence" or "wu2024".
+        Name of the solver: "tv", "wiener", "inverse_filter", "richardson_lucy", "phase_retrieval",
+        "evidence" or "wu2024".
     defocus : tuple of float
         Known additional defocus of each image, waves rms; empty if the wall is known.
-    network : inverse.CnnBaseline or None
-        Trained network of the method "cnn".
     iterations : int or None
         Maximum number of iterations; None for the method's default.
     seed : int
-        Seed of the random numbers.
+        Seed of the random numbers, 0 to 2^64 - 1.
     tol : float
         Error tolerance of the point spread function, max |dI|/max I, with I the intensity.
     """
@@ -94,7 +86,6 @@ class Task:
     images: tuple[CameraImage, ...]
     method: str
     defocus: tuple[float, ...] = ()
-    network: CnnBaseline | None = None
     iterations: int | None = None
     seed: int = 0
     tol: float = 1e-3
@@ -117,7 +108,6 @@ def prepared(
     flat: Path | None = None,
     full: float | None = None,
     defocus: Sequence[float] = (),
-    network: Path | None = None,
     iterations: int | None = None,
     seed: int = 0,
     tol: float = 1e-3,
@@ -126,21 +116,17 @@ def prepared(
 
     Parameters
     ----------
-    scene : Scene
-        Scene in which the images were taken.
+    scene, method, defocus, iterations, seed, tol
+        See `Task`.
     paths : sequence of Path
         Image files. Most methods average them as exposures of the same scene. The methods
         "evidence" and "wu2024", which also fit the wall, need the ``defocus`` of each file.
-    method : str
-        Name of the solver, see `Task`.
     dark, flat : Path, optional
         Files of the dark frame and the flat field, see `imaging.camera_image`.
     full : float, optional
         Count at which a pixel is saturated; by default the largest of the file's type.
     defocus : sequence of float
         Known additional defocus of each image, waves rms; for "evidence" and "wu2024" only.
-    network : Path, optional
-        File of the trained network; required by the method "cnn", invalid otherwise.
     iterations : int, optional
         Maximum number of iterations; by default the method's own.
     seed : int
@@ -184,37 +170,21 @@ def prepared(
             f"{len(paths)} images without defocus, but {method} needs the known defocus of each; "
             "give it, for example 0 and 0.5 waves rms, or average images of the same focus to one"
         )
-    if iterations is not None and method in (CNN, "inverse_filter"):
+    if iterations is not None and method == "inverse_filter":
         raise SceneError(f"iterations is given, but {method} does not iterate; leave it out")
-    loaded = _network(method, network)
     groups: list[Sequence[Path]] = [[path] for path in paths] if blind else [paths]
-    images = tuple(
-        camera_image(group, shape=scene.camera.shape, dark=dark, flat=flat, full=full)
-        for group in groups
-    )
     return Task(
         scene=scene,
-        images=images,
+        images=tuple(
+            camera_image(group, shape=scene.camera.shape, dark=dark, flat=flat, full=full)
+            for group in groups
+        ),
         method=method,
         defocus=tuple(defocus),
-        network=loaded,
         iterations=iterations,
         seed=seed,
         tol=tol,
     )
-
-
-def _network(method: str, path: Path | None) -> CnnBaseline | None:
-    """Load the trained network if the method is "cnn"; reject one for any other method."""
-    if path is None and method == CNN:
-        raise SceneError("cnn needs a trained network; name a file written by nlosoptics train")
-    if path is not None and method != CNN:
-        raise SceneError(f"network is given, but {method} uses none; leave it out")
-    if path is None:
-        return None
-    from ..inverse import CnnBaseline
-
-    return CnnBaseline.load(path)
 
 
 def reconstructed(
@@ -245,33 +215,35 @@ def reconstructed(
     """
     from .. import inverse
 
+    options: dict[str, Any] = {"seed": task.seed, "start": start, "progress": progress}
+    if task.iterations is not None:
+        options["max_iterations"] = task.iterations
     if task.method in BLIND:
-        return _blind(task, start, progress)
-    network = task.network
-    solver = getattr(inverse, KNOWN[task.method]) if network is None else network.reconstruct
+        return _blind(task, options)
     (image,) = task.images
     model = model or known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
     noise = camera_noise(task.scene, image, model)
     veil = None
     if task.method != "phase_retrieval":  # which has no use for it
         veil = fitted_veil(task.scene, image.values, model, noise_sigma=noise)
-    full = image.saturated if image.saturated.any() else None  # None: its level is searched for
+    saturated = image.saturated if image.saturated.any() else None  # None: its level is searched
     measured = inverse.Measurement(
-        image.values, noise_sigma=noise, saturated=full, background_shape=veil
+        image.values, noise_sigma=noise, saturated=saturated, background_shape=veil
     )
-    offered = _taken(solver, task.method, _always(task, start, progress))
-    found: Reconstruction = solver(measured, model, **offered)
-    return found
+    solver = getattr(inverse, KNOWN[task.method])
+    accepted = inspect.signature(solver).parameters
+    if start is not None and "start" not in accepted:
+        raise SceneError(f"{task.method} cannot resume from a saved state; run without --resume")
+    options = {name: value for name, value in options.items() if name in accepted}
+    result: Reconstruction = solver(measured, model, **options)
+    return result
 
 
-def _blind(
-    task: Task, start: Mapping[str, Any] | None, progress: Progress | None
-) -> Reconstruction:
+def _blind(task: Task, options: dict[str, Any]) -> Reconstruction:
     """Fit object and wave together to frames with known defocus."""
     from .. import inverse
 
     scene = task.scene
-    offered = _always(task, start, progress)
     masked = np.stack([image.masked for image in task.images])
     if masked.any() and task.method == "wu2024":
         raise SceneError(
@@ -286,27 +258,9 @@ def _blind(
         pixel_integrated=True,
     )
     if task.defocus:
-        offered["defocus"] = np.array(task.defocus) * scene.laser.wavelength
+        options["defocus"] = np.array(task.defocus) * scene.laser.wavelength
     measured = inverse.Measurement(np.stack([image.values for image in task.images]), masked=masked)
-    return inverse.pcin(measured, pupil, recipe=task.method, **offered)
-
-
-def _always(
-    task: Task, start: Mapping[str, Any] | None, progress: Progress | None
-) -> dict[str, Any]:
-    """Options common to all methods."""
-    offered: dict[str, Any] = {"seed": task.seed, "start": start, "progress": progress}
-    if task.iterations is not None:
-        offered["max_iterations"] = task.iterations
-    return offered
-
-
-def _taken(solver: Any, method: str, offered: dict[str, Any]) -> dict[str, Any]:
-    """Select those options that the solver's signature accepts."""
-    known = inspect.signature(solver).parameters
-    if offered.get("start") is not None and "start" not in known:
-        raise SceneError(f"{method} cannot resume from a saved state; run it without --resume")
-    return {name: value for name, value in offered.items() if name in known}
+    return inverse.pcin(measured, pupil, recipe=task.method, **options)
 
 
 def known_model(scene: Scene, *, tol: float = 1e-3, mean: bool = False) -> ForwardModel:
@@ -350,11 +304,11 @@ def known_model(scene: Scene, *, tol: float = 1e-3, mean: bool = False) -> Forwa
         slice(max(0, n // 2 - m // 2), n // 2 - m // 2 + m)
         for n, m in zip(spread.shape, shape, strict=True)
     )
-    within = float(spread[middle].sum())
-    if within < LEAST_WITHIN:
+    within, least = float(spread[middle].sum()), 0.5
+    if within < least:
         raise SamplingError(
             f"an image of {shape[1]} x {shape[0]} pixels holds {100 * within:.2g} % of the point "
-            f"spread's energy, must be at least {100 * LEAST_WITHIN:g} %: the blur is larger than "
+            f"spread's energy, must be at least {100 * least:g} %: the blur is larger than "
             "the image; read more pixels, or focus better"
         )
     return image_model(scene, spreads, mean=mean)
@@ -394,8 +348,9 @@ def carry_out(
     from ..inverse import Stop
 
     started = time.perf_counter()
+    stop = interrupted or (lambda: False)
     identity = f"{scene_hash(task.scene)} {task.identity()}"
-    start = kept_state(folder, identity) if resume else None
+    start = _saved_state(folder, identity) if resume else None
     report = {
         "program": "nlosoptics",
         "command": "reconstruct",
@@ -412,109 +367,78 @@ def carry_out(
         if progress is not None:
             progress("point spread", 0.0)
         model = known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
-    if interrupted is not None and interrupted():
+    if stop():
         raise KeyboardInterrupt
-    with whole_folder(folder) as new:
-        drafts = new.parent
-        _announce(report, folder, drafts)
-        keeper = Keeper(folder, drafts, identity, progress, interrupted)
-        try:
-            found = reconstructed(task, model=model, start=start, progress=keeper)
-        except Stop:
-            raise KeyboardInterrupt from None  # this solver ends without a result
-        picture = np.asarray(found.object)
-        np.save(new / "object.npy", picture)
-        write_picture(new / "object.png", picture)
-        np.savez(new / "reconstruction.npz", **arrays(found))
-        gain = float(found.physical_parameters.get("gain", 1.0))
-        keeper.finish(new, {"object": picture * gain})
-        report["status"] = "interrupted" if keeper.stopped else "done"
-        report["finished"] = now()
-        report["figures"] = _figures(task, found)
-        report["seconds"] = {"solver": found.seconds, "total": time.perf_counter() - started}
-        report["files"] = sorted({*FILES, *STATE, RECORD})
-        write_text(new / RECORD, report)
-    return report
-
-
-def _announce(report: Mapping[str, Any], folder: Path, drafts: Path) -> None:
-    """Record that a folder gets a state: by a report, or in the list of files of an old result.
-
-    The old result stays as it is until the new one is complete.
-    """
-    begun = drafts / "begun"
-    begun.mkdir()
+    keeper = _Keeper(folder, identity, report, progress, stop)
     try:
-        old = json.loads((folder / RECORD).read_bytes())
-        files = {*old["files"], *STATE, RECORD}
-    except (OSError, ValueError, KeyError, TypeError):
-        old, files = {"status": "running"}, {*STATE, RECORD}
-    told = report if old.get("status") == "running" else old
-    write_text(begun / RECORD, {**told, "files": sorted(files)})
-    if folder.exists():
-        (begun / RECORD).replace(folder / RECORD)
-    else:
-        begun.rename(folder)
-
-
-def _figures(task: Task, found: Reconstruction) -> dict[str, Any]:
-    """Key figures of a reconstruction for ``result.json``."""
-    settled = {
-        name: _plain(np.asarray(value))
-        for name, value in found.physical_parameters.items()
-        if np.size(value) <= MOST_VALUES
+        result = reconstructed(task, model=model, start=start, progress=keeper)
+    except Stop:
+        raise KeyboardInterrupt from None  # this solver ends without a result
+    picture = np.asarray(result.object)
+    report |= {
+        "status": "interrupted" if keeper.stopped else "done",
+        "finished": now(),
+        "figures": _figures(task, result),
+        "seconds": {"solver": result.seconds, "total": time.perf_counter() - started},
     }
-    records = [len(record) for record in found.history.values()]
+    if not keeper.stopped:
+        gain = float(result.physical_parameters.get("gain", 1.0))
+        keeper.state = {"object": picture * gain}
+    with whole_folder(folder) as new:
+        np.save(new / "object.npy", picture)
+        (new / "object.png").write_bytes(_png(picture))
+        np.savez(new / "reconstruction.npz", **arrays(result))
+        for name, content in keeper.files().items():
+            (new / name).write_bytes(content)
+        return write_record(report, new)
+
+
+def _figures(task: Task, result: Reconstruction) -> dict[str, Any]:
+    """Key figures of a reconstruction for ``result.json``."""
     return {
         "method": task.method,
-        "reconstruction_status": found.status,
-        "reconstruction_score": found.score,
-        "reconstruction_reasons": list(found.reasons),
-        "iterations": max(records, default=0),
-        "physical_parameters": settled,
+        "reconstruction_status": result.status,
+        "reconstruction_score": result.score,
+        "reconstruction_reasons": list(result.reasons),
+        "iterations": max((len(values) for values in result.history.values()), default=0),
+        # larger ones are in the arrays
+        "physical_parameters": {
+            name: _finite(np.asarray(value))
+            for name, value in result.physical_parameters.items()
+            if np.size(value) <= 200
+        },
         "image_shape": list(task.images[0].values.shape),
         "saturated_fraction": max(image.saturated_fraction for image in task.images),
         "masked_fraction": max(float(image.masked.mean()) for image in task.images),
     }
 
 
-def _plain(values: NDArray[Any]) -> Any:
+def _finite(values: NDArray[Any]) -> Any:
     """Convert values for JSON; values that are not finite become null."""
-    told: Any = values.tolist()
-    if values.dtype.kind != "f" or np.isfinite(values).all():
-        return told
-    return None if values.ndim == 0 else [_plain(np.asarray(value)) for value in told]
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        return None if values.ndim == 0 else [_finite(np.asarray(part)) for part in values]
+    return values.tolist()
 
 
-class Keeper:
-    """Progress callback for solvers that saves state and preview every `KEPT_EVERY` seconds.
+class _Keeper:
+    """Progress callback of solvers that saves the state of the fit every five seconds.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder for the state and the preview.
-    drafts : Path
-        Folder on the same disk, in which both are written before they are put in place.
-    identity : str
-        Hash of the task and its scene, saved with the state.
-    progress : callable(str, float), optional
-        Receives the solver's text and the completed fraction.
-    interrupted : callable, optional
-        Returns True once the fit is to end.
+    ``report`` becomes the record of the folder, unless it holds an older result. That stays as it
+    is until the fit has ended.
     """
 
     def __init__(
         self,
         folder: Path,
-        drafts: Path,
         identity: str,
-        progress: Progress | None = None,
-        interrupted: Callable[[], bool] | None = None,
+        report: dict[str, Any],
+        progress: Progress | None,
+        stop: Callable[[], bool],
     ) -> None:
-        self._folder, self._drafts, self._identity = folder, drafts, identity
-        self._progress, self._interrupted = progress, interrupted
+        self._folder, self._identity, self._report = folder, identity, report
+        self._progress, self._stop = progress, stop
         self._last = time.monotonic()
-        self._state: Mapping[str, Array] | None = None
+        self.state: Mapping[str, Array] = {}
         self._unseen = 0  # reports since the last look
         self.stopped = False
 
@@ -526,37 +450,42 @@ class Keeper:
             self._progress(text, fraction)
         # two calls without `look` in between: this solver offers no state, so stop without one
         self._unseen += 1
-        if self._unseen > 1 and self._interrupted is not None and self._interrupted():
+        if self._unseen > 1 and self._stop():
             raise Stop
 
     def look(self, snapshot: Snapshot) -> None:
-        """Save the state if `KEPT_EVERY` seconds have passed or the fit is to end."""
+        """Save the state if it is old or the fit is to end."""
         from ..inverse import Stop
 
         self._unseen = 0
-        ends = self._interrupted is not None and self._interrupted()
-        if ends or time.monotonic() - self._last >= KEPT_EVERY:
-            self._state = snapshot()
-            self._keep(self._drafts, self._state)
-            for name in STATE:
-                (self._drafts / name).replace(self._folder / name)
+        self.stopped = self._stop()
+        if self.stopped or time.monotonic() - self._last >= 5.0:
+            self.state = snapshot()
+            self._save()
             self._last = time.monotonic()
-        if ends:
-            self.stopped = True
+        if self.stopped:
             raise Stop
 
-    def finish(self, folder: Path, state: Mapping[str, Array]) -> None:
-        """Save the final state to a folder: the last one of an interrupted fit, else ``state``."""
-        self._keep(folder, self._state if self.stopped and self._state is not None else state)
+    def files(self) -> dict[str, bytes]:
+        """Return the contents of the state and its preview, by file name."""
+        stream = BytesIO()
+        np.savez(stream, identity=np.array(self._identity), **self.state)  # type: ignore[arg-type]
+        return {CHECKPOINT: stream.getvalue(), PREVIEW: _png(self.state["object"])}
 
-    def _keep(self, folder: Path, state: Mapping[str, Array]) -> None:
-        """Write state and preview to a folder."""
-        held = {"identity": np.array(self._identity), **state}
-        np.savez(folder / CHECKPOINT, **held)  # type: ignore[arg-type]
-        write_picture(folder / PREVIEW, state["object"])
+    def _save(self) -> None:
+        """Write the state to the folder, and list its files there first."""
+        own = self._folder / RECORD
+        try:
+            record = json.loads(own.read_bytes())
+            listed = {*record["files"], RECORD, CHECKPOINT, PREVIEW}
+        except (OSError, ValueError, KeyError, TypeError):
+            record, listed = self._report, {RECORD, CHECKPOINT, PREVIEW}
+        self._folder.mkdir(exist_ok=True)
+        contents = {self._folder / name: content for name, content in self.files().items()}
+        write_whole({own: record_text({**record, "files": sorted(listed)}), **contents})
 
 
-def kept_state(folder: Path, identity: str) -> dict[str, Array]:
+def _saved_state(folder: Path, identity: str) -> dict[str, Array]:
     """Load the state that the same task saved in a folder.
 
     Raises
@@ -570,12 +499,12 @@ def kept_state(folder: Path, identity: str) -> dict[str, Array]:
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             state = {name: file[name] for name in file.files}
-        found = str(state.pop("identity"))
+        saved = str(state.pop("identity"))
     except Exception as error:  # numpy lets through what its parsers and zipfile raise
         raise SceneError(
             f"{path} cannot be read ({type(error).__name__}); run without --resume"
         ) from None
-    if found != identity:
+    if saved != identity:
         raise SceneError(
             f"{path} was saved with another scene, image, method, defocus, seed, tolerance or "
             "number of iterations; use the same ones again, or run without --resume"
@@ -583,18 +512,14 @@ def kept_state(folder: Path, identity: str) -> dict[str, Array]:
     return state
 
 
-def write_picture(path: Path, values: Array) -> None:
-    """Write an object as an 8-bit PNG, scaled from 0 to its maximum.
+def _png(values: Array) -> bytes:
+    """Return an object as an 8-bit PNG, scaled from 0 to its maximum.
 
     The wall's mirror reversal is undone, so that letters read.
     """
     from PIL import Image
 
-    largest = float(values.max())
+    largest, stream = float(values.max()), BytesIO()
     grey = np.clip(values / largest if largest > 0.0 else values, 0.0, 1.0)
-    Image.fromarray(np.rint(255.0 * grey[:, ::-1]).astype(np.uint8)).save(path, format="PNG")
-
-
-def write_text(path: Path, report: Mapping[str, Any]) -> None:
-    """Write a report as JSON."""
-    path.write_text(json.dumps(report, indent=2, allow_nan=False) + os.linesep)
+    Image.fromarray(np.rint(255.0 * grey[:, ::-1]).astype(np.uint8)).save(stream, format="PNG")
+    return stream.getvalue()
