@@ -47,12 +47,6 @@ def test_pupil_frame(axis) -> None:
         assert e2[1] > 0
 
 
-def test_camera_at_the_wall_sees_left_as_its_e1() -> None:
-    """Looking along -z with y up: Y x n = (-1, 0, 0)."""
-    camera = replace(CAMERA, position=(0, 0, 1), aim=(0, 0, 0))
-    assert_array_equal(camera.frame, [[-1, 0, 0], [0, 1, 0], [0, 0, -1]])
-
-
 def test_camera_pixels() -> None:
     assert CAMERA.shape == (512, 512)
     assert CAMERA.image_pitch == 72e-6

@@ -116,18 +116,6 @@ def test_monte_carlo_meets_its_closed_form(row) -> None:
     assert math.pi * found == approx(float(row["value"]), rel=1e-4)
 
 
-@pytest.mark.parametrize("slope_rms", [0.1, 0.3, 0.5])
-def test_monte_carlo_meets_the_quadrature(slope_rms: float) -> None:
-    """Tracing rays shadows and masks as the minimum of both does."""
-    for theta, out in ((0, 60), (30, 60), (60, 45), (75, 75)):
-        grooves = Grooves(direction(theta * DEGREE), slope_rms, DRAWS)
-        for phi in AZIMUTHS:
-            exitant = direction(out * DEGREE, phi * DEGREE)
-            truth = quadrature(direction(theta * DEGREE), exitant, slope_rms)
-            # 2^15 Sobol points on edges of shadows
-            assert grooves.reflected(exitant)[0] == approx(truth, rel=0.01), (theta, out, phi)
-
-
 @functools.cache
 def grooves_of(slope_rms: float, theta: float) -> Grooves:
     return Grooves(direction(theta * DEGREE), slope_rms, DRAWS)
