@@ -20,8 +20,8 @@ from nlosoptics.scene import (
     MeshObject,
     PlanarObject,
     Scene,
-    pupil_frame,
 )
+from nlosoptics.scene.parts.camera import pupil_frame
 
 LASER = Laser(
     wavelength=632.8e-9, power=5e-3, beam_diameter=3e-3, position=(1.0, 0.0, 1.2), aim=(0.6, 0, 0)
