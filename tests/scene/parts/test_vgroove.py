@@ -121,6 +121,7 @@ def excess(model: str, rho: float, slope_rms: float, angles, azimuths) -> dict:
     return table
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rho", [0.3, 0.8, 1.0])
 @pytest.mark.parametrize("slope_rms", [0.1, 0.3, 0.5])
 def test_full_model_within_a_tenth(slope_rms: float, rho: float) -> None:
@@ -129,6 +130,7 @@ def test_full_model_within_a_tenth(slope_rms: float, rho: float) -> None:
     assert max(map(abs, table.values())) < 0.10, max(table.items(), key=lambda item: abs(item[1]))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rho", [0.3, 0.8, 1.0])
 @pytest.mark.parametrize("slope_rms", [0.1, 0.3, 0.5])
 def test_fit_within_a_tenth_on_the_near_side(slope_rms: float, rho: float) -> None:
