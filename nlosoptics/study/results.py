@@ -244,7 +244,7 @@ def _dataset(study: Study, store: Store) -> xr.Dataset:
     dims, shape = [d.name for d in study.dimensions], study.shape
     names = [figure.name for figure in study.figures]
 
-    def columns(name: str, empty: Any, figures: list[str] = names) -> NDArray[Any]:
+    def columns(name: str, empty: Any, figures: list[str] = names) -> Any:
         """Return the columns of figures at all points, (figures, points)."""
         values = store.column(name, figures)
         blank = np.full((1, *values.shape[1:]), empty, dtype=values.dtype)

@@ -107,8 +107,13 @@ def _answers(points: list[Any], seconds: list[float]) -> Answers:
     import numpy as np
 
     table = np.array(points, dtype=object)  # (points, figures, 4)
-    kinds = ("f8", "f8", "i1", object)
-    return Answers(*(table[..., i].astype(kind) for i, kind in enumerate(kinds)), np.array(seconds))
+    return Answers(
+        values=table[..., 0].astype(np.float64),
+        errors=table[..., 1].astype(np.float64),
+        statuses=table[..., 2].astype(np.int8),
+        messages=table[..., 3],
+        seconds=np.array(seconds),
+    )
 
 
 def _point(

@@ -100,7 +100,7 @@ def _form(key: str, hint: Any) -> Any:
         return str
     if key == "size":
         pair, one = _quantity(Kind.LENGTH, 2), _quantity(Kind.LENGTH)
-        both = Annotated[pair, Tag("size:pair")] | Annotated[one, Tag("size:one")]
+        both = Annotated[pair, Tag("size:pair")] | Annotated[one, Tag("size:one")]  # type: ignore[valid-type]
         return Annotated[both, Discriminator(_listed)]
     if key == "index":  # n + ik
         return _pair_of(float)
@@ -152,9 +152,11 @@ def _table(
 ) -> type[Table]:
     """Return the table of the parameters of a class or function."""
     hints = get_type_hints(source, include_extras=True)
-    if inspect.isclass(source) and not source.__dataclass_params__.init:  # its own constructor
+    settings: Any = getattr(source, "__dataclass_params__", None)
+    if settings is not None and not settings.init:  # its own constructor
         hints |= get_type_hints(source.__init__, include_extras=True)
-    notes, fields = notes_of(source), {}
+    notes = notes_of(source)
+    fields: dict[str, Any] = {}
     if kind is not None:
         fields[kind[0]] = (Literal[kind[1]], ...)
     for key, parameter in inspect.signature(source).parameters.items():
@@ -297,7 +299,7 @@ SHAPES = {
     "wavy": _wall("wavy", WavyWall),
     "sum": _table(
         SumWall,
-        _SURFACE | {"terms": (list["WallTable"], notes_of(SumWall)["terms"])},  # type: ignore[name-defined]
+        _SURFACE | {"terms": (list["WallTable"], notes_of(SumWall)["terms"])},
         kind=("shape", "sum"),
     ),
     "mesh": _wall("mesh", MeshWall),

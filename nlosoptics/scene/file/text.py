@@ -133,7 +133,8 @@ def _roughness_table(roughness: WallRoughness | None, named: Naming) -> Any:
     """Return the table of a wall's roughness; None without one."""
     if roughness is None:
         return None
-    heights, own = roughness.heights, {"realisation": roughness.realisation}
+    heights = roughness.heights
+    own: dict[str, Any] = {"realisation": roughness.realisation}
     model = "height_map"
     if isinstance(heights, FacetWall):
         model = "facets"

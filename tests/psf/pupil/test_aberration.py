@@ -17,8 +17,8 @@ from nlosoptics.scene import (
     MeshWall,
     SumWall,
     WavyWall,
-    pupil_frame,
 )
+from nlosoptics.scene.parts.camera import pupil_frame
 
 WAVELENGTH = 632.8e-9
 TRUTHS = json.loads((Path(__file__).parents[2] / "truths" / "wall_aberrations.json").read_text())[

@@ -97,17 +97,6 @@ def test_first_row_is_the_top(examples: Path) -> None:
     assert columns[rows == rows.max() - 5].max() < columns.max()
 
 
-def test_equality(examples: Path, tmp_path: Path) -> None:
-    path = examples / "objects" / "F.png"
-    assert planar() == planar(F.copy())
-    assert planar() != planar(1 - F)
-    assert planar() != planar(roll=0.1)
-    assert planar(path) == planar(str(path))
-    assert planar(path) != planar()
-    assert planar() != planar(path)
-    assert planar() != MeshObject(path, position=PLACE)
-
-
 @pytest.mark.parametrize(
     ("raw", "message"),
     [

@@ -115,6 +115,7 @@ CONSERVING = [
 ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("material", CONSERVING, ids=repr)
 def test_white_furnace(material) -> None:
     """No more light leaves than arrives, at any incidence."""

@@ -1,7 +1,6 @@
 """Walls of a user's own functions: waves, rays, and the bounds they must keep."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +9,6 @@ from nlosoptics import raytrace
 from nlosoptics.errors import SceneError
 from nlosoptics.psf.pupil.wall_wavefront import aim
 from nlosoptics.scene import CallableWall, ConvexWall, WavyWall
-
-EXAMPLES = Path(__file__).parents[3] / "examples" / "scenes"
 
 
 def bump(h0, *, hessian=True):

@@ -1,15 +1,11 @@
 """Height maps: the surface through the samples, and the statistics of random ones."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.scene import HeightMapWall, WavyWall
 from nlosoptics.scene.walls.height_maps import grid_limits
-
-EXAMPLES = Path(__file__).parents[3] / "examples" / "scenes"
 
 
 def sampled(wall, pitch=2e-3, nodes=201):

@@ -141,15 +141,6 @@ def test_gaussian_relief_has_its_autocorrelation():
     assert drawn[:, 4].std() == pytest.approx(2 * rms / length**2, rel=0.1)
 
 
-def test_gaussian_variance_ripples_as_stated():
-    """The sum of squared weights over the lattice: 1 + 4 exp(-pi^2) at a node, by Poisson."""
-    t = np.arange(-40, 41)
-    for place in (0.0, 0.25, 0.5):
-        side = np.exp(-((t - place) ** 2)).sum() / math.sqrt(math.pi)
-        expected = 1 + 2 * math.exp(-(math.pi**2)) * math.cos(2 * math.pi * place)
-        assert side == pytest.approx(expected, abs=1e-12)
-
-
 def test_gaussian_derivatives_match_differences():
     wall = GaussianWall(1e-6, 1e-3, seed=2**40 + 3)
     x, y = _points(0.02, 300)
@@ -164,18 +155,6 @@ def test_gaussian_derivatives_match_differences():
     for column, parent, dx, dy in pairs:
         scale = exact[:, column].std()
         assert slope(parent, dx, dy) == pytest.approx(exact[:, column], abs=1e-7 * scale)
-
-
-def test_draws_depend_on_seed_and_indices_alone():
-    low, high = np.uint64(5), np.uint64(0)
-    drawn = {relief.node(low, high, i, j) for i in range(-30, 30) for j in range(-30, 30)}
-    assert len(drawn) == 3600
-    assert relief.node(low, np.uint64(1), 0, 0) not in drawn
-    assert relief.node(np.uint64(6), high, 0, 0) not in drawn
-    values = [relief.node(low, high, i, -7) for i in range(20_000)]
-    assert stats.kstest(values, "norm").pvalue > 1e-3
-    offsets = {FacetWall(1e-3, 0.1, seed=s).compiled()[0][0, 5:7].tobytes() for s in range(50)}
-    assert len(offsets) == 50
 
 
 def test_bounds_hold_and_zero_roughness_is_flat():

@@ -18,7 +18,6 @@ from nlosoptics.scene import (
     GaussianWall,
     HeightMapWall,
     Lambert,
-    MeshWall,
     OrenNayar,
     Scene,
     SpecularMicrofacet,
@@ -97,16 +96,6 @@ def test_slopes_of_the_three_kinds():
     assert WallRoughness(MAP).slope_rms == pytest.approx(rms, rel=1e-9)
     steepest = np.hypot(slopes[..., 1], slopes[..., 2]).max()
     assert WallRoughness(MAP).steepest == pytest.approx(steepest, rel=1e-9)
-
-
-def test_mesh_walls_take_roughness(flat):
-    wall = MeshWall(ConcaveWall(5.0, size=(1.4, 1.0)).to_mesh(max_sag_error=1e-4))
-    scene = rough(flat, wall=wall)
-    relief = scene.with_relief().wall
-    found = relief.height(0.1, 0.2) - wall.height(0.1, 0.2)
-    assert found == pytest.approx(FACETS.height(0.1, 0.2), abs=1e-17)
-    with pytest.raises(SceneError, match="covers .* but the wall has the size"):
-        rough(flat, WallRoughness(HeightMapWall(np.zeros((9, 9)), 0.01)), wall=wall).with_relief()
 
 
 def mound(x, y):
