@@ -20,13 +20,11 @@ from .. import __version__
 from . import (  # imported to register their commands, in the order of the help
     captures,  # noqa: F401
     forward,  # noqa: F401
-    materials,  # noqa: F401
     pictures,  # noqa: F401
     reconstructions,  # noqa: F401
     reports,  # noqa: F401
     studies,  # noqa: F401
     traces,  # noqa: F401
-    warmup,  # noqa: F401
 )
 from .shell import DONE, app, tell
 
