@@ -26,17 +26,20 @@ def opened_picture(file: Path | IO[bytes], name: str) -> Iterator[Image]:
     """
     from PIL import Image
 
-    too_many = (
-        f"{name} has too many pixels, limit {MOST_PIXELS} in all; scale it down, or save it as .npy"
-    )
+    size = "too many"
     with warnings.catch_warnings():
         # Pillow's own limits are larger, and the lower one only warns
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         try:
             picture = Image.open(file)
         except Image.DecompressionBombError:
-            raise SceneError(too_many) from None
-    with picture:
-        if picture.width * picture.height > MOST_PIXELS:
-            raise SceneError(too_many)
-        yield picture
+            picture = None
+    if picture is not None:
+        with picture:
+            if picture.width * picture.height <= MOST_PIXELS:
+                yield picture
+                return
+            size = f"{picture.width} x {picture.height}"
+    raise SceneError(
+        f"{name} has {size} pixels, limit {MOST_PIXELS} in all; scale it down, or save it as .npy"
+    )

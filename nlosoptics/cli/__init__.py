@@ -20,15 +20,13 @@ from .. import __version__
 from . import (  # imported to register their commands, in the order of the help
     captures,  # noqa: F401
     forward,  # noqa: F401
-    materials,  # noqa: F401
     pictures,  # noqa: F401
     reconstructions,  # noqa: F401
     reports,  # noqa: F401
     studies,  # noqa: F401
     traces,  # noqa: F401
-    warmup,  # noqa: F401
 )
-from .shell import DONE, app, tell
+from .shell import DONE, INTERRUPTED, app, tell
 
 __all__ = ["main"]
 
@@ -51,6 +49,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         code = app(args=words, prog_name="nlosoptics", standalone_mode=False, obj=words)
+        if code == INTERRUPTED:  # before the command began; typer says nothing
+            code = tell(KeyboardInterrupt())
+    except SystemExit as ended:  # of a command
+        code = ended.code
     except (Exception, KeyboardInterrupt) as error:
         code = tell(error)
     if arguments is not None:

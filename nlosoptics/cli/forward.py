@@ -1,4 +1,4 @@
-"""Commands plan, run and schema."""
+"""Commands plan, run, schema, materials and warmup."""
 
 from __future__ import annotations
 
@@ -168,3 +168,56 @@ def _summary(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
     if f["peak_memory_bytes"] is not None:
         yield "peak memory", f"{f['peak_memory_bytes'] / 2**20:.0f} MiB"
     yield "written to", str(folder)
+
+
+@app.command("materials", short_help="List wall materials by name, with their values.")
+def materials_command(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="NAME",
+            help="Material to show with the range and source of each value; by default list all.",
+        ),
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """List the wall materials that a scene file may name, or show one of them in detail.
+
+    A scene file names a material by a line such as material = "whiteboard" in the table [wall] or
+    [hidden].
+    """
+    with errors_told(debug):
+        from ..scene.parts.library import entry, material_library
+
+        if name is not None:
+            typer.echo(str(entry(name)))
+            return
+        for material in material_library().values():
+            values = ", ".join(f"{v.key} {v.value:.3g}" for v in material.values)
+            told = " (estimates)" if material.is_estimate else ""
+            typer.echo(f"{material.name:26s} {values}{told}")
+
+
+@app.command("warmup", short_help="Compile in advance, for a fast first run.")
+def warmup_command(
+    scene_files: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[SCENE...]",
+            help="Scene files for whose runs to compile; by default walls of all kinds.",
+        ),
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Compile the functions that a run uses, so that the first run is as fast as later ones.
+
+    The compiled code is kept on the disk. A run compiles by itself what is missing.
+    """
+    with errors_told(debug):
+        start = time.perf_counter()
+        from ..runs.warmup import warm_up
+
+        scenes = [load(path, None, None) for path in scene_files or ()]
+        with progress_bar() as progress:
+            warm_up(scenes, progress)
+        typer.echo(f"compiled functions are ready, {time.perf_counter() - start:.1f} s")

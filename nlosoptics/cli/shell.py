@@ -120,7 +120,7 @@ def errors_told(debug: bool) -> Iterator[None]:
     except (Exception, KeyboardInterrupt) as error:
         if debug:
             traceback.print_exc()
-        raise typer.Exit(tell(error)) from None
+        raise SystemExit(tell(error)) from None
 
 
 def tell(error: BaseException) -> int:

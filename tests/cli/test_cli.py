@@ -219,6 +219,7 @@ def test_run_writes_the_whole_result(examples: Path, scene_file: Path, run: Run)
     assert sorted(p.name for p in folder.iterdir()) == third["files"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("dark", ["black picture", "turned away"])
 def test_object_that_sends_no_light(dark: str, examples: Path, scene_file: Path, run: Run) -> None:
     """No truth to compare with or to draw, and no NaN; warnings are errors here."""

@@ -95,6 +95,7 @@ def test_from_a_scene_to_its_picture(run):
         assert np.abs(kept["field"]) ** 2 == pytest.approx(kept["intensity"], rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_counts_of_a_detector(run):
     given = ("--photons", 5000, "--jitter-ps", 50, "--dark-counts", 0.1, "--seed", 7)
     assert run("transient", "dot.toml", "--out", "a.hdf5", *given)[0] == 0
@@ -125,7 +126,8 @@ def test_options_stand_for_what_a_capture_lacks(run):
     assert Path("x/front.png").is_file()
 
 
-def test_missing_values_are_named_at_once(run):
+@pytest.mark.thorough
+def test_all_missing_options_are_named_at_once(run):
     savemat("scan.mat", {"rect_data": np.ones((4, 4, 30)), "width": 1.0})
     code, out, err = run("phasor", "scan.mat")
     assert (code, out) == (2, "")

@@ -118,6 +118,7 @@ def test_interrupt_keeps_what_is_done(study: Path, capsys) -> None:
     assert "12 points: 12 done" in out
 
 
+@pytest.mark.thorough
 def test_plot_has_a_picture_for_each_kind(study: Path, capsys) -> None:
     assert call(capsys, "study", study, "--workers", 0)[0] == 0
     for more in (("--kind", "slices"), ("--contours", "0.002,0.004"), ("--kind", "gallery")):

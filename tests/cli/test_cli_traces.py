@@ -87,6 +87,7 @@ def test_light_left_to_chance_is_told(run):
     assert "rays find by chance only light that mirror-like lobes of occluders" in err
 
 
+@pytest.mark.thorough
 def test_several_wavelengths_have_files_of_their_own(run, tmp_path):
     """The same bits as in Python, from a scene file whose albedo depends on the wavelength."""
     table = {"wavelengths": ["450 nm", "650 nm"], "values": [0.1, 0.6]}

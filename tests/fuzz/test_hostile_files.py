@@ -19,7 +19,10 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="Windows has no timer of
 INPUTS = 20  # for each reader; the campaign's default is 10,000
 
 
-@pytest.mark.parametrize("name", READERS)
+@pytest.mark.parametrize(
+    "name",
+    [n if n != "store" else pytest.param(n, marks=pytest.mark.thorough) for n in READERS],
+)
 def test_damaged_files_are_read_or_refused_in_one_line(name: str, tmp_path: Path) -> None:
     if name in ("study", "store"):
         pytest.importorskip("zarr")

@@ -61,6 +61,7 @@ def test_every_change_of_a_source_is_found() -> None:
     assert [one.kind for one in found].count("removed statement") == 3
 
 
+@pytest.mark.thorough
 def test_every_change_of_a_room_is_another_valid_source() -> None:
     """The tree differs from the first one, so that no change is void from the start."""
     few, many = (mutants.sample(ROOT, ["limits", "imaging"], 1, number) for number in (10, 40))

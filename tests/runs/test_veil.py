@@ -16,7 +16,7 @@ from nlosoptics.runs.veil import fitted_veil, veil_shape
 from nlosoptics.scene import Lambert, Scene, SpecularMicrofacet, SumMaterial
 
 
-@pytest.fixture(scope="module", params=[64, 128])
+@pytest.fixture(scope="module", params=[64, pytest.param(128, marks=pytest.mark.thorough)])
 def bright(request, examples) -> nlosoptics.Result:
     """A long exposure of a picture whose light comes from one side; also in binned pixels."""
     scene = Scene.load(examples / "scenes" / "letter_flat.toml").resized(request.param)
