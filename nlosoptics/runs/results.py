@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from .._checks import path_of, reason
 from .._nouns import Noun
-from .._whole_files import RECORD, check_folder, whole_folder
+from .._whole_files import RECORD, check_folder, sweep, whole_folder
 from ..errors import SceneError
 from ..psf.pupil.exit_pupil import ExitPupil
 from ..scene import Scene
@@ -154,6 +154,8 @@ def load_result(folder: str | Path) -> Result:
     place = path_of("folder", folder)
     path = place / RECORD
     remedy = "name a folder that Result.save or nlosoptics run wrote"
+    if not place.exists():
+        sweep(place)  # a killed writer may have moved it aside
     if not place.is_dir():
         raise SceneError(f"{place} is {'no folder' if place.exists() else 'missing'}; {remedy}")
     try:
