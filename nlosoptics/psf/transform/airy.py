@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import j1
 
 from ..wave.detilted import Residual
 from ..window.error_bounds import ROUNDING
@@ -17,6 +16,8 @@ Array = NDArray[np.float64]
 
 def disc_field(v: Array) -> Array:
     """Return ``2 J1(v)/v``, 1 at v = 0 (Born & Wolf, sec. 8.5.2)."""
+    from scipy.special import j1  # here, since a plan needs none of scipy
+
     safe = np.maximum(np.abs(v), 1e-8)  # avoids 0/0; below 1e-8 the value is 1 to the last bit
     return np.asarray(2 * j1(safe) / safe)
 

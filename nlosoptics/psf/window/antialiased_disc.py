@@ -14,7 +14,6 @@ import math
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
-from scipy.special import erfc, j0, j1
 
 from ..aperture.quadrature_nodes import gauss_legendre
 
@@ -32,6 +31,8 @@ def leak(s: Array) -> Array:
 
     It is the loss of the image at s, and equally what is left of its repeat at the distance 1 - s.
     """
+    from scipy.special import erfc  # here, since a plan of a flat wall needs none of scipy
+
     return np.asarray(erfc((0.5 - s) / STEP) / 2)
 
 
@@ -73,6 +74,8 @@ class SoftDisc:
 
 def _hankel(r: Array, radius: float) -> Array:
     """Profile of the convolved disc at radii ``r`` by quadrature over its spectrum."""
+    from scipy.special import j0, j1
+
     top = 0.5 + 6 * STEP  # beyond this frequency the spectrum is below 1e-17
     turns = top * (2 * radius + REACH)  # of the product of both Bessel functions
     # n nodes resolve 2 n/pi turns; 8 % more and 60 for the spectrum's step leave 1e-14
