@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import positive, whole
+from ..._checks import is_single, positive, whole
 from ...errors import SamplingError, SceneError
 from ..capture.capture import TransientCapture
 from ..capture.preprocessing import outer_legs
@@ -195,6 +195,8 @@ def apertures(setup: Setup, aperture: Any) -> tuple[NDArray[np.bool_], NDArray[n
     """Return masks of the near points (n,) and the far points (m,) within the aperture."""
     if aperture is None:
         return np.ones(len(setup.used), dtype=bool), np.ones(len(setup.columns), dtype=bool)
+    if not is_single(aperture):
+        raise SceneError("aperture is no single length; give the side of a square, m")
     side = positive("aperture", aperture, unit="m")
     return _square(setup.legs.near, side), _square(setup.far_points, side)
 

@@ -231,4 +231,5 @@ def _aimed(job: Job) -> tuple[float, float]:
     from .batches import openness
 
     seen, between = openness(dataclasses.replace(job, n_seen=1 << 12, n_each=1))
-    return tuple(min(0.75, missed) if missed > 0.02 else 0.0 for missed in (seen, between))
+    first, further = (min(0.75, missed) if missed > 0.02 else 0.0 for missed in (seen, between))
+    return first, further

@@ -264,7 +264,6 @@ NAN = np.where(np.arange(42).reshape(7, 3, 2) == 3, np.nan, 1.0)
         ({"H": NAN}, SceneError, "H has 1 of 42 values that are not finite"),
         ({"H": np.ones((7, 3, 3))}, SamplingError, r"H has shape \(7, 3, 3\), must be"),
         ({"H": np.array([b"abc"] * 7)}, SceneError, "must be real numbers"),
-        ({"H_format": 2}, SamplingError, "H_format is T_Lx_Ly_Sx_Sy, H of 3 axes .* is T_Sx_Sy"),
         ({"laser_grid_xyz": None}, SceneError, r"give pairing \('confocal' or 'all'\)"),
         ({"laser_grid_xyz": np.zeros((2, 1, 3))}, SamplingError, "2 laser points are neither"),
         ({"sensor_grid_normals": np.ones((2, 2, 3))}, SamplingError, "like sensor_grid_xyz"),

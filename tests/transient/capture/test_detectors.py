@@ -171,5 +171,5 @@ def test_captures_that_cannot_be_counted():
         Detector().expected(spike(height=-1.0))
     with pytest.raises(SceneError, match="no light, detector.photons = 100"):
         Detector(photons=100).expected(spike(height=0.0))
-    with pytest.raises(SceneError, match="limit 1.1259e.15"):
+    with pytest.raises(SceneError, match="limit 2.50"):
         Detector().measure(spike(height=1e18))

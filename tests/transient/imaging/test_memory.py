@@ -30,6 +30,7 @@ SIZES = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 def test_memory_is_what_was_stated(method, size, memory_of):
