@@ -75,7 +75,7 @@ def _design(results: Results) -> Iterator[Html]:
     for dimension in results.study.dimensions:
         steps = len(dimension.deltas)
         if dimension.name == "case":
-            rows.append(("one at a time", str(steps), _few(dimension.labels())))
+            rows.append(("one at a time", str(steps), _few(list(dimension.labels()))))
             continue
         for address in dimension.addresses:
             texts = dict.fromkeys(label(delta[address]) for delta in dimension.deltas)

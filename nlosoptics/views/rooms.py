@@ -86,6 +86,7 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
         # seen through, because an occluder may stand between the viewer and the hidden object
         plotter.add_mesh(mesh, color=BROWN, name="occluders", opacity=0.4, **MATT)
         legend["occluders"] = BROWN
+    apart: list[tuple[Any, float]]
     apart = [(place, 0.0) for place in (scene.laser.position, scene.laser.aim)]
     apart += [(scene.camera.position, 0.0), (scene.object_point, parts.object_radius(scene))]
     legend |= add_floor(plotter, around, low, high, apart)

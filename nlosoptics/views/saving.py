@@ -40,6 +40,11 @@ def save(picture: Figure | Axes | Iterable[Axes] | Plotter, path: str | Path) ->
     MissingExtraError
         If a 3-D view is written as ``.png`` on a machine that cannot render.
 
+    See Also
+    --------
+    scene_3d : 3-D view of a scene.
+    overview : One figure of a whole run.
+
     Examples
     --------
     >>> from pathlib import Path

@@ -216,7 +216,9 @@ def _look_at(plotter: Plotter, corners: Array, balls: Sequence[tuple[Any, float]
         right = np.array([np.cos(turn), 0.0, -np.sin(turn)])
         tried = np.stack([right, np.cross(toward, right), toward])
         flat = centres @ tried[:2].T
-        gaps = [np.linalg.norm(flat[a] - flat[b]) - balls[a][1] - balls[b][1] for a, b in pairs]
+        gaps = [
+            float(np.linalg.norm(flat[a] - flat[b])) - balls[a][1] - balls[b][1] for a, b in pairs
+        ]
         if min(gaps, default=0.0) > best:
             best, frame = min(gaps, default=0.0), tried
     plotter.camera.view_angle = 30.0

@@ -510,15 +510,16 @@ def tornado(
     nlosoptics.study.sobol_indices : Shares of the variance of a figure of merit.
     study_map : Figure of merit over two dimensions.
     """
+    given: Any = bars
     names = (
-        [str(name) for name in bars["address"].values[np.argsort(-bars["total"].values)]]
+        [str(name) for name in given["address"].values[np.argsort(-given["total"].values)]]
         if hasattr(bars, "data_vars")
         else list(dict.fromkeys(bar.case.partition(" = ")[0] for bar in bars))
     )
     if axes is None:
         (axes,) = new_axes(width=7.4, height=1.4 + 0.55 * len(names))
     if hasattr(bars, "data_vars"):
-        _draw_shares(axes, bars.sel(address=names))
+        _draw_shares(axes, given.sel(address=names))
         what = "share of the variance"
     else:
         _draw_changes(axes, bars, names)

@@ -223,6 +223,7 @@ def test_folder_of_reconstruct(run, tmp_path, monkeypatch, capsys):
     assert "Status: running." in told(report.page("taken"))
 
 
+@pytest.mark.thorough
 def test_folder_of_phasor(examples, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("objects/R.png", "scenes/camera_wu2024.toml"):

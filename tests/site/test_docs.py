@@ -131,6 +131,7 @@ def test_every_reference_is_held_by_a_test(extension: Callable[[str], ModuleType
         page.reference_table({"a": rows, "unread": rows}, {"tests/test_x.py": "a"})
 
 
+@pytest.mark.thorough
 def test_every_benchmark_is_on_the_page(
     extension: Callable[[str], ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

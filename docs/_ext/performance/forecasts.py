@@ -1,58 +1,13 @@
 """Forecasts of `limits.feasibility`: verdicts, correlations and modes of diffuse light."""
 
-from collections.abc import Iterator, Sequence
-
-from .cells import Row, by, filled
+from .cells import Row, by
 from .page import Section
-
-#: Ranges of the predicted spread.
-SPREADS = (("below 0.05", 0.0, 0.05), ("0.05 to 0.1", 0.05, 0.1), ("above 0.1", 0.1, 1.0))
-
-
-def by_spread(found: Sequence[Row]) -> Iterator[Row]:
-    """Yield how near the predicted correlations are, by their predicted spread."""
-    missed = sum(row["correlation"] == 0.0 for row in found)
-    for name, low, high in SPREADS:
-        part = [row for row in found if row["correlation"] and low <= row["spread"] < high]
-        if not part:
-            continue
-        off = [abs(row["score"] - row["correlation"]) for row in part]
-        between = [d for d, row in zip(off, part, strict=True) if 0.3 < row["correlation"] < 0.95]
-        again = [
-            abs(row["correlation_again"] - row["correlation"])
-            for row in part
-            if 0.3 < row["correlation"] < 0.95
-        ]
-        yield {
-            "name": name,
-            "fits": len(part),
-            "off": off,
-            "near": f"{sum(d < 0.05 for d in between)} of {len(between)}",
-            "again": f"{sum(d < 0.05 for d in again)} of {len(again)}",
-            "within": sum(d < r["spread"] for d, r in zip(off, part, strict=True)) / len(part),
-        }
-    yield {"name": "no object found", "fits": missed}
 
 
 def largest_difference(part: Row) -> str:
     """Return a cell: the largest relative difference from the count by brute force."""
     pairs = zip(part["modes"], part["brute_force"], strict=True)
     return f"{max(abs(modes - count) / max(count, 1) for modes, count in pairs):.0%}"
-
-
-def of_verdicts(found: Sequence[Row]) -> str:
-    """Return the second table of a section on verdicts: differences of the correlations."""
-    return filled(
-        {
-            "predicted spread": "{name}",
-            "fits": "{fits}",
-            "median difference": "{off?:median n}",
-            "within 0.05, of fits with correlations of 0.3 to 0.95": "{near?}",
-            "the same for two fits that differ in their noise": "{again?}",
-            "within the spread": "{within?:.0%}",
-        },
-        by_spread(found),
-    )
 
 
 VERDICTS = {
@@ -71,7 +26,6 @@ def verdicts(file: str, title: str, text: str, options: str = "") -> Section:
         f"python benchmarks/inverse/feasibility.py --json {{file}}{options}",
         table=VERDICTS,
         rows=by("predicted", order=lambda g: not g["predicted"]),
-        note=of_verdicts,
     )
 
 
@@ -81,10 +35,8 @@ SECTIONS = (
         "Verdicts before the fit",
         "Does `limits.feasibility` predict correctly whether an object can be reconstructed? "
         "Random scenes of 64 x 64 pixels, none of them used to set the constants of the forecast, "
-        "were reconstructed by `tv_deconvolve` with the point spread known. The second table has "
-        "the differences between the predicted correlation and that of the fit. No forecast can be "
-        "much nearer to two fits than they are to each other: with other noise, the verdict of the "
-        "fit itself changes in 2 of the 200 scenes.",
+        "were reconstructed by `tv_deconvolve` with the point spread known. With other noise, the "
+        "verdict of the fit itself changes in 2 of the 200 scenes.",
     ),
     verdicts(
         "feasibility_occluders.jsonl",

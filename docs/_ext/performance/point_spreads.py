@@ -2,10 +2,9 @@
 
 from collections.abc import Iterator, Sequence
 from operator import itemgetter
-from typing import Any
 
 from matplotlib.figure import Figure
-from tables import COLOURS, figure, table
+from tables import figure, table
 
 from .cells import Cell, Row, by, fill, listed
 from .figures import Series, errors_against_seconds, legend
@@ -79,31 +78,6 @@ PSF_STUDY: dict[str, Cell] = {
 }
 
 
-def draw_psf_study(found: Row) -> Any:
-    """Draw each wave's error and estimate over what was asked for, against its seconds."""
-    drawn = figure(5.2, 4.2)
-    axes = drawn.subplots()
-    # where the reference is known well enough to tell
-    run = [row for row in found["rows"] if row.get("error") and 3 * row["doubt"] < row["asked"]]
-    for key, style in (
-        ("estimate", {"marker": "o", "facecolors": "none", "edgecolors": COLOURS[1]}),
-        ("error", {"marker": ".", "color": COLOURS[0]}),
-    ):
-        over = [row[key] / row["asked"] for row in run]
-        axes.scatter([row["seconds"] for row in run], over, label=key, s=18, **style)
-    axes.axhline(1, color="black", linewidth=0.8)
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel="run time (s)",
-        ylabel="error / requested error",
-        title="random waves: estimated and true errors",
-    )
-    legend(drawn, 2)
-    axes.grid(alpha=0.3)
-    return drawn
-
-
 SECTIONS = (
     Section(
         "psf_peers.json",
@@ -142,9 +116,6 @@ SECTIONS = (
         "argument.",
         "python benchmarks/psf_study.py --max-seconds 20 --json {file}",
         table=lambda found: listed(PSF_STUDY, found),
-        figure=draw_psf_study,
-        alternative="Error and estimate over the requested error, against seconds: errors all lie "
-        "below one",
     ),
     Section(
         "rough_walls.json",
