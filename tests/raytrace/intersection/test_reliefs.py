@@ -106,6 +106,7 @@ def first_crossing(wall, origin, direction, low, high, count=20_000):
     return 0.5 * (a + b)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "wall",
     [
