@@ -306,6 +306,7 @@ def with_plate(size):
     return replace(scene, hidden=replace(scene.hidden, size=size), camera=camera)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sampler", ["philox", "sobol"])
 def test_standard_error_covers_the_truth(sampler):
     scene, truth = with_plate(0.6), true_flux()
@@ -329,6 +330,7 @@ def error_slope(size, sampler, counts, repeats):
     return np.polyfit(np.log(counts), np.log(errors), 1)[0]
 
 
+@pytest.mark.thorough
 def test_sobol_points_err_less():
     # 16 repeats at 6 counts tell the slope to 0.05
     assert error_slope(0.25, "sobol", [2**k for k in range(10, 16)], 16) < -0.7 - 0.1
