@@ -151,6 +151,7 @@ MESH = MeshObject(
 )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "scene",
     [
