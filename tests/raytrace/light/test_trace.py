@@ -357,6 +357,21 @@ def test_limits_end_the_tracing_early():
 # the same bits
 
 
+def summary(found):
+    """All numbers of a trace but its seconds."""
+    return (
+        found.flux,
+        found.standard_error,
+        found.stray,
+        found.stray_error,
+        found.mean_path_length,
+        found.trapped,
+        *found.by_bounce,
+        *found.ledger.values(),
+        *found.ledger_error.values(),
+    )
+
+
 PROGRAM = """
 import sys
 sys.path.insert(0, {folder!r})
