@@ -28,10 +28,6 @@ def test_the_error_of_a_mean_is_students(rays, groups):
     assert error == pytest.approx(error_of(sums, groups, rays), rel=1e-9)
 
 
-def test_three_rays_have_no_error():
-    assert mean_of(np.r_[1.0, 2.0, 4.0, np.zeros(29)], 3) == (7.0 / 3.0, math.inf)
-
-
 @pytest.mark.parametrize("scale", [1.0, -1.0, 1e-200])
 def test_skewed_groups_have_wider_errors(scale):
     """The error grows by the root of 1 + 0.75 (s^2 - 1)."""

@@ -93,7 +93,7 @@ def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -
     _fit(float(counts.prod()))
     side = (high - low) / counts
     index = np.stack(np.meshgrid(*(np.arange(n) for n in counts)), axis=-1).reshape(-1, 2)
-    cells, found = low + index * side, []
+    cells, lit_points = low + index * side, []
     for level in range(LEVELS):
         corners = cells[:, None] + side * CORNERS
         points, landed = _landings(wall, o, camera, corners)
@@ -108,14 +108,14 @@ def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -
         # a negligible part of their light into the lens
         limit = 0.125 * radius if level < LEVELS - 1 else radius
         fine: NDArray[np.bool_] = np.logical_and(lit, (spread <= limit).all(axis=1))
-        found.append(points[fine[:, None] & ~dark.any(axis=-1)])
+        lit_points.append(points[fine[:, None] & ~dark.any(axis=-1)])
         cells = cells[lit & ~fine]
         if not len(cells):
             break
         _fit(4.0 * len(cells))
         side = side / 2
         cells = (cells[:, None] + side * CORNERS).reshape(-1, 2)
-    return np.concatenate(found)
+    return np.concatenate(lit_points)
 
 
 def _counts(wall: Wall, low: Array, high: Array) -> Array:

@@ -176,18 +176,18 @@ class Rays:
         ``before`` holds the preceding vertices of the light paths.
         """
         world, glossy, most = self.around.world, self.around.plan.glossy, self.job.max_bounces
-        found = (self.value, self.length, self.starts, self.ends)
+        outputs = (self.value, self.length, self.starts, self.ends)
         if bounce == 1 or glossy:
-            connecting.to_lens(world, light, before, self.lens, glossy, *found)
+            connecting.to_lens(world, light, before, self.lens, glossy, *outputs)
             self._book(light, light, bounce, (), self.lens)
         # the laser spot is much the same for all rays, so that partners would add nothing
         partners = self.partners if bounce > 1 else [(self.seen, self.lens, 1.0)]
         for seen, lens, share in partners if bounce + 1 <= most else ():
-            connecting.connect(world, light, seen, seen, False, glossy, *found)
+            connecting.connect(world, light, seen, seen, False, glossy, *outputs)
             self.value *= share
             self._book(light, seen, bounce + 1, (seen,), lens)
         if glossy and bounce + 2 <= most:
-            connecting.connect(world, light, self.further, self.seen, True, glossy, *found)
+            connecting.connect(world, light, self.further, self.seen, True, glossy, *outputs)
             self._book(light, self.further, bounce + 2, (self.further, self.seen), self.lens)
         if self.around.chains.surfaces:
             longest = most - bounce if self.around.chains.both else min(1, most - bounce)

@@ -124,8 +124,8 @@ def wall_irradiance(
     --------
     >>> from nlosoptics import Scene, raytrace
     >>> scene = Scene.load("examples/scenes/letter_flat.toml")
-    >>> found = raytrace.wall_irradiance(scene, shape=(4, 6), n_rays=1024)
-    >>> found.irradiance.shape, found.x.round(3).tolist()
+    >>> light = raytrace.wall_irradiance(scene, shape=(4, 6), n_rays=1024)
+    >>> light.irradiance.shape, light.x.round(3).tolist()
     ((4, 6), [-0.583, -0.35, -0.117, 0.117, 0.35, 0.583])
     """
     one_of("source", source, ("laser", "object"))
@@ -205,13 +205,13 @@ def _arrivals(
     corner, step, shape = grid
     area = float(np.prod(step * shape[::-1]))
     targets = _targets(job, first, n, corner, step * shape[::-1])
-    found, power = [], np.empty(n)
+    arrived, power = [], np.empty(n)
 
     def collect(points: Array, power: Array) -> None:
         """Append the map cells and powers, W, of light that arrives at wall points (n, 3), m."""
         cells, powers = np.empty(n, dtype=np.int64), np.empty(n)
         count = arriving.cells_of(points, power, first, *grid, cells, powers)
-        found.append((cells[:count], powers[:count]))
+        arrived.append((cells[:count], powers[:count]))
 
     # the laser's first vertex is a reflection, whereas the object's is the source itself
     for bounce in range(1, max_bounces + (1 if source == "laser" else 2)):
@@ -222,7 +222,7 @@ def _arrivals(
         light = rays.onward(light, bounce)
         arriving.arrivals(light, 1.0 / area, power)
         collect(light, power)
-    return np.concatenate([c for c, _ in found]), np.concatenate([p for _, p in found])
+    return np.concatenate([c for c, _ in arrived]), np.concatenate([p for _, p in arrived])
 
 
 def _targets(job: Job, first: int, n: int, corner: Array, size: Array) -> Array:

@@ -79,8 +79,8 @@ def flux_of(
     for bounce in range(1, most + 1):
         image = task.mirror_image or bounce > 1
         counted = (world.wall if image else task.matt, task.matt if bounce == 1 else world.wall)
-        found = (*block.ends, *block.at, block.imaged)
-        kernels.to_lens(world, sampler, first, counted, plan.glossy, light, *found)
+        outputs = (*block.ends, *block.at, block.imaged)
+        kernels.to_lens(world, sampler, first, counted, plan.glossy, light, *outputs)
         block.clear(light)
         block.book(bounce)
         block.keep()
@@ -114,11 +114,11 @@ def pixels_of(task: Task, first: int, end: int) -> tuple[Array, Array, Counter[s
     means, variances, counts = [], [], Counter[str]()
     for start in range(first, end, at_once):
         count = min(at_once, end - start)
-        found, asked = _seen_by_pixels(task, start * task.each, count * task.each)
-        found = found.reshape(count, task.each // 2, 2).mean(axis=2)
-        mean = found.mean(axis=1)
+        estimates, asked = _seen_by_pixels(task, start * task.each, count * task.each)
+        estimates = estimates.reshape(count, task.each // 2, 2).mean(axis=2)
+        mean = estimates.mean(axis=1)
         means.append(mean)
-        variances.append(((found - mean[:, None]) ** 2).sum(axis=1))
+        variances.append(((estimates - mean[:, None]) ** 2).sum(axis=1))
         counts += asked
     del counts["rays"]
     pairs = task.each // 2
@@ -131,20 +131,20 @@ def _seen_by_pixels(task: Task, first: int, n: int) -> tuple[Array, Counter[str]
     block, world = _Block(task, first, n), task.job.around.world
     most = task.job.max_bounces
     eyes = [block.look_at_pixels()]
-    found = block.from_source(eyes[0], task.matt).copy()
+    estimates = block.from_source(eyes[0], task.matt).copy()
     if most == 1 or not task.job.around.plan.wall_to_wall:
-        return found, block.rays.counts
+        return estimates, block.rays.counts
     eyes += block.mirrored(eyes[0])
     for depth, eye in enumerate(eyes):
         if 1 <= depth < most:
-            found += block.from_source(eye, world.wall)
+            estimates += block.from_source(eye, world.wall)
     light = block.start()
     for bounce in range(1, most):
         for depth, eye in enumerate(eyes):
             if bounce + depth + 1 <= most:
-                found += block.connect(light, eye)
+                estimates += block.connect(light, eye)
         light = block.rays.onward(light, bounce)
-    return found, block.rays.counts
+    return estimates, block.rays.counts
 
 
 class _Block:
@@ -169,8 +169,8 @@ class _Block:
         light = self._shine(self.task.image_box, 0.5 if self.task.image_box.all() else 0.0)
         kernels.mirrored(world, light, rays.origins, rays.directions, powers, rays.live)
         hits = rays._hits(light)
-        found = (self.value, *self.at, self.imaged)
-        kernels.image_hits(world, rays.directions, rays.origins, powers, hits, *found)
+        outputs = (self.value, *self.at, self.imaged)
+        kernels.image_hits(world, rays.directions, rays.origins, powers, hits, *outputs)
         self.book(1)
         self.keep()
 

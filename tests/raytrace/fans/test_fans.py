@@ -161,7 +161,7 @@ def test_launch_points_are_evenly_spread(n):
 def test_fan_is_wider_than_the_lens_by_its_margin(flat_scene):
     """1.5 ray spacings on each side of a fan of few rays, a fixed margin for many."""
     few, many = (pupil_fans._fan(flat_scene, flat_scene.object_point, n, 0)[1] for n in (64, 4096))
-    expected = ((1 + 2 * 1.5 / (8 - 3)) / (1 + 2 * pupil_fans.MARGIN)) ** 2
+    expected = ((1 + 2 * 1.5 / (8 - 3)) / (1 + 2 * 0.05)) ** 2
     # one product of two widths divided by the other: rounding
     assert few / many == approx(expected, rel=1e-13)
 

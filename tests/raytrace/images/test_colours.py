@@ -92,6 +92,7 @@ def test_each_image_has_the_bits_of_its_own_trace():
     assert np.array_equal(found.power, found.colours[0].power)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("wavelength", [BLUE, RED])
 @pytest.mark.parametrize("analog", [False, True])
 def test_choice_of_lobes_changes_no_result(wavelength, analog):

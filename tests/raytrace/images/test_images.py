@@ -226,6 +226,7 @@ MIRROR = SumMaterial(Lambert(0.4), SpecularMicrofacet(0.4, 0.0))
 GLOSS = SumMaterial(Lambert(0.4), SpecularMicrofacet(0.4, 0.1))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "scene",
     [wide_room(Lambert(0.8)), wide_room(MIRROR), wide_room(GLOSS, GLOSS)],

@@ -91,6 +91,7 @@ def rays_at(mesh, where, count, seed, outside):
     return origins, targets
 
 
+@pytest.mark.thorough
 def test_no_random_ray_leaks_out_of_a_closed_mesh():
     mesh, draw = bumpy(6), np.random.default_rng(1)
     for _ in range(4):
@@ -102,6 +103,7 @@ def test_no_random_ray_leaks_out_of_a_closed_mesh():
         assert radius.max() < 1.11
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("outside", [False, True])
 @pytest.mark.parametrize("where", ["vertices", "edges"])
 def test_no_ray_leaks_at_vertices_and_edges(where, outside):
@@ -317,6 +319,7 @@ def test_edges_and_vertices_that_triangles_share_count_once():
     )
 
 
+@pytest.mark.thorough
 def test_bits_do_not_depend_on_the_number_of_threads():
     code = (
         "import hashlib, numpy as np, trimesh\n"

@@ -10,7 +10,7 @@ import trimesh
 
 from nlosoptics import raytrace
 from nlosoptics.raytrace import Hits
-from nlosoptics.scene import ConcaveWall, ConvexWall, FacetWall, FlatWall, GaussianWall, SumWall
+from nlosoptics.scene import ConcaveWall, ConvexWall, FacetWall, GaussianWall, SumWall
 
 HIT, MISS = Hits.HIT, Hits.MISS
 
@@ -106,6 +106,7 @@ def first_crossing(wall, origin, direction, low, high, count=20_000):
     return 0.5 * (a + b)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "wall",
     [
@@ -157,10 +158,3 @@ def test_grazing_rays_end_and_hit_or_miss_as_triangles_do():
         one = raytrace.intersect(wall, start, line)
         assert one.status == HIT
         assert abs(one.points[2] - wall.height(*one.points[:2])) < 1e-14
-
-
-def test_flat_reliefs_are_planes():
-    flat = raytrace.intersect(FlatWall(), (0.1, 0.2, 1.0), (0.1, 0.0, -1.0))
-    for wall in (FacetWall(1e-3, 0.0), GaussianWall(0.0, 1e-3)):
-        hits = raytrace.intersect(wall, (0.1, 0.2, 1.0), (0.1, 0.0, -1.0))
-        assert hits.distance == flat.distance

@@ -176,6 +176,7 @@ def test_narrow_lobes_approach_the_mirrors():
 BOX = trimesh.creation.box((0.4, 0.4, 0.4))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "scene",
     [

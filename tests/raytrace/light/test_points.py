@@ -202,6 +202,7 @@ def test_lobes_add():
     assert matt.flux == approx(alone.flux, abs=5 * math.hypot(matt.flux_error, alone.flux_error))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("slope", [0.003, 0.03])
 def test_glossy_lobe_by_connections_alone(slope):
     """The wall's integral of a narrow lobe, on a grid fine enough for it."""
@@ -296,6 +297,7 @@ def walked(scene, radius, half, lobes, n, bounces, seed):
     return counts / n, np.sqrt(np.maximum(counts, 1.0)) / n
 
 
+@pytest.mark.thorough
 def test_hollow_wall_of_mirror_and_paint_by_a_walk():
     """Paths by diffuse lobes and mirrors in any order, against rays that only walk."""
     scene = hollow_scene(

@@ -207,6 +207,7 @@ ROOMS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("scene", ROOMS.values(), ids=ROOMS)
 def test_rooms_agree_with_a_walk_of_their_own(scene):
     """Power by reflections, stray light, and what each surface absorbs."""
@@ -354,6 +355,7 @@ WIDE["embree"] = replace(
 )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("scene", WIDE.values(), ids=WIDE)
 def test_connections_agree_with_rays_that_nothing_aims(scene):
     plain = trace(scene, n_rays=1 << 19, max_bounces=5, analog=True, sampler="philox", seed=11)

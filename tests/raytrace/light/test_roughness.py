@@ -42,6 +42,7 @@ def window(scene, count=5, pitch=288e-6):
     return {"pitch": pitch, "shape": (count, count), "first": first}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["facets", "bumps"])
 def test_the_mean_of_patterns_is_the_lobe(kind, gloss):
     # 2^14 rays: an error of 2 % a pattern and 1 % for the lobe

@@ -151,6 +151,7 @@ MESH = MeshObject(
 )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "scene",
     [
@@ -306,6 +307,7 @@ def with_plate(size):
     return replace(scene, hidden=replace(scene.hidden, size=size), camera=camera)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sampler", ["philox", "sobol"])
 def test_standard_error_covers_the_truth(sampler):
     scene, truth = with_plate(0.6), true_flux()
@@ -329,6 +331,7 @@ def error_slope(size, sampler, counts, repeats):
     return np.polyfit(np.log(counts), np.log(errors), 1)[0]
 
 
+@pytest.mark.thorough
 def test_sobol_points_err_less():
     # 16 repeats at 6 counts tell the slope to 0.05
     assert error_slope(0.25, "sobol", [2**k for k in range(10, 16)], 16) < -0.7 - 0.1
@@ -352,6 +355,21 @@ def test_limits_end_the_tracing_early():
 
 
 # the same bits
+
+
+def summary(found):
+    """All numbers of a trace but its seconds."""
+    return (
+        found.flux,
+        found.standard_error,
+        found.stray,
+        found.stray_error,
+        found.mean_path_length,
+        found.trapped,
+        *found.by_bounce,
+        *found.ledger.values(),
+        *found.ledger_error.values(),
+    )
 
 
 PROGRAM = """

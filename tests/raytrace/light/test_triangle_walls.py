@@ -127,6 +127,7 @@ def test_fine_triangles_approach_the_smooth_wall():
     agree(one, trace(room(wavy), n_rays=1 << 15, max_bounces=4, seed=6))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "changes",
     [{}, {"hidden": BALL}, {"occluders": (Occluder(SHELF, position=(0, 0, 0.4)),)}],
