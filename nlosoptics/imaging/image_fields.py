@@ -98,7 +98,6 @@ def image_field(
     See Also
     --------
     nlosoptics.psf.point_spread_field : PSFs over the hidden object.
-    nlosoptics.psf.isoplanatic_radius : Distance within which one PSF suffices.
     form_image : Image in electrons, with noise.
     """
     in_range("tol", tol, 1e-9, 0.1)

@@ -48,7 +48,6 @@ from .transform.point_spread import point_spread as point_spread
 from .transform.wide_pixels import wide_point_spread as wide_point_spread
 from .walls.diffraction_tail import widened as widened
 from .walls.field import PointSpreadField as PointSpreadField
-from .walls.field import isoplanatic_radius as isoplanatic_radius
 from .walls.field import point_spread_field as point_spread_field
 from .walls.hybrid import HybridPointSpread as HybridPointSpread
 from .walls.hybrid import hybrid_point_spread as hybrid_point_spread

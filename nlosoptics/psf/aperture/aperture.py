@@ -31,7 +31,8 @@ class Aperture(Noun):
     A pupil consists of one or more cells. A cell is a connected part of the pupil, such as a ring,
     a sector between two vanes or a mirror segment. Build an aperture with `ellipse`, `round`,
     `polygon`, `regular`, `hexagons`, `discs` or `union`. Coordinates are (u, v) in the exit pupil,
-    m, with the optical axis at (0, 0).
+    m, with the optical axis at (0, 0). Values out of range raise `SceneError`, and nodes that do not
+    fit into memory `MemoryLimitError`.
 
     Parameters
     ----------
@@ -89,16 +90,6 @@ class Aperture(Noun):
             no hole.
         centre : (float, float)
             Centre (u, v) of the ellipse, m.
-
-        Returns
-        -------
-        Aperture
-            One cell; it has a hole if ``obscuration`` is above 0.
-
-        Raises
-        ------
-        SceneError
-            If a value is out of range.
         """
         axes = parts.ellipse_axes(a, b, angle)
         inner = in_range("obscuration", obscuration, 0.0, 0.99)
@@ -138,12 +129,6 @@ class Aperture(Noun):
         Aperture
             One cell without vanes; otherwise one cell for each sector between two vanes.
 
-        Raises
-        ------
-        SceneError
-            If a value is out of range, a width is given without vanes, there is one vane without
-            an obscuration, or the vanes are so wide that they cover the pupil or the hole.
-
         Examples
         --------
         >>> from nlosoptics import psf
@@ -176,11 +161,6 @@ class Aperture(Noun):
             has the shape of the polygon and the same centroid, from which every side of the
             polygon must be visible. Default 0, no hole.
 
-        Returns
-        -------
-        Aperture
-            One cell; it has a hole if ``obscuration`` is above 0.
-
         Raises
         ------
         SceneError
@@ -204,18 +184,7 @@ class Aperture(Noun):
         angle : float
             Angle from the u axis to one of the corners, rad, positive toward v.
         obscuration : float
-            Size of a central hole of the same shape: its side length divided by that of the
-            polygon, 0 to 0.99. Default 0, no hole.
-
-        Returns
-        -------
-        Aperture
-            One cell; it has a hole if ``obscuration`` is above 0.
-
-        Raises
-        ------
-        SceneError
-            If a value is out of range.
+            Size of a central hole of the same shape, 0 to 0.99 of the polygon.
         """
         whole("sides", sides, 3)
         positive("radius", radius, unit="m")
@@ -247,16 +216,6 @@ class Aperture(Noun):
             Angle from the u axis to one corner of each segment, rad, positive toward v.
         central : bool
             Whether the central segment is part of the pupil.
-
-        Returns
-        -------
-        Aperture
-            One cell for each segment.
-
-        Raises
-        ------
-        SceneError
-            If a value is out of range, or no segment is left.
 
         Notes
         -----
@@ -312,11 +271,6 @@ class Aperture(Noun):
         *apertures : Aperture
             One or more apertures that do not overlap.
 
-        Returns
-        -------
-        Aperture
-            Cells in the order of the arguments.
-
         Raises
         ------
         SceneError
@@ -338,11 +292,6 @@ class Aperture(Noun):
         ----------
         by : (float, float)
             Shift along u and v, m.
-
-        Returns
-        -------
-        Aperture
-            Pupil of the same shape.
         """
         step = parts.place("by", by)
         return Aperture(
@@ -461,11 +410,6 @@ class Aperture(Noun):
         weights : ndarray
             Area that each node represents, (n_patches, n_s, n_t), m^2. The weights sum to the area
             of the pupil.
-
-        Raises
-        ------
-        MemoryLimitError
-            If the nodes do not fit into memory.
         """
         n = len(self.owners)
         whole("n_s", n_s)
@@ -500,11 +444,6 @@ class Aperture(Noun):
         owners : ndarray of int
             Index of the cell of the aperture that covers most of each square, (n, n); 0 where no
             cell covers any of it.
-
-        Raises
-        ------
-        MemoryLimitError
-            If the grid does not fit into memory.
         """
         n = whole("samples", samples, 2)
         fits_memory(f"a pupil of {n} x {n} samples", 120.0 * n * n, "use fewer")
@@ -559,11 +498,6 @@ class Aperture(Noun):
         ----------
         u, v : array_like
             Coordinates of the points, m, of any shapes that broadcast.
-
-        Returns
-        -------
-        ndarray of bool
-            In the broadcast shape of ``u`` and ``v``.
         """
         x, y = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
         inside = np.zeros(np.broadcast(x, y).shape, dtype=bool)

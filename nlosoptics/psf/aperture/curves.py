@@ -24,23 +24,14 @@ class Curve(Noun):
 
     Points are ``base + step t + cosine cos(a) + sine sin(a)`` with ``a = phase + turn t``,
     0 <= t <= 1.
-
-    Parameters
-    ----------
-    base : ndarray
-        Start of a segment or centre of an arc, (..., 2), m.
-    step : ndarray
-        Vector from start to end of a segment, (..., 2), m; 0 for an arc.
-    cosine, sine : ndarray
-        Half axes of an arc, (..., 2), m; 0 for a segment.
-    phase, turn : ndarray
-        Start angle and signed angular length of an arc, (...), rad; 0 for a segment.
     """
 
-    base: Array
-    step: Array
+    base: Array  # Start of a segment or centre of an arc, (..., 2), m
+    step: Array  # Vector from start to end of a segment, (..., 2), m; 0 for an arc
+    # Half axes of an arc, (..., 2), m; 0 for a segment.
     cosine: Array
     sine: Array
+    # Start angle and signed angular length of an arc, (...), rad; 0 for a segment.
     phase: Array
     turn: Array
 

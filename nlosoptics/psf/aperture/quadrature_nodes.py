@@ -68,7 +68,6 @@ def polar_nodes(
     See Also
     --------
     grid_nodes : Square grid over a circular pupil.
-    Wavefront : Sampled wave in the exit pupil.
 
     Notes
     -----
@@ -164,7 +163,6 @@ def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[A
     See Also
     --------
     polar_nodes : Gauss nodes of a circular pupil.
-    Wavefront : Sampled wave in the exit pupil.
     """
     positive("radius", radius, unit="m")
     samples = whole("samples", samples, 2)

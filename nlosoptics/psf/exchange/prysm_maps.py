@@ -47,7 +47,6 @@ class PrysmPupil(NamedTuple):
     See Also
     --------
     to_prysm : Maps of a wave for prysm.
-    from_prysm : Wave from prysm's maps.
     """
 
     amplitude: Array

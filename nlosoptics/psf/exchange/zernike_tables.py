@@ -41,6 +41,10 @@ class ZernikeTable:
         Index scheme of the coefficients, see `zernike_order`.
     wavelength : float or None
         Wavelength, m; None if the table does not give it.
+
+    See Also
+    --------
+    read_zernikes : Read a table of coefficients.
     """
 
     coefficients: Mapping[int, float]
@@ -86,7 +90,6 @@ def write_zernikes(
     See Also
     --------
     read_zernikes : Read a table of coefficients.
-    fit_zernike : Zernike coefficients of a wave.
 
     Examples
     --------
@@ -157,7 +160,6 @@ def read_zernikes(
     See Also
     --------
     write_zernikes : Write a table of coefficients.
-    zernike : Zernike polynomial.
     """
     path = path_of("path", path)
     if not path.is_file():

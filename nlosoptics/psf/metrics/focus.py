@@ -80,8 +80,7 @@ def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`).
+        Wave in the exit pupil, of any ``layout``.
     shift : float
         Displacement of the image plane along the direction of the light, m; positive away from the
         lens.
@@ -152,8 +151,7 @@ def through_focus(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`).
+        Wave in the exit pupil, of any ``layout``.
     shifts : array_like, (n,)
         Displacements of the image plane along the direction of the light, m; positive away from the
         lens.
@@ -187,7 +185,6 @@ def through_focus(
     See Also
     --------
     best_focus : Displacement of best focus.
-    focus_shifted : Wave for a displaced image plane.
 
     Examples
     --------

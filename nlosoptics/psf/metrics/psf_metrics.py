@@ -32,8 +32,7 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`).
+        Wave in the exit pupil, of any ``layout``.
     remove : iterable of {"piston", "tilt", "defocus"}
         Terms that are removed from the aberration first, by a least-squares fit weighted by the
         amplitude. Add "tilt" for the Strehl ratio at the centre of a shifted spot, and "defocus"
@@ -86,8 +85,7 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`). The mean is weighted by the amplitude.
+        Wave in the exit pupil, of any ``layout``. The mean is weighted by the amplitude.
     remove : iterable of {"piston", "tilt", "defocus"}
         Terms that are removed from the aberration first, by a least-squares fit. If any term is
         removed, so is the piston. If empty, nothing is removed.
@@ -105,7 +103,6 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     See Also
     --------
     fit_zernike : Zernike coefficients of a wave.
-    strehl : Strehl ratio on the axis.
 
     Examples
     --------
@@ -133,8 +130,7 @@ def fit_zernike(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`). A pupil with a hole is fitted with the polynomials of the full disc.
+        Wave in the exit pupil, of any ``layout``. A pupil with a hole is fitted with the polynomials of the full disc.
     n_terms : int
         Number of polynomials: the first ``n_terms`` of the index scheme.
     ordering : {"noll", "osa", "fringe"}
@@ -158,7 +154,6 @@ def fit_zernike(
     See Also
     --------
     zernike : Zernike polynomial.
-    write_zernikes : Write a table of coefficients.
     """
     one_of("ordering", ordering, ORDERINGS)
     whole("n_terms", n_terms)
@@ -215,7 +210,6 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     See Also
     --------
     ensquared_energy : Energy within squares.
-    fwhm : Full width at half maximum.
     nlosoptics.views.encircled_energy : Curve of the encircled energy.
 
     Examples
@@ -371,6 +365,10 @@ def ptf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     ------
     SceneError, SamplingError
         As in `mtf`.
+
+    See Also
+    --------
+    mtf : Modulus of the optical transfer function.
     """
     return np.asarray(np.angle(_transfer(source, frequency, azimuth)))
 
@@ -429,7 +427,6 @@ def fwhm(point_spread: PointSpread) -> tuple[float, float]:
     See Also
     --------
     encircled_energy : Energy within circles.
-    spot_radius : Rms radius of a spot.
 
     Notes
     -----

@@ -54,8 +54,7 @@ def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`). Rays start at the sample points of non-zero amplitude.
+        Wave in the exit pupil, of any ``layout``. Rays start at its sample points.
     rings : int
         For the layout "polar" the wave is interpolated if it has fewer samples than this number of
         rings with ``2 * rings`` rays each. No effect for other layouts.
@@ -73,7 +72,6 @@ def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
     See Also
     --------
     spot_radius : Rms radius of a spot.
-    point_spread : Image with diffraction.
     nlosoptics.views.spot_diagram : Plot of the points.
 
     Notes
@@ -128,7 +126,6 @@ def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:
     See Also
     --------
     spot_diagram : Points at which rays meet the image plane.
-    encircled_energy : Energy within circles.
 
     Notes
     -----
@@ -159,8 +156,7 @@ def spot_radius(wavefront: Wavefront) -> float:
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, with any ``layout`` (arrangement of the sample points, see
-        `Wavefront`).
+        Wave in the exit pupil, of any ``layout``.
 
     Returns
     -------
@@ -170,7 +166,6 @@ def spot_radius(wavefront: Wavefront) -> float:
     See Also
     --------
     spot_diagram : Points at which rays meet the image plane.
-    encircled_energy : Energy within circles.
     """
     rays = split(wavefront).rays
     x, y = (float((rays.energy * v).sum()) for v in (rays.x, rays.y))

@@ -18,21 +18,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AimedRays:
-    """Stationary paths from an object point by the wall to pupil points.
+    """Stationary paths from an object point by the wall to pupil points."""
 
-    Parameters
-    ----------
-    points : ndarray, (n, 3)
-        Points at which the paths meet the wall, world frame, m.
-    excess : ndarray, (n,)
-        Path length minus the distance from the mirrored object point, m.
-    spreading : ndarray, (n,)
-        Irradiance on the pupil plane per unit radiant intensity, 1/m^2.
-    """
-
-    points: Array
-    excess: Array
-    spreading: Array
+    points: Array  # (n, 3); Points at which the paths meet the wall, world frame, m
+    excess: Array  # (n,); Path length minus the distance from the mirrored object point, m
+    spreading: Array  # (n,); Irradiance on the pupil plane per unit radiant intensity, 1/m^2
 
 
 def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> AimedRays:

@@ -51,7 +51,6 @@ class ExitPupil(Noun):
     See Also
     --------
     exit_pupil : Exit pupil of a scene.
-    wavefront : Wave aberration of a scene.
     """
 
     centre: Array

@@ -101,7 +101,6 @@ class SceneOptics:
     See Also
     --------
     scene_point_spread : Wave and PSF of a scene.
-    wavefront : Wave aberration of a scene.
 
     Notes
     -----

@@ -120,21 +120,14 @@ class SlopeFilter:
 
     It is `integrated_slopes` without a mask. With slopes s_x, s_y at nodes (ny, nx),
     ``surface/pitch = Y' [(Y s_x G_x' + G_y s_y X')/L] X``, where ' is the transpose.
-
-    Parameters
-    ----------
-    cosines : (ndarray, ndarray)
-        Y (ny, ny) and X (nx, nx), orthonormal; row k holds the k-th cosine.
-    sources : (ndarray, ndarray)
-        G_y (ny, ny) and G_x (nx, nx): cosine transforms of minus the divergence of the neighbours'
-        mean slopes.
-    inverse : ndarray, (ny, nx)
-        1/L with the eigenvalues L of the Laplacian; 0 for the mean.
     """
 
+    # (ndarray, ndarray); Y (ny, ny) and X (nx, nx), orthonormal; row k holds the k-th cosine.
     cosines: tuple[Array, Array]
+    # (ndarray, ndarray); G_y (ny, ny) and G_x (nx, nx): cosine transforms of minus the divergence
+    # of the neighbours' mean slopes.
     sources: tuple[Array, Array]
-    inverse: Array
+    inverse: Array  # (ny, nx); 1/L with the eigenvalues L of the Laplacian; 0 for the mean
 
 
 def slope_filter(shape: tuple[int, int]) -> SlopeFilter:

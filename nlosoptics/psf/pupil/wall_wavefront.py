@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,6 @@ from ...scene import MeshWall, Scene, Wall
 from ..aperture.aperture import Aperture
 from ..aperture.quadrature_nodes import grid_nodes, polar_nodes
 from ..wave.detilted import Residual, split
-from ..wave.fits import fitted_terms
 from ..wave.removed import Removed
 from ..wave.wavefront import Layout, Wavefront
 from .aiming import AimedRays, aim, pupil_points
@@ -121,7 +120,6 @@ def wavefront(
     nodes: str | ArrayLike = "auto",
     *,
     samples: int | tuple[int, int] | None = None,
-    reference: str = "mirror_image",
 ) -> Wavefront:
     """Compute the wave that light from one object point, reflected by the wall, forms in the pupil.
 
@@ -148,11 +146,6 @@ def wavefront(
         many points on each, or (rings, points per ring), default (24, 96). "cells": points along
         the two directions of a patch, default (24, 24). "grid": squares per side, default 256, or
         512 if "auto" selects the grid.
-    reference : {"mirror_image", "best_focus"}
-        Terms that are removed from the aberration and reported in ``Wavefront.removed``:
-        "mirror_image" removes the path length and the direction of the chief ray (piston and tilt).
-        The chief ray goes to the centre of the lens. "best_focus" removes piston, tilt and defocus
-        by a least-squares fit.
 
     Returns
     -------
@@ -175,13 +168,13 @@ def wavefront(
     See Also
     --------
     scene_point_spread : Wave and point spread of a scene in one call.
-    exit_pupil : Pupil that the wave is sampled in.
 
     Notes
     -----
     The reference is the spherical wave from the mirror image of the object point. The mirror is the
     plane z = 0, which is the mean plane of the wall. A camera that is not focused on this image
-    adds defocus.
+    adds defocus. The path length and the direction of the chief ray, which goes to the centre of
+    the lens, are subtracted (piston and tilt) and reported in ``removed``.
 
     The amplitude is 1/sqrt(J), with J the factor by which the cross-section of a thin bundle of
     rays grows, relative to that of the chief ray. Squares of a grid that the wall's edge crosses
@@ -196,41 +189,25 @@ def wavefront(
     >>> print(wave.layout, wave.u.shape, f"{1e9 * psf.rms_aberration(wave):.1f} nm")
     polar (24, 96) 0.0 nm
     """
-    one_of("reference", reference, ("mirror_image", "best_focus"))
     if object_point is None:
         o = scene.object_point
     else:
         o = np.array(vector("object_point", object_point))
-    wave = aimed_wave(scene, exit_pupil(scene), o, nodes, samples).wave
-    return _best_focus(wave) if reference == "best_focus" else wave
+    return aimed_wave(scene, exit_pupil(scene), o, nodes, samples).wave
 
 
 @dataclass(frozen=True, eq=False)
 class AimedWave:
-    """Wave from an object point by the wall, with the rays that it was computed from.
+    """Wave from an object point by the wall, with the rays that it was computed from."""
 
-    Parameters
-    ----------
-    wave : Wavefront
-        Wave in the exit pupil.
-    rays : AimedRays
-        The chief ray, followed by one ray for each node inside the lens.
-    on_lens : ndarray, (1 + n, 3)
-        Points at which these rays meet the lens, world frame, m.
-    in_lens : ndarray of bool
-        Whether each node of the wave lies inside the lens, in the shape of the nodes.
-    hidden : bool
-        Whether the occluders cut all rays.
-    outline : Aperture or None
-        Outline of a pupil that the edge of a flat wall cuts. A grid wave does not contain it, since
-        its cells follow the edge only to their own size.
-    """
-
-    wave: Wavefront
-    rays: AimedRays
-    on_lens: Array
+    wave: Wavefront  # Wave in the exit pupil
+    rays: AimedRays  # The chief ray, followed by one ray for each node inside the lens
+    on_lens: Array  # (1 + n, 3); Points at which these rays meet the lens, world frame, m
+    # Whether each node of the wave lies inside the lens, in the shape of the nodes.
     in_lens: NDArray[np.bool_]
-    hidden: bool
+    hidden: bool  # Whether the occluders cut all rays
+    # Outline of a pupil that the edge of a flat wall cuts. A grid wave does not contain it, since
+    # its cells follow the edge only to their own size.
     outline: Aperture | None
 
     @cached_property
@@ -463,23 +440,3 @@ def _defocus(scene: Scene, o: Array, nodes: Array) -> Array:
 
     # The lens images the in-focus point perfectly, so the path from it is the reference.
     return over(distance) - over(in_focus)
-
-
-def _best_focus(wave: Wavefront) -> Wavefront:
-    """Remove the least-squares piston, tilt and defocus from a wave, and report them."""
-    r = wave.pupil_radius
-    u, v = wave.u / r, wave.v / r
-    terms = np.stack([np.ones_like(u), u, v, (u * u + v * v) / 2])
-    fit = fitted_terms(wave.aberration, wave.amplitude * wave.weights, terms)
-    return replace(
-        wave,
-        aberration=wave.aberration - np.tensordot(fit, terms, 1),
-        removed=Removed(
-            piston=wave.removed.piston + float(fit[0]),
-            tilt=(
-                wave.removed.tilt[0] + float(fit[1]) / r,
-                wave.removed.tilt[1] + float(fit[2]) / r,
-            ),
-            defocus=wave.removed.defocus + float(fit[3]) / r**2,
-        ),
-    )

@@ -64,7 +64,7 @@ def _path(view: ReliefView, u: Array, v: Array, wavelength: float) -> tuple[Arra
         raise CausticError(
             f"the wall's relief focuses light before the pupil: its curvature reaches "
             f"{1 / np.linalg.norm(throw, 2):.3g} 1/m, at which W is undefined; use a longer "
-            "correlation length or a smaller slope, or propagation='fresnel'"
+            "correlation length or a smaller slope"
         )
     step = at - aimed
     back = np.linalg.inv(view.effective_distance)

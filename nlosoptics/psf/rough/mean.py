@@ -59,7 +59,6 @@ class RoughPointSpread(PointSpread):
     See Also
     --------
     mean_point_spread : Mean PSF over all walls of one roughness.
-    sample_point_spread : PSF of one random rough wall.
     """
 
     coherent: Array

@@ -27,23 +27,14 @@ CELL_BYTES = 400.0
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """Optical transfer function of a wave, as a function of the distance between pupil points.
+    """Optical transfer function of a wave, as a function of the distance between pupil points."""
 
-    Parameters
-    ----------
-    at : callable
-        Function of the components (du, dv) of a distance between two pupil points, m, that returns
-        complex values: 1 at distance 0, and 0 beyond the pupil's diameter. The distance is the
-        spatial frequency in the image times wavelength times image distance.
-    reach : float
-        Distance beyond which the function is 0, m.
-    error : float
-        Estimate of the largest error of the function.
-    """
-
+    # Function of the components (du, dv) of a distance between two pupil points, m, that returns
+    # complex values: 1 at distance 0, and 0 beyond the pupil's diameter. The distance is the
+    # spatial frequency in the image times wavelength times image distance.
     at: Callable[[Array, Array], ComplexArray]
-    reach: float
-    error: float
+    reach: float  # Distance beyond which the function is 0, m
+    error: float  # Estimate of the largest error of the function
 
 
 def transfer(residual: Residual, cells: int = 0) -> Transfer:

@@ -31,26 +31,16 @@ LINES: Final = 64
 
 @dataclass(frozen=True, eq=False)
 class Screens:
-    """Periodic random screens on a lattice of pupil points.
+    """Periodic random screens on a lattice of pupil points."""
 
-    Parameters
-    ----------
-    heights : ndarray, (n, n//2 + 1)
-        Square root of the discrete power spectrum of the heights, in units of height_rms.
-    phase_rms : float
-        Rms phase s, rad.
-    pitch, wavelength : float
-        Lattice pitch in the pupil and wavelength, m.
-    distance : ndarray, (2, 2), or None
-        Effective distance from wall to pupil, m, see `spreading_matrix`; None for geometric
-        propagation.
-    """
-
+    # (n, n//2 + 1); Square root of the discrete power spectrum of the heights, in units of
+    # height_rms.
     heights: Array
-    phase_rms: float
+    phase_rms: float  # Rms phase s, rad
+    # Lattice pitch in the pupil and wavelength, m.
     pitch: float
     wavelength: float
-    distance: Array | None
+    distance: Array  # (2, 2); Effective distance from wall to pupil, m, see `spreading_matrix`
 
     @property
     def size(self) -> int:
@@ -66,9 +56,7 @@ class Screens:
             waves *= self.heights
             heights = ducc0.fft.c2r(waves, lastsize=n, forward=False, inorm=2, nthreads=1)
             field = phase_field(heights, self.phase_rms)
-            if self.distance is not None:
-                propagated(field, self.distance, self.pitch, self.wavelength)
-            yield field
+            yield propagated(field, self.distance, self.pitch, self.wavelength)
 
 
 def phase_field(phase: Array, factor: float = 1.0) -> ComplexArray:
@@ -211,8 +199,9 @@ def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach:
         )
     positive = np.maximum(spectrum, 0.0)
     positive /= float(np.sum(positive * twice)) / n**2  # restores the variance
-    distance = spreading_matrix(view) if reach > 0 else None
-    return Screens(np.sqrt(positive), view.rayleigh_parameter, pitch, wavelength, distance)
+    return Screens(
+        np.sqrt(positive), view.rayleigh_parameter, pitch, wavelength, spreading_matrix(view)
+    )
 
 
 def _torus(view: RoughView, cells: int, pitch: float, reach: float, level: float = 1e-6) -> int:

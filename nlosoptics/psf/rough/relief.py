@@ -98,38 +98,17 @@ class ReliefView(RoughView):
 
 @dataclass(frozen=True, eq=False)
 class ReliefScreen:
-    """Phase screen of one wall on a periodic lattice of pupil points.
+    """Phase screen of one wall on a periodic lattice of pupil points."""
 
-    Parameters
-    ----------
-    view : ReliefView
-        View of the wall.
-    size : int
-        Lattice points per side, one period.
-    cells : int
-        Lattice points per side that are used; they are the first ones of the lattice.
-    margin : int
-        Points on each side of these with the wall's full heights. Beyond them the heights fall
-        smoothly to 0, so that the period has no edge.
-    pitch : float
-        Lattice pitch in the pupil, m.
-    wavelength : float
-        m.
-    centre : float
-        Lattice coordinate of the pupil's axis.
-    propagates : bool
-        Whether the field is propagated to the pupil by the Fresnel integral. If not, the pupil has
-        the phase of the wall.
-    """
-
-    view: ReliefView
-    size: int
-    cells: int
+    view: ReliefView  # View of the wall
+    size: int  # Lattice points per side, one period
+    cells: int  # Lattice points per side that are used; they are the first ones of the lattice
+    # Points on each side of these with the wall's full heights. Beyond them the heights fall
+    # smoothly to 0, so that the period has no edge.
     margin: int
-    pitch: float
-    wavelength: float
-    centre: float
-    propagates: bool
+    pitch: float  # Lattice pitch in the pupil, m
+    wavelength: float  # m
+    centre: float  # Lattice coordinate of the pupil's axis
 
     def heights(self) -> Array:
         """Return the wall's heights (size, size), m, in the order of the lattice."""
@@ -158,8 +137,6 @@ class ReliefScreen:
         """Return the complex field (size, size) at the pupil points, 1 for a smooth wall."""
         per_metre = self.view.rayleigh_parameter / self.view.roughness.height_rms
         field = phase_field(self.heights(), per_metre)
-        if not self.propagates:
-            return field
         return propagated(field, spreading_matrix(self.view), self.pitch, self.wavelength)
 
     def draw(self, seed: int | None = None) -> Iterator[ComplexArray]:
@@ -181,22 +158,21 @@ def relief_screen(
     pitch: float,
     wavelength: float,
     centre: float,
-    propagates: bool,
 ) -> ReliefScreen:
     """Prepare the phase screen of one wall over ``cells`` lattice points per side.
 
     ``pitch``, m, is at most `ReliefView.widest_pitch`, and ``centre`` is the lattice coordinate of
     the pupil's axis.
     """
-    margin, band = margins(view, pitch, wavelength) if propagates else (0, 0)
+    margin, band = margins(view, pitch, wavelength)
     least = cells + 2 * (margin + band)
     fits_memory(
         f"a phase screen of {least} x {least} cells of {pitch:.3g} m in the pupil",
         SCREEN_BYTES * float(least) ** 2,
         "use a smaller slope_rms, or realisation = 'mean', which needs no screen",
     )
-    size = int(ducc0.fft.good_size(least)) if propagates else cells
-    return ReliefScreen(view, size, cells, margin, pitch, wavelength, centre, propagates)
+    size = int(ducc0.fft.good_size(least))
+    return ReliefScreen(view, size, cells, margin, pitch, wavelength, centre)
 
 
 def margins(view: ReliefView, pitch: float, wavelength: float) -> tuple[int, int]:

@@ -44,7 +44,6 @@ class Roughness(Noun):
     See Also
     --------
     mean_point_spread : Mean PSF over all walls of one roughness.
-    sample_point_spread : PSF of one random rough wall.
 
     Examples
     --------
@@ -105,15 +104,7 @@ class Roughness(Noun):
     def correlation(self, lags: ArrayLike) -> Array:
         """Return the autocorrelation C of the heights.
 
-        Parameters
-        ----------
-        lags : array_like
-            Distances between wall points, m, of any shape.
-
-        Returns
-        -------
-        ndarray
-            C, 1 at lag 0, in the shape of ``lags``.
+        Lags are distances between wall points, m, of any shape, which is that of the result.
         """
         r = np.asarray(lags, dtype=np.float64)
         scaled = r / self.correlation_length

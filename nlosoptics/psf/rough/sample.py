@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import islice
-from typing import Final, Literal
 
 import ducc0
 import numpy as np
@@ -34,10 +33,6 @@ from .view import RoughView
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-Propagation = Literal["fresnel", "geometric"]
-
-#: Largest propagation phase of a screen's waves that geometric propagation may neglect, rad.
-LARGEST_TURN: Final = 0.1
 
 
 def sample_point_spread(
@@ -49,7 +44,6 @@ def sample_point_spread(
     footprint: ArrayLike | None = None,
     cos_sum: float | None = None,
     effective_distance: ArrayLike | None = None,
-    propagation: Propagation = "fresnel",
     pitch: float | None = None,
     shape: int | tuple[int, int] | None = None,
     normalisation: Normalisation = "unit-sum",
@@ -59,10 +53,8 @@ def sample_point_spread(
 
     Parameters
     ----------
-    source : Wavefront, Scene or SceneOptics
-        Wave that the wall without roughness gives; or a scene, from which wave and geometry are
-        computed (once for all calls that share a `SceneOptics`). The pupil of a scene is sampled as
-        finely as the heights require.
+    source, footprint, cos_sum, pitch, shape, pixel_integrated
+        As in `mean_point_spread`. The pupil of a scene is sampled as finely as the heights require.
     roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
         Statistics of the heights, from which a random wall is drawn (`Roughness`), or one wall of
         given heights. The latter is the same wall for every object point, pupil and sampling.
@@ -73,36 +65,14 @@ def sample_point_spread(
         Number of random walls whose patterns are averaged. Fully developed speckle then has the
         contrast ``1/sqrt(independent_patterns)``. Use it to model a wall that moves during the
         exposure, or light of several wavelengths, see Notes. Must be 1 with given heights.
-    footprint : float or array_like (2, 2), optional
-        Matrix M: seen from a pupil point displaced by (du, dv), the object's light comes from a
-        wall point displaced by M (du, dv), in steps along two tangents of the wall, see `WallView`.
-        A number stands for a multiple of the unit matrix. For a flat wall at normal incidence it is
-        ``d1/(d1 + d2)``, with d1 and d2 the distances from the wall to object and lens. Required
-        with a wavefront, not allowed with a scene.
-    cos_sum : float, optional
-        Sum of the cosines of the angles of incidence and reflection at the wall, above 0 and at
-        most 2. Required with a wavefront, not allowed with a scene.
     effective_distance : float or array_like (2, 2), optional
         Distance over which wall ripples diffract on their way to the pupil, m. For a flat wall at
         normal incidence it is ``d1 d2/(d1 + d2)``, see `WallView`. Required with a wavefront, not
         allowed with a scene.
-    propagation : {"fresnel", "geometric"}
-        Propagation from the wall to the pupil: by a Fresnel integral, or along rays, so that a
-        height h only changes the path, by ``-(cos_i + cos_o) h``. ``geometric`` is refused if the
-        diffraction phase q of the finest ripples exceeds 0.1 rad, see Notes.
-    pitch : float, optional
-        Distance between image samples, or pixel side, m. Default lambda N/4, with the wavelength
-        lambda and the F-number N.
-    shape : int or (int, int), optional
-        Samples or pixels (ny, nx); one number means a square. By default at least 256 per side, and
-        enough for all rays, a margin of 16 lambda N for diffraction, and the scattered light.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Quantity that has the value 1, for the smooth wall: the energy in the whole image plane, the
         peak without aberration, or the energy that a clear disc of the pupil's radius transmits.
         The energy of a single random wall can differ from that of the smooth one.
-        With "unit-sum" and "flux", values are energies per pixel: the intensity times ``pitch^2``.
-    pixel_integrated : bool
-        Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
 
     Returns
     -------
@@ -117,7 +87,7 @@ def sample_point_spread(
         given with a scene; or if no surface can have the autocorrelation.
     SamplingError
         If the samples of a wave on a grid are too coarse for the heights, the window is too narrow
-        for the rays, or ``propagation="geometric"`` would be wrong.
+        for the rays,.
     MemoryLimitError
         If the samples of the wall would not fit into memory.
 
@@ -157,7 +127,6 @@ def sample_point_spread(
     ((65, 65), 'fresnel screen + mdft')
     """
     one_of("normalisation", normalisation, NORMALISATIONS)
-    one_of("propagation", propagation, ("fresnel", "geometric"))
     patterns = whole("independent_patterns", independent_patterns)
     seed = _checked_draw(roughness, seed, patterns)
     smooth = rough_source(source, roughness, footprint, cos_sum, effective_distance, pattern=True)
@@ -173,10 +142,9 @@ def sample_point_spread(
         shape,
         seed=seed,
         patterns=patterns,
-        propagation=propagation,
         normalisation=normalisation,
         pixel_integrated=pixel_integrated,
-        reason=f"{propagation} was requested: a phase screen, and one mdft for each pattern",
+        reason="a phase screen with Fresnel propagation, and one mdft for each pattern",
     )[0]
 
 
@@ -189,7 +157,6 @@ def detilted_sample(
     *,
     seed: int = 0,
     patterns: int = 1,
-    propagation: Propagation = "fresnel",
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool,
     reason: str,
@@ -204,7 +171,7 @@ def detilted_sample(
     if view.rayleigh_parameter == 0:
         mean = mdft.intensity_in(residual, grid, samples, rule)
     else:
-        fields, between = wall_fields(residual, view, grid, seed, propagation)
+        fields, between = wall_fields(residual, view, grid, seed)
         first = next(fields)
         seen, spill = seen_through(grid, first, between), spilled(first)
         mean = mdft.intensity_in(residual, seen, samples, rule)
@@ -217,7 +184,7 @@ def detilted_sample(
     spread = PointSpread(
         intensity=mean * scale,
         pitch=pitch,
-        method=f"{propagation} screen + mdft",
+        method="fresnel screen + mdft",
         error_estimate=speckle_error(residual, grid, window, mean, spill, pixel_integrated),
         model_error=speckle_model_error(residual, normalisation),
         normalisation=normalisation,
@@ -311,37 +278,25 @@ def speckle_pupil(residual: Residual, view: RoughView, samples: Window) -> Pupil
 
 
 def wall_fields(
-    residual: Residual, view: RoughView, grid: PupilGrid, seed: int, propagation: str
+    residual: Residual, view: RoughView, grid: PupilGrid, seed: int
 ) -> tuple[Iterator[ComplexArray], Between | None]:
     """Return an iterator over the fields (n, n) of walls, and their interpolation to the grid.
 
     The interpolation is None if the periodic lattice of the fields coincides with the grid.
     """
     wave = residual.wavefront
-    angle = view.halo(wave) / abs(wave.image_distance)
-    reach = throw(view, angle)
-    turn = math.pi / wave.wavelength * reach * angle
-    if propagation == "geometric" and turn > LARGEST_TURN:
-        shortest = wave.wavelength / angle
-        raise SamplingError(
-            f"ripples of periods down to {shortest:.3g} m in the pupil change phase by q = "
-            f"{turn:.3g} rad between wall and pupil, limit {LARGEST_TURN} rad for "
-            "propagation='geometric'; use propagation='fresnel'"
-        )
-    propagates, n = propagation == "fresnel", grid.values.shape[0]
-    step = 1  # a relief's own phase is not periodic, so that it cannot be interpolated
-    if not isinstance(view, ReliefView):
-        step = stride(view, grid.pitch)
-    elif propagates:
-        step = relief_stride(view, grid.pitch, wave.wavelength)
+    n = grid.values.shape[0]
+    relief = isinstance(view, ReliefView)
+    step = relief_stride(view, grid.pitch, wave.wavelength) if relief else stride(view, grid.pitch)
     # one more point than intervals, so that the lattice encloses the last pupil point
     cells = n if step == 1 else -(-n // step) + 1
     pitch = step * grid.pitch
     walls: Screens | ReliefScreen
     if isinstance(view, ReliefView):
-        walls = relief_screen(view, cells, pitch, wave.wavelength, n // 2 / step, propagates)
+        walls = relief_screen(view, cells, pitch, wave.wavelength, n // 2 / step)
     else:
-        walls = screens(view, cells, pitch, wave.wavelength, reach if propagates else 0.0)
+        reach = throw(view, view.halo(wave) / abs(wave.image_distance))
+        walls = screens(view, cells, pitch, wave.wavelength, reach)
     return walls.draw(seed), (Between(walls.size, step, n) if step > 1 else None)
 
 

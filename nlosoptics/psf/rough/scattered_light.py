@@ -42,50 +42,28 @@ class Separations:
 
     The halo is the Fourier transform of an optical transfer function over these distances. Each
     distance (a vector) stands for itself and its opposite.
-
-    Parameters
-    ----------
-    du, dv : ndarray, (n_lags, n_directions)
-        Components of the distances along u and v, m.
-    coord : ndarray, (n_lags n_directions, 2)
-        Phase step from one image sample to the next, along y and x, rad.
-    factor : ndarray of complex, (n_lags, n_directions)
-        Weight of the distance in the sum, without the transfer function of the smooth wave.
     """
 
+    # (n_lags, n_directions); Components of the distances along u and v, m.
     du: Array
     dv: Array
+    # (n_lags n_directions, 2); Phase step from one image sample to the next, along y and x, rad.
     coord: Array
+    # (n_lags, n_directions); Weight of the distance in the sum, without the transfer function of
+    # the smooth wave.
     factor: ComplexArray
 
 
 @dataclass(frozen=True, eq=False)
 class Halo:
-    """Computation of the halo that roughness scatters, by a sum over distances in the pupil.
+    """Computation of the halo that roughness scatters, by a sum over distances in the pupil."""
 
-    Parameters
-    ----------
-    residual : Residual
-        Wave of the smooth wall, without piston and tilt.
-    view : RoughView
-        Statistics and geometry of the roughness.
-    window : Window
-        Image samples or pixels.
-    pixel_integrated : bool
-        Whether to integrate over pixels instead of sampling at their centres.
-    edge : float
-        Distance between pupil points beyond which the transfer function of the smooth wave is 0, m.
-    spread : float
-        Radius in the image of the light before it is scattered, m, if it is large, as for a speckle
-        pattern; 0 otherwise.
-    """
-
-    residual: Residual
-    view: RoughView
-    window: Window
-    pixel_integrated: bool
+    residual: Residual  # Wave of the smooth wall, without piston and tilt
+    view: RoughView  # Statistics and geometry of the roughness
+    window: Window  # Image samples or pixels
+    pixel_integrated: bool  # Whether to integrate over pixels instead of sampling at their centres
+    # Distance between pupil points beyond which the transfer function of the smooth wave is 0, m.
     edge: float
-    spread: float = 0.0
 
     @property
     def per_metre(self) -> float:
@@ -101,7 +79,7 @@ class Halo:
         x, y = self.window.reach_from(self.residual.shift)
         out_u, out_v, last_lag = self._outermost(math.pi * np.arange(64) / 64)
         last = float(np.hypot(out_u, out_v).max())
-        v = abs(self.per_metre) * (math.hypot(x, y) + self.spread) * last
+        v = abs(self.per_metre) * math.hypot(x, y) * last
         n_directions = math.ceil(fineness * math.ceil((v + 12 * v ** (1 / 3) + 48) / 2))
         edges = self._runs(float(last_lag.max()))
         runs = [
@@ -156,24 +134,23 @@ class Halo:
         at: Callable[[Array, Array], ComplexArray],
         coherent: Array,
         tol: float,
-        fineness: float = FIRST,
-    ) -> tuple[Array, Separations, ComplexArray, float]:
+    ) -> tuple[Array, Separations, float]:
         """Compute the scattered intensity with nodes refined until it has converged.
 
         The number of nodes per direction grows by 1.5 until the change is below a tenth of ``tol``
-        times the peak, or they are 7 times as many as the rule of thumb.
+        times the peak of it and ``coherent``, or they are 7 times as many as the rule of thumb.
         """
+        fineness = FIRST
         nodes = self.separations(0.7 * fineness)
         coarse = self.image(nodes, at(nodes.du, nodes.dv))
         while True:
             nodes = self.separations(fineness)
-            smooth = at(nodes.du, nodes.dv)
-            fine = self.image(nodes, smooth)
+            fine = self.image(nodes, at(nodes.du, nodes.dv))
             # the error of the coarser nodes bounds that of the finer ones
             missed = float(np.abs(fine - coarse).max())
             enough = missed <= 0.1 * tol * float(np.max(coherent + fine))
             if enough or 1.5 * fineness > 7:
-                return fine, nodes, smooth, missed
+                return fine, nodes, missed
             coarse = fine
             fineness *= 1.5
 
@@ -281,7 +258,7 @@ def _with_cells(
             if found[1] <= 0.5 * tol * float(np.max(coherent + found[0])):
                 return found
     halo = Halo(residual, view, window, pixel_integrated, smooth.reach)
-    light, nodes, _, missed = halo.converged(smooth.at, coherent, tol)
+    light, nodes, missed = halo.converged(smooth.at, coherent, tol)
     return light, missed + _transfer_error(halo, nodes, light, smooth, cells)
 
 
@@ -332,7 +309,7 @@ def _about_the_light(
     """
     inner, parts = inner_window(window, half)
     halo = Halo(residual, view, inner, True, smooth.reach)
-    light, nodes, _, missed = halo.converged(smooth.at, np.zeros(inner.shape), tol / 10)
+    light, nodes, missed = halo.converged(smooth.at, np.zeros(inner.shape), tol / 10)
     error = min(parts, inner.shape[0]) * (
         missed + _transfer_error(halo, nodes, light, smooth, cells)
     )

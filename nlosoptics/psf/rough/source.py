@@ -28,21 +28,13 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True, eq=False)
 class RoughSource:
-    """Wave of a wall without its roughness, with the statistics and geometry of the roughness.
+    """Wave of a wall without its roughness, with the statistics and geometry of the roughness."""
 
-    Parameters
-    ----------
-    residual : Residual
-        Wave of the smooth wall, without piston and tilt; for a scene with the default sampling.
-    view : RoughView
-        Statistics of the roughness, and the geometry by which the pupil sees it.
-    seen : PointOptics or None
-        Store of the scene's wave, from which more samples can be had; None if a wavefront was
-        given.
-    """
-
+    # Wave of the smooth wall, without piston and tilt; for a scene with the default sampling.
     residual: Residual
-    view: RoughView
+    view: RoughView  # Statistics of the roughness, and the geometry by which the pupil sees it
+    # Store of the scene's wave, from which more samples can be had; None if a wavefront was
+    # given.
     seen: PointOptics | None = None
 
     def refined(self, use: Callable[[Residual], Found]) -> Found:

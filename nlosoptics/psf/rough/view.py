@@ -20,26 +20,18 @@ class RoughView:
     """Statistics of a rough wall, with the geometry by which the exit pupil sees it.
 
     It computes how roughness divides the light into a sharp core and a scattered halo.
-
-    Parameters
-    ----------
-    roughness : Roughness
-        Statistics of the wall's heights.
-    footprint : ndarray, (2, 2)
-        Matrix M: two pupil points at the distance (vector) d see wall points at the distance M d.
-    rayleigh_parameter : float
-        Rms phase s that the heights add to the wave, rad.
-    effective_distance : ndarray (2, 2) or None
-        Distance over which wall ripples diffract on their way to the pupil, m, see `WallView`. None
-        if it is not known; the mean over walls does not need it.
     """
 
     #: Time of the transfer function at one separation, s, beyond that of its sum.
     term_seconds: ClassVar[float] = 0.0
 
-    roughness: Roughness
+    roughness: Roughness  # Statistics of the wall's heights
+    # (2, 2); Matrix M: two pupil points at the distance (vector) d see wall points at the
+    # distance M d.
     footprint: Array
-    rayleigh_parameter: float
+    rayleigh_parameter: float  # Rms phase s that the heights add to the wave, rad
+    # (2, 2); Distance over which wall ripples diffract on their way to the pupil, m, see
+    # `WallView`. None if it is not known; the mean over walls does not need it.
     effective_distance: Array | None = None
 
     def lags(self, du: Array, dv: Array) -> Array:

@@ -59,7 +59,6 @@ def widened(
     See Also
     --------
     scene_point_spread : Wave and PSF of a scene.
-    point_spread_field : PSFs over the hidden object.
     nlosoptics.imaging.form_image : Image in electrons, with noise.
     """
     in_range("tol", tol, 0.0, 1.0, open_low=True)

@@ -62,7 +62,6 @@ class PointSpreadField(Noun):
     --------
     point_spread_field : PSFs over the hidden object.
     nlosoptics.imaging.image_field : PSFs at as many points as an image needs.
-    nlosoptics.imaging.form_image : Image in electrons, with noise.
     """
 
     modes: Array
@@ -126,16 +125,7 @@ class PointSpreadField(Noun):
     def point_spread(self, across: float, up: float) -> Array:
         """Return the point spread function at one point of the object.
 
-        Parameters
-        ----------
-        across, up : float
-            Coordinates of the point, -1 to 1 from the left to the right edge of the object and from
-            its lower to its upper edge.
-
-        Returns
-        -------
-        ndarray, (py, px)
-            Energy per pixel.
+        ``across`` and ``up`` are those of `at`. The result, (py, px), is the energy per pixel.
         """
         return np.asarray(np.tensordot(self.at(across, up), self.modes, 1))
 
@@ -146,10 +136,7 @@ class PointSpreadField(Noun):
     def deviation(self) -> float:
         """Return how far the point spreads differ from their mean: rms difference over rms mean.
 
-        Returns
-        -------
-        float
-            Root mean square over object and pixels; 0 if the point spread is the same everywhere.
+        Both are over object and pixels; 0 if the point spread is the same everywhere.
         """
         weights, products = self._even_weights.reshape(len(self.modes), -1), self._products
         mean = weights.mean(axis=1)
@@ -265,7 +252,6 @@ def point_spread_field(
     See Also
     --------
     scene_point_spread : For one object point.
-    isoplanatic_radius : Distance over which one point spread suffices.
 
     Notes
     -----
@@ -366,66 +352,6 @@ class SampledSpreads:
         rest = zip(held_out, found[ny * nx :], strict=True)
         errors = [_off(field.point_spread(x, y), one.intensity) for (x, y), one in rest]
         return replace(field, error_estimate=max([lost, *errors]) + worst)
-
-
-def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> float:
-    """Compute how far from the object's centre the point spread function (PSF) stays the same.
-
-    Parameters
-    ----------
-    scene : Scene or SceneOptics
-        Scene with a `PlanarObject`. A `SceneOptics` made from it stores its exit pupil and
-        central wave for further calls.
-    tol : float
-        Largest difference from the PSF of the object's centre, relative to its peak, 1e-6 to 1.
-
-    Returns
-    -------
-    float
-        Distance from the object's centre, m, at which the difference reaches ``tol``: the smallest
-        along eight directions in the object's plane. It is infinite if the difference stays within
-        ``tol`` over the whole object, and 0 if the distance is below 1e-3 of the object's half
-        size.
-
-    Raises
-    ------
-    SceneError
-        If the object is a mesh or ``tol`` is out of range.
-    CausticError, NotWaveGradeError, SamplingError
-        If the aberration of an object point has no single value (several rays or none reach a pupil
-        point), a mesh wall is not accurate enough for waves, or PSFs cannot be computed with an
-        error below ``tol/10``.
-
-    See Also
-    --------
-    point_spread_field : PSFs over the hidden object.
-    nlosoptics.imaging.image_field : PSFs at as many points as an image needs.
-    """
-    optics = optics_of(scene)
-    hidden, pitch = _picture(optics.scene), optics.scene.camera.image_pitch
-    in_range("tol", tol, 1e-6, 1.0)
-    ends = [optics.at(picture_point(hidden, x, x)) for x in (0.0, 1.0, -1.0)]
-    side = max(point_window(one, pitch, tol / 10) for one in ends)
-
-    def spread(x: float, y: float) -> Array:
-        one = optics.at(picture_point(hidden, x, y))
-        return point_image(one, pitch, (side, side), tol / 10)[1].intensity
-
-    centre, radius = spread(0.0, 0.0), math.inf
-    for k in range(8):
-        x, y = math.cos(math.pi * k / 4), math.sin(math.pi * k / 4)
-        edge = 1.0 / max(abs(x), abs(y))  # of the object along this direction
-        reach = math.hypot(x * hidden.size[0], y * hidden.size[1]) / 2
-        high = min(edge, radius / reach)
-        if _off(spread(high * x, high * y), centre) <= tol:
-            continue
-        low = 0.0
-        while high - low > 1e-3:
-            middle = 0.5 * (low + high)
-            within = _off(spread(middle * x, middle * y), centre) <= tol
-            low, high = (middle, high) if within else (low, middle)
-        radius = low * reach
-    return radius
 
 
 def _picture(scene: Scene) -> PlanarObject:

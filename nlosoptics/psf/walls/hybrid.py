@@ -38,48 +38,28 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class MirrorImage:
-    """Mirror image of one object point by a wall of reflectance 1.
+    """Mirror image of one object point by a wall of reflectance 1."""
 
-    Parameters
-    ----------
-    aimed : AimedWave
-        Wave and rays of the object point.
-    flux : float
-        Power through the lens from a point that emits 1 W, W.
-    image : (float, float)
-        Position at which the chief ray meets the detector, from the camera's axis, m.
-    """
-
-    aimed: AimedWave
-    flux: float
+    aimed: AimedWave  # Wave and rays of the object point
+    flux: float  # Power through the lens from a point that emits 1 W, W
+    # (float, float); Position at which the chief ray meets the detector, from the camera's axis,
+    # m.
     image: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class WaveParts:
-    """Mirror image computed by waves.
+    """Mirror image computed by waves."""
 
-    Parameters
-    ----------
-    coherent, halo : ndarray, (ny, nx)
-        Parts of the smooth mirror and of scattering by its roughness, W per pixel.
-    error : float
-        Largest error of their sum, W per pixel.
-    coherent_flux, halo_flux : float
-        Power of both parts in the whole image plane, W.
-    reason : str
-        Method, for `PointSpread.reason`.
-    model_error : float
-        Largest error of the scalar model, W per pixel.
-    """
-
+    # (ny, nx); Parts of the smooth mirror and of scattering by its roughness, W per pixel.
     coherent: Array
     halo: Array
-    error: float
+    error: float  # Largest error of their sum, W per pixel
+    # Power of both parts in the whole image plane, W.
     coherent_flux: float
     halo_flux: float
-    reason: str
-    model_error: float = 0.0
+    reason: str  # Method, for `PointSpread.reason`
+    model_error: float = 0.0  # Largest error of the scalar model, W per pixel
 
 
 def image_lobes(
@@ -185,7 +165,7 @@ def wave_parts(
         inner = (min(side + 2 * half, shape[0]), min(side + 2 * half, shape[1]))
         window = Window.centred(pitch, inner)
         sum_over = Halo(residual, view, window, True, smooth_transfer.reach)
-        found, nodes, _, missed = sum_over.converged(smooth_transfer.at, np.zeros(inner), tol)
+        found, nodes, missed = sum_over.converged(smooth_transfer.at, np.zeros(inner), tol)
         missed += float(np.abs(nodes.factor).sum()) * smooth_transfer.error
         missed /= float(found.max())
         if missed > tol:
@@ -294,8 +274,7 @@ def hybrid_point_spread(
     scene : Scene
         Scene with the wall, its material and the camera.
     object_point : array_like, (3,), optional
-        Object point in world coordinates, m. Default: the hidden object's reference point, that is
-        the centre of a planar object or the centroid of a mesh.
+        As in `scene_point_spread`.
     roughness : Roughness, optional
         Statistics of the wall's heights. They replace ``slope_rms``, the rms slope of the
         microfacets in the mirror-like lobes (parts) of the wall's material. By default this slope
@@ -346,7 +325,6 @@ def hybrid_point_spread(
     See Also
     --------
     scene_point_spread : PSF of the mirror-like reflection only.
-    mean_point_spread : Coherent part and halo of a rough mirror.
 
     Notes
     -----

@@ -81,21 +81,11 @@ def halo_radius(lobe: MirrorLobe, view: WallView, wave: Wavefront, tol: float) -
 
 @dataclass(frozen=True, eq=False)
 class MirrorLobes:
-    """Mirror-like lobes of a wall and the geometry in which the pupil sees the wall.
+    """Mirror-like lobes of a wall and the geometry in which the pupil sees the wall."""
 
-    Parameters
-    ----------
-    rough : list of MirrorLobe
-        Lobes with a slope.
-    smooth : float
-        Total reflectance of the lobes without slope.
-    view : WallView or None
-        Geometry of wall and pupil; None if no lobe has a slope.
-    """
-
-    rough: list[MirrorLobe]
-    smooth: float
-    view: WallView | None
+    rough: list[MirrorLobe]  # Lobes with a slope
+    smooth: float  # Total reflectance of the lobes without slope
+    view: WallView | None  # Geometry of wall and pupil; None if no lobe has a slope
 
     def window(
         self, residual: Residual, pitch: float, tol: float, outline: Aperture | None = None

@@ -62,8 +62,6 @@ class PupilField(Noun, Shown):
     See Also
     --------
     Wavefront : Sampled wave in the exit pupil.
-    sample_point_spread : PSF of one random rough wall.
-    scene_point_spread : Wave and PSF of a scene.
     """
 
     values: ComplexArray
@@ -98,32 +96,19 @@ class PupilField(Noun, Shown):
 
 @dataclass(frozen=True)
 class RoughChoice:
-    """Regime of the point spread function of a rough wall, with sampling and predicted cost.
+    """Regime of the point spread function of a rough wall, with sampling and predicted cost."""
 
-    Parameters
-    ----------
-    regime : {"aberration", "diffraction", "mean", "rays"}
-        Rays on the relief give the wave aberration; or the field is propagated from the wall to the
-        pupil; or the mean over all walls in closed form; or rays alone.
-    cells : int
-        Samples per side: pupil nodes, phase screen or rays; 0 for the mean.
-    pitch : float
-        Pitch of the phase screen in the pupil, m; 0 otherwise.
-    seconds, n_bytes : float
-        Predicted run time on one core, s, and memory, bytes.
-    error : float
-        Expected error relative to the peak.
-    reason : str
-        Regime, sampling and reason in words.
-    """
-
+    # {"aberration", "diffraction", "mean", "rays"}: Rays on the relief give the wave aberration;
+    # or the field is propagated from the wall to the pupil; or the mean over all walls in closed
+    # form; or rays alone.
     regime: Regime
-    cells: int
-    pitch: float
+    cells: int  # Samples per side: pupil nodes, phase screen or rays; 0 for the mean
+    pitch: float  # Pitch of the phase screen in the pupil, m; 0 otherwise
+    # Predicted run time on one core, s, and memory, bytes.
     seconds: float
     n_bytes: float
-    error: float
-    reason: str
+    error: float  # Expected error relative to the peak
+    reason: str  # Regime, sampling and reason in words
 
 
 def roughness_view(seen: PointOptics, *, pattern: bool | None = None) -> RoughView:

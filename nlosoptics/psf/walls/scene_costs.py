@@ -41,18 +41,10 @@ HELD: Final = 4e6
 
 @dataclass(frozen=True)
 class Cost:
-    """Predicted cost of a computation.
+    """Predicted cost of a computation."""
 
-    Parameters
-    ----------
-    seconds : float
-        Run time on one core, s.
-    n_bytes : float
-        Peak memory, bytes.
-    """
-
-    seconds: float
-    n_bytes: float
+    seconds: float  # Run time on one core, s
+    n_bytes: float  # Peak memory, bytes
 
 
 def point_cost(

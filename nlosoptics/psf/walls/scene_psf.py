@@ -45,8 +45,6 @@ class ScenePointSpread(Noun):
     See Also
     --------
     scene_point_spread : Wave and PSF of a scene.
-    PointSpread : Sampled PSF with its error estimate.
-    Wavefront : Sampled wave in the exit pupil.
     """
 
     exit_pupil: ExitPupil
@@ -117,8 +115,6 @@ def scene_point_spread(
     See Also
     --------
     point_spread : PSF of a given wave.
-    hybrid_point_spread : PSF that includes diffuse reflection and multiple reflections.
-    point_spread_field : PSFs at all points of a planar object.
 
     Notes
     -----
