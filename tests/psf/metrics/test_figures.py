@@ -121,23 +121,6 @@ def test_widths_of_a_gaussian_off_the_centre(row, column):
     assert psf.fwhm(pictured(spot)) == approx((2.3 * half, 1.7 * half), rel=3e-4)
 
 
-@pytest.mark.parametrize("ends", [(1, 1), (1, 0), (0, 1)])
-def test_widths_of_few_samples(ends):
-    """A parabola through three to five samples, which may fall below half at the last of them."""
-    left, right = (2 - end for end in ends)
-    i = np.arange(-left, right + 1)
-    cut = 1 - 0.3 * i**2 if max(left, right) == 1 else 1 - 0.2 * i**2
-    known = abs(cut[0]) < 0.5 and abs(cut[-1]) < 0.5
-    spread = pictured(np.outer([0.2, 1.0, 0.1], cut))
-    if not known:
-        with pytest.raises(SamplingError, match=f"edge of the window of {cut.size} samples"):
-            psf.fwhm(spread)
-    wide = pictured(np.outer([0.1, 1.0, 0.1], 1 - 0.21 * np.arange(-2, 3) ** 2))
-    assert psf.fwhm(wide) == approx(
-        [2 * math.sqrt(0.5 / 0.21) * PITCH, 2 * math.sqrt(0.5 / 0.9) * PITCH], rel=1e-9
-    )
-
-
 def scattered(n=400, seed=5, **terms):
     """Nodes at random, of uneven area and amplitude, some of them dark."""
     rng = np.random.default_rng(seed)
@@ -187,33 +170,6 @@ def test_scattered_nodes_after_removal(remove):
     phasors = np.exp(2j * math.pi / WAVELENGTH * rest)
     ratio = abs(np.sum(weights * phasors)) ** 2 / weights.sum() ** 2
     assert psf.strehl(wave, remove=remove) == approx(ratio, rel=1e-9)
-
-
-@pytest.mark.parametrize("waves", [0.0, 1.1])
-def test_brightest_point_of_an_uneven_grid(waves):
-    """Coma lifts other maxima, among which a search from the wrong side ends."""
-
-    def path(u, v):
-        x, y = u / RADIUS, v / RADIUS
-        return rough(u, v) + waves * WAVELENGTH * (x * x + y * y) * (x - 0.4 * y)
-
-    wave = psf.Wavefront.from_function(
-        path, amplitude=lambda u, v: 1 + 0.5 * v / RADIUS, nodes="grid", samples=64, **SYSTEM
-    )
-    pupil = wave.amplitude * wave.weights * np.exp(2j * math.pi / WAVELENGTH * wave.aberration)
-    best, place, step = 0.0, np.zeros(2), 2.5e-5
-    for _ in range(14):  # ever finer lattices about the best point
-        offsets = np.linspace(-step, step, 41)
-        x, y = (place[k] + offsets for k in (0, 1))
-        turn = -2j * math.pi / (WAVELENGTH * DISTANCE)
-        along = np.exp(turn * np.outer(x, wave.u)), np.exp(turn * np.outer(y, wave.v))
-        found = np.abs((along[1] * pupil.ravel()) @ along[0].T) ** 2
-        row, column = np.unravel_index(found.argmax(), found.shape)
-        best, place, step = found.max(), np.array([x[column], y[row]]), step / 5
-    ratio = best / np.sum(wave.amplitude * wave.weights) ** 2
-    assert np.hypot(*place) > 1e-6
-    assert psf.peak_strehl(wave) == approx(ratio, rel=1e-9)
-    assert psf.peak_strehl(replace(wave, image_distance=-DISTANCE)) == approx(ratio, rel=1e-9)
 
 
 @pytest.mark.parametrize(("ordering", "first"), [("noll", 1), ("osa", 0), ("fringe", 1)])

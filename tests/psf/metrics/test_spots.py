@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 from pytest import approx
-from scipy.optimize import minimize_scalar
-from scipy.special import j0, sici
+from scipy.special import sici
 
 from nlosoptics import psf
 from nlosoptics.errors import SamplingError, SceneError
@@ -94,27 +93,6 @@ def test_phase_transfer_of_a_shift_and_of_a_sign():
     assert abs(float(psf.ptf(blurred, 0.3 / UNIT))) == approx(math.pi, abs=1e-2)
 
 
-@pytest.mark.parametrize("nodes", ["polar", "grid"])
-def test_peak_is_found_wherever_the_tilt_put_it(nodes):
-    """A tilt alone keeps the full peak; defocus below a wave keeps it at the centre, sinc^2."""
-    tilted = wave({2: 0.83, 3: -0.41}, nodes=nodes)
-    assert psf.peak_strehl(tilted) == approx(1.0, abs=1e-9)
-    blurred = wave({2: 0.37, 4: 0.1}, nodes=nodes)
-    w = 2 * math.sqrt(3) * 0.1  # waves at the rim
-    exact = np.sinc(w) ** 2
-    # the rim of a grid of 256 cells
-    assert psf.peak_strehl(blurred) == approx(exact, rel=1e-9 if nodes == "polar" else 1e-3)
-
-
-def test_peak_of_coma_lies_off_the_reference():
-    coma = wave({8: 0.12})
-    at_reference = psf.strehl(coma)
-    best = max(psf.strehl(wave({2: t, 8: 0.12})) for t in np.linspace(-0.2, 0.2, 401).tolist())
-    assert psf.peak_strehl(coma) > at_reference
-    # a tilt in steps of 1e-3 waves finds the same peak to second order
-    assert psf.peak_strehl(coma) == approx(best, abs=2e-5)
-
-
 def test_spot_diagram_of_defocus_is_an_even_disc():
     """W = c sqrt3 (2 rho^2 - 1) sends the ray at rho to 4 sqrt3 c d rho/R from the axis."""
     radius, distance, c = 5e-3, 0.05, 4e-7
@@ -157,34 +135,3 @@ def test_spot_diagram_moves_with_the_tilt(nodes):
     np.testing.assert_allclose(spots.y, 0.0, atol=1e-9 * expected)
     assert spots.centroid == pytest.approx((expected, 0.0), rel=1e-9, abs=1e-9 * expected)
     assert spots.energy.min() > 0.0
-
-
-@pytest.mark.parametrize("waves", [0.9, 1.0, 1.3, 2.1])
-def test_peak_of_a_defocused_disc_may_be_a_ring(waves):
-    """|2 int_0^1 J0(v rho) e^(2 pi i w rho^2) rho drho|^2, largest over v; dark middle at w = 1."""
-    rho, share = np.polynomial.legendre.leggauss(200)
-    rho, share = (rho + 1) / 2, share / 2
-
-    def intensity(v):
-        field = (share * rho * j0(v * rho) * np.exp(2j * math.pi * waves * rho**2)).sum()
-        return abs(2 * field) ** 2
-
-    coarse = np.linspace(0.0, 20.0, 2001)
-    v = coarse[np.argmax([intensity(v) for v in coarse])]
-    best = minimize_scalar(
-        lambda v: -intensity(v), bounds=(max(v - 0.01, 0.0), v + 0.01), options={"xatol": 1e-10}
-    )
-    found = psf.peak_strehl(wave({4: waves / (2 * math.sqrt(3))}))
-    # Newton's steps end at rounding; the search over v at the square root of it
-    assert found == approx(-best.fun, rel=1e-12)
-
-
-def test_peak_turns_with_the_wave():
-    """Coma of 0.1 and astigmatism of 0.15 waves at any angle, off the axis by a turned tilt."""
-    found = []
-    for angle in (0.0, 0.5, 2.2):
-        c, s, c2, s2 = (f(k * angle) for k in (1, 2) for f in (math.cos, math.sin))
-        coefficients = {2: 0.2 * c, 3: 0.2 * s, 8: 0.1 * c, 7: 0.1 * s, 6: 0.15 * c2, 5: 0.15 * s2}
-        found.append(psf.peak_strehl(wave(coefficients)))
-    # Newton's steps end at rounding
-    assert found[1:] == approx(found[:1] * 2, rel=1e-12)

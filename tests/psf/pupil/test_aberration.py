@@ -10,7 +10,6 @@ from pytest import approx
 
 from nlosoptics import psf
 from nlosoptics.errors import CausticError, NotWaveGradeError, SceneError
-from nlosoptics.psf.pupil import aiming
 from nlosoptics.scene import (
     ConcaveWall,
     ConvexWall,
@@ -143,66 +142,6 @@ def test_shifts_that_the_wall_allows_change_nothing(wall, shift):
     assert after == approx(before, abs=1e-9 * WAVELENGTH)
 
 
-def test_light_runs_both_ways():
-    """The path is reciprocal: swapping object and pupil point leaves its length."""
-    wall = WavyWall(3e-5, 0.3, 0.2)
-    forth = psf.path_difference(wall, OBJECT, PUPIL, 0.0)
-    back = psf.path_difference(wall, PUPIL, OBJECT, 0.0)
-    assert forth == approx(back, abs=2e-16)
-
-
-def test_a_bump_shortens_the_path():
-    """W = -(cos_in + cos_out) h for a raised wall, to first order in h = 1e-7 m."""
-    h = 1e-7
-    raised = WavyWall(h, 1e3)  # a crest so long that it is a plane at z = h
-    o, p = (-0.6, 0.0, 1.0), (0.6, 0.0, 1.0)
-    reference = 2 * math.hypot(0.6, 1.0)
-    cosine = 1.0 / math.hypot(0.6, 1.0)
-    # the second order is h^2/d
-    assert psf.path_difference(raised, o, p, reference) == approx(-2 * cosine * h, abs=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("radius", "distance", "height", "expected"),
-    [
-        (5.0, 1.5, 0.05, -6.802192335846701992e-8),
-        (5.0, 1.5, 0.2, -1.728553028186650135e-5),
-        (5.0, 5.0, 0.2, 0.0),
-    ],
-)
-def test_spherical_aberration_of_a_sphere(radius, distance, height, expected):
-    """|OQ| + |QI| - s - s' with Q at a height h, 1/s + 1/s' = 2/R; 50-digit values."""
-    image = 1 / (2 / radius - 1 / distance)
-    found = psf.path_difference(
-        ConcaveWall(radius),
-        (0, 0, distance),
-        (0, 0, image),
-        distance + image,
-        wall_point=(height, 0.0),
-    )
-    # one rounding of s' = 3.75 m to 4e-16 m enters reference and leg alike and cancels
-    assert found == approx(expected, rel=1e-12, abs=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("height", "expected"),
-    [
-        (0.01, -3.124960939086872865e-10),
-        (0.1, -3.121109578094931345e-6),
-        (0.25, -1.211404686361889190e-4),
-    ],
-)
-def test_sphere_in_collimated_light(height, expected):
-    """-z + sqrt(h^2 + (R/2 - z)^2) - R/2 on a 2 m sphere; 50-digit values."""
-    wall = ConcaveWall(2.0)
-    z = float(wall.height(height, 0.0))
-    # the leg from the plane z = 0 counts -z and the wave front there is flat
-    leg = psf.path_difference(
-        wall, (height, 0.0, z), (0.0, 0.0, 1.0), 1.0, wall_point=(height, 0.0)
-    )
-    assert leg - z == approx(expected, rel=1e-12, abs=1e-15)
-
-
 def test_a_mesh_of_a_sphere_follows_the_sphere_within_its_residual():
     sphere = ConcaveWall(5.0, size=1.2)
     mesh = MeshWall(sphere.to_mesh(max_sag_error=3e-6))
@@ -230,49 +169,6 @@ def test_a_sphere_near_its_caustic_is_refused():
 def test_several_images_are_refused():
     with pytest.raises(CausticError, match="more than once"):
         psf.wall_aberration(WavyWall(1e-3, 0.1), OBJECT, PUPIL, AIM, disc())
-
-
-@pytest.mark.parametrize("part", [0.97, 1.03])
-def test_walls_that_are_searched_for_more_images(monkeypatch, part):
-    """From 0.8 of the curvature at which a second path may exist; a convex wall has none."""
-    searched = []
-    monkeypatch.setattr(aiming, "stationary_points", lambda *a: searched.append(a) or iter(()))
-    o, p = np.array(OBJECT), np.array(PUPIL)
-    radius = 2.0
-    for _ in range(9):  # the point of reflection depends on the radius
-        searched.clear()
-        wall = ConvexWall(radius)
-        hit = aiming.aim(wall, o, p[None], -p / np.linalg.norm(p)).points[0]
-        d1, d2 = np.linalg.norm(hit - o), np.linalg.norm(hit - p)
-        cosines = o[2] / d1, p[2] / d2
-        least = cosines[0] ** 2 / d1 + cosines[1] ** 2 / d2
-        radius = wall.max_curvature * radius * sum(cosines) / (0.8 * part * least)
-    assert bool(searched) == (part > 1)
-
-
-def test_starts_of_a_search_for_more_images(monkeypatch):
-    """An even square about the known path: as far as slopes of the wall can send light, four
-    starts for each half period."""
-    searched = []
-    monkeypatch.setattr(aiming, "stationary_points", lambda *a: searched.append(a) or iter(()))
-    o, p = np.array(OBJECT), np.array(PUPIL)
-    for wall in (WavyWall(3e-3, 0.3), WavyWall(2e-4, 0.08), WavyWall(0.05, 1.2)):
-        searched.clear()
-        nodes = np.stack([p, np.add(p, (0.0, 0.01, 0.0))])
-        found = aiming.aim(wall, o, nodes, -p / np.linalg.norm(p)).points
-        d1, d2 = np.linalg.norm(found[0] - o), np.linalg.norm(found[0] - p)
-        period = wall.finest_period
-        slope = wall.max_curvature * period / (2 * math.pi)
-        reach = 2 * math.hypot(*(o - p)[:2]) + o[2] + p[2]
-        reach = min(reach, 4 * slope * d1 * d2 / (d1 + d2) + 2 * period)
-        count = int(min(129, max(9, 2 * math.ceil(4 * reach / period) + 1)))
-        assert len(searched) == 2
-        for (_, _, node, starts, side), end, hit in zip(searched, nodes, found, strict=True):
-            assert side == 1
-            assert node == approx(end)
-            line = np.linspace(-reach, reach, count)
-            x, y = np.meshgrid(line, line)
-            assert starts == approx(np.stack([x + hit[0], y + hit[1]], -1).reshape(-1, 2), abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ from pytest import approx
 
 from nlosoptics import psf, raytrace
 from nlosoptics.errors import CausticError, SamplingError, SceneError
-from nlosoptics.psf.aperture.quadrature_nodes import circle_shares
 from nlosoptics.psf.wave.scattered_fits import cell_areas
 from nlosoptics.raytrace.fans.paths import DETECTED
 from nlosoptics.scene import ConcaveWall, ConvexWall, FlatWall, HeightMapWall, SumWall, WavyWall
@@ -38,23 +37,6 @@ def aimed(scene, wave, object_point=None):
 
 
 # ---------------------------------------------------------------- areas
-
-
-@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.13, -0.31)])
-def test_square_lattice_has_square_cells(shift):
-    """Voronoi cells of a lattice are the cells of a grid, whose share of a disc is known."""
-    axis = (np.arange(25) - 12) * 0.1
-    x, y = axis + shift[0] * 0.1, axis + shift[1] * 0.1
-    sites = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    whole, within, neighbours = cell_areas(sites, 1.0)
-    expected = circle_shares(x, y, 0.1, 1.0).ravel() * 0.01
-    # both are differences of sectors, rounding 1e-16 of the disc each
-    assert within == approx(expected, abs=1e-14)
-    inside = np.abs(sites).max(axis=1) < 1.1
-    assert whole[inside] == approx(0.01, rel=1e-12)
-    steps = np.linalg.norm(sites[neighbours[:, 0]] - sites[neighbours[:, 1]], axis=1)
-    # four corners of the lattice meet in a point: diagonals may count as neighbours there
-    assert set(np.round(steps[steps < 0.2], 9)) <= {0.1, round(0.1 * math.sqrt(2), 9)}
 
 
 @pytest.mark.parametrize("radius", [0.0125, 3.0])
@@ -94,18 +76,6 @@ def test_rays_carry_the_aimed_wave(flat_scene, wall):
     assert wave.layout == "scattered"
     assert wave.image_distance == expected.image_distance
     assert wave.weights.sum() == approx(math.pi * wave.pupil_radius**2, rel=1e-12)
-
-
-@pytest.mark.parametrize("point", [(0.3, 0.1, 1.1), (0.45, -0.05, 0.9)])
-def test_other_object_points(flat_scene, point):
-    scene = replace(flat_scene, wall=ConcaveWall(5.0))
-    offset = np.array(point) * (1, 1, -1) - np.array(scene.camera.position)
-    in_focus = replace(scene.camera, focus_distance=float(offset @ scene.camera.axis))
-    scene = replace(scene, camera=in_focus)
-    wave = wave_of(scene, 2000, object_point=point)
-    expected = aimed(scene, wave, point)
-    assert np.abs(wave.aberration - expected.aberration).max() < 2e-14
-    assert np.abs(wave.amplitude - expected.amplitude).max() < 1e-7
 
 
 def test_height_maps_converge_to_the_aimed_wave(flat_scene):
@@ -154,22 +124,6 @@ def test_energy_and_the_weight_of_a_ray(flat_scene, wall):
     expected = psf.wavefront(scene)
     assert wave.flux == approx(expected.flux, rel=2e-5)
     assert power.sum() == approx(power[within].mean() * len(power), rel=1e-2)
-
-
-def test_point_spread_at_the_focus(flat_scene):
-    """The sum over rays at the image point, against quadrature of the aimed wave."""
-    scene = replace(flat_scene, wall=WALLS[4])
-    k = 2 * math.pi / scene.laser.wavelength
-    polar = psf.wavefront(scene)
-    expected = np.sum(polar.amplitude * polar.weights * np.exp(1j * k * polar.aberration))
-    errors = []
-    for n_rays in (1000, 16000):
-        wave = wave_of(scene, n_rays)
-        found = np.sum(wave.amplitude * wave.weights * np.exp(1j * k * wave.aberration))
-        errors.append(abs(found - expected) / abs(expected))
-    # the rim's cells are seen from the rays inside them: first order in the area of a cell
-    assert errors[1] < errors[0] / 4
-    assert errors[1] < 2e-3
 
 
 # ---------------------------------------------------------------- what is refused
@@ -226,26 +180,6 @@ def test_paths_a_quarter_of_a_wave_off(flat_scene, part, refused):
     else:
         wave = psf.wavefront_from_rays(changed, pupil, wavelength)
         assert np.ptp(wave.aberration) == approx(part * wavelength, rel=0.2)
-
-
-def test_holes_between_rays(flat_scene):
-    """Rays left out in a part of the pupil; ten times the median area is the limit."""
-    rays = rays_of(flat_scene)
-    pupil, wavelength = psf.exit_pupil(flat_scene), flat_scene.laser.wavelength
-    axes = flat_scene.camera.frame[:2]
-    places = (rays.points[:, -1] - pupil.centre) @ axes.T
-    hole = pupil.centre + 4e-3 * axes[0]
-    away = np.linalg.norm(rays.points[:, -1] - hole, axis=1)
-    for radius, refused in ((8e-4, False), (4e-3, True)):
-        kept = (rays.status != DETECTED) | (away > radius) | (away == away.min())
-        few = replace(rays, status=np.where(kept, rays.status, 2).astype(rays.status.dtype))
-        if not refused:
-            wave = psf.wavefront_from_rays(few, pupil, wavelength)
-            assert wave.weights.sum() == approx(math.pi * pupil.radius**2, rel=1e-9)
-            continue
-        with pytest.raises(SamplingError, match=r"only one in [\d.e-]+ m\^2, limit 10 times the"):
-            psf.wavefront_from_rays(few, pupil, wavelength)
-    assert np.abs(places).max() < 2 * pupil.radius
 
 
 @pytest.mark.parametrize("wall", [FlatWall(), ConvexWall(1.5), WALLS[4]], ids=name)

@@ -10,9 +10,8 @@ from pytest import approx
 from scipy import fft
 
 from nlosoptics import psf
-from nlosoptics._checks import Budget, within
 from nlosoptics._random import generator
-from nlosoptics.errors import MemoryLimitError, SceneError
+from nlosoptics.errors import SceneError
 from nlosoptics.psf.rough import phase_screens
 from nlosoptics.psf.rough.view import RoughView
 
@@ -34,16 +33,6 @@ def torus_lags(n, pitch):
     return np.hypot(wall[..., 0], wall[..., 1])
 
 
-def test_matrices():
-    back = np.linalg.inv(FOOTPRINT)
-    found = phase_screens.spreading_matrix(view())
-    assert_allclose(found, back @ DISTANCE @ back.T, rtol=1e-12)
-    largest = np.linalg.eigvalsh(found)[-1]
-    assert phase_screens.throw(view(), 3e-3) == approx(3e-3 * largest, rel=1e-12)
-    with pytest.raises(SceneError, match="effective_distance is missing, but a wavefront does not"):
-        phase_screens.spreading_matrix(view(distance=None))
-
-
 @pytest.mark.parametrize("s", [0.0, 0.3, 1.0, 4.0])
 @pytest.mark.parametrize("name", ["gaussian", "exponential"])
 def test_widest_pitch(name, s):
@@ -55,38 +44,6 @@ def test_widest_pitch(name, s):
     fall = -math.log1p(-1 / 9 / max(1.0, s**2))
     lag = L * (math.sqrt(fall) if name == "gaussian" else fall)
     assert found == approx(lag / np.linalg.svd(FOOTPRINT)[1][0], rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("cells", "pitch", "reach"),
-    [(40, 1e-3, 0.0), (41, 7e-4, 4e-3), (1, 1e-3, 0.0), (700, 9e-4, 1e-3), (2, 1e-3, 0.09)],
-)
-@pytest.mark.parametrize("name", ["gaussian", "exponential"])
-def test_size_of_the_torus(name, cells, pitch, reach):
-    """The pupil, a margin on both sides and the lag at which C falls to 1e-6; or twice that lag."""
-    seen = view(1.2, name)
-    fall = math.log(1e6)
-    gap = (
-        L
-        * (math.sqrt(fall) if name == "gaussian" else fall)
-        * np.linalg.norm(np.linalg.inv(FOOTPRINT), 2)
-    )
-    least = max(cells + (2 * reach + gap) / pitch, 2 * gap / pitch)
-    found = phase_screens.screens(seen, cells, pitch, WAVELENGTH, reach)
-    assert found.size == fft.next_fast_len(math.ceil(least))
-    assert (found.pitch, found.wavelength, found.phase_rms) == (pitch, WAVELENGTH, 1.2)
-    if reach > 0:
-        assert_allclose(found.distance, phase_screens.spreading_matrix(seen))
-    else:
-        assert found.distance is None
-    for room, fits in ((100.0 * least**2 * (1 - 1e-6), False), (100.0 * least**2, True)):
-        with within(Budget(memory=room * (1 + 1e-9), seconds=9.0)):
-            if fits:
-                phase_screens.screens(seen, cells, pitch, WAVELENGTH, reach)
-                continue
-            size = f"{least:.6g} x {least:.6g} cells of {pitch:.3g} m in the pupil needs"
-            with pytest.raises(MemoryLimitError, match=f"a phase screen of {size}"):
-                phase_screens.screens(seen, cells, pitch, WAVELENGTH, reach)
 
 
 @pytest.mark.parametrize(("cells", "pitch"), [(25, 2.1e-3), (34, 1.7e-3)], ids=["odd", "even"])
@@ -113,12 +70,6 @@ def test_spectrum_and_draw(name, cells, pitch):
         delayed = np.fft.fft2(wall) * np.exp(-1j * math.pi * WAVELENGTH * turn)
         assert_allclose(field, np.fft.ifft2(delayed), atol=1e-6)
     assert math.pi * WAVELENGTH * abs(turn).max() > 0.1
-
-
-@pytest.mark.parametrize("n", [1, 2, 5, 8])
-def test_steps_of_a_period(n):
-    """In the order of an FFT, whose middle of an even number is negative."""
-    assert_allclose(phase_screens._steps(n), np.fft.fftfreq(n) * n, atol=1e-12)
 
 
 def test_negative_power():
@@ -198,9 +149,3 @@ def test_interpolation_in_blocks(size, cells, count):
     lattice = np.exp(2j * math.pi * (2 * j - 3 * j[:, None]) / (size * cells))
     found = phase_screens.Between(size, cells, count)(lattice)
     assert_allclose(found, across[:, None] * along, atol=1e-12)
-
-
-def test_phase_field():
-    phase = np.array([[0.3, -2.0, 0.1], [1.0, 7.0, 0.0], [0.2, 3.0, -4.0]])
-    assert_allclose(phase_screens.phase_field(phase), np.exp(-1j * phase), atol=1e-14)
-    assert_allclose(phase_screens.phase_field(phase, 0.7), np.exp(-0.7j * phase), atol=1e-14)

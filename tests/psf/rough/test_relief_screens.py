@@ -9,8 +9,7 @@ from pytest import approx
 from scipy import fft
 
 from nlosoptics import psf
-from nlosoptics._checks import Budget, within
-from nlosoptics.errors import MemoryLimitError, SceneError
+from nlosoptics.errors import SceneError
 from nlosoptics.psf.rough import relief
 from nlosoptics.psf.rough.relief import ReliefView
 from nlosoptics.psf.rough.source import rough_source
@@ -110,58 +109,6 @@ def test_lattice_on_a_map():
             relief.ReliefScreen(out, 9, 9, 0, 1e-3, WAVELENGTH, 4.0, False).heights()
 
 
-@pytest.mark.parametrize("pitch", [1e-4, 7e-4, 3e-2])
-@pytest.mark.parametrize("name", ["facets", "bumps"])
-def test_margins(name, pitch):
-    """Throw of five rms slopes and six Fresnel zones; then six scales, or 16 points."""
-    view = view_of(WALLS[name])
-    back = np.linalg.inv(FOOTPRINT)
-    wide = np.linalg.eigvalsh(back @ DISTANCE @ back.T)[-1]
-    far = 5 * wide * view.turn(WAVELENGTH) + 6 * math.sqrt(WAVELENGTH * wide)
-    scale = math.sqrt(2) * WALLS[name].height_rms / WALLS[name].slope_rms
-    band = 6 * scale * np.linalg.svd(back)[1][0] / pitch
-    expected = math.ceil(far / pitch), math.ceil(max(band, 16))
-    assert relief.margins(view, pitch, WAVELENGTH) == expected
-    least = 7 + 2 * sum(expected)
-    size = f"a phase screen of {least} x {least} cells of {pitch:.3g} m in the pupil"
-    with (
-        within(Budget(memory=72.0 * least**2 - 1, seconds=9.0)),
-        pytest.raises(MemoryLimitError, match=f"{size} needs"),
-    ):
-        relief.relief_screen(view, 7, pitch, WAVELENGTH, 3.0, True)
-    with within(Budget(memory=72.0 * least**2, seconds=9.0)):
-        assert relief.relief_screen(view, 7, pitch, WAVELENGTH, 3.0, True).centre == 3.0
-
-
-@pytest.mark.parametrize("s", [0.2, 1.0, 5.0])
-@pytest.mark.parametrize("name", WALLS)
-def test_figures_of_a_view(name, s):
-    wall, across = WALLS[name], np.linalg.svd(FOOTPRINT)[1][0]
-    view = view_of(wall, s)
-    cosines = WAVELENGTH * s / (2 * math.pi * wall.height_rms)
-    turn = cosines * across * wall.slope_rms * max(1, 1 / s)
-    assert view.cos_sum(WAVELENGTH) == approx(cosines, rel=1e-12)
-    assert view.turn(WAVELENGTH) == approx(turn, rel=1e-12)
-    assert view.length == approx(math.sqrt(2) * wall.height_rms / wall.slope_rms, rel=1e-12)
-    assert view.has_tails
-    wave = psf.Wavefront.from_zernike(
-        {}, wavelength=WAVELENGTH, pupil_radius=4e-3, image_distance=-0.06
-    )
-    assert view.halo(wave) == approx(3 * turn * 0.06, rel=1e-12)
-    finest = {"facets": 1.1e-3 / 16, "map": 0.04 / 32}.get(name, view.length / 6) / across
-    expected = min(WAVELENGTH / (12 * turn), finest)
-    assert view.widest_pitch(WAVELENGTH) == approx(expected, rel=1e-12)
-    for parts in (0.3, 1.0, 2.99, 3.01):
-        found = relief.relief_stride(view, expected / parts, WAVELENGTH)
-        assert found == max(1, math.floor(parts))
-
-
-def test_view_of_no_heights():
-    view = view_of(WALLS["bumps"], 0.0)
-    assert (view.turn(WAVELENGTH), view.widest_pitch(WAVELENGTH)) == (0.0, math.inf)
-    assert relief.relief_stride(view, 1e-3, WAVELENGTH) == 10**6
-
-
 @pytest.mark.parametrize("s", [0.0, 0.4, 0.999, 1.001, 3.0])
 @pytest.mark.parametrize("name", ["gaussian", "exponential"])
 def test_transfer_of_statistics(name, s):
@@ -220,45 +167,6 @@ def test_halo_of_a_correlation_without_end():
 WAVE = psf.Wavefront.from_zernike(
     {4: 2e-8}, wavelength=WAVELENGTH, pupil_radius=4e-3, image_distance=0.06
 )
-
-
-@pytest.mark.parametrize("pattern", [True, False])
-@pytest.mark.parametrize("name", WALLS)
-def test_views_by_wall(name, pattern):
-    """A wall stands for its heights, or for Gaussian heights of its rms height and slope."""
-    wall = WALLS[name]
-    source = rough_source(WAVE, wall, FOOTPRINT, COS_SUM, DISTANCE, pattern=pattern)
-    view, s = source.view, 2 * math.pi / WAVELENGTH * COS_SUM * wall.height_rms
-    assert view.rayleigh_parameter == approx(s, rel=1e-12)
-    assert_allclose(view.footprint, FOOTPRINT)
-    assert_allclose(view.effective_distance, DISTANCE)
-    assert source.refined(lambda one: one.wavefront) is WAVE
-    if pattern:
-        assert (type(view), view.roughness) == (ReliefView, wall)
-        assert_allclose(view.axes, np.eye(2))
-        assert_allclose(view.origin, [0, 0])
-    elif name == "facets":
-        assert (type(view).__name__, view.roughness) == ("FacetView", wall)
-    else:
-        length = math.sqrt(2) * wall.height_rms / wall.slope_rms
-        assert view.roughness.height_rms == wall.height_rms
-        assert view.roughness.correlation_length == approx(length, rel=1e-9)
-        assert view.roughness.autocorrelation == "gaussian"
-
-
-def test_flat_map_and_plain_numbers():
-    flat = HeightMapWall(np.zeros((8, 8)), 2e-3)
-    view = rough_source(WAVE, flat, 0.3, 2.0).view
-    assert (view.roughness.height_rms, view.roughness.correlation_length) == (0, 2e-3)
-    assert_allclose(view.footprint, 0.3 * np.eye(2))
-    assert view.effective_distance is None
-    rough = psf.Roughness(1e-7, 1e-3)
-    view = rough_source(WAVE, rough, 0.3, 0.4, 0.7, pattern=True).view
-    assert view.rayleigh_parameter == approx(0.4e-7 * 2 * math.pi / WAVELENGTH, rel=1e-12)
-    assert_allclose(view.effective_distance, 0.7 * np.eye(2))
-    assert type(view) is RoughView
-    near = [[1.0, 0.2], [0.2 + 0.9e-9, 0.5]]
-    assert_allclose(rough_source(WAVE, rough, 0.3, 1.1, near).view.effective_distance, near)
 
 
 ROUGH = psf.Roughness(1e-7, 1e-3)

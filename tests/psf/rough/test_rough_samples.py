@@ -11,7 +11,6 @@ from scipy import fft, stats
 
 from nlosoptics import psf
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
-from nlosoptics.psf.rough import sample
 from nlosoptics.psf.rough.phase_screens import Between, propagated, screens, throw
 from nlosoptics.psf.rough.source import rough_source
 
@@ -296,29 +295,6 @@ def test_polar_nodes_and_pixels():
         **kwargs,
     )
     assert many.intensity.sum() == approx(total.intensity.sum(), rel=0.03)
-
-
-def test_geometry_is_the_limit_of_short_ways():
-    wave, roughness = grid_wave(), wall(2.0, 10e-3)
-    kwargs = {"pitch": UNIT / 2, "shape": 32, "seed": 1, **NORMAL}
-    # turns fall with the distance; the same heights need the same torus
-    pictures = {}
-    for propagation, distance in (("fresnel", 1e-4), ("geometric", 1e-4), ("geometric", 0.05)):
-        pictures[propagation, distance] = psf.sample_point_spread(
-            wave, roughness, propagation=propagation, effective_distance=distance, **kwargs
-        ).intensity
-    straight = pictures["geometric", 1e-4]
-    assert np.array_equal(straight, pictures["geometric", 0.05])
-    near = pictures["fresnel", 1e-4]
-    turn = sample.LARGEST_TURN
-    with pytest.raises(SamplingError, match="limit 0.1 rad for propagation='geometric'") as refusal:
-        psf.sample_point_spread(
-            wave, roughness, propagation="geometric", effective_distance=20.0, **kwargs
-        )
-    q = float(str(refusal.value).split("q = ")[1].split(" ")[0])
-    assert q > turn
-    # turns scale with the distance
-    assert near == approx(straight, abs=5 * q * 1e-4 / 20 * straight.max(), rel=0)
 
 
 def test_scene_is_sampled(flat_scene):

@@ -1,7 +1,6 @@
 """Patterns of single rough walls against direct sums over the pupil, and the limits of sampling."""
 
 import math
-from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -62,11 +61,11 @@ def by_sums(front, field, shape, pitch=PITCH):
     return np.abs(image) ** 2 * (pitch / (WAVELENGTH * front.image_distance)) ** 2 / area
 
 
-def fields(front, wall, seed, propagation):
+def fields(front, wall, seed):
     """Fields at the pupil points of a lattice as fine as the pupil's."""
     view = RoughView(wall, FOOTPRINT, 1.6 * K * wall.height_rms, SPREAD)
     angle = view.halo(front) / abs(front.image_distance)
-    reach = phase_screens.throw(view, angle) if propagation == "fresnel" else 0.0
+    reach = phase_screens.throw(view, angle)
     n, pitch = len(front.u), front.pupil_pitch
     step = phase_screens.stride(view, pitch)
     cells = n if step == 1 else math.ceil(n / step) + 1
@@ -77,7 +76,6 @@ def fields(front, wall, seed, propagation):
     return step, (between(field) for field in walls.draw(seed))
 
 
-@pytest.mark.parametrize("propagation", ["fresnel", "geometric"])
 @pytest.mark.parametrize("distance", [DISTANCE, -DISTANCE])
 @pytest.mark.parametrize(
     ("samples", "wall", "step"),
@@ -87,11 +85,8 @@ def fields(front, wall, seed, propagation):
         (31, rough(0.4, 2.5e-3, "exponential"), 1),
     ],
 )
-def test_pattern_is_a_sum_over_the_pupil(samples, wall, step, distance, propagation):
+def test_pattern_is_a_sum_over_the_pupil(samples, wall, step, distance):
     front, shape = wave(samples, distance), (12, 15)
-    geometry = GEOMETRY
-    if propagation == "geometric":  # allowed for short ways only
-        geometry = GEOMETRY | {"effective_distance": 1e-3 * SPREAD}
     found = psf.sample_point_spread(
         front,
         wall,
@@ -99,17 +94,16 @@ def test_pattern_is_a_sum_over_the_pupil(samples, wall, step, distance, propagat
         independent_patterns=3,
         pitch=PITCH,
         shape=shape,
-        propagation=propagation,
-        **geometry,
+        **GEOMETRY,
     )
-    taken, drawn = fields(front, wall, 5, propagation)
+    taken, drawn = fields(front, wall, 5)
     assert taken == step
     expected = np.mean([by_sums(front, one, shape) for one in islice(drawn, 3)], axis=0)
     assert_allclose(found.intensity, expected, atol=1e-9 * expected.max())
     assert found.enclosed_energy == approx(expected.sum(), rel=1e-9)
     assert (found.pitch, found.wavelength, found.pixel_integrated) == (PITCH, WAVELENGTH, False)
-    assert found.method == f"{propagation} screen + mdft"
-    assert found.reason.startswith(f"{propagation} was requested: a phase screen, and one mdft")
+    assert found.method == "fresnel screen + mdft"
+    assert found.reason.startswith("a phase screen")
     assert found.f_number == front.f_number
     assert found.normalisation == "unit-sum"
     s = 1.6 * K * wall.height_rms
@@ -125,7 +119,7 @@ def test_pattern_of_given_heights(relief):
     found = psf.sample_point_spread(front, relief, **asked)
     s, n = 1.6 * K * relief.height_rms, len(front.u)
     view = ReliefView(relief, FOOTPRINT, s, SPREAD, np.zeros(2), np.eye(2))
-    screen = relief_screen(view, n, front.pupil_pitch, WAVELENGTH, n // 2, True)
+    screen = relief_screen(view, n, front.pupil_pitch, WAVELENGTH, n // 2)
     expected = by_sums(front, screen.field()[:n, :n], shape)
     # interpolated between wider points of the lattice
     assert_allclose(found.intensity, expected, atol=2e-3 * expected.max())
@@ -148,7 +142,7 @@ def test_normalisations_and_pixels():
         assert other.normalisation == name
     wide = asked | {"pitch": 3 * PITCH, "pixel_integrated": True}
     pixels = psf.sample_point_spread(front, wall, **wide)
-    _, drawn = fields(front, wall, 1, "fresnel")
+    _, drawn = fields(front, wall, 1)
     parts = 15  # samples of a pixel side, whose mean is that of the pixel to 1e-3
     fine = by_sums(front, next(drawn), (8 * parts, 9 * parts), 3 * PITCH / parts)
     # the middle sample of pixel [4, 4] is on the axis, as sample [60, 67] is
@@ -158,40 +152,6 @@ def test_normalisations_and_pixels():
     assert pixels.pixel_integrated
 
 
-@pytest.mark.parametrize(
-    ("finest", "far"),
-    [(3e-5, 1e-5), (1e-6, 1e-5), (math.inf, 1e-5), (math.inf, 1e-2), (3e-5, 3e-3)],
-)
-def test_grid_pitch(finest, far):
-    """A third of the period, 256 cells across the pupil, and a whole fraction of the finest."""
-    front = wave(distance=-DISTANCE)
-    widest = min(finest, WAVELENGTH * DISTANCE / (3 * far), 2 * RADIUS / 256)
-    found = sample.grid_pitch(front, finest, far)
-    if math.isinf(finest):
-        assert found == approx(widest, rel=1e-12)
-        return
-    parts = finest / found
-    assert parts == approx(round(parts), rel=1e-9)
-    assert found <= widest * (1 + 1e-8)
-    assert finest / (round(parts) - 1) > widest if round(parts) > 1 else True
-
-
-def test_pitch_that_fits_is_kept():
-    front = wave()
-    widest = 2 * RADIUS / 256
-    assert sample.grid_pitch(front, 4 * widest, 1e-9) == approx(widest, rel=1e-12)
-    assert sample.grid_pitch(front, 4 * widest * (1 + 0.7e-9), 1e-9) == approx(widest, rel=1e-8)
-    assert sample.grid_pitch(front, 4 * widest * (1 + 2e-9), 1e-9) == approx(0.8 * widest, rel=1e-8)
-
-
-def test_finest_pitch():
-    view = RoughView(rough(1.3, 2.1e-3), FOOTPRINT, 1.3, SPREAD)
-    assert sample.finest_pitch(view, WAVELENGTH) == phase_screens.widest_pitch(view)
-    wall = GaussianWall(3e-8, 2e-3)
-    view = ReliefView(wall, FOOTPRINT, 0.6, SPREAD, np.zeros(2), np.eye(2))
-    assert sample.finest_pitch(view, WAVELENGTH) == view.widest_pitch(WAVELENGTH)
-
-
 def test_share_beyond_the_band():
     for n in (40, 21):
         field = np.exp(1j * np.random.default_rng(n).normal(size=(n, n)))
@@ -199,13 +159,6 @@ def test_share_beyond_the_band():
         high = np.abs(np.fft.fftfreq(n)) > 0.45
         expected = 10 * waves[high[:, None] | high].sum() / waves.sum()
         assert sample.spilled(field) == approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize("seed", [0, 2**64 - 1])
-def test_seeds(seed):
-    asked = GEOMETRY | {"pitch": PITCH, "shape": 8}
-    one = psf.sample_point_spread(wave(), rough(0.4, 3e-3), seed=seed, **asked)
-    assert one.shape == (8, 8)
 
 
 NARROW = rough(0.4, 3e-3)
@@ -223,11 +176,6 @@ NARROW = rough(0.4, 3e-3)
             "independent_patterns = 2 with the heights of one wall, limit 1; give a Roughness",
         ),
         (NARROW, {"independent_patterns": 0}, "independent_patterns = 0 is out of range"),
-        (
-            NARROW,
-            {"propagation": "rays"},
-            "propagation = 'rays' is unknown, must be one of fresnel, g",
-        ),
         (NARROW, {"normalisation": "sum"}, "normalisation = 'sum' is unknown"),
     ],
 )
@@ -235,23 +183,6 @@ def test_refuses(wall, changes, message):
     asked = GEOMETRY | {"pitch": PITCH, "shape": 8, "seed": 0} | changes
     with pytest.raises(SceneError, match=message):
         psf.sample_point_spread(wave(), wall, **asked)
-
-
-def test_nyquist_pitch():
-    residual = split(wave())
-    limit = residual.nyquist_pitch
-    for factor, refused in ((1 + 0.7e-9, False), (1 + 2e-9, True)):
-        window = Window.centred(limit * factor, (5, 8))
-        if refused:
-            with pytest.raises(
-                SamplingError, match=f"wider than the Nyquist pitch {limit:.3g} m and does not reso"
-            ):
-                sample.speckle_samples(residual, window, False)
-        else:
-            assert sample.speckle_samples(residual, window, False) == (window, None)
-        samples, rule = sample.speckle_samples(residual, window, True)
-        assert samples == rule.window(window.pitch, (5, 8))
-        assert samples.pitch < limit
 
 
 def view_of(wall, s=0.4):
@@ -300,52 +231,6 @@ def test_period_of_a_grid_wave():
                 sample.speckle_pupil(residual, view, window)
             assert f"or a wavefront of {need} or more pupil samples (now 31)" in str(refusal.value)
     assert 10 < sum(fits) < 119
-
-
-@pytest.mark.parametrize("factor", [1 - 1e-6, 1 + 1e-6])
-def test_geometric_propagation_ends_at_a_tenth_of_a_radian(factor):
-    residual = split(wave())
-    front, wall = residual.wavefront, rough(0.4, 3e-3)
-    angle = view_of(wall).halo(front) / DISTANCE
-    back = np.linalg.inv(FOOTPRINT)
-    wide = np.linalg.eigvalsh(back @ SPREAD @ back.T)[-1]
-    part = 0.1 * factor / (math.pi / WAVELENGTH * wide * angle**2)
-    view, grid = RoughView(wall, FOOTPRINT, 0.4, part * SPREAD), pupil_grid(residual)
-    sample.wall_fields(residual, view, grid, 0, "fresnel")
-    if factor < 1:
-        sample.wall_fields(residual, view, grid, 0, "geometric")
-        return
-    shortest = WAVELENGTH / angle
-    message = (
-        f"ripples of periods down to {shortest:.3g} m in the pupil change phase by q = 0.1 rad"
-    )
-    with pytest.raises(SamplingError, match=f"{message} between wall and pupil, limit 0.1 rad"):
-        sample.wall_fields(residual, view, grid, 0, "geometric")
-
-
-def test_lattices_of_fields():
-    """A relief's own phase is not interpolated, since it is not periodic."""
-    residual = split(wave(91))
-    grid, n = pupil_grid(residual), 91
-    smooth = GaussianWall(2e-9, 6e-3, seed=1)
-    view = ReliefView(smooth, FOOTPRINT, 1.6 * K * 2e-9, 1e-4 * SPREAD, np.zeros(2), np.eye(2))
-    drawn, between = sample.wall_fields(residual, view, grid, 0, "geometric")
-    assert between is None
-    assert next(drawn).shape == (n, n)
-    _, between = sample.wall_fields(residual, view, grid, 0, "fresnel")
-    assert between.cells == math.floor(view.widest_pitch(WAVELENGTH) / grid.pitch) > 1
-    assert between.count == n
-    for propagation in ("fresnel", "geometric"):
-        field = replace(grid, values=np.ones((n, n)) + 0j)
-        drawn, between = sample.wall_fields(residual, view, grid, 0, propagation)
-        seen = sample.seen_through(field, next(drawn), between)
-        heights = np.angle(seen.values) / -K / 1.6
-        i = np.arange(n) - 45
-        wall = FOOTPRINT @ (np.stack(np.meshgrid(i, i)).reshape(2, -1) * grid.pitch)
-        expected = smooth.height(*wall).reshape(n, n)
-        # the way is so short that a wave's phase hardly turns
-        assert_allclose(heights - heights.mean(), expected - expected.mean(), atol=2e-11)
-        assert (seen.pitch, seen.jump, seen.rim) == (grid.pitch, grid.jump, grid.rim)
 
 
 def test_source_is_a_wave_with_its_geometry():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -130,8 +129,7 @@ def test_image_by_a_field(scene):
     """A field of one point spread blurs as that one does; a varying one as its points say."""
     coarse = psf.point_spread_field(scene, 3, tol=2e-3, checks=0)
     alone = psf.point_spread_field(scene, 1, tol=2e-3, checks=0)
-    wave = psf.wavefront(scene)
-    one = psf.lobe_point_spread(scene, wave, shape=alone.modes.shape[1], tol=1e-3)
+    one = psf.scene_point_spread(scene, shape=alone.modes.shape[1], tol=1e-3).point_spread
     images = [imaging.form_image(scene, p) for p in (coarse, alone, one)]
     peak = images[2].signal.max()
     assert images[1].signal == approx(images[2].signal, abs=1e-9 * peak)
@@ -145,45 +143,6 @@ def test_image_by_a_field(scene):
     assert not imaging.form_image(dark, coarse).signal.any()
 
 
-def test_isoplanatic_radius_shrinks_with_the_tolerance(scene):
-    fine = replace(scene, camera=replace(scene.camera, binning=1, pixel_pitch=6e-6))
-    wide, narrow = (psf.isoplanatic_radius(fine, tol=tol) for tol in (0.2, 0.05))
-    assert 0.0 < narrow < wide
-    assert psf.isoplanatic_radius(scene, tol=1.0) == np.inf
-
-
-@pytest.mark.parametrize("steepest", range(8))
-def test_isoplanatic_radius_is_the_smallest_of_eight_directions(scene, steepest, monkeypatch):
-    """Of a point spread whose brightest sample falls linearly along one direction of the object."""
-    hidden = replace(scene.hidden, image=np.ones((8, 16)), size=(0.3, 0.15))
-    scene = replace(scene, hidden=hidden)
-    right, up, _ = hidden.axes
-    slope = np.array([math.cos(steepest * math.pi / 4), math.sin(steepest * math.pi / 4)])
-    slope = slope / np.array(hidden.size)  # relative to the peak, 1/m
-
-    def image(point, *_):
-        x, y = right @ (point - hidden.position), up @ (point - hidden.position)
-        return None, SimpleNamespace(intensity=np.array([2.0, 2.0 - 2.0 * max(slope @ (x, y), 0)]))
-
-    stub = SimpleNamespace(scene=scene, at=lambda point: point)
-    monkeypatch.setattr(field_module, "optics_of", lambda _: stub)
-    monkeypatch.setattr(field_module, "point_window", lambda *_: 8)
-    monkeypatch.setattr(field_module, "point_image", image)
-    turns = np.arange(8) * math.pi / 4
-    steps = np.stack([np.cos(turns), np.sin(turns)], axis=1) * np.array(hidden.size) / 2
-    reach, fall = np.hypot(*steps.T), steps @ slope
-    expected = min(r * 0.1 / f for r, f in zip(reach, fall, strict=True) if f > 0.05)
-    found = psf.isoplanatic_radius(scene, tol=0.1)
-    # bisection to 1e-3 of the object's half size
-    assert expected - 1.5e-3 * reach.max() < found <= expected * (1 + 1e-12)
-    assert psf.isoplanatic_radius(scene, tol=0.9) == math.inf
-    # bounds of the object along the axes and the diagonals
-    most = 0.5 * max(abs(slope[0]) * hidden.size[0], abs(slope[1]) * hidden.size[1])
-    most = most if steepest % 2 == 0 else 0.5 * float(np.abs(slope) @ hidden.size)
-    assert psf.isoplanatic_radius(scene, tol=0.99 * most) < math.inf
-    assert psf.isoplanatic_radius(scene, tol=1.01 * most) == math.inf
-
-
 def test_bad_input_is_refused(scene, field):
     import trimesh
 
@@ -192,8 +151,6 @@ def test_bad_input_is_refused(scene, field):
     )
     with pytest.raises(SceneError, match="PlanarObject"):
         psf.point_spread_field(mesh)
-    with pytest.raises(SceneError, match="PlanarObject"):
-        psf.isoplanatic_radius(mesh)
     with pytest.raises(SceneError, match="grid = 0"):
         psf.point_spread_field(scene, 0)
     with pytest.raises(SceneError, match="grid"):

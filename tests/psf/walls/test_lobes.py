@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
 from pytest import approx
 from scipy.special import ndtr
 
 from nlosoptics import psf
-from nlosoptics.psf.walls.lobe_psf import halo_radius, lobe_window
-from nlosoptics.scene import ConvexWall, Lambert, MeshObject, SpecularMicrofacet, SumMaterial, Ward
+from nlosoptics.psf.walls.lobe_psf import halo_radius
+from nlosoptics.scene import Lambert, SpecularMicrofacet, SumMaterial, Ward
 
 
 def rough(scene, *lobes):
@@ -26,16 +25,21 @@ def blur(scene, wave, slope):
     return turn.T @ turn
 
 
+def blurred(scene, **options):
+    """Point spread of a scene."""
+    return psf.scene_point_spread(scene, **options).point_spread
+
+
 def test_smooth_lobe_is_the_wave_alone(flat_scene):
     wave = psf.wavefront(flat_scene)
     pitch = flat_scene.camera.image_pitch
-    found = psf.lobe_point_spread(flat_scene, wave)
+    found = blurred(flat_scene)
     shape = psf.window_shape(wave, pitch=pitch)
     exact = psf.point_spread(wave, pitch=pitch, shape=shape, pixel_integrated=True)
     limit = (found.error_estimate + exact.error_estimate) * exact.intensity.max()
     assert np.abs(found.intensity - exact.intensity).max() <= limit
     bare = replace(flat_scene, wall_material=Lambert(0.7))
-    assert np.array_equal(psf.lobe_point_spread(bare, wave).intensity, found.intensity)
+    assert np.array_equal(blurred(bare).intensity, found.intensity)
 
 
 @pytest.mark.parametrize("lobe", [SpecularMicrofacet(0.05, 0.01), Ward(0.05, 0.01 * 2**0.5)])
@@ -43,7 +47,7 @@ def test_gaussian_slopes_give_a_gaussian(flat_scene, lobe):
     """Of the covariance that the wall's view gives, in pixels much wider than diffraction."""
     scene = rough(flat_scene, lobe)
     wave = psf.wavefront(scene)
-    found = psf.lobe_point_spread(scene, wave, tol=1e-4)
+    found = blurred(scene, tol=1e-4)
     covariance = blur(scene, wave, 0.01)
     # symmetric about the plane of incidence, which holds e1
     assert abs(covariance[0, 1]) < 1e-9 * covariance[0, 0]
@@ -60,7 +64,7 @@ def test_gaussian_slopes_give_a_gaussian(flat_scene, lobe):
 def test_ggx_has_its_own_tails(flat_scene):
     scene = rough(flat_scene, SpecularMicrofacet(0.05, 0.05, distribution="ggx"))
     wave = psf.wavefront(scene)
-    found = psf.lobe_point_spread(scene, wave)
+    found = blurred(scene)
     view = psf.wall_view(scene)
     turn = view.cos_sum * abs(wave.image_distance) * view.footprint
     x, y = np.meshgrid(found.x, found.y)
@@ -76,9 +80,9 @@ def test_ggx_has_its_own_tails(flat_scene):
 
 def test_narrow_slopes_tend_to_the_smooth_lobe(flat_scene):
     wave = psf.wavefront(flat_scene)
-    smooth = psf.lobe_point_spread(flat_scene, wave, shape=9, pitch=10e-6)
+    smooth = blurred(flat_scene, shape=9, pitch=10e-6)
     scene = rough(flat_scene, SpecularMicrofacet(0.05, 1e-6))
-    found = psf.lobe_point_spread(scene, wave, shape=9, pitch=10e-6)
+    found = blurred(scene, shape=9, pitch=10e-6)
     # a two-hundredth of a pixel of blur, and both estimates
     limit = 5e-3 + found.error_estimate + smooth.error_estimate
     assert np.abs(found.intensity - smooth.intensity).max() < limit * smooth.intensity.max()
@@ -87,60 +91,13 @@ def test_narrow_slopes_tend_to_the_smooth_lobe(flat_scene):
 def test_lobes_count_by_their_reflectance(flat_scene):
     parts = [SpecularMicrofacet(0.03, 0.0), SpecularMicrofacet(0.06, 0.02)]
     wave = psf.wavefront(flat_scene)
-    both = psf.lobe_point_spread(rough(flat_scene, *parts), wave, shape=41)
-    one = psf.lobe_point_spread(rough(flat_scene, parts[0]), wave)
-    other = psf.lobe_point_spread(rough(flat_scene, parts[1]), wave, shape=41)
+    both = blurred(rough(flat_scene, *parts), shape=41)
+    one = blurred(rough(flat_scene, parts[0]))
+    other = blurred(rough(flat_scene, parts[1]), shape=41)
     margin = (41 - one.shape[0]) // 2
     core = np.pad(one.intensity, margin)
     assert both.intensity == approx((core + 2 * other.intensity) / 3, abs=1e-15)
     assert both.enclosed_energy == approx(both.intensity.sum(), abs=1e-12)
-
-
-@pytest.mark.parametrize("distribution", ["beckmann", "ggx"])
-def test_window_holds_what_passes_tol(flat_scene, distribution):
-    scene = rough(flat_scene, SpecularMicrofacet(0.05, 0.004, distribution=distribution))
-    wave = psf.wavefront(scene)
-    side = lobe_window(scene, wave, tol=1e-3)
-    wide = psf.lobe_point_spread(scene, wave, shape=2 * side + 1)
-    margin = (wide.shape[0] - side) // 2
-    outside = wide.intensity.copy()
-    outside[margin:-margin, margin:-margin] = 0.0
-    assert outside.max() < 1.1e-3 * wide.intensity.max()
-    lobe = scene.wall_material.mirror_lobes[0]
-    halo = halo_radius(lobe, psf.wall_view(scene), wave, 1e-3)
-    assert side < 2 * halo / scene.camera.image_pitch + 8
-
-
-def test_other_points_have_their_own_view(flat_scene):
-    scene = replace(rough(flat_scene, SpecularMicrofacet(0.05, 0.01)), wall=ConvexWall(2.0))
-    x, y, z = scene.hidden.position
-    point = (x + 0.1, y, z)
-    moved = replace(scene, hidden=replace(scene.hidden, position=point))
-    wave = psf.wavefront(scene, point)
-    found = psf.lobe_point_spread(scene, wave, object_point=point, shape=61)
-    exact = psf.lobe_point_spread(moved, wave, shape=61)
-    assert np.array_equal(found.intensity, exact.intensity)
-    here = psf.lobe_point_spread(scene, wave, shape=61)
-    assert np.abs(here.intensity - exact.intensity).max() > 1e-3 * exact.intensity.max()
-
-
-def test_a_point_beside_a_mesh_has_its_own_view(flat_scene):
-    """The view is that of a picture at the same point, with the focus on the mesh."""
-    solid = trimesh.creation.icosphere(subdivisions=1, radius=0.1)
-    hidden = MeshObject(solid, position=flat_scene.hidden.position)
-    scene = replace(rough(flat_scene, SpecularMicrofacet(0.05, 0.01)), wall=ConvexWall(2.0))
-    mesh = replace(scene, hidden=hidden)
-    x, y, z = flat_scene.hidden.position
-    point = (x + 0.1, y, z)
-    wave = psf.wavefront(mesh, point)
-    found, picture = (
-        psf.lobe_point_spread(s, wave, object_point=point, shape=31).intensity
-        for s in (mesh, scene)
-    )
-    # the mesh's centroid is that of the picture to rounding, and so is the focus
-    assert found == approx(picture, abs=1e-9 * picture.max())
-    other = psf.lobe_point_spread(mesh, wave, shape=31).intensity
-    assert np.abs(other - picture).max() > 1e-3 * picture.max()
 
 
 @pytest.mark.parametrize("tol", [1e-4, 0.3])

@@ -12,7 +12,6 @@ from pytest import approx
 
 from nlosoptics import psf
 from nlosoptics.errors import NlosError, SamplingError, SceneError
-from nlosoptics.psf.walls.lobe_psf import lobe_window
 from nlosoptics.scene import (
     Camera,
     FlatWall,
@@ -144,15 +143,6 @@ def test_light_through_a_cut_pupil_is_what_rays_bring(name):
     assert found.traced_flux == approx(1.0, abs=4 * found.traced_flux_error)
 
 
-def test_two_scales_know_the_cut_too():
-    scene = SCENES["vignetted"]
-    roughness = psf.Roughness(20e-9, 2e-3)
-    options = {"pixel_integrated": True, **window(scene)}
-    mean = psf.mean_point_spread(scene, roughness, **options)
-    short = psf.two_scale_point_spread(scene, roughness, seed=1, cutoff=math.inf, **options)
-    assert np.array_equal(short.intensity, mean.intensity)
-
-
 def test_auto_takes_a_grid_where_an_edge_cuts_this_point_alone(flat_scene):
     """The wall holds the light of the reference point, and not all of that of one beside it."""
     scene = replace(flat_scene, wall=FlatWall(size=(0.36, 1.0)))
@@ -233,18 +223,6 @@ def test_view_is_that_of_the_chief_ray_alone(flat_scene):
         assert np.array_equal(found.footprint, exact.footprint)
         assert np.array_equal(found.effective_distance, exact.effective_distance)
         assert found.cos_sum == exact.cos_sum
-
-
-def test_default_window_is_the_lobes(flat_scene):
-    """Without a shape the window holds all above ``tol``, for another point too."""
-    scene = replace(flat_scene, wall_material=SumMaterial(SpecularMicrofacet(0.05, 1e-3)))
-    point = scene.object_point + np.array([0.05, 0.0, 0.0])
-    found = psf.scene_point_spread(scene, 1e-2, object_point=point)
-    wave = psf.wavefront(scene, point)
-    side = lobe_window(scene, wave, object_point=point, tol=1e-2)
-    assert found.point_spread.shape == (side, side)
-    direct = psf.lobe_point_spread(scene, wave, object_point=point, tol=1e-2)
-    assert np.array_equal(found.point_spread.intensity, direct.intensity)
 
 
 @pytest.mark.parametrize(
