@@ -1,12 +1,9 @@
 """Rough walls: mean against drawn patterns, ring by ring: python benchmarks/rough_walls.py.
 
-First table, one wall a row, all of it drawn: seconds of the mean and of a pattern; the largest
+One wall a row: seconds of the mean and of a pattern; the largest
 departure of the patterns' average from the mean over eight rings of equal light, as a share of the
 ring and against the limit max(2 %, family-wise chance of 0.1 %); that chance for the
 worst known ring; and how the error falls with the number of patterns.
-
-Second table, long waves drawn and short ones as statistics: the same wall split at several scales,
-and the largest departure from the mean over the same rings as a share of the peak.
 
 Figures go to benchmarks/results/rough_walls.json too.
 """
@@ -47,10 +44,6 @@ WALLS = (
     (3.0, 2e-3, 96, 72),
     (10.0, 4e-3, 112, 100),
 )
-#: Rayleigh parameter, correlation length, samples, window, of the walls that are split.
-SPLITS = ((1.0, 2e-3, 96, 48), (3.0, 2e-3, 96, 60), (10.0, 4e-3, 112, 100))
-#: Where, in correlation lengths, and the share of the walls that each takes, long waves fewest.
-CUTOFFS = ((0.3, 0.5), (1.0, 0.25), (3.0, 0.125), (10.0, 0.0625))
 
 
 def setting(angle, s, length, samples, shape):
@@ -132,43 +125,6 @@ def drawn_row(angle, s, length, samples, shape, count):
     }
 
 
-def split_row(s, length, samples, shape, cutoff, count):
-    """Figures of one wall whose long waves alone are drawn."""
-    wave, roughness, kwargs = setting(0, s, length, samples, shape)
-    mean = psf.mean_point_spread(wave, roughness, tol=0.02, **kwargs)
-    rings = Rings(mean)
-    batches = max(count // BATCH, 8)
-    start = time.perf_counter()
-    found = [
-        psf.two_scale_point_spread(
-            wave,
-            roughness,
-            seed=i,
-            cutoff=cutoff * length,
-            independent_patterns=BATCH,
-            effective_distance=DISTANCES[0],
-            propagation="fresnel",
-            tol=0.02,
-            **kwargs,
-        )
-        for i in range(batches)
-    ]
-    seconds = (time.perf_counter() - start) / (batches * BATCH)
-    sums = np.stack([rings.of(p.intensity) for p in found])
-    peak = float((rings.mean / rings.pixels).max()) * rings.pixels
-    return {
-        "s": s,
-        "length_mm": 1e3 * length,
-        "cutoff_of_length": cutoff,
-        "s_short": found[0].rayleigh_parameter,
-        "walls": batches * BATCH,
-        "rings": len(rings.lit),
-        "one_ms": 1e3 * seconds,
-        "worst_percent_of_peak": float(100 * (np.abs(sums.mean(axis=0) - rings.mean) / peak).max()),
-        "chance_percent_of_peak": float(100 * (rings.chance(sums) / peak).max()),
-    }
-
-
 def show(row, header):
     """One line of a table, and its head before the first."""
     if header:
@@ -191,12 +147,8 @@ def main():
     for angle in VIEWS:
         for wall in WALLS:
             drawn.append(show(drawn_row(angle, *wall, count), not drawn))
-    split = []
-    for wall in SPLITS:
-        for cutoff, share in CUTOFFS:
-            split.append(show(split_row(*wall, cutoff, int(count * share)), not split))
     options.results.parent.mkdir(parents=True, exist_ok=True)
-    options.results.write_text(json.dumps({"drawn": drawn, "split": split}, indent=1) + "\n")
+    options.results.write_text(json.dumps({"drawn": drawn}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 
-import mpmath
 import numpy as np
 import pytest
 
-from nlosoptics.scene import ConcaveWall, WavyWall
+from nlosoptics.scene import ConcaveWall
 
 from ..plain_kernels import TIGHT, after, complexes, numbers, plain
 
@@ -20,8 +19,6 @@ soft = plain("psf.transform._antialiased_kernels")
 batch = plain("psf.batch._batch_kernels")
 waves = plain("psf.wave._wave_kernels")
 aiming = plain("psf.pupil._aiming_kernels")
-facets = plain("psf.rough._facet_kernels")
-splines = plain("psf.rough._spline_kernels")
 sums = plain("psf.transform._transform_kernels")
 
 
@@ -200,33 +197,6 @@ def test_jacobians(on_record):
     )
 
 
-WALLS = [ConcaveWall(1.3, size=0.5), WavyWall(0.013, 0.7, size=0.9)]
-
-
-@pytest.mark.parametrize("wall", WALLS, ids=lambda wall: type(wall).__name__)
-def test_aiming_by_a_wall(wall, on_record):
-    terms, tables = wall.compiled()
-    source, axis = np.array([0.31, -0.12, 1.07]), np.array([0.48, 0.6, 0.64])
-    targets = np.array([[-0.2, 0.15, 0.83], [0.4, 0.3, 0.6], [0.31, -0.12, 1.3], [0.1, 0.2, -0.5]])
-    starts = np.array([[0.02, 0.01], [-0.05, 0.08], [0.11, -0.07], [4.0, 0.0]])
-    at = [aiming.surface(terms, tables, *start) for start in starts[:3]]
-    rows = np.array([[float(one) for one in row] for row in at])
-    points = np.column_stack([starts[:3], rows[:, 0]])
-    found = [
-        after(aiming.aim, terms, tables, source, targets, starts, axis, np.zeros((4, 8))),
-        after(aiming.describe, source, targets[:3], points, rows, axis, np.zeros((3, 8))),
-    ]
-    for side in (1.0, -1.0):
-        out = np.zeros((3, 5))
-        found.append(after(aiming.stationarities, source, targets[:3], points, rows, side, out))
-        for target in targets:
-            given = (terms, tables, source, target)
-            found += [aiming.stationary_point(*given, *start, side) for start in starts]
-            found += [aiming.path_difference(source, points[1], target, side, 1.234)]
-    found.append(aiming.path_difference(source, source, targets[0], 1.0, 0.3))
-    on_record(found, TIGHT)
-
-
 def test_a_start_where_all_paths_are_equal():
     """From the centre of a sphere and back: the first point is stationary, without curvature."""
     terms, tables = ConcaveWall(2.0, size=1.5).compiled()
@@ -235,47 +205,6 @@ def test_a_start_where_all_paths_are_equal():
     assert found == (0.0, 0.0, aiming.FOUND)
     outside = aiming.stationary_point(terms, tables, centre, centre, 4.0, 0.3, 1.0)
     assert outside == (4.0, 0.3, aiming.OFF_SURFACE)
-
-
-def test_path_differences_are_exact_to_rounding():
-    draw = np.random.default_rng(5)
-    for _ in range(20):
-        points = draw.normal(size=(3, 3))
-        side = float(draw.choice([-1.0, 1.0]))
-        with mpmath.workdps(50):
-            a, x, b = ([mpmath.mpf(float(value)) for value in point] for point in points)
-            exact = _length(a, x) + side * _length(x, b)
-            reference = float(exact)
-            wanted = float(exact - reference)
-        found = aiming.path_difference(*points, side, reference)
-        assert found == pytest.approx(wanted, rel=1e-12, abs=1e-30)
-
-
-def _length(p, q):
-    return mpmath.sqrt(sum((one - other) ** 2 for one, other in zip(p, q, strict=True)))
-
-
-def test_facets_and_splines(on_record):
-    x, y = numbers(2, 9, low=-1.9, high=1.9)
-    nodes, weights = np.polynomial.legendre.leggauss(5)
-    found = [
-        after(facets.pair_terms, x, y, 1.7, 0.5 + 0.5 * nodes, 0.5 * weights, np.zeros(9)),
-        after(
-            facets.pair_terms,
-            np.array([0.0, 0.31]),
-            np.zeros(2),
-            0.9,
-            0.5 + 0.5 * nodes,
-            0.5 * weights,
-            np.zeros(2),
-        ),
-    ]
-    for shape in ((2, 3), (7, 5), (50, 2), (51, 2), (52, 2), (3, 66)):
-        found.append(after(splines.spline_filter, numbers(*shape)))
-    row = np.array([0.0, 0.3, 2.7, 4.2, 5.0, 5.01, -0.01, 3.3, 3.3])
-    column = np.array([0.0, 7.0, 0.4, 3.9, 6.5, 1.0, 1.0, 7.01, -0.01])
-    found.append(after(splines.spline_values, numbers(6, 8), row, column, np.ones(9)))
-    on_record(found, TIGHT)
 
 
 def test_patterns_and_pixels(on_record):

@@ -14,7 +14,7 @@ from nlosoptics.psf.aperture import curves
 from nlosoptics.psf.pupil.aiming import stationary_points
 from nlosoptics.psf.rough.source import rough_source
 from nlosoptics.psf.walls.rough_wall import PupilField
-from nlosoptics.scene import CallableWall, ConcaveWall, ConvexWall, FacetWall, HeightMapWall
+from nlosoptics.scene import CallableWall, ConcaveWall, FacetWall, HeightMapWall
 
 SYSTEM = {"wavelength": 6e-7, "pupil_radius": 4e-3, "image_distance": 0.06}
 SEEN = {"footprint": 0.5, "cos_sum": 1.8, "effective_distance": 0.4}
@@ -117,21 +117,6 @@ def test_mirror_points_of_a_wall_in_python():
         for h in hit[:2] + 1e-4 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
     ]
     assert np.all(np.abs(np.diff(near)) < 1e-8)  # the path is stationary there
-    assert psf.path_difference(BOWL, o, p, 2.0) == approx(near[0] - 2.0, abs=1e-12)
-
-
-def test_paths_by_walls(on_record):
-    """In front of walls and behind them, from the first guess and from a given wall point."""
-    o, p, behind = (0.5, 0.1, 1.2), (-0.4, 0.2, 1.0), (-0.6, 0.15, -1.3)
-    found = []
-    for wall in (ConcaveWall(9.0), ConvexWall(4.0)):
-        for end in (p, behind):
-            for given in ({}, {"wall_point": (0.02, 0.12)}):
-                try:
-                    found.append(psf.path_difference(wall, o, end, 2.0, **given))
-                except NlosError as error:
-                    found.append(str(error))
-    on_record(found)
 
 
 def test_too_many_mirror_points():

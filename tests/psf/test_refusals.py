@@ -54,10 +54,6 @@ BATCH = {
     "no discs": (lambda _: psf.Aperture.discs([]), "discs = []; give at least one ((u, v), radius"),
 }
 PUPILS = {
-    "one row of facets": (
-        lambda s: psf.pupil_slopes(s, np.zeros((1, 3, 2)), np.zeros((1, 3, 3)), np.zeros((1, 2))),
-        "slopes have shape (1, 3, 2); give two cells or more per axis",
-    ),
     "optics of a word": (lambda _: psf.SceneOptics("scene"), "scene is a str; give a Scene, such"),
     "optics of a wrong pupil": (
         lambda s: psf.SceneOptics(s, pupil=2.0),
@@ -94,10 +90,6 @@ PUPILS = {
     "wall too near": (
         lambda s: psf.exit_pupil(with_wall(s, FlatWall(size=0.01), focal_length=1.2)),
         "the wall is 1 m from the lens, within its focal length 1.2 m; move the camera back",
-    ),
-    "no path": (
-        lambda _: psf.path_difference(FlatWall(), (0, 0, 1), (0.1, 0, -0.2), 0.1),
-        "a virtual target of a flat wall has no single stationary path; give wall_point",
     ),
 }
 WAVES = {
@@ -154,10 +146,6 @@ ROUGH_VIEW = {"footprint": 0.5, "cos_sum": 1.8}
 SEEN = ROUGH_VIEW | {"effective_distance": 0.4, "seed": 0, "pitch": 2e-6, "shape": 16}
 
 
-def measured(lags, values):
-    return psf.Roughness(3e-8, 1e-3, [lags, values])
-
-
 def mean(source=None, **changes):
     given = ROUGH_VIEW | {"pitch": 2e-6, "shape": 16} | changes
     roughness = given.pop("roughness", ROUGH)
@@ -181,45 +169,7 @@ ROUGHNESSES = {
         lambda _: psf.Roughness(3e-8, 1e-3, lambda r: np.where(r > 0.1, np.nan, 1.0)),
         "gave shape (98,) for lags of shape (98,), or values that are not finite; return one",
     ),
-    "few lags": (
-        lambda _: measured([0, 1e-3, 2e-3], [1, 0.5, 0]),
-        "has shape (2, 3); give (2, n) with n of 4 or more",
-    ),
     "flat table": (lambda _: psf.Roughness(3e-8, 1e-3, [1.0, 0.5, 0.0, 0.0]), "has shape (4,)"),
-    "lags from 1": (
-        lambda _: measured([1e-4, 1e-3, 2e-3, 3e-3], [1, 0.5, 0, 0]),
-        "[0] must be finite lags in m that rise from 0; sort the lags",
-    ),
-    "equal lags": (
-        lambda _: measured([0, 1e-3, 1e-3, 3e-3], [1, 0.5, 0.5, 0]),
-        "[0] must be finite lags in m that rise from 0; sort the lags",
-    ),
-    "infinite": (
-        lambda _: measured([0, 1e-3, 2e-3, np.inf], [1, 0.5, 0.1, 0]),
-        "[0] must be finite lags in m that rise from 0; sort the lags",
-    ),
-    "cut off": (
-        lambda _: measured([0, 1e-3, 2e-3, 3e-3], [1, 0.8, 0.5, 0.3]),
-        "ends with 0.3 at a lag of 0.003 m, limit 0.02; measure to larger lags",
-    ),
-    "never falls": (
-        lambda _: psf.Roughness(3e-8, 1e-3, np.ones_like).split(1e-3),
-        "stays above 1e-16 up to 1000 correlation lengths, but a split needs its full extent",
-    ),
-    "fine cutoff": (
-        lambda _: measured([0, 1e-3, 2e-3, 5e-3], [1, 0.5, 0.1, 0]).split(2e-3),
-        "cutoff = 0.002 m is below the spacing of the measured lags, 0.003 m",
-    ),
-    "long cutoff": (
-        lambda _: psf.Roughness(3e-8, 1e-3, "exponential").split(5.0),
-        "of the variance to the long waves, must be 1e-06 to 1 - 1e-06 if autocorrelation",
-    ),
-    "no power": (
-        lambda _: psf.sample_point_spread(
-            wave("grid", samples=64), measured([0, 1e-3, 1.1e-3, 5e-3], [1, 1, 0, 0]), **SEEN
-        ),
-        "implies negative power",
-    ),
     "endless": (
         lambda _: psf.sample_point_spread(
             wave(), psf.Roughness(3e-8, 1e-3, lambda r: 0.5 + 0.5 * np.exp(-r / 1e-3)), **SEEN
@@ -269,18 +219,6 @@ ROUGH_CALLS = {
         lambda _: psf.sample_point_spread(wave(), ROUGH, **SEEN | {"effective_distance": None}),
         "effective_distance is missing, but a wavefront does not hold the distance to the wall",
     ),
-    "no distance and no cutoff": (
-        lambda _: psf.two_scale_point_spread(wave(), ROUGH, **SEEN | {"effective_distance": None}),
-        "effective_distance is missing, from which the default cutoff is computed",
-    ),
-    "distance of three": (
-        lambda _: psf.split_scale(6e-7, [1.0, 2.0, 3.0]),
-        "effective_distance has shape (3,); give a number or a finite (2, 2), m",
-    ),
-    "infinite distance": (
-        lambda _: psf.split_scale(6e-7, np.inf),
-        "effective_distance has shape (); give a number or a finite (2, 2), m",
-    ),
     "halo too wide": (
         lambda _: mean(shape=None, roughness=psf.Roughness(3e-8, 2e-6), pitch=1e-7),
         "limit 4096; give a wider pitch with pixel_integrated=True, or a shape",
@@ -307,36 +245,7 @@ WALLS = {
         lambda s: psf.point_spread_field(s, (2, 2, 2)),
         "grid = (2, 2, 2); give one whole number or (ny, nx)",
     ),
-    "too many wavelengths": (
-        lambda _: psf.gaussian_band(6e-7, 2e-7, count=64),
-        "count = 64 wavelengths at bandwidth = 2e-07 m reach",
-    ),
-    "weights of another shape": (
-        lambda _: psf.band_point_spread(wave(), [5e-7, 6e-7], [1.0]),
-        "wavelengths have shape (2,) and weights (1,); give both of shape (n,)",
-    ),
-    "no wavelengths": (
-        lambda _: psf.band_point_spread(wave(), []),
-        "wavelengths have shape (0,) and weights (0,); give both of shape (n,)",
-    ),
-    "wavelengths in a table": (
-        lambda _: psf.band_point_spread(wave(), [[5e-7, 6e-7]]),
-        "wavelengths have shape (1, 2) and weights (1, 2); give both of shape (n,)",
-    ),
-    "negative energy": (
-        lambda _: psf.band_point_spread(wave(), [5e-7, 6e-7], [1.0, -0.1]),
-        "weights = [1.0, -0.1]; give energies of at least 0, not all 0",
-    ),
-    "no energy": (
-        lambda _: psf.band_point_spread(wave(), [5e-7, 6e-7], [0.0, 0.0]),
-        "weights = [0.0, 0.0]; give energies of at least 0, not all 0",
-    ),
-    "infinite energy": (
-        lambda _: psf.band_point_spread(wave(), [5e-7, 6e-7], [1.0, np.inf]),
-        "weights = [1.0, inf]; give energies of at least 0, not all 0",
-    ),
 }
-BROAD = {"wavelength": 6e-7, "pupil_radius": 0.045, "image_distance": 0.06}
 POLARISED = {"polarisation": 0.3, "pitch": 2e-6, "shape": 8}
 TRANSFORMS = {
     "no whole padding": (
@@ -477,13 +386,7 @@ LAST = {
     "fringe": lambda: psf.zernike(37, 0.5, 0.1, ordering="fringe"),
     "cosines": lambda: mean(cos_sum=2.0),
     "autocorrelation at 0": lambda: psf.Roughness(3e-8, 1e-3, lambda r: np.exp(-r) * (1 + 9e-10)),
-    "last value": lambda: measured([0, 1e-3, 2e-3, 3e-3], [1, 0.5, 0.1, -0.02]),
-    "cutoff": lambda: measured([0, 1e-3, 2e-3, 5e-3], [1, 0.5, 0.1, 0]).split(3e-3),
-    "one weight": lambda: psf.band_point_spread(
-        wave(), [5e-7, 6e-7], [0.0, 2.0], pitch=2e-6, shape=8, tol=0.1, normalisation="ideal-peak"
-    ),
     "one pixel": lambda: psf.point_spread(wave(), pitch=2e-6, shape=1, normalisation="ideal-peak"),
-    "distance": lambda: psf.split_scale(6e-7, np.diag([0.4, -0.5])),
 }
 
 

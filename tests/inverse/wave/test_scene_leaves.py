@@ -191,12 +191,10 @@ def glossy(scene, slope):
     return replace(scene, wall_material=SumMaterial(*lobes))
 
 
-def test_a_lobe_blurs_as_psf_lobe_point_spread(speckle):
+def test_a_lobe_blurs_as_its_point_spread(speckle):
     scene = glossy(replace(speckle, wall=WALLS[0]), 2e-4)
     module = leaves_of(scene, ["lobe_slope"], shape=96, pixel_integrated=True)
-    expected = psf.lobe_point_spread(
-        scene, psf.wavefront(scene), pitch=4.5e-6, shape=96, tol=1e-3
-    ).intensity
+    expected = psf.scene_point_spread(scene, pitch=4.5e-6, shape=96).point_spread.intensity
     found = module().detach().numpy() * expected.sum()  # 98 % of the plane is in the window
     # the rim's tails, 2 % of the light, come back in the period; cells at the rim, 24 to the radius
     np.testing.assert_allclose(found, expected, rtol=0, atol=0.01 * expected.max())

@@ -239,14 +239,6 @@ def test_rough_maps_are_not_taken_for_smooth_ones():
     assert rays(rough, 100 * UNIT, 25).error_estimate > 2 * smooth.error_estimate
 
 
-def test_points_have_no_ray_density():
-    with pytest.raises(SamplingError, match="use pixel_integrated=True"):
-        psf.point_spread(zernike_wave({4: 3.0}), method="geometric")
-    table = psf.compare(zernike_wave({4: 5.0}), pitch=60 * UNIT, pixel_integrated=True)
-    row = next(r for r in table.rows if r.method == "geometric")
-    assert 0 < row.difference <= row.error_estimate
-
-
 def test_same_bits_twice():
     wave = zernike_wave({4: 20.0, 8: 5.0})
     first, second = (rays(wave, 50 * UNIT).intensity.tobytes() for _ in range(2))

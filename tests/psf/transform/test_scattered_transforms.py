@@ -247,33 +247,6 @@ def test_nodes_in_a_line_are_refused():
 # comparison
 
 
-def test_comparison_says_what_ran_and_what_not():
-    table = psf.compare(zernike_wave(COMA), pitch=UNIT / 3, shape=49, longest=1e-6)
-    rows = {row.method: row for row in table.rows}
-    assert list(rows) == [
-        "quadrature", "fft", "mdft", "nufft", "airy", "geometric", "huygens"
-    ]  # fmt: skip
-    assert table.best == "quadrature"
-    assert rows["quadrature"].difference == 0.0
-    for method in ("fft", "mdft"):
-        assert 0 < rows[method].difference <= rows[method].error_estimate
-        assert rows[method].seconds > 0
-    assert "too much for the closed form" in rows["airy"].reason
-    assert "pixel_integrated=True" in rows["geometric"].reason
-    assert "limit 1e-06 s" in rows["huygens"].reason
-    lines = str(table).splitlines()
-    assert len(lines) == 2 + len(rows)
-    assert lines[2].split()[0] == "quadrature"
-    assert rows["airy"].reason in lines[6]
-
-
-def test_comparison_of_scattered_nodes_has_one_wave_method():
-    table = psf.compare(scattered_wave(COMA, sunflower(2000)), pitch=UNIT / 2, shape=33)
-    ran = [row.method for row in table.rows if row.seconds is not None]
-    assert ran == ["nufft", "huygens"]
-    assert table.best == "nufft"
-
-
 def test_absurd_windows_are_refused_before_they_are_allocated():
     wave = scattered_wave({}, sunflower(500))
     for method in ("auto", "nufft", "huygens"):

@@ -79,7 +79,6 @@ def test_ggx_has_its_own_tails(flat_scene):
 
 
 def test_narrow_slopes_tend_to_the_smooth_lobe(flat_scene):
-    wave = psf.wavefront(flat_scene)
     smooth = blurred(flat_scene, shape=9, pitch=10e-6)
     scene = rough(flat_scene, SpecularMicrofacet(0.05, 1e-6))
     found = blurred(scene, shape=9, pitch=10e-6)
@@ -90,7 +89,6 @@ def test_narrow_slopes_tend_to_the_smooth_lobe(flat_scene):
 
 def test_lobes_count_by_their_reflectance(flat_scene):
     parts = [SpecularMicrofacet(0.03, 0.0), SpecularMicrofacet(0.06, 0.02)]
-    wave = psf.wavefront(flat_scene)
     both = blurred(rough(flat_scene, *parts), shape=41)
     one = blurred(rough(flat_scene, parts[0]))
     other = blurred(rough(flat_scene, parts[1]), shape=41)

@@ -8,7 +8,7 @@ import pytest
 
 from nlosoptics import psf, raytrace
 from nlosoptics.errors import SceneError
-from nlosoptics.psf.pupil.wall_wavefront import aim, path_difference
+from nlosoptics.psf.pupil.wall_wavefront import aim
 from nlosoptics.scene import CallableWall, ConvexWall, Scene, SumWall, WavyWall
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "scenes"
@@ -59,8 +59,6 @@ def test_bump_wave_aberration(hessian):
     axis = np.array([-0.6, 0.0, -1.0]) / np.hypot(0.6, 1.0)
     rays = aim(wall, o, p[None], axis)
     assert rays.excess[0] == pytest.approx(exact, abs=1e-15)
-    # the reference length itself is rounded to 2.2e-16 m
-    assert path_difference(wall, o, p, 2 * np.hypot(0.6, 1.0)) == pytest.approx(exact, abs=1e-15)
 
 
 @pytest.mark.parametrize("hessian", [True, False])
