@@ -252,7 +252,7 @@ def test_patterns_are_averaged():
 def test_pitches_of_speckle():
     """A lattice divides the finest pitch, and a smooth wall needs none."""
     front = wave()
-    widest = 8e-3 / sample.LEAST_CELLS
+    widest = 8e-3 / 256
     assert sample.grid_pitch(front, math.inf, 1e-6) == approx(widest)
     assert sample.grid_pitch(front, math.inf, 1e-3) == approx(6e-7 * 0.06 / 3e-3)
     assert sample.grid_pitch(front, 5e-5, 1e-6) == approx(2.5e-5)

@@ -16,6 +16,9 @@ from .relief import STEEPEST, ReliefView
 
 Array = NDArray[np.float64]
 
+#: Rays through the pupil, about; the error by their number is then some thousandths of the peak.
+RAYS = 2**21
+
 
 def ray_counts(view: ReliefView, radius: float, wavelength: float) -> tuple[int, Array]:
     """Return the rays per side of the lattice on the wall, and its half widths, (2,), m."""
@@ -25,8 +28,7 @@ def ray_counts(view: ReliefView, radius: float, wavelength: float) -> tuple[int,
     throw = STEEPEST * cosines * view.roughness.slope_rms
     half = seen + throw * np.linalg.norm(view.effective_distance, axis=1)
     share = float(np.prod(seen / half))
-    # some thousandths of the peak
-    return math.isqrt(min(2**24, math.ceil(2**21 / share))), half
+    return math.isqrt(min(2**24, math.ceil(RAYS / share))), half
 
 
 def neglected_diffraction(view: ReliefView, wave: Wavefront, pitch: float) -> float:

@@ -62,11 +62,9 @@ def test_spectrum_and_draw(name, cells, pitch):
     qu, qv = np.meshgrid(q, q)
     d = np.linalg.inv(FOOTPRINT) @ DISTANCE @ np.linalg.inv(FOOTPRINT).T
     turn = d[0, 0] * qu**2 + 2 * d[0, 1] * qu * qv + d[1, 1] * qv**2
-    plain = phase_screens.Screens(found.heights, 1.7, pitch, WAVELENGTH, None)
-    for field, flat in islice(zip(found.draw(11), plain.draw(11), strict=False), 2):
+    for field in islice(found.draw(11), 2):
         waves = np.fft.fft2(random.standard_normal((n, n))) * np.sqrt(power)
         wall = np.exp(-1.7j * np.fft.ifft2(waves).real)
-        assert_allclose(flat, wall, atol=1e-6)
         delayed = np.fft.fft2(wall) * np.exp(-1j * math.pi * WAVELENGTH * turn)
         assert_allclose(field, np.fft.ifft2(delayed), atol=1e-6)
     assert math.pi * WAVELENGTH * abs(turn).max() > 0.1
