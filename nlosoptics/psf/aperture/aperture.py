@@ -31,8 +31,8 @@ class Aperture(Noun):
     A pupil consists of one or more cells. A cell is a connected part of the pupil, such as a ring,
     a sector between two vanes or a mirror segment. Build an aperture with `ellipse`, `round`,
     `polygon`, `regular`, `hexagons`, `discs` or `union`. Coordinates are (u, v) in the exit pupil,
-    m, with the optical axis at (0, 0). Values out of range raise `SceneError`, and nodes that do not
-    fit into memory `MemoryLimitError`.
+    m, with the optical axis at (0, 0). Values out of range raise `SceneError`, and nodes that do
+    not fit into memory `MemoryLimitError`.
 
     Parameters
     ----------

@@ -130,7 +130,8 @@ def fit_zernike(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil, of any ``layout``. A pupil with a hole is fitted with the polynomials of the full disc.
+        Wave in the exit pupil, of any ``layout``. A pupil with a hole is fitted with the
+        polynomials of the full disc.
     n_terms : int
         Number of polynomials: the first ``n_terms`` of the index scheme.
     ordering : {"noll", "osa", "fringe"}

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 #: Coordinates of an object point across and up, -1 to 1 from edge to edge.
 Place = tuple[float, float]
 EDGES: Final = np.array([-1.0, 1.0])
+HELD_OUT = 501  # random stream of the points at which a field is checked
 AVERAGED = 32  # points along each side of the object over which a field is averaged
 BLOCK = 1 << 14  # points that are interpolated together, few enough for the processor's cache
 
@@ -266,7 +267,7 @@ def point_spread_field(
     in_range("tol", tol, 1e-9, 0.1)
     checks = whole("checks", checks, 0)
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
-    drawn = generator(seed, 501).uniform(-1.0, 1.0, size=(checks, 2)).tolist()
+    drawn = generator(seed, HELD_OUT).uniform(-1.0, 1.0, size=(checks, 2)).tolist()
     spreads = SampledSpreads(optics, pitch, tol / 2, picture_nodes(nx), picture_nodes(ny))
     return spreads.field((ny, nx), [(x, y) for x, y in drawn], progress)
 

@@ -1,7 +1,5 @@
 """Pupils of any outline against closed forms, denser rules and grids."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from pytest import approx
@@ -334,9 +332,15 @@ def test_resampling_changes_nothing():
 # grids
 
 
-@pytest.mark.parametrize("pixels", [False, True])
-@pytest.mark.parametrize("aberration", [None, bumpy])
-@pytest.mark.parametrize("name", ["ellipse", "box", "arrow", "lens", "vanes", "triangle"])
+@pytest.mark.parametrize(
+    ("name", "aberration", "pixels"),
+    [
+        ("ellipse", bumpy, True),
+        ("box", None, False),
+        ("arrow", None, True),
+        ("vanes", bumpy, False),
+    ],
+)
 def test_grids_agree_within_their_estimate(name, aberration, pixels):
     aperture = APERTURES[name]
     window = {"pitch": 0.75e-6, "shape": 96, "pixel_integrated": pixels}
@@ -386,18 +390,6 @@ def test_transfer_function_of_a_box_on_a_grid(samples):
         transfer(split(of(APERTURES["box"])))
 
 
-def test_a_box_that_fits_its_grid_has_a_rim_all_the_same():
-    """Its squares are whole, yet they stand for the box and not for points."""
-    box = psf.Aperture.polygon(4 * MM * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]))
-    grid = of(box, nodes="grid", samples=65)
-    assert np.ptp(grid.weights) < 1e-12 * grid.weights.max()
-    grid = replace(grid, weights=np.full_like(grid.weights, grid.weights.max()))
-    window = {"pitch": 1e-6, "shape": 64}
-    spread = psf.point_spread(grid, method="mdft", **window)
-    missed = error(spread, psf.point_spread(of(box), **window, model="scalar"))
-    assert 1e-6 < missed < spread.error_estimate < 1e-3
-
-
 def test_squares_that_two_cells_share_count_as_one_of_them():
     left = psf.Aperture.polygon(3 * MM * np.array([(-1, -1), (0, -1), (0, 1), (-1, 1)]))
     # not of one width, or what is wrong would be a quarter wave off everywhere
@@ -416,32 +408,6 @@ def test_squares_that_two_cells_share_count_as_one_of_them():
 # energy
 
 
-@pytest.mark.parametrize("name", ["ellipse", "ring", "box", "arrow", "lens"])
-def test_light_far_out_is_that_of_the_perimeter(name):
-    """All light but ``perimeter lambda d/(2 pi^2 A r)``, from the overlap of displaced pupils."""
-    aperture = APERTURES[name]
-    wave = of(aperture)
-    spread = psf.point_spread(wave, pitch=0.7e-6, shape=601, tol=0.01)
-    radii = np.array([140e-6, 200e-6])
-    beyond = 1 - psf.encircled_energy(spread, radii)
-    scale = aperture.perimeter * WAVELENGTH * DISTANCE / (2 * np.pi**2 * aperture.area)
-    # circles through pixels, and what the corners add, of order 1/r^2
-    assert beyond == approx(scale / radii, rel=0.05)
-
-
-@pytest.mark.parametrize("name", ["box", "hexagons", "ellipse"])
-def test_pixels_beyond_the_window_are_dark(name):
-    wave = of(APERTURES[name])
-    pitch = 1.5e-6
-    side = psf.window_shape(wave, pitch=pitch, tol=1e-3)
-    wide = psf.point_spread(wave, pitch=pitch, shape=2 * side + 1, pixel_integrated=True)
-    cut = slice((side + 3) // 2, (side + 3) // 2 + side)
-    outside = np.array(wide.intensity)
-    outside[cut, cut] = 0.0
-    assert outside.max() < 1e-3 * wide.intensity.max()
-    assert outside.max() > 1e-5 * wide.intensity.max()  # nor is it far too wide
-
-
 # other transforms
 
 
@@ -450,7 +416,8 @@ def strong(u, v):
     return WAVELENGTH * (24 * (u / (9 * MM)) ** 2 + 16 * (v / (9 * MM)) ** 3)
 
 
-@pytest.mark.parametrize("name", ["ellipse", "arrow", "hexagons"])
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["ellipse", "arrow"])
 def test_rays_land_within_their_estimate(name):
     wave = of(APERTURES[name], strong)
     window = {"pitch": 24e-6, "shape": 41, "pixel_integrated": True}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 
 import numpy as np
 import pytest
@@ -112,45 +111,3 @@ def test_hexagons(rings, central):
     assert one.area == approx(math.sqrt(3) / 2 * 0.25, rel=1e-12)
     touching = psf.Aperture.hexagons(1, 0.5)
     assert touching.area == approx(7 * one.area, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda a: a.ellipse(-1.0, 1.0), "a = -1 m"),
-        (lambda a: a.ellipse(1.0, 0.0), "b = 0 m"),
-        (lambda a: a.ellipse(1.0, 1.0, math.nan), "angle = nan"),
-        (lambda a: a.ellipse(1.0, 1.0, obscuration=0.991), "obscuration = 0.991"),
-        (lambda a: a.ellipse(1.0, 1.0, obscuration=-0.1), "obscuration = -0.1"),
-        (lambda a: a.ellipse(1.0, 1.0, centre=(0.0, math.inf)), "centre[1] = inf"),
-        (
-            lambda a: a.ellipse(1.0, 1.0, centre=(0.0, 1.0, 2.0)),
-            "centre = (0.0, 1.0, 2.0) is not a",
-        ),
-        (lambda a: a.round(1.0, vane_width=0.1), "vane_width = 0.1 m with vanes = 0"),
-        (lambda a: a.round(1.0, angle=math.inf), "angle = inf"),
-        (lambda a: a.round(1.0, vanes=-1), "vanes = -1"),
-        (lambda a: a.round(-1.0, vanes=2, vane_width=0.1), "radius = -1 m"),
-        (lambda a: a.round(1.0, 0.991, vanes=2, vane_width=0.1), "obscuration = 0.991"),
-        (lambda a: a.regular(2, 1.0), "sides = 2"),
-        (lambda a: a.regular(3, 0.0), "radius = 0 m"),
-        (lambda a: a.regular(3, 1.0, math.inf), "angle = inf"),
-        (lambda a: a.regular(3, 1.0, obscuration=0.991), "obscuration = 0.991"),
-        (lambda a: a.hexagons(-1, 1.0), "rings = -1"),
-        (lambda a: a.hexagons(1, 0.0), "flat_to_flat = 0 m"),
-        (lambda a: a.hexagons(1, 1.0, -0.1), "gap = -0.1 m"),
-        (lambda a: a.hexagons(1, 1.0, angle=math.inf), "angle = inf"),
-        (lambda a: a.hexagons(0, 1.0, central=False), "rings = 0 with central = False"),
-        (lambda a: a.union(a.round(1.0), 3), "union got a int"),
-        (lambda a: a.union(), "union got no apertures"),
-        (lambda a: a.round(1.0).moved((1.0,)), "(1.0,) is not a point"),
-        (lambda a: a.discs([((0, 0), 1.0)], within=[(0, 0), (1, 0)]), "within have shape (2, 2)"),
-        (
-            lambda a: a.discs([((0, 0), 1.0)], within=[(0, 0), (1, 0), (0.3, 0.3), (0, 1)]),
-            "within: the corner [0.3, 0.3] m is turned inward",
-        ),
-    ],
-)
-def test_apertures_that_are_refused(make, message):
-    with pytest.raises(SceneError, match=re.escape(message)):
-        make(psf.Aperture)

@@ -57,28 +57,6 @@ def test_energy_in_circles_and_squares(uneven):
     assert psf.encircled_energy(uneven, []).shape == psf.ensquared_energy(uneven, []).shape == (0,)
 
 
-@pytest.mark.parametrize(
-    ("shape", "pixels"), [((9, 12), 4.5), ((12, 9), 4.5), ((10, 7), 3.5), ((8, 30), 3.5)]
-)
-def test_figures_reach_the_window_and_no_farther(shape, pixels):
-    flat = pictured(np.ones(shape))
-    edge, count = pixels * PITCH, shape[0] * shape[1]
-    assert psf.encircled_energy(flat, edge * (1 - 1e-9)) == approx(
-        0.83 * math.pi * pixels**2 / count, rel=1e-8
-    )
-    assert psf.ensquared_energy(flat, 2 * edge * (1 + 9e-13)) == approx(
-        0.83 * 4 * pixels**2 / count, rel=1e-11
-    )
-    wide = edge * (1 + 1e-9)
-    with pytest.raises(
-        SamplingError, match=f"radius = {wide:.3g} m passes .* edge at {edge:.3g} m"
-    ):
-        psf.encircled_energy(flat, [1e-7, wide])
-    message = f"side = {2 * wide:.3g} m passes the window, which holds {2 * edge:.3g} m"
-    with pytest.raises(SamplingError, match=message):
-        psf.ensquared_energy(flat, [1e-7, 2 * wide])
-
-
 def test_sizes_that_are_no_sizes(uneven):
     for bad in (-1e-9, math.nan, math.inf):
         with pytest.raises(SceneError, match=re.escape("give finite radii of at least 0")):
@@ -215,43 +193,3 @@ def test_nodes_that_do_not_determine_a_fit():
             else:
                 with pytest.raises(MemoryLimitError, match="a fit of 3 Zernike terms needs"):
                     psf.fit_zernike(few, 3)
-
-
-def test_spot_of_scattered_rays():
-    """Slopes of a polynomial: lit rays alone, from the axis, with the energy of each."""
-    wave = psf.Wavefront.from_function(
-        rough,
-        amplitude=lambda u, v: (1 + 0.4 * u / RADIUS) * (v > -0.5 * RADIUS),
-        nodes="grid",
-        samples=96,
-        **SYSTEM,
-    )
-    spots = psf.spot_diagram(wave)
-    share = (wave.amplitude**2 * wave.weights).ravel()
-    share = share[share > 0] / share.sum()
-    assert spots.energy == approx(share, rel=1e-12)
-    lit = wave.amplitude * wave.weights > 0
-    u, v = wave.u[lit] / RADIUS, wave.v[lit] / RADIUS
-    scale = DISTANCE * WAVELENGTH / RADIUS
-    x = scale * (0.21 + 0.34 * u + 0.15 * u**2 - 0.04 * v)
-    y = scale * (-0.13 + 0.34 * v - 0.04 * u)
-    middle = (share @ x, share @ y)
-    # one-sided slopes at the rim of a grid
-    assert np.median(np.abs(spots.x - x)) < 1e-3 * scale
-    assert np.median(np.abs(spots.y - y)) < 1e-3 * scale
-    assert spots.centroid == approx(middle, abs=5e-3 * scale)
-    radius = math.sqrt(share @ ((x - middle[0]) ** 2 + (y - middle[1]) ** 2))
-    assert spots.radius == approx(radius, rel=1e-2)
-    for values in (spots.x, spots.y, spots.energy):
-        assert not values.flags.writeable
-
-
-@pytest.mark.parametrize("rings", [3, 60])
-def test_rays_of_more_rings_than_samples(rings):
-    wave = psf.Wavefront.from_zernike({4: 1e-7}, **SYSTEM)
-    n_r, n_theta = wave.u.shape
-    assert psf.spot_diagram(wave).x.size == max(24, n_r) * max(48, n_theta)
-    spots = psf.spot_diagram(wave, rings=rings)
-    assert spots.x.size == max(rings, n_r) * max(2 * rings, n_theta)
-    with pytest.raises(SceneError, match="rings = 0"):
-        psf.spot_diagram(wave, rings=0)

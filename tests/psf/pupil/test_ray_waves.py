@@ -9,7 +9,6 @@ from pytest import approx
 
 from nlosoptics import psf, raytrace
 from nlosoptics.errors import CausticError, SamplingError, SceneError
-from nlosoptics.psf.wave.scattered_fits import cell_areas
 from nlosoptics.raytrace.fans.paths import DETECTED
 from nlosoptics.scene import ConcaveWall, ConvexWall, FlatWall, HeightMapWall, SumWall, WavyWall
 
@@ -37,26 +36,6 @@ def aimed(scene, wave, object_point=None):
 
 
 # ---------------------------------------------------------------- areas
-
-
-@pytest.mark.parametrize("radius", [0.0125, 3.0])
-@pytest.mark.parametrize("count", [1, 2, 3, 500])
-def test_cells_add_up_to_the_disc(count, radius):
-    rng = np.random.default_rng(count)
-    r, angle = radius * np.sqrt(rng.random(count)), 2 * math.pi * rng.random(count)
-    sites = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1)
-    _, within, _ = cell_areas(sites, radius)
-    assert within.sum() == approx(math.pi * radius**2, rel=1e-12)
-    # against counting of the nearest site over a fine grid
-    axis = ((np.arange(400) + 0.5) / 200 - 1) * radius
-    x, y = (c.ravel() for c in np.meshgrid(axis, axis))
-    inside = np.hypot(x, y) < radius
-    from scipy.spatial import cKDTree
-
-    owner = cKDTree(sites).query(np.stack([x[inside], y[inside]], axis=1))[1]
-    counted = np.bincount(owner, minlength=count) * (radius / 200) ** 2
-    # a boundary of up to the disc's length, in steps of radius/200 that average
-    assert within == approx(counted, abs=4e-3 * radius**2)
 
 
 # ---------------------------------------------------------------- waves
@@ -145,41 +124,6 @@ def test_light_cut_by_the_walls_edge_is_refused(flat_scene):
 
 def rays_of(scene, **changes):
     return replace(raytrace.pupil_rays(scene, n_rays=1000), **changes)
-
-
-def test_fewest_rays(flat_scene):
-    """64 rays suffice, 63 do not; the message says how many times as many do."""
-    rays = rays_of(flat_scene)
-    pupil, wavelength = psf.exit_pupil(flat_scene), flat_scene.laser.wavelength
-    lit = np.flatnonzero(rays.status == DETECTED)
-    near = lit[np.argsort(np.linalg.norm(rays.points[lit, -1] - pupil.centre, axis=1))]
-    for count, times in ((64, None), (63, 2), (21, 4), (1, 64)):
-        status = np.full_like(rays.status, 1)
-        status[near[:count]] = DETECTED
-        few = replace(rays, status=status)
-        if times is None:
-            wave = psf.wavefront_from_rays(few, pupil, wavelength)
-            assert len(wave.u) == 64
-            continue
-        told = f"{count} detected ray{'s' * (count > 1)}, limit 64; launch {times} times as many"
-        with pytest.raises(SamplingError, match=told):
-            psf.wavefront_from_rays(few, pupil, wavelength)
-
-
-@pytest.mark.parametrize(("part", "refused"), [(0.24, False), (0.26, True)])
-def test_paths_a_quarter_of_a_wave_off(flat_scene, part, refused):
-    """Neighbours of a flat wall agree to rounding, so that the longer path alone differs."""
-    rays = rays_of(flat_scene)
-    pupil, wavelength = psf.exit_pupil(flat_scene), flat_scene.laser.wavelength
-    longer = rays.path_length.copy()
-    longer[np.flatnonzero(rays.status == DETECTED)[3]] += part * wavelength
-    changed = replace(rays, path_length=longer)
-    if refused:
-        with pytest.raises(CausticError, match="differ by 0.26 waves from the .* limit 0.25"):
-            psf.wavefront_from_rays(changed, pupil, wavelength)
-    else:
-        wave = psf.wavefront_from_rays(changed, pupil, wavelength)
-        assert np.ptp(wave.aberration) == approx(part * wavelength, rel=0.2)
 
 
 @pytest.mark.parametrize("wall", [FlatWall(), ConvexWall(1.5), WALLS[4]], ids=name)

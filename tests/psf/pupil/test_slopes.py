@@ -1,7 +1,5 @@
 """Wave fronts from slopes, and from the facets of a rough wall."""
 
-import math
-
 import numpy as np
 import pytest
 from pytest import approx
@@ -133,31 +131,6 @@ def dense(mask, slopes, pitch):
                 rows.append(row)
                 right.append(pitch * (slopes[i, j, k] + slopes[a, b, k]) / 2)
     return np.array(rows), np.array(right)
-
-
-def test_curl_residual_of_independent_slopes():
-    """Its mean square over many draws is that of the projection on all that is no gradient."""
-    mask = masks(16)["disc"]
-    count = int(mask.sum())
-    matrix, _ = dense(mask, np.zeros((*mask.shape, 2)), 1.0)
-    # slopes (2 count) to differences
-    columns = []
-    for k in range(2 * count):
-        unit = np.zeros((*mask.shape, 2))
-        flat = np.zeros(2 * count)
-        flat[k] = 1.0
-        unit[mask] = flat.reshape(count, 2)
-        columns.append(dense(mask, unit, 1.0)[1])
-    averages = np.array(columns).T
-    projector = np.eye(len(matrix)) - matrix @ np.linalg.pinv(matrix)
-    form = averages.T @ projector @ averages / len(matrix)
-    mean, variance = np.trace(form), 2 * np.trace(form @ form)  # of a Gaussian quadratic form
-    rng = np.random.default_rng(3)
-    squares = [
-        integrated_slopes(0.1 * rng.normal(size=(*mask.shape, 2)), 1.0, mask)[1] ** 2
-        for _ in range(300)
-    ]
-    assert np.mean(squares) / 0.01 == approx(mean, abs=4 * math.sqrt(variance / 300))
 
 
 def test_what_lies_beside_the_mask_is_not_read():

@@ -18,7 +18,6 @@ from nlosoptics.psf.pupil import scene_optics
 from nlosoptics.psf.pupil.aiming import aim
 from nlosoptics.psf.pupil.obstruction import check_cone
 from nlosoptics.psf.pupil.paraxial import wave_bends
-from nlosoptics.psf.pupil.wall_wavefront import aimed_wave
 from nlosoptics.scene import CallableWall, ConcaveWall, ConvexWall, FlatWall, WavyWall
 
 OBJECT, CAMERA = np.array([0.41, -0.17, 0.9]), np.array([-0.55, 0.36, 0.75])
@@ -94,71 +93,6 @@ def test_wave_is_the_excess_of_paths(tilted, wall, shift, focus):
     assert wave.weights == approx(math.pi * RADIUS**2 / len(NODES))
     assert wave.image_distance == scene.image_distance
     assert wave.removed.defocus == 0
-
-
-def test_nodes_beside_pupil_and_wall_are_dark(tilted):
-    """The wall's edges cut the light at x = 0.02 m and y = 0.03 m from where the axis meets it."""
-    size = (2 * abs(HIT[0]) + 2e-3, 2 * abs(HIT[1]) + 1e-3)
-    aim = tuple(0.7 * HIT)
-    scene = tilted(FlatWall(size=size), aim=aim)
-    rng = np.random.default_rng(2)
-    nodes = rng.uniform(-1.2 * RADIUS, 1.2 * RADIUS, (400, 2))
-    wave = psf.wavefront(scene, nodes=nodes)
-    ends = lens_points(scene, nodes)
-    share = 0.9 / (0.9 + ends[:, 2])
-    hits = OBJECT + share[:, None] * (ends - OBJECT)
-    inside = np.hypot(*nodes.T) <= RADIUS
-    lit = inside & (abs(hits[:, 0]) <= size[0] / 2) & (abs(hits[:, 1]) <= size[1] / 2)
-    assert 0.2 < lit.sum() / inside.sum() < 0.9
-    assert wave.weights == approx(np.where(lit, math.pi * RADIUS**2 / 400, 0.0))
-    assert np.array_equal(wave.amplitude > 0, inside)
-    legs = np.linalg.norm(ends - MIRRORED, axis=1)
-    cosine = (MIRRORED - CAMERA) @ scene.camera.axis
-    squared = (cosine / legs**3) / (cosine / math.dist(CAMERA, MIRRORED) ** 3)
-    assert wave.amplitude[inside] ** 2 == approx(squared[inside], rel=1e-9)
-    optics = scene_optics.SceneOptics(scene).at()
-    for name, outline in (("grid", True), ("cells", True), (nodes, False)):
-        found = aimed_wave(scene, optics.exit_pupil, OBJECT, name, None if name is nodes else 24)
-        assert (found.outline is not None) == outline
-        assert (found.wave.aperture is not None) == (isinstance(name, str) and name == "cells")
-        assert not found.hidden
-        assert found.on_lens[1:] == approx(
-            lens_points(scene, np.stack([found.wave.u, found.wave.v], axis=-1)[found.in_lens]),
-            abs=1e-12,
-        )
-        assert found.on_lens[0] == approx(CAMERA)
-        assert found.rays.points[0] == approx(HIT, abs=1e-12)
-        assert found.residual.wavefront is found.wave
-    whole = aimed_wave(tilted(aim=aim), optics.exit_pupil, OBJECT, "grid", 24)
-    assert whole.outline is None
-    curved = aimed_wave(
-        tilted(ConvexWall(1e6, size=size), aim=aim), optics.exit_pupil, OBJECT, "grid", 24
-    )
-    assert curved.outline is None
-    with pytest.raises(SamplingError, match=r"cuts \d+\.\d % of the pupil, which polar nodes"):
-        psf.wavefront(scene, nodes="polar")
-    far = replace(scene, hidden=replace(scene.hidden, position=(0.41, 0.9, 0.9)))
-    message = "object_point = (0.41, 0.9, 0.9) m is reflected to the lens by no part of the wall"
-    with pytest.raises(SceneError, match=re.escape(message)):
-        psf.wavefront(far, nodes="grid")
-
-
-def test_squares_that_edges_cut(tilted):
-    """A square's share is that of its footprint across each edge, as wide as at the centre."""
-    size = (2 * abs(HIT[0]) + 2e-3, 2 * abs(HIT[1]) + 1e-3)
-    scene, n = tilted(FlatWall(size=size), aim=tuple(0.7 * HIT)), 25
-    wave = psf.wavefront(scene, nodes="grid", samples=n)
-    whole = psf.grid_nodes(RADIUS, n)[2]
-    ends = lens_points(scene, np.stack([wave.u.ravel(), wave.v.ravel()], axis=1))
-    share = 0.9 / (0.9 + ends[:, 2])
-    hits = (OBJECT + share[:, None] * (ends - OBJECT)).reshape(n, n, 3)
-    middle, part = n // 2, np.ones((n, n))
-    for k, side in enumerate(size):
-        across = abs(hits[middle, middle + 1, k] - hits[middle, middle, k])
-        across += abs(hits[middle + 1, middle, k] - hits[middle, middle, k])
-        part *= np.clip(0.5 + (side / 2 - abs(hits[..., k])) / across, 0.0, 1.0)
-    assert wave.weights == approx(whole * part, rel=1e-9, abs=1e-9 * whole.max())
-    assert 20 < np.sum((part > 0.01) & (part < 0.99) & (whole > 0)) < 200
 
 
 @pytest.mark.parametrize("more", [(4e-3, 5e-3), (0.02, 3e-3)])

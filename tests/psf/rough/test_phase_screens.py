@@ -128,16 +128,6 @@ def test_stride(name, pitch, s):
     assert phase_screens.stride(seen, pitch) == expected
 
 
-@pytest.mark.parametrize(
-    ("s", "strides"), [(0.1, [1, 4, 5, 8, 17]), (1.0, [1, 1, 1, 4, 8]), (3.0, [1, 4, 5, 8, 17])]
-)
-def test_stride_is_worth_four_cells(s, strides):
-    """Pitches by how often they fit into the widest one over 1.5; odd numbers are halved."""
-    seen = view(s, "gaussian", length=4e-3)
-    fits = phase_screens.widest_pitch(seen) / 1.5 / np.array([3.9, 4.1, 5.1, 8.1, 17.1])
-    assert [phase_screens.stride(seen, pitch) for pitch in fits] == strides
-
-
 @pytest.mark.parametrize(("size", "cells", "count"), [(67, 3, 130), (64, 2, 128), (9, 4, 33)])
 def test_interpolation_in_blocks(size, cells, count):
     """Plane waves of a lattice above and below the 64 lines that are interpolated at a time."""

@@ -126,38 +126,6 @@ def test_transfer_of_statistics(name, s):
     assert view.length == 1.2e-3
 
 
-@pytest.mark.parametrize("s", [0.0, 0.4, 3.0, 22.3, 22.4, 60.0])
-@pytest.mark.parametrize("cut", [0.4, 1e-3, 1e-9])
-def test_last_lag_and_halo(cut, s):
-    """The transfer function falls to a fraction of that at lag 0; the halo is that of 1/e."""
-    rough = psf.Roughness(1e-7, 1.2e-3)
-    view = RoughView(rough, FOOTPRINT, s, DISTANCE)
-    lag = view.last_lag(cut)
-    if s < 5:
-        whole = float(view.diffuse_transfer(np.array(0.0)))
-        found = float(view.diffuse_transfer(np.array(lag))) / whole if s else rough.correlation(lag)
-    else:
-        # relative to 1, the wall's own fraction exp(-s^2) is below rounding
-        found = math.exp(-(s**2) * float(rough.structure(lag)))
-    assert found == approx(cut, rel=1e-6)
-    wave = psf.Wavefront.from_zernike(
-        {}, wavelength=WAVELENGTH, pupil_radius=4e-3, image_distance=-0.06
-    )
-    step = view.last_lag(math.exp(-1)) / np.linalg.svd(FOOTPRINT)[1][0]
-    sigma = math.sqrt(2) / (2 * math.pi / WAVELENGTH / 0.06 * step)
-    assert view.halo(wave) == approx(3 * sigma if s else 0.0, rel=1e-12)
-
-
-def test_halo_of_a_correlation_without_end():
-    wave = psf.Wavefront.from_zernike(
-        {}, wavelength=WAVELENGTH, pupil_radius=4e-3, image_distance=0.06
-    )
-    endless = psf.Roughness(1e-7, 1.2e-3, lambda r: 0.9 + 0.1 * np.exp(-r / 1e-3))
-    step = 1.2 / np.linalg.svd(FOOTPRINT)[1][0]
-    sigma = math.sqrt(2) * WAVELENGTH * 0.06 / (2 * math.pi * step)
-    assert RoughView(endless, FOOTPRINT, 1.0).halo(wave) == approx(3 * sigma, rel=1e-12)
-
-
 WAVE = psf.Wavefront.from_zernike(
     {4: 2e-8}, wavelength=WAVELENGTH, pupil_radius=4e-3, image_distance=0.06
 )

@@ -12,10 +12,8 @@ from nlosoptics import psf
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.psf.rough import phase_screens, sample
 from nlosoptics.psf.rough.relief import ReliefView, relief_screen
-from nlosoptics.psf.rough.source import rough_source
 from nlosoptics.psf.rough.view import RoughView
 from nlosoptics.psf.wave.detilted import split
-from nlosoptics.psf.window.grids import pupil_grid
 from nlosoptics.psf.window.window import Window
 from nlosoptics.scene import FacetWall, GaussianWall
 
@@ -152,15 +150,6 @@ def test_normalisations_and_pixels():
     assert pixels.pixel_integrated
 
 
-def test_share_beyond_the_band():
-    for n in (40, 21):
-        field = np.exp(1j * np.random.default_rng(n).normal(size=(n, n)))
-        waves = np.abs(np.fft.fft2(field)) ** 2
-        high = np.abs(np.fft.fftfreq(n)) > 0.45
-        expected = 10 * waves[high[:, None] | high].sum() / waves.sum()
-        assert sample.spilled(field) == approx(expected, rel=1e-9)
-
-
 NARROW = rough(0.4, 3e-3)
 
 
@@ -207,32 +196,3 @@ def test_pitch_of_a_grid_wave(factor):
     ) as refusal:
         sample.speckle_pupil(residual, view, window)
     assert "wavefront of 33 or more pupil samples (now 31), or of polar nodes" in str(refusal.value)
-
-
-def test_period_of_a_grid_wave():
-    """The image repeats at lambda z over the pupil's pitch; rays, halo and window must fit."""
-    residual, view = split(wave()), view_of(NARROW)
-    front = residual.wavefront
-    period = WAVELENGTH * DISTANCE / front.pupil_pitch
-    rest = residual.rays.reach + view.halo(front)
-    fits = []
-    for n in range(1, 240, 2):
-        reach = (n // 2) * 1e-6 + max(map(abs, residual.shift))
-        fits.append(reach + rest <= period)
-        window = Window.centred(1e-6, (n, n))
-        if fits[-1]:
-            grid = sample.speckle_pupil(residual, view, window)
-            assert_allclose(grid.values, pupil_grid(residual).values)
-        else:
-            need = math.ceil(31 * (reach + rest) / period) + 1
-            far = f"window and halo need {reach + rest:.3g}"
-            message = f"repeat the image every {period:.3g} m, but {far}"
-            with pytest.raises(SamplingError, match=message) as refusal:
-                sample.speckle_pupil(residual, view, window)
-            assert f"or a wavefront of {need} or more pupil samples (now 31)" in str(refusal.value)
-    assert 10 < sum(fits) < 119
-
-
-def test_source_is_a_wave_with_its_geometry():
-    given = rough_source(wave(), NARROW, FOOTPRINT, 1.6, SPREAD)
-    assert given.view.rayleigh_parameter == approx(0.4, rel=1e-12)

@@ -12,8 +12,7 @@ from pytest import approx
 from nlosoptics import imaging, psf
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
-from nlosoptics.psf.walls import field as field_module
-from nlosoptics.psf.walls.field import AVERAGED, BLOCK, picture_nodes, picture_point
+from nlosoptics.psf.walls.field import AVERAGED, BLOCK, picture_nodes
 from nlosoptics.scene import ConcaveWall, MeshObject, PlanarObject
 
 PITCH = 4e-6
@@ -69,15 +68,6 @@ def test_field_gives_the_point_spreads_between_its_nodes(scene, field):
     assert field.error_estimate < 0.1 * changed
     assert field.truncation_error <= 1e-3
     assert 1 < len(field.modes) < 25
-
-
-def test_weights_at_nodes_are_those_of_the_nodes(field):
-    x, y = np.meshgrid(field.across, field.up)
-    assert field.at(x, y) == approx(field.weights, abs=1e-12 * np.abs(field.weights).max())
-    # beyond the edge, its weights
-    assert field.at(2.0, 0.3) == approx(field.at(1.0, 0.3), abs=0.0)
-    with pytest.raises(SamplingError, match="NaN"):
-        field.at(np.nan, 0.0)
 
 
 def test_a_field_weighs_points_one_by_one_in_blocks_and_on_grids_alike():
@@ -163,37 +153,6 @@ def test_bad_input_is_refused(scene, field):
         ForwardModel(np.ones((3, 3)), shape=(8, 8), at=(np.zeros((8, 8)), np.zeros((8, 8))))
 
 
-def test_counts_may_be_numpys(scene):
-    known = psf.point_spread_field(scene, 1, tol=1e-2, checks=1)
-    found = psf.point_spread_field(scene, np.int64(1), tol=1e-2, checks=1.0)
-    assert np.array_equal(found.modes, known.modes)
-    assert found.error_estimate == known.error_estimate
-
-
-def test_fewest_modes_hold_the_spreads(memory_of):
-    """Of three orthogonal spreads with weights that fall tenfold, by the singular values."""
-    rng = np.random.default_rng(0)
-    weights, _ = np.linalg.qr(rng.normal(size=(12, 3)))
-    patterns, _ = np.linalg.qr(rng.normal(size=(3000, 3)))
-    spreads = 5.0 + weights * (1.0, 0.1, 0.01) @ patterns.T  # one more mode, the mean
-    spreads -= spreads.min() - 1.0
-
-    def found(tol):
-        modes, shares, error = field_module._compressed(spreads, tol)
-        off = np.abs(shares @ modes - spreads).max(axis=1) / spreads.max(axis=1)
-        assert error == approx(off.max(), rel=1e-9, abs=1e-15)
-        assert error <= tol
-        return len(modes)
-
-    limits = np.geomspace(1e-9, 1.0, 40)
-    counts = [found(tol) for tol in limits]
-    assert sorted({*counts}, reverse=True) == [4, 3, 2, 1]
-    assert counts == sorted(counts, reverse=True)
-    peak, _ = memory_of(lambda: field_module._compressed(spreads, 1e-9))
-    # the modes, the rest and its size; not as many modes as pixels
-    assert peak < 8 * spreads.nbytes
-
-
 def made_field(modes=4, counts=(3, 5), shape=(6, 7), seed=3):
     """Field of random positive modes and weights, whose modes overlap."""
     rng = np.random.default_rng(seed)
@@ -207,41 +166,6 @@ def made_field(modes=4, counts=(3, 5), shape=(6, 7), seed=3):
         truncation_error=1e-3,
         error_estimate=3e-3,
     )
-
-
-def by_lagrange(nodes, at):
-    """Weights of the polynomial through values at nodes, clipped to their range -1 to 1."""
-    at = min(max(at, -1.0), 1.0)
-    return np.array(
-        [
-            math.prod((at - other) / (one - other) for other in nodes if other != one)
-            for one in nodes
-        ]
-    )
-
-
-@pytest.mark.parametrize("counts", [(3, 5), (4, 1), (1, 2)])
-def test_weights_are_those_of_the_polynomial_through_the_nodes(counts):
-    field = made_field(counts=counts)
-    rng = np.random.default_rng(8)
-    x, y = rng.uniform(-1.4, 1.4, (2, 2, 9))
-
-    def expected(a, b):
-        return field.weights @ by_lagrange(field.across, a) @ by_lagrange(field.up, b)
-
-    single = np.array(
-        [[expected(a, b) for a, b in zip(*rows, strict=True)] for rows in zip(x, y, strict=True)]
-    )
-    found = field.at(x, y)
-    assert found == approx(np.moveaxis(single, -1, 0), abs=1e-12)
-    grid = np.array([[expected(a, b) for a in x[0]] for b in y[1]])
-    assert field.at(x[:1], y[1][:, None]) == approx(np.moveaxis(grid, -1, 0), abs=1e-12)
-    assert field.at(x[0], y[1][:, None]) == approx(np.moveaxis(grid, -1, 0), abs=1e-12)
-    one = np.tensordot(expected(0.3, -0.7), field.modes, 1)
-    assert field.point_spread(0.3, -0.7) == approx(one, abs=1e-12)
-    for wrong in ((np.nan, 0.0), (0.0, [0.1, np.inf])):
-        with pytest.raises(SamplingError, match="across or up holds NaN or infinity; give coordi"):
-            field.at(*wrong)
 
 
 def test_statistics_of_a_field():
@@ -275,18 +199,3 @@ def test_statistics_of_a_field():
         field.compressed(1.01)
     for array in (field.modes, field.weights, field.across, field.up):
         assert not array.flags.writeable
-
-
-@pytest.mark.parametrize("count", [1, 2, 5, 6])
-def test_nodes_of_a_picture(count):
-    expected = np.sort(np.cos(np.pi * (2 * np.arange(count) + 1) / (2 * count)))
-    assert picture_nodes(count) == approx(expected, abs=1e-15)
-    assert count % 2 == 0 or picture_nodes(count)[count // 2] == 0
-
-
-def test_points_of_a_picture(scene):
-    hidden = scene.hidden
-    right, upward, _ = hidden.axes
-    wide, high = hidden.size
-    expected = np.array(hidden.position) + 0.3 * wide / 2 * right - 0.8 * high / 2 * upward
-    assert picture_point(hidden, 0.3, -0.8) == approx(expected, abs=1e-15)

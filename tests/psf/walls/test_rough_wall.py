@@ -173,18 +173,6 @@ def test_run_of_a_small_picture_uses_patterns(letter):
     assert result.errors["field of point spreads"] < 0.1
 
 
-def test_error_of_the_mean_is_that_of_few_facets(letter):
-    """The predicted difference of the images, against images of several walls by rays."""
-    from nlosoptics.runs.patterns import _mean_error
-
-    scene = rough(letter, FacetWall(2e-3, 2e-3, seed=0))
-    predicted = _mean_error(seen_by(scene), scene.hidden)
-    assert 1e-3 < predicted < 0.1
-    finer = rough(letter, FacetWall(1e-3, 2e-3, seed=0))
-    # four times as many facets: half the difference
-    assert _mean_error(seen_by(finer), finer.hidden) == pytest.approx(predicted / 2, rel=1e-6)
-
-
 def test_a_cut_cone_cannot_be_traced_on_steep_facets(letter):
     wall = replace(letter.wall, size=(0.011, 0.011))
     scene = rough(replace(letter, wall=wall, laser=letter.laser), FacetWall(1e-3, 3e-2))

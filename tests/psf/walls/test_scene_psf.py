@@ -20,7 +20,6 @@ from nlosoptics.scene import (
     Scene,
     SpecularMicrofacet,
     SumMaterial,
-    WavyWall,
 )
 
 WAVELENGTH = 632.8e-9
@@ -199,32 +198,6 @@ def test_nodes_are_refined_until_they_are_enough(flat_scene, scene, layout, step
     assert tuple(tried) == steps
 
 
-def test_one_object_shares_what_it_knows():
-    scene = SCENES["vignetted"]
-    optics = psf.SceneOptics(scene)
-    first = psf.scene_point_spread(optics, 1e-2, **window(scene))
-    again = psf.scene_point_spread(optics, 1e-2, object_point=scene.object_point, **window(scene))
-    alone = psf.scene_point_spread(scene, 1e-2, **window(scene))
-    assert first.wavefront is again.wavefront
-    assert first.exit_pupil is again.exit_pupil is optics.exit_pupil
-    assert alone.wavefront is not first.wavefront
-    for other in (again, alone):
-        assert np.array_equal(other.point_spread.intensity, first.point_spread.intensity)
-    known = psf.SceneOptics(scene, psf.exit_pupil(scene))
-    assert known.exit_pupil is known.reference.exit_pupil
-
-
-def test_view_is_that_of_the_chief_ray_alone(flat_scene):
-    """The chief ray of a whole pupil of rays is the one that `wall_view` aims, bit for bit."""
-    scene = replace(flat_scene, wall=WavyWall(2e-5, 0.3, 0.4))
-    point = scene.object_point + np.array([0.05, -0.02, 0.03])
-    for given in (None, point):
-        found, exact = psf.SceneOptics(scene).at(given).view, psf.wall_view(scene, given)
-        assert np.array_equal(found.footprint, exact.footprint)
-        assert np.array_equal(found.effective_distance, exact.effective_distance)
-        assert found.cos_sum == exact.cos_sum
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -240,11 +213,6 @@ def test_view_is_that_of_the_chief_ray_alone(flat_scene):
 def test_bad_input_is_refused(flat_scene, changes, message):
     with pytest.raises(SceneError, match=message):
         psf.scene_point_spread(**({"scene": flat_scene} | changes))
-
-
-def test_bad_source_of_a_rough_wall_is_refused():
-    with pytest.raises(SceneError, match="source is a str; give a Scene, or a Wavefront"):
-        psf.mean_point_spread("letter_flat.toml", psf.Roughness(1e-9, 1e-3))
 
 
 @pytest.mark.parametrize(
@@ -298,15 +266,3 @@ def test_roughness_has_no_vector_model():
     scene = Scene.load(EXAMPLES / "letter_rough.toml")
     with pytest.raises(SceneError, match="model = 'high-aperture' for a wall with roughness"):
         psf.scene_point_spread(scene, model="high-aperture", shape=5)
-
-
-def test_an_exit_pupil_of_another_kind_is_refused():
-    with pytest.raises(SceneError, match="pupil is a int; give an ExitPupil"):
-        psf.SceneOptics(SCENES["stop"], 3)
-
-
-def test_pixels_far_wider_than_the_light_take_no_memory():
-    """A pixel of 1 m holds 1e6 fine ones a side; padding to them took 8 TB."""
-    scene = Scene.load(EXAMPLES / "letter_flat.toml")
-    spread = psf.scene_point_spread(scene, 1e-2, pitch=1.0, shape=3).point_spread
-    assert spread.intensity[1, 1] == approx(1.0, abs=1e-5)  # lambda N over the pixel is 1e-6

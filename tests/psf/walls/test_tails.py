@@ -105,10 +105,3 @@ def test_refuses():
     )
     with pytest.raises(SceneError, match="RoughPointSpread.* shape = 31"):
         with_tail(rough, 31)
-
-
-def test_side_may_be_any_whole_number():
-    narrow = spread({}, 2, 21)
-    exact = with_tail(narrow, 31)
-    for side in (31.0, np.int64(31)):
-        assert np.array_equal(with_tail(narrow, side).intensity, exact.intensity)
