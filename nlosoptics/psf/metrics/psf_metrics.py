@@ -145,12 +145,8 @@ def fit_zernike(
 
     Raises
     ------
-    SceneError
-        If an option is out of range.
     SamplingError
         If the sample points of the wave do not determine all coefficients.
-    MemoryLimitError
-        If the fit would not fit into memory.
 
     See Also
     --------

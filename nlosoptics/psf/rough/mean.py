@@ -147,8 +147,6 @@ def mean_point_spread(
         If ``footprint`` or ``cos_sum`` is missing, or given with a scene.
     SamplingError
         If ``tol`` cannot be reached, or the window is too narrow for the rays.
-    MemoryLimitError
-        If an array would not fit into memory.
 
     See Also
     --------

@@ -88,8 +88,6 @@ def sample_point_spread(
     SamplingError
         If the samples of a wave on a grid are too coarse for the heights, the window is too narrow
         for the rays,.
-    MemoryLimitError
-        If the samples of the wall would not fit into memory.
 
     See Also
     --------
