@@ -79,11 +79,6 @@ class RoughPointSpread(PointSpread):
         """Part of ``intensity`` that the roughness scatters (the halo), (ny, nx)."""
         return self.intensity - self.coherent
 
-    @property
-    def total_integrated_scatter(self) -> float:
-        """Fraction of the energy scattered in all directions: ``1 - coherent_fraction``."""
-        return 1.0 - self.coherent_fraction
-
 
 def mean_point_spread(
     source: Wavefront | Scene | SceneOptics,
