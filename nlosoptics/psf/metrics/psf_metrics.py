@@ -535,8 +535,8 @@ def _crossing(cut: Array, top: int, step: int, level: float) -> float:
                 "the intensity stays above half its peak up to the edge of the window of "
                 f"{cut.size} samples; use a larger shape"
             )
-    between = sorted((index, index - step))
-    root = scipy.optimize.brentq(lambda at: _interpolated(cut, at) - level, *between, xtol=1e-14)
+    low, high = sorted((index, index - step))
+    root = scipy.optimize.brentq(lambda at: _interpolated(cut, at) - level, low, high, xtol=1e-14)
     return abs(float(root) - top)
 
 

@@ -284,8 +284,10 @@ def wall_fields(
     """
     wave = residual.wavefront
     n = grid.values.shape[0]
-    relief = isinstance(view, ReliefView)
-    step = relief_stride(view, grid.pitch, wave.wavelength) if relief else stride(view, grid.pitch)
+    if isinstance(view, ReliefView):
+        step = relief_stride(view, grid.pitch, wave.wavelength)
+    else:
+        step = stride(view, grid.pitch)
     # one more point than intervals, so that the lattice encloses the last pupil point
     cells = n if step == 1 else -(-n // step) + 1
     pitch = step * grid.pitch
