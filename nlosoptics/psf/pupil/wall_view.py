@@ -122,17 +122,17 @@ def view_along(scene: Scene, zoom: float, object_point: Array, hit: Array) -> Wa
     lengths = [float(np.linalg.norm(leg)) for leg in legs]
     units = [leg / length for leg, length in zip(legs, lengths, strict=True)]
     cosines = sum(float(unit @ normal) for unit in units)
-    total: Array = -cosines * bend
+    total = -cosines * bend
     for unit, length in zip(units, lengths, strict=True):
         inside = tangents @ unit
         total += (np.eye(2) - np.outer(inside, inside)) / length
     # E_ab = t_a (I - s_o s_o^T) e_b
     across = axes[:2] - np.outer(axes[:2] @ units[1], units[1])
-    into: Array = tangents @ across.T / lengths[1]
+    into = tangents @ across.T / lengths[1]
     return WallView(
-        footprint=np.linalg.solve(total, into) / zoom,
+        footprint=np.asarray(np.linalg.solve(total, into) / zoom, dtype=np.float64),
         cos_sum=cosines,
-        effective_distance=np.linalg.inv(total),
+        effective_distance=np.asarray(np.linalg.inv(total), dtype=np.float64),
         point=np.array(hit),
         tangents=tangents,
     )
