@@ -49,6 +49,10 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     SceneError
         If a term of ``remove`` is unknown.
 
+    See Also
+    --------
+    rms_aberration : Root mean square aberration over the pupil.
+
     Notes
     -----
     The sum is taken at x = y = 0, where the axis meets the image plane. For the layouts "polar" and

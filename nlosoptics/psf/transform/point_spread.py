@@ -251,7 +251,6 @@ def point_spread(
     See Also
     --------
     scene_point_spread : From a scene.
-    compare : All methods for one wave, with their times and differences.
 
     Notes
     -----

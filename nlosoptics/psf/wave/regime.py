@@ -58,7 +58,6 @@ class Regime:
     See Also
     --------
     point_spread : PSF of a given wave.
-    compare : Run all methods on one wave.
     """
 
     peak_to_valley: float
