@@ -5,9 +5,12 @@
 
 Sub-folders: ``aperture`` (pupil outlines and nodes), ``wave`` (sampled waves), ``pupil`` (exit
 pupil and wave of a scene), ``window`` (image windows, pixels, error bounds), ``transform`` (from
-wave to PSF), ``walls`` (PSFs of scenes and fields), ``rough`` (rough walls), ``metrics`` (Strehl
-ratio, MTF, best focus and others), ``exchange`` (other programs). Import everything from
-``nlosoptics.psf``.
+wave to PSF), ``batch`` (many waves on one pupil), ``propagation`` (fields between parallel planes),
+``walls`` (PSFs of scenes and fields), ``rough`` (rough walls), ``metrics`` (Strehl ratio, MTF, best
+focus and others), ``exchange`` (other programs). Import everything from ``nlosoptics.psf``.
+
+Arguments out of range raise `SceneError`, and arrays that would not fit into memory
+`MemoryLimitError`.
 """
 
 import lazy_loader as _lazy

@@ -58,13 +58,6 @@ def polar_nodes(
     weights : ndarray
         Area that each node represents, (n_r, n_theta), m^2. The weights sum to the pupil's area.
 
-    Raises
-    ------
-    SceneError
-        If a value is out of range.
-    MemoryLimitError
-        If the nodes do not fit into memory.
-
     See Also
     --------
     grid_nodes : Square grid over a circular pupil.
@@ -152,13 +145,6 @@ def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[A
     weights : ndarray
         Area of the part of each square inside the pupil, (n, n), m^2. It is exact also for squares
         that the rim crosses.
-
-    Raises
-    ------
-    SceneError
-        If a value is out of range.
-    MemoryLimitError
-        If the grid does not fit into memory.
 
     See Also
     --------

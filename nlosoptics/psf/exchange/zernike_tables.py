@@ -114,9 +114,9 @@ def write_zernikes(
         lines.append(f"# wavelength: {_in_metres('wavelength', wavelength)!r}")
     scale = _metres(unit, wavelength) * (-1 if sign == "advance" else 1)
     lines.append("index,coefficient")
-    for index, value in coefficients.items():
+    for index, height in coefficients.items():
         zernike_order(index, ordering)
-        lines.append(f"{int(index)},{real(f'coefficients[{index}]', value) / scale:.15g}")
+        lines.append(f"{int(index)},{real(f'coefficients[{index}]', height) / scale:.15g}")
     write_whole({path_of("path", path): ("\n".join(lines) + "\n").encode()})
 
 

@@ -49,6 +49,10 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     SceneError
         If a term of ``remove`` is unknown.
 
+    See Also
+    --------
+    rms_aberration : Root mean square aberration over the pupil.
+
     Notes
     -----
     The sum is taken at x = y = 0, where the axis meets the image plane. For the layouts "polar" and
@@ -145,12 +149,8 @@ def fit_zernike(
 
     Raises
     ------
-    SceneError
-        If an option is out of range.
     SamplingError
         If the sample points of the wave do not determine all coefficients.
-    MemoryLimitError
-        If the fit would not fit into memory.
 
     See Also
     --------
@@ -211,7 +211,7 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     See Also
     --------
     ensquared_energy : Energy within squares.
-    fwhm : Full width at half maximum.
+    nlosoptics.views.encircled_energy : Curve of the encircled energy.
 
     Examples
     --------
@@ -539,8 +539,8 @@ def _crossing(cut: Array, top: int, step: int, level: float) -> float:
                 "the intensity stays above half its peak up to the edge of the window of "
                 f"{cut.size} samples; use a larger shape"
             )
-    between = sorted((index, index - step))
-    root = scipy.optimize.brentq(lambda at: _interpolated(cut, at) - level, *between, xtol=1e-14)
+    low, high = sorted((index, index - step))
+    root = scipy.optimize.brentq(lambda at: _interpolated(cut, at) - level, low, high, xtol=1e-14)
     return abs(float(root) - top)
 
 

@@ -130,9 +130,9 @@ def view_along(scene: Scene, zoom: float, object_point: Array, hit: Array) -> Wa
     across = axes[:2] - np.outer(axes[:2] @ units[1], units[1])
     into = tangents @ across.T / lengths[1]
     return WallView(
-        footprint=np.linalg.solve(total, into) / zoom,
+        footprint=np.asarray(np.linalg.solve(total, into) / zoom, dtype=np.float64),
         cos_sum=cosines,
-        effective_distance=np.linalg.inv(total),
+        effective_distance=np.asarray(np.linalg.inv(total), dtype=np.float64),
         point=np.array(hit),
         tangents=tangents,
     )

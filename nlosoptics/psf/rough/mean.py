@@ -79,11 +79,6 @@ class RoughPointSpread(PointSpread):
         """Part of ``intensity`` that the roughness scatters (the halo), (ny, nx)."""
         return self.intensity - self.coherent
 
-    @property
-    def total_integrated_scatter(self) -> float:
-        """Fraction of the energy scattered in all directions: ``1 - coherent_fraction``."""
-        return 1.0 - self.coherent_fraction
-
 
 def mean_point_spread(
     source: Wavefront | Scene | SceneOptics,
@@ -147,8 +142,6 @@ def mean_point_spread(
         If ``footprint`` or ``cos_sum`` is missing, or given with a scene.
     SamplingError
         If ``tol`` cannot be reached, or the window is too narrow for the rays.
-    MemoryLimitError
-        If an array would not fit into memory.
 
     See Also
     --------

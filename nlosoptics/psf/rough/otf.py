@@ -184,8 +184,11 @@ class LatticeRatio:
 
         def at(du: Array, dv: Array) -> ComplexArray:
             place = np.stack([dv, du]) / pitch + self.centre
-            options = {"order": 5, "prefilter": False, "mode": "mirror"}
-            return np.asarray(scipy.ndimage.map_coordinates(spline, place, **options))
+            return np.asarray(
+                scipy.ndimage.map_coordinates(
+                    spline, place, order=5, prefilter=False, mode="mirror"
+                )
+            )
 
         return at
 

@@ -88,8 +88,6 @@ def sample_point_spread(
     SamplingError
         If the samples of a wave on a grid are too coarse for the heights, the window is too narrow
         for the rays,.
-    MemoryLimitError
-        If the samples of the wall would not fit into memory.
 
     See Also
     --------
@@ -286,8 +284,10 @@ def wall_fields(
     """
     wave = residual.wavefront
     n = grid.values.shape[0]
-    relief = isinstance(view, ReliefView)
-    step = relief_stride(view, grid.pitch, wave.wavelength) if relief else stride(view, grid.pitch)
+    if isinstance(view, ReliefView):
+        step = relief_stride(view, grid.pitch, wave.wavelength)
+    else:
+        step = stride(view, grid.pitch)
     # one more point than intervals, so that the lattice encloses the last pupil point
     cells = n if step == 1 else -(-n // step) + 1
     pitch = step * grid.pitch

@@ -53,8 +53,6 @@ def widened(
         is too small: the law does not hold for this light.
     SamplingError
         If a point spread is too small and its normalisation is not "unit-sum".
-    MemoryLimitError
-        If the enlarged point spreads would not fit into memory.
 
     See Also
     --------

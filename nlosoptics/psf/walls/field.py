@@ -159,11 +159,6 @@ class PointSpreadField(Noun):
         PointSpreadField
             Field with the first modes of this one, at least one. Its ``truncation_error`` and
             ``error_estimate`` include the error by the omitted modes at the points of the grid.
-
-        Raises
-        ------
-        SceneError
-            If the tolerance is out of range.
         """
         in_range("tol", tol, 0.0, 1.0)
         weights = self._even_weights.reshape(len(self.modes), -1)
@@ -247,8 +242,6 @@ def point_spread_field(
     CausticError, NotWaveGradeError, SamplingError
         If the aberration of an object point has no single value (several rays or none reach a pupil
         point), a mesh wall is not accurate enough for waves, or ``tol`` cannot be reached.
-    MemoryLimitError
-        If the PSFs of all object points would not fit into memory.
 
     See Also
     --------

@@ -320,8 +320,6 @@ def hybrid_point_spread(
     CausticError, NotWaveGradeError, SamplingError
         If the wave's aberration has no single value, a mesh wall is not accurate enough for waves,
         or ``tol`` cannot be reached.
-    MemoryLimitError
-        If the pixels would not fit into memory.
 
     See Also
     --------

@@ -107,8 +107,6 @@ def scene_point_spread(
         waves.
     SamplingError
         If ``tol`` cannot be reached within a predicted run time of a minute.
-    MemoryLimitError
-        If the PSF would not fit into memory.
     SceneError
         If an option is out of range, or occluders cut off a part of the cone of light.
 

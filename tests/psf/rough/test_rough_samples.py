@@ -220,7 +220,8 @@ def test_drawn_heights_have_their_correlation():
     roughness = wall(1.0, 2e-3, autocorrelation="exponential")
     footprint = np.array([[0.6, 0.5], [-0.1, 0.4]])
     view = rough_source(grid_wave(), roughness, footprint, 2.0, D_EFF).view
-    walls = replace(screens(view, 64, 2e-4, WAVELENGTH, 0.0), phase_rms=1e-6)
+    walls = screens(view, 64, 2e-4, WAVELENGTH, 0.0)
+    walls = replace(walls, phase_rms=1e-6, distance=np.zeros((2, 2)))
     size = walls.heights.shape[0]
     heights = np.stack([-f.imag * 1e6 for f in islice(walls.draw(2), 40)])
     power = np.mean(np.abs(fft.fft2(heights)) ** 2, axis=0)

@@ -8,7 +8,9 @@ import pytest
 from nlosoptics import raytrace
 from nlosoptics.errors import SceneError
 from nlosoptics.psf.pupil.wall_wavefront import aim
-from nlosoptics.scene import CallableWall, ConvexWall, WavyWall
+from nlosoptics.scene import CallableWall, ConvexWall, Scene, SumWall, WavyWall
+
+EXAMPLES = Path(__file__).parents[3] / "examples" / "scenes"
 
 
 def bump(h0, *, hessian=True):
@@ -56,6 +58,21 @@ def test_bump_wave_aberration(hessian):
     axis = np.array([-0.6, 0.0, -1.0]) / np.hypot(0.6, 1.0)
     rays = aim(wall, o, p[None], axis)
     assert rays.excess[0] == pytest.approx(exact, abs=1e-15)
+
+
+@pytest.mark.parametrize("hessian", [True, False])
+def test_aberration_is_that_of_the_compiled_wall(hessian):
+    wall = WavyWall(1e-6, 0.1, 0.4, direction=0.3)
+    own = as_callable(wall, max_height=1e-6)
+    if not hessian:
+        own = replace(own, hessian=None)
+    u, v = np.random.default_rng(0).uniform(-0.02, 0.02, (2, 200))
+    nodes = np.stack([u, v], axis=1)
+    where = ((-0.3, 0.1, 1.0), (0.4, 0.0, 1.2), (0.0, 0.0, 0.0), nodes)
+    found, exact = psf.wall_aberration(own, *where), psf.wall_aberration(wall, *where)
+    # both stationary to rounding, and second order in what is left
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-16)
+    assert np.abs(exact).max() > 1e-7
 
 
 @pytest.mark.parametrize(
