@@ -13,6 +13,14 @@ from ...kernels.compiling import njit
 
 
 @njit(cache=True, nogil=True)
+def intensity(field, out):
+    """Fill ``out`` with the squared modulus of ``field``, (b, k, p, c)."""
+    f, o = field.ravel(), out.ravel()
+    for j in range(o.size):
+        o[j] = f[j].real * f[j].real + f[j].imag * f[j].imag
+
+
+@njit(cache=True, nogil=True)
 def predict(transfer, pixel, gains, objects, out):
     """Fill ``out`` (b, k, p, q) with the spectra of the predicted images.
 
@@ -222,6 +230,19 @@ def spectra(
 
 
 @njit(cache=True, nogil=True)
+def pull_back(field, weight, scale, out):
+    """Fill ``out`` (b, k, p, c) with ``field`` times the real ``weight`` times ``scale``.
+
+    This is the gradient of an intensity with respect to its field.
+    """
+    factor = weight.dtype.type(scale)
+    f, w, o = field.ravel(), weight.ravel(), out.ravel()
+    for j in range(o.size):
+        x = w[j] * factor
+        o[j] = complex(f[j].real * x, f[j].imag * x)
+
+
+@njit(cache=True, nogil=True)
 def phase_gradient(pupil, toward, walls, out):
     """Fill ``out`` (b, w, cells) with the gradient with respect to each wall's phase.
 
@@ -234,6 +255,21 @@ def phase_gradient(pupil, toward, walls, out):
             p, g, o = pupil[b, k], toward[b, k], out[b, walls[k]]
             for i in range(o.size):
                 o[i] += g[i].imag * p[i].real - g[i].real * p[i].imag
+
+
+@njit(cache=True, nogil=True)
+def softly_positive(free, support, softness, out):
+    """Fill ``out`` (b, n, m) with positive values of free parameters: (x + sqrt(x^2 + s^2))/2.
+
+    s is ``softness``. The values are multiplied by ``support`` (n, m), 0 where the object is known
+    to be dark.
+    """
+    square, half = free.dtype.type(softness * softness), free.dtype.type(0.5)
+    for b in range(free.shape[0]):
+        for i in range(free.shape[1]):
+            x, s, o = free[b, i], support[i], out[b, i]
+            for j in range(x.size):
+                o[j] = half * s[j] * (x[j] + np.sqrt(x[j] * x[j] + square))
 
 
 @njit(cache=True, nogil=True)

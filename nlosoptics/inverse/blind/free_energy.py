@@ -222,9 +222,8 @@ class FreeEnergy:
         """Return the mean objects, (B, H, W), in the images' unit."""
         if self._known is not None:
             return np.repeat(self._known[None], len(starts), axis=0)
-        half, softness = self._dtype(0.5), self._dtype(_SOFTNESS)
-        positive = starts.free + np.sqrt(np.square(starts.free) + softness * softness)
-        mean: Floats = half * self._support * positive
+        mean = np.empty_like(starts.free)
+        kernels.softly_positive(starts.free, self._support, _SOFTNESS, mean)
         return mean
 
     def evaluate(
@@ -398,15 +397,17 @@ class FreeEnergy:
         pupil = torch.complex(phase.cos() * self._amplitude, phase.sin() * self._amplitude)
         lit = pupil.view(count, frames, *self._cells)
         field = torch.fft.fft(torch.fft.fft(lit, n=rows, dim=-2), n=columns, dim=-1).numpy()
-        spread = np.square(field.real) + np.square(field.imag)
+        spread = np.empty(field.shape, dtype=self._dtype)
+        kernels.intensity(field, spread)
         return torch.fft.rfft2(self._to_pixels(torch.from_numpy(spread))).numpy(), pupil, field
 
     def _wall_gradient(self, toward: Floats, pupil: Tensor, field: Floats) -> Floats:
         rows, columns = self._cells
         spread = torch.fft.irfft2(torch.from_numpy(toward), s=self.grid)
-        spread = self._from_pixels(spread)
+        spread = self._from_pixels(spread).contiguous()
+        pulled = np.empty(field.shape, dtype=field.dtype)
         scale = 2.0 * float(math.prod(self.grid)) * math.prod(self._fine)
-        pulled = field * (self._dtype(scale) * spread.numpy())
+        kernels.pull_back(field, spread.numpy(), scale, pulled)
         cells = torch.fft.ifft(torch.from_numpy(pulled), dim=-1)[..., :columns]
         cells = torch.fft.ifft(cells, dim=-2)[..., :rows, :].contiguous()
         walls = len(self.twin) // len(self.modes)

@@ -1,8 +1,8 @@
 """Waves that a trained network proposes for one image, as starts of a search.
 
 The network has seen images of 64 x 64 pixels at Nyquist's pitch. Others are resampled, and cut out
-about their light or surrounded by black. It was trained by benchmarks/inverse/train_proposals.py,
-which the history holds (commit b2dc0d51).
+about their light or surrounded by black. Its training script
+``train_proposals.py`` is in the history (commit b2dc0d51).
 """
 
 from __future__ import annotations

@@ -116,38 +116,12 @@ def wu2024_fit(
 
     Notes
     -----
-    Statements of the paper's section 2.2, and what this function does:
-
-    ==================================================  ===========================================
-    paper                                               here
-    ==================================================  ===========================================
-    "The speckle image ... is fed into CNN with         a U-net with the image as input; ``seed``
-    randomly initialized weights"; U-net                draws its weights
-    "incorporated into the physical model with a        ``seed`` draws the angles, ``pupil_psf`` is
-    randomly initialized diffuse angle"                 equations 2 and 3, and the image is the
-                                                        product of spectra of equation 8
-    1. loss between measured and modelled image         ``alternate`` steps on the angles, with the
-    optimizes the physical parameters, "network         object held
-    structure kept unchanged", "repeated"
-    2. optimized parameters held, the loss optimizes    ``alternate`` steps on the network, with
-    the network parameters, "repeated"                  the angles held
-    3. "These two steps are alternated"                 until ``max_iterations``
-    equation 9: squared error plus total variation      the same, summed over pixels, with the
-    (TV) of the reconstruction                          factor ``tv_weight``
-    ADAM, learning rate 0.01                            two Adam optimisers, ``learning_rate``
-    "estimated and outputted as the final layer"        the last object, no average, no best one
-    4000 iterations, 1800 with "the previous run's      ``max_iterations``; ``start``
-    optimization results as input"
-    512 x 512 pixels                                    any
-    ==================================================  ===========================================
-
-    The paper leaves some choices open. They are options here: the number of repetitions of steps 1
-    and 2 (``alternate``), the input of the network in step 2 (``network_input``), the size of the
-    network (``base``), the strength of the random angles (``start_rms``), and the weight of TV
-    (``tv_weight``). Equation 9 has the weight 1, but the paper does not state the scale of the
-    image. Other choices are fixed here: the network's last layer is a sigmoid, brightness and
-    background take their least-squares values in every step, and the optimisers keep their state
-    through the alternation. The image is treated as periodic, as equation 8 implies.
+    The theory pages of the documentation list the statements of the paper's section 2.2, and what
+    this function does. The paper leaves some choices open, which are options here: the number of
+    repetitions of the steps for angles and network (``alternate``), the input of the network in the
+    second (``network_input``), its size (``base``), the strength of the random angles
+    (``start_rms``), and the weight of TV (``tv_weight``; equation 9 has the weight 1, but the scale
+    of the image is not stated). The image is treated as periodic, as equation 8 implies.
 
     In tests with random angles and one image, this method never found the true object and wall, but
     the image itself, or another object that agrees with the image within the noise

@@ -247,6 +247,7 @@ def test_children_of_a_wall_and_its_twin_change_one_of_them():
     assert best == pytest.approx(1 / 1.2, abs=0.04)
 
 
+@pytest.mark.thorough
 def test_two_frames_are_enough():
     data, sigma = images(32, wall(0.4))
     found = pcin(
@@ -264,6 +265,7 @@ def test_two_frames_are_enough():
     assert np.linalg.norm(settled["coefficients"] - wall(0.4)) < 0.1
 
 
+@pytest.mark.thorough
 def test_a_wall_that_no_mode_holds_is_not_called_right(pupil):
     """Two different objects, one in each frame: no wall explains both."""
     data, sigma = images(32, wall(0.4))
@@ -315,6 +317,7 @@ def test_a_small_margin_needs_the_expected_wave_without_a_rival(
     assert faults == () if reason is None else faults[0].startswith(reason)
 
 
+@pytest.mark.thorough
 def test_no_blur_is_flagged(pupil):
     """One frame and no search: the answer is the image itself."""
     data, sigma = images(32, wall(0.3), defocus=np.zeros(1))
@@ -326,6 +329,7 @@ def test_no_blur_is_flagged(pupil):
     assert found.physical_parameters["margin"] == 0.0
 
 
+@pytest.mark.thorough
 def test_a_weak_wall_is_told_from_the_image_taken_as_sharp(pupil):
     """The descent from no blur ends at the wall, and the search finds no different one."""
     data, sigma = images(32, wall(0.2, seed=4), defocus=np.zeros(1))

@@ -70,6 +70,7 @@ def test_one_image_and_a_start_a_tenth_of_a_wave_off(near):
     assert np.linalg.norm(coefficients - data.coefficients[0]) < 0.1
 
 
+@pytest.mark.thorough
 def test_a_start_rules_no_blur_out_where_free_energies_are_alike(cases):
     """Of a busy object no blur is as likely as the truth; what is known of the wall decides."""
     data = cases.case("hanzi_zhong", 5, rms_waves=0.5)
@@ -111,6 +112,7 @@ def test_residuals_prefer_no_blur_and_free_energy_the_wall(near, cases):
     assert found.energy[0] > found.energy[1]
 
 
+@pytest.mark.thorough
 def test_a_known_object_tells_the_wall(cases):
     data = cases.case("R", WALL, rms_waves=0.5)
     start = unknown(data, np.zeros(18), cases.MODES)
@@ -124,6 +126,7 @@ def test_a_known_object_tells_the_wall(cases):
     assert registered_correlation(again, image.truth) >= 0.95
 
 
+@pytest.mark.thorough
 def test_several_walls_need_no_defocus(cases):
     data = cases.case("F", WALL, rms_waves=0.4, n_walls=3, size=48)
     start = unknown(data, np.zeros(18), cases.MODES)
@@ -132,6 +135,7 @@ def test_several_walls_need_no_defocus(cases):
     assert registered_correlation(found, data.truth) >= 0.95
 
 
+@pytest.mark.thorough
 def test_modes_are_added_while_the_residual_exceeds_the_noise():
     """A quarter of a wave in trefoil, which is not among the given modes."""
     images, spread, defocus, truth = made(gains=(1.0, 1.0), hidden=0.25)
@@ -174,6 +178,7 @@ def made(shape=(32, 40), gains=(1.0,), noise=0.01, hidden=0.0):
 NEAR = {"start_error": 0.1, "max_iterations": 1}
 
 
+@pytest.mark.thorough
 def test_same_seed_same_bits_and_kinds_in_kinds_out():
     images, spread, defocus, _ = made(gains=(1.0, 1.0))
     with torch.no_grad():
@@ -198,6 +203,7 @@ def test_same_seed_same_bits_and_kinds_in_kinds_out():
     np.testing.assert_allclose(tensors.object.numpy(), first.object, atol=0.05)
 
 
+@pytest.mark.thorough
 def test_relative_gains_of_images():
     images, spread, defocus, truth = made(gains=(1.0, 0.6))
     found = evidence_fit(images, spread, defocus=defocus, fit_gains=True, **NEAR)
@@ -210,6 +216,7 @@ def test_relative_gains_of_images():
     assert without.status == "unconverged"
 
 
+@pytest.mark.thorough
 def test_pixels_of_infinite_noise_have_no_say():
     images, spread, defocus, truth = made(gains=(1.0, 1.0))
     noise = np.full(images.shape, 0.01 * images.max())
@@ -225,6 +232,7 @@ def test_pixels_of_infinite_noise_have_no_say():
     assert registered_correlation(found, truth) > 0.98
 
 
+@pytest.mark.thorough
 def test_a_support_says_where_and_no_more():
     images, spread, _, _ = made()
     support = np.zeros(images.shape[-2:])
@@ -237,6 +245,7 @@ def test_a_support_says_where_and_no_more():
     assert first.object[support == 1].min() > 0.0
 
 
+@pytest.mark.thorough
 def test_a_given_wall_of_unknown_error_is_one_more_start():
     """It is right, so that no other wall is tried; without it the first answer takes a search."""
     images, spread, defocus, truth = made(gains=(1.0, 1.0))
@@ -249,6 +258,7 @@ def test_a_given_wall_of_unknown_error_is_one_more_start():
     assert not any("random" in text for text in told)
 
 
+@pytest.mark.thorough
 def test_progress_grows_to_the_end():
     images, spread, _, _ = made()
     told = []

@@ -120,6 +120,7 @@ class Watch:
             raise inverse.Stop
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("solver", "last"),
     [(wu2024, 2), (evidence, 3), (evidence, 4), (evidence_near, 4), (evidence_near_one, 3)],
@@ -143,6 +144,7 @@ def test_goes_on_bit_by_bit(solver, last) -> None:
     assert again.score == whole.score
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("solver", "last"),
     [
@@ -174,6 +176,7 @@ def test_an_ended_fit_has_an_object_and_a_preview_in_image_units(solver, last) -
         assert inverse.registered_correlation(preview, found.object) > 0.5
 
 
+@pytest.mark.thorough
 def test_a_search_for_one_image_goes_on_bit_by_bit() -> None:
     """Within the generations of its only round."""
     seen, watch, rest = Watch(), Watch(5), Watch()
@@ -184,6 +187,7 @@ def test_a_search_for_one_image_goes_on_bit_by_bit() -> None:
     assert rest.fractions == seen.fractions[4:]
 
 
+@pytest.mark.thorough
 def test_a_fit_ends_with_its_time_within_a_step(monkeypatch) -> None:
     """With the result of the steps before; a fit of one image has its first before the last two."""
     clock, tick, evaluations, evaluate = [0.0], [0.0], [], FreeEnergy.evaluate
@@ -211,6 +215,7 @@ def test_a_fit_ends_with_its_time_within_a_step(monkeypatch) -> None:
     assert found[0].status == found[1].status == "trivial"
 
 
+@pytest.mark.thorough
 def test_a_state_of_other_images_is_refused() -> None:
     watch = Watch(3)
     evidence(progress=watch)

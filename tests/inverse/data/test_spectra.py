@@ -9,7 +9,6 @@ from nlosoptics.errors import SamplingError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import estimate_noise
 from nlosoptics.inverse.data.spectra import (
-    cosines_within,
     frame_transfer,
     half_weights,
     noise_share,
@@ -119,22 +118,3 @@ def test_model_of_another_shape_is_refused():
     model = ForwardModel(np.ones((1, 1)), shape=(24, 25))
     with pytest.raises(SamplingError, match=r"image has shape \(24, 24\), must be \(24, 25\)"):
         estimate_noise(np.random.default_rng(0).normal(size=(24, 24)), model)
-
-
-@pytest.mark.parametrize("shape", [(12, 15), (9, 8)])
-def test_cosines_within_a_mask_have_neighbours_of_both_signs(shape):
-    """A mask beyond a circle, less one frequency: brute force over the neighbours."""
-    rows, columns = np.fft.fftfreq(shape[0]) * shape[0], np.arange(shape[1] // 2 + 1)
-    mask = np.hypot(rows[:, None], columns) > 2.0
-    mask[-3, 3] = False
-    found = cosines_within(mask, shape)
-    assert found.shape == shape
-    for i, j in np.ndindex(shape):
-        near = [
-            mask[sign * k, m]
-            for sign in (1, -1)
-            for k in {i // 2, (i + 1) // 2}
-            for m in {j // 2, (j + 1) // 2}
-        ]
-        assert found[i, j] == all(near)
-    assert 0 < found.sum() < found.size
