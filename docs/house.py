@@ -43,8 +43,6 @@ FLOORS: tuple[dict[str, tuple[str, ...]], ...] = (
             "pupil",
             "window",
             "transform",
-            "batch",
-            "propagation",
             "metrics",
             "rough",
             "exchange",

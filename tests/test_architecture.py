@@ -43,8 +43,7 @@ def prices() -> dict[str, tuple[int, int, int]]:
 
 #: The only places that may import a heavy or optional package, relative to the package.
 ONLY_IN = {
-    "torch": ("inverse/", "transient/imaging/_gpu.py"),
-    "deepinv": ("inverse/data/deepinv.py",),
+    "torch": ("inverse/",),
     "safetensors": ("inverse/",),
     "matplotlib": ("views/",),
     "pyvista": ("views/",),
@@ -165,7 +164,6 @@ def test_broken_rule_is_seen(path: str, source: str) -> None:
     [
         ("psf/transform/fft.py", "from ...errors import SamplingError\nfrom ..window import grids"),
         ("inverse/known/wiener.py", "import torch\nfrom ...imaging import ForwardModel"),
-        ("transient/imaging/_gpu.py", "import torch"),
         ("raytrace/light/trace.py", "from ...kernels.heights import surface"),
         ("kernels/heights.py", "from numba import njit\n@njit\ndef f(): pass"),
         ("cli/forward.py", "from .. import __version__, views\nfrom ..runs.plan import plan"),

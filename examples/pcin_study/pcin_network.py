@@ -90,7 +90,9 @@ def training_pairs(scene: Scene, count: int, *, waves: float, seed: int) -> tupl
             image_distance=pupil.image_distance,
         )
         shape = max(2 * pixels + 1, psf.window_shape(wave, pitch=pitch, tol=TOL))
-        spread = psf.wide_point_spread(wave, pitch=pitch, shape=shape, tol=TOL)
+        spread = psf.point_spread(
+            wave, pitch=pitch, shape=shape, tol=TOL, pixel_integrated=True, model="scalar"
+        )
         taken = imaging.form_image(scene, spread, drawn, seed=int(draws.integers(2**63)))
         if taken.ideal.max() > 0.0:
             bright = taken.ideal / taken.ideal.max()

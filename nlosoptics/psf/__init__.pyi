@@ -46,8 +46,6 @@ from .walls.hybrid import hybrid_point_spread as hybrid_point_spread
 from .walls.rough_wall import PupilField as PupilField
 from .walls.scene_psf import ScenePointSpread as ScenePointSpread
 from .walls.scene_psf import scene_point_spread as scene_point_spread
-from .wave.regime import Regime as Regime
-from .wave.removed import Removed as Removed
 from .wave.wavefront import Wavefront as Wavefront
 from .wave.zernikes import zernike as zernike
 from .wave.zernikes import zernike_order as zernike_order

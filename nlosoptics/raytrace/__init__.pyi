@@ -1,12 +1,9 @@
 from .fans.paths import RayPaths as RayPaths
 from .fans.pupil_fans import pupil_rays as pupil_rays
-from .images.trace_image import PathHistogram as PathHistogram
 from .images.trace_image import TracedImage as TracedImage
 from .images.trace_image import trace_image as trace_image
 from .intersection.intersections import Hits as Hits
 from .intersection.intersections import intersect as intersect
-from .intersection.meshes import AllHits as AllHits
-from .intersection.meshes import MeshHits as MeshHits
 from .intersection.meshes import all_hits as all_hits
 from .intersection.meshes import intersect_mesh as intersect_mesh
 from .intersection.meshes import occluded as occluded

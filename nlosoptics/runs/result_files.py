@@ -17,6 +17,8 @@ from .._checks import Budget, reason
 from ..errors import NlosError, SceneError
 from ..psf.aperture.cells import Cell
 from ..psf.aperture.curves import Curve
+from ..psf.wave.regime import Regime
+from ..psf.wave.removed import Removed
 from . import plan
 from .record import arrays
 
@@ -32,14 +34,14 @@ KNOWN: Final[Mapping[str, type]] = {
         Budget,
         psf.ExitPupil,
         psf.Wavefront,
-        psf.Removed,
+        Removed,
         psf.Aperture,
         Cell,
         Curve,
         psf.PointSpread,
         psf.RoughPointSpread,
         psf.HybridPointSpread,
-        psf.Regime,
+        Regime,
         psf.PointSpreadField,
         psf.PupilField,
         imaging.SpeckleImage,

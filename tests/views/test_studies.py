@@ -11,7 +11,8 @@ from nlosoptics import psf, views
 from nlosoptics.errors import SceneError
 
 xr = pytest.importorskip("xarray")  # of the extra "study"
-from nlosoptics.study import Fraction, Optimum, Results, Sensitivity, Study  # noqa: E402
+from nlosoptics.study import Fraction, Optimum, Results, Study  # noqa: E402
+from nlosoptics.study.answers import Sensitivity  # noqa: E402
 from nlosoptics.views.studies import study_gallery  # noqa: E402
 
 SCENE = Path(__file__).parents[2] / "examples" / "scenes" / "letter_concave.toml"

@@ -211,7 +211,6 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     See Also
     --------
     ensquared_energy : Energy within squares.
-    nlosoptics.views.encircled_energy : Curve of the encircled energy.
 
     Examples
     --------

@@ -242,43 +242,6 @@ def test_rough_maps_are_not_taken_for_smooth_ones():
     assert rays(rough, 100 * UNIT, 25).error_estimate > 2 * smooth.error_estimate
 
 
-def test_same_bits_twice():
-    wave = zernike_wave({4: 20.0, 8: 5.0})
-    first, second = (rays(wave, 50 * UNIT).intensity.tobytes() for _ in range(2))
-    assert first == second
-
-
-def test_doubt_of_slopes_widens_the_blur():
-    """By 4 d t n_r/a, t what the nodes may miss of the aberration; the floor is 2 lambda N."""
-    sampled = zernike_wave({4: 20.0}, samples=(16, 64))
-    ripple = 0.05 * WAVELENGTH * np.random.default_rng(2).normal(size=sampled.u.shape)
-    residual = split(replace(sampled, aberration=sampled.aberration + ripple))
-    window = Window.centred(80 * UNIT, (9, 9))
-    (boxes,) = geometric._boxes(residual, window, 1.0)
-    missed, _ = residual.wavefront.truncation()
-    doubt = abs(residual.wavefront.image_distance) * missed * 16 / RADIUS
-    floor = np.hypot(2 * residual.airy_unit, 4 * doubt)
-    assert doubt > 5 * residual.airy_unit
-    # the least of all widths is where the wave bends least: there is a place without a bend
-    least = np.hypot(boxes.blur[:, 0], boxes.blur[:, 1]).min()
-    assert floor <= least < 1.05 * floor
-
-
-def test_copies_of_a_box_have_the_moments_of_a_uniform_blur():
-    """Energy and centre stay; the variance grows by a twelfth of the squared widths of the blur."""
-    rng = np.random.default_rng(5)
-    x, y, width_x, width_y = rng.random((4, 3))
-    blur, energy = rng.normal(size=(2, 2, 3)), np.array([0.2, 0.3, 0.5])
-    parts = [*geometric._Boxes(x, y, width_x, width_y, blur, energy).spread()]
-    share = np.array([part.energy for part in parts])
-    assert share.sum(axis=0) == approx(energy, rel=1e-14)
-    at = np.array([(part.x - x, part.y - y) for part in parts])
-    sides = np.array([(part.width_x, part.width_y) for part in parts])
-    assert (share[:, None] * at).sum(axis=0) == approx(np.zeros((2, 3)), abs=1e-15)
-    shifts = np.einsum("kan,kbn->abn", at, at) / 9
-    own = (sides**2).mean(axis=0) / 12
-    expected = np.einsum("kan,kbn->abn", blur, blur) / 12
-    for a, width in enumerate((width_x, width_y)):
-        assert shifts[a, a] + own[a] == approx(expected[a, a] + width**2 / 12, rel=1e-13)
-    # shifts along the two axes of the blur are the only ones that correlate x with y
-    assert shifts[0, 1] == approx(expected[0, 1] * 8 / 9, rel=1e-13)
+def test_points_have_no_ray_density():
+    with pytest.raises(SamplingError, match="use pixel_integrated=True"):
+        psf.point_spread(zernike_wave({4: 3.0}), method="geometric")
