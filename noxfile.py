@@ -19,7 +19,7 @@ TESTING = ["hypothesis", "mpmath", "pytest", "pytest-timeout", "pytest-xdist"]
 #: Tests of each extra alone; what they need of another extra is skipped.
 EXTRAS = {
     "views": ["tests/views"],
-    "inverse": ["tests/inverse/known", "tests/inverse/published/test_cnn_baseline.py"],
+    "inverse": ["tests/inverse/known", "tests/inverse/published/test_unets.py"],
     "study": ["tests/study"],
 }
 
@@ -98,7 +98,6 @@ def kills(session: nox.Session) -> None:
     session.install("-c", "constraints.txt", "-e", ".[all,test]")
     moments = session.posargs or ["--moments", "50"]
     session.run("python", "-m", "tests.fuzz.kills", *moments)
-    session.run("python", "benchmarks/repeats.py")
 
 
 @nox.session(default=False)

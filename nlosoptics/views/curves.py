@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from ..limits import Feasibility
     from ..psf import SpotDiagram, ThroughFocus
-    from ..raytrace import PathHistogram
+    from ..raytrace.images.trace_image import PathHistogram
 
 
 def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:

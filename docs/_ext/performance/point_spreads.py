@@ -136,21 +136,4 @@ SECTIONS = (
         },
         rows=itemgetter("drawn"),
     ),
-    Section(
-        "rough_facets.json",
-        "Walls of facets: the mean against random walls",
-        "The same comparison for walls of flat facets: the closed-form mean, and the average of "
-        "1,000 random walls in 8 rings of equal width. The last columns are the largest standard "
-        "error of a ring, relative to its light, and the largest deviation, in standard errors. "
-        "By chance alone, the largest of all 64 deviations exceeds 2.5 standard errors in half of "
-        "such runs.",
-        "python benchmarks/rough_facets.py --json {file}",
-        table={
-            "angle of incidence, phase rms": "{degrees:.0f}°, {s:g} rad",
-            "CPU time of the mean": "{mean_cpu_seconds:time}",
-            "CPU time of one wall": "{wall_cpu_seconds:time}",
-            "standard error": "{standard_error:percent .2g} %",
-            "largest deviation": "{largest_deviation:.2g} errors",
-        },
-    ),
 )
