@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
@@ -55,16 +54,6 @@ def report_command(
         else:
             write_whole({file: page})
         typer.echo(f"{file}: {len(page) / 1e6:.2g} MB")
-
-
-def _add_figures(folder: Path) -> None:
-    """Draw the figures of a run that ``nlosoptics run`` draws with ``--figures`` only."""
-    from ..runs.results import load_result
-    from .figures import write_figures
-
-    result = load_result(folder)
-    with TemporaryDirectory() as new:
-        _add(folder, {file.name: file.read_bytes() for file in write_figures(result, Path(new))})
 
 
 def _add(folder: Path, contents: dict[str, bytes]) -> None:

@@ -77,6 +77,7 @@ def wave_bounds(
     information, bounds = np.zeros((len(modes), len(modes))), []
     for extra in defocus:
         light = overlap * np.exp(1j * (phase + 2 * math.pi * extra * steps[4]))
+        light = np.broadcast_to(light, moved.shape[1:])  # defocus alone is equal at all angles
         # a shift of the phase by a coefficient multiplies the sum's terms by i times its step
         changes = 2j * math.pi * np.einsum("kran,ran->kra", moved, light)
         derivatives = np.concatenate([changes, [light.sum(axis=-1)]])

@@ -114,7 +114,7 @@ def test_a_run_of_the_command_line_is_a_result(examples: Path, tmp_path: Path) -
     pytest.importorskip("matplotlib")
     from typer.testing import CliRunner
 
-    from nlosoptics.cli import app
+    from nlosoptics.cli.program import app
 
     path = examples / "scenes" / "letter_flat.toml"
     words = ["run", str(path), "--size", "16", "--seed", "5", "--no-reconstruct"]

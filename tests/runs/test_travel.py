@@ -108,9 +108,7 @@ MADE: Mapping[str, Any] = {
     "SumWall": lambda: scene.SumWall(scene.FlatWall(), scene.WavyWall(1e-6, 0.1), size=1.0),
     "WallRoughness": lambda: scene.WallRoughness(scene.FacetWall(1e-3, 2e-3), "mean"),
     "Aperture": lambda: psf.Aperture.round(5e-3, 0.3, vanes=3, vane_width=2e-4),
-    "Roughness": lambda: psf.Roughness(
-        1e-7, 1e-3, np.array([[0.0, 1e-3, 2e-3, 3e-3], [1, 0.3, 0.1, 0]])
-    ),
+    "Roughness": lambda: psf.Roughness(1e-7, 1e-3, "exponential"),
     "Wavefront": lambda: wave(aperture=psf.Aperture.round(5e-3, 0.3)),
     "PointSpread": lambda: psf.point_spread(wave(), shape=64),
     "ScenePointSpread": lambda: psf.scene_point_spread(room(), shape=32),
