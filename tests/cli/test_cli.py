@@ -334,6 +334,7 @@ def test_missing_extra_is_told_before_any_work(
     assert contents(scene_file.parent) == before
 
 
+@pytest.mark.thorough
 def test_without_matplotlib_a_run_writes_all_but_pictures(
     scene_file: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

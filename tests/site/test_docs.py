@@ -23,6 +23,9 @@ PAGES = sorted(
     for path in DOCS.rglob("*.md")
     if not {"_generated", "gallery"} & {*path.relative_to(DOCS).parts}
 )
+#: Pages whose code runs by default: the tutorial, and the doors' first steps.
+DEFAULT: dict[str, Any] = dict.fromkeys(("tutorial.md", "instrument.md", "camera.md"), ())
+THOROUGH = pytest.mark.thorough
 #: A block of code with its language.
 FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 #: Begins a block of Python and ends a command that cannot be run in seconds, with the reason.
@@ -41,7 +44,13 @@ def extension(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Modul
             del sys.modules[name]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=str(page.relative_to(DOCS)), marks=DEFAULT.get(page.name, THOROUGH))
+        for page in PAGES
+    ],
+)
 def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands and Python in the order of the page, one namespace, beside the examples."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")

@@ -83,6 +83,7 @@ def test_exposures_scale_and_walls_bend(study: ModuleType) -> None:
     assert data.wall_waves("concave", SIZE)[0] * data.wall_waves("convex", SIZE)[0] < 0.0
 
 
+@pytest.mark.thorough
 def test_facets_make_speckle(study: ModuleType) -> None:
     """Walls of facets have developed speckle, each its own.
 

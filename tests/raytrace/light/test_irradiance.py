@@ -85,6 +85,7 @@ def test_plate_lights_the_wall_by_view_factors():
     assert np.median(spread / exact) < 0.06
 
 
+@pytest.mark.thorough
 def test_plate_lights_the_wall_in_total():
     found = wall_irradiance(
         plate_scene(), source="object", max_bounces=0, n_rays=1 << 21, shape=(50, 70)

@@ -76,6 +76,7 @@ def test_the_mean_of_patterns_is_the_lobe(kind, gloss):
     assert mean.energy.max() < 0.5 * mean.flux
 
 
+@pytest.mark.thorough
 def test_each_seed_is_one_surface(gloss):
     options = {**window(gloss), "n_rays": 1 << 17}
 

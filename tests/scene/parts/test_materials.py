@@ -62,6 +62,16 @@ def test_directional_albedo(row) -> None:
     assert found == approx(float(row["value"]), abs=float(row["tolerance"]))
 
 
+def test_worst_albedo() -> None:
+    """The fit reflects up to 1.0768 of the light; no slope does more."""
+    (row,) = rows("oren_nayar_worst_albedo")
+    worst = float(row["parameters"]["sigma"])
+    value, tolerance = float(row["value"]), float(row["tolerance"])
+    assert float(OrenNayar(1.0, worst).albedo(math.pi / 2)) == approx(value, abs=tolerance)
+    for slope in np.linspace(0, 1, 101):
+        assert OrenNayar(1.0, slope).albedo(np.linspace(0, math.pi / 2, 31)).max() <= value + 1e-12
+
+
 def test_lambert_albedo() -> None:
     assert_array_equal(Lambert(0.3).albedo([0.0, 1.0, math.pi / 2]), 0.3)
     assert float(Lambert(0.3).evaluate(NORMAL, NORMAL, NORMAL)) == 0.3 / math.pi
