@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from ..._checks import fits_memory
 from ..wave.detilted import Residual
 from ..window import antialiased_disc
-from ..window.grids import intensity
 from ..window.pixels import PixelRule
 from ..window.window import Window
 from .antialiased_pupil import SoftWave
-from .fft import padded_pass
 
 Array = NDArray[np.float64]
 
@@ -66,7 +64,7 @@ def padded_bytes(samples: Window, grid: Grid, rule: PixelRule | None) -> float:
     rows = min(size, 2 * grid.centre + 1)
     ny, nx = samples.shape
     image = 8.0 * ny * nx * (1.0 if rule is None else 4.0 / rule.factor)
-    return image + 16.0 * rows * (rows + nx) + 2**26  # tables, blocks
+    return image + 16.0 * rows * size + 2**26  # tables, blocks
 
 
 def padded_image(
@@ -99,12 +97,43 @@ def padded_image(
         padded_bytes(samples, grid, rule),
         "use a smaller shape",
     )
-    values = np.zeros((rows, rows), dtype=np.complex128)
-    values /= _fill(values, residual, wave, samples, grid)
+    # Rows are u, so that the second transform yields rows of the image.
+    values = np.zeros((rows, size), dtype=np.complex128)
+    total = _fill(values[:, :rows], residual, wave, samples, grid)
     forward = residual.wavefront.image_distance > 0
-    ny, nx = samples.shape
-    along_x, along_y = (padded_pass(size, 0, count, None, forward) for count in (nx, ny))
-    return intensity(values, along_x, along_y, samples.shape, rule)
+    return _padded_intensity(values, samples.shape, forward, rule, 1 / total**2)
+
+
+def _padded_intensity(
+    values: NDArray[np.complex128],
+    shape: tuple[int, int],
+    forward: bool,
+    rule: PixelRule | None,
+    scale: float,
+) -> Array:
+    """Transform ``values`` (u, v) along both axes and return ``scale |.|^2`` of the first samples.
+
+    Rows of ``values`` are as long as the period; the other axis is padded to it. The result has
+    the given shape, or that of the pixels if a rule is given. ``values`` is overwritten.
+    """
+    from . import _antialiased_kernels
+
+    (_, size), (ny, nx) = values.shape, shape
+    ducc0.fft.c2c(values, axes=(1,), forward=forward, out=values, nthreads=1)
+    # Each block of rows is averaged along x at once, so the fine image need not fit into memory.
+    step = min(ny, max(8, 2**15 // size))  # small enough for the processor's cache
+    half = np.empty((ny, nx if rule is None else rule.count(nx)))
+    fine, padded = np.empty((step, nx)), np.empty((step, size), dtype=np.complex128)
+    for start in range(0, ny, step):
+        part = padded[: min(step, ny - start)]
+        _antialiased_kernels.turned(values[:, start : start + step], part)
+        ducc0.fft.c2c(part, axes=(1,), forward=forward, out=part, nthreads=1)
+        if rule is None:
+            _antialiased_kernels.squares(part, scale, half[start : start + step])
+            continue
+        _antialiased_kernels.squares(part, scale, fine[: len(part)])
+        half[start : start + step] = rule.mean(fine[: len(part)])
+    return half if rule is None else rule.mean_down(half)
 
 
 def _fill(
@@ -138,8 +167,8 @@ def _fill(
     work = np.empty((6, max(2 * grid.centre + 1, len(turns), len(wave.amplitude))))
     return float(
         _antialiased_kernels.soft_pupil(
-            turns,
-            wave.amplitude,
+            np.ascontiguousarray(turns.T),
+            np.ascontiguousarray(wave.amplitude.T),
             1 / grid.radius,
             lows,
             highs,

@@ -6,7 +6,6 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from ..aperture.quadrature_nodes import frozen, polar_nodes
@@ -15,12 +14,6 @@ from .polar_series import PolarSpectrum
 from .zernikes import zernike, zernike_order
 
 Array = NDArray[np.float64]
-
-
-def polynomial_slopes(powers: Array, u: Array, v: Array) -> tuple[Array, Array]:
-    """Return the derivatives of ``sum powers[i, j] u^i v^j`` with respect to u and v."""
-    du, dv = (polynomial.polyval2d(u, v, polynomial.polyder(powers, axis=axis)) for axis in (0, 1))
-    return np.asarray(du), np.asarray(dv)
 
 
 def polynomial_of(
