@@ -1,11 +1,13 @@
-"""Compiled kernels of grids with soft rims: pupil, transposes, error bounds.
+"""Compiled kernels of grids with soft rims: pupil, folding, error bounds.
 
-They allocate no arrays: to load them, numba would import its own arrays.
+Kernels that most runs need allocate no arrays: to load them, numba would import its own arrays.
 """
 
 from __future__ import annotations
 
 import math
+
+import numpy as np
 
 from ...kernels.compiling import njit
 from ..wave._wave_kernels import phasors
@@ -141,6 +143,86 @@ def squares(field, scale, out):
         for j in range(line.shape[0]):
             value = field[i, j]
             line[j] = scale * (value.real * value.real + value.imag * value.imag)
+
+
+@njit(cache=True, nogil=True)
+def waves(first, step, cosines, sines):
+    """Fill ``cosines`` (m, c + 1) and ``sines`` (m, c) of ``2 pi x k``, x = first, first + step...
+
+    k counts from 0 for cosines and from 1 for sines. ``first`` and ``step`` are in turns.
+    """
+    count = sines.shape[1]
+    turns, size = np.empty(count), np.ones(count)
+    real, imaginary = np.empty(count), np.empty(count)
+    for i in range(sines.shape[0]):
+        for k in range(count):
+            turns[k] = (first + i * step) * (k + 1)
+        phasors(turns, size, real, imaginary)
+        cosines[i, 0] = 1.0
+        cosines[i, 1:] = real
+        sines[i] = imaginary
+
+
+@njit(cache=True, nogil=True)
+def folded(values, even, odd):
+    """Fill ``even`` (c + 1, n) and ``odd`` (c, n) with sums and differences of opposite rows.
+
+    Rows of ``values`` (2 c + 1, n) have the indices -c to c.
+    """
+    centre = odd.shape[0]
+    even[0] = values[centre]
+    for k in range(centre):
+        one, other = values[centre + 1 + k], values[centre - 1 - k]
+        for j in range(values.shape[1]):
+            even[k + 1, j] = one[j] + other[j]
+            odd[k, j] = one[j] - other[j]
+
+
+@njit(cache=True, nogil=True)
+def refolded(even, odd, out_even, out_odd):
+    """Combine even and odd parts (m, 2 c + 1) of the first pass and fold them along the other axis.
+
+    ``even - i odd`` is the transform at +x and ``even + i odd`` that at -x. Columns of ``out_even``
+    (c + 1, 2 n) and ``out_odd`` (c, 2 n) hold both signs of x, in increasing order: first the real
+    parts, then the imaginary parts, so that later loops are vectorised.
+    """
+    centre, columns = out_odd.shape[0], out_even.shape[1] // 2
+    for i in range(even.shape[0]):
+        above, below = columns // 2 + i, (columns - 1) // 2 - i
+        a, b = even[i, centre], odd[i, centre]
+        out_even[0, above], out_even[0, columns + above] = a.real + b.imag, a.imag - b.real
+        out_even[0, below], out_even[0, columns + below] = a.real - b.imag, a.imag + b.real
+    for k in range(centre):
+        line, other = out_even[k + 1], out_odd[k]
+        for i in range(even.shape[0]):
+            above, below = columns // 2 + i, (columns - 1) // 2 - i
+            a, b = even[i, centre + 1 + k], odd[i, centre + 1 + k]
+            c, d = even[i, centre - 1 - k], odd[i, centre - 1 - k]
+            p, q = a + c, b + d
+            line[above], line[columns + above] = p.real + q.imag, p.imag - q.real
+            line[below], line[columns + below] = p.real - q.imag, p.imag + q.real
+            p, q = a - c, b - d
+            other[above], other[columns + above] = p.real + q.imag, p.imag - q.real
+            other[below], other[columns + below] = p.real - q.imag, p.imag + q.real
+
+
+@njit(cache=True, nogil=True)
+def split_squares(even, odd, scale, above, below):
+    """Fill ``above`` (m, n) with ``scale |even - i odd|^2``, ``below`` with that of the sum.
+
+    The sum is ``even + i odd``. Both are (m, 2 n), with the real parts in the first n columns. The
+    rows of ``below`` are in reverse order.
+    """
+    last, n = above.shape[0] - 1, above.shape[1]
+    for i in range(above.shape[0]):
+        up, down = above[i], below[last - i]
+        a, b, c, d = even[i, :n], even[i, n:], odd[i, :n], odd[i, n:]
+        for j in range(n):
+            real, imaginary = a[j] + d[j], b[j] - c[j]
+            up[j] = scale * (real * real + imaginary * imaginary)
+        for j in range(n):  # a loop of its own: with two outputs it is not vectorised
+            real, imaginary = a[j] - d[j], b[j] + c[j]
+            down[j] = scale * (real * real + imaginary * imaginary)
 
 
 @njit(cache=True, nogil=True)

@@ -1,4 +1,10 @@
-"""Images of polynomial waves from grids with softened rims, by padded FFTs."""
+"""Images of polynomial waves from grids with softened rims, by FFT or by matrix products.
+
+`padded_image` uses FFTs padded to a period of a whole number of samples. `folded_image` uses
+products with cosines and sines, which is faster for a pupil of few cells. Its cells and its image
+points are both symmetric about their centres, so the transform separates into even and odd parts
+with a quarter of the operations.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +18,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
+from ..._vectors import product_into, row_blocks
 from ..wave.detilted import Residual
 from ..window import antialiased_disc
 from ..window.pixels import PixelRule
@@ -58,13 +65,33 @@ def padded(residual: Residual, samples: Window, period: float) -> Grid:
     return Grid(size * samples.pitch, size * samples.pitch / (2 * unit))
 
 
+def whole(residual: Residual, period: float) -> Grid:
+    """Return the grid for matrix products, with a whole number of cells per radius.
+
+    Calls with different periods then often share the cached table of the rim.
+    """
+    cells = math.ceil(period / 2)
+    return Grid(2 * cells * residual.airy_unit, cells)
+
+
 def padded_bytes(samples: Window, grid: Grid, rule: PixelRule | None) -> float:
     """Return the peak memory of `padded_image`, bytes."""
     size = round(grid.period / samples.pitch)
     rows = min(size, 2 * grid.centre + 1)
+    return _image_bytes(samples, rule) + 16.0 * rows * size
+
+
+def folded_bytes(samples: Window, grid: Grid, rule: PixelRule | None) -> float:
+    """Return the peak memory of `folded_image`, bytes."""
+    rows, (ny, nx) = 2 * grid.centre + 1, samples.shape
+    cells = rows * (2 * rows + 2 * nx) + (ny + nx) * grid.centre
+    return _image_bytes(samples, rule) + 16.0 * cells
+
+
+def _image_bytes(samples: Window, rule: PixelRule | None) -> float:
+    """Return the memory of the image, bytes, with a constant for tables and blocks."""
     ny, nx = samples.shape
-    image = 8.0 * ny * nx * (1.0 if rule is None else 4.0 / rule.factor)
-    return image + 16.0 * rows * size + 2**26  # tables, blocks
+    return 8.0 * ny * nx * (1.0 if rule is None else 4.0 / rule.factor) + 2**26
 
 
 def padded_image(
@@ -99,7 +126,7 @@ def padded_image(
     )
     # Rows are u, so that the second transform yields rows of the image.
     values = np.zeros((rows, size), dtype=np.complex128)
-    total = _fill(values[:, :rows], residual, wave, samples, grid)
+    total = _fill(values[:, :rows], residual, wave, samples, grid, (0.0, 0.0))
     forward = residual.wavefront.image_distance > 0
     return _padded_intensity(values, samples.shape, forward, rule, 1 / total**2)
 
@@ -136,17 +163,95 @@ def _padded_intensity(
     return half if rule is None else rule.mean_down(half)
 
 
+def folded_image(
+    residual: Residual, wave: SoftWave, samples: Window, grid: Grid, rule: PixelRule | None
+) -> Array:
+    """Compute the image of a polynomial wave by products with cosines and sines.
+
+    The parameters and the result are those of `padded_image`, with a ``grid`` from `whole`.
+    """
+    from . import _antialiased_kernels
+
+    (ny, nx), centre = samples.shape, grid.centre
+    rows = 2 * centre + 1
+    fits_memory(
+        f"the transform of {rows} x {rows} samples",
+        folded_bytes(samples, grid, rule),
+        "use a smaller shape",
+    )
+    values = np.zeros((rows, rows), dtype=np.complex128)
+    total = _fill(values, residual, wave, samples, grid, ((nx - 1) / 2, (ny - 1) / 2))
+    even, odd = (np.empty((n, rows), dtype=np.complex128) for n in (centre + 1, centre))
+    _antialiased_kernels.folded(values, even, odd)
+    step = math.copysign(samples.pitch / grid.period, residual.wavefront.image_distance)
+    half = np.empty((2, (nx + 1) // 2, rows), dtype=np.complex128)
+    for table, part, out in zip(_waves(nx, centre, step), (even, odd), half, strict=True):
+        product_into(table, part.view(np.float64), out.view(np.float64))
+    evens, odds = np.empty((centre + 1, 2 * nx)), np.empty((centre, 2 * nx))
+    _antialiased_kernels.refolded(half[0], half[1], evens, odds)
+    return _unfolded(_waves(ny, centre, step), evens, odds, ny, rule, 1 / total**2)
+
+
+def _unfolded(
+    tables: tuple[Array, Array],
+    evens: Array,
+    odds: Array,
+    ny: int,
+    rule: PixelRule | None,
+    scale: float,
+) -> Array:
+    """Transform folded columns (c + 1, 2 nx) and (c, 2 nx) to ``ny`` rows of ``scale |.|^2``.
+
+    The first nx columns are real parts and the others imaginary parts.
+    """
+    from . import _antialiased_kernels
+
+    nx = evens.shape[1] // 2
+    # Each block of rows is averaged along x at once, so the fine image need not fit into memory.
+    half = np.empty((ny, nx if rule is None else rule.count(nx)))
+    blocks = row_blocks((ny + 1) // 2, 2 * nx, len(evens))
+    parts = np.empty((2, blocks[0][1], 2 * nx))
+    fine = np.empty((0 if rule is None else 2, blocks[0][1], nx))
+    for start, stop in blocks:
+        a, b = parts[:, : stop - start]
+        np.matmul(tables[0][start:stop], evens, out=a)
+        np.matmul(tables[1][start:stop], odds, out=b)
+        above = half[ny // 2 + start : ny // 2 + stop]
+        below = half[(ny + 1) // 2 - stop : (ny + 1) // 2 - start]
+        if rule is None:
+            _antialiased_kernels.split_squares(a, b, scale, above, below)
+            continue
+        up, down = fine[:, : stop - start]
+        _antialiased_kernels.split_squares(a, b, scale, up, down)
+        above[...], below[...] = rule.mean(up), rule.mean(down)
+    return half if rule is None else rule.mean_down(half)
+
+
+def _waves(count: int, centre: int, step: float) -> tuple[Array, Array]:
+    """Return cosines ((count + 1)//2, centre + 1) and sines (.., centre) of half the image points.
+
+    ``step`` is the phase in turns per point and cell, signed as the image distance.
+    """
+    from . import _antialiased_kernels
+
+    half = (count + 1) // 2
+    cosines, sines = np.empty((half, centre + 1)), np.empty((half, centre))
+    _antialiased_kernels.waves(0.0 if count % 2 else step / 2, step, cosines, sines)
+    return cosines, sines
+
+
 def _fill(
     values: NDArray[np.complex128],
     residual: Residual,
     wave: SoftWave,
     samples: Window,
     grid: Grid,
+    origin: tuple[float, float],
 ) -> float:
     """Add the pupil function to ``values`` and return the sum of its amplitude.
 
-    The middle cell is `Grid.centre` on both axes. A linear phase moves the first image sample to
-    frequency 0 of the transform.
+    The middle cell is `Grid.centre` on both axes. A linear phase moves the image sample ``origin``
+    (column, row) to frequency 0 of the transform.
     """
     from . import _antialiased_kernels
 
@@ -163,7 +268,8 @@ def _fill(
     turns = wave.aberration / pupil.wavelength
     per_length = math.copysign(grid.radius / grid.period, pupil.image_distance)
     for axis, place in (((1, 0), 0), ((0, 1), 1)):
-        turns[axis] -= per_length * (samples.first[place] - residual.shift[place])
+        first = samples.first[place] + origin[place] * samples.pitch
+        turns[axis] -= per_length * (first - residual.shift[place])
     work = np.empty((6, max(2 * grid.centre + 1, len(turns), len(wave.amplitude))))
     return float(
         _antialiased_kernels.soft_pupil(
