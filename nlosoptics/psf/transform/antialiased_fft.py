@@ -9,8 +9,10 @@ with a quarter of the operations.
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import ducc0
 import numpy as np
@@ -30,6 +32,8 @@ Array = NDArray[np.float64]
 #: Points per cell in the table of a softened rim; six-point interpolation then has error 2e-15.
 STEPS = 256
 
+_own = threading.local()
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -41,37 +45,40 @@ class Grid:
         Period of the image, m.
     radius : float
         Radius of the pupil, cells.
+    reach : int
+        Half width of the softened rim, cells.
     """
 
     period: float
     radius: float
+    reach: int = antialiased_disc.REACH
 
     @property
     def centre(self) -> int:
         """Number of cells on either side of the middle one, including the softened rim."""
-        return math.ceil(self.radius) + antialiased_disc.REACH
+        return math.ceil(self.radius) + self.reach
 
     @property
     def error(self) -> float:
         """Bound of the field error due to the truncated rim."""
-        return antialiased_disc.cut(self.radius)
+        return antialiased_disc.cut(self.radius, self.reach)
 
 
-def padded(residual: Residual, samples: Window, period: float) -> Grid:
+def padded(residual: Residual, samples: Window, period: float, reach: int) -> Grid:
     """Return the grid for FFTs: a period of at least ``period``, Airy units, and of fast size."""
     unit = residual.airy_unit
     # sizes that are multiples of four are the fastest
     size = 4 * int(ducc0.fft.good_size(math.ceil(period * unit / samples.pitch / 4)))
-    return Grid(size * samples.pitch, size * samples.pitch / (2 * unit))
+    return Grid(size * samples.pitch, size * samples.pitch / (2 * unit), reach)
 
 
-def whole(residual: Residual, period: float) -> Grid:
+def whole(residual: Residual, period: float, reach: int) -> Grid:
     """Return the grid for matrix products, with a whole number of cells per radius.
 
     Calls with different periods then often share the cached table of the rim.
     """
     cells = math.ceil(period / 2)
-    return Grid(2 * cells * residual.airy_unit, cells)
+    return Grid(2 * cells * residual.airy_unit, cells, reach)
 
 
 def padded_bytes(samples: Window, grid: Grid, rule: PixelRule | None) -> float:
@@ -125,7 +132,8 @@ def padded_image(
         "use a smaller shape",
     )
     # Rows are u, so that the second transform yields rows of the image.
-    values = np.zeros((rows, size), dtype=np.complex128)
+    values = _workspace("values", (rows, size), complex)
+    values[...] = 0.0
     total = _fill(values[:, :rows], residual, wave, samples, grid, (0.0, 0.0))
     forward = residual.wavefront.image_distance > 0
     return _padded_intensity(values, samples.shape, forward, rule, 1 / total**2)
@@ -150,7 +158,7 @@ def _padded_intensity(
     # Each block of rows is averaged along x at once, so the fine image need not fit into memory.
     step = min(ny, max(8, 2**15 // size))  # small enough for the processor's cache
     half = np.empty((ny, nx if rule is None else rule.count(nx)))
-    fine, padded = np.empty((step, nx)), np.empty((step, size), dtype=np.complex128)
+    fine, padded = _workspace("fine", (step, nx)), _workspace("padded", (step, size), complex)
     for start in range(0, ny, step):
         part = padded[: min(step, ny - start)]
         _antialiased_kernels.turned(values[:, start : start + step], part)
@@ -179,15 +187,18 @@ def folded_image(
         folded_bytes(samples, grid, rule),
         "use a smaller shape",
     )
-    values = np.zeros((rows, rows), dtype=np.complex128)
+    values = _workspace("values", (rows, rows), complex)
+    values[...] = 0.0
     total = _fill(values, residual, wave, samples, grid, ((nx - 1) / 2, (ny - 1) / 2))
-    even, odd = (np.empty((n, rows), dtype=np.complex128) for n in (centre + 1, centre))
+    sides = _workspace("sides", (rows, rows), complex)
+    even, odd = sides[: centre + 1], sides[centre + 1 :]
     _antialiased_kernels.folded(values, even, odd)
     step = math.copysign(samples.pitch / grid.period, residual.wavefront.image_distance)
-    half = np.empty((2, (nx + 1) // 2, rows), dtype=np.complex128)
+    half = _workspace("half", (2, (nx + 1) // 2, rows), complex)
     for table, part, out in zip(_waves(nx, centre, step), (even, odd), half, strict=True):
         product_into(table, part.view(np.float64), out.view(np.float64))
-    evens, odds = np.empty((centre + 1, 2 * nx)), np.empty((centre, 2 * nx))
+    columns = _workspace("columns", (rows, 2 * nx))
+    evens, odds = columns[: centre + 1], columns[centre + 1 :]
     _antialiased_kernels.refolded(half[0], half[1], evens, odds)
     return _unfolded(_waves(ny, centre, step), evens, odds, ny, rule, 1 / total**2)
 
@@ -210,8 +221,8 @@ def _unfolded(
     # Each block of rows is averaged along x at once, so the fine image need not fit into memory.
     half = np.empty((ny, nx if rule is None else rule.count(nx)))
     blocks = row_blocks((ny + 1) // 2, 2 * nx, len(evens))
-    parts = np.empty((2, blocks[0][1], 2 * nx))
-    fine = np.empty((0 if rule is None else 2, blocks[0][1], nx))
+    parts = _workspace("parts", (2, blocks[0][1], 2 * nx))
+    fine = _workspace("fine", (2, blocks[0][1], nx))
     for start, stop in blocks:
         a, b = parts[:, : stop - start]
         np.matmul(tables[0][start:stop], evens, out=a)
@@ -256,9 +267,9 @@ def _fill(
     from . import _antialiased_kernels
 
     pupil = residual.wavefront
-    rims = [_rim_table(grid.radius)]
+    rims = [_rim_table(grid.radius, grid.reach)]
     if pupil.obscuration > 0:
-        rims.append(_rim_table(pupil.obscuration * grid.radius))
+        rims.append(_rim_table(pupil.obscuration * grid.radius, grid.reach))
     # A bound may be an integer, for which numba would compile the kernel again.
     lows, highs = (np.array([rim[i] for rim in rims], dtype=np.float64) for i in (0, 1))
     width = max(rim[2].size for rim in rims)
@@ -288,14 +299,29 @@ def _fill(
 
 
 @lru_cache(maxsize=64)
-def _rim_table(radius: float) -> tuple[float, float, Array]:
+def _rim_table(radius: float, reach: int) -> tuple[float, float, Array]:
     """Return the inner and outer radius of a softened rim, cells, and the table of its values.
 
     The table extends two points beyond both radii.
     """
-    disc = antialiased_disc.SoftDisc(radius)
+    disc = antialiased_disc.SoftDisc(radius, reach)
     r = np.abs(disc.low + (np.arange(math.ceil((disc.high - disc.low) * STEPS) + 6) - 2) / STEPS)
     place = (2 * r - disc.low - disc.high) / (disc.high - disc.low)
     table = chebyshev.chebval(place, disc.series)
     table.setflags(write=False)
     return disc.low, disc.high, table
+
+
+def _workspace(name: str, shape: tuple[int, ...], kind: type = float) -> NDArray[Any]:
+    """Return a thread's own array, which later calls use again if it is small.
+
+    New pages of memory would take a third of a small transform's time.
+    """
+    need = math.prod(shape) * np.dtype(kind).itemsize
+    if need > 2**22:
+        return np.empty(shape, dtype=kind)
+    kept = getattr(_own, name, None)
+    if kept is None or kept.nbytes < need:
+        kept = np.empty(need, dtype=np.uint8)
+        setattr(_own, name, kept)
+    return np.asarray(kept[:need].view(kind).reshape(shape))

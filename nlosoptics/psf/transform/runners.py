@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..._checks import fits_memory
 from ...errors import SamplingError
 from ..wave.detilted import Residual
-from ..window import error_bounds
+from ..window import antialiased_disc, error_bounds
 from ..window.grids import PupilGrid, pupil_grid, pupil_grid_from_polar
 from ..window.pixels import PixelRule
 from ..window.window import Window
@@ -47,9 +47,10 @@ class SoftTask(NamedTuple):
 
     def grid(self, task: Task, method: str) -> antialiased_fft.Grid:
         """Return the pupil grid for ``"fft"`` or ``"mdft"``."""
+        reach = antialiased_disc.SHORT_REACH if task.tol >= 1e-4 else antialiased_disc.REACH
         if method == "fft":
-            return antialiased_fft.padded(task.residual, task.samples, self.period)
-        return antialiased_fft.whole(task.residual, self.period)
+            return antialiased_fft.padded(task.residual, task.samples, self.period, reach)
+        return antialiased_fft.whole(task.residual, self.period, reach)
 
     def n_bytes(self, task: Task, method: str) -> float:
         """Return the peak memory of ``"fft"`` or ``"mdft"``, bytes."""
