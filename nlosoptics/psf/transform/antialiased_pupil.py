@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from ..aperture.quadrature_nodes import frozen
+from ..._vectors import read_only
 from ..wave.detilted import Residual
 from ..wave.polar_series import PolarSpectrum
 from ..wave.pupil_polynomials import polynomial_of
@@ -71,10 +69,13 @@ def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
     wave = residual.wavefront
     if wave.layout != "polar":
         return None
-    rounding = 1e-14 * float(np.abs(residual.aberration).max())
-    threshold = max(1e-3 * tol / residual.wavenumber, rounding)
-    series = residual.polar_series[0]
-    fit = polynomial_of(series, residual.aberration, wave.obscuration, threshold)
+    if residual.low is not None:
+        fit: tuple[Array, float] | None = residual.low.powers, residual.low.misfit
+    else:
+        rounding = 1e-14 * float(np.abs(residual.aberration).max())
+        threshold = max(1e-3 * tol / residual.wavenumber, rounding)
+        series = residual.polar_series[0]
+        fit = polynomial_of(series, residual.aberration, wave.obscuration, threshold)
     if fit is None:
         return None
     misfit = residual.wavenumber * fit[1]
@@ -132,32 +133,18 @@ class Rim(NamedTuple):
 
 def rim_of(residual: Residual, wave: SoftWave) -> Rim:
     """Return what the error of a wave's softened rim depends on."""
+    from ..wave import _wave_kernels
+
     pupil = residual.wavefront
-    # einsum does not call BLAS, so results are bit-identical for any thread count.
-    slopes = np.einsum("k,pk->p", wave.aberration.ravel(), _slope_table(len(wave.aberration)))
-    steepest = np.abs(slopes).reshape(len(CIRCLES), -1).max(axis=1)
+    angle = 2 * math.pi * np.arange(24) / 24
+    du, dv = np.empty((2, CIRCLES.size, angle.size))
+    places = read_only(CIRCLES), read_only(np.cos(angle)), read_only(np.sin(angle))
+    _wave_kernels.slopes(wave.aberration, *places, np.empty((4, angle.size)), du, dv)
+    steepest = np.maximum(np.abs(du), np.abs(dv)).max(axis=1)
     landing = np.stack([CIRCLES, 2 / pupil.wavelength * steepest])
     edges = wave.strength / (1 - pupil.obscuration)
     reach = residual.rays.reach / residual.airy_unit
     return Rim(reach, edges, ZONES, landing, antialiased_disc.STEP)
-
-
-@lru_cache(maxsize=16)
-def _slope_table(n: int) -> Array:
-    """Return d/du and d/dv of ``u^i v^j``, i, j < n, at 24 points of each of `CIRCLES`.
-
-    Its shape is (48 circles, n^2).
-    """
-    angle = 2 * math.pi * np.arange(24) / 24
-    u, v = (CIRCLES[:, None] * part for part in (np.cos(angle), np.sin(angle)))
-    shift = np.diag(np.arange(1.0, n), -1)[:, :n]  # derivatives of the powers of one variable
-    powers = [polynomial.polyvander(part, n - 1) for part in (u, v)]
-    along, across = (part @ shift.T for part in powers)
-    table = [
-        along[..., None] * powers[1][..., None, :],
-        powers[0][..., None] * across[..., None, :],
-    ]
-    return frozen(np.stack(table, axis=1).reshape(-1, n * n))
 
 
 def period_of(residual: Residual, rim: Rim, samples: Window, tol: float) -> float:
