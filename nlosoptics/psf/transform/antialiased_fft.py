@@ -156,7 +156,7 @@ def _padded_intensity(
     (_, size), (ny, nx) = values.shape, shape
     ducc0.fft.c2c(values, axes=(1,), forward=forward, out=values, nthreads=1)
     # Each block of rows is averaged along x at once, so the fine image need not fit into memory.
-    step = min(ny, max(8, 2**15 // size))  # small enough for the processor's cache
+    step = min(ny, max(16, 2**16 // size // 8 * 8))  # for the cache and vector registers
     half = np.empty((ny, nx if rule is None else rule.count(nx)))
     fine, padded = _workspace("fine", (step, nx)), _workspace("padded", (step, size), complex)
     for start in range(0, ny, step):

@@ -107,7 +107,8 @@ def _with_rims(residual: Residual, low: float, high: float) -> tuple[float, floa
     No polar node lies there.
     """
     if residual.low is not None:
-        ring = ring_of(*residual.wavefront.u.shape, residual.wavefront.obscuration)
+        n_r, n_theta = residual.wavefront.u.shape
+        ring = ring_of(n_r, n_theta, residual.wavefront.obscuration)
         values = residual.low.on_rims(ring.cosine, ring.sine)
         return min(low, float(values.min())), max(high, float(values.max()))
     series = residual.series
