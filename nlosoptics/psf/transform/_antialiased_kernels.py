@@ -146,6 +146,25 @@ def squares(field, scale, out):
 
 
 @njit(cache=True, nogil=True)
+def pixel_rows(field, scale, start, factor, taps, line, out):
+    """Add ``scale |field|^2`` of rows from ``start`` on to the pixel rows ``out`` (pixels, n).
+
+    Pixel row p is the sum of the rows from ``p factor`` on, weighted by ``taps``. ``line`` (n,) is
+    overwritten.
+    """
+    for i in range(field.shape[0]):
+        row, n = start + i, line.shape[0]
+        for j in range(n):
+            value = field[i, j]
+            line[j] = scale * (value.real * value.real + value.imag * value.imag)
+        last = min(row // factor, out.shape[0] - 1)
+        for p in range(max((row - taps.shape[0]) // factor + 1, 0), last + 1):
+            pixels, weight = out[p], taps[row - p * factor]
+            for j in range(n):
+                pixels[j] += weight * line[j]
+
+
+@njit(cache=True, nogil=True)
 def waves(first, step, cosines, sines):
     """Fill ``cosines`` (m, c + 1) and ``sines`` (m, c) of ``2 pi x k``, x = first, first + step...
 

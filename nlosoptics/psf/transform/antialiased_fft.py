@@ -20,7 +20,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
-from ..._vectors import product_into, row_blocks
+from ..._vectors import product_into, read_only, row_blocks
 from ..wave.detilted import Residual
 from ..window import antialiased_disc
 from ..window.pixels import PixelRule
@@ -155,20 +155,20 @@ def _padded_intensity(
 
     (_, size), (ny, nx) = values.shape, shape
     ducc0.fft.c2c(values, axes=(1,), forward=forward, out=values, nthreads=1)
-    # Each block of rows is averaged along x at once, so the fine image need not fit into memory.
     step = min(ny, max(16, 2**16 // size // 8 * 8))  # for the cache and vector registers
-    half = np.empty((ny, nx if rule is None else rule.count(nx)))
-    fine, padded = _workspace("fine", (step, nx)), _workspace("padded", (step, size), complex)
+    padded = _workspace("padded", (step, size), complex)
+    # Each block of rows is averaged along y at once, so the fine image need not fit into memory.
+    image, line = np.zeros((ny if rule is None else rule.count(ny), nx)), np.empty(nx)
     for start in range(0, ny, step):
         part = padded[: min(step, ny - start)]
         _antialiased_kernels.turned(values[:, start : start + step], part)
         ducc0.fft.c2c(part, axes=(1,), forward=forward, out=part, nthreads=1)
         if rule is None:
-            _antialiased_kernels.squares(part, scale, half[start : start + step])
-            continue
-        _antialiased_kernels.squares(part, scale, fine[: len(part)])
-        half[start : start + step] = rule.mean(fine[: len(part)])
-    return half if rule is None else rule.mean_down(half)
+            _antialiased_kernels.squares(part, scale, image[start : start + step])
+        else:
+            weights = rule.factor, read_only(rule.taps)
+            _antialiased_kernels.pixel_rows(part, scale, start, *weights, line, image)
+    return image if rule is None else rule.mean(image)
 
 
 def folded_image(
