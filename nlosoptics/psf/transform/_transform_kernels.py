@@ -1,10 +1,39 @@
-"""Compiled kernel of the ray density."""
+"""Compiled kernels of the Airy pattern and the ray density."""
 
 from __future__ import annotations
 
 import math
 
 from ...kernels.compiling import njit
+
+
+@njit(cache=True)
+def _disc(v, steps, table):
+    """Return 2 J1(v)/v by the Taylor series about the nearest of ``steps`` points per radian."""
+    row = int(v * steps + 0.5)
+    t = v - row / steps
+    value = table[row, table.shape[1] - 1]
+    for k in range(table.shape[1] - 2, -1, -1):
+        value = value * t + table[row, k]
+    return value
+
+
+@njit(cache=True)
+def airy_quarter(pitch, obscuration, steps, table, out):
+    """Fill ``out`` (n, n) with the Airy intensity of a quadrant, its peak at [0, 0].
+
+    ``pitch`` is the step in v, rad, per sample.
+    """
+    n = out.shape[0]
+    share = obscuration * obscuration
+    for j in range(n):
+        for i in range(j + 1):
+            v = pitch * math.sqrt(float(i * i + j * j))
+            field = _disc(v, steps, table)
+            if obscuration > 0.0:
+                field = (field - share * _disc(obscuration * v, steps, table)) / (1.0 - share)
+            out[j, i] = field * field
+            out[i, j] = field * field
 
 
 @njit(cache=True)

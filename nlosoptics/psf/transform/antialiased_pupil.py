@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._vectors import read_only
 from ..wave.detilted import Residual
 from ..wave.polar_series import PolarSpectrum
-from ..wave.pupil_polynomials import polynomial_of, polynomial_slopes
+from ..wave.pupil_polynomials import polynomial_of
 from ..window import antialiased_disc, error_bounds
 from ..window.window import Window
 
@@ -26,6 +27,13 @@ Array = NDArray[np.float64]
 UNEVEN = 0.3
 #: Distances, relative to the window's reach, at which the error is evaluated.
 RINGS = np.linspace(0.0, 1.0, 17)
+#: Distances outside the rim, cells, at which leakage is evaluated.
+BEYOND = np.arange(1.5, antialiased_disc.REACH, 3.0)
+#: Rows (distance, strength): each `BEYOND`, and the leakage from there times cells per radius.
+ZONES = np.stack(
+    [BEYOND, 6 * np.exp(-((math.pi * antialiased_disc.STEP * BEYOND) ** 2)) / (math.pi * BEYOND)],
+    axis=1,
+)
 #: Radii, relative to the pupil's, at which slopes are evaluated.
 CIRCLES = np.concatenate([np.linspace(1.0, 1.5, 11), [1.75, 2.0, 3.0, 5.0]])
 
@@ -61,10 +69,13 @@ def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
     wave = residual.wavefront
     if wave.layout != "polar":
         return None
-    rounding = 1e-14 * float(np.abs(residual.aberration).max())
-    threshold = max(1e-3 * tol / residual.wavenumber, rounding)
-    series = residual.polar_series[0]
-    fit = polynomial_of(series, residual.aberration, wave.obscuration, threshold)
+    if residual.low is not None:
+        fit: tuple[Array, float] | None = residual.low.powers, residual.low.misfit
+    else:
+        rounding = 1e-14 * float(np.abs(residual.aberration).max())
+        threshold = max(1e-3 * tol / residual.wavenumber, rounding)
+        series = residual.polar_series[0]
+        fit = polynomial_of(series, residual.aberration, wave.obscuration, threshold)
     if fit is None:
         return None
     misfit = residual.wavenumber * fit[1]
@@ -83,54 +94,57 @@ def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
     return SoftWave(fit[0], even[0], misfit + even[1], strength)
 
 
-@dataclass(frozen=True, eq=False)
-class Rim:
+class Rim(NamedTuple):
     """What the error of a softened rim depends on; lengths in the image are in Airy units.
 
-    Parameters
+    Attributes
     ----------
     reach : float
         Reach of the rays.
     edges : float
         The rims' length over the pupil's area, relative to a clear disc, times
         `SoftWave.strength`.
-    landing : ndarray, (n,)
-        Landing distance of rays from the radii `CIRCLES` outside the rim, where a polynomial is
-        steeper.
+    zones : ndarray, (n, 2)
+        Distances beyond the rim, cells, and the leakage from there times cells per radius.
+    landing : ndarray, (2, n)
+        The radii `CIRCLES` outside the rim and the landing distance of rays from there, where a
+        polynomial is steeper.
+    width : float
+        Width of the kernel's step.
     """
 
     reach: float
     edges: float
+    zones: Array
     landing: Array
+    width: float
 
     def errors(self, distance: Array, period: float) -> Array:
         """Bound the field's error within each of the increasing distances, for an image period.
 
         The error of truncating the kernel is not included, see `antialiased_fft.Grid.error`.
         """
-        cells = period / 2
-        focus = 2 * antialiased_disc.leak(np.asarray(self.reach / period))
-        least = float(focus) / max(math.pi * self.reach, 1.0) * self.edges
-        # leakage from the cells beyond the rim, which falls with the distance from it
-        beyond = np.arange(1.5, antialiased_disc.REACH, 3.0)
-        strength = np.exp(-((math.pi * antialiased_disc.STEP * beyond) ** 2)) / beyond
-        lands = np.interp(1 + beyond / cells, CIRCLES, self.landing)
-        leaks = antialiased_disc.leak(lands / period)
-        least += 6 / (math.pi * cells) * float(np.sum(strength * leaks))
-        far = distance + self.reach
-        field = 3 * antialiased_disc.leak(far / period) * error_bounds.tail(far) * self.edges
-        return np.asarray(np.maximum.accumulate(field) + least)
+        from . import _antialiased_kernels
+
+        error = np.empty_like(distance)
+        _antialiased_kernels.rim_errors(distance, period, *self, error)
+        return error
 
 
 def rim_of(residual: Residual, wave: SoftWave) -> Rim:
     """Return what the error of a wave's softened rim depends on."""
+    from ..wave import _wave_kernels
+
     pupil = residual.wavefront
     angle = 2 * math.pi * np.arange(24) / 24
-    u, v = (CIRCLES[:, None] * part for part in (np.cos(angle), np.sin(angle)))
-    du, dv = polynomial_slopes(wave.aberration, u, v)
+    du, dv = np.empty((2, CIRCLES.size, angle.size))
+    places = read_only(CIRCLES), read_only(np.cos(angle)), read_only(np.sin(angle))
+    _wave_kernels.slopes(wave.aberration, *places, np.empty((4, angle.size)), du, dv)
     steepest = np.maximum(np.abs(du), np.abs(dv)).max(axis=1)
+    landing = np.stack([CIRCLES, 2 / pupil.wavelength * steepest])
     edges = wave.strength / (1 - pupil.obscuration)
-    return Rim(residual.rays.reach / residual.airy_unit, edges, 2 / pupil.wavelength * steepest)
+    reach = residual.rays.reach / residual.airy_unit
+    return Rim(reach, edges, ZONES, landing, antialiased_disc.STEP)
 
 
 def period_of(residual: Residual, rim: Rim, samples: Window, tol: float) -> float:
@@ -138,22 +152,17 @@ def period_of(residual: Residual, rim: Rim, samples: Window, tol: float) -> floa
 
     It is found within 1 %. If no period reaches that error, the largest useful one is returned.
     """
-    unit, reach = residual.airy_unit, residual.rays.reach / residual.airy_unit
+    from . import _antialiased_kernels
+
+    unit, reach = residual.airy_unit, rim.reach
     far = RINGS * (math.hypot(*samples.reach_from(residual.shift)) / unit)
     peak = predicted_peak(residual)
     # envelope of the field beyond the peak
     light = np.minimum(math.sqrt(peak), error_bounds.tail(np.maximum(far - reach, 0.0)))
-    low = least = (max(samples.reach_from(residual.shift)) * 2 + samples.pitch) / unit
-    high, period = 6 * (least + reach) + 400, least
-    while True:
-        error = rim.errors(far, period)
-        if np.all(2 * light * error + error**2 < tol / 2 * peak):
-            high = period
-        else:
-            low = period
-        if high <= 1.01 * low or high == least:
-            return high
-        period = math.sqrt(low * high)
+    least = (max(samples.reach_from(residual.shift)) * 2 + samples.pitch) / unit
+    widest, goal = 6 * (least + reach) + 400, tol / 2 * peak
+    work = np.empty_like(far)
+    return float(_antialiased_kernels.least_period(least, widest, light, goal, work, far, *rim))
 
 
 def predicted_peak(residual: Residual) -> float:
@@ -186,12 +195,11 @@ def block_maxima(
     strongest, far : ndarray, (blocks, blocks)
         At most 8 per side; ``far`` is a block's largest distance from the tilt's image point, m.
     """
-    away, edges = [], []
-    for n, axis, shift in zip(
-        window.shape, (window.y, window.x), residual.shift[::-1], strict=True
-    ):
-        edges.append(np.arange(min(n, 8) + 1) * n // min(n, 8))
-        away.append(np.maximum.reduceat(np.abs(axis - shift), edges[-1][:-1]) + half)
-    rows = [intensity[a:b].max(axis=0) for a, b in pairwise(edges[0])]
-    strongest = np.maximum.reduceat(rows, edges[1][:-1], axis=1)
-    return strongest, np.hypot(away[0][:, None], away[1])
+    from . import _antialiased_kernels
+
+    ny, nx = window.shape
+    strongest = np.empty((min(ny, 8), min(nx, 8)))
+    far = np.empty_like(strongest)
+    first = tuple(a - b for a, b in zip(window.first, residual.shift, strict=True))
+    _antialiased_kernels.block_maxima(intensity, first, window.pitch, np.empty(nx), strongest, far)
+    return strongest, far + math.sqrt(2) * half

@@ -179,7 +179,8 @@ def point_spread(
         - ``fft`` is an FFT of the zero-padded pupil. A wave of the layout "polar" is first
           resampled to a grid that is fine enough for ``tol``; one of the layout "cells" is summed
           over as few points as ``tol`` allows.
-        - ``mdft`` is a chirp transform of a grid, for any pitch; not for the layout "cells".
+        - ``mdft`` is a matrix or chirp transform of a grid, for any pitch; not for the layout
+          "cells".
         - ``nufft`` is a non-uniform FFT of the given sample points of any layout, such as traced
           rays.
         - ``airy`` is the closed form of a wave without aberration.

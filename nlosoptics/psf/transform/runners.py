@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..._checks import fits_memory
 from ...errors import SamplingError
 from ..wave.detilted import Residual
-from ..window import error_bounds
+from ..window import antialiased_disc, error_bounds
 from ..window.grids import PupilGrid, pupil_grid, pupil_grid_from_polar
 from ..window.pixels import PixelRule
 from ..window.window import Window
@@ -45,9 +45,18 @@ class SoftTask(NamedTuple):
     rim: antialiased_pupil.Rim
     period: float
 
-    def grid(self, task: Task) -> antialiased_fft.Grid:
-        """Return the pupil grid."""
-        return antialiased_fft.padded(task.residual, task.samples, self.period)
+    def grid(self, task: Task, method: str) -> antialiased_fft.Grid:
+        """Return the pupil grid for ``"fft"`` or ``"mdft"``."""
+        reach = antialiased_disc.SHORT_REACH if task.tol >= 1e-4 else antialiased_disc.REACH
+        if method == "fft":
+            return antialiased_fft.padded(task.residual, task.samples, self.period, reach)
+        return antialiased_fft.whole(task.residual, self.period, reach)
+
+    def n_bytes(self, task: Task, method: str) -> float:
+        """Return the peak memory of ``"fft"`` or ``"mdft"``, bytes."""
+        grid, folded = self.grid(task, method), method == "mdft"
+        need = antialiased_fft.folded_bytes if folded else antialiased_fft.padded_bytes
+        return need(task.samples, grid, task.rule)
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +244,7 @@ def _fft(task: Task) -> tuple[Array, float]:
     if residual.wavefront.layout == "cells":
         return _cells(task)
     _check_not_scattered(residual, "fft")
-    soft = _soft(task)
+    soft = _soft(task, "fft")
     if soft is not None:
         return soft
     fft.check_padding(residual, samples.pitch)
@@ -285,23 +294,24 @@ def _cells_image(task: Task, nodes: quadrature.Coarse) -> tuple[Array, float]:
     return mean, task.bound(strongest, error, math.inf) + rounding
 
 
-def _soft(task: Task) -> tuple[Array, float] | None:
-    """Transform a polynomial wave by ``fft``; return None if it is not polynomial."""
+def _soft(task: Task, method: str) -> tuple[Array, float] | None:
+    """Transform a polynomial wave by ``fft`` or ``mdft``; return None if it is not polynomial."""
     soft = task.soft
     if soft is None:
         return None
-    image = _soft_image(task, soft)
+    image = _soft_image(task, soft, method)
     if task.tol < image[1] < 8 * task.tol:
         # The peak is lower than predicted, so that the relative error is larger.
         period = antialiased_pupil.period_of(task.residual, soft.rim, task.samples, task.tol / 8)
-        image = _soft_image(task, soft._replace(period=period))
+        image = _soft_image(task, soft._replace(period=period), method)
     return image
 
 
-def _soft_image(task: Task, soft: SoftTask) -> tuple[Array, float]:
+def _soft_image(task: Task, soft: SoftTask, method: str) -> tuple[Array, float]:
     """Return the image of a polynomial wave from its softened grid, and its error bound."""
-    residual, wave, grid = task.residual, soft.wave, soft.grid(task)
-    mean = antialiased_fft.padded_image(residual, wave, task.samples, grid, task.rule)
+    residual, wave, grid = task.residual, soft.wave, soft.grid(task, method)
+    run = antialiased_fft.padded_image if method == "fft" else antialiased_fft.folded_image
+    mean = run(residual, wave, task.samples, grid, task.rule)
     half = 0.0 if task.rule is None else task.pitch / 2
     strongest, far = antialiased_pupil.block_maxima(residual, task.pixels, mean, half)
     rings, unit = antialiased_pupil.RINGS * far.max(), residual.airy_unit
@@ -320,6 +330,9 @@ def _mdft(task: Task) -> tuple[Array, float]:
             "sample it with nodes='grid'"
         )
     _check_not_scattered(residual, "mdft")
+    soft = _soft(task, "mdft")
+    if soft is not None:
+        return soft
     if residual.wavefront.layout == "polar":
         grid = pupil_grid_from_polar(residual, grid_period_pitch(task, polar_size(task)))
         _check_jump(task, grid.jump, None)

@@ -10,7 +10,7 @@ from ...errors import MemoryLimitError, NlosError, SamplingError
 from ..wave.regime import Regime
 from ..window import error_bounds
 from ..window.error_bounds import rounded_up
-from . import airy, antialiased_fft, costs, geometric, quadrature
+from . import airy, costs, geometric, quadrature
 from .runners import Result, Task, grid_period_pitch, polar_size, transform
 
 #: Aberration, waves peak to valley, up to which the geometric method is not tried.
@@ -142,13 +142,16 @@ def _cells(task: Task) -> Candidate:
 
 
 def _soft_grid(task: Task) -> Candidate:
-    """Return the FFT of a polar wave on a grid with a softened rim."""
+    """Return the fastest transform of a polar wave on a grid with a softened rim."""
     residual = task.residual
     if task.soft is not None:
-        grid = task.soft.grid(task)
-        least = 2 * grid.error
+        fast, few = (task.soft.grid(task, method) for method in ("fft", "mdft"))
+        least = 2 * few.error
         ruled_out = f"error of its rim {least:g}" if task.tol < least else ""
-        return Candidate(costs.soft_padded(task.samples, grid), "fft", ruled_out)
+        return min(
+            Candidate(costs.soft_padded(task.samples, fast), "fft", ruled_out),
+            Candidate(costs.soft_folded(task.samples, few), "mdft", ruled_out),
+        )
     size = polar_size(task)
     pitch = grid_period_pitch(task, size)
     # peak if the energy were uniform over the disc of the rays, at most 1
@@ -235,8 +238,8 @@ def _too_long(
     """Return the error for transforms that exceed ``max_seconds``; check the memory first."""
     ny, nx = task.samples.shape
     n_bytes = 32.0 * ny * nx
-    if task.soft is not None and cheapest.method == "fft":
-        n_bytes = antialiased_fft.padded_bytes(task.samples, task.soft.grid(task), task.rule)
+    if task.soft is not None and cheapest.method in ("fft", "mdft"):
+        n_bytes = task.soft.n_bytes(task, cheapest.method)
     smaller = "use a smaller shape"
     if task.rule is not None and regime.peak_to_valley > MANY_WAVES:
         smaller += ", or on wide pixels a larger tol, so that geometric rays suffice"

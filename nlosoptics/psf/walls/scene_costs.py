@@ -22,7 +22,7 @@ from ..rough.scattered_light import (
     inner_window,
 )
 from ..rough.view import RoughView
-from ..transform import antialiased_fft, costs, geometric, quadrature
+from ..transform import costs, geometric, quadrature
 from ..transform.runners import Task, grid_period_pitch, polar_size
 from ..transform.selection import able
 from ..transform.wide_pixels import inner_parts
@@ -109,8 +109,7 @@ def _transform_bytes(task: Task, method: str) -> float:
     if method == "quadrature":
         return held + quadrature.n_bytes(task.residual, task.samples)
     if task.soft is not None:
-        grid = task.soft.grid(task)
-        return held + antialiased_fft.padded_bytes(task.samples, grid, task.rule)
+        return held + task.soft.n_bytes(task, method)
     n = task.residual.wavefront.u.shape[0]
     if task.residual.wavefront.layout == "polar":
         size = polar_size(task)

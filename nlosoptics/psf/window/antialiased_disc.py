@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 STEP = 0.08
 #: Cells on either side of the rim after which the kernel, exp(-(pi STEP t)^2), is cut; 1e-8 there.
 REACH = 17
+#: Shorter reach, in cells, for uses that accept the larger error given by `cut`.
+SHORT_REACH = 10
 
 
 def leak(s: Array) -> Array:
@@ -36,12 +38,14 @@ def leak(s: Array) -> Array:
     return np.asarray(erfc((0.5 - s) / STEP) / 2)
 
 
-def cut(radius: float) -> float:
-    """Return a bound of the image's field error by the kernel's end at `REACH` cells.
+def cut(radius: float, reach: int) -> float:
+    """Return a bound of the image's field error by the kernel's end at ``reach`` cells.
 
-    It is relative to the peak, for a disc of ``radius`` cells. Errors measured within half a period
-    of the image are at most half the bound.
+    ``reach`` is `REACH` or `SHORT_REACH`. The error is relative to the peak, for a disc of
+    ``radius`` cells. Errors measured within half a period of the image are at most half the bound.
     """
+    if reach == SHORT_REACH:
+        return 4e-5 / radius
     return 1e-12 * max(1.0, 30 / radius) ** 4
 
 
@@ -52,9 +56,9 @@ class SoftDisc:
     the rim a Chebyshev series evaluates it; elsewhere it is 0 or 1.
     """
 
-    def __init__(self, radius: float) -> None:
+    def __init__(self, radius: float, reach: int = REACH) -> None:
         self.radius = radius
-        self.low, self.high = max(radius - REACH, 0.0), radius + REACH
+        self.low, self.high = max(radius - reach, 0.0), radius + reach
         # The profile has no frequency above 1 per cell, so three nodes per cell resolve it.
         n = math.ceil(3 * (self.high - self.low)) + 20
         angles = math.pi * (np.arange(n) + 0.5) / n

@@ -360,8 +360,9 @@ def test_errors_of_a_soft_rim(continuation):
 
 
 def test_bounds_of_a_kernel_that_ends():
-    assert antialiased_disc.cut(12.0) == approx(1e-12 * 2.5**4)
-    assert antialiased_disc.cut(45.0) == approx(1e-12)
+    assert antialiased_disc.cut(12.0, 17) == approx(1e-12 * 2.5**4)
+    assert antialiased_disc.cut(45.0, 17) == approx(1e-12)
+    assert antialiased_disc.cut(20.0, 10) == approx(2e-6)
 
 
 def test_spikes_of_straight_edges():
