@@ -215,9 +215,7 @@ def remedies_lacking(source: str) -> list[str]:
             for part in ast.walk(text)
             if isinstance(part, ast.Constant) and isinstance(part.value, str)
         )
-        is_wrapped = not re.search(
-            "[a-z]{3,}.*[a-z]{3,}", words
-        )  # place, and the text of another error
+        is_wrapped = words.endswith(": ") or not re.search("[a-z]{3,}.*[a-z]{3,}", words)
         if not (is_wrapped or re.search(r"; |\b(use|give|must)\b", words)):
             lacking.append(words)
     return lacking
@@ -248,7 +246,7 @@ FORBIDDEN = (
 
 def patches(source: str) -> list[str]:
     """Forbidden words of a file, and the private attributes of other modules that it sets."""
-    out = [word for word in FORBIDDEN if word in source]
+    out = [word for word in FORBIDDEN if re.search(r"(?<!\w)" + re.escape(word), source)]
     tree = ast.parse(source)
     modules = {
         (alias.asname or alias.name).split(".")[0]

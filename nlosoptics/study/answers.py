@@ -93,7 +93,10 @@ def sensitivities(
         )
     values = results.values(figure, incomplete=incomplete)
     if not np.isfinite(values[0]):
-        raise SceneError(f"{figure} of the nominal scene failed, so that no change is defined")
+        raise SceneError(
+            f"{figure} of the nominal scene failed, so that no change is defined; choose a base "
+            "scene in which it is known"
+        )
     name = f"{figure}_error"
     errors = np.zeros_like(values)
     if name in results.dataset:
@@ -252,7 +255,9 @@ def yields(results: Results, figure: str) -> tuple[NDArray[np.float64], tuple[Fr
     values = results.values(figure, incomplete=True)
     good = values[np.isfinite(values)]
     if not len(good):
-        raise SceneError(f"{figure} is known at no point, so that there is no curve to draw")
+        raise SceneError(
+            f"{figure} is known at no point, so that there is no curve to draw; run the study first"
+        )
     limits = np.linspace(good.min(), good.max(), 200)
     key = "at_most" if smallest_is_best(results.study.figure(figure)) else "at_least"
     found = (

@@ -1,3 +1,6 @@
+from .answers import search as search
+from .answers import tornado as tornado
+from .answers import yield_curve as yield_curve
 from .curves import feasibility as feasibility
 from .curves import path_lengths as path_lengths
 from .curves import spot_diagram as spot_diagram
@@ -12,12 +15,9 @@ from .rooms import scene_3d as scene_3d
 from .run_overview import overview as overview
 from .saving import save as save
 from .sketch import scene_sketch as scene_sketch
-from .studies import search as search
 from .studies import study_map as study_map
 from .studies import study_panels as study_panels
 from .studies import study_slices as study_slices
-from .studies import tornado as tornado
-from .studies import yield_curve as yield_curve
 from .transients import transient as transient
 from .volumes import phasor_volume as phasor_volume
 from .volumes import volume as volume

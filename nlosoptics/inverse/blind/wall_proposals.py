@@ -226,7 +226,7 @@ def loaded_network(path: Path) -> WallNetwork:
         raise SceneError(
             f"{path} does not hold the network of proposals ({reason(error)}); install it again"
         ) from None
-    return network.eval().requires_grad_(False)
+    return network.train(False).requires_grad_(False)
 
 
 @cache

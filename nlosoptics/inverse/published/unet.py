@@ -151,7 +151,7 @@ def _batch(guide: Any) -> Tensor:
     """Return the network's input (1, C, H, W), of mean 0 and variance 1, for a guide."""
     if not isinstance(guide, Tensor) or not guide.is_floating_point() or guide.ndim not in (2, 3):
         raise SceneError(
-            f"guide of type {type(guide).__name__} is not a tensor of floats, (H, W) or (C, H, W)"
+            f"guide is a {type(guide).__name__}; give a tensor of floats, (H, W) or (C, H, W)"
         )
     picture = guide.detach().reshape(1, -1, *guide.shape[-2:])
     centred = picture - picture.mean(dim=(-2, -1), keepdim=True)

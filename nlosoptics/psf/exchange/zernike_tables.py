@@ -212,7 +212,9 @@ def _parsed(path: Path, text: str) -> tuple[dict[int, tuple[int, str]], dict[str
                 *CHOICES,
                 "wavelength",
             ):
-                raise SceneError(f"{place}: {name} = {comment[2]}, {comments[name]} before")
+                raise SceneError(
+                    f"{place}: {name} = {comment[2]}, {comments[name]} before; keep one of them"
+                )
             continue
         if not line or (not numbers and line.lower().startswith("index")):
             continue
@@ -220,10 +222,14 @@ def _parsed(path: Path, text: str) -> tuple[dict[int, tuple[int, str]], dict[str
         if is_listing and (match is None or line[0] != "Z"):
             continue
         if match is None:
-            raise SceneError(f"{place}: {line[:40]!r} is not an index and a number such as 4,1e-8")
+            raise SceneError(
+                f"{place}: {line[:40]!r} is no coefficient; write index and number, such as 4,1e-8"
+            )
         index = int(match[1])
         if index in numbers:
-            raise SceneError(f"{place}: index {index} is also in line {numbers[index][0]}")
+            raise SceneError(
+                f"{place}: index {index} is also in line {numbers[index][0]}; keep one of the lines"
+            )
         numbers[index] = (count, match[2])
     if not numbers:
         raise SceneError(f"{path} has no coefficients; write lines such as 4,1.5e-8")
@@ -255,7 +261,9 @@ def _wavelength(path: Path, value: float | None, written: str | None) -> float |
     try:
         number = float(written)
     except ValueError:
-        raise SceneError(f"{path}: wavelength = {written} is not a number in metres") from None
+        raise SceneError(
+            f"{path}: wavelength = {written} is not a number; give it in metres"
+        ) from None
     number = _in_metres(f"{path}: wavelength", number)
     if value is not None and abs(value - number) > 1e-9 * number:
         raise SceneError(

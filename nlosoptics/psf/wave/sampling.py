@@ -200,7 +200,7 @@ def values_on(name: str, function: PupilFunction, nodes: PupilNodes) -> Array:
         raise
     except (TypeError, ValueError) as error:
         raise SceneError(
-            f"{name}(u, v) does not return one real number for each of {u.size} nodes: {error}"
+            f"{name}(u, v) must return one real number for each of {u.size} nodes: {error}"
         ) from error
     finite = np.isfinite(found)
     if not finite.all():
