@@ -93,7 +93,7 @@ def test_what_is_refused():
         ((square, np.ones((3, 4)), 0.6, 1.0), "two square arrays"),
         ((np.ones(3), np.ones(3), 0.6, 1.0), "two square arrays"),
         # half of it would be lost
-        ((square + 1j, square, 0.6, 1.0), "amplitude has type c; give real"),
+        ((square + 1j, square, 0.6, 1.0), "amplitude has type complex128; give real"),
     ):
         with pytest.raises(SceneError, match=message):
             psf.from_prysm(pupil, image_distance=DISTANCE)

@@ -38,7 +38,7 @@ def test_what_is_written_is_read(tmp_path, unit, ordering, sign):
     table = psf.read_zernikes(path)
     assert (table.ordering, table.wavelength) == (ordering, WAVELENGTH)
     assert list(table.coefficients) == list(COEFFICIENTS)
-    # the file holds 15 digits
+    # rounding of the unit
     assert table.coefficients == approx(COEFFICIENTS, rel=1e-15, abs=0)
     assert psf.read_zernikes(path, wavelength=WAVELENGTH, **kwargs) == table
     assert [p.name for p in tmp_path.iterdir()] == ["table.csv"]
@@ -145,12 +145,12 @@ def test_sign_turns_the_wave(tmp_path):
         ("# unit: nm\n# unit: m\n4,1\n", {}, "line 2: unit = m, nm before"),
         ("# unit: parsec\n4,1\n", {"ordering": "noll"}, "unit = 'parsec' is unknown"),
         ("4,1\n4,2\n", {}, "line 2: index 4 is also in line 1"),
-        ("4,1,5\n", {}, "line 1: '4,1,5' is not an index and a number"),
-        ("4,nan\n", {}, "line 1: '4,nan' is not an index"),
+        ("4,1,5\n", {}, "line 1: '4,1,5' is no coefficient"),
+        ("4,nan\n", {}, "line 1: '4,nan' is no coefficient"),
         ("# ordering: noll\n", {}, "has no coefficients"),
         ("0,1\n", NOLL, "line 1: noll index = 0"),
         ("4,1\n", {**NOLL, "unit": "waves"}, "without a wavelength"),
-        ("# wavelength: green\n4,1\n", NOLL, "wavelength = green is not a number in metres"),
+        ("# wavelength: green\n4,1\n", NOLL, "wavelength = green is not a number; give it in metres"),
         ("# wavelength: 0.6\n4,1\n", NOLL, "wavelength = 0.6 m is out of range"),
         (
             "# wavelength: 5e-7\n4,1\n",
