@@ -38,7 +38,6 @@ TAKING_PATHS: dict[str, Callable[[Any], Any]] = {
     "TransientCapture.save": CAPTURE.save,
     "read_zernikes": psf.read_zernikes,
     "write_zernikes": lambda path: psf.write_zernikes(path, {4: 5e-8}),
-    "read_poppy": lambda path: psf.read_poppy(opd=path),
     "Study.load": Study.load,
     "Results.load": Results.load,
     "report.page": report.page,

@@ -82,7 +82,6 @@ def sensitivities(
 
     See Also
     --------
-    Sensitivity : Change of the figure of merit in one case.
     nlosoptics.views.tornado : Bars of the changes, sorted by size.
     """
     names = [d.name for d in results.study.dimensions]

@@ -45,7 +45,6 @@ class Hits(Noun):
     See Also
     --------
     intersect : Hits of rays on a relay wall.
-    MeshHits : First hits on a mesh.
     """
 
     HIT: ClassVar = 0

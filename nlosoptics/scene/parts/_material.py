@@ -26,7 +26,6 @@ class Material:
 
     See Also
     --------
-    MirrorLobe : Base class of lobes about the mirror direction.
     SumMaterial : Sum of several lobes.
     Lambert : Ideal diffuse reflection.
     """

@@ -72,7 +72,6 @@ class Camera:
     See Also
     --------
     Scene : Complete scene.
-    pupil_frame : Axes of pupil and image coordinates.
     TransientScan : Scan of a time-resolved camera.
 
     Notes

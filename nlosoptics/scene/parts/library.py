@@ -48,9 +48,6 @@ class MaterialValue:
     source : str
         Publication with the table used, or how the value was estimated.
 
-    See Also
-    --------
-    NamedMaterial : Material with all its values.
     """
 
     address: str

@@ -98,7 +98,7 @@ def test_bad_outlines_are_refused(make, message):
         ({"tilts": [1.0]}, r"tilts have shape \(1,\); give \(1, 2\)"),
         ({"aperture": None, "pupil_radius": 1e-3, "pistons": [0.0]}, "need an aperture"),
         ({"aberration": lambda u, v: np.log(u)}, r"aberration\(u, v\) = nan at u = -"),
-        ({"aberration": lambda u, v: np.zeros(3)}, "does not return one real number"),
+        ({"aberration": lambda u, v: np.zeros(3)}, "must return one real number"),
         ({"amplitude": lambda u, v: np.exp(1j * u)}, "nodes: the values are complex"),
         ({"amplitude": lambda u, v: -1.0}, "is below 0"),
         ({"nodes": "grid", "samples": (4, 5)}, "a grid is square"),

@@ -81,7 +81,7 @@ def test_refused_functions():
     def make(aberration=None, **given):
         return psf.Wavefront.from_function(aberration, **SYSTEM, samples=(4, 12), **given)
 
-    told = r"aberration\(u, v\) does not return one real number for each of 48 nodes: "
+    told = r"aberration\(u, v\) must return one real number for each of 48 nodes: "
     for wrong in (lambda u, v: u[1:], lambda u, v: 1j * u, lambda u, v: "flat"):
         with pytest.raises(SceneError, match=told):
             make(wrong)
