@@ -221,6 +221,7 @@ def remedies_lacking(source: str) -> list[str]:
     return lacking
 
 
+@pytest.mark.thorough
 def test_errors_name_a_remedy() -> None:
     """Each deliberate error says what its reader can do."""
     lacking = {path: remedies_lacking(text) for path, text in house.read().items()}

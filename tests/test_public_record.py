@@ -218,13 +218,13 @@ def blind_fit(_: Path) -> dict[str, Any]:
         "pitch": 9e-6,
         "pixel_integrated": True,
     }
-    pupil = inverse.PupilPSF.from_zernike(
-        modes, shape=32, dtype=torch.float64, wavelength=632.8e-9, **optics
-    )
+    optics |= {"wavelength": 632.8e-9, "pixel_integrated": True}
+    wide = inverse.PupilPSF.from_zernike(modes, shape=64, dtype=torch.float64, **optics)
+    pupil = inverse.PupilPSF.from_zernike(modes, shape=32, dtype=torch.float64, **optics)
     wall, defocus = random.normal(size=len(modes)), np.array([0.0, 0.5 * 632.8e-9])
     wall *= 0.4 / np.linalg.norm(wall)
-    sharp = torch.from_numpy(letter)
-    images = pupil.image(sharp, torch.from_numpy(wall), defocus=defocus).detach().numpy()
+    spreads = wide(torch.from_numpy(wall), defocus=defocus).detach().numpy()
+    images = np.stack([imaging.ForwardModel(s, shape=(32, 32)).forward(letter) for s in spreads])
     noise = 0.01 * images.max()
     images = images + noise * random.normal(size=images.shape)
     measured = inverse.Measurement(images, noise_sigma=noise)

@@ -252,6 +252,7 @@ def test_hash_follows_scene_and_picture(scene_file: Path) -> None:
     assert len({first, second, digest()}) == 3
 
 
+@pytest.mark.thorough
 def test_only_our_folder_is_replaced(scene_file: Path, run: Run) -> None:
     """A second run replaces the first one's folder, but not one that holds somebody's notes."""
     command = ("run", scene_file, "--no-reconstruct", "--out", "result")
@@ -277,6 +278,7 @@ def interrupt(*_: object, **__: object) -> None:
     signal.raise_signal(signal.SIGINT)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("interruptible")
 def test_broken_run_leaves_the_old_folder(
     scene_file: Path, run: Run, monkeypatch: pytest.MonkeyPatch
@@ -303,6 +305,7 @@ def test_broken_run_leaves_the_old_folder(
             assert contents(scene_file.parent) == before, step
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_process_that_is_interrupted_says_so_in_one_line(number: int, scene_file: Path) -> None:
     """The signal comes when the run begins to compute."""
@@ -357,6 +360,7 @@ def test_without_matplotlib_a_run_writes_all_but_pictures(
     assert run("report", folder).code == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("command", ["plan", "run"])
 def test_plan_and_run_load_nothing_heavy(command: str, scene_file: Path) -> None:
     """A plan takes as long as its imports."""

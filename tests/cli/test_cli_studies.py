@@ -196,6 +196,7 @@ def search(study: Path) -> Path:
     return study
 
 
+@pytest.mark.thorough
 def test_search_is_stopped_resumed_and_drawn(search: Path, capsys) -> None:
     code, out, err = call(capsys, "study", search, "--plan")
     assert (code, err) == (0, "")

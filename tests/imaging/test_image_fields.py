@@ -33,6 +33,7 @@ def rms_difference(found, exact):
     return float(np.sqrt(np.mean((found - exact) ** 2) / np.mean(exact**2)))
 
 
+@pytest.mark.thorough
 def test_error_bounds_that_of_the_image(examples):
     """A hollow wall that turns one pixel into twenty, in other ways over the picture."""
     flat = nlos.Scene.load(examples / "scenes" / "letter_flat.toml")
@@ -78,6 +79,7 @@ def test_frame_is_the_picture_upright_on_the_wall(scene):
     assert np.all(picture_frame(black) == 1.0)
 
 
+@pytest.mark.thorough
 def test_too_few_nodes_are_refused(scene):
     told = []
     asked = {"tol": 1e-7, "most_nodes": 4, "progress": lambda *step: told.append(step)}

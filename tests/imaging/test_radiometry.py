@@ -176,6 +176,7 @@ MATERIALS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("distance", [0.4, 1.0])
 @pytest.mark.parametrize("material", MATERIALS.values(), ids=MATERIALS)
 @pytest.mark.parametrize("wall", WALLS.values(), ids=WALLS)

@@ -77,6 +77,7 @@ def test_an_occluder_before_the_whole_object_leaves_no_light_of_it(flat_scene):
     assert not diffuse_background(scene).any()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mesh", [False, True], ids=["picture", "mesh"])
 def test_shadow_on_the_object_has_the_edge_of_the_plates_projection(flat_scene, mesh):
     scene = replace(finer(flat_scene), occluders=(HALF,))
@@ -103,6 +104,7 @@ def test_shadow_on_the_object_has_the_edge_of_the_plates_projection(flat_scene, 
     np.testing.assert_array_equal(image[certain], lit[certain])
 
 
+@pytest.mark.thorough
 def test_a_plate_between_object_and_wall_hides_what_the_mirrored_rays_cross(flat_scene):
     """At z = 0.2 the image's light from the object to the wall passes x = -0.056 +- 0.08 m."""
     scene = replace(finer(flat_scene), occluders=(plate((-0.2, -0.056), (-0.2, 0.2), 0.2),))
@@ -126,6 +128,7 @@ def test_a_plate_between_object_and_wall_hides_what_the_mirrored_rays_cross(flat
     assert found.image[on_object].mean() == pytest.approx(share, abs=0.01)
 
 
+@pytest.mark.thorough
 def test_half_the_object_is_dark_and_half_is_as_before(flat_scene):
     flat_scene = finer(flat_scene)
     bare = form_image(flat_scene, spread(flat_scene))
@@ -143,6 +146,7 @@ def test_half_the_object_is_dark_and_half_is_as_before(flat_scene):
     assert 0.4 < image.ledger["diffuse"] / bare.ledger["diffuse"] < 0.6
 
 
+@pytest.mark.thorough
 def test_a_scene_turned_over_casts_its_shadows_turned_over(flat_scene):
     over, under = (
         replace(
@@ -165,6 +169,7 @@ def test_a_scene_turned_over_casts_its_shadows_turned_over(flat_scene):
     assert one.view.mean() == pytest.approx(two.view.mean(), abs=1e-3)
 
 
+@pytest.mark.thorough
 def test_an_edge_before_the_lens_hides_the_part_of_its_disc_beyond_the_chord(flat_scene):
     """At z/s of the way to the point in focus the cone has shrunk to 1 - z/s."""
     flat_scene = finer(flat_scene)
@@ -198,6 +203,7 @@ def hits_rectangle(a, b, x, y, z):
     return inside
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("binning", [64, 16])
 def test_veil_is_the_sum_over_the_pictures_texels(flat_scene, binning):
     """Brute force over every texel and pixel, with a shadow on the object and one on the wall."""
@@ -240,6 +246,7 @@ def test_veil_is_the_sum_over_the_pictures_texels(flat_scene, binning):
     assert np.sqrt(np.mean(np.square(errors))) < 0.004
 
 
+@pytest.mark.thorough
 def test_a_plate_before_the_lens_hides_the_spot_from_it(flat_scene):
     camera = replace(flat_scene.camera, glare_fraction=0.01)
     scene = replace(flat_scene, camera=camera)
@@ -271,6 +278,7 @@ def test_shadows_of_another_camera_are_refused(flat_scene):
         form_image(scene, spread(scene), shadows=cast_shadows(scene.resized(32)))
 
 
+@pytest.mark.thorough
 def test_what_is_left_of_the_object_is_reconstructed(examples):
     scene = nlos.Scene.load(examples / "scenes" / "letter_occluder.toml").resized(128)
     result = nlos.simulate(scene, reconstruct=True)

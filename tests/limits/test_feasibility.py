@@ -119,6 +119,7 @@ def test_no_lobe_is_not_recoverable_and_says_which_would_do(scene: Scene) -> Non
     assert near == approx(math.log(0.0062), rel=0.1)
 
 
+@pytest.mark.thorough
 def test_occluder_raises_the_modes_and_is_not_advised_again(scene: Scene) -> None:
     """A disc of 12 cm near the object casts shadows that carry detail."""
     matt = replace(scene, wall_material=Lambert(0.8))
@@ -131,6 +132,7 @@ def test_occluder_raises_the_modes_and_is_not_advised_again(scene: Scene) -> Non
     assert "past the occluders" in found.verdict
 
 
+@pytest.mark.thorough
 def test_enough_diffuse_light_past_an_occluder_is_recoverable(scene: Scene) -> None:
     matt = replace(scene, wall_material=Lambert(0.8))
     shadowed = replace(matt, occluders=(disc(0.06, np.array([0.45, 0.0, 0.8])),))
@@ -262,6 +264,7 @@ def test_score_grows_steadily_with_light(scene: Scene) -> None:
     assert scores[-1] > 0.99
 
 
+@pytest.mark.thorough
 def test_needs_no_torch(examples) -> None:
     code = (
         "import sys; import nlosoptics as n; "

@@ -101,6 +101,7 @@ def plain(text: str) -> str:
     return " ".join(text.split())
 
 
+@pytest.mark.thorough
 def test_structure(text):
     outline = Outline(text)
     assert [a["id"] for a in outline.named("section")] == SECTIONS
@@ -129,6 +130,7 @@ def test_nothing_is_loaded_from_elsewhere(text):
     assert "'unsafe-eval'" not in policy
 
 
+@pytest.mark.thorough
 def test_text_of_files_is_escaped(run, copy):
     title = report.page(run, computed=False).split("<title>")[1].split("</title>")[0]
     assert title.startswith("&lt;script&gt;alert(1)&lt;b&gt; &amp; &#x27;x&#x27;")
@@ -182,6 +184,7 @@ def test_each_accuracy_stands_beside_its_time(run, text):
     assert widths == pytest.approx([100 * s / max(stages) for s in stages], abs=0.051)
 
 
+@pytest.mark.thorough
 def test_the_command_it_gives_makes_the_run_again(run, text, tmp_path, monkeypatch):
     outline = Outline(text)
     words = " ".join(outline.words).split("To repeat it")[1].split("Versions")[0]
@@ -197,6 +200,7 @@ def test_the_command_it_gives_makes_the_run_again(run, text, tmp_path, monkeypat
     shutil.rmtree(again)
 
 
+@pytest.mark.thorough
 def test_folder_of_reconstruct(run, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with np.load(run / "image.npz") as image:
@@ -293,6 +297,7 @@ def test_what_is_no_run_is_refused(change, named, copy, capsys):
     assert {p: p.read_bytes() for p in copy.rglob("*") if p.is_file()} == before
 
 
+@pytest.mark.thorough
 def test_a_run_may_replace_a_folder_that_has_its_page(copy, monkeypatch, capsys):
     monkeypatch.chdir(copy.parent)
     assert call("report", copy, "--no-3d") == 0

@@ -52,6 +52,7 @@ def pages(stores: dict[str, Path]) -> dict[str, str]:
     return {n: report.page(store, computed=n == "axes") for n, store in stores.items()}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "pictures"),
     [

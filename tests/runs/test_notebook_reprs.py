@@ -120,6 +120,7 @@ def test_reconstruction_shows_status_score_and_seconds():
     assert "iterations" not in retrieved.cells
 
 
+@pytest.mark.thorough
 def test_capture_and_volume_show_their_sizes(capture):
     pytest.importorskip("matplotlib")
     assert {"20 of 100 mm, 0 to 2 m", "4 x 4", "one point"} <= set(checked(capture).cells)
@@ -141,6 +142,7 @@ def test_plan_is_a_table_of_all_stages(flat_scene):
     assert page.images == []
 
 
+@pytest.mark.thorough
 def test_text_is_escaped(spread):
     pytest.importorskip("matplotlib")
     page = checked(replace(spread, reason="<b>1 & 2", method='"<script>'))
@@ -176,6 +178,7 @@ def shown_by(before, examples):
     return "\n".join(text), loaded
 
 
+@pytest.mark.thorough
 def test_text_stands_in_for_pictures_without_matplotlib(examples):
     text, _ = shown_by("sys.modules['matplotlib'] = None", examples)
     page = Page(text)

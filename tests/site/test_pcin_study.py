@@ -25,6 +25,7 @@ def study(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return study
 
 
+@pytest.mark.thorough
 def test_smallest_case_runs_and_is_not_run_again(
     study: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

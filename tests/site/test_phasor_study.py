@@ -30,6 +30,7 @@ def study(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return module
 
 
+@pytest.mark.thorough
 def test_smallest_setting_runs_and_goes_on_where_it_was_cut_off(
     study: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -85,6 +85,7 @@ def test_statistics_of_an_incomplete_study_are_refused_unless_asked_for(tmp_path
     assert found.points == found.met == part.counts["done"] < 16
 
 
+@pytest.mark.thorough
 def test_sobol_indices_are_the_shares_of_the_variance(tmp_path: Path) -> None:
     """The figure is p t, of uniform p and t: first-order shares in closed form."""
     draws = {"count": 128, "method": "saltelli", "of": OF}

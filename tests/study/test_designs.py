@@ -131,6 +131,7 @@ def test_columns_of_a_saltelli_design_are_exchanged_one_by_one() -> None:
         assert a[1] != b[1]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("tables", "told"),
     [

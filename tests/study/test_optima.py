@@ -61,6 +61,7 @@ def test_focus_is_at_the_mirrored_object(tmp_path: Path) -> None:
     assert si(found.values()["camera.focus_distance"]) == approx(axial, abs=1e-5)
 
 
+@pytest.mark.thorough
 def test_power_is_what_a_target_of_photons_needs(tmp_path: Path) -> None:
     power = {"figure": "value", "address": "laser.power", "name": "power"}
     study = made(
@@ -77,6 +78,7 @@ def test_power_is_what_a_target_of_photons_needs(tmp_path: Path) -> None:
     assert found.objectives[found.best, 0] == approx(needed, rel=1e-5)
 
 
+@pytest.mark.thorough
 def test_wall_is_half_way_to_the_plane_in_focus(tmp_path: Path) -> None:
     """A global method: the object's distance from the wall at which its mirror image is sharp."""
     study = made(
@@ -113,6 +115,7 @@ def test_lists_are_searched_as_by_brute_force(method: str, tmp_path: Path) -> No
     assert len(found.objectives) <= 10  # equal proposals are one trial
 
 
+@pytest.mark.thorough
 def test_front_of_two_objectives_is_the_line_between_their_minima(tmp_path: Path) -> None:
     """Squared distances f and g from powers of 2 and 6: sqrt f + sqrt g = 4 on the front."""
     figures = [OFF | {"power": 2.0, "name": "f"}, OFF | {"power": 6.0, "name": "g"}]
@@ -162,6 +165,7 @@ def test_robust_objectives_over_draws(objective, power: float, tmp_path: Path) -
     assert found.results.dataset["between"].dims == ("trial", "draw")
 
 
+@pytest.mark.thorough
 def test_share_of_a_constraint(tmp_path: Path) -> None:
     """The least power at which two draws of three, or all, are within a limit."""
     draws = {"count": 3, "method": "latin", "of": {"camera.exposure": ["1 s", "2 s", "3 s"]}}

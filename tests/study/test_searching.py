@@ -33,6 +33,7 @@ def same(one: Results, other: Results) -> bool:
     return trials[0] == trials[1] and data[0].identical(data[1])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", METHODS)
 def test_stopped_search_goes_on_as_if_it_had_not_stopped(method: str, tmp_path: Path) -> None:
     """Interrupted after any number of blocks, and with more evaluations than at first."""

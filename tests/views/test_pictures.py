@@ -311,6 +311,7 @@ def test_reconstructions_may_be_tensors_with_gradients():
     assert axes.get_title() == "reconstruction, too few photons"
 
 
+@pytest.mark.thorough
 def test_overview_shows_a_whole_run(flat_scene, assert_drawn):
     """Six maps with a reconstruction and four without; the scale is that of the camera image."""
     scene = flat_scene.resized(32)
@@ -354,6 +355,7 @@ for draw in (
 """
 
 
+@pytest.mark.thorough
 def test_without_matplotlib_every_picture_names_the_extra():
     answer = subprocess.run([sys.executable, "-c", NO_MATPLOTLIB], capture_output=True, text=True)
     assert answer.returncode == 0, answer.stderr

@@ -68,6 +68,7 @@ def colours(picture):
     return int((counts > 1e-5 * counts.sum()).sum())
 
 
+@pytest.mark.thorough
 def test_png_is_no_blank(room, renders, tmp_path):
     from PIL import Image
 

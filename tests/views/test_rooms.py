@@ -89,6 +89,7 @@ def test_legs_run_from_vertex_to_vertex_and_repeated_ends_are_left_out(flat_scen
     assert np.asarray(lines(plotter)["preceding reflections"]).tolist() == [0, 1, 2, 3, 0, 1, 2]
 
 
+@pytest.mark.thorough
 def test_filters_keep_what_they_say(flat_scene):
     paths = made_paths()
 

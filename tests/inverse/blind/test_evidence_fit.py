@@ -116,6 +116,7 @@ def fixed_energy(energy, starts, walls, noise):
     return values["squares"].sum(axis=1) / noise**2, (np.abs(transfer) ** 2).sum(axis=1), mean
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["energy", "general"])
 def test_gradient_is_that_of_the_energy_at_fixed_covariance(name, request):
     energy = request.getfixturevalue(name)

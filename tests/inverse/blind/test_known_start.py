@@ -278,6 +278,7 @@ def test_light_of_nothing_with_a_known_object_is_finite():
     assert found.score == pytest.approx(1.0, abs=0.08)
 
 
+@pytest.mark.thorough
 def test_gradients_switched_off_outside_change_nothing():
     images, spread, _, _ = made()
     expected = evidence_fit(images, spread, **NEAR)

@@ -89,10 +89,12 @@ def nearer(network, cases):
     return count / len(cases)
 
 
+@pytest.mark.thorough
 def test_proposals_are_nearer_than_random_walls(cases):
     assert nearer(proposals.trained_network(), cases) >= 0.8
 
 
+@pytest.mark.thorough
 def test_a_network_of_shuffled_weights_is_no_better_than_chance(cases):
     shuffled = WallNetwork()
     order = torch.Generator().manual_seed(0)
@@ -104,6 +106,7 @@ def test_a_network_of_shuffled_weights_is_no_better_than_chance(cases):
     assert nearer(shuffled.eval(), cases) < 0.5
 
 
+@pytest.mark.thorough
 def test_the_expected_length_is_near_the_truth(cases):
     densities = [
         proposals.WallProposals(*proposals.at_nyquist(data, 0.01, 1.0), proposals.trained_network())

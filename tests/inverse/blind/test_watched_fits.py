@@ -223,6 +223,7 @@ def test_a_state_of_other_images_is_refused() -> None:
         evidence_near_one(start=watch.states[-1])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("solver", "start", "named"),
     [

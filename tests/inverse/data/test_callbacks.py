@@ -47,6 +47,7 @@ class Watch:
             raise inverse.Stop
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_stopped_fit_returns_what_it_has_and_goes_on_to_the_same_object(solver) -> None:
     truth, model, image = case()

@@ -59,6 +59,7 @@ def pupil():
     )
 
 
+@pytest.mark.thorough
 def test_residual_of_the_published_fit_is_over_the_counting_pixels(pictures, pupil):
     _, _, masked = pictures
     image, noise = masked(0.5)

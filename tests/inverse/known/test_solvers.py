@@ -58,6 +58,7 @@ def test_torch_model_serves_as_well(solver, small, dtype):
     np.testing.assert_allclose(found.object, expected.object, atol=1e-4)
 
 
+@pytest.mark.thorough
 def test_same_bits_again_and_on_any_number_of_threads(solver, case):
     data, model = case("F", "speckle")
     before = torch.get_num_threads()
@@ -169,6 +170,7 @@ def test_without_torch_the_remedy_is_one_line():
     )
 
 
+@pytest.mark.thorough
 def test_total_variation_and_scores_load_no_torch():
     code = (
         "import sys, numpy as np\n"

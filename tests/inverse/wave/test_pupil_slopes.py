@@ -87,6 +87,7 @@ def test_leaves_are_waves_per_pupil_radius():
     assert module.modes == ()
 
 
+@pytest.mark.thorough
 def test_gradients_of_batches_of_slopes():
     options = OPTICS | {"shape": 12, "pupil_radius": 2.4 * WAVELENGTH * DISTANCE / (12 * PITCH)}
     module = PupilPSF.from_angles(

@@ -271,6 +271,7 @@ def test_two_telescopes_have_fringes():
 # aberrated apertures
 
 
+@pytest.mark.thorough
 @every_aperture
 def test_aberrated_apertures_are_the_direct_sum(name):
     aperture = APERTURES[name]

@@ -108,6 +108,7 @@ def test_energy_and_the_weight_of_a_ray(flat_scene, wall):
 # ---------------------------------------------------------------- what is refused
 
 
+@pytest.mark.thorough
 def test_crossed_rays_are_refused(flat_scene):
     for wall in (WavyWall(1e-3, 0.1), WavyWall(1e-4, 0.01)):
         with pytest.raises(CausticError, match="rays cross, or are too few"):

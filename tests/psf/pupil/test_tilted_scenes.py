@@ -157,6 +157,7 @@ def test_objects_behind_the_camera(tilted):
         psf.wavefront(scene, (-3.0, -2.0, 0.5), nodes=NODES)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("hessian", [True, False])
 @pytest.mark.parametrize(
     "wall", [ConvexWall(2.5), ConcaveWall(6.0), WavyWall(2e-4, 0.31, 0.4, direction=0.7)]

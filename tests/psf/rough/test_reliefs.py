@@ -48,6 +48,7 @@ def rings(image, width=4):
     return np.bincount(index.ravel(), image.ravel()) / np.bincount(index.ravel())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("geometry", [NORMAL, OBLIQUE], ids=["0 deg", "45 deg"])
 @pytest.mark.parametrize("s", [0.3, 1.0, 3.0])
 def test_mean_over_facet_walls(s, geometry):
@@ -76,6 +77,7 @@ def test_lattice_on_the_wall_does_not_depend_on_the_distances(relief):
     assert pitches[0] == pytest.approx(pitches[1], rel=1e-12)
 
 
+@pytest.mark.thorough
 def test_core_and_halo_of_facets_share_the_energy():
     wave = wave_of(2e-3)
     size = {"footprint": 0.5, "cos_sum": 2.0}
@@ -138,6 +140,7 @@ def test_rough_limit_has_the_lobe_s_half_energy_radius(relief):
     assert radius == pytest.approx(expected, rel=0.03)
 
 
+@pytest.mark.thorough
 def test_propagation_is_the_kirchhoff_sum():
     """Spherical waves from every point of a smooth wall, with exact distances."""
     relief, pitch = GaussianWall(6e-8, 5e-4, seed=3), 2.5e-5
@@ -163,6 +166,7 @@ def test_propagation_is_the_kirchhoff_sum():
     assert np.abs(field - expected).max() < 1e-3
 
 
+@pytest.mark.thorough
 def test_propagation_of_facets_is_the_fresnel_integral():
     """The image of a direct quadrature over a patch much wider than that of the code."""
     relief, pitch = FacetWall(5e-4, 2e-4, seed=3), 2.5e-5
@@ -196,6 +200,7 @@ def test_energy_is_conserved_and_the_lattice_converges():
     assert np.sqrt(np.mean(np.abs(fields[0] - fields[1]) ** 2)) < 1e-2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "relief",
     [
@@ -218,6 +223,7 @@ def test_aberration_by_rays_is_the_propagated_wave(relief):
     assert off < aberration_error(view, LAMBDA)
 
 
+@pytest.mark.thorough
 def test_aberration_refuses_a_caustic():
     with pytest.raises(errors.CausticError, match="focuses light before the pupil"):
         rough_wave(wave_of(), view_of(bumps(30.0, 1e-3)))
@@ -236,6 +242,7 @@ def test_memory_effect():
     assert np.abs(shifted - first[:, steps:]).max() < 1e-6
 
 
+@pytest.mark.thorough
 def test_patterns_of_displaced_points_decorrelate():
     """Correlation of the patterns' intensity: the squared overlap of the displaced pupils."""
     options = {"shape": 65, "pitch": 7e-6} | NORMAL

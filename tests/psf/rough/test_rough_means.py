@@ -104,6 +104,7 @@ def test_smooth_limit_is_the_smooth_point_spread(waves, s):
     assert mean.coherent_fraction == approx(1, abs=1e-13)
 
 
+@pytest.mark.thorough
 def test_wall_longer_than_the_pupil_only_moves_the_phase():
     """With C = 1 over the pupil all light stays in the smooth shape."""
     wave = wave_of({8: 0.2})

@@ -61,6 +61,7 @@ CASES = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES)
 def test_patterns_tend_to_the_mean_in_every_ring(case):
     s, length, shape, view, distance = CASES[case]
@@ -80,6 +81,7 @@ def test_patterns_tend_to_the_mean_in_every_ring(case):
     assert np.median(scatter / expected) < 0.07
 
 
+@pytest.mark.thorough
 def test_error_falls_as_the_root_of_the_count():
     wave, roughness = grid_wave(), wall(2.0, 2e-3)
     drawn = patterns(wave, roughness, 512, shape=32)
@@ -105,6 +107,7 @@ def developed(count=120):
     return drawn / mean.intensity
 
 
+@pytest.mark.thorough
 def test_developed_speckle():
     """Contrast 1, an exponential law, and grains of the pupil's autocorrelation."""
     drawn = developed()
@@ -138,6 +141,7 @@ def airy(r):
     return (2 * j1(v) / v) ** 2
 
 
+@pytest.mark.thorough
 def test_patterns_are_averaged():
     wave, roughness = grid_wave(192), DEVELOPED
     kwargs = {"pitch": UNIT / 2, "shape": 30, "effective_distance": D_EFF, **NORMAL}
@@ -216,6 +220,7 @@ def test_interpolated_lattices_are_sums_of_their_waves(size, cells, count):
     assert np.abs(found - expected).max() < 1e-11
 
 
+@pytest.mark.thorough
 def test_drawn_heights_have_their_correlation():
     roughness = wall(1.0, 2e-3, autocorrelation="exponential")
     footprint = np.array([[0.6, 0.5], [-0.1, 0.4]])

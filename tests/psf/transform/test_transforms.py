@@ -402,6 +402,7 @@ for nodes in ("polar", "grid"):
 """
 
 
+@pytest.mark.thorough
 def test_same_bits_for_any_thread_count():
     results = []
     for threads in ("1", "2"):

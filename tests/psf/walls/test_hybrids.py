@@ -71,6 +71,7 @@ SCENES = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("material", [PAINT, LAYERS], ids=["paint", "layers"])
 def test_parts_add_to_what_a_trace_of_all_lobes_finds(name, material):
@@ -84,6 +85,7 @@ def test_parts_add_to_what_a_trace_of_all_lobes_finds(name, material):
     assert found.traced_flux == approx(1.0, abs=4 * error + 2e-5)
 
 
+@pytest.mark.thorough
 def test_concave_wall_has_its_interreflections():
     scene = SCENES["concave"](SumMaterial(Lambert(0.9), MIRROR))
     one, three = (
@@ -98,6 +100,7 @@ def test_concave_wall_has_its_interreflections():
     assert three.diffuse.sum() * three.flux > one.diffuse.sum() * one.flux
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["flat", "convex", "concave"])
 def test_mirror_alone_is_its_wave(name):
     """Nothing but the wave, which carries what the rays do."""
@@ -134,6 +137,7 @@ def test_roughness_shares_the_mirror(height):
     assert found.halo.sum() == approx(mean.diffuse.sum(), rel=5e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "lobe", [SpecularMicrofacet(0.05, 0.01), Ward(0.05, 0.01 * math.sqrt(2.0))], ids=str
 )
@@ -162,6 +166,7 @@ def test_halo_of_a_slope_is_where_the_rays_land(lobe):
 FOCUS = {"flat": 1.5, "convex": 1.3, "concave": 2.3}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["flat", "convex", "concave"])
 def test_rays_land_where_the_wave_does(name):
     """The centre pixel lies on the chief ray, for rays of the same camera's detector."""

@@ -63,6 +63,7 @@ def test_the_shipped_rough_wall_is_propagated_for_an_image():
     assert {"wave aberration", "point spread", "image"} <= set(stages)
 
 
+@pytest.mark.thorough
 def test_one_call_gives_the_pattern_of_this_wall(letter):
     scene = rough(letter, FACETS)
     pitch, shape = scene.camera.image_pitch / 16, (25, 25)
@@ -82,6 +83,7 @@ def test_one_call_gives_the_pattern_of_this_wall(letter):
     assert np.abs(changed.point_spread.intensity - found.point_spread.intensity).max() > 0.1 * peak
 
 
+@pytest.mark.thorough
 def test_rays_and_waves_see_the_same_facets(letter):
     """Pixels much wider than the diffraction at a facet: both give its light to the same pixels."""
     scene = rough(letter, FacetWall(4e-3, 1e-3, seed=3))
@@ -100,6 +102,7 @@ def test_rays_and_waves_see_the_same_facets(letter):
     assert rays.sum() == pytest.approx(waves.sum(), rel=0.02)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("heights", "tol", "least"),
     [(GaussianWall(2e-7, 8e-3, seed=2), 1e-3, 5e-7), (FacetWall(8e-3, 3e-6, seed=2), 1e-2, 2e-8)],
@@ -121,6 +124,7 @@ def test_aberration_and_propagation_agree(letter, heights, tol, least, monkeypat
     assert off < tol
 
 
+@pytest.mark.thorough
 def test_mean_of_a_scene_is_that_of_its_statistics(letter):
     scene = rough(letter, FACETS, "mean")
     pitch, shape = scene.camera.image_pitch / 32, (33, 33)
@@ -144,6 +148,7 @@ def test_slope_of_the_lobe_is_not_counted_twice(letter):
     np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.thorough
 def test_run_of_a_large_picture_uses_the_mean(letter, tmp_path):
     scene = rough(letter, GaussianWall(1e-6, 2e-3, seed=1))
     planned = plan(scene, tol=1e-2)
@@ -161,6 +166,7 @@ def test_run_of_a_large_picture_uses_the_mean(letter, tmp_path):
     np.testing.assert_array_equal(loaded.pupil_field.values, result.pupil_field.values)
 
 
+@pytest.mark.thorough
 def test_run_of_a_small_picture_uses_patterns(letter):
     camera = replace(letter.camera, focal_length=0.1)
     hidden = replace(letter.hidden, size=(4e-3, 4e-3))

@@ -106,6 +106,7 @@ def test_rough_walls_agree_in_the_smooth_limit(name):
         assert off < smooth.error_estimate + found.error_estimate + 8 * s
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", SCENES)
 def test_rough_walls_agree_on_a_cut_pupil(name):
     """Half of the light scattered: the mean of drawn walls, and the halo of the hybrid."""
@@ -170,6 +171,7 @@ def test_auto_takes_a_grid_where_an_edge_cuts_this_point_alone(flat_scene):
     assert sorted(layouts) == ["grid", "polar"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("scene", "layout", "steps"),
     [("vignetted", "grid", (512, 1024, 2048)), (None, "polar", (24, 48, 96))],

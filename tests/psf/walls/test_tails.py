@@ -42,6 +42,7 @@ def test_tail_carries_all_that_lies_beyond(shape):
         assert np.count_nonzero(found == 0.0) == shape[0] * shape[1]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("pitch", [2, 5])
 @pytest.mark.parametrize("waves", [{}, {4: 0.15, 8: 0.08}], ids=["flat", "bent"])
 def test_rings_of_the_tail_are_those_of_a_wide_window(waves, pitch):

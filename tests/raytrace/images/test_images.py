@@ -106,6 +106,7 @@ def binned(values, n):
 # waves
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("occluders", [(), OCCLUDERS], ids=["free", "occluders"])
 @pytest.mark.parametrize("wall", WALLS)
 def test_every_pixel_agrees_with_the_image_by_waves(wall, occluders):
@@ -151,6 +152,7 @@ def test_spot_out_of_focus_is_a_disc_where_the_spot_is():
 # quadrature
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("outer_legs", [True, False])
 def test_histogram_of_three_reflections_agrees_with_the_quadrature(outer_legs):
     """To 1 % in every bin: wall points that the pixels see are the sensors of `render`."""

@@ -64,6 +64,7 @@ def cell_means(x, y):
     return np.einsum("yxjk,j,k->yx", values, weights, weights) / 4
 
 
+@pytest.mark.thorough
 def test_plate_lights_the_wall_by_view_factors():
     """Every cell within its standard error, family-wise; independent numbers."""
     found = wall_irradiance(

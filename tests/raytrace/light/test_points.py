@@ -322,6 +322,7 @@ def test_hollow_wall_of_mirror_and_paint_by_a_walk():
     assert found.energy.sum() == approx(found.flux - found.missed, abs=5 * seen)
 
 
+@pytest.mark.thorough
 def test_paint_seen_by_way_of_a_mirror():
     """A lens that grazes the hollow sees lit paint reflected in the wall between."""
     material = SumMaterial(Lambert(0.4), SpecularMicrofacet(0.5, 0.0))

@@ -337,6 +337,7 @@ def test_sobol_points_err_less():
     assert error_slope(0.25, "sobol", [2**k for k in range(10, 16)], 16) < -0.7 - 0.1
 
 
+@pytest.mark.thorough
 def test_tolerance_ends_the_tracing():
     coarse, fine = (trace(wide_scene(), tol=tol, max_bounces=3) for tol in (0.02, 1e-3))
     assert coarse.stopped == fine.stopped == "tol"

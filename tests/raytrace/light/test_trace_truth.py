@@ -23,6 +23,7 @@ def wu_scene(root: Path):
     del sys.modules["wu_scene"]
 
 
+@pytest.mark.thorough
 def test_letter_of_triangles_is_traced_to_the_quadrature(wu_scene):
     """Three reflections, and five, in which light returns from the wall to the letter once more."""
     three, five = wu_scene.flux()[3], wu_scene.flux()[5]

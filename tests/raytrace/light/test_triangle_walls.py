@@ -89,6 +89,7 @@ def agree(one, other, few=0.0):
 FOLDED = MeshWall(joined(FLAT, SHELF, LIP), smooth=False)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("material", [PAINT, GLOSS], ids=["matt", "gloss"])
 def test_two_triangles_are_a_flat_wall(material):
     one, other = (
@@ -101,6 +102,7 @@ def test_two_triangles_are_a_flat_wall(material):
         assert one.ledger[name] == approx(other.ledger[name], abs=4.5 * error)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("material", [PAINT, GLOSS], ids=["matt", "gloss"])
 def test_folded_wall_is_a_wall_with_shelves_of_its_material(material):
     """Undercuts: the same surfaces as a flat wall and two occluders that reflect light."""
@@ -119,6 +121,7 @@ def test_folded_wall_is_a_wall_with_shelves_of_its_material(material):
     assert one.wall_to_wall > 0.01 * POWER
 
 
+@pytest.mark.thorough
 def test_fine_triangles_approach_the_smooth_wall():
     wavy = WavyWall(0.03, 0.5, size=(1.4, 1.2))
     mesh = wavy.to_mesh(max_sag_error=2e-5)

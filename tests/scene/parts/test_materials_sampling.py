@@ -91,6 +91,7 @@ def shares(material, theta: float, rings, panels: int, turns: int):
     return totals * 2 * math.pi / (N_AZIMUTHS * turns)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("material", "theta"), CASES)
 def test_samples_follow_the_density(material, theta: float) -> None:
     """Chi-squared over rings and sectors, on the whole sphere."""
@@ -138,6 +139,7 @@ def test_weights_are_reflectance_over_density(material, theta: float) -> None:
     assert weight * density == approx(f * exitant[:, 2], rel=1e-10, abs=1e-300)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("material", "theta"), CASES)
 def test_mean_weight_is_the_albedo(material, theta: float) -> None:
     _, weight = material.sample(direction(theta), NORMAL, draws(200_000, 34))

@@ -65,6 +65,7 @@ def gridded(wall, n, width):
     return trimesh.Trimesh(np.stack([x, y, wall.height(x, y)], axis=1), faces, process=False)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("n", "error"), [(65, 5.1e-6), (257, 0.32e-6), (1025, 20e-9)])
 def test_triangles_of_a_sphere_err_by_the_sag_below_their_chords(n, error):
     radius, width = 2.0, 0.5

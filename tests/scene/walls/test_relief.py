@@ -117,6 +117,7 @@ def test_facets_join_at_their_edges():
     )
 
 
+@pytest.mark.thorough
 def test_gaussian_relief_has_its_autocorrelation():
     length, rms = 2e-3, 1e-6
     lags = length * np.array([0.0, 0.3, 0.7, 1.0, 1.6, 2.5])

@@ -250,6 +250,7 @@ def full_width(x, light):
     return ends[1] - ends[0]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("pairing", ["all", "confocal"])
 @pytest.mark.parametrize(
     ("side", "depth", "one_way", "confocal"),

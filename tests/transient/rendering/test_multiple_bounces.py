@@ -123,6 +123,7 @@ def hollow_sphere(subdivisions, hole):
 
 # Shadows by kernels, and by embree. Each leg between facets, whose middles are nearer than the
 # sphere, brings 0.8 % and 0.05 % more.
+@pytest.mark.thorough
 @pytest.mark.parametrize(("subdivisions", "facets"), [(3, 0.008), (5, 0.0005)])
 def test_every_bounce_in_a_sphere_is_worth_its_albedo(subdivisions, facets):
     mesh, area = hollow_sphere(subdivisions, 0.05)
@@ -399,6 +400,7 @@ def test_tolerance_is_reached_or_the_shortfall_told():
     assert max(short.details["reached"].values()) > 1e-4
 
 
+@pytest.mark.thorough
 def test_a_single_plate_has_no_fourth_bounce():
     hidden = hidden_surfaces([(quad(*FLOOR), Lambert(0.8))])
     found = multiple_bounces(hidden, LASER, SENSOR, delta_t=0.5, n_bins=16, wall_size=(2.0, 2.0))
@@ -484,6 +486,7 @@ def test_wrong_options_are_named(options, kind, words):
         multiple_bounces(hidden, LASER, POINTS, **({"delta_t": 0.5, "n_bins": 16} | options))
 
 
+@pytest.mark.thorough
 def test_a_corridor_is_the_peers(data):
     """Totals of 4 and 5 bounces; in the peer's captures the letter counts twice at each vertex."""
 

@@ -62,6 +62,7 @@ def relative(found, true):
     return np.abs(found - true).sum(axis=0) / true.sum(axis=0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("thing", "n"),
     [
@@ -106,6 +107,7 @@ def test_materials(material):
     assert found.H.sum(axis=0) == pytest.approx(true.sum(axis=0), rel=2e-4)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", ["plate before plate", "ball before plate", "dent"])
 def test_shadows(case):
     """Polygons cut by shadows against a line of sight for every point of a grid."""
@@ -439,6 +441,7 @@ def lamp(meta, points):
     return 100.0 * meta["sensor_origin"][2] / np.linalg.norm(lines, axis=-1) ** 3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name", ["plane_single16_3b", "Z_single16_3b", "Z_single32_3b", "Z_confocal16_3b"]
 )

@@ -111,6 +111,7 @@ THINGS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", THINGS)
 def test_areas_are_those_of_lines_of_sight(name):
     mesh = trimesh.util.concatenate(THINGS[name])
