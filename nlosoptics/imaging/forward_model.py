@@ -87,7 +87,6 @@ class ForwardModel(Noun):
     Examples
     --------
     >>> import numpy as np
-    import scipy  # its parts are loaded on first use
     >>> from nlosoptics.imaging import ForwardModel
     >>> model = ForwardModel(np.array([[0.25, 0.5, 0.25]]), shape=(1, 4))
     >>> model.forward(np.array([[0.0, 1.0, 2.0, 0.0]])).round(6)

@@ -86,7 +86,6 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
     Examples
     --------
     >>> import numpy as np
-    import scipy  # its parts are loaded on first use
     >>> from nlosoptics.inverse import estimate_noise
     >>> image = 100.0 + np.random.default_rng(0).normal(0.0, 3.0, size=(256, 256))
     >>> round(estimate_noise(image), 1)

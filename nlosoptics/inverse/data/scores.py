@@ -59,7 +59,6 @@ def registered_correlation(
     Examples
     --------
     >>> import numpy as np
-    import scipy  # its parts are loaded on first use
     >>> from nlosoptics.inverse import registered_correlation
     >>> truth = np.random.default_rng(0).random((16, 16))
     >>> round(registered_correlation(3.0 * np.roll(truth, (2, 5), (0, 1)) + 1.0, truth), 6)

@@ -70,7 +70,7 @@ def write_zernikes(
         completely.
     coefficients : mapping of int to float
         Zernike index to coefficient, m, positive for a longer path, as returned by `fit_zernike`.
-        The file holds 16 digits of each.
+        The file holds 15 digits of each.
     ordering : {"noll", "osa", "fringe"}
         Index scheme of the coefficients, which the file states; see `zernike_order`.
     unit : {"m", "um", "nm", "waves"}
@@ -116,7 +116,7 @@ def write_zernikes(
     lines.append("index,coefficient")
     for index, height in coefficients.items():
         zernike_order(index, ordering)
-        lines.append(f"{int(index)},{real(f'coefficients[{index}]', height) / scale:.16g}")
+        lines.append(f"{int(index)},{real(f'coefficients[{index}]', height) / scale:.15g}")
     write_whole({path_of("path", path): ("\n".join(lines) + "\n").encode()})
 
 
