@@ -52,11 +52,9 @@ SINGLE = ("inverse_filter", "phase_retrieval")
 #: Recipes of `inverse.pcin`, which fit the wall's wave as well as the object.
 BLIND = ("evidence", "wu2024")
 METHODS = (*KNOWN, *BLIND)
-#: Noll indices of the wave modes that a blind method fits: radial orders 2 to 5.
-MODES = tuple(range(4, 22))
-#: Parameters with more values than this are saved in the arrays, not in ``result.json``.
-MOST_VALUES = 200
+MODES = tuple(range(4, 22))  # Noll indices that a blind method fits: radial orders 2 to 5
 CHECKPOINT, PREVIEW = "checkpoint.npz", "preview.png"
+KEPT_EVERY = 5.0  # s between two saved states
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -73,7 +71,7 @@ class Task:
         Name of the solver: "tv", "wiener", "inverse_filter", "richardson_lucy", "phase_retrieval",
         "evidence" or "wu2024".
     defocus : tuple of float
-        Known additional defocus of each image, waves rms; empty if the wall is known.
+        Known additional defocus of each image, waves rms; for "evidence" and "wu2024" only.
     iterations : int or None
         Maximum number of iterations; None for the method's default.
     seed : int
@@ -125,14 +123,6 @@ def prepared(
         Files of the dark frame and the flat field, see `imaging.camera_image`.
     full : float, optional
         Count at which a pixel is saturated; by default the largest of the file's type.
-    defocus : sequence of float
-        Known additional defocus of each image, waves rms; for "evidence" and "wu2024" only.
-    iterations : int, optional
-        Maximum number of iterations; by default the method's own.
-    seed : int
-        Seed of the random numbers, 0 to 2^64 - 1.
-    tol : float
-        Error tolerance of the point spread function, max |dI|/max I, with I the intensity.
 
     Returns
     -------
@@ -350,7 +340,7 @@ def carry_out(
     started = time.perf_counter()
     stop = interrupted or (lambda: False)
     identity = f"{scene_hash(task.scene)} {task.identity()}"
-    start = _saved_state(folder, identity) if resume else None
+    start = kept_state(folder, identity) if resume else None
     report = {
         "program": "nlosoptics",
         "command": "reconstruct",
@@ -369,7 +359,7 @@ def carry_out(
         model = known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
     if stop():
         raise KeyboardInterrupt
-    keeper = _Keeper(folder, identity, report, progress, stop)
+    keeper = Keeper(folder, identity, report, progress, stop)
     try:
         result = reconstructed(task, model=model, start=start, progress=keeper)
     except Stop:
@@ -420,8 +410,8 @@ def _finite(values: NDArray[Any]) -> Any:
     return values.tolist()
 
 
-class _Keeper:
-    """Progress callback of solvers that saves the state of the fit every five seconds.
+class Keeper:
+    """Progress callback of solvers that saves the state of the fit every `KEPT_EVERY` seconds.
 
     ``report`` becomes the record of the folder, unless it holds an older result. That stays as it
     is until the fit has ended.
@@ -459,7 +449,7 @@ class _Keeper:
 
         self._unseen = 0
         self.stopped = self._stop()
-        if self.stopped or time.monotonic() - self._last >= 5.0:
+        if self.stopped or time.monotonic() - self._last >= KEPT_EVERY:
             self.state = snapshot()
             self._save()
             self._last = time.monotonic()
@@ -478,6 +468,7 @@ class _Keeper:
         try:
             record = json.loads(own.read_bytes())
             listed = {*record["files"], RECORD, CHECKPOINT, PREVIEW}
+            record = self._report if record["status"] == "running" else record
         except (OSError, ValueError, KeyError, TypeError):
             record, listed = self._report, {RECORD, CHECKPOINT, PREVIEW}
         self._folder.mkdir(exist_ok=True)
@@ -485,14 +476,8 @@ class _Keeper:
         write_whole({own: record_text({**record, "files": sorted(listed)}), **contents})
 
 
-def _saved_state(folder: Path, identity: str) -> dict[str, Array]:
-    """Load the state that the same task saved in a folder.
-
-    Raises
-    ------
-    SceneError
-        If there is no readable state, or it was saved with another scene, image or option.
-    """
+def kept_state(folder: Path, identity: str) -> dict[str, Array]:
+    """Load the state that the same task saved in a folder, or raise `SceneError`."""
     path = folder / CHECKPOINT
     if not path.is_file():
         raise SceneError(f"there is no {path} to resume from; run without --resume")

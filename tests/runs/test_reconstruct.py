@@ -103,7 +103,7 @@ def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
     taken: np.ndarray, capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert call(capsys, *USUAL, *FRAMES, "--out", "whole")[0] == 0
-    told = reconstructing._Keeper.__call__
+    told = reconstructing.Keeper.__call__
     calls = []
 
     def interrupts(self, fraction: float, text: str) -> None:
@@ -113,7 +113,7 @@ def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
         told(self, fraction, text)
 
     before = signal.getsignal(signal.SIGINT)
-    monkeypatch.setattr(reconstructing._Keeper, "__call__", interrupts)
+    monkeypatch.setattr(reconstructing.Keeper, "__call__", interrupts)
     code, _, err = call(capsys, *USUAL, *FRAMES, "--out", "part")
     assert code == 130
     assert err.count("\n") == 1
@@ -123,7 +123,7 @@ def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
     assert report["status"] == "interrupted"
     assert report["figures"]["iterations"] == 20
     assert np.isfinite(np.load("part/object.npy")).all()
-    monkeypatch.setattr(reconstructing._Keeper, "__call__", told)
+    monkeypatch.setattr(reconstructing.Keeper, "__call__", told)
     assert call(capsys, *USUAL, *FRAMES, "--out", "part", "--resume")[0] == 0
     assert np.array_equal(np.load("part/object.npy"), np.load("whole/object.npy"))
     again = json.loads(Path("part/result.json").read_text())

@@ -157,7 +157,7 @@ def test_ended_and_gone_on(frames: np.ndarray, capsys, monkeypatch: pytest.Monke
     usual = ("reconstruct", "a.npy", "b.npy", "--scene", "fine.toml", "--iterations", 1)
     usual = (*usual, "--method", "evidence", "--defocus", "0, 0.5")
     assert call(capsys, *usual, "--out", "whole")[0] == 0
-    told = reconstructing._Keeper.__call__
+    told = reconstructing.Keeper.__call__
     calls = []
 
     def interrupts(self, fraction: float, text: str) -> None:
@@ -166,13 +166,13 @@ def test_ended_and_gone_on(frames: np.ndarray, capsys, monkeypatch: pytest.Monke
             signal.raise_signal(signal.SIGINT)
         told(self, fraction, text)
 
-    monkeypatch.setattr(reconstructing._Keeper, "__call__", interrupts)
+    monkeypatch.setattr(reconstructing.Keeper, "__call__", interrupts)
     code, _, err = call(capsys, *usual, "--out", "part")
     assert (code, err.count("\n")) == (130, 1)
     report = json.loads(Path("part/result.json").read_text())
     assert report["status"] == "interrupted"
     assert report["figures"]["reconstruction_status"] == "unconverged"
-    monkeypatch.setattr(reconstructing._Keeper, "__call__", told)
+    monkeypatch.setattr(reconstructing.Keeper, "__call__", told)
     assert call(capsys, *usual, "--out", "part", "--resume")[0] == 0
     assert report_of("part")["resumed"]
     assert np.array_equal(np.load("part/object.npy"), np.load("whole/object.npy"))

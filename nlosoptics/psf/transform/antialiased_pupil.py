@@ -95,7 +95,7 @@ def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
 
 
 class Rim(NamedTuple):
-    """What the error of a softened rim depends on; lengths in the image are in Airy units.
+    """Quantities that the error of a softened rim depends on; image lengths are in Airy units.
 
     Attributes
     ----------

@@ -255,9 +255,9 @@ def test_a_state_of_another_network_is_refused() -> None:
 def test_a_kept_state_that_is_cut_or_no_archive_is_named(tmp_path) -> None:
     kept = tmp_path / reconstructing.CHECKPOINT
     np.savez(kept, identity="mine", object=np.ones((4, 4)))
-    assert set(reconstructing._saved_state(tmp_path, "mine")) == {"object"}
+    assert set(reconstructing.kept_state(tmp_path, "mine")) == {"object"}
     with pytest.raises(SceneError, match="number of iterations"):
-        reconstructing._saved_state(tmp_path, "other")
+        reconstructing.kept_state(tmp_path, "other")
     whole = kept.read_bytes()
     with (tmp_path / "object.npy").open("wb") as file:
         np.save(file, np.ones(3))
@@ -266,7 +266,7 @@ def test_a_kept_state_that_is_cut_or_no_archive_is_named(tmp_path) -> None:
     for content in (whole[:200], bytes(spoilt), (tmp_path / "object.npy").read_bytes(), b""):
         kept.write_bytes(content)
         with pytest.raises(SceneError, match="cannot be read .*; run without --resume"):
-            reconstructing._saved_state(tmp_path, "mine")
+            reconstructing.kept_state(tmp_path, "mine")
 
 
 def test_a_kept_state_is_of_one_tolerance() -> None:
