@@ -43,6 +43,7 @@ figure, axes = plt.subplots(1, 3, figsize=(12, 3.8), layout="constrained")
 peak = example.intensity.max()
 for axis, part in zip(axes, ("coherent", "halo", "diffuse"), strict=True):
     shown = axis.imshow(getattr(example, part), norm=LogNorm(1e-6 * peak, peak, clip=True))
+    axis.set(xlabel="x (samples)", ylabel="y (samples)")
     axis.set_title(f"{part} part, total {getattr(example, f'{part}_flux'):.3g}")
 figure.colorbar(shown, ax=axes, label="flux per sample")
 plt.show()
