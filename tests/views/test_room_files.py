@@ -133,7 +133,7 @@ def test_page_turns_in_a_browser_and_asks_for_nothing(room, page, tmp_path):
     views.save(room, path)
     assert path.stat().st_size < 5e6
     page.open(path)
-    page.wait("document.querySelector('canvas') && camera")
+    page.wait("!!(document.querySelector('canvas') && camera)")
     first = page.picture()
     assert colours(first) > 100
     page.drag("canvas", 120, 20)
