@@ -361,7 +361,7 @@ def test_page_in_a_browser(page: Any, run: Path, tmp_path: Path) -> None:
     frame = page.driver.find_element("css selector", "iframe")
     page.driver.execute_script("arguments[0].scrollIntoView()", frame)
     page.driver.switch_to.frame(frame)
-    page.wait("document.querySelector('canvas') && camera")
+    page.wait("!!(document.querySelector('canvas') && camera)")
     page.driver.switch_to.default_content()
     before = page.picture()
     page.drag("iframe", 120, 40)
