@@ -78,7 +78,7 @@ def test_rays_meet_it_as_the_compiled_wall(wall, size):
     else:
         own = as_callable(wall, max_height=0.01, size=size)
     found, exact = raytrace.intersect(own, o, d), raytrace.intersect(wall, o, d)
-    assert set(exact.status.tolist()) >= {raytrace.HIT, raytrace.MISS}
+    assert set(exact.status.tolist()) >= {raytrace.Hits.HIT, raytrace.Hits.MISS}
     np.testing.assert_array_equal(found.hit, exact.hit)
     # rounding of both marches, over the cosine of oblique rays
     np.testing.assert_allclose(found.distance, exact.distance, rtol=1e-12)
