@@ -235,7 +235,14 @@ def blind_fit(_: Path) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("name", RESULTS)
+#: Results that compile much, or take seconds.
+LONG = ("point_spreads_of_a_rough_wall", "rough_scene", "light_of_an_object_point", "blind_fit")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.thorough if name in LONG else ()) for name in RESULTS],
+)
 def test_result_is_on_record(name: str, tmp_path: Path) -> None:
     """Each number within the result's tolerance of the array's norm."""
     result, tolerance = RESULTS[name]

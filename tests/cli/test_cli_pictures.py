@@ -35,6 +35,7 @@ def run(capsys, *words: str) -> tuple[int, str, str]:
     return int(ended.value.code or 0), said.out, said.err
 
 
+@pytest.mark.thorough
 def test_a_page_shows_what_is_asked_for(scene, capsys, tmp_path):
     out = tmp_path / "room.html"
     code, said, wrong = run(

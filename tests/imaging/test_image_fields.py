@@ -56,6 +56,7 @@ def test_error_bounds_that_of_the_image(examples):
     assert rms_difference(narrow, exact) > 2 * true
 
 
+@pytest.mark.thorough
 def test_an_unknown_object_may_be_bright_anywhere(examples):
     """A spot in the middle needs one point spread, an object in its place needs more."""
     flat = nlos.Scene.load(examples / "scenes" / "letter_flat.toml")

@@ -178,6 +178,7 @@ def benchmark():
     return module
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("index", [4, 5])
 def test_modes_past_occluders_are_those_of_brute_force(benchmark, index: int) -> None:
     """A disc and a rectangle, seen by 16 x 16 pixels."""

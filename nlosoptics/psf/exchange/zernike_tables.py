@@ -100,9 +100,9 @@ def write_zernikes(
     >>> from nlosoptics import psf
     >>> with TemporaryDirectory() as folder:
     ...     path = Path(folder) / "wave.csv"
-    ...     psf.write_zernikes(path, {4: 50e-9, 8: -20e-9}, unit="nm")
+    ...     psf.write_zernikes(path, {4: 50e-9, 8: -20e-9}, unit="m")
     ...     print(path.read_text().splitlines()[-2:], psf.read_zernikes(path).coefficients)
-    ['4,50', '8,-20'] {4: 5e-08, 8: -2e-08}
+    ['4,5e-08', '8,-2e-08'] {4: 5e-08, 8: -2e-08}
     """
     fields = {"ordering": ordering, "unit": unit, "sign": sign}
     for name, value in fields.items():

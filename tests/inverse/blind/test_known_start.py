@@ -60,6 +60,7 @@ def near(cases):
     return data, first, found
 
 
+@pytest.mark.thorough
 def test_one_image_and_a_start_a_tenth_of_a_wave_off(near):
     data, first, found = near
     # the goal for every wall; other walls' figures are in the benchmark

@@ -23,6 +23,9 @@ from nlosoptics.scene import (
     Ward,
 )
 
+pytestmark = pytest.mark.thorough  # they compile kernels that few scenes need
+
+
 BLUE, GREEN, RED = 450e-9, 550e-9, 650e-9
 PAINT, SKIN = Spectrum((BLUE, RED), (0.2, 0.6)), Spectrum((BLUE, GREEN, RED), (0.1, 0.3, 0.8))
 PAINTED = SumMaterial(Lambert(PAINT), SpecularMicrofacet(0.1, 0.08))

@@ -18,6 +18,9 @@ from nlosoptics.raytrace.intersection import _wall_kernels
 from nlosoptics.raytrace.intersection.intersections import search_bounds
 from nlosoptics.scene import ConcaveWall, ConvexWall, HeightMapWall, MeshWall, SumWall, WavyWall
 
+pytestmark = pytest.mark.thorough  # they compile kernels that few scenes need
+
+
 HIT, OUTSIDE, UNRESOLVED = Hits.HIT, Hits.OUTSIDE, Hits.UNRESOLVED
 
 RANDOM = np.random.default_rng(1)

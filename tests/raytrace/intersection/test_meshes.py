@@ -121,6 +121,7 @@ def test_no_ray_leaks_at_vertices_and_edges(where, outside):
     assert shares.min() > -1e-11
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("count", [1, 4, 40])
 def test_small_parts_of_a_large_mesh_are_hit_as_if_alone(count):
     """Balls of 1 mm, 10 m above a floor of 20 km: alone, with structures of their own, or many."""

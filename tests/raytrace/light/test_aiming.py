@@ -61,6 +61,7 @@ def drawn(world, splits, count):
     )
 
 
+@pytest.mark.thorough
 def test_chart_keeps_areas_and_neighbours():
     scene = room()
     chart, world = prepared_mesh(scene.hidden.surface).chart, Surroundings(scene).world

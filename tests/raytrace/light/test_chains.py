@@ -33,6 +33,9 @@ from nlosoptics.scene import (
     WavyWall,
 )
 
+pytestmark = pytest.mark.thorough  # they compile kernels that few scenes need
+
+
 FLAT, POWER, PAINT, GLOSS, PLATE = FlatWall(size=(2.0, 2.0)), 2.0, 0.4, 0.4, 0.9
 
 

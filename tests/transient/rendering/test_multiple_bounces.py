@@ -22,6 +22,8 @@ from nlosoptics.transient.rendering import multiple_bounces as multiple_module
 from nlosoptics.transient.rendering.multiple_bounces import multiple_bounces
 from nlosoptics.transient.rendering.surfaces import bounce_surfaces, hidden_surfaces
 
+pytestmark = pytest.mark.thorough  # they compile kernels that few scenes need
+
 
 def quad(corner, first, second):
     """A parallelogram as a mesh, its front along first x second."""
