@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy  # its parts are loaded on first use
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from ..._checks import squarable
 from ...errors import SamplingError
-from .arrays import MEDIAN_OVER_SIGMA, Values, check_finite, check_shape, real_array
+from .arrays import Values, check_finite, check_shape, real_array
 from .models import AnyModel, model_shape
+from .outliers import lone_pixels, noise_of_neighbours
 from .spectra import (
     beyond_optics,
     expected_signal,
@@ -20,8 +20,6 @@ from .spectra import (
     noise_share,
     passed_power,
     periodic_power,
-    periodic_spectrum,
-    squared,
 )
 
 Array = NDArray[np.float64]
@@ -30,9 +28,6 @@ Mask = NDArray[np.bool_]
 # Width of the window in which masked pixels get their value, pixels; least weight of valid ones.
 _AROUND, _LEAST_AROUND = 1.5, 1e-3
 _LEAST_SIDE = 3  # pixels along each side of an image
-# Offsets of the pixels that are compared with a bad one, and which of them are its neighbours.
-_Y, _X = (part.ravel() - 3 for part in np.indices((7, 7)))
-_BESIDE = np.maximum(np.abs(_Y), np.abs(_X)) == 1
 
 
 def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> float:
@@ -96,28 +91,11 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
     check_finite("image", values, "replace bad pixels by their neighbours")
     squarable("image", float(np.abs(values).max()))
     if model is None:
-        return _noise_of_neighbours(values)
+        return noise_of_neighbours(values)
     check_shape("image", values, model_shape(model))
     passed, none = passed_power(model), np.zeros(values.shape, dtype=bool)
     masked = clipped_pixels(values, passed, ~none)
     return noise_and_bad_pixels(surrounded(values, masked), passed, masked)[0]
-
-
-def _noise_of_neighbours(values: Array) -> float:
-    """Return the rms noise of an image, (H, W), from its second differences."""
-    side = 12  # of a block, pixels
-    # The mask (1, -2, 1) x (1, -2, 1) has norm 6.
-    response = np.abs(np.diff(np.diff(values, n=2, axis=0), n=2, axis=1)) / 6.0
-    counts = [max(1, length // side) for length in response.shape]
-    sides = [length // count for length, count in zip(response.shape, counts, strict=True)]
-    whole_blocks = response[: counts[0] * sides[0], : counts[1] * sides[1]]
-    tiles = whole_blocks.reshape(counts[0], sides[0], counts[1], sides[1]).swapaxes(1, 2)
-    blocks = tiles.reshape(counts[0] * counts[1], -1)
-    medians = np.median(blocks, axis=1)
-    squares = np.where(
-        medians > 0.0, (medians / MEDIAN_OVER_SIGMA) ** 2, (blocks * blocks).mean(axis=1)
-    )
-    return math.sqrt(float(squares.mean()))
 
 
 def _noise_beyond(image: Array, passed: Array, sigma: float) -> float:
@@ -152,12 +130,12 @@ def noise_and_bad_pixels(image: Array, passed: Array | None, masked: Mask) -> tu
     have hardly any noise.
     """
     _check_side(image.shape)
-    sigma = _noise_of_neighbours(image)
+    sigma = noise_of_neighbours(image)
     if passed is None:
         return sigma, np.zeros(image.shape, dtype=bool)
     bad, filled = lone_pixels(image, passed, sigma, masked=masked)
     if masked.any() or bad.any():
-        sigma = _noise_of_neighbours(filled)
+        sigma = noise_of_neighbours(filled)
     quiet = bad.mean() + masked.mean()
     return _noise_beyond(filled, passed, sigma) / math.sqrt(1.0 - quiet), bad
 
@@ -177,7 +155,7 @@ def bad_pixels(image: Array, passed: Array | None, sigmas: Array | float, masked
     """Return the mask of the `lone_pixels` of an image of stated noise."""
     if passed is None or min(image.shape) < _LEAST_SIDE:
         return np.zeros(image.shape, dtype=bool)
-    return lone_pixels(image, passed, _noise_of_neighbours(image), sigmas, masked=masked)[0]
+    return lone_pixels(image, passed, noise_of_neighbours(image), sigmas, masked=masked)[0]
 
 
 def clipped_pixels(image: Array, passed: Array, valid: Mask, most: float = math.inf) -> Mask:
@@ -195,7 +173,7 @@ def clipped_pixels(image: Array, passed: Array, valid: Mask, most: float = math.
     n_full, none = int(np.count_nonzero(full)), np.zeros(image.shape, dtype=bool)
     if len(levels) < 2 or n_full < 3 + 3 * np.count_nonzero(valid & (image == levels[-2])):
         return none
-    sigma = min(_noise_of_neighbours(surrounded(image, full | ~valid)), most)
+    sigma = min(noise_of_neighbours(surrounded(image, full | ~valid)), most)
     if sigma < max(0.6 * float(np.diff(levels).min()), 1e-6 * (top - low)):
         return none
     lit = lit_pixels(image, passed, valid, full)
@@ -205,7 +183,7 @@ def clipped_pixels(image: Array, passed: Array, valid: Mask, most: float = math.
 def lit_pixels(image: Array, passed: Array, valid: Mask, full: Mask) -> Mask:
     """Return those of the ``full`` pixels that are not hot, which deviate alone."""
     filled = surrounded(image, ~valid)
-    alone, _ = lone_pixels(filled, passed, _noise_of_neighbours(filled), masked=~valid)
+    alone, _ = lone_pixels(filled, passed, noise_of_neighbours(filled), masked=~valid)
     return full & ~alone
 
 
@@ -215,114 +193,3 @@ def _check_side(shape: tuple[int, ...]) -> None:
             f"image has shape {shape}, noise needs at least {_LEAST_SIDE} x {_LEAST_SIDE} pixels; "
             "give noise_sigma"
         )
-
-
-def lone_pixels(
-    image: Array,
-    passed: Array,
-    sigma: float,
-    least: Array | float = 0.0,
-    *,
-    masked: Mask | bool = False,
-) -> tuple[Mask, Array]:
-    """Return the mask (H, W) of dead and hot pixels, and the image with predictions in their place.
-
-    ``image`` (H, W): image; single pixels may have any value. ``passed`` (H, W//2 + 1): squared
-    modulus of the transfer function, from `passed_power`. ``sigma``: rms noise, image units, by an
-    estimate that single pixels hardly affect. ``least`` (H, W): rms noise that is stated for each
-    pixel, image units: no pixel within six of it is bad. ``masked`` (H, W): pixels that hold no
-    measured value; they are not examined, and get predictions as well.
-
-    The image is taken as a normal variable with the spectrum ``P = S + sigma^2``, where S is the
-    `expected_signal` times 100. The deviation of a pixel from the mean of all others, in standard
-    deviations, is then ``ifft(fft(image)/P)`` over ``sqrt(mean(1/P))``. A bad pixel deviates alone:
-
-    - its deviation is the largest within 3 pixels and at least 6;
-    - without the pattern that one pixel makes, ``ifft(1/P)``, or two adjacent ones, the deviations
-      around it are smaller by a factor of six (median). Around edges that are sharper than the
-      model allows they are not;
-    - a point of an object that is as bright as the pixels around it deviates less. If the point
-      spread is as narrow as a pixel, none is found. The frame's edge may cut such a point in half.
-
-    Bad pixels are replaced by their predictions, and the search is repeated, since they hide others
-    nearby. After the first round the limits of 6 become 4.5.
-    """
-    filled, shape = image.copy(), image.shape
-    out = np.zeros(shape, dtype=bool) | masked  # of the predictions
-    renewed = not out.any()
-    twice, modulus = half_weights(shape), np.sqrt(passed)
-    # of 262 144 pixels with normal noise, fewer than one in 1000 images deviates by 6
-    limit, most = 6.0, max(1, image.size // 20)
-    searched = sigma > 0.0 and min(shape) >= 8
-    for _ in range(30 if searched else 0):
-        spectrum = periodic_spectrum(filled, 5)
-        signal = expected_signal(squared(spectrum) / image.size, passed, sigma**2, shape)
-        share = sigma**2 / (100.0 * signal + sigma**2)
-        share[0, 0] = 0.0
-        if not renewed:  # means of the pixels around are worse than predictions
-            filled, renewed = _filled(filled, out, spectrum, share), True
-            sigma = _noise_of_neighbours(filled)
-            continue
-        mean = float((twice * share).sum()) / image.size
-        deviation = scipy.fft.irfft2(spectrum * share, shape) / (sigma * math.sqrt(mean))
-        size = np.where(out, 0.0, np.abs(deviation))
-        at = np.flatnonzero(size > limit)
-        if len(at) > most:
-            at = at[np.argpartition(size.ravel()[at], -most)[-most:]]
-        row, column = np.unravel_index(at, shape)
-        around = (row[:, None] + _Y) % shape[0], (column[:, None] + _X) % shape[1]
-        left = _left(deviation[around], scipy.fft.irfft2(share, shape) / mean)
-        # deviation of a point of the sharpest such optics, relative to the height of its image
-        point = float((twice * share * modulus).sum() / (mean * (twice * modulus).sum()))
-        own, change = size[row, column], size[row, column] * (sigma / math.sqrt(mean))
-        found = own >= size[around].max(axis=1)
-        found &= own > limit * np.maximum(left, 1.0)
-        found &= change > limit * np.broadcast_to(least, shape)[row, column]
-        inside = (row % (shape[0] - 1) > 0) & (column % (shape[1] - 1) > 0)
-        # of an object's image; the frame's edge cuts images off
-        most_change = np.where(inside, 2.0 * point, max(2.0 * point, 0.5))
-        found &= change > most_change * np.ptp(filled[around], axis=1)
-        if not found.any():
-            break
-        out[row[found], column[found]] = True
-        filled = _filled(filled, out, spectrum, share)
-        sigma, limit = _noise_of_neighbours(filled), 4.5  # there are probably more
-    return out & np.logical_not(masked), filled
-
-
-def _left(near: Array, pattern: Array) -> Array:
-    """Return the rms (n,) of deviations around n pixels, less the pattern of one bad pixel or two.
-
-    ``near`` (n, 49) are the deviations, in the order of `_Y` and `_X`, and ``pattern`` (H, W) those
-    around a bad pixel at [0, 0] whose own one is 1. The second pixel is the neighbour that deviates
-    most once the pattern of the first is subtracted.
-    """
-    alone = pattern[_Y, _X]
-    one = near - near[:, [len(_Y) // 2]] * alone
-    second = np.argmax(np.where(_BESIDE, np.abs(one), 0.0), axis=1)[:, None]
-    moved = pattern[_Y - _Y[second], _X - _X[second]]
-    both = alone[second]
-    two = one - np.take_along_axis(one, second, 1) / (1.0 - both**2) * (moved - both * alone)
-    medians = [np.median(np.abs(rest), axis=1) for rest in (one, two)]
-    return np.asarray(np.min(medians, axis=0) / MEDIAN_OVER_SIGMA)
-
-
-def _filled(image: Array, bad: Mask, spectrum: NDArray[np.complex128], share: Array) -> Array:
-    """Return an image with the values in the bad pixels that all the others predict.
-
-    ``spectrum`` is that of the image, and ``share`` the reciprocal of the expected one. The errors
-    of the given values are found by conjugate gradients.
-    """
-    errors = np.zeros(image.shape)
-    rest = np.where(bad, scipy.fft.irfft2(spectrum * share, image.shape), 0.0)
-    way, square = rest, float((rest**2).sum())
-    for _ in range(15):
-        if square == 0.0:
-            break
-        changed = np.where(bad, scipy.fft.irfft2(scipy.fft.rfft2(way) * share, image.shape), 0.0)
-        step = square / float((way * changed).sum())
-        errors += step * way
-        rest = rest - step * changed
-        before, square = square, float((rest**2).sum())
-        way = rest + (square / before) * way
-    return image - errors

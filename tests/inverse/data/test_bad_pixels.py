@@ -9,7 +9,7 @@ import torch
 from nlosoptics import inverse
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement, estimate_noise, registered_correlation, tv_deconvolve
-from nlosoptics.inverse.data.noise import lone_pixels
+from nlosoptics.inverse.data.outliers import lone_pixels
 from nlosoptics.inverse.data.spectra import passed_power
 
 SIDE, NOISE = 64, 0.01
