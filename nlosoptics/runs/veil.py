@@ -101,7 +101,7 @@ def fitted_veil(
             background=background,
             background_shape=mine * ratio,
         )
-        data = noisy_image(given, blur)
+        data = noisy_image(given, blur, measured_scale=False)
         object_, strength, _ = sharpest(data, blur, (100, 2e-3))  # coarse detail is enough
         picture = cells.picture(np.asarray(object_))
         if not picture.any():

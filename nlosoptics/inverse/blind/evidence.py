@@ -297,7 +297,7 @@ def _refined(frames: Frames, energy: FreeEnergy, best: Starts) -> Starts:
     model = ForwardModel(energy.point_spread(best), shape=frames.shape)
     # errors of the wall's modes must not be fitted, like noise
     excess = math.sqrt(max(1.0, float(best.chi_square[0, 0])))
-    data = replace(data, sigma=data.sigma * excess, sigma_estimated=False)
+    data = replace(data, sigma=data.sigma * excess)
     mean = 0.5 * (energy.objects(best) + as_numpy(sharpest(data, model)[0]) / frames.scale)
     return energy.judged(replace(best, free=energy.parameters(mean)))[0]
 

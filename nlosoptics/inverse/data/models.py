@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -74,7 +75,7 @@ def mean_transfer(model: AnyModel) -> Values:
     return (shares[:, None, None] * model.transfer).sum(0)
 
 
-def widened(model: AnyModel, factor: float) -> ForwardModel:
+def widened(model: AnyModel, factor: float = math.sqrt(2.0)) -> ForwardModel:
     """Return the image model, in numpy, of a point spread that is ``factor`` > 1 times as wide.
 
     The kernel is interpolated linearly on the model's grid. The mean transfer function keeps its

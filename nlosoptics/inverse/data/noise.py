@@ -95,49 +95,62 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
     check_shape("image", values, model_shape(model))
     passed, none = passed_power(model), np.zeros(values.shape, dtype=bool)
     masked = clipped_pixels(values, passed, ~none)
-    return noise_and_bad_pixels(surrounded(values, masked), passed, masked)[0]
+    return float(pixel_noise(surrounded(values, masked), passed, masked)[0].max())
 
 
-def _noise_beyond(image: Array, passed: Array, sigma: float) -> float:
-    """Return the rms noise from the frequencies that the optics do not pass.
+def _noise_beyond(image: Array, passed: Array, sigma: float) -> float | None:
+    """Return the rms noise from the frequencies that the optics do not pass; None if too few.
 
-    ``sigma`` is a first estimate; it is returned if there are too few such frequencies.
+    ``sigma`` is a first estimate.
     """
-    if sigma == 0.0:
-        return sigma
     least = 500  # frequencies: a relative standard error of 3 %, that of 64 x 64 differences
     power = periodic_power(image)
     twice = half_weights(image.shape)
     share = noise_share(image.shape)
-    found = sigma
     for _ in range(3):  # the frequencies depend on the noise; three rounds change it below 1 %
-        signal = expected_signal(power, passed, found**2, image.shape)
-        beyond = beyond_optics(signal, found**2)
-        count = float(twice[beyond].sum())
-        kept = float((twice * share)[beyond].sum())
-        variance = float((twice * (power - signal))[beyond].sum()) / max(kept, 1.0)
-        if count < least or variance <= 0.0:
-            return sigma
-        found = math.sqrt(variance)
-    return found
+        signal = expected_signal(power, passed, sigma**2, image.shape)
+        beyond = beyond_optics(signal, sigma**2)
+        expected = float((twice * share)[beyond].sum())
+        variance = float((twice * (power - signal))[beyond].sum()) / max(expected, 1.0)
+        if float(twice[beyond].sum()) < least or variance <= 0.0:
+            return None
+        sigma = math.sqrt(variance)
+    return sigma
 
 
-def noise_and_bad_pixels(image: Array, passed: Array | None, masked: Mask) -> tuple[float, Mask]:
-    """Return the rms noise of an image, as `estimate_noise`, and the mask of its `lone_pixels`.
+def pixel_noise(
+    image: Array,
+    passed: Array | None,
+    masked: Mask,
+    stated: Array | float = 0.0,
+    measured_scale: bool = True,
+) -> tuple[Array, Mask]:
+    """Return the rms noise of each pixel, (H, W), and the mask of dead and hot pixels.
 
-    ``passed`` is the squared modulus of the transfer function; None if it is unknown, so that no
-    bad pixels are sought. Pixels that are ``masked`` hold means of the others around them, which
-    have hardly any noise.
+    ``stated`` (H, W) is the noise that the caller states, which gives the shape, and is 0 if
+    unknown. With ``measured_scale`` the image gives the scale: its frequencies beyond the optics'
+    cut-off, or else its second differences, which are an upper bound: the image's own detail adds
+    to them. ``passed`` is the squared modulus of the transfer function; None if it is unknown, so
+    that no bad pixels are sought. Pixels that are ``masked`` hold means of the others around them,
+    which have hardly any noise. An image with less noise than 1e-6 of its range is no camera's.
     """
+    bad, stated = np.zeros(image.shape, dtype=bool), np.broadcast_to(stated, image.shape)
+    mean = math.sqrt(float((stated[~masked] ** 2).mean()))
+    if mean > 0.0 and min(image.shape) < _LEAST_SIDE:
+        return stated, bad
     _check_side(image.shape)
-    sigma = noise_of_neighbours(image)
-    if passed is None:
-        return sigma, np.zeros(image.shape, dtype=bool)
-    bad, filled = lone_pixels(image, passed, sigma, masked=masked)
-    if masked.any() or bad.any():
-        sigma = noise_of_neighbours(filled)
-    quiet = bad.mean() + masked.mean()
-    return _noise_beyond(filled, passed, sigma) / math.sqrt(1.0 - quiet), bad
+    sigma, beyond = noise_of_neighbours(image), None
+    if passed is not None:
+        bad, filled = lone_pixels(image, passed, sigma, stated, masked=masked)
+        if masked.any() or bad.any():
+            sigma = noise_of_neighbours(filled)
+        beyond = _noise_beyond(filled, passed, sigma) if sigma > 0.0 else None
+        sigma = (beyond or sigma) / math.sqrt(1.0 - bad.mean() - masked.mean())
+    if mean == 0.0:
+        return np.full(image.shape, sigma), bad
+    if not measured_scale or sigma <= 1e-6 * float(np.ptp(image)):
+        return stated, bad
+    return stated * (sigma / mean if beyond else min(sigma / mean, 1.0)), bad
 
 
 def surrounded(values: Array, masked: Mask) -> Array:
@@ -149,13 +162,6 @@ def surrounded(values: Array, masked: Mask) -> Array:
     mean = float(values[~masked].mean())
     around = np.where(valid > _LEAST_AROUND, sums / np.maximum(valid, _LEAST_AROUND), mean)
     return np.where(masked, around, values)
-
-
-def bad_pixels(image: Array, passed: Array | None, sigmas: Array | float, masked: Mask) -> Mask:
-    """Return the mask of the `lone_pixels` of an image of stated noise."""
-    if passed is None or min(image.shape) < _LEAST_SIDE:
-        return np.zeros(image.shape, dtype=bool)
-    return lone_pixels(image, passed, noise_of_neighbours(image), sigmas, masked=masked)[0]
 
 
 def clipped_pixels(image: Array, passed: Array, valid: Mask, most: float = math.inf) -> Mask:

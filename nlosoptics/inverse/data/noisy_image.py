@@ -27,7 +27,7 @@ from .arrays import (
 )
 from .measurement import measured
 from .models import AnyModel, model_shape
-from .noise import bad_pixels, clipped_pixels, lit_pixels, noise_and_bad_pixels, surrounded
+from .noise import clipped_pixels, lit_pixels, pixel_noise, surrounded
 from .spectra import (
     beyond_optics,
     cosines_within,
@@ -49,8 +49,8 @@ class NoisyImage:
     ``data`` (H, W): image minus the known background, float64. Excluded pixels hold the weighted
     mean. ``sigma``: reference noise: 1/sigma^2 is the mean of 1/noise_sigma^2 over the pixels.
     ``weights`` (H, W): (sigma/noise_sigma)^2, mean 1; None for uniform noise. Excluded pixels,
-    which have infinite noise, have weight 0. ``sigma_estimated``: whether the noise was estimated
-    from the image. ``fit_background``: whether there is a further background of unknown strength.
+    which have infinite noise, have weight 0.
+    ``fit_background``: whether there is a further background of unknown strength.
     ``background_shape`` (H, W): shape of that background, mean 1; None if it is uniform.
     ``template``: the image as given if it was a tensor; None for an array. ``bad_pixels`` (H, W):
     mask of the pixels that were found to be dead, hot or saturated, and are excluded too; None if
@@ -62,7 +62,6 @@ class NoisyImage:
     data: Values
     sigma: float
     weights: Values | None
-    sigma_estimated: bool
     fit_background: bool
     background_shape: Values | None
     template: Values | None
@@ -177,10 +176,9 @@ class NoisyImage:
 
         Weighted sums of the spectrum's power are compared with their distributions for white
         noise. The weights are the transfer function's power times 1, 1/f and 1/f^2, for dots,
-        strokes and extended objects. A weighted sum of exponential variables is nearly a gamma
-        variable with the same first three moments. If the noise was estimated, its mean power is
-        taken from the same spectrum, and the weights are relative to their mean. Noise alone is
-        taken for an object in one image of 1000.
+        strokes and extended objects, relative to their mean, so that the strength of the noise does
+        not matter. A weighted sum of exponential variables is nearly a gamma variable with the same
+        first three moments. Noise alone is taken for an object in one image of 1000.
         """
         if self.sigma == 0.0:
             return True
@@ -188,55 +186,51 @@ class NoisyImage:
         rest = own.whitened(own.without_background())
         shape = rest.shape
         passed = 1.0 if model is None else passed_power(model)
-        relative = power(rest) * (rest.size / (self.counted * self.sigma**2))
         if not self.fit_background:  # even light is an object then
             strength = float(rest.mean()) * math.sqrt(rest.size) / self.sigma
             if 0.5 * math.erfc(strength / math.sqrt(2.0)) < 1e-3:
                 return False
         kinds = [passed * object_power(shape) ** half for half in (0.0, 0.5, 1.0)]
-        chances = [_chance(relative, kind, shape, self.sigma_estimated) for kind in kinds]
+        chances = [_chance(power(rest), kind, shape) for kind in kinds]
         return len(kinds) * min(chances) > 1e-3
 
     def energies(self, model: AnyModel) -> tuple[float, float]:
         """Split the image's sum of squares over the noise's variance into noise and signal.
 
         The expected sum of the noise is `counted`. At frequencies that the optics do not pass, the
-        image is the noise itself, and its power there replaces the expected one, unless the noise
-        was estimated from this power. The cosine transform is used, since jumps between opposite
-        edges of the frame do not affect it. The signal is at least the standard error of the noise
-        at all other frequencies.
+        image is the noise itself, and its power there replaces the expected one. The cosine
+        transform is used, since jumps between opposite edges of the frame do not affect it. The
+        signal is at least the standard error of the noise at all other frequencies.
         """
         own = self.in_numpy()
         rest = own.whitened(own.without_background())
         whole = float((rest**2).sum()) / self.sigma**2
         noise, inside = float(self.counted), rest.size
-        if not self.sigma_estimated:
-            unit = self.counted * self.sigma**2 / rest.size
-            passed = passed_power(model)
-            least = unit * math.sqrt(2.0 * rest.size)  # standard error of the whole noise
-            signal = expected_signal(periodic_power(rest), passed, unit, rest.shape, least)
-            beyond = beyond_optics(signal, unit)
-            cosines = cosines_within(beyond, rest.shape)
-            there = fft.dctn(rest, norm="ortho")[cosines] ** 2 / unit
-            left = float(signal[beyond].mean()) / unit if beyond.any() else 0.0
-            excess = float((there - 1.0 - left).sum())
-            # more is a sign of light that the optics should not pass
-            if abs(excess) < 3.0 * math.sqrt(2.0 * there.size):
-                noise += excess * self.counted / rest.size
-                inside -= there.size
+        unit = self.counted * self.sigma**2 / rest.size
+        passed = passed_power(model)
+        least = unit * math.sqrt(2.0 * rest.size)  # standard error of the whole noise
+        signal = expected_signal(periodic_power(rest), passed, unit, rest.shape, least)
+        beyond = beyond_optics(signal, unit)
+        cosines = cosines_within(beyond, rest.shape)
+        there = fft.dctn(rest, norm="ortho")[cosines] ** 2 / unit
+        left = float(signal[beyond].mean()) / unit if beyond.any() else 0.0
+        excess = float((there - 1.0 - left).sum())
+        # more is a sign of light that the optics should not pass
+        if abs(excess) < 3.0 * math.sqrt(2.0 * there.size):
+            noise += excess * self.counted / rest.size
+            inside -= there.size
         seen = max(whole - noise, math.sqrt(2.0 * inside))
         return whole - seen, seen
 
     def is_noise_about(self, explained: Values | float) -> bool:
         """Return whether data minus ``explained`` has the power of noise, within three errors.
 
-        The mean of n squared residuals has variance 2/n; an estimated noise adds 16/n, the measured
-        spread of `estimate_noise` (2/sqrt(n) relative, in sigma).
+        The mean of n squared residuals has variance 2/n; the estimate of the noise adds 16/n, the
+        measured spread of `estimate_noise` (2/sqrt(n) relative, in sigma).
         """
         if self.sigma == 0.0:
             return True
-        variance = (18.0 if self.sigma_estimated else 2.0) / self.counted
-        return self.score(explained) ** 2 <= 1.0 + 3.0 * math.sqrt(variance)
+        return self.score(explained) ** 2 <= 1.0 + 3.0 * math.sqrt(18.0 / self.counted)
 
     def like_input(self, values: Values) -> Values:
         """Convert a result to the input's kind: array, or tensor of the same type and device."""
@@ -248,38 +242,35 @@ class NoisyImage:
 
 
 def _chance(
-    relative: NDArray[np.float64], weights: NDArray[np.float64], shape: tuple[int, ...], own: bool
+    spectrum: NDArray[np.float64], weights: NDArray[np.float64], shape: tuple[int, ...]
 ) -> float:
     """Return the probability that white noise has this weighted sum of power, or more.
 
-    ``relative`` and ``weights`` are half spectra, the power in units of the noise's variance. If
-    ``own``, the variance is the mean of the same spectrum.
+    ``spectrum`` and ``weights`` are half spectra. The noise's power is the mean of the spectrum.
     """
     twice = half_weights(shape)
-    count = float(twice.sum())
-    if own:
-        mean = float((twice * relative).sum()) / count
-        if mean == 0.0:
-            return 1.0
-        relative = relative / mean
-        weights = weights - float((twice * weights).sum()) / count
+    count, whole = float(twice.sum()), float((twice * spectrum).sum())
+    weights = weights - float((twice * weights).sum()) / max(count, 1.0)
     weights = weights / max(float(np.abs(weights).max()), 1e-300)
     squares, cubes = (float((twice * weights**k).sum()) for k in (2, 3))
-    if min(squares, cubes) <= 1e-9:  # all frequencies weigh the same
+    if whole == 0.0 or min(squares, cubes) <= 1e-9:  # all frequencies weigh the same
         return 1.0
     variance, third = 2.0 * squares, 8.0 * cubes
     freedom = 4.0 * variance**3 / third**2
-    deviation = float((twice * weights * (relative - 1.0)).sum()) / math.sqrt(variance)
+    deviation = float((twice * weights * spectrum).sum()) * count / whole / math.sqrt(variance)
     value = max(freedom + deviation * math.sqrt(freedom), 0.0)
     return float(special.gammaincc(freedom, value))
 
 
-def noisy_image(image: Any, model: AnyModel | tuple[int, int]) -> NoisyImage:
+def noisy_image(
+    image: Any, model: AnyModel | tuple[int, int], *, measured_scale: bool = True
+) -> NoisyImage:
     """Check a `Measurement` of one image, or an image alone, against an image model.
 
     ``model`` may be the shape (H, W) if the point spread is unknown; the noise is then estimated
     without it, and no bad pixels are sought. Saturated pixels are those that the measurement
-    states, by default the `clipped_pixels`.
+    states, by default the `clipped_pixels`. ``measured_scale``: whether the noise of the image sets
+    the scale of a stated noise; if not, the stated one is also meant to cover errors of the model.
     """
     given = measured(image)
     shape, passed = (
@@ -288,50 +279,39 @@ def noisy_image(image: Any, model: AnyModel | tuple[int, int]) -> NoisyImage:
     masked, full = _mask("masked", given.masked, shape), _mask("saturated", given.saturated, shape)
     masked = masked & ~full
     data = _picture("image", given.image, shape, masked)
-    stated = given.noise_sigma
-    stated = None if stated is None else _stated_noise(stated, shape, masked)
-    valid = ~masked
+    stated = _stated_noise(given.noise_sigma, shape, masked)
+    valid = ~masked & np.isfinite(stated)
     if full.any():
-        masked = masked | full
-        full = full if passed is None else lit_pixels(data, passed, valid, full)
-    elif passed is not None and given.saturated is None:
-        noise = np.broadcast_to(0.0 if stated is None else stated, shape)
-        valid &= np.isfinite(noise)
-        full = clipped_pixels(data, passed, valid, float(noise[valid].max()) or math.inf)
-        masked = masked | full
+        full = full if passed is None else lit_pixels(data, passed, ~masked, full)
+        valid &= ~_mask("saturated", given.saturated, shape)
+    elif passed is not None and given.saturated is None and valid.any():
+        full = clipped_pixels(data, passed, valid, float(stated[valid].max()) or math.inf)
+        valid &= ~full
     background = given.background
     if shape_of("background", background):
-        background = _picture("background", background, shape, masked)
+        background = _picture("background", background, shape, ~valid)
     else:
         background = real("background", background)
     data = data - background
-    least = np.where(full, data, -np.inf) if full.any() else None
-    if not np.any(~masked if stated is None else ~masked & np.isfinite(stated)):
+    if not valid.any():
         raise SceneError(
             "every pixel is masked, saturated or of infinite noise, so that none counts; expose "
             "shorter"
         )
-    data = surrounded(data, masked)
-    sigmas: float | NDArray[np.float64]
-    if stated is None:
-        sigmas, bad = noise_and_bad_pixels(data, passed, masked)
-        if sigmas == 0.0 and float(data.max()) > float(data.min()):
-            raise SceneError(
-                "the estimated noise of the image is 0 although it is not uniform; give noise_sigma"
-            )
-    else:
-        sigmas = stated
-        bad = bad_pixels(_weighed(data, sigmas)[0], passed, sigmas, masked)
-    ignored = bad | masked
-    if ignored.any() and np.any(sigmas):
-        sigmas = np.where(ignored, np.inf, sigmas)
+    least = np.where(full, data, -np.inf) if full.any() else None
+    data = surrounded(data, ~valid)
+    noise, bad = pixel_noise(data, passed, ~valid, stated, measured_scale)
+    if not noise.any() and float(data.max()) > float(data.min()):
+        raise SceneError(
+            "the estimated noise of the image is 0 although it is not uniform; give noise_sigma"
+        )
+    valid &= ~bad
+    data, sigma, weights = _weighed(data, noise, valid)
     bad = bad | full
-    data, sigma, weights = _weighed(data, sigmas)
     return NoisyImage(
         data=data,
         sigma=sigma,
         weights=weights,
-        sigma_estimated=stated is None,
         fit_background=given.fit_background,
         background_shape=_background_shape(given.background_shape, shape),
         template=given.image if is_tensor(given.image) else None,
@@ -343,11 +323,13 @@ def noisy_image(image: Any, model: AnyModel | tuple[int, int]) -> NoisyImage:
 
 def _stated_noise(
     value: Any, shape: tuple[int, int], masked: NDArray[np.bool_]
-) -> float | NDArray[np.float64]:
-    """Return the noise that the caller states: a number, or a map that may be infinite in parts."""
+) -> NDArray[np.float64]:
+    """Return the noise of each pixel that the caller states, (H, W); 0 if it is unknown."""
+    if value is None:
+        return np.zeros(shape)
     remedy = "give None to have it estimated"
     if not shape_of("noise_sigma", value):
-        return positive("noise_sigma", value, remedy=remedy)
+        return np.full(shape, positive("noise_sigma", value, remedy=remedy))
     sigmas = np.where(masked, np.inf, _picture("noise_sigma", value, shape, masked, infinite=True))
     if math.isinf(sigmas.min()):
         raise SceneError(
@@ -359,16 +341,20 @@ def _stated_noise(
 
 
 def _weighed(
-    data: NDArray[np.float64], sigmas: float | NDArray[np.float64]
+    data: NDArray[np.float64], noise: NDArray[np.float64], valid: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], float, NDArray[np.float64] | None]:
-    """Return image, reference noise and weights, as in `NoisyImage`, for a noise of each pixel."""
-    if not isinstance(sigmas, np.ndarray):
-        return data, sigmas, None
-    weights = sigmas**-2.0
+    """Return image, reference noise and weights, as in `NoisyImage`, for the noise of each pixel.
+
+    ``valid`` (H, W) are the pixels that count.
+    """
+    uniform = float(noise[valid].max())
+    if uniform == float(noise[valid].min()) and (valid.all() or uniform == 0.0):
+        return data, uniform, None
+    weights = np.divide(1.0, noise**2, out=np.zeros_like(noise), where=valid)
     sigma = (total(weights) / weights.size) ** -0.5
     weights = weights * sigma**2
     # an excluded pixel must not affect the range of the image
-    data = np.where(weights > 0.0, data, total(weights * data) / weights.size)
+    data = np.where(valid, data, total(weights * data) / weights.size)
     return data, sigma, weights
 
 

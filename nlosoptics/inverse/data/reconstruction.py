@@ -15,7 +15,7 @@ from ..._nouns import Noun
 from .arrays import Values, as_double, is_tensor
 from .models import AnyModel, image_of
 from .noisy_image import NoisyImage
-from .status import Ending, Status, judged
+from .status import LIMITS, Ending, Status, judged
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -36,15 +36,17 @@ class Reconstruction(Noun, Shown):
         top. ``noise_sigma``: rms noise, image units; for a noise map sigma_i it is
         ``mean(1/sigma_i^2)^(-1/2)``. If dead or hot pixels were found and ignored: their number
         ``bad_pixels`` and the mask ``bad_pixel_map``, (H, W); ``saturated_pixels`` of them are
-        saturated. The docstring of a solver names further values and the shapes of arrays, such as
-        the wave's ``coefficients`` if the wall was fitted as well.
-    status : {"converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"}
+        saturated. With a known point spread: ``expected_correlation`` of the object with the truth
+        if the model is right, and ``expected_correlation_range``, (2,), in which two thirds of the
+        correlations lie. The docstring of a solver names further values and the shapes of arrays,
+        such as the wave's ``coefficients`` if the wall was fitted as well.
+    status : {"converged", "does_not_fit", "too_few_photons", "ambiguous", "unconverged"}
         "converged": the solver met its stopping criterion, and no test found a contradiction
-        between image and model. "unconverged": the stopping criterion was not met, and the object
-        is not reliable. "trivial": in a fit of object and wall, the result is no blur and the image
-        itself as the object. "too_few_photons": the noise hides most of the object's detail, and
-        ``object`` is a rough estimate; it is zero if no object was detected. "does_not_fit": the
-        image contradicts the model, so the object is not reliable.
+        between image and model. "does_not_fit": the image contradicts the model, so the object is
+        not reliable. "too_few_photons": the noise hides most of the object, and ``object`` is a
+        rough estimate; it is zero if no object was detected. "ambiguous": in a fit of object and
+        wall, another answer, such as no blur and the image itself as the object, fits as well.
+        "unconverged": the stopping criterion was not met, and the object is not reliable.
     score : float
         Rms of the residual divided by the noise; 1 if only noise remains. For phase retrieval:
         the restarts are divided into two halves, the objects of each are averaged, and the score is
@@ -170,6 +172,9 @@ def concluded(
     found = judged(data, level, background, model, ending)
     if found.expected_correlation is not None:
         more["expected_correlation"] = found.expected_correlation
+        lack = 1.0 - found.expected_correlation
+        least, most = 1.0 - min(LIMITS.spread * lack, 1.0), 1.0 - lack / LIMITS.spread
+        more["expected_correlation_range"] = np.array([least, most])
     return assemble(
         data,
         level,

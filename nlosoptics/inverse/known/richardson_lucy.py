@@ -18,7 +18,7 @@ from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
 from ..data.forward import TorchForwardModel, torch_model
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
-from ..data.status import LIMITS, Ending
+from ..data.status import Ending
 from .wiener import background_estimate
 
 
@@ -196,7 +196,7 @@ class _Maximisation(Solver[_Estimate]):
         """Return the mean of the fitted background in image units."""
         moved = (found.state.best_strength - self._sigma) * self._scale
         converged = self.done(found.state)
-        ending = Ending(converged=converged, history=found.history, most_residual=LIMITS.residual)
+        ending = Ending(converged=converged, history=found.history, to_noise=True)
         return {"background": self._level + moved, "ending": ending}
 
     def _misfit(self, state: _Estimate) -> tuple[Tensor, float, float]:

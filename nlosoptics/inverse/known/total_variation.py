@@ -17,7 +17,7 @@ from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop
 from ..data.models import AnyModel, mean_transfer, numpy_model
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
-from ..data.status import LIMITS, Ending
+from ..data.status import Ending
 from ._splitting_kernels import RELAXATION, mix, pull
 from .field_step import FieldStep
 from .splitting_steps import Steps, gradient
@@ -339,7 +339,7 @@ class _Splitting(Solver[_Split]):
         )
         if self._given is None:
             again = partial(self._nearby, found.state)
-            ending = replace(ending, most_residual=LIMITS.residual, again=again)
+            ending = replace(ending, to_noise=True, again=again)
         background = self._background(found.state)
         return {"background": background, "tv_weight": tv_weight, "ending": ending}
 
