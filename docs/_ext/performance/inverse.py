@@ -209,7 +209,7 @@ SECTIONS = (
         "PCIN as published",
         "The physics-constrained inverse network (PCIN) of Wu 2024 fits object and wall to one "
         "image, from random angles of the wall. Here the fitted object is the blurred image "
-        'itself, which the status "trivial" states.',
+        'itself, which the status "ambiguous" states.',
         "python benchmarks/inverse/wu2024.py --walls 1 --rms 0.25 --objects F --size 512 --json "
         "{file}",
         table={

@@ -168,7 +168,7 @@ def evidence_fit(
     adds to the fit without blur; ``margin`` is below 1/s; and the rms residual is at least 0.93 of
     the noise.
 
-    The status is "trivial" if the result has almost no blur (less than 0.12 waves rms), or is the
+    The status is "ambiguous" if the result has almost no blur (less than 0.12 waves rms), or is the
     same as that of a fit that starts without blur.
     """
     started = time.perf_counter()

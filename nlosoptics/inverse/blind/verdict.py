@@ -190,4 +190,4 @@ class Verdict:
         if not faults:
             return "converged"
         weak = float(np.linalg.norm(best.coefficients[0])) < LIMITS.no_blur
-        return "trivial" if not self.several and (weak or margin == 0.0) else "unconverged"
+        return "ambiguous" if not self.several and (weak or margin == 0.0) else "unconverged"

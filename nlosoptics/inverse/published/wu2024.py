@@ -105,7 +105,7 @@ def wu2024_fit(
         Object, status and score. ``physical_parameters`` also contains the fitted ``coefficients``
         in the shape and unit of ``pupil_psf.coefficients``, ``network_weights`` (n,) float32,
         ``network_base``, ``network_depth``, ``strehl`` (peak of the PSF relative to that without
-        aberration) and ``iterations``. The status is "trivial" if the object is the image itself (a
+        aberration) and ``iterations``. The status is "ambiguous" if the object is the image itself (a
         correlation of 0.95 or more), otherwise "unconverged" (see Notes).
 
     See Also
@@ -300,7 +300,7 @@ class _Pcin(Solver[_Turns]):
         return {
             "model": model,
             "background": beside(self.data, level, model)[0],
-            "status": "trivial" if alike > 0.95 else "unconverged",
+            "status": "ambiguous" if alike > 0.95 else "unconverged",
             "coefficients": coefficients.to(torch.float64).cpu().numpy(),
             "network_weights": joined(list(network.parameters())).cpu().numpy(),
             "network_base": float(network.base),
