@@ -28,8 +28,8 @@ STATUS = {
     "test found a fault of the model.",
     "unconverged": "The fit ended before it converged. The object may still change with more "
     "iterations and is not reliable.",
-    "ambiguous": "The wall was fitted too, and another answer, such as the image itself without any "
-    "blur, fits as well. The picture says little about the object.",
+    "ambiguous": "The wall was fitted too, and another answer, such as the image itself without "
+    "any blur, fits as well. The picture says little about the object.",
     "too_few_photons": "The noise hides the object: the picture is a rough estimate, or empty if "
     "no object was detected. Expose longer, or average several images.",
     "does_not_fit": "Image and model contradict each other, so the object is not to be trusted. "

@@ -105,8 +105,8 @@ def wu2024_fit(
         Object, status and score. ``physical_parameters`` also contains the fitted ``coefficients``
         in the shape and unit of ``pupil_psf.coefficients``, ``network_weights`` (n,) float32,
         ``network_base``, ``network_depth``, ``strehl`` (peak of the PSF relative to that without
-        aberration) and ``iterations``. The status is "ambiguous" if the object is the image itself (a
-        correlation of 0.95 or more), otherwise "unconverged" (see Notes).
+        aberration) and ``iterations``. The status is "ambiguous" if the object is the image itself
+        (a correlation of 0.95 or more), otherwise "unconverged" (see Notes).
 
     See Also
     --------
