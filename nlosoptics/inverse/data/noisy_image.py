@@ -52,8 +52,9 @@ class NoisyImage:
     which have infinite noise, have weight 0. ``fit_background``: whether there is a further
     background of unknown strength. ``background_shape`` (H, W): shape of that background, mean 1;
     None if it is uniform. ``template``: the image as given if it was a tensor; None for an array.
-    ``bad_pixels`` (H, W): mask of the pixels that were found to be dead, hot or saturated, and are excluded too; None if
-    none was. ``saturated`` (H, W): mask of those of them that are saturated; None if no pixel is.
+    ``bad_pixels`` (H, W): mask of the pixels that were found to be dead, hot or saturated, and are
+    excluded too; None if none was. ``saturated`` (H, W): mask of those of them that are saturated;
+    None if no pixel is.
     ``least`` (H, W): values that the saturated pixels would at least have without saturation, in
     the unit of ``data``; not finite for all other pixels. None if no pixel is saturated.
     """
