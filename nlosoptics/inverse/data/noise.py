@@ -98,24 +98,26 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
     return float(pixel_noise(surrounded(values, masked), passed, masked)[0].max())
 
 
-def _noise_beyond(image: Array, passed: Array, sigma: float) -> float | None:
-    """Return the rms noise from the frequencies that the optics do not pass; None if too few.
+def _noise_beyond(image: Array, passed: Array, sigma: float) -> tuple[float, bool]:
+    """Return the rms noise from the frequencies that show no object, and whether it is sure.
 
-    ``sigma`` is a first estimate.
+    ``sigma`` is a first estimate, which is returned if there are too few such frequencies. It is
+    sure if the optics pass less than 1 % of the power there, so that no object shows.
     """
     least = 500  # frequencies: a relative standard error of 3 %, that of 64 x 64 differences
     power = periodic_power(image)
     twice = half_weights(image.shape)
-    share = noise_share(image.shape)
+    share, first = noise_share(image.shape), sigma
     for _ in range(3):  # the frequencies depend on the noise; three rounds change it below 1 %
         signal = expected_signal(power, passed, sigma**2, image.shape)
         beyond = beyond_optics(signal, sigma**2)
         expected = float((twice * share)[beyond].sum())
         variance = float((twice * (power - signal))[beyond].sum()) / max(expected, 1.0)
         if float(twice[beyond].sum()) < least or variance <= 0.0:
-            return None
+            return first, False
         sigma = math.sqrt(variance)
-    return sigma
+    dark = beyond & (passed < 0.01 * float(passed.max()))
+    return sigma, float(twice[dark].sum()) >= least
 
 
 def pixel_noise(
@@ -129,8 +131,7 @@ def pixel_noise(
 
     ``stated`` (H, W) is the noise that the caller states, which gives the shape, and is 0 if
     unknown. With ``measured_scale`` the image gives the scale: its frequencies beyond the optics'
-    cut-off, or else its second differences, which are an upper bound: the image's own detail adds
-    to them. ``passed`` is the squared modulus of the transfer function; None if it is unknown, so
+    cut-off. With too few of them the estimate is an upper bound, to which detail adds. ``passed`` is the squared modulus of the transfer function; None if it is unknown, so
     that no bad pixels are sought. Pixels that are ``masked`` hold means of the others around them,
     which have hardly any noise. An image with less noise than 1e-6 of its range is no camera's.
     """
@@ -139,18 +140,19 @@ def pixel_noise(
     if mean > 0.0 and min(image.shape) < _LEAST_SIDE:
         return stated, bad
     _check_side(image.shape)
-    sigma, beyond = noise_of_neighbours(image), None
+    sigma, sure = noise_of_neighbours(image), False
     if passed is not None:
         bad, filled = lone_pixels(image, passed, sigma, stated, masked=masked)
         if masked.any() or bad.any():
             sigma = noise_of_neighbours(filled)
-        beyond = _noise_beyond(filled, passed, sigma) if sigma > 0.0 else None
-        sigma = (beyond or sigma) / math.sqrt(1.0 - bad.mean() - masked.mean())
+        if sigma > 0.0:
+            sigma, sure = _noise_beyond(filled, passed, sigma)
+        sigma /= math.sqrt(1.0 - bad.mean() - masked.mean())
     if mean == 0.0:
         return np.full(image.shape, sigma), bad
     if not measured_scale or sigma <= 1e-6 * float(np.ptp(image)):
         return stated, bad
-    return stated * (sigma / mean if beyond else min(sigma / mean, 1.0)), bad
+    return stated * (sigma / mean if sure else min(sigma / mean, 1.0)), bad
 
 
 def surrounded(values: Array, masked: Mask) -> Array:

@@ -87,25 +87,40 @@ def test_noise_and_signal_are_told_apart_beyond_the_optics():
         noise = np.random.default_rng(seed).normal(size=truth.shape)
         data = noisy_image(Measurement(seen + noise, noise_sigma=1.0), model)
         found, signal = data.energies(model)
-        errors.append(found - (noise**2).sum())
-        signals.append(signal)
+        errors.append(data.sigma**2 * found - (noise**2).sum())
+        signals.append(data.sigma**2 * signal)
     # about 600 frequencies of 4096 are within the optics: an error of 35
     assert np.std(errors) < 50.0
     assert abs(np.mean(errors)) < 40.0
     assert np.mean(signals) == pytest.approx(((seen - seen.mean()) ** 2).sum(), rel=0.1)
 
 
-def test_stated_noise_is_kept_if_the_image_contradicts_it():
-    """Half of the noise's power beyond the optics is no chance: the statement or the scene errs."""
-    model = ForwardModel(np.full((7, 7), 1 / 49), shape=(64, 64))
-    image = np.random.default_rng(0).normal(size=(64, 64))
-    image[20:40, 20:40] += 3.0
-    data = noisy_image(Measurement(image, noise_sigma=2.0**0.5), model)
-    noise, signal = data.energies(model)
-    # the signal is then at least the error of the noise
-    assert signal == pytest.approx(np.sqrt(2 * 64**2))
-    rest = image - image.mean()
-    assert noise + signal == pytest.approx((rest**2).sum() / 2.0)
+@pytest.mark.parametrize("factor", [0.8, 1.25, 5.0])
+def test_the_image_sets_the_scale_of_a_stated_noise(factor):
+    """The statement gives the shape; about 3400 frequencies beyond the optics give the scale."""
+    y, x = np.mgrid[-20:21, -20:21]
+    kernel = np.exp(-(x * x + y * y) / (2 * 2.5**2))
+    model = ForwardModel(kernel / kernel.sum(), shape=(64, 64))
+    shape = np.linspace(0.5, 2.0, 64) * np.ones((64, 64))
+    image = shape * np.random.default_rng(0).normal(size=(64, 64))
+    data, other = (
+        noisy_image(Measurement(image, noise_sigma=f * shape), model) for f in (factor, 1.0)
+    )
+    assert data.sigma == pytest.approx(other.sigma, rel=1e-12)
+    np.testing.assert_allclose(data.sigma / np.sqrt(data.weights), shape, rtol=0.04)
+    uniform = noisy_image(image, model)
+    number = noisy_image(Measurement(image, noise_sigma=factor), model)
+    assert number.sigma == pytest.approx(uniform.sigma, rel=1e-12)
+
+
+def test_detail_of_a_sharp_image_does_not_add_to_a_stated_noise():
+    """Without frequencies beyond the optics, second differences are an upper bound."""
+    rng = np.random.default_rng(0)
+    image = rng.random((32, 32)) + 0.01 * rng.normal(size=(32, 32))
+    model = ForwardModel(np.ones((1, 1)), shape=(32, 32))
+    assert noisy_image(Measurement(image, noise_sigma=0.01), model).sigma == 0.01
+    most = noisy_image(Measurement(image, noise_sigma=10.0), model).sigma
+    assert most == pytest.approx(noisy_image(image, model).sigma, rel=1e-12)
 
 
 @pytest.mark.parametrize("size", [1e308, 1e-305])
