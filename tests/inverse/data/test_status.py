@@ -13,7 +13,7 @@ from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement
 from nlosoptics.inverse.data.models import widened
 from nlosoptics.inverse.data.noisy_image import noisy_image
-from nlosoptics.inverse.data.status import Ending, _Tests
+from nlosoptics.inverse.data.status import Ending, repetition
 
 SOLVERS = [inverse.inverse_filter, inverse.richardson_lucy, inverse.tv_deconvolve, inverse.wiener]
 SIDE = 64
@@ -71,10 +71,9 @@ def test_a_faint_object_is_shown_with_low_confidence():
     # about 17 standard errors of the strongest component; none is missed by chance
     assert detected == 6
     found = inverse.tv_deconvolve(inverse.Measurement(image, noise_sigma=1.0), model)
-    assert found.status == "too_few_photons"
-    assert "noise hides" in found.reasons[0]
     # the blurred and noisy image itself has 0.3
     assert inverse.registered_correlation(found, truth) > 0.5
+    assert found.physical_parameters["expected_correlation"] < 0.9
 
 
 # by the discrepancy principle of the other two, all but the mean may be noise
@@ -131,7 +130,6 @@ def test_detail_that_a_linear_filter_would_miss_is_no_reason(drawn):
     found = inverse.tv_deconvolve(case.image, model)
     assert inverse.registered_correlation(found, case.truth) > 0.95
     assert (found.status, found.reasons) == ("converged", ())
-    assert inverse.wiener(case.image, model).status == "too_few_photons"
 
 
 def test_a_repetition_has_the_noise_of_the_image():
@@ -142,67 +140,61 @@ def test_a_repetition_has_the_noise_of_the_image():
     noise = rng.uniform(0.5, 5.0, truth.shape)
     noise[::9, ::9] = np.inf
     data = noisy_image(
-        Measurement(model.forward(truth) + rng.normal(size=truth.shape), noise_sigma=noise), model
+        Measurement(
+            model.forward(truth) + rng.normal(size=truth.shape) * np.minimum(noise, 9.0),
+            noise_sigma=noise,
+        ),
+        model,
     )
-    again = _Tests(data, truth, 3.0, model).repetition(model)
+    again = repetition(data, truth, 3.0, model)
     excluded = np.isinf(noise)
     change = again.data - model.forward(truth) - 3.0
     assert np.abs(change[excluded]).max() < 1e-12
     # standard error of the rms of 4032 values
     relative = (change / noise)[~excluded]
-    assert np.sqrt(np.mean(relative**2)) == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * 4032))
+    # and of about 3000 frequencies, from which the scale is known
+    assert np.sqrt(np.mean(relative**2)) == pytest.approx(1.0, abs=6.0 / np.sqrt(2 * 3000))
     # the ratio of large and small noise, by halves of the pixels
     loud = noise[~excluded] > 2.75
     assert np.std(relative[loud]) == pytest.approx(np.std(relative[~loud]), rel=0.1)
 
 
-def test_stated_noise_is_compared_with_the_image(drawn):
+@pytest.mark.parametrize("factor", [0.8, 1.25])
+def test_a_wrong_scale_of_the_noise_changes_nothing(drawn, factor):
     case, model = drawn("none", seed=4, wall="smooth", subject="glyph", noise=0.03)
-    stated = [factor * case.noise_sigma for factor in (1.0, 1.5)]
-    right, wrong = (
-        inverse.tv_deconvolve(inverse.Measurement(case.image, noise_sigma=sigma), model)
-        for sigma in stated
-    )
-    assert right.status == "converged"
-    assert wrong.status == "does_not_fit"
-    # power 1/1.5^2 = 0.44, known to a tenth from about a thousand frequencies
-    assert "0.4" in wrong.reasons[0]
-    assert "stated noise's power" in wrong.reasons[0]
+    stated = Measurement(case.image, noise_sigma=factor * case.noise_sigma)
+    found, plain = (inverse.tv_deconvolve(image, model) for image in (stated, case.image))
+    assert found.status == plain.status == "converged"
+    assert found.object == pytest.approx(plain.object, abs=1e-6)
 
 
-def test_an_image_that_the_frame_cuts_off_is_not_taken_for_noise():
-    """Blurred light ends at the frame, which spreads its power beyond the optics' cut-off."""
+def test_light_beyond_the_optics_is_named(drawn):
+    """A sharp picture has detail that no blur passes."""
+    case, model = drawn("unblurred_picture", seed=0, wall="lobe", subject="glyph", noise=0.01)
+    found = inverse.tv_deconvolve(case.image, model)
+    assert found.status == "does_not_fit"
+    assert any("beyond the optics' cut-off" in reason for reason in found.reasons), found.reasons
+
+
+def test_an_image_that_the_frame_cuts_off_has_no_light_beyond_the_optics():
+    """Blurred light ends at the frame, which spreads its power over all frequencies."""
     model, truth = lobe(3.0), np.zeros((SIDE, SIDE))
     truth[4:30, 3:8] = truth[4:9, 8:24] = truth[40:60, 50:60] = 1.0
     image = model.forward(truth) + 1e-3 * np.random.default_rng(0).normal(size=truth.shape)
-    right, wrong = (
-        inverse.tv_deconvolve(inverse.Measurement(image, noise_sigma=s), model)
-        for s in (1e-3, 2e-3)
-    )
-    assert (right.status, right.reasons) == ("converged", ())
-    assert wrong.status == "does_not_fit"
-    assert "stated noise's power" in wrong.reasons[0]
+    found = inverse.tv_deconvolve(image, model)
+    assert (found.status, found.reasons) == ("converged", ())
 
 
-def test_photon_noise_of_a_bright_object_in_the_dark_is_the_stated_noise():
-    """The mean variance of the pixels is more than twice their harmonic mean."""
-    model = lobe(3.0)
-    truth = np.zeros((SIDE, SIDE))
-    truth[16:48, 20:26] = truth[16:22, 20:44] = truth[29:35, 20:38] = 5000.0
-    light = model.forward(truth)
-    variance = light + 200.0
-    assert variance.mean() * (1.0 / variance).mean() > 2.0
-    image = light + np.sqrt(variance) * np.random.default_rng(0).normal(size=truth.shape)
-    right, wrong = (
-        inverse.tv_deconvolve(
-            inverse.Measurement(image, noise_sigma=factor * np.sqrt(variance)), model
-        )
-        for factor in (1.0, 1.5)
-    )
-    assert (right.status, right.reasons) == ("converged", ())
-    assert wrong.status == "does_not_fit"
-    # 0.44, as above
-    assert "has 0.4" in wrong.reasons[0]
+def test_any_image_fits_a_blur_below_a_pixel():
+    y, x = np.mgrid[:SIDE, :SIDE] / SIDE
+    image = np.where(np.hypot(x - 0.5, y - 0.5) < 0.3, 0.1, 1.0) + 0.3 * np.sin(9.0 * x)
+    image += 0.01 * np.random.default_rng(0).normal(size=image.shape)
+    found = inverse.tv_deconvolve(image, lobe(0.3))
+    assert (found.status, found.reasons) == ("converged", ())
+    assert inverse.registered_correlation(found, image) > 0.98
+    told = found.physical_parameters
+    low, high = told["expected_correlation_range"]
+    assert 0.0 <= low < told["expected_correlation"] < high < 1.0
 
 
 def test_negative_light_of_a_linear_filter(drawn):
@@ -230,7 +222,6 @@ def test_a_fit_that_no_longer_moves_has_settled():
     assert settled(steady, still)
     assert not settled(steady, lively)
     assert not settled(moving, still)
-    assert not settled(steady[:50], still[:50])
     assert settled([], [], converged=True)
     assert not Ending(converged=False, history=NO_HISTORY).settled()
 
