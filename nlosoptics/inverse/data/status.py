@@ -47,8 +47,8 @@ class Limits:
     which a larger residual is harmless: no point spread is known better than to 3 % rms.
     ``errors``: standard errors by which light beyond the optics' cut-off must exceed noise; noise
     alone does in one image of 10^9. ``edge``: largest brightness of the object at the frame's edge
-    over its mean; a padded model assumes darkness beyond, so that light from there gathers at the
-    edge. ``negative``: largest share of the object's power in negative pixels, apart from noise;
+    minus that beside it, over the mean; a padded model assumes darkness beyond, so that light from
+    there gathers at the edge. ``negative``: largest share of the object's power in negative pixels, apart from noise;
     overshoots at the edges of a band-limited object have 1 to 2 %. ``drift``, ``change``: a fit
     that used all its iterations has settled if the residual changed by less than this fraction over
     the last fifth of them, and if the median of the object's changes there was smaller than
@@ -60,7 +60,7 @@ class Limits:
     residual: float = 1.05
     unexplained: float = 1e-3
     errors: float = 6.0
-    edge: float = 1.1
+    edge: float = 0.1
     negative: float = 0.03
     drift: float = 0.02
     change: float = 5e-4
@@ -132,7 +132,8 @@ def judged(
     - the residual of a fit that is brought to the noise exceeds it, by more than 0.1 % of the power
       of the image's detail;
     - the residual has the spectrum of light, not of noise, beyond the optics' cut-off;
-    - the object is bright at the edge of a padded frame, outside which the model assumes darkness;
+    - the object is brighter at the edge of a padded frame than beside it: the model assumes
+      darkness outside, and light from there gathers at the edge;
     - more of the object's power is negative than noise makes negative.
 
     With a blur below a pixel, any image fits: it is the object. The expected correlation is that of
@@ -247,13 +248,17 @@ def _light_faults(errors: float) -> Iterator[str]:
 def _object_faults(level: Array, padded: bool, noise: float) -> Iterator[str]:
     """Yield what is wrong with an object; ``noise`` is the share of its power that is noise."""
     width = max(1, round(min(level.shape) / 32))
-    inside = level[width:-width, width:-width]
-    edge = (level.sum() - inside.sum()) / (level.size - inside.size)
-    if padded and edge > LIMITS.edge * level.mean():
-        ratio = edge / level.mean() if level.mean() > 0.0 else math.inf
+    sums, sizes = [], []
+    for rim in (0, width, 3 * width):
+        inside = level[rim : len(level) - rim, rim : level.shape[1] - rim]
+        sums.append(float(inside.sum()))
+        sizes.append(inside.size)
+    edge, beside = ((sums[i] - sums[i + 1]) / max(sizes[i] - sizes[i + 1], 1) for i in (0, 1))
+    excess = (edge - beside) * level.size / max(sums[0], 1e-300)
+    if padded and excess > LIMITS.edge:
         yield (
-            f"the object is {ratio:.2f} times as bright at the frame's edge as on average, "
-            f"limit {LIMITS.edge:g}; there is a veil (give background_shape) or light from "
+            f"the object is brighter at the frame's edge than beside it, by {excess:.2g} of its "
+            f"mean, limit {LIMITS.edge:g}; there is a veil (give background_shape) or light from "
             "outside the frame, or the point spread is wrong"
         )
     negative = float((np.minimum(level, 0.0) ** 2).sum() / (level**2).sum())
