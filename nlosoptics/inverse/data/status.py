@@ -48,11 +48,11 @@ class Limits:
     ``errors``: standard errors by which light beyond the optics' cut-off must exceed noise; noise
     alone does in one image of 10^9. ``edge``: largest brightness of the object at the frame's edge
     minus that beside it, over the mean; a padded model assumes darkness beyond, so that light from
-    there gathers at the edge. ``negative``: largest share of the object's power in negative pixels, apart from noise;
-    overshoots at the edges of a band-limited object have 1 to 2 %. ``drift``, ``change``: a fit
-    that used all its iterations has settled if the residual changed by less than this fraction over
-    the last fifth of them, and if the median of the object's changes there was smaller than
-    ``change``, the default tolerance of `tv_deconvolve`. ``correlation``: least expected
+    there gathers at the edge. ``negative``: largest share of the object's power in negative pixels,
+    apart from noise; overshoots at the edges of a band-limited object have 1 to 2 %. ``drift``,
+    ``change``: a fit that used all its iterations has settled if the residual changed by less than
+    this fraction over the last fifth of them, and if the median of the object's changes there was
+    smaller than ``change``, the default tolerance of `tv_deconvolve`. ``correlation``: least expected
     correlation; at 0.7 half of the object's variance is lost. ``spread``: two thirds of the answers
     have one minus the correlation within this factor of the expected value (measured).
     """
