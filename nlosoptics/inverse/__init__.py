@@ -4,6 +4,24 @@ The solvers take numpy arrays or torch tensors, and return an object of the same
 `tv_deconvolve` and `registered_correlation` run without torch; the other solvers need it.
 `nlosoptics.limits.feasibility` predicts how well a fit can recover the object.
 
+Every solver takes a `Measurement`: one or several images with all that is known of their noise,
+background, masked and saturated pixels and gain. An array alone is a measurement of which nothing
+is known. The measurement is checked against the image model once. Dead, hot and clipped pixels are
+sought there and ignored, and the noise is measured at the frequencies that the optics do not pass;
+a stated noise gives its shape over the image.
+
+Options of a solver are about its method alone: ``max_iterations`` and ``tolerance`` say when it
+stops, ``start`` is an initial object or a saved state, and ``progress`` is a callback that may end
+the fit (`Stop`). One driver makes the iterations of all of them. A solver is a class with an
+initial state, a step, a criterion, and the object of a state; the state holds all that changes.
+
+Every solver returns a `Reconstruction`: the object, fitted and measured parameters, the records of
+the iterations, and a status with its reasons. The status says whether the model fits the image,
+whether there is an object, and whether the iteration ended: "converged", "does_not_fit",
+"too_few_photons", "ambiguous" (of a fit of object and wall: another answer fits as well) or
+"unconverged". How much blur and noise have taken from the object is a number,
+``expected_correlation``, and no verdict.
+
 All functions raise a `SamplingError` if an array does not have the shape of the image model or of
 the other arrays, and a `SceneError` if a value is out of range, not finite or not a real number.
 """

@@ -26,8 +26,8 @@ class Measurement(Noun):
         Camera image, (H, W), or K images, (K, H, W), in any unit, which is called the image unit.
     noise_sigma : float, array_like or None
         Standard deviation of the noise, image units: one number, (H, W), or for several images (K,)
-        or (K, H, W). Pixels of infinite noise are ignored. None: it is estimated by
-        `estimate_noise`.
+        or (K, H, W). It gives the shape of the noise; its scale is measured in the image, see
+        Notes. Pixels of infinite noise are ignored. None: uniform noise.
     masked : array_like of bool or None
         Pixels to ignore, for example dead ones: (H, W), or (K, H, W) for several images. Their
         values may be NaN.
@@ -59,6 +59,12 @@ class Measurement(Noun):
     --------
     estimate_noise : Noise of an image from its pixels.
     nlosoptics.imaging.camera_image : Read camera files, with their masked pixels.
+
+    Notes
+    -----
+    The scale of the noise follows from the image as in `estimate_noise`, since a stated value that
+    is wrong by some per cent would spoil a deconvolution. If the optics pass most frequencies, the
+    detail of the object may add to this estimate, and a smaller ``noise_sigma`` is used as it is.
 
     Examples
     --------

@@ -52,9 +52,9 @@ class Limits:
     apart from noise; overshoots at the edges of a band-limited object have 1 to 2 %. ``drift``,
     ``change``: a fit that used all its iterations has settled if the residual changed by less than
     this fraction over the last fifth of them, and if the median of the object's changes there was
-    smaller than ``change``, the default tolerance of `tv_deconvolve`. ``correlation``: least expected
-    correlation; at 0.7 half of the object's variance is lost. ``spread``: two thirds of the answers
-    have one minus the correlation within this factor of the expected value (measured).
+    smaller than ``change``, the default tolerance of `tv_deconvolve`. ``correlation``: least
+    expected correlation; at 0.7 half of the object's variance is lost. ``spread``: two thirds of
+    the answers have one minus the correlation within this factor of the expected value (measured).
     """
 
     residual: float = 1.05

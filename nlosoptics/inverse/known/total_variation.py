@@ -92,9 +92,8 @@ def tv_deconvolve(
     -------
     Reconstruction
         Object, status and score; ``physical_parameters`` also contains ``tv_weight`` and, with the
-        automatic weight, two estimates that hold if the model is right: ``expected_correlation``,
-        the correlation of the object with the truth, and ``object_error``, (H, W), the error of
-        each pixel of the object.
+        automatic weight, ``object_error``, (H, W), the error of each pixel of the object if the
+        model is right.
 
     See Also
     --------
