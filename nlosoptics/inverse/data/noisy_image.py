@@ -222,16 +222,6 @@ class NoisyImage:
         seen = max(whole - noise, math.sqrt(2.0 * inside))
         return whole - seen, seen
 
-    def is_noise_about(self, explained: Values | float) -> bool:
-        """Return whether data minus ``explained`` has the power of noise, within three errors.
-
-        The mean of n squared residuals has variance 2/n; the estimate of the noise adds 16/n, the
-        measured spread of `estimate_noise` (2/sqrt(n) relative, in sigma).
-        """
-        if self.sigma == 0.0:
-            return True
-        return self.score(explained) ** 2 <= 1.0 + 3.0 * math.sqrt(18.0 / self.counted)
-
     def like_input(self, values: Values) -> Values:
         """Convert a result to the input's kind: array, or tensor of the same type and device."""
         if self.template is None:

@@ -53,8 +53,8 @@ class Limits:
     ``change``: a fit that used all its iterations has settled if the residual changed by less than
     this fraction over the last fifth of them, and if the median of the object's changes there was
     smaller than ``change``, the default tolerance of `tv_deconvolve`. ``correlation``: least
-    expected correlation; at 0.7 half of the object's variance is lost. ``spread``: two thirds of
-    the answers have one minus the correlation within this factor of the expected value (measured).
+    expected correlation; at 0.87 a quarter of the object's variance is lost. ``spread``: two thirds
+    of the answers have one minus the correlation within this factor of the expected value.
     """
 
     residual: float = 1.05
@@ -64,7 +64,7 @@ class Limits:
     negative: float = 0.03
     drift: float = 0.02
     change: float = 5e-4
-    correlation: float = 0.7
+    correlation: float = 0.87
     spread: float = 1.8
 
 
@@ -107,8 +107,8 @@ class Ending:
 class Judgement(NamedTuple):
     """Status of a fit, the reasons against "converged", and the expected quality of its object.
 
-    ``expected_correlation`` and ``error`` (H, W), image units, hold if the model is right; the
-    latter is None without a second fit.
+    ``expected_correlation`` and ``error`` (H, W), image units, hold if the model is right, and are
+    None if it is not or the fit has not ended; the latter also without a second fit.
     """
 
     status: Status
@@ -136,10 +136,10 @@ def judged(
       darkness outside, and light from there gathers at the edge;
     - more of the object's power is negative than noise makes negative.
 
-    With a blur below a pixel, any image fits: it is the object. The expected correlation is that of
-    a typical object, of spectrum 1/f^2, and its Wiener estimate; or it follows from this and from a
-    second fit, to the image of the object by a wider point spread with other noise: the wider one
-    takes about as much from the object as blur and noise have taken from it already.
+    With a blur below a pixel, any image fits: it is the object. The expected correlation follows
+    from that of a typical object, of spectrum 1/f^2, with its Wiener estimate, and from a second
+    fit, to the image of the object by a wider point spread with other noise: the wider one takes
+    about as much from the object as blur and noise have taken from it already.
     """
     data, level = data.in_numpy(), as_double(as_numpy(level))
     if not level.any():
@@ -164,21 +164,24 @@ def judged(
             *_object_faults(level, model.boundary == "padded", 0.5 * (1.0 - share**2)),
         )
         if faults:
-            return Judgement("does_not_fit", faults, share)
+            return Judgement("does_not_fit", faults)
     if not ending.settled():
         reason = (
             f"the residual is {data.score(light):.3g} times the noise after "
             f"{len(ending.history['residual'])} iterations, and object or residual still change; "
             "give more iterations"
         )
-        return Judgement("unconverged", (reason,), share)
-    expected, error = share, None
+        return Judgement("unconverged", (reason,))
+    unlike, error = 1.0 - share, None
     if ending.again is not None:
         wider = widened(model)
         again = as_double(
             as_numpy(ending.again(repetition(data, level, strength, wider), wider)[0])
         )
-        expected, error = _expected_correlation(data, level, again, share), np.abs(again - level)
+        unlike, error = 1.0 - _correlation(level, again), np.abs(again - level)
+    # both tell what blur and noise take from an object; saturated pixels double it
+    lack = 0.88 * (unlike * (1.0 - share)) ** (2.0 / 3.0)
+    expected = 1.0 - min(lack if data.least is None else 2.0 * lack, 1.0)
     if expected < LIMITS.correlation:
         reason = (
             f"the noise hides most of the object: expected correlation {expected:.2f} with the "
@@ -201,17 +204,10 @@ def repetition(data: NoisyImage, level: Array, strength: float, model: AnyModel)
     return replace(data, data=image + noise, least=least)
 
 
-def _expected_correlation(data: NoisyImage, level: Array, again: Array, share: float) -> float:
-    """Return the correlation with the truth to expect, from the object ``again`` of a second fit.
-
-    Both this fit and the linear estimate tell what blur and noise take from an object. Saturated
-    pixels double it.
-    """
+def _correlation(level: Array, again: Array) -> float:
     first, second = level - level.mean(), again - again.mean()
     norm = math.sqrt(float((first**2).sum() * (second**2).sum()))
-    unlike = max(1.0 - float((first * second).sum()) / max(norm, 1e-300), 0.0)
-    lack: float = 0.88 * (unlike * (1.0 - share)) ** (2.0 / 3.0)
-    return 1.0 - min(lack if data.least is None else 2.0 * lack, 1.0)
+    return min(float((first * second).sum()) / max(norm, 1e-300), 1.0)
 
 
 def _structure(spectrum: Array, counts: Array, weights: Array) -> float:

@@ -4,26 +4,27 @@ from __future__ import annotations
 
 from typing import Any
 
-import torch
-from torch import Tensor
+import numpy as np
+import scipy
+from numpy.typing import NDArray
 
 from ..._checks import in_range
 from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
-from ..data._threads import single_thread
 from ..data.arrays import half_spectrum_weights
 from ..data.driver import reconstructed
-from ..data.forward import TorchForwardModel, torch_model
-from ..data.models import one_kernel_shape
+from ..data.models import AnyModel, numpy_model, one_kernel_shape
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
+from ..data.spectra import squared
 from ..data.status import Ending
 
+Array = NDArray[np.float64]
 
-@single_thread()
+
 def inverse_filter(
     image: Any,
-    model: ForwardModel | TorchForwardModel,
+    model: AnyModel,
     *,
     guard: float | None = None,
     progress: Progress | None = None,
@@ -70,9 +71,8 @@ def inverse_filter(
     guard = None if guard is None else in_range("guard", guard, 1e-13, 1.0)
 
     def solve(data: NoisyImage) -> dict[str, Any]:
-        twin = torch_model(model, data.data.device, torch.float64)
-        level, used = _divided(data, twin, guard)
-        strength, score = beside(data, level, twin)
+        level, used = _divided(data, numpy_model(model), guard)
+        strength, score = beside(data, level, model)
         if progress is not None:
             progress(f"inverse filter: residual {score:.2g} of the noise", 1.0)
         objective = 0.5 * data.counted * score**2
@@ -81,12 +81,10 @@ def inverse_filter(
         return {"level": level, "background": strength, "ending": ending, "guard": used}
 
     one_kernel_shape(model)
-    return reconstructed(solve, image, model)
+    return reconstructed(solve, image, model, in_numpy=True)
 
 
-def _divided(
-    data: NoisyImage, model: TorchForwardModel, guard: float | None
-) -> tuple[Tensor, float]:
+def _divided(data: NoisyImage, model: ForwardModel, guard: float | None) -> tuple[Array, float]:
     """Return the inverse-filtered object (H, W) in image units, and the guard that was used.
 
     The guard is the smallest transfer modulus, relative to its maximum, that is divided by; None
@@ -94,27 +92,28 @@ def _divided(
     """
     rows, columns = model.shape
     clean = data.data - data.background(data.border_strength())
-    spectrum = torch.fft.rfft2(clean, s=model.grid)
+    spectrum = scipy.fft.rfft2(clean, s=model.grid)
     transfer = model.transfer
-    size = transfer.abs()
+    size = np.abs(transfer)
     size = size / size.max()
     if guard is None:
         guard = _noise_guard(data, spectrum, size, model.grid)
     kept = size >= guard
-    divided = torch.where(kept, spectrum / torch.where(kept, transfer, 1.0), 0.0)
-    level: Tensor = torch.fft.irfft2(divided, s=model.grid)
+    divided = np.where(kept, spectrum / np.where(kept, transfer, 1.0), 0.0)
+    level: Array = scipy.fft.irfft2(divided, s=model.grid)
     return level[:rows, :columns], guard
 
 
-def _noise_guard(data: NoisyImage, spectrum: Tensor, size: Tensor, grid: tuple[int, int]) -> float:
+def _noise_guard(
+    data: NoisyImage, spectrum: NDArray[Any], size: Array, grid: tuple[int, int]
+) -> float:
     """Return the largest guard at which the omitted frequencies carry no more power than the noise.
 
     ``spectrum`` is the ``rfft2`` of the image on ``grid``, and ``size`` the transfer modulus
     relative to its maximum, both (rows, columns//2 + 1).
     """
-    power = spectrum.real**2 + spectrum.imag**2
-    power *= torch.from_numpy(half_spectrum_weights(grid[1])).to(power.device)
-    order = torch.argsort(size.flatten())
-    left_out = torch.cumsum(power.flatten()[order], dim=0) / (grid[0] * grid[1])
-    first_kept = int(torch.searchsorted(left_out, data.noise_power(), right=True))
-    return max(float(size.flatten()[order][min(first_kept, size.numel() - 1)]), 1e-13)
+    power = squared(spectrum) * half_spectrum_weights(grid[1])
+    order = np.argsort(size.ravel(), kind="stable")
+    left_out = np.cumsum(power.ravel()[order]) / (grid[0] * grid[1])
+    first_kept = int(np.searchsorted(left_out, data.noise_power(), side="right"))
+    return max(float(size.ravel()[order][min(first_kept, size.size - 1)]), 1e-13)

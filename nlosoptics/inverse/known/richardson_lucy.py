@@ -6,26 +6,25 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import torch
-from torch import Tensor
+import numpy as np
+from numpy.typing import NDArray
 
 from ..._progress import Progress
 from ...errors import SceneError
-from ...imaging.forward_model import ForwardModel
-from ..data._threads import single_thread
-from ..data.arrays import norm, total, weighted
+from ..data.arrays import norm, total
 from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
-from ..data.forward import TorchForwardModel, torch_model
+from ..data.models import AnyModel, numpy_model
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 from ..data.status import Ending
 from .wiener import background_estimate
 
+Array = NDArray[np.float64]
 
-@single_thread()
+
 def richardson_lucy(
     image: Any,
-    model: ForwardModel | TorchForwardModel,
+    model: AnyModel,
     *,
     accelerated: bool = True,
     max_iterations: int = 1000,
@@ -87,7 +86,7 @@ def richardson_lucy(
     def solve(data: NoisyImage) -> dict[str, Any]:
         return solved(_Maximisation(data, model, rule, accelerated), start, progress)
 
-    return reconstructed(solve, image, model)
+    return reconstructed(solve, image, model, in_numpy=True)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -98,10 +97,10 @@ class _Estimate(Iterate):
     the least objective so far, or ended the fit.
     """
 
-    current: Tensor
-    before: Tensor
-    move: Tensor
-    best: Tensor
+    current: Array
+    before: Array
+    move: Array
+    best: Array
     strength: float
     best_strength: float
     least: float = math.inf
@@ -116,43 +115,37 @@ class _Maximisation(Solver[_Estimate]):
     report = "Richardson-Lucy: residual {residual:.3g} of the noise"
 
     def __init__(
-        self,
-        data: NoisyImage,
-        model: ForwardModel | TorchForwardModel,
-        rule: tuple[int, float],
-        accelerated: bool,
+        self, data: NoisyImage, model: AnyModel, rule: tuple[int, float], accelerated: bool
     ) -> None:
         self.data = data
         self.max_iterations, self._tolerance = rule
         self._accelerated = accelerated
-        dtype, device = data.working_dtype(), data.data.device
         self._scale = data.span()
         self._sigma = data.sigma / self._scale
-        self._model = torch_model(model, device, dtype)
-        self._weights = None if data.weights is None else data.weights.to(dtype)
+        self._model = numpy_model(model)
         self._level = background_estimate(data, model)
-        image = ((data.data - data.background(self._level)) / self._scale).to(dtype)
+        image = (data.data - data.background(self._level)) / self._scale
         self._pedestal = self._sigma + max(0.0, -float(image.min()))
         self._image = image + self._pedestal
         # The fitted background starts one noise sigma below its estimate. It is positive, so that
         # the multiplicative iteration can lower the background too.
-        self._shape: Tensor | None = None
+        self._shape: Array | None = None
         if data.fit_background:
-            self._shape = torch.ones_like(image) * data.background(1.0)
-            self._shape = self._shape.to(dtype)
+            self._shape = np.ones_like(image) * data.background(1.0)
             self._image += self._sigma * self._shape
-        self._ceiling = self._model.adjoint(weighted(torch.ones_like(image), self._weights))
+        ceiling = self._model.adjoint(data.weighted(np.ones_like(image)))
         # An object pixel without light in the frame cannot be determined; it stays dark.
-        self._reached = self._ceiling > 1e-6 * self._ceiling.max()
-        reached = self._reached.to(dtype)
-        self._flat = total(image.clamp_min(0.0)) / total(self._model(reached)) * reached
+        self._reached = ceiling > 1e-6 * ceiling.max()
+        self._ceiling = np.where(self._reached, ceiling, 1.0)
+        reached = self._reached.astype(np.float64)
+        self._flat = total(np.maximum(image, 0.0)) / total(self._model.forward(reached)) * reached
 
-    def init(self, first: Tensor | None) -> _Estimate:
+    def init(self, first: Array | None) -> _Estimate:
         """Return the initial state; its object is uniform if none is given."""
         current = self._flat
         if first is not None:
-            current = (first / self._scale).to(current).clamp_min(0.0) * self._reached
-            if not bool(current.any()):
+            current = np.maximum(first / self._scale, 0.0) * self._reached
+            if not current.any():
                 raise SceneError(
                     f"start has no light (largest value {float(first.max()):g}), and what is dark "
                     "stays dark; leave it out"
@@ -160,7 +153,7 @@ class _Maximisation(Solver[_Estimate]):
         return _Estimate(
             current=current,
             before=current,
-            move=torch.zeros_like(current),
+            move=0.0 * current,
             best=current,
             strength=self._sigma,
             best_strength=self._sigma,
@@ -169,53 +162,53 @@ class _Maximisation(Solver[_Estimate]):
     def step(self, state: _Estimate) -> tuple[float, float, float]:
         """Make one iteration; return objective, residual and change of the object before it."""
         ratio, objective, state.residual = self._misfit(state)
-        drawn = self._model.adjoint(ratio).clamp_min_(0.0)
-        new = torch.where(self._reached, state.current * drawn / self._ceiling, 0.0)
+        drawn = np.maximum(self._model.adjoint(ratio), 0.0)
+        new = np.where(self._reached, state.current * drawn / self._ceiling, 0.0)
         state.change = norm(new - state.before) / max(norm(new), 1e-30)
         if objective < state.least or self.done(state):
             state.least = objective
             state.best, state.best_strength = state.current, state.strength
         move = new - state.current
         reach = _reach(state.move, move) if self._accelerated else 0.0
-        state.current = (new + reach * (new - state.before)).clamp_min_(0.0)
+        state.current = np.maximum(new + reach * (new - state.before), 0.0)
         state.before, state.move = new, move
         if self._shape is not None:
             drawn_level = total(self._shape * ratio)
-            state.strength *= drawn_level / total(weighted(self._shape, self._weights))
+            state.strength *= drawn_level / total(self.data.weighted(self._shape))
         return objective, state.residual, state.change
 
     def done(self, state: _Estimate) -> bool:
         """Return whether the residual is at the noise, or the object no longer changes."""
         return state.residual <= 1.0 or state.change <= self._tolerance
 
-    def level(self, state: _Estimate) -> Tensor:
+    def level(self, state: _Estimate) -> Array:
         """Return the object (H, W) in image units."""
-        return state.best.double() * self._scale
+        return state.best * self._scale
 
-    def answer(self, found: Run[_Estimate], level: Tensor) -> dict[str, Any]:
+    def answer(self, found: Run[_Estimate], level: Array) -> dict[str, Any]:
         """Return the mean of the fitted background in image units."""
         moved = (found.state.best_strength - self._sigma) * self._scale
         converged = self.done(found.state)
         ending = Ending(converged=converged, history=found.history, to_noise=True)
         return {"background": self._level + moved, "ending": ending}
 
-    def _misfit(self, state: _Estimate) -> tuple[Tensor, float, float]:
+    def _misfit(self, state: _Estimate) -> tuple[Array, float, float]:
         """Return weighted ratio image/model (H, W), divergence, and rms residual over the noise.
 
         The divergence is the weighted generalised Kullback-Leibler divergence of image and model.
         """
-        model = self._model(state.current) + self._pedestal
+        model = self._model.forward(state.current) + self._pedestal
         if self._shape is not None:
             model = model + state.strength * self._shape
         # FFT rounding errors may lower the model below the pedestal, which is at least one sigma.
-        model = model.clamp_min_(0.5 * self._pedestal)
+        model = np.maximum(model, 0.5 * self._pedestal)
         ratio = self._image / model
         residual = self._image - model
-        squares = total(weighted(residual * residual, self._weights)) / self.data.counted
-        divergence = total(weighted(self._image * ratio.log() - residual, self._weights))
-        return weighted(ratio, self._weights), divergence, math.sqrt(squares) / self._sigma
+        squares = total(self.data.weighted(residual * residual)) / self.data.counted
+        divergence = total(self.data.weighted(self._image * np.log(ratio) - residual))
+        return self.data.weighted(ratio), divergence, math.sqrt(squares) / self._sigma
 
 
-def _reach(earlier: Tensor, later: Tensor) -> float:
+def _reach(earlier: Array, later: Array) -> float:
     """Return the extrapolation factor, 0 to 1, computed from the last two steps."""
     return min(max(total(later * earlier) / max(total(earlier * earlier), 1e-30), 0.0), 1.0)

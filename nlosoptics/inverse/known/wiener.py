@@ -6,25 +6,23 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import torch
-from torch import Tensor
+import numpy as np
+from numpy.typing import NDArray
 
 from ..._progress import Progress
-from ...imaging.forward_model import ForwardModel
-from ..data._threads import single_thread
-from ..data.arrays import half_spectrum_weights, norm, total
+from ..data.arrays import half_spectrum_weights, irfft2, norm, rfft2, total
 from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
-from ..data.forward import TorchForwardModel, torch_model
-from ..data.models import mean_transfer
+from ..data.models import AnyModel, mean_transfer, numpy_model
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from .conjugate_gradients import conjugate_direction
 
+Array = NDArray[np.float64]
 
-@single_thread()
+
 def wiener(
     image: Any,
-    model: ForwardModel | TorchForwardModel,
+    model: AnyModel,
     *,
     max_iterations: int = 300,
     tolerance: float = 1e-6,
@@ -60,8 +58,8 @@ def wiener(
     for the image y, image model A and noise sigma. S is the expected power spectrum of the object.
     It is proportional to 1/(f^2 + f_0^2) at spatial frequency f, as in natural scenes [1]_, with
     f_0 one cycle per longer side of the image. S is scaled such that the predicted variance of the
-    image equals the measured variance minus that of the noise. If the image is uniform up to noise
-    and no background is fitted, the mean square of the image takes the place of its variance.
+    image equals the measured variance minus that of the noise; if no background is fitted, mean
+    squares take the place of variances.
 
     The equations of the minimum are solved by conjugate gradients, with the classical Wiener filter
     as preconditioner, which is the exact solution of a periodic image with uniform noise. If
@@ -77,10 +75,10 @@ def wiener(
     def solve(data: NoisyImage) -> dict[str, Any]:
         return solved(_NormalEquations(data, model, rule), start, progress)
 
-    return reconstructed(solve, image, model)
+    return reconstructed(solve, image, model, in_numpy=True)
 
 
-def background_estimate(data: NoisyImage, model: ForwardModel | TorchForwardModel) -> float:
+def background_estimate(data: NoisyImage, model: AnyModel) -> float:
     """Return the fitted strength of the unknown background, image units; 0 if it is known.
 
     It is the background that explains what the image of the Wiener-filtered object leaves.
@@ -96,11 +94,11 @@ def background_estimate(data: NoisyImage, model: ForwardModel | TorchForwardMode
 class _Gradients(Iterate):
     """State of the conjugate gradients; ``left`` is the residual over the right-hand side."""
 
-    solution: Tensor
-    misfit: Tensor
-    penalised: Tensor
-    residual: Tensor
-    direction: Tensor
+    solution: Array
+    misfit: Array
+    penalised: Array
+    residual: Array
+    direction: Array
     product: float = math.inf
     left: float
 
@@ -115,53 +113,41 @@ class _NormalEquations(Solver[_Gradients]):
     name, every = "wiener", 1
     report = "Wiener filter: residual {left:.1e}"
 
-    def __init__(
-        self, data: NoisyImage, model: ForwardModel | TorchForwardModel, rule: tuple[int, float]
-    ) -> None:
+    def __init__(self, data: NoisyImage, model: AnyModel, rule: tuple[int, float]) -> None:
         self.max_iterations, self._tolerance = rule
         self.data = data
-        self.model = model = torch_model(model, data.data.device, torch.float64)
+        self.model = model = numpy_model(model)
         rows, columns = model.grid
-        device = data.data.device
         # The mean transfer function of a field of point spreads is used for preconditioning and
         # for the scale of the prior.
         transfer = mean_transfer(model)
         power = transfer.real**2 + transfer.imag**2
-        row_frequencies = torch.fft.fftfreq(rows, dtype=torch.float64, device=device)[:, None]
-        column_frequencies = torch.fft.rfftfreq(columns, dtype=torch.float64, device=device)
-        corner = 1.0 / max(model.shape)
-        prior = 1.0 / (row_frequencies**2 + column_frequencies**2 + corner**2)
-        twice = torch.from_numpy(half_spectrum_weights(columns)).to(device)
-        of_mean = float(power[0, 0] * prior[0, 0])
-        passed = total(power * prior * twice) - of_mean
-        # The object's mean is not counted as variance of the prior.
-        steady: Tensor | float = data.weighted_mean(data.data)
-        if data.fit_background:
-            steady = data.background(data.background_strength(data.data))
-        elif data.is_noise_about(steady):  # only the mean is left to scale the prior
-            steady, passed = 0.0, passed + of_mean
-        if passed <= 1e-12 * of_mean:  # an even kernel over a periodic frame, or one pixel
-            passed = of_mean
+        squares = np.fft.fftfreq(rows)[:, None] ** 2 + np.fft.rfftfreq(columns) ** 2
+        prior = 1.0 / (squares + (1.0 / max(model.shape)) ** 2)
+        passed = power * prior * half_spectrum_weights(columns)
+        of_mean, steady = float(passed[0, 0]), 0.0
+        if data.fit_background:  # the object's mean is not counted as variance of the prior
+            steady, passed[0, 0] = data.background(data.background_strength(data.data)), 0.0
+        # an even kernel over a periodic frame, or one pixel
+        light = total(passed) if total(passed) > 1e-12 * of_mean else of_mean
         # A detected object may be fainter than the error of the whole frame's mean square.
         excess = max(data.score(steady) ** 2 - 1.0, math.sqrt(2.0 / data.counted))
         # Parseval: sum |H|^2 S = samples * (summed variance of the image); S = strength * prior.
-        samples = rows * columns
-        strength = samples * data.counted * data.sigma**2 * excess / passed
-        self._penalty = data.sigma**2 * samples / (strength * prior)
+        self._penalty = light / (data.counted * excess * prior)
         self._preconditioner = 1.0 / (power + self._penalty)
         self._right_side = model.adjoint(self._cleaned(data.data))
 
-    def init(self, first: Tensor | None) -> _Gradients:
+    def init(self, first: Array | None) -> _Gradients:
         """Return the initial state; its object is zero if none is given."""
-        solution = torch.zeros_like(self.data.data) if first is None else first.clone()
-        seen, penalised = self.model(solution), self._filtered(solution, self._penalty)
+        solution = 0.0 * self.data.data if first is None else first + 0.0
+        seen, penalised = self.model.forward(solution), self._filtered(solution, self._penalty)
         residual = self._right_side - self._normal(seen, penalised)
         return _Gradients(
             solution=solution,
             misfit=self.data.data - seen,
             penalised=penalised,
             residual=residual,
-            direction=torch.zeros_like(residual),
+            direction=0.0 * residual,
             left=math.inf if bool(residual.any()) else 0.0,
         )
 
@@ -171,7 +157,7 @@ class _NormalEquations(Solver[_Gradients]):
         state.direction, state.product = direction, product = conjugate_direction(
             state.residual, step, state.direction, state.product
         )
-        seen = self.model(direction)
+        seen = self.model.forward(direction)
         penalised = self._filtered(direction, self._penalty)
         image = self._normal(seen, penalised)
         length = product / total(direction * image)
@@ -185,14 +171,14 @@ class _NormalEquations(Solver[_Gradients]):
         return (
             0.5 * (squared + prior) / self.data.sigma**2,
             math.sqrt(squared / self.data.counted) / self.data.sigma,
-            abs(length) * float(direction.norm() / state.solution.norm()),
+            abs(length) * norm(direction) / max(norm(state.solution), 1e-300),
         )
 
     def done(self, state: _Gradients) -> bool:
         """Return whether the residual of the normal equations is below the tolerance."""
         return state.left <= self._tolerance
 
-    def level(self, state: _Gradients) -> Tensor:
+    def level(self, state: _Gradients) -> Array:
         """Return the object (H, W) in image units."""
         return state.solution
 
@@ -201,22 +187,23 @@ class _NormalEquations(Solver[_Gradients]):
         fallen = math.log(min(state.left, 1.0)) / math.log(self._tolerance)
         return max(fallen, super().fraction(state))
 
-    def answer(self, found: Run[_Gradients], level: Tensor) -> dict[str, Any]:
+    def answer(self, found: Run[_Gradients], level: Array) -> dict[str, Any]:
         """Return the background that fits best beside the object."""
         return {"background": beside(self.data, level, self.model)[0]}
 
-    def _cleaned(self, image: Tensor) -> Tensor:
+    def _cleaned(self, image: Array) -> Array:
         """Return the weighted image minus its best-fitting background."""
         image = image - self.data.background(self.data.background_strength(image))
-        cleaned: Tensor = self.data.weighted(image)
+        cleaned: Array = self.data.weighted(image)
         return cleaned
 
-    def _normal(self, seen: Tensor, penalised: Tensor) -> Tensor:
+    def _normal(self, seen: Array, penalised: Array) -> Array:
         """Return the matrix times an object, given its image and ``sigma^2 S^-1`` times it."""
         return self.model.adjoint(self._cleaned(seen)) + penalised
 
-    def _filtered(self, picture: Tensor, response: Tensor) -> Tensor:
+    def _filtered(self, picture: Array, response: Array) -> Array:
         rows, columns = self.model.shape
-        grid = self.model.grid
-        filtered: Tensor = torch.fft.irfft2(torch.fft.rfft2(picture, s=grid) * response, s=grid)
+        wide = np.zeros(self.model.grid)
+        wide[:rows, :columns] = picture
+        filtered: Array = irfft2(rfft2(wide) * response, wide.shape[1])
         return filtered[:rows, :columns]

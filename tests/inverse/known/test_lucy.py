@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
 from nlosoptics import inverse
 from nlosoptics.errors import SceneError
@@ -172,18 +171,6 @@ def test_same_as_scikit_images_on_a_periodic_frame(periodic):
     inside = (slice(10, 32), slice(16, 28))
     # they start at one half everywhere and lose what spreads over the edge
     assert np.corrcoef(ours.object[inside].ravel(), theirs[inside].ravel())[0, 1] > 0.999
-
-
-def test_torch_default_precision_has_no_say(periodic):
-    model, _, image = periodic
-    noisy = image + 0.01 * np.random.default_rng(1).normal(size=image.shape)
-    expected = inverse.richardson_lucy(inverse.Measurement(noisy, noise_sigma=0.01), model)
-    torch.set_default_dtype(torch.float64)
-    try:
-        found = inverse.richardson_lucy(inverse.Measurement(noisy, noise_sigma=0.01), model)
-    finally:
-        torch.set_default_dtype(torch.float32)
-    np.testing.assert_array_equal(found.object, expected.object)
 
 
 def test_a_dark_start_is_refused(periodic):

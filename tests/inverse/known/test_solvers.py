@@ -158,14 +158,14 @@ def test_without_torch_the_remedy_is_one_line():
         "import sys; sys.modules['torch'] = None\n"
         "import nlosoptics\n"
         "from nlosoptics.errors import MissingExtraError\n"
-        "try:\n    nlosoptics.inverse.wiener\n"
+        "try:\n    nlosoptics.inverse.wu2024_fit\n"
         "except MissingExtraError as error:\n    print(error)\n"
     )
     run = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
     )
     assert run.stdout.strip() == (
-        "nlosoptics.inverse.wiener needs torch, which is not installed; pip install "
+        "nlosoptics.inverse.wu2024_fit needs torch, which is not installed; pip install "
         "'nlosoptics[inverse]'"
     )
 
