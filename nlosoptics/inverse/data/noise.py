@@ -100,11 +100,12 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
     return float(pixel_noise(surrounded(values, masked), passed, masked)[0].max())
 
 
-def _noise_beyond(image: Array, passed: Array, first: float) -> tuple[float, bool]:
+def _noise_beyond(image: Array, passed: Array, first: float, filled: Mask) -> tuple[float, bool]:
     """Return the rms noise from the frequencies that show no object, and whether it is sure.
 
     ``first`` is an estimate, which is returned if there are too few such frequencies. The result is
-    sure if the optics pass less than 1 % of the power there, so that no object shows.
+    sure if the optics pass less than 1 % of the power there, so that no object shows. Pixels that
+    are ``filled`` hold predictions, which have hardly any noise.
 
     Light that the frame cuts off spreads over all frequencies, of which `periodic_power` leaves the
     part from bent edges. A Hann window leaves hardly any, but sees the middle of the frame only; it
@@ -112,7 +113,9 @@ def _noise_beyond(image: Array, passed: Array, first: float) -> tuple[float, boo
     """
     window = np.multiply.outer(*(np.hanning(length + 2)[1:-1] for length in image.shape))
     middle = (image - np.average(image, weights=window)) * window
-    middle /= math.sqrt(float(np.mean(window**2)))
+    middle /= math.sqrt(max(float(np.mean(np.where(filled, 0.0, window**2))), 1e-300))
+    quiet = math.sqrt(1.0 - filled.mean())
+    image, first = image / quiet, first / quiet
     shape = image.shape
     whole = _dark_rms(shape, periodic_power(image), passed, noise_share(shape), first)
     apart = _dark_rms(shape, power(middle), passed, 1.0, first)
@@ -164,8 +167,7 @@ def pixel_noise(
         if masked.any() or bad.any():
             sigma = noise_of_neighbours(filled)
         if sigma > 0.0:
-            sigma, sure = _noise_beyond(filled, passed, sigma)
-        sigma /= math.sqrt(1.0 - bad.mean() - masked.mean())
+            sigma, sure = _noise_beyond(filled, passed, sigma, bad | masked)
     if mean == 0.0:
         return np.full(image.shape, sigma), bad
     if not measured_scale or sigma <= 1e-6 * float(np.ptp(image)):

@@ -63,7 +63,7 @@ def test_a_field_of_one_mode_is_its_point_spread(scene, point_spread_field):
     field = ForwardModel(even, shape=(SIDE, SIDE))
     found = tv_deconvolve(Measurement(image, noise_sigma=0.01), field)
     expected = tv_deconvolve(Measurement(image, noise_sigma=0.01), mean)
-    assert found.status == expected.status == "converged"
+    assert found.reasons == expected.reasons
     # one conjugate gradient with an exact preconditioner; single precision over 100 iterations
     np.testing.assert_allclose(found.object, expected.object, rtol=0, atol=2e-4)
 

@@ -199,13 +199,13 @@ def test_steps_with_weights_are_the_formula(periodic):
     noise[:, ::2] *= 3.0
     noise[5:9, 30:40] = np.inf
     weights, steps = noise**-2.0, 6
-    sigma = weights.mean() ** -0.5
     found = inverse.richardson_lucy(
         inverse.Measurement(image, noise_sigma=noise, fit_background=False, gain=1.0),
         model,
         accelerated=False,
         max_iterations=steps,
     )
+    sigma = found.physical_parameters["noise_sigma"]
     expected = np.full(image.shape, image.mean())
     for _ in range(steps - 1):
         ratio = weights * (image + sigma) / (model.forward(expected) + sigma)

@@ -219,21 +219,3 @@ def test_background_shape_without_light_is_refused(solver, small, shape):
     image, model = small
     with pytest.raises(SceneError, match="background_shape spans"):
         solver(Measurement(image, background_shape=shape), model)
-
-
-def test_threads_are_given_back(solver, small):
-    image, model = small
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    try:
-        inside = []
-        solver(
-            Measurement(image, noise_sigma=0.02),
-            model,
-            progress=lambda *_: inside.append(torch.get_num_threads()),
-        )
-        # total variation does not use torch
-        assert set(inside) == {2 if solver is inverse.tv_deconvolve else 1}
-        assert torch.get_num_threads() == 2
-    finally:
-        torch.set_num_threads(before)
