@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, special
+from scipy import special
 
 from ..._checks import positive, real, squarable
 from ...errors import SceneError
@@ -29,13 +29,9 @@ from .measurement import measured
 from .models import AnyModel, model_shape
 from .noise import clipped_pixels, lit_pixels, pixel_noise, surrounded
 from .spectra import (
-    beyond_optics,
-    cosines_within,
-    expected_signal,
     half_weights,
     object_power,
     passed_power,
-    periodic_power,
     power,
 )
 
@@ -193,34 +189,6 @@ class NoisyImage:
         kinds = [passed * object_power(shape) ** half for half in (0.0, 0.5, 1.0)]
         chances = [_chance(power(rest), kind, shape) for kind in kinds]
         return len(kinds) * min(chances) > 1e-3
-
-    def energies(self, model: AnyModel) -> tuple[float, float]:
-        """Split the image's sum of squares over the noise's variance into noise and signal.
-
-        The expected sum of the noise is `counted`. At frequencies that the optics do not pass, the
-        image is the noise itself, and its power there replaces the expected one. The cosine
-        transform is used, since jumps between opposite edges of the frame do not affect it. The
-        signal is at least the standard error of the noise at all other frequencies.
-        """
-        own = self.in_numpy()
-        rest = own.whitened(own.without_background())
-        whole = float((rest**2).sum()) / self.sigma**2
-        noise, inside = float(self.counted), rest.size
-        unit = self.counted * self.sigma**2 / rest.size
-        passed = passed_power(model)
-        least = unit * math.sqrt(2.0 * rest.size)  # standard error of the whole noise
-        signal = expected_signal(periodic_power(rest), passed, unit, rest.shape, least)
-        beyond = beyond_optics(signal, unit)
-        cosines = cosines_within(beyond, rest.shape)
-        there = fft.dctn(rest, norm="ortho")[cosines] ** 2 / unit
-        left = float(signal[beyond].mean()) / unit if beyond.any() else 0.0
-        excess = float((there - 1.0 - left).sum())
-        # more is a sign of light that the optics should not pass
-        if abs(excess) < 3.0 * math.sqrt(2.0 * there.size):
-            noise += excess * self.counted / rest.size
-            inside -= there.size
-        seen = max(whole - noise, math.sqrt(2.0 * inside))
-        return whole - seen, seen
 
     def like_input(self, values: Values) -> Values:
         """Convert a result to the input's kind: array, or tensor of the same type and device."""

@@ -145,20 +145,6 @@ def beyond_optics(signal: Array, variance: float) -> NDArray[np.bool_]:
     return signal < 0.05 * variance
 
 
-def cosines_within(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return which products of cosines in a frame (H, W) lie within a mask of a half spectrum.
-
-    The cosine transform steps by half cycles per frame. The neighbours at whole cycles must be in
-    the mask, for both signs of one axis.
-    """
-    pairs = mask & mask[-np.arange(len(mask))]
-    for axis, length in enumerate(shape):
-        half = np.arange(length) / 2
-        low, high = (np.take(pairs, at.astype(int), axis) for at in (np.floor(half), np.ceil(half)))
-        pairs = low & high
-    return pairs
-
-
 def squared(spectrum: NDArray[Any]) -> Array:
     """Return the squared modulus of a spectrum."""
     return np.asarray(spectrum.real**2 + spectrum.imag**2)

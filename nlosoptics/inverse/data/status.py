@@ -47,14 +47,15 @@ class Limits:
     which a larger residual is harmless: no point spread is known better than to 3 % rms.
     ``errors``: standard errors by which light beyond the optics' cut-off must exceed noise; noise
     alone does in one image of 10^9. ``edge``: largest brightness of the object at the frame's edge
-    minus that beside it, over the mean; a padded model assumes darkness beyond, so that light from
-    there gathers at the edge. ``negative``: largest share of the object's power in negative pixels,
-    apart from noise; overshoots at the edges of a band-limited object have 1 to 2 %. ``drift``,
-    ``change``: a fit that used all its iterations has settled if the residual changed by less than
-    this fraction over the last fifth of them, and if the median of the object's changes there was
-    smaller than ``change``, the default tolerance of `tv_deconvolve`. ``correlation``: least
-    expected correlation; at 0.87 a quarter of the object's variance is lost. ``spread``: two thirds
-    of the answers have one minus the correlation within this factor of the expected value.
+    minus that beside it or half the mean, over the mean; a padded model assumes darkness beyond, so
+    that light from there gathers at the edge. ``negative``: largest share of the object's power in
+    negative pixels, apart from noise; overshoots at the edges of a band-limited object have 1 to 2
+    %. ``drift``, ``change``: a fit that used all its iterations has settled if the residual changed
+    by less than this fraction over the last fifth of them, and if the median of the object's
+    changes there was smaller than ``change``, the default tolerance of `tv_deconvolve`.
+    ``correlation``: least expected correlation; at 0.87 a quarter of the object's variance is lost.
+    ``spread``: two thirds of the answers have one minus the correlation within this factor of the
+    expected value.
     """
 
     residual: float = 1.05
@@ -250,7 +251,8 @@ def _object_faults(level: Array, padded: bool, noise: float) -> Iterator[str]:
         sums.append(float(inside.sum()))
         sizes.append(inside.size)
     edge, beside = ((sums[i] - sums[i + 1]) / max(sizes[i] - sizes[i + 1], 1) for i in (0, 1))
-    excess = (edge - beside) * level.size / max(sums[0], 1e-300)
+    mean = max(sums[0], 1e-300) / level.size
+    excess = edge / mean - max(beside / mean, 0.5)  # less is spurious light of speckle
     if padded and excess > LIMITS.edge:
         yield (
             f"the object is brighter at the frame's edge than beside it, by {excess:.2g} of its "

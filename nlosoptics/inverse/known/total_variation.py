@@ -114,8 +114,7 @@ def tv_deconvolve(
     The automatic weight aims at a residual slightly below the noise, because a fit always follows
     some of the noise: the sum of ``(residual/sigma_i)^2`` shall be the number of pixels, minus that
     along the image's outline, or less for faint images. For 128 x 128 pixels the rms residual is
-    then 0.984 of the noise. At frequencies that the point spread does not pass, the image shows its
-    noise, and the measured power takes the place of the expected one.
+    then 0.984 of the noise.
 
     With the automatic weight, a second fit serves the status and the estimates of the error: the
     fitted object is imaged by a point spread that is sqrt(2) times as wide, with other noise, and
@@ -238,8 +237,11 @@ class _Splitting(Solver[_Split]):
             self._field = FieldStep(twin.weights, twin.transfer / self._response, self._dark)
         self._given = None if tv_weight is None else self._response / (self._sigma * tv_weight)
         if self._given is None:
-            noise, signal = data.energies(model)
-            left = max(noise - _taken(signal, model.shape), data.counted / 2)
+            rest = data.whitened(data.without_background()) / data.sigma
+            whole = float((rest**2).sum())
+            # at least the standard error of the noise
+            signal = max(whole - data.counted, math.sqrt(2.0 * rest.size))
+            left = max(whole - signal - _taken(signal, model.shape), data.counted / 2)
             self._target = self._sigma * math.sqrt(left)
         self._factored: tuple[tuple[float, ...], tuple[Array, Array, Array]] | None = None
 
