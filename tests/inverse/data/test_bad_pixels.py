@@ -9,7 +9,7 @@ import torch
 from nlosoptics import inverse
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement, estimate_noise, registered_correlation, tv_deconvolve
-from nlosoptics.inverse.data.outliers import lone_pixels
+from nlosoptics.inverse.data.outliers import lone_pixels, outlier_pixels
 from nlosoptics.inverse.data.spectra import passed_power
 
 SIDE, NOISE = 64, 0.01
@@ -74,6 +74,17 @@ def test_neighbours_and_edges(pair):
     bad, filled = lone_pixels(image, passed_power(model), NOISE)
     assert sorted(zip(*np.nonzero(bad), strict=True)) == sorted(pair)
     assert np.abs(filled[rows, columns] - blurred(1.5)[2][rows, columns]).max() < 0.1
+
+
+@pytest.mark.parametrize("height", [0.5, 5.0])
+def test_hot_pixels_are_found_with_the_sharpest_optics(height):
+    """As for an unknown wall: the image is blurred more than the given optics would."""
+    image, sharpest = blurred(2.5)[2], blurred(0.8)[1]
+    hot = np.random.default_rng(3).choice(image.size, 10, replace=False)
+    assert outlier_pixels(image, passed_power(sharpest)).all()
+    image.flat[hot] += height
+    good = outlier_pixels(image, passed_power(sharpest))
+    assert sorted(np.flatnonzero(~good)) == sorted(hot)
 
 
 @pytest.mark.parametrize("width", [0.3, 0.6, 0.8, 1.5, 4.0])
