@@ -15,7 +15,7 @@ from ..psf.pupil.exit_pupil import ExitPupil, exit_pupil
 from ..psf.pupil.scene_optics import SceneOptics
 from ..psf.window.error_bounds import rounded_up
 from ..scene import Scene
-from .patterns import Pattern, image_spread_stages, mean_optics, own_pattern
+from .patterns import Pattern, burst_stages, image_spread_stages, mean_optics, own_pattern
 from .refusals import check_laser, check_sight, wave_refusal
 from .stages import (
     FIELD,
@@ -251,13 +251,21 @@ def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[
             imaged = Look.at(mean_optics(optics), tol)
         heights = look.seen.first.residual.heights
         waves = (heights.high - heights.low) / scene.laser.wavelength
-        stages += [
-            *wave_stages(scene, pupil, look, waves),
+        spreads = [
             point_spread_stage(scene, pupil, look, tol),
             *image_spread_stages(pupil, look, imaged, pattern, tol),
+        ]
+        shadows = shadow_stage(scene)
+        # each exposure of a burst has its own spreads: a field of them, or the one of the centre
+        repeated = spreads[1] if spreads[1].runs else spreads[0]
+        again = repeated.seconds + shadows.seconds + image.seconds
+        stages += [
+            *wave_stages(scene, pupil, look, waves),
+            *spreads,
             *left_out(scene),
-            shadow_stage(scene),
+            shadows,
             image,
+            *burst_stages(scene, look, pattern, again),
             reconstruction_stage(scene, reconstruct, pattern.nodes if pattern is not None else 0),
         ]
     found = Plan(

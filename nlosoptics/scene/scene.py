@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,6 +18,7 @@ from .._nouns import Noun
 from ..errors import SceneError
 from .parts._material import MirrorLobe
 from .parts._sources import bare_mesh
+from .parts.burst import Burst
 from .parts.camera import Camera
 from .parts.hidden import HiddenObject, MeshObject, PlanarObject
 from .parts.laser import Laser
@@ -68,12 +70,16 @@ class Scene(Noun, Shown):
         slopes spread the mirror-like reflection of the wall. So that no slope is counted twice, the
         mirror-like lobes of ``wall_material`` must have slope zero or the rms slope of these
         heights. By default no heights are added.
+    burst : Burst, optional
+        Several exposures from different camera positions, for a wall with ``wall_roughness``. By
+        default a single exposure.
 
     Raises
     ------
     SceneError
         If a part has the wrong type, the laser is not aimed at a point of the plane z = 0, a part
-        lies behind the wall, or the roughness contradicts the wall or its material.
+        lies behind the wall, the roughness contradicts the wall or its material, or the exposures
+        of the burst would have the same speckle.
 
     Notes
     -----
@@ -103,6 +109,7 @@ class Scene(Noun, Shown):
     wall_material: Material = PAINT
     transient: TransientScan | None = None
     wall_roughness: WallRoughness | None = None
+    burst: Burst | None = None
 
     def __post_init__(self) -> None:
         for name, kind in (
@@ -116,15 +123,16 @@ class Scene(Noun, Shown):
             if not isinstance(value, kind):
                 wanted = getattr(kind, "__name__", "PlanarObject or MeshObject")
                 raise SceneError(f"scene.{name} is a {type(value).__name__}; give a {wanted}")
-        if not isinstance(self.transient, TransientScan | None):
-            raise SceneError(
-                f"scene.transient is a {type(self.transient).__name__}; give a TransientScan"
-            )
-        if not isinstance(self.wall_roughness, WallRoughness | None):
-            raise SceneError(
-                f"scene.wall_roughness is a {type(self.wall_roughness).__name__}; give a "
-                "WallRoughness"
-            )
+        for name, kind in (
+            ("transient", TransientScan),
+            ("wall_roughness", WallRoughness),
+            ("burst", Burst),
+        ):
+            value = getattr(self, name)
+            if not isinstance(value, kind | None):
+                raise SceneError(
+                    f"scene.{name} is a {type(value).__name__}; give a {kind.__name__}"
+                )
         object.__setattr__(self, "occluders", checked_occluders(self.occluders))
         self._evaluate_colours()
         if self.laser.aim[2] != 0.0:
@@ -137,6 +145,48 @@ class Scene(Noun, Shown):
             if self.wall_roughness is not None:
                 self.wall_roughness.check_wall(self.wall)
             self.check_in_front(meshes=False)
+        if self.burst is not None:
+            self._check_burst(self.burst)
+
+    def _check_burst(self, burst: Burst) -> None:
+        """Raise `SceneError` if the exposures of a burst would show the same pattern."""
+        rough = self.wall_roughness
+        if rough is None or rough.realisation != "pattern" or rough.slope_rms == 0.0:
+            raise SceneError(
+                "burst is given, but the wall has no speckle to change; add [wall.roughness] with "
+                'realisation = "pattern" and a slope, or remove [burst]'
+            )
+        # a shift of the camera moves the seen part of the wall by d1/(d1 + d2)
+        apart = self.hidden.position[2] + self.camera.position[2]
+        length = math.sqrt(2.0) * rough.heights.height_rms / rough.slope_rms
+        burst.check_step(self.camera.stop_diameter, length * apart / self.hidden.position[2])
+
+    @property
+    def exposures(self) -> tuple[Scene, ...]:
+        """Scene of each exposure of the burst; without a burst, this scene alone.
+
+        The scenes have no burst themselves. In each one the camera has another position, and its
+        axis passes through the same point at the distance in focus, so that the object's image
+        stays where it is.
+        """
+        if self.burst is None:
+            return (self,)
+        e1, e2, axis = self.camera.frame
+        here = np.array(self.camera.position)
+        aim = tuple((here + self.focus_distance * axis).tolist())
+        try:
+            return tuple(
+                replace(
+                    self,
+                    burst=None,
+                    camera=replace(
+                        self.camera, position=tuple((here + x * e1 + y * e2).tolist()), aim=aim
+                    ),
+                )
+                for x, y in self.burst.offsets
+            )
+        except SceneError as error:
+            raise SceneError(f"burst.camera_step = {self.burst.camera_step:g} m: {error}") from None
 
     def _evaluate_colours(self) -> None:
         """Evaluate all materials at the laser's wavelength."""
@@ -264,6 +314,10 @@ class Scene(Noun, Shown):
             figures["scan"] = (
                 f"{scan.scan}, {scan.count} x {scan.count} points, {counted(scan.n_bins, 'bin')}"
             )
+        if self.burst is not None:
+            figures["burst"] = (
+                f"{self.burst.images} exposures, {1e3 * self.burst.camera_step:.3g} mm apart"
+            )
         alt = "Sketch of the scene from above and from the side: wall, laser, hidden object, camera"
         return Figures("Scene", figures, alt)
 
@@ -313,7 +367,7 @@ class Scene(Noun, Shown):
         if self.wall_roughness is None:
             return self
         wall, material = self.wall_roughness.added_to(self.wall, self.wall_material)
-        return replace(self, wall=wall, wall_material=material, wall_roughness=None)
+        return replace(self, wall=wall, wall_material=material, wall_roughness=None, burst=None)
 
     @property
     def mirror_lobes(self) -> tuple[MirrorLobe, ...]:

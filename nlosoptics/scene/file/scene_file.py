@@ -1,11 +1,11 @@
 """Scene files: TOML in which lengths, times, rates, powers and angles carry their units.
 
 A file has the tables ``[laser]``, ``[wall]``, ``[hidden]`` and ``[camera]``. It may have
-``[transient]`` and any number of ``[[occluder]]``. ``[wall.material]`` and ``[hidden.material]``
-are one lobe; with double brackets they are a sum of lobes; ``material = "whiteboard"`` takes the
-lobes of the library. ``[wall.roughness]`` is a relief on the wall. ``[camera]`` may name another
-``file`` with a camera table and override its keys. Paths are relative to the file that contains
-them.
+``[transient]``, ``[burst]`` and any number of ``[[occluder]]``. ``[wall.material]`` and
+``[hidden.material]`` are one lobe; with double brackets they are a sum of lobes; ``material =
+"whiteboard"`` takes the lobes of the library. ``[wall.roughness]`` is a relief on the wall.
+``[camera]`` may name another ``file`` with a camera table and override its keys. Paths are relative
+to the file that contains them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from ..parts.laser import Laser
 from ..parts.materials import Material, SumMaterial
 from ..parts.occluders import Occluder
 from ..parts.spectrum import Spectrum
-from ..parts.transient_scan import TransientScan
 from ..walls.analytic import SumWall, Wall
 from ..walls.mesh_walls import MeshWall
 from ..walls.roughness import WallRoughness
@@ -94,8 +93,9 @@ def scene_from_tables(
             optional["wall_roughness"] = _roughness(
                 tables.wall.roughness, optional.get("wall_material"), opened
             )
-        if tables.transient is not None:
-            optional["transient"] = TransientScan(**_given(tables.transient))
+        for key in _file_tables.OPTIONAL:
+            if (table := getattr(tables, key)) is not None:
+                optional[key] = table.source(**_given(table))
         made = scene(
             _laser(tables.laser),
             part(_wall, tables.wall, _given(tables.wall, *SURFACE)),

@@ -29,6 +29,7 @@ from pydantic import (
 from ..._checks import Vector, counted
 from ...errors import SceneError
 from ..parts._quantities import Kind
+from ..parts.burst import Burst
 from ..parts.camera import Camera
 from ..parts.hidden import MeshObject, PlanarObject
 from ..parts.laser import Laser
@@ -365,6 +366,9 @@ CameraTable: Any = _table(
 )
 OccluderTable: Any = _table(Occluder)
 TransientTable: Any = _table(TransientScan)
+BurstTable: Any = _table(Burst)
+#: Tables of a scene file that are parts of the same name and need no other table.
+OPTIONAL: Mapping[str, Any] = {"transient": TransientTable, "burst": BurstTable}
 
 
 class CameraFile(Table):
@@ -382,11 +386,12 @@ class SceneFile(Table):
     camera: CameraTable
     occluder: list[OccluderTable] | None = None
     transient: TransientTable | None = None
+    burst: BurstTable | None = None
 
 
 OWNERS |= {
     "laser": LaserTable,
     "camera": CameraTable,
     "occluder": OccluderTable,
-    "transient": TransientTable,
+    **OPTIONAL,
 }

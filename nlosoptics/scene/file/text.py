@@ -88,8 +88,9 @@ def _text(scene: Any, named: Naming) -> str:
             _occluder_table(f"occluder[{index}]", occluder, named)
             for index, occluder in enumerate(scene.occluders)
         ]
-    if scene.transient is not None:
-        values["transient"] = _table(_tables.TransientTable, "transient", scene.transient, named)
+    for key, table in _tables.OPTIONAL.items():
+        if (part := getattr(scene, key)) is not None:
+            values[key] = _table(table, key, part, named)
     return _toml(_tables.SceneFile.model_construct(**values).model_dump(exclude_none=True))
 
 
