@@ -159,9 +159,9 @@ def image_spread_stages(
 
 
 def burst_stages(
-    scene: Scene, look: Look, pattern: Pattern | None, seconds: float
+    scene: Scene, look: Look, pattern: Pattern | None, tol: float, seconds: float
 ) -> Iterator[Stage]:
-    """Yield the stage of the exposures after the first, which take ``seconds`` each."""
+    """Yield the stage of the exposures after the first, whose images take ``seconds`` each."""
     burst = scene.burst
     if burst is None:
         return
@@ -173,6 +173,7 @@ def burst_stages(
         )
     for exposure in scene.exposures:
         check_sight(exposure, exit_pupil(exposure))
+    one = spread_cost(scene, look, look.field_side if pattern.nodes > 1 else look.side, tol)
     power, error = power_errors(scene, look)
     independent = burst.independent(scene.camera.stop_diameter)
     most = 1000
@@ -187,7 +188,7 @@ def burst_stages(
         runs=True,
         reason=f"{burst.images} exposures through other parts of the wall, as good as "
         f"{independent:.3g} independent ones; a correlation of {ENOUGH} takes {needed}",
-        seconds=(burst.images - 1) * seconds,
+        seconds=(burst.images - 1) * (pattern.nodes**2 * one.seconds + seconds),
         error=f"correlation {fitted_correlation(power, error, independent):.2f} at best",
         memory=8.0 * burst.images * math.prod(scene.camera.shape),
     )

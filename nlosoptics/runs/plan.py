@@ -251,21 +251,15 @@ def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[
             imaged = Look.at(mean_optics(optics), tol)
         heights = look.seen.first.residual.heights
         waves = (heights.high - heights.low) / scene.laser.wavelength
-        spreads = [
-            point_spread_stage(scene, pupil, look, tol),
-            *image_spread_stages(pupil, look, imaged, pattern, tol),
-        ]
         shadows = shadow_stage(scene)
-        # each exposure of a burst has its own spreads: a field of them, or the one of the centre
-        repeated = spreads[1] if spreads[1].runs else spreads[0]
-        again = repeated.seconds + shadows.seconds + image.seconds
         stages += [
             *wave_stages(scene, pupil, look, waves),
-            *spreads,
+            point_spread_stage(scene, pupil, look, tol),
+            *image_spread_stages(pupil, look, imaged, pattern, tol),
             *left_out(scene),
             shadows,
             image,
-            *burst_stages(scene, look, pattern, again),
+            *burst_stages(scene, look, pattern, tol, shadows.seconds + image.seconds),
             reconstruction_stage(scene, reconstruct, pattern.nodes if pattern is not None else 0),
         ]
     found = Plan(

@@ -175,8 +175,7 @@ def prepared(
             f"{len(paths)} exposures of a burst show different speckle, and {method} would average "
             "them; use the method burst, or remove [burst]"
         )
-    averaged = method in KNOWN
-    groups: list[Sequence[Path]] = [paths] if averaged else [[path] for path in paths]
+    groups: list[Sequence[Path]] = [paths] if method in KNOWN else [[path] for path in paths]
     return Task(
         scene=scene,
         images=tuple(
@@ -236,12 +235,16 @@ def reconstructed(
         image.values, noise_sigma=noise, saturated=saturated, background_shape=veil
     )
     solver = getattr(inverse, KNOWN[task.method])
-    accepted = inspect.signature(solver).parameters
-    if start is not None and "start" not in accepted:
-        raise SceneError(f"{task.method} cannot resume from a saved state; run without --resume")
-    options = {name: value for name, value in options.items() if name in accepted}
-    result: Reconstruction = solver(measured, model, **options)
+    result: Reconstruction = solver(measured, model, **_accepted(task, solver, options))
     return result
+
+
+def _accepted(task: Task, solver: Callable[..., Any], options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that a solver has; raise if it cannot resume as asked."""
+    accepted = inspect.signature(solver).parameters
+    if options["start"] is not None and "start" not in accepted:
+        raise SceneError(f"{task.method} cannot resume from a saved state; run without --resume")
+    return {name: value for name, value in options.items() if name in accepted}
 
 
 def _several(task: Task, options: dict[str, Any]) -> Reconstruction:
@@ -257,7 +260,7 @@ def _several(task: Task, options: dict[str, Any]) -> Reconstruction:
             "mask pixels; use evidence or tv"
         )
     if task.method == BURST:
-        del options["start"]
+        options = _accepted(task, inverse.burst_fit, options)
         return inverse.burst_fit(images, mean_spread(scene, task.tol), **options)
     pupil = inverse.PupilPSF.from_scene(
         scene,

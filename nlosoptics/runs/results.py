@@ -273,7 +273,6 @@ def _figures(result: Result) -> dict[str, Any]:
         "field_nodes": 1 if result.field is None else result.field.weights[0].size,
         "field_modes": 1 if result.field is None else len(result.field.modes),
         "image_shape": list(image.electrons.shape),
-        "burst_images": 1 if result.burst is None else len(result.burst),
         "electrons_peak": float(image.electrons.max()),
         "electrons_mean": float(image.electrons.mean()),
         "signal_electrons_peak": float(image.signal.max()),
@@ -281,6 +280,8 @@ def _figures(result: Result) -> dict[str, Any]:
         "saturated_fraction": image.saturated_fraction,
         "electrons_in_total": dict(image.ledger),
     }
+    if result.burst is not None:
+        found["burst_images"] = len(result.burst)
     if result.reconstruction is not None:
         from ..inverse import registered_correlation
 

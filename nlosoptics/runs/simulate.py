@@ -16,7 +16,7 @@ from ..errors import NotWaveGradeError
 from ..imaging.detector import full_reading
 from ..scene import MeshWall, PlanarObject, Scene
 from .noise import electron_noise
-from .patterns import BURST, mean_optics, mean_spread, uses_mean
+from .patterns import BURST, CHECKS, mean_optics, mean_spread, uses_mean
 from .plan import MOST_SECONDS, Plan, looked_at
 from .refusals import wave_refusal
 from .results import Result
@@ -199,7 +199,7 @@ def _burst(
     for k, exposure in enumerate(scenes[1:], 1):
         tell(k / len(scenes))
         optics = psf.SceneOptics(exposure, psf.exit_pupil(exposure))
-        spreads, _ = image_spreads(todo, optics, seed=seed)
+        spreads, _ = image_spreads(todo, optics, checks=0)
         readings.append(_image(todo, exposure, spreads, int(seeds[k])).electrons)
     return np.stack(readings)
 
@@ -213,6 +213,7 @@ def image_spreads(
     tell: Callable[[str, float], None] = lambda _, share: None,
     *,
     anywhere: bool = False,
+    checks: int = CHECKS,
 ) -> tuple[PointSpreadField | PointSpread, dict[str, float]]:
     """Compute the point spreads with which a plan forms the image, and their estimated errors.
 
@@ -220,7 +221,7 @@ def image_spreads(
     reference point, which is computed if needed, or the mean over all walls of a roughness.
     ``begin`` is called at the start of each stage, and ``tell`` with its name and completed
     fraction. If ``anywhere``, the object may differ from the scene's picture, see
-    `imaging.image_field`.
+    `imaging.image_field`. Patterns are checked at ``checks`` points of the object.
     """
     from .. import imaging, psf
 
@@ -228,7 +229,12 @@ def image_spreads(
     if nodes > 1:
         begin(FIELD)
         field = psf.point_spread_field(
-            optics, nodes, tol=todo.tol, seed=seed, progress=lambda _, share: tell(FIELD, share)
+            optics,
+            nodes,
+            tol=todo.tol,
+            checks=checks,
+            seed=seed,
+            progress=lambda _, share: tell(FIELD, share),
         )
         return field, {FIELD: field.error_estimate}
     if uses_mean(optics.scene, nodes):
