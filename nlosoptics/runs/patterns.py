@@ -176,18 +176,16 @@ def burst_stages(
     one = spread_cost(scene, look, look.field_side if pattern.nodes > 1 else look.side, tol)
     power, error = power_errors(scene, look)
     independent = burst.independent(scene.camera.stop_diameter)
-    most = 1000
-    enough = bisect_left(
-        range(1, most), ENOUGH, key=lambda count: fitted_correlation(power, error, count)
+    count = 1 + bisect_left(
+        range(1, 1000), ENOUGH, key=lambda n: fitted_correlation(power, error, n)
     )
-    needed = f"about {math.ceil((enough + 1) * burst.images / independent)}"
-    if enough == most - 1:
-        needed = "more light"
+    needed = math.ceil(count * burst.images / independent)
     yield Stage(
         name=BURST,
         runs=True,
         reason=f"{burst.images} exposures through other parts of the wall, as good as "
-        f"{independent:.3g} independent ones; a correlation of {ENOUGH} takes {needed}",
+        f"{independent:.3g} independent ones; a correlation of {ENOUGH} takes "
+        f"{f'about {needed}' if count < 1000 else 'more light'}",
         seconds=(burst.images - 1) * (pattern.nodes**2 * one.seconds + seconds),
         error=f"correlation {fitted_correlation(power, error, independent):.2f} at best",
         memory=8.0 * burst.images * math.prod(scene.camera.shape),
@@ -203,10 +201,11 @@ def power_errors(scene: Scene, look: Look) -> tuple[Array, Array]:
     and readouts of the frame). Its power then varies by its mean, so that the estimate
     ``(<|Y|^2> - N)/T`` of |O|^2 from K exposures has the relative error ``(1 + N/S)/sqrt(K)``.
 
-    For a pattern with a Gaussian envelope of rms radius s and n speckles, ``T = exp(-(2 pi s f)^2)
-    + T_0/n`` with the transfer function T_0 of the lens: the squared mean transfer function, and
-    the power of the speckle. A speckle has the area ``4 (lambda N)^2/pi``, hence
-    ``n = pi^2 (s/(lambda N))^2``. Pixels multiply T by the square of their own transfer function.
+    For a pattern with a Gaussian envelope of rms radius s (geometric mean of both axes) and n
+    speckles, ``T = exp(-(2 pi s f)^2) + T_0/n`` with the transfer function T_0 of the lens: the
+    squared mean transfer function, and the power of the speckle. A speckle has the area
+    ``4 (lambda N)^2/pi``, hence ``n = pi^2 (s/(lambda N))^2``. Pixels multiply T by the square of
+    their own transfer function.
     """
     camera, wave = scene.camera, look.seen.first.wave
     ideal = mirror_image(scene)[1]
@@ -215,7 +214,9 @@ def power_errors(scene: Scene, look: Look) -> tuple[Array, Array]:
         *(np.fft.fftfreq(n, camera.image_pitch) for n in ideal.shape), indexing="ij"
     )
     unit = wave.wavelength * wave.f_number
-    radius = roughness_view(look.seen, pattern=True).halo(wave) / 3
+    view = roughness_view(look.seen, pattern=True)
+    oblong = abs(np.linalg.det(view.footprint)) / np.linalg.norm(view.footprint, 2) ** 2
+    radius = math.sqrt(oblong) * view.halo(wave) / 3
     squared = fx**2 + fy**2
     t = np.minimum(unit * np.sqrt(squared), 1.0)
     lens = 2.0 / math.pi * (np.arccos(t) - t * np.sqrt(1.0 - t * t))

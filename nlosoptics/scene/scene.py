@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -112,27 +113,21 @@ class Scene(Noun, Shown):
     burst: Burst | None = None
 
     def __post_init__(self) -> None:
-        for name, kind in (
-            ("laser", Laser),
-            ("wall", Wall),
-            ("hidden", (PlanarObject, MeshObject)),
-            ("camera", Camera),
-            ("wall_material", Material),
-        ):
+        kinds: dict[str, tuple[type, ...]] = {
+            "laser": (Laser,),
+            "wall": (Wall,),
+            "hidden": (PlanarObject, MeshObject),
+            "camera": (Camera,),
+            "wall_material": (Material,),
+            "transient": (TransientScan, NoneType),
+            "wall_roughness": (WallRoughness, NoneType),
+            "burst": (Burst, NoneType),
+        }
+        for name, allowed in kinds.items():
             value = getattr(self, name)
-            if not isinstance(value, kind):
-                wanted = getattr(kind, "__name__", "PlanarObject or MeshObject")
+            if not isinstance(value, allowed):
+                wanted = " or ".join(kind.__name__ for kind in allowed if kind is not NoneType)
                 raise SceneError(f"scene.{name} is a {type(value).__name__}; give a {wanted}")
-        for name, kind in (
-            ("transient", TransientScan),
-            ("wall_roughness", WallRoughness),
-            ("burst", Burst),
-        ):
-            value = getattr(self, name)
-            if not isinstance(value, kind | None):
-                raise SceneError(
-                    f"scene.{name} is a {type(value).__name__}; give a {kind.__name__}"
-                )
         object.__setattr__(self, "occluders", checked_occluders(self.occluders))
         self._evaluate_colours()
         if self.laser.aim[2] != 0.0:
@@ -171,22 +166,15 @@ class Scene(Noun, Shown):
         """
         if self.burst is None:
             return (self,)
-        e1, e2, axis = self.camera.frame
-        here = np.array(self.camera.position)
-        aim = tuple((here + self.focus_distance * axis).tolist())
+        camera, (e1, e2, axis) = self.camera, self.camera.frame
+        here = np.array(camera.position)
+        aim = tuple(here + self.focus_distance * axis)
+        places = [tuple(here + x * e1 + y * e2) for x, y in self.burst.offsets]
         try:
-            return tuple(
-                replace(
-                    self,
-                    burst=None,
-                    camera=replace(
-                        self.camera, position=tuple((here + x * e1 + y * e2).tolist()), aim=aim
-                    ),
-                )
-                for x, y in self.burst.offsets
-            )
+            moved = [replace(camera, position=place, aim=aim) for place in places]
         except SceneError as error:
             raise SceneError(f"burst.camera_step = {self.burst.camera_step:g} m: {error}") from None
+        return tuple(replace(self, camera=camera, burst=None) for camera in moved)
 
     def _evaluate_colours(self) -> None:
         """Evaluate all materials at the laser's wavelength."""
