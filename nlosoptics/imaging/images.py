@@ -405,6 +405,7 @@ def _view(scene: Scene, exposure: float) -> tuple[LaserSpot, ChiefRays, Array, A
         (BYTES_PER_PIXEL + (SHADOW_BYTES if scene.occluders else 0)) * nx * ny,
         "read fewer pixels or bin more",
     )
+    scene.check_laser_light()
     scene.check_in_front()
     spot = laser_spot(scene)
     rays = chief_rays(scene, *pixel_centres(scene.camera))

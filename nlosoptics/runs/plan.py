@@ -217,6 +217,7 @@ def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[
     fits_memory(
         f"an image of {nx} x {ny} pixels", HELD + image.memory, f"{PIXELS}, or give more memory"
     )
+    scene.check_laser_light()
     scene.check_black_occluders()
     check_laser(scene)
     pupil = exit_pupil(scene)

@@ -19,6 +19,7 @@ from .._nouns import Noun
 from ..errors import SceneError
 from .parts._material import MirrorLobe
 from .parts._sources import bare_mesh
+from .parts.ambient import Ambient
 from .parts.burst import Burst
 from .parts.camera import Camera
 from .parts.hidden import HiddenObject, MeshObject, PlanarObject
@@ -71,6 +72,8 @@ class Scene(Noun, Shown):
         slopes spread the mirror-like reflection of the wall. So that no slope is counted twice, the
         mirror-like lobes of ``wall_material`` must have slope zero or the rms slope of these
         heights. By default no heights are added.
+    ambient : Ambient, optional
+        Light of the room. By default there is none.
     burst : Burst, optional
         Several exposures from different camera positions, for a wall with ``wall_roughness``. By
         default a single exposure.
@@ -111,6 +114,7 @@ class Scene(Noun, Shown):
     transient: TransientScan | None = None
     wall_roughness: WallRoughness | None = None
     burst: Burst | None = None
+    ambient: Ambient | None = None
 
     def __post_init__(self) -> None:
         kinds: dict[str, tuple[type, ...]] = {
@@ -122,6 +126,7 @@ class Scene(Noun, Shown):
             "transient": (TransientScan, NoneType),
             "wall_roughness": (WallRoughness, NoneType),
             "burst": (Burst, NoneType),
+            "ambient": (Ambient, NoneType),
         }
         for name, allowed in kinds.items():
             value = getattr(self, name)
@@ -420,6 +425,26 @@ class Scene(Noun, Shown):
         """Materials of the occluders that reflect light."""
         materials = (o.material for o in self.occluders if isinstance(o, Occluder))
         return tuple(material for material in materials if not material.is_black)
+
+    def check_laser_light(self) -> None:
+        """Check that the laser alone lights the scene, as most methods assume.
+
+        Raises
+        ------
+        SceneError
+            If the laser has no power, the object is luminous, or there is ambient light.
+        """
+        what = "laser.power = 0 W: the scene has no laser"
+        if self.ambient is not None:
+            what = f"ambient.irradiance = {self.ambient.irradiance:g} W/m^2: the room is lit"
+        if isinstance(self.hidden, PlanarObject) and self.hidden.luminous is not None:
+            what = f"hidden.luminous = {self.hidden.luminous:g} W/(m^2 sr): the object emits light"
+        elif self.laser.power > 0.0 and self.ambient is None:
+            return
+        raise SceneError(
+            f"{what}, but this computes light of the laser alone; use imaging.WallTransport, or "
+            "give a [laser] and remove other light"
+        )
 
     def check_black_occluders(self) -> None:
         """Check that no occluder reflects light, which most methods do not take into account.

@@ -29,6 +29,7 @@ from pydantic import (
 from ..._checks import Vector, counted
 from ...errors import SceneError
 from ..parts._quantities import Kind
+from ..parts.ambient import Ambient
 from ..parts.burst import Burst
 from ..parts.camera import Camera
 from ..parts.hidden import MeshObject, PlanarObject
@@ -309,7 +310,7 @@ SHAPES = {
 }
 WallTable: Any = _choice("wall", "shape", SHAPES)
 SHAPES["sum"].model_rebuild(_types_namespace={"WallTable": WallTable})
-PictureTable: Any = _table(PlanarObject)
+PictureTable: Any = _table(PlanarObject, optional=("image",))
 MeshTable: Any = _table(MeshObject)
 OWNERS |= {"hidden:picture": PictureTable, "hidden:mesh": MeshTable}
 
@@ -367,8 +368,13 @@ CameraTable: Any = _table(
 OccluderTable: Any = _table(Occluder)
 TransientTable: Any = _table(TransientScan)
 BurstTable: Any = _table(Burst)
+AmbientTable: Any = _table(Ambient)
 #: Tables of a scene file that are parts of the same name and need no other table.
-OPTIONAL: Mapping[str, Any] = {"transient": TransientTable, "burst": BurstTable}
+OPTIONAL: Mapping[str, Any] = {
+    "transient": TransientTable,
+    "burst": BurstTable,
+    "ambient": AmbientTable,
+}
 
 
 class CameraFile(Table):
@@ -380,13 +386,14 @@ class CameraFile(Table):
 class SceneFile(Table):
     """Scene file."""
 
-    laser: LaserTable
+    laser: LaserTable | None = None
     wall: WallTable
     hidden: HiddenTable
     camera: CameraTable
     occluder: list[OccluderTable] | None = None
     transient: TransientTable | None = None
     burst: BurstTable | None = None
+    ambient: AmbientTable | None = None
 
 
 OWNERS |= {
