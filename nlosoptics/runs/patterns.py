@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 
 BURST = "burst"  # name of the stage
 ENOUGH = 0.9  # correlation with the object for which a plan states the number of exposures
+PHASED = (
+    8  # least exposures from which phases are found; with 4 a letter was not found in full light
+)
 CHECKS = 6  # object points at which a field of patterns is compared with patterns computed there
 
 
@@ -174,12 +177,13 @@ def burst_stages(
     for exposure in scene.exposures:
         check_sight(exposure, exit_pupil(exposure))
     one = spread_cost(scene, look, look.field_side if pattern.nodes > 1 else look.side, tol)
-    power, error = power_errors(scene, look)
+    power, error, share = power_errors(scene, look)
     independent = burst.independent(scene.camera.stop_diameter)
     count = 1 + bisect_left(
-        range(1, 1000), ENOUGH, key=lambda n: fitted_correlation(power, error, n)
+        range(1, 1000), ENOUGH, key=lambda n: fitted_correlation(power, error, n / share)
     )
-    needed = math.ceil(count * burst.images / independent)
+    needed = max(PHASED, math.ceil(count * burst.images / independent))
+    correlation = fitted_correlation(power, error, independent / share)
     yield Stage(
         name=BURST,
         runs=True,
@@ -187,19 +191,23 @@ def burst_stages(
         f"{independent:.3g} independent ones; a correlation of {ENOUGH} takes "
         f"{f'about {needed}' if count < 1000 else 'more light'}",
         seconds=(burst.images - 1) * (pattern.nodes**2 * one.seconds + seconds),
-        error=f"correlation {fitted_correlation(power, error, independent):.2f} at best",
+        error=f"correlation {correlation:.3f} if the phases are found",
         memory=8.0 * burst.images * math.prod(scene.camera.shape),
     )
 
 
-def power_errors(scene: Scene, look: Look) -> tuple[Array, Array]:
-    """Return an object's power spectrum, and the relative error of its estimate by one exposure.
+def power_errors(scene: Scene, look: Look) -> tuple[Array, Array, float]:
+    """Return an object's power spectrum, the relative error of its estimate, and a share.
 
-    Both are of the camera's pixels, (ny, nx), electrons^2 and 1. An exposure has the spectrum
-    ``Y = O H + n``. With developed speckle, Y is a complex Gaussian variable whose mean power is
-    ``S + N``, where ``S = |O|^2 T``, ``T = <|H|^2>`` and N is the power of the noise (all electrons
-    and readouts of the frame). Its power then varies by its mean, so that the estimate
-    ``(<|Y|^2> - N)/T`` of |O|^2 from K exposures has the relative error ``(1 + N/S)/sqrt(K)``.
+    The first two are of the camera's pixels and one exposure, (ny, nx), electrons^2 and 1. The
+    share is that of the frame's area in which the object lies. As many of the frequencies determine
+    its spectrum, so that the variance of a fit is smaller by this factor.
+
+    An exposure has the spectrum ``Y = O H + n``. With developed speckle, Y is a complex Gaussian
+    variable whose mean power is ``S + N``, where ``S = |O|^2 T``, ``T = <|H|^2>`` and N is the
+    power of the noise (all electrons and readouts of the frame). Its power then varies by its mean,
+    so that the estimate ``(<|Y|^2> - N)/T`` of |O|^2 from K exposures has the relative error
+    ``(1 + N/S)/sqrt(K)``.
 
     For a pattern with a Gaussian envelope of rms radius s (geometric mean of both axes) and n
     speckles, ``T = exp(-(2 pi s f)^2) + T_0/n`` with the transfer function T_0 of the lens: the
@@ -225,7 +233,8 @@ def power_errors(scene: Scene, look: Look) -> tuple[Array, Array]:
     transfer *= (np.sinc(fx * camera.image_pitch) * np.sinc(fy * camera.image_pitch)) ** 2
     noise = ideal.sum() + ideal.size * (camera.binning * camera.read_noise) ** 2
     signal = np.maximum(power * transfer, 1e-30 * power[0, 0])
-    return power, 1.0 + noise / signal
+    sides = [np.ptp(np.flatnonzero(ideal.any(axis=axis))) + 1 for axis in (0, 1)]
+    return power, 1.0 + noise / signal, math.prod(sides) / ideal.size
 
 
 def fitted_correlation(power: Array, error: Array, count: float) -> float:

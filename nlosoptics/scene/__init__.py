@@ -1,6 +1,5 @@
 """Scene description: laser, wall, hidden object, occluders, camera, materials and scene files."""
 
-from .parts.ambient import Ambient
 from .parts.burst import Burst
 from .parts.camera import Camera
 from .parts.hidden import MeshObject, PlanarObject
@@ -18,7 +17,6 @@ from .walls.relief import FacetWall, GaussianWall
 from .walls.roughness import WallRoughness
 
 __all__ = [
-    "Ambient",
     "Burst",
     "CallableWall",
     "Camera",

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import counted, path_of
+from .._checks import counted, in_range, path_of
 from .._html import Figures, Shown
 from .._nouns import Noun
 from ..errors import SceneError
 from .parts._material import MirrorLobe
 from .parts._sources import bare_mesh
-from .parts.ambient import Ambient
 from .parts.burst import Burst
 from .parts.camera import Camera
 from .parts.hidden import HiddenObject, MeshObject, PlanarObject
@@ -72,8 +71,9 @@ class Scene(Noun, Shown):
         slopes spread the mirror-like reflection of the wall. So that no slope is counted twice, the
         mirror-like lobes of ``wall_material`` must have slope zero or the rms slope of these
         heights. By default no heights are added.
-    ambient : Ambient, optional
-        Light of the room. By default there is none.
+    ambient_irradiance : float, default 0
+        Irradiance of wall and hidden object by the light of the room, W/m^2, 0 to 1e18. It lights
+        the object, and adds a slowly varying background to the image of a matt wall.
     burst : Burst, optional
         Several exposures from different camera positions, for a wall with ``wall_roughness``. By
         default a single exposure.
@@ -114,7 +114,7 @@ class Scene(Noun, Shown):
     transient: TransientScan | None = None
     wall_roughness: WallRoughness | None = None
     burst: Burst | None = None
-    ambient: Ambient | None = None
+    ambient_irradiance: float = 0.0
 
     def __post_init__(self) -> None:
         kinds: dict[str, tuple[type, ...]] = {
@@ -126,13 +126,14 @@ class Scene(Noun, Shown):
             "transient": (TransientScan, NoneType),
             "wall_roughness": (WallRoughness, NoneType),
             "burst": (Burst, NoneType),
-            "ambient": (Ambient, NoneType),
         }
         for name, allowed in kinds.items():
             value = getattr(self, name)
             if not isinstance(value, allowed):
                 wanted = " or ".join(kind.__name__ for kind in allowed if kind is not NoneType)
                 raise SceneError(f"scene.{name} is a {type(value).__name__}; give a {wanted}")
+        ambient = in_range("ambient.irradiance", self.ambient_irradiance, 0.0, 1e18, unit="W/m^2")
+        object.__setattr__(self, "ambient_irradiance", ambient)
         object.__setattr__(self, "occluders", checked_occluders(self.occluders))
         self._evaluate_colours()
         if self.laser.aim[2] != 0.0:
@@ -435,11 +436,11 @@ class Scene(Noun, Shown):
             If the laser has no power, the object is luminous, or there is ambient light.
         """
         what = "laser.power = 0 W: the scene has no laser"
-        if self.ambient is not None:
-            what = f"ambient.irradiance = {self.ambient.irradiance:g} W/m^2: the room is lit"
+        if self.ambient_irradiance > 0.0:
+            what = f"ambient.irradiance = {self.ambient_irradiance:g} W/m^2: the room is lit"
         if isinstance(self.hidden, PlanarObject) and self.hidden.luminous is not None:
             what = f"hidden.luminous = {self.hidden.luminous:g} W/(m^2 sr): the object emits light"
-        elif self.laser.power > 0.0 and self.ambient is None:
+        elif self.laser.power > 0.0 and self.ambient_irradiance == 0.0:
             return
         raise SceneError(
             f"{what}, but this computes light of the laser alone; use imaging.WallTransport, or "

@@ -166,7 +166,7 @@ def test_the_mean_power_is_the_predicted_one() -> None:
     scene = Scene.load(FILE, {"hidden.size": "0.9 mm"})
     found = nlos.simulate(scene, 1e-2, seed=5)
     look = Look.at(psf.SceneOptics(scene), 1e-2)
-    power, error = power_errors(scene, look)
+    power, error, _ = power_errors(scene, look)
     spectra = np.abs(np.fft.fft2(found.burst - found.image.background)) ** 2
     noise = float(found.image.ideal.sum() + found.burst[0].size * scene.camera.read_noise**2)
     predicted = noise * error / (error - 1.0)

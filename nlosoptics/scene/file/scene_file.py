@@ -96,6 +96,8 @@ def scene_from_tables(
         for key in _file_tables.OPTIONAL:
             if (table := getattr(tables, key)) is not None:
                 optional[key] = table.source(**_given(table))
+        if tables.ambient is not None:
+            optional["ambient_irradiance"] = tables.ambient.irradiance
         made = scene(
             NO_LASER if tables.laser is None else _laser(tables.laser),
             part(_wall, tables.wall, _given(tables.wall, *SURFACE)),

@@ -29,7 +29,6 @@ from pydantic import (
 from ..._checks import Vector, counted
 from ...errors import SceneError
 from ..parts._quantities import Kind
-from ..parts.ambient import Ambient
 from ..parts.burst import Burst
 from ..parts.camera import Camera
 from ..parts.hidden import MeshObject, PlanarObject
@@ -368,13 +367,19 @@ CameraTable: Any = _table(
 OccluderTable: Any = _table(Occluder)
 TransientTable: Any = _table(TransientScan)
 BurstTable: Any = _table(Burst)
-AmbientTable: Any = _table(Ambient)
 #: Tables of a scene file that are parts of the same name and need no other table.
 OPTIONAL: Mapping[str, Any] = {
     "transient": TransientTable,
     "burst": BurstTable,
-    "ambient": AmbientTable,
 }
+
+
+class AmbientTable(Table):
+    """Light of the room that reaches wall and hidden object without the laser."""
+
+    irradiance: _quantity(Kind.IRRADIANCE) = Field(  # type: ignore[valid-type]
+        description="Irradiance of wall and hidden object, 0 to 1e18 W/m^2."
+    )
 
 
 class CameraFile(Table):
@@ -400,5 +405,6 @@ OWNERS |= {
     "laser": LaserTable,
     "camera": CameraTable,
     "occluder": OccluderTable,
+    "ambient": AmbientTable,
     **OPTIONAL,
 }

@@ -91,6 +91,8 @@ def _text(scene: Any, named: Naming) -> str:
             _occluder_table(f"occluder[{index}]", occluder, named)
             for index, occluder in enumerate(scene.occluders)
         ]
+    if scene.ambient_irradiance > 0.0:
+        values["ambient"] = _tables.AmbientTable(irradiance=f"{scene.ambient_irradiance!r} W/m^2")
     for key, table in _tables.OPTIONAL.items():
         if (part := getattr(scene, key)) is not None:
             values[key] = _table(table, key, part, named)

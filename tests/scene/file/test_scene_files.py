@@ -387,7 +387,7 @@ def test_a_matt_wall_photographed_without_laser_round_trips(tmp_path: Path) -> N
     room = Scene.load(tmp_path / "room.toml")
     assert saved(room, tmp_path) == room
     assert (room.hidden.luminous, room.hidden.luminous_lobe) == (approx(20.0), (1.0, 2.0))
-    assert (room.laser.power, room.ambient.irradiance) == (0.0, 0.5)
+    assert (room.laser.power, room.ambient_irradiance) == (0.0, 0.5)
     assert room.hidden.size == (0.7, 0.7)
     assert room.hidden.reflectance.min() == 1.0
     assert "[laser]" not in (tmp_path / "first.toml").read_text()
@@ -395,7 +395,7 @@ def test_a_matt_wall_photographed_without_laser_round_trips(tmp_path: Path) -> N
     for scene, words in (
         (room, r"hidden.luminous = 20 W/\(m\^2 sr\)"),
         (dark, "ambient.irradiance = 0.5 W/m"),
-        (replace(dark, ambient=None), "laser.power = 0 W"),
+        (replace(dark, ambient_irradiance=0.0), "laser.power = 0 W"),
     ):
         for computed in (plan, limits.feasibility, raytrace.trace, imaging.diffuse_background):
             with pytest.raises(SceneError, match=f"{words}.*WallTransport"):
