@@ -169,10 +169,14 @@ def burst_stages(
     if burst is None:
         return
     if pattern is None or not pattern.nodes:
+        held = (
+            "is not known (a mesh, no mirror-like lobe, or the wall's edge cuts the cone of light)"
+        )
+        if pattern is not None and pattern.needed:
+            held = f"holds within {1e3 * pattern.reach:.2g} mm"
         raise SamplingError(
-            "burst: a fit needs a speckle pattern that holds over the object, and the one of this "
-            f"wall holds within {1e3 * (pattern.reach if pattern else math.nan):.2g} mm; use a "
-            "smaller hidden.size, a wider camera.stop_diameter or a larger max_seconds"
+            f"burst: a fit needs a pattern that holds over the object, and this wall's {held}; "
+            "use a smaller hidden.size, a wider camera.stop_diameter or a larger max_seconds"
         )
     for exposure in scene.exposures:
         check_sight(exposure, exit_pupil(exposure))
