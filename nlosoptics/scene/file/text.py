@@ -102,7 +102,7 @@ def _text(scene: Any, named: Naming) -> str:
 def _table(table: Any, key: str, part: Any, named: Naming, /, **own: Any) -> Any:
     """Return the table of a part, whose attributes are the keys; ``key`` is that of the table."""
     values = {name: getattr(part, name) for name in table.model_fields if hasattr(part, name)}
-    if np.array_equal(values.get("image"), NO_PICTURE):
+    if np.array_equal(values.get("image", ()), NO_PICTURE):
         del values["image"]
     for name in values.keys() & _tables.FILES:
         values[name] = _file(f"{key}.{name}", values[name], named)
