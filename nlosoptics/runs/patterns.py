@@ -193,7 +193,7 @@ def burst_stages(
         runs=True,
         reason=f"{burst.images} exposures through other parts of the wall, as good as "
         f"{independent:.3g} independent ones; a correlation of {ENOUGH} takes "
-        f"{f'about {needed}' if count < 1000 else 'more light'}",
+        f"{f'at least {needed}' if count < 1000 else 'more light'}",
         seconds=(burst.images - 1) * (pattern.nodes**2 * one.seconds + seconds),
         error=f"correlation {correlation:.3f} if the phases are found",
         memory=8.0 * burst.images * math.prod(scene.camera.shape),
