@@ -29,9 +29,7 @@ Array = NDArray[np.float64]
 
 BURST = "burst"  # name of the stage
 ENOUGH = 0.9  # correlation with the object for which a plan states the number of exposures
-PHASED = (
-    8  # least exposures from which phases are found; with 4 a letter was not found in full light
-)
+PHASED = 8  # least exposures from which phases are found; with 4 a bright letter was not
 CHECKS = 6  # object points at which a field of patterns is compared with patterns computed there
 
 
