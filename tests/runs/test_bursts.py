@@ -184,5 +184,4 @@ def test_the_letter_is_found() -> None:
     found = nlos.simulate(Scene.load(FILE), 4e-3, seed=1, reconstruct=True)
     from nlosoptics.inverse import registered_correlation
 
-    assert registered_correlation(found.reconstruction, found.image.ideal) > 0.9
-    assert found.reconstruction.status == "converged"
+    assert registered_correlation(found.reconstruction, found.image.ideal) > 0.93
