@@ -159,6 +159,8 @@ def _summary(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
         f"{f['electrons_peak']:.3g} at most, {f['electrons_mean']:.3g} on average, "
         f"{f['signal_electrons_peak']:.3g} at most from the object",
     )
+    if "burst_images" in f:
+        yield "burst", counted(f["burst_images"], "exposure")
     if "reconstruction_status" in f:
         score = "no light from the object reaches the camera"
         if "correlation_with_truth" in f:

@@ -92,7 +92,8 @@ def reconstruct_command(
         typer.Option(
             help="Solver. If the scene file describes the wall: tv (total variation), wiener, "
             "inverse_filter, richardson_lucy, phase_retrieval. If the wall is "
-            "unknown and fitted too: evidence, wu2024."
+            "unknown and fitted too: evidence, wu2024. For a rough wall seen from several camera "
+            "positions, one image each: burst."
         ),
     ] = "tv",
     iterations: Annotated[
@@ -120,8 +121,8 @@ def reconstruct_command(
 ) -> None:
     """Reconstruct the hidden object from camera images.
 
-    Several images are averaged, or fitted together by method evidence. Ctrl-C ends the fit, writes
-    the best object so far and exits with code 130; --resume continues.
+    Several images are averaged, or fitted together by methods evidence and burst. Ctrl-C ends the
+    fit, writes the best object so far and exits with code 130; --resume continues.
     """
     with errors_told(debug):
         if method != "tv":

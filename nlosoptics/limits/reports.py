@@ -324,6 +324,7 @@ class _View:
     """Intermediate results for the report on one scene."""
 
     def __init__(self, scene: Scene) -> None:
+        scene.check_laser_light()
         scene.check_black_occluders()
         self._scene = scene
         # the smooth wall's geometry needs no open path, and nor does diffuse light

@@ -94,6 +94,7 @@ def _head(name: str, record: dict[str, Any]) -> Html:
         ("Wave aberration", figures.get("aberration_rms_waves"), "waves rms"),
         ("Working F-number", figures.get("f_number"), ""),
         ("Brightest pixel", figures.get("electrons_peak"), "electrons"),
+        ("Exposures", figures.get("burst_images"), "of a burst"),
         ("Iterations", figures.get("iterations"), ""),
         ("Virtual wavelength", record.get("wl_mean"), "m"),
     ]

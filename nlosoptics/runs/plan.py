@@ -15,7 +15,7 @@ from ..psf.pupil.exit_pupil import ExitPupil, exit_pupil
 from ..psf.pupil.scene_optics import SceneOptics
 from ..psf.window.error_bounds import rounded_up
 from ..scene import Scene
-from .patterns import Pattern, image_spread_stages, mean_optics, own_pattern
+from .patterns import Pattern, burst_stages, image_spread_stages, mean_optics, own_pattern
 from .refusals import check_laser, check_sight, wave_refusal
 from .stages import (
     FIELD,
@@ -217,6 +217,7 @@ def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[
     fits_memory(
         f"an image of {nx} x {ny} pixels", HELD + image.memory, f"{PIXELS}, or give more memory"
     )
+    scene.check_laser_light()
     scene.check_black_occluders()
     check_laser(scene)
     pupil = exit_pupil(scene)
@@ -251,13 +252,15 @@ def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[
             imaged = Look.at(mean_optics(optics), tol)
         heights = look.seen.first.residual.heights
         waves = (heights.high - heights.low) / scene.laser.wavelength
+        shadows = shadow_stage(scene)
         stages += [
             *wave_stages(scene, pupil, look, waves),
             point_spread_stage(scene, pupil, look, tol),
             *image_spread_stages(pupil, look, imaged, pattern, tol),
             *left_out(scene),
-            shadow_stage(scene),
+            shadows,
             image,
+            *burst_stages(scene, look, pattern, tol, shadows.seconds + image.seconds),
             reconstruction_stage(scene, reconstruct, pattern.nodes if pattern is not None else 0),
         ]
     found = Plan(

@@ -28,6 +28,7 @@ from ..imaging import CameraImage, ForwardModel, camera_image
 from ..psf import PointSpreadField, SceneOptics
 from ..scene import Scene
 from .noise import camera_noise
+from .patterns import BURST, mean_spread
 from .plan import plan
 from .record import arrays, now, record_text, scene_hash, versions, write_record
 from .simulate import image_model, image_spreads
@@ -51,7 +52,7 @@ KNOWN = {
 SINGLE = ("inverse_filter", "phase_retrieval")
 #: Recipes of `inverse.pcin`, which fit the wall's wave as well as the object.
 BLIND = ("evidence", "wu2024")
-METHODS = (*KNOWN, *BLIND)
+METHODS = (*KNOWN, *BLIND, BURST)
 MODES = tuple(range(4, 22))  # Noll indices that a blind method fits: radial orders 2 to 5
 CHECKPOINT, PREVIEW = "checkpoint.npz", "preview.png"
 KEPT_EVERY = 5.0  # s between two saved states
@@ -66,10 +67,11 @@ class Task:
     scene : Scene
         Scene in which the images were taken.
     images : tuple of CameraImage
-        One image, or several for the methods "evidence" and "wu2024", which also fit the wall.
+        One image, or several for the methods "evidence" and "wu2024", which also fit the wall, and
+        for "burst".
     method : str
         Name of the solver: "tv", "wiener", "inverse_filter", "richardson_lucy", "phase_retrieval",
-        "evidence" or "wu2024".
+        "evidence", "wu2024" or "burst".
     defocus : tuple of float
         Known additional defocus of each image, waves rms; for "evidence" and "wu2024" only.
     iterations : int or None
@@ -118,7 +120,8 @@ def prepared(
         See `Task`.
     paths : sequence of Path
         Image files. Most methods average them as exposures of the same scene. The methods
-        "evidence" and "wu2024", which also fit the wall, need the ``defocus`` of each file.
+        "evidence" and "wu2024", which also fit the wall, need the ``defocus`` of each file. For
+        "burst" each file is an exposure through another part of the rough wall.
     dark, flat : Path, optional
         Files of the dark frame and the flat field, see `imaging.camera_image`.
     full : float, optional
@@ -162,7 +165,17 @@ def prepared(
         )
     if iterations is not None and method == "inverse_filter":
         raise SceneError(f"iterations is given, but {method} does not iterate; leave it out")
-    groups: list[Sequence[Path]] = [[path] for path in paths] if blind else [paths]
+    if method == BURST and scene.wall_roughness is None:
+        raise SceneError(
+            "method = 'burst' needs the statistics of the wall's speckle; add [wall.roughness], or "
+            "use tv"
+        )
+    if method in KNOWN and scene.burst is not None and len(paths) > 1:
+        raise SceneError(
+            f"{len(paths)} exposures of a burst show different speckle, and {method} would average "
+            "them; use the method burst, or remove [burst]"
+        )
+    groups: list[Sequence[Path]] = [paths] if method in KNOWN else [[path] for path in paths]
     return Task(
         scene=scene,
         images=tuple(
@@ -191,7 +204,8 @@ def reconstructed(
     task : Task
         Inputs, from `prepared`.
     model : ForwardModel, optional
-        Result of `known_model`; computed if omitted. "evidence" and "wu2024" do not use it.
+        Result of `known_model`; computed if omitted. "evidence", "wu2024" and "burst" do not use
+        it.
     start : mapping, optional
         Saved state of the solver, from which the fit resumes; see `inverse.Stop`.
     progress : callable(str, float), optional
@@ -208,8 +222,8 @@ def reconstructed(
     options: dict[str, Any] = {"seed": task.seed, "start": start, "progress": progress}
     if task.iterations is not None:
         options["max_iterations"] = task.iterations
-    if task.method in BLIND:
-        return _blind(task, options)
+    if task.method not in KNOWN:
+        return _several(task, options)
     (image,) = task.images
     model = model or known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
     noise = camera_noise(task.scene, image, model)
@@ -221,25 +235,33 @@ def reconstructed(
         image.values, noise_sigma=noise, saturated=saturated, background_shape=veil
     )
     solver = getattr(inverse, KNOWN[task.method])
-    accepted = inspect.signature(solver).parameters
-    if start is not None and "start" not in accepted:
-        raise SceneError(f"{task.method} cannot resume from a saved state; run without --resume")
-    options = {name: value for name, value in options.items() if name in accepted}
-    result: Reconstruction = solver(measured, model, **options)
+    result: Reconstruction = solver(measured, model, **_accepted(task, solver, options))
     return result
 
 
-def _blind(task: Task, options: dict[str, Any]) -> Reconstruction:
-    """Fit object and wave together to frames with known defocus."""
+def _accepted(task: Task, solver: Callable[..., Any], options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that a solver has; raise if it cannot resume as asked."""
+    accepted = inspect.signature(solver).parameters
+    if options["start"] is not None and "start" not in accepted:
+        raise SceneError(f"{task.method} cannot resume from a saved state; run without --resume")
+    return {name: value for name, value in options.items() if name in accepted}
+
+
+def _several(task: Task, options: dict[str, Any]) -> Reconstruction:
+    """Fit object and wall to frames with known defocus, or to the exposures of a burst."""
     from .. import inverse
 
     scene = task.scene
+    images = np.stack([image.values for image in task.images])
     masked = np.stack([image.masked for image in task.images])
-    if masked.any() and task.method == "wu2024":
+    if masked.any() and task.method != "evidence":
         raise SceneError(
-            f"{np.count_nonzero(masked)} pixels are saturated or dead, and wu2024 cannot mask "
-            "pixels; use evidence or tv"
+            f"{np.count_nonzero(masked)} pixels are saturated or dead, and {task.method} cannot "
+            "mask pixels; use evidence or tv"
         )
+    if task.method == BURST:
+        options = _accepted(task, inverse.burst_fit, options)
+        return inverse.burst_fit(images, mean_spread(scene, task.tol), **options)
     pupil = inverse.PupilPSF.from_scene(
         scene,
         MODES,
@@ -249,7 +271,7 @@ def _blind(task: Task, options: dict[str, Any]) -> Reconstruction:
     )
     if task.defocus:
         options["defocus"] = np.array(task.defocus) * scene.laser.wavelength
-    measured = inverse.Measurement(np.stack([image.values for image in task.images]), masked=masked)
+    measured = inverse.Measurement(images, masked=masked)
     return inverse.pcin(measured, pupil, recipe=task.method, **options)
 
 
@@ -353,7 +375,7 @@ def carry_out(
         "versions": versions(),
     }
     model = None
-    if task.method not in BLIND:
+    if task.method in KNOWN:
         if progress is not None:
             progress("point spread", 0.0)
         model = known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)

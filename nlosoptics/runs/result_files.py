@@ -23,7 +23,7 @@ from . import plan
 from .record import arrays
 
 #: Version of the tree that `written` makes. A reader accepts its own version only.
-FORMAT: Final = 1
+FORMAT: Final = 2
 REMEDY: Final = "run the simulation again"
 #: Classes that a tree may name; all others are rejected.
 KNOWN: Final[Mapping[str, type]] = {
@@ -65,7 +65,8 @@ def written(nouns: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         held: dict[str, NDArray[Any]] = {}
         tree[name] = _node(noun, (name,), held)
         if held:
-            np.savez(folder / f"{name}.npz", **(arrays(noun) | held))
+            plain = {} if isinstance(noun, np.ndarray) else arrays(noun)
+            np.savez(folder / f"{name}.npz", **(plain | held))
     return tree
 
 

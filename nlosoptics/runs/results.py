@@ -8,6 +8,9 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .._checks import path_of, reason
 from .._nouns import Noun
 from .._whole_files import RECORD, check_folder, sweep, whole_folder
@@ -46,6 +49,9 @@ class Result(Noun):
     pupil_field : PupilField or None
         Complex field in the exit pupil for the same point, if the wall is rough and diffraction
         between wall and pupil was computed; otherwise None.
+    burst : ndarray, (images, ny, nx), or None
+        Readings of all exposures of ``scene.burst``, electrons, read-only; ``image`` is the first.
+        All other parts of the result are those of the first exposure. None without a burst.
     reconstruction : Reconstruction or None
         Reconstructed object; None if not requested or not possible.
     errors : dict of str to float
@@ -76,6 +82,11 @@ class Result(Noun):
     timings: dict[str, float]
     seed: int
     pupil_field: PupilField | None = None
+    burst: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        if self.burst is not None:
+            self.burst.flags.writeable = False
 
     def save(self, folder: str | Path) -> None:
         """Save the result to a folder, from which `load_result` restores it bit for bit.
@@ -269,6 +280,8 @@ def _figures(result: Result) -> dict[str, Any]:
         "saturated_fraction": image.saturated_fraction,
         "electrons_in_total": dict(image.ledger),
     }
+    if result.burst is not None:
+        found["burst_images"] = len(result.burst)
     if result.reconstruction is not None:
         from ..inverse import registered_correlation
 

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from .._checks import within
 from .._progress import Progress
-from .._random import checked_seed
+from .._random import checked_seed, generator
 from ..errors import NotWaveGradeError
 from ..imaging.detector import full_reading
 from ..scene import MeshWall, PlanarObject, Scene
 from .noise import electron_noise
-from .patterns import mean_optics, uses_mean
+from .patterns import BURST, CHECKS, mean_optics, mean_spread, uses_mean
 from .plan import MOST_SECONDS, Plan, looked_at
 from .refusals import wave_refusal
 from .results import Result
@@ -105,7 +105,7 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
     scene, tol = optics.scene, todo.tol
     if not todo.runs("wave aberration"):
         raise NotWaveGradeError(wave_refusal(scene))
-    from .. import imaging, psf
+    from .. import imaging, inverse, psf
 
     begun: dict[str, float] = {}  # start of each stage, s
     total = todo.seconds
@@ -136,12 +136,18 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
         begin("shadow rays")
         shadows = imaging.cast_shadows(scene)
     begin("image")
-    wide = psf.widened(spreads, tol=tol * OUTSIDE, shape=scene.camera.shape)
-    image = imaging.form_image(scene, wide, seed=seed, shadows=shadows)
+    image = _image(todo, scene, spreads, seed, shadows)
+    burst = None
+    if todo.runs(BURST):
+        begin(BURST)
+        burst = _burst(todo, scene, image, seed, lambda share: tell(BURST, share))
     reconstruction = None
     if todo.runs("reconstruction"):
         begin("reconstruction")
-        reconstruction = _reconstruct(scene, image, spreads, shadows)
+        if burst is None:
+            reconstruction = _reconstruct(scene, image, spreads, shadows)
+        else:
+            reconstruction = inverse.burst_fit(burst, mean_spread(scene, tol), seed=seed)
     ends = [*list(begun.values())[1:], time.perf_counter()]
     if progress is not None:
         progress("done", 1.0)
@@ -155,11 +161,47 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
         field=spreads if isinstance(spreads, psf.PointSpreadField) else None,
         pupil_field=formed.pupil_field,
         image=image,
+        burst=burst,
         reconstruction=reconstruction,
         errors=errors,
         timings=timings,
         seed=seed,
     )
+
+
+def _image(
+    todo: Plan,
+    scene: Scene,
+    spreads: PointSpreadField | PointSpread,
+    seed: int,
+    shadows: Shadows | None = None,
+) -> SpeckleImage:
+    """Return the camera image by the point spreads of `image_spreads`."""
+    from .. import imaging, psf
+
+    wide = psf.widened(spreads, tol=todo.tol * OUTSIDE, shape=scene.camera.shape)
+    return imaging.form_image(scene, wide, seed=seed, shadows=shadows)
+
+
+def _burst(
+    todo: Plan, scene: Scene, first: SpeckleImage, seed: int, tell: Callable[[float], None]
+) -> Array:
+    """Return the readings (images, ny, nx), electrons, of a burst that begins with ``first``.
+
+    The random heights of the wall depend on the place only, so that all exposures see one wall.
+    Each exposure has noise of its own, whose seed follows from ``seed``.
+    """
+    from .. import psf
+
+    scenes = scene.exposures
+    seeds = generator(seed, 901).integers(2**63, size=len(scenes))
+    readings = [first.electrons]
+    for k, exposure in enumerate(scenes[1:], 1):
+        tell(k / len(scenes))
+        optics = psf.SceneOptics(exposure, psf.exit_pupil(exposure))
+        spreads, _ = image_spreads(todo, optics, checks=0)
+        readings.append(_image(todo, exposure, spreads, int(seeds[k])).electrons)
+    return np.stack(readings)
 
 
 def image_spreads(
@@ -171,6 +213,7 @@ def image_spreads(
     tell: Callable[[str, float], None] = lambda _, share: None,
     *,
     anywhere: bool = False,
+    checks: int = CHECKS,
 ) -> tuple[PointSpreadField | PointSpread, dict[str, float]]:
     """Compute the point spreads with which a plan forms the image, and their estimated errors.
 
@@ -178,7 +221,7 @@ def image_spreads(
     reference point, which is computed if needed, or the mean over all walls of a roughness.
     ``begin`` is called at the start of each stage, and ``tell`` with its name and completed
     fraction. If ``anywhere``, the object may differ from the scene's picture, see
-    `imaging.image_field`.
+    `imaging.image_field`. Patterns are checked at ``checks`` points of the object.
     """
     from .. import imaging, psf
 
@@ -186,7 +229,12 @@ def image_spreads(
     if nodes > 1:
         begin(FIELD)
         field = psf.point_spread_field(
-            optics, nodes, tol=todo.tol, seed=seed, progress=lambda _, share: tell(FIELD, share)
+            optics,
+            nodes,
+            tol=todo.tol,
+            checks=checks,
+            seed=seed,
+            progress=lambda _, share: tell(FIELD, share),
         )
         return field, {FIELD: field.error_estimate}
     if uses_mean(optics.scene, nodes):

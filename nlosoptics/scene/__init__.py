@@ -1,5 +1,6 @@
 """Scene description: laser, wall, hidden object, occluders, camera, materials and scene files."""
 
+from .parts.burst import Burst
 from .parts.camera import Camera
 from .parts.hidden import MeshObject, PlanarObject
 from .parts.laser import Laser
@@ -16,6 +17,7 @@ from .walls.relief import FacetWall, GaussianWall
 from .walls.roughness import WallRoughness
 
 __all__ = [
+    "Burst",
     "CallableWall",
     "Camera",
     "ConcaveWall",

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import counted, path_of
+from .._checks import counted, in_range, path_of
 from .._html import Figures, Shown
 from .._nouns import Noun
 from ..errors import SceneError
 from .parts._material import MirrorLobe
 from .parts._sources import bare_mesh
+from .parts.burst import Burst
 from .parts.camera import Camera
 from .parts.hidden import HiddenObject, MeshObject, PlanarObject
 from .parts.laser import Laser
@@ -68,12 +71,19 @@ class Scene(Noun, Shown):
         slopes spread the mirror-like reflection of the wall. So that no slope is counted twice, the
         mirror-like lobes of ``wall_material`` must have slope zero or the rms slope of these
         heights. By default no heights are added.
+    ambient_irradiance : float, default 0
+        Irradiance of wall and hidden object by the light of the room, W/m^2, 0 to 1e18. It lights
+        the object, and adds a slowly varying background to the image of a matt wall.
+    burst : Burst, optional
+        Several exposures from different camera positions, for a wall with ``wall_roughness``. By
+        default a single exposure.
 
     Raises
     ------
     SceneError
         If a part has the wrong type, the laser is not aimed at a point of the plane z = 0, a part
-        lies behind the wall, or the roughness contradicts the wall or its material.
+        lies behind the wall, the roughness contradicts the wall or its material, or the exposures
+        of the burst would have the same speckle.
 
     Notes
     -----
@@ -103,28 +113,27 @@ class Scene(Noun, Shown):
     wall_material: Material = PAINT
     transient: TransientScan | None = None
     wall_roughness: WallRoughness | None = None
+    burst: Burst | None = None
+    ambient_irradiance: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, kind in (
-            ("laser", Laser),
-            ("wall", Wall),
-            ("hidden", (PlanarObject, MeshObject)),
-            ("camera", Camera),
-            ("wall_material", Material),
-        ):
+        kinds: dict[str, tuple[type, ...]] = {
+            "laser": (Laser,),
+            "wall": (Wall,),
+            "hidden": (PlanarObject, MeshObject),
+            "camera": (Camera,),
+            "wall_material": (Material,),
+            "transient": (TransientScan, NoneType),
+            "wall_roughness": (WallRoughness, NoneType),
+            "burst": (Burst, NoneType),
+        }
+        for name, allowed in kinds.items():
             value = getattr(self, name)
-            if not isinstance(value, kind):
-                wanted = getattr(kind, "__name__", "PlanarObject or MeshObject")
+            if not isinstance(value, allowed):
+                wanted = " or ".join(kind.__name__ for kind in allowed if kind is not NoneType)
                 raise SceneError(f"scene.{name} is a {type(value).__name__}; give a {wanted}")
-        if not isinstance(self.transient, TransientScan | None):
-            raise SceneError(
-                f"scene.transient is a {type(self.transient).__name__}; give a TransientScan"
-            )
-        if not isinstance(self.wall_roughness, WallRoughness | None):
-            raise SceneError(
-                f"scene.wall_roughness is a {type(self.wall_roughness).__name__}; give a "
-                "WallRoughness"
-            )
+        ambient = in_range("ambient.irradiance", self.ambient_irradiance, 0.0, 1e18, unit="W/m^2")
+        object.__setattr__(self, "ambient_irradiance", ambient)
         object.__setattr__(self, "occluders", checked_occluders(self.occluders))
         self._evaluate_colours()
         if self.laser.aim[2] != 0.0:
@@ -137,6 +146,41 @@ class Scene(Noun, Shown):
             if self.wall_roughness is not None:
                 self.wall_roughness.check_wall(self.wall)
             self.check_in_front(meshes=False)
+        if self.burst is not None:
+            self._check_burst(self.burst)
+
+    def _check_burst(self, burst: Burst) -> None:
+        """Raise `SceneError` if the exposures of a burst would show the same pattern."""
+        rough = self.wall_roughness
+        if rough is None or rough.realisation != "pattern" or rough.slope_rms == 0.0:
+            raise SceneError(
+                "burst is given, but the wall has no speckle to change; add [wall.roughness] with "
+                'realisation = "pattern" and a slope, or remove [burst]'
+            )
+        # a shift of the camera moves the seen part of the wall by d1/(d1 + d2)
+        apart = self.hidden.position[2] + self.camera.position[2]
+        length = math.sqrt(2.0) * rough.heights.height_rms / rough.slope_rms
+        burst.check_step(self.camera.stop_diameter, length * apart / self.hidden.position[2])
+
+    @property
+    def exposures(self) -> tuple[Scene, ...]:
+        """Scene of each exposure of the burst; without a burst, this scene alone.
+
+        The scenes have no burst themselves. In each one the camera has another position, and its
+        axis passes through the same point at the distance in focus, so that the object's image
+        stays where it is.
+        """
+        if self.burst is None:
+            return (self,)
+        camera, (e1, e2, axis) = self.camera, self.camera.frame
+        here = np.array(camera.position)
+        aim = tuple(here + self.focus_distance * axis)
+        places = [tuple(here + x * e1 + y * e2) for x, y in self.burst.offsets]
+        try:
+            moved = [replace(camera, position=place, aim=aim) for place in places]
+        except SceneError as error:
+            raise SceneError(f"burst.camera_step = {self.burst.camera_step:g} m: {error}") from None
+        return tuple(replace(self, camera=camera, burst=None) for camera in moved)
 
     def _evaluate_colours(self) -> None:
         """Evaluate all materials at the laser's wavelength."""
@@ -264,6 +308,10 @@ class Scene(Noun, Shown):
             figures["scan"] = (
                 f"{scan.scan}, {scan.count} x {scan.count} points, {counted(scan.n_bins, 'bin')}"
             )
+        if self.burst is not None:
+            figures["burst"] = (
+                f"{self.burst.images} exposures, {1e3 * self.burst.camera_step:.3g} mm apart"
+            )
         alt = "Sketch of the scene from above and from the side: wall, laser, hidden object, camera"
         return Figures("Scene", figures, alt)
 
@@ -313,7 +361,7 @@ class Scene(Noun, Shown):
         if self.wall_roughness is None:
             return self
         wall, material = self.wall_roughness.added_to(self.wall, self.wall_material)
-        return replace(self, wall=wall, wall_material=material, wall_roughness=None)
+        return replace(self, wall=wall, wall_material=material, wall_roughness=None, burst=None)
 
     @property
     def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
@@ -378,6 +426,26 @@ class Scene(Noun, Shown):
         """Materials of the occluders that reflect light."""
         materials = (o.material for o in self.occluders if isinstance(o, Occluder))
         return tuple(material for material in materials if not material.is_black)
+
+    def check_laser_light(self) -> None:
+        """Check that the laser alone lights the scene, as most methods assume.
+
+        Raises
+        ------
+        SceneError
+            If the laser has no power, the object is luminous, or there is ambient light.
+        """
+        what = "laser.power = 0 W: the scene has no laser"
+        if self.ambient_irradiance > 0.0:
+            what = f"ambient.irradiance = {self.ambient_irradiance:g} W/m^2: the room is lit"
+        if isinstance(self.hidden, PlanarObject) and self.hidden.luminous is not None:
+            what = f"hidden.luminous = {self.hidden.luminous:g} W/(m^2 sr): the object emits light"
+        elif self.laser.power > 0.0 and self.ambient_irradiance == 0.0:
+            return
+        raise SceneError(
+            f"{what}, but this computes light of the laser alone; use imaging.WallTransport, or "
+            "give a [laser] and remove other light"
+        )
 
     def check_black_occluders(self) -> None:
         """Check that no occluder reflects light, which most methods do not take into account.

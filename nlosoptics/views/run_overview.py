@@ -30,8 +30,8 @@ def overview(result: Result) -> tuple[Axes, ...]:
     tuple of Axes
         Axes in two rows. The upper row shows the room from above, the wave aberration (or, if the
         result has a ``pupil_field``, the phase in the exit pupil) and the point spread function.
-        The lower row shows the camera image and, where there is one, the reconstruction and the
-        true object.
+        The lower row shows the camera image (of a burst the first one) and, where there is one, the
+        reconstruction and the true object.
 
     Raises
     ------
@@ -60,6 +60,8 @@ def overview(result: Result) -> tuple[Axes, ...]:
     point_spread(result.point_spread, scale="linear", axes=axes[2])
     scale = object_scale(result.scene)
     image(result.image, object_scale=scale, axes=axes[3])
+    if result.burst is not None:
+        axes[3].set_title(f"camera image, 1 of {len(result.burst)}")
     if fit is not None:
         # the truth comes first in `reconstruction`, and is drawn on the right here
         reconstruction(fit, truth, pitch=scale * result.image.pitch, axes=axes[:3:-1])

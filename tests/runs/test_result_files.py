@@ -171,7 +171,7 @@ def flipped(folder: Path) -> None:
             ),
             "a file that it refers to was changed .*; run the simulation again",
         ),
-        (damaged(lambda record: record.update(format=2)), "is in format 2, must be 1; read it"),
+        (damaged(lambda record: record.update(format=1)), "is in format 1, must be 2; read it"),
         (damaged(lambda record: record["result"].pop("seed")), "entry seed is missing or unknown"),
         (
             damaged(lambda record: record["result"].update(plan={"noun": ["Popen", {}]})),

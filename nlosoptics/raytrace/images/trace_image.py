@@ -327,6 +327,7 @@ def trace_image(
 
     for one in scenes:
         job = job_of(one, max_bounces, sampler, seed, analog=analog)
+        one.check_laser_light()
         film = _film(job, bins)
         paths = until_done(job, film.exposed, n_rays, tol, max_seconds, advance)
         images.append(_image(film, paths, exposure))

@@ -139,7 +139,9 @@ def wall_irradiance(
         )
     fits_memory(f"a map of {nx} x {ny} cells (shape)", 8 * GROUPS * nx * ny, "map fewer cells")
     begun = time.perf_counter()
-    if source == "object":
+    if source == "laser":
+        scene.check_laser_light()
+    else:
         scene = replace(scene, hidden=replace(scene.hidden, material=Lambert(1.0)))
     # the walk must be long enough to include the last arrival at the wall
     job = job_of(scene, max_bounces + 2, sampler, seed)

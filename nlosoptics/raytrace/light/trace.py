@@ -157,6 +157,7 @@ def trace(
     from .blocks import traced
 
     job = job_of(scene, max_bounces, sampler, seed, analog=analog, keep_paths=keep_paths)
+    scene.check_laser_light()
     return until_done(job, partial(in_blocks, traced, job), n_rays, tol, max_seconds, progress)
 
 

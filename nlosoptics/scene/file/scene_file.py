@@ -1,11 +1,11 @@
 """Scene files: TOML in which lengths, times, rates, powers and angles carry their units.
 
-A file has the tables ``[laser]``, ``[wall]``, ``[hidden]`` and ``[camera]``. It may have
-``[transient]`` and any number of ``[[occluder]]``. ``[wall.material]`` and ``[hidden.material]``
-are one lobe; with double brackets they are a sum of lobes; ``material = "whiteboard"`` takes the
-lobes of the library. ``[wall.roughness]`` is a relief on the wall. ``[camera]`` may name another
-``file`` with a camera table and override its keys. Paths are relative to the file that contains
-them.
+A file has the tables ``[wall]``, ``[hidden]`` and ``[camera]``, and usually ``[laser]``. It may
+have ``[transient]``, ``[burst]``, ``[ambient]`` and any number of ``[[occluder]]``.
+``[wall.material]`` and ``[hidden.material]`` are one lobe; with double brackets they are a sum of
+lobes; ``material = "whiteboard"`` takes the lobes of the library. ``[wall.roughness]`` is a relief
+on the wall. ``[camera]`` may name another ``file`` with a camera table and override its keys. Paths
+are relative to the file that contains them.
 """
 
 from __future__ import annotations
@@ -21,11 +21,10 @@ from ..._whole_files import write_whole
 from ...errors import SceneError
 from ..parts.camera import Camera
 from ..parts.hidden import MeshObject, PlanarObject
-from ..parts.laser import Laser
+from ..parts.laser import NO_LASER, Laser
 from ..parts.materials import Material, SumMaterial
 from ..parts.occluders import Occluder
 from ..parts.spectrum import Spectrum
-from ..parts.transient_scan import TransientScan
 from ..walls.analytic import SumWall, Wall
 from ..walls.mesh_walls import MeshWall
 from ..walls.roughness import WallRoughness
@@ -94,10 +93,13 @@ def scene_from_tables(
             optional["wall_roughness"] = _roughness(
                 tables.wall.roughness, optional.get("wall_material"), opened
             )
-        if tables.transient is not None:
-            optional["transient"] = TransientScan(**_given(tables.transient))
+        for key in _file_tables.OPTIONAL:
+            if (table := getattr(tables, key)) is not None:
+                optional[key] = table.source(**_given(table))
+        if tables.ambient is not None:
+            optional["ambient_irradiance"] = tables.ambient.irradiance
         made = scene(
-            _laser(tables.laser),
+            NO_LASER if tables.laser is None else _laser(tables.laser),
             part(_wall, tables.wall, _given(tables.wall, *SURFACE)),
             part(_hidden, tables.hidden, tables.hidden),
             _camera(_given(tables.camera)),
@@ -162,6 +164,8 @@ def _made(place: str, table: Any, opened: Opener, *without: str) -> Any:
     values = _given(table, *without)
     for name in values.keys() & _file_tables.FILES:
         values[name] = opened(values[name])
+    if table.source is PlanarObject:
+        values.setdefault("image", None)
     if "material" in values:
         values["material"] = _material(f"{place}.material", values["material"])
     return table.source(**values, **table.fixed)

@@ -29,6 +29,7 @@ from pydantic import (
 from ..._checks import Vector, counted
 from ...errors import SceneError
 from ..parts._quantities import Kind
+from ..parts.burst import Burst
 from ..parts.camera import Camera
 from ..parts.hidden import MeshObject, PlanarObject
 from ..parts.laser import Laser
@@ -308,7 +309,7 @@ SHAPES = {
 }
 WallTable: Any = _choice("wall", "shape", SHAPES)
 SHAPES["sum"].model_rebuild(_types_namespace={"WallTable": WallTable})
-PictureTable: Any = _table(PlanarObject)
+PictureTable: Any = _table(PlanarObject, optional=("image",))
 MeshTable: Any = _table(MeshObject)
 OWNERS |= {"hidden:picture": PictureTable, "hidden:mesh": MeshTable}
 
@@ -365,6 +366,20 @@ CameraTable: Any = _table(
 )
 OccluderTable: Any = _table(Occluder)
 TransientTable: Any = _table(TransientScan)
+BurstTable: Any = _table(Burst)
+#: Tables of a scene file that are parts of the same name and need no other table.
+OPTIONAL: Mapping[str, Any] = {
+    "transient": TransientTable,
+    "burst": BurstTable,
+}
+
+
+class AmbientTable(Table):
+    """Light of the room that reaches wall and hidden object without the laser."""
+
+    irradiance: _quantity(Kind.IRRADIANCE) = Field(  # type: ignore[valid-type]
+        description="Irradiance of wall and hidden object, 0 to 1e18 W/m^2."
+    )
 
 
 class CameraFile(Table):
@@ -376,17 +391,20 @@ class CameraFile(Table):
 class SceneFile(Table):
     """Scene file."""
 
-    laser: LaserTable
+    laser: LaserTable | None = None
     wall: WallTable
     hidden: HiddenTable
     camera: CameraTable
     occluder: list[OccluderTable] | None = None
     transient: TransientTable | None = None
+    burst: BurstTable | None = None
+    ambient: AmbientTable | None = None
 
 
 OWNERS |= {
     "laser": LaserTable,
     "camera": CameraTable,
     "occluder": OccluderTable,
-    "transient": TransientTable,
+    "ambient": AmbientTable,
+    **OPTIONAL,
 }

@@ -13,7 +13,8 @@ import numpy as np
 
 from ...errors import SceneError
 from ..parts._sources import SourceFile, array_file, mesh_file, picture_file
-from ..parts.hidden import PlanarObject
+from ..parts.hidden import NO_PICTURE, PlanarObject
+from ..parts.laser import NO_LASER
 from ..parts.library import LOBE_CLASSES
 from ..parts.materials import Material, SumMaterial
 from ..parts.occluders import BLACK, Occluder
@@ -68,7 +69,9 @@ def _text(scene: Any, named: Naming) -> str:
     """Return the TOML text of a scene."""
     wall = _wall_table("wall", scene.wall, named)
     values = {
-        "laser": _table(_tables.LaserTable, "laser", scene.laser, named),
+        "laser": None
+        if scene.laser == NO_LASER
+        else _table(_tables.LaserTable, "laser", scene.laser, named),
         "wall": wall.model_copy(
             update={
                 "material": _material_table(scene.wall_material),
@@ -88,20 +91,25 @@ def _text(scene: Any, named: Naming) -> str:
             _occluder_table(f"occluder[{index}]", occluder, named)
             for index, occluder in enumerate(scene.occluders)
         ]
-    if scene.transient is not None:
-        values["transient"] = _table(_tables.TransientTable, "transient", scene.transient, named)
+    if scene.ambient_irradiance > 0.0:
+        values["ambient"] = _tables.AmbientTable(irradiance=f"{scene.ambient_irradiance!r} W/m^2")
+    for key, table in _tables.OPTIONAL.items():
+        if (part := getattr(scene, key)) is not None:
+            values[key] = _table(table, key, part, named)
     return _toml(_tables.SceneFile.model_construct(**values).model_dump(exclude_none=True))
 
 
 def _table(table: Any, key: str, part: Any, named: Naming, /, **own: Any) -> Any:
     """Return the table of a part, whose attributes are the keys; ``key`` is that of the table."""
     values = {name: getattr(part, name) for name in table.model_fields if hasattr(part, name)}
+    if np.array_equal(values.get("image", ()), NO_PICTURE):
+        del values["image"]
     for name in values.keys() & _tables.FILES:
         values[name] = _file(f"{key}.{name}", values[name], named)
     if isinstance(values.get("material"), Material):
         values["material"] = _material_table(values["material"])
-    if "pixels" in values:
-        values["pixels"] = list(values["pixels"])
+    for name in values.keys() & {"pixels", "luminous_lobe"}:
+        values[name] = list(values[name])
     return table.model_construct(**values | own)
 
 

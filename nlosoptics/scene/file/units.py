@@ -57,6 +57,7 @@ radian = [] = rad
 degree = 3.14159265358979323846264338327950288 / 180 * radian = deg = °
 arcminute = degree / 60 = arcmin
 arcsecond = degree / 3600 = arcsec
+steradian = [solid_angle] = sr
 watt = kilogram * meter ** 2 / second ** 3 = W
 hertz = 1 / second = Hz
 """

@@ -14,6 +14,8 @@ class Kind(Enum):
     RATE = ("a rate", "1/s", "0.1 / s")
     POWER = ("a power", "W", "5 mW")
     ANGLE = ("an angle", "rad", "15 deg")
+    IRRADIANCE = ("an irradiance", "W/m^2", "0.5 W/m^2")
+    RADIANCE = ("a radiance", "W/(m^2 sr)", "2 W/(m^2 sr)")
 
     def __init__(self, title: str, unit: str, example: str) -> None:
         self.title, self.unit, self.example = title, unit, example
@@ -24,3 +26,5 @@ Time = Annotated[float, Kind.TIME]
 Rate = Annotated[float, Kind.RATE]
 Power = Annotated[float, Kind.POWER]
 Angle = Annotated[float, Kind.ANGLE]
+Irradiance = Annotated[float, Kind.IRRADIANCE]
+Radiance = Annotated[float, Kind.RADIANCE]

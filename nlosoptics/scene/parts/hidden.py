@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import is_single, pair, real
+from ..._checks import in_range, is_single, pair, real
 from ..._pictures import opened_picture
 from ...errors import SceneError
 from ._posed import Posed, PosedMesh
+from ._quantities import Radiance
 from ._sources import SourceFile, picture_file, source
 from .materials import Lambert, Material
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = NDArray[np.float64]
+NO_PICTURE = np.ones((1, 1))  # reflectance of an object whose picture is not given
 
 
 def _check_hidden(hidden: PlanarObject | MeshObject) -> None:
@@ -47,10 +49,11 @@ class PlanarObject(Posed):
 
     Parameters
     ----------
-    image : str, Path or array_like (ny, nx)
+    image : str, Path, array_like (ny, nx) or None
         Greyscale image: a file (PNG, TIFF, JPEG or ``.npy``) or an array with row 0 on top. The
         brightness, 0 (black) to 1 (white), multiplies the reflectance of ``material``. Integers of
-        8 and 16 bits are divided by the largest value of their type.
+        8 and 16 bits are divided by the largest value of their type. None: unknown, as for
+        measurements; a white plate of the given size takes its place.
     size : float or (float, float)
         Width and height of the image in the room, m. A single number is the width; the height then
         follows from the image's shape.
@@ -61,6 +64,13 @@ class PlanarObject(Posed):
         pitch, yaw.
     material : Material
         Bidirectional reflectance of a white pixel.
+    luminous : float, optional
+        Radiance of a white pixel along the normal of the image, W/(m^2 sr), for an object that
+        emits light itself, such as a screen or a window. By default it emits none.
+    luminous_lobe : (float, float)
+        Exponents p and q of the emitted light's lobe. In a direction whose angles to the normal are
+        a, across, and b, along the height, the radiance is multiplied by cos(a)^p cos(b)^q. The
+        default, (0, 0), is equal radiance in all directions.
 
     Raises
     ------
@@ -90,12 +100,23 @@ class PlanarObject(Posed):
     size: Any
     _: KW_ONLY
     material: Material = Lambert(0.8)
+    luminous: Radiance | None = None
+    luminous_lobe: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_hidden(self)
         put = object.__setattr__
-        put(self, "image", source(self.image))
+        if self.luminous is not None:
+            in_range("hidden.luminous", self.luminous, 0.0, 1e18, unit="W/(m^2 sr)")
+        lobe = self.luminous_lobe
+        if not isinstance(lobe, tuple | list) or len(lobe) != 2:
+            raise SceneError(
+                f"hidden.luminous_lobe = {lobe!r}; give two exponents, across and along the height"
+            )
+        powers = (in_range(f"hidden.luminous_lobe[{k}]", lobe[k], 0.0, 1e3) for k in range(2))
+        put(self, "luminous_lobe", tuple(powers))
+        put(self, "image", source(NO_PICTURE if self.image is None else self.image))
         if not isinstance(self.image, SourceFile):
             put(self, "image", checked_picture("hidden.image", self.image))
         if is_single(self.size):

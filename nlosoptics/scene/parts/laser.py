@@ -18,7 +18,8 @@ class Laser:
     wavelength : float
         Vacuum wavelength, m, 1e-8 to 1e-4.
     power : float
-        Power of the continuous beam on the wall, W, up to 1e18.
+        Power of the continuous beam on the wall, W, up to 1e18. 0 is a scene without laser light,
+        whose object is luminous or in ambient light; ``wavelength`` then applies to this light.
     beam_diameter : float
         Diameter of the beam, m; the irradiance is uniform across it.
     position : (float, float, float)
@@ -72,7 +73,7 @@ class Laser:
             ),
         )
         # far above any laser, so that numbers of photons stay finite
-        power = in_range("laser.power", self.power, 0.0, 1e18, open_low=True, unit="W")
+        power = in_range("laser.power", self.power, 0.0, 1e18, unit="W")
         put(self, "power", power)
         put(self, "beam_diameter", positive("laser.beam_diameter", self.beam_diameter, unit="m"))
         put(self, "position", vector("laser.position", self.position))
@@ -84,3 +85,7 @@ class Laser:
             raise SceneError(
                 f"laser.position has z = {self.position[2]:g} m, behind the wall; must be above 0"
             )
+
+
+#: Laser of a scene file without one. The wavelength is that of green light.
+NO_LASER = Laser(wavelength=550e-9, power=0.0, beam_diameter=1e-3, position=(0.0, 0.0, 1.0))

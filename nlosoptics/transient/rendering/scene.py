@@ -94,6 +94,7 @@ def render_scene(
     >>> capture.H.shape
     (20, 3, 3)
     """
+    scene.check_laser_light()
     scan = scene.transient
     if scan is None:
         raise SceneError(

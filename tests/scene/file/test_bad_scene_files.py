@@ -111,7 +111,7 @@ def test_wrong_values(
 def test_missing_table_and_file(folder: Path) -> None:
     path = folder / "bare.toml"
     path.write_text("")
-    assert refusal(path) == "the table [laser] is missing; add it (and 3 more)"
+    assert refusal(path) == "the table [wall] is missing; add it (and 2 more)"
     path.write_bytes(b"[laser]\npower = '\xff\xfe'\n")
     assert "byte 17 is not UTF-8 text; give a TOML" in refusal(path)
     assert "the scene file is missing; give the path" in refusal(folder / "none.toml")

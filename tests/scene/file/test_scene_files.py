@@ -15,6 +15,7 @@ import pytest
 import trimesh
 from pytest import approx
 
+from nlosoptics import imaging, limits, plan, raytrace
 from nlosoptics.errors import SceneError
 from nlosoptics.scene import (
     ConcaveWall,
@@ -373,6 +374,46 @@ SCAN = {"side": 2.0, "count": 8, "delta_t": 0.01, "n_bins": 20}
 def test_bad_transient_scans(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(SceneError, match=words):
         TransientScan(**{**SCAN, **changes})
+
+
+def test_a_matt_wall_photographed_without_laser_round_trips(tmp_path: Path) -> None:
+    """A screen of unknown picture in a lit room; what computes laser light says that it cannot."""
+    text = (FOLDER / "letter_flat.toml").read_text()
+    text = text[: text.index("[laser]")] + text[text.index("[wall]") :]
+    text = text.replace('"camera_wu2024.toml"', f'"{(FOLDER / "camera_wu2024.toml").as_posix()}"')
+    screen = 'luminous = "2 mW/(cm^2 sr)"\nluminous_lobe = [1.0, 2.0]'
+    text = text.replace('image = "../objects/F.png"', screen)
+    (tmp_path / "room.toml").write_text(text + '\n[ambient]\nirradiance = "0.5 W/m^2"\n')
+    room = Scene.load(tmp_path / "room.toml")
+    assert saved(room, tmp_path) == room
+    assert (room.hidden.luminous, room.hidden.luminous_lobe) == (approx(20.0), (1.0, 2.0))
+    assert (room.laser.power, room.ambient_irradiance) == (0.0, 0.5)
+    assert room.hidden.size == (0.7, 0.7)
+    assert room.hidden.reflectance.min() == 1.0
+    assert "[laser]" not in (tmp_path / "first.toml").read_text()
+    dark = replace(room, hidden=replace(room.hidden, luminous=None))
+    for scene, words in (
+        (room, r"hidden.luminous = 20 W/\(m\^2 sr\)"),
+        (dark, "ambient.irradiance = 0.5 W/m"),
+        (replace(dark, ambient_irradiance=0.0), "laser.power = 0 W"),
+    ):
+        for computed in (plan, limits.feasibility, raytrace.trace, imaging.diffuse_background):
+            with pytest.raises(SceneError, match=f"{words}.*WallTransport"):
+                computed(scene)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("hidden.luminous", "2 W/m^2", "is an irradiance, must be a radiance"),
+        ("hidden.luminous", "-1 W/(m^2 sr)", "hidden.luminous = -1 W/.m.2 sr. is out of range"),
+        ("hidden.luminous_lobe", [1.0, -2.0], r"hidden.luminous_lobe\[1\] = -2 is out of range"),
+        ("ambient.irradiance", "-1 W/m^2", "ambient.irradiance = -1 W/m.2 is out of range"),
+    ],
+)
+def test_bad_light(key: str, value: Any, words: str) -> None:
+    with pytest.raises(SceneError, match=words):
+        Scene.load(FOLDER / "letter_flat.toml", {key: value})
 
 
 def test_schema_is_current() -> None:

@@ -73,7 +73,7 @@ def test_object_point_of_a_mesh_is_its_centroid() -> None:
 
 BAD = [
     (LASER, "wavelength", 632.8, r"laser.wavelength = 632.8 m .* 1e-08 to 0.0001 m; .*nanometres"),
-    (LASER, "power", 1.1e18, r"laser.power = 1.1e\+18 W .* above 0 to 1e\+18 W"),
+    (LASER, "power", 1.1e18, r"laser.power = 1.1e\+18 W .* from 0 to 1e\+18 W"),
     (LASER, "power", 10**400, "laser.power is beyond the range of a float"),
     (LASER, "aim", (0, 0), "laser.aim has 2 components; give three"),
     (
