@@ -37,6 +37,7 @@ class ZernikeWaves(nn.Module):
     aberration to add, (n_v, n_u), m.
 
     ``leaf_shape`` (int,): shape of one set of coefficients, in waves rms over the full disc.
+    ``rest_of``: the given function.
     ``rest`` (n_v, n_u): fixed aberration divided by the wavelength.
     """
 
@@ -59,7 +60,7 @@ class ZernikeWaves(nn.Module):
         fits_memory(held, 24.0 * size, "use fewer modes")
         basis = np.stack([noll_mode(mode, optics) for mode in self.modes])
         self.register_buffer("_basis", like(optics, basis))
-        self._rest_of = rest
+        self.rest_of = rest
         turns = self.rest_on(optics)
         self.register_buffer("rest", None if turns is None else like(optics, turns))
         # subtract whole waves before the conversion to single precision, to keep digits
@@ -68,9 +69,9 @@ class ZernikeWaves(nn.Module):
 
     def rest_on(self, optics: PupilOptics) -> Array | None:
         """Return the fixed aberration over the wavelength on the cells of given optics."""
-        if self._rest_of is None:
+        if self.rest_of is None:
             return None
-        return np.where(optics.share > 0, self._rest_of(optics), 0.0) / optics.wavelength
+        return np.where(optics.share > 0, self.rest_of(optics), 0.0) / optics.wavelength
 
     def forward(self, coefficients: Tensor) -> Tensor:
         """Return aberration over wavelength, (..., n_v, n_u), modulo whole waves.
