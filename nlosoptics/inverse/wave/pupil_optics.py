@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from typing import Any, TypedDict
+from typing import TypedDict
 
 import numpy as np
 import torch
@@ -113,16 +113,15 @@ class PupilOptics(nn.Module):
         self, shape: int | tuple[int, int], pitch: float, dtype: torch.dtype = torch.float64
     ) -> PupilOptics:
         """Return these optics for an image of another shape and pitch, m, on the processor."""
-        return PupilOptics(
-            wavelength=self.wavelength,
-            pupil_radius=self.pupil_radius,
-            image_distance=self.image_distance,
-            pitch=pitch,
-            shape=shape,
-            pixel_integrated=self.pixel_integrated,
-            transmission=self.transmission,
-            dtype=dtype,
+        names = (
+            "wavelength",
+            "pupil_radius",
+            "image_distance",
+            "pixel_integrated",
+            "transmission",
         )
+        given = {name: getattr(self, name) for name in names}
+        return PupilOptics(**given, pitch=pitch, shape=shape, dtype=dtype)
 
     @property
     def dtype(self) -> torch.dtype:
@@ -163,7 +162,7 @@ class PupilOptics(nn.Module):
         phase = turns * math.copysign(2 * math.pi, self.image_distance)
         pupil = torch.complex(self._amplitude * phase.cos(), self._amplitude * phase.sin())
         field = torch.fft.fft(torch.fft.fft(pupil, n=columns, dim=-1), n=rows, dim=-2)
-        intensity: Tensor = _Intensity.apply(field)
+        intensity: Tensor = field.real.square() + field.imag.square()
         if self._finer == 1:
             return intensity
         fine = torch.fft.irfft2(torch.fft.rfft2(intensity) * self._wide, s=self.fine_grid)
@@ -235,16 +234,3 @@ class PupilOptics(nn.Module):
         keep("pixel", wide if self.pixel_integrated and self._finer == 1 else half)
         keep("_wide", wide)
 
-
-class _Intensity(torch.autograd.Function):
-    """Squared modulus of a field; torch's own gradient of it takes as long as its transforms."""
-
-    @staticmethod
-    def forward(ctx: Any, field: Tensor) -> Tensor:
-        ctx.save_for_backward(field)
-        return field.real.square() + field.imag.square()
-
-    @staticmethod
-    def backward(ctx: Any, slope: Tensor) -> Tensor:
-        (field,) = ctx.saved_tensors
-        return 2.0 * slope * field
