@@ -235,7 +235,8 @@ def evidence_fit(
         search.finish_early()
     best, energy = search.best(), search.energy()
     margin, rival = search.margins
-    figures = {
+    figures: dict[str, Any] = {
+        "free_energy": float(best.energy[0]),
         "margin": margin,
         "rival_margin": rival,
         "effective_data": float(energy.terms(best).effective[0]),
@@ -252,17 +253,31 @@ def evidence_fit(
         goes_on(progress, "evidence: done", 1.0, snapshot)
         if single:
             best = _refined(frames, energy, best)
-    return _assembled(
-        frames,
-        energy,
-        best,
-        gain=gain,
+    best, levels = energy.judged(best)
+    level = energy.objects(best)[0].astype(np.float64) * frames.scale
+    gains = best.gains[0]
+    if energy.known:  # its brightness
+        level, gains = level * gains.mean(), gains / gains.mean()
+    if gain is None:
+        gain = float(level.max()) or 1.0
+    given, wall = len(pupil_psf.modes), best.coefficients.astype(np.float64)
+    coefficients = wall.reshape((-1,) if frames.n_walls == 1 else (frames.n_walls, -1))
+    return Reconstruction(
+        object=frames.measured[0].like_input(torch.from_numpy(level / gain)),
+        physical_parameters={
+            "gain": gain,
+            **_levels(frames, levels[0] * frames.scale),
+            "coefficients": coefficients[..., :given],
+            "more_modes": np.array(energy.modes[given:]),
+            "more_coefficients": coefficients[..., given:],
+            "image_gains": gains,
+            **figures,
+        },
         status=status,
         reasons=reasons,
-        history=search.place.history,
-        started=started,
-        given=len(pupil_psf.modes),
-        **figures,
+        score=math.sqrt(float(np.average(best.chi_square[0], weights=frames.counted))),
+        history=frozen(search.place.history),
+        seconds=time.perf_counter() - started,
     )
 
 
@@ -306,63 +321,16 @@ def _refined(frames: Frames, energy: FreeEnergy, best: Starts) -> Starts:
     return energy.judged(replace(best, free=energy.parameters(mean)))[0]
 
 
-def _levels(frames: Frames, gain: float, backgrounds: Floats) -> dict[str, Any]:
-    """Return gain, backgrounds, noise and bad pixels; of one image without the images' axis."""
-    sigmas = frames.sigmas * frames.scale
-    bad = [image.bad_pixels for image in frames.measured]
-    levels: dict[str, Any] = {"gain": gain, "background": backgrounds, "noise_sigma": sigmas}
-    if any(mask is not None for mask in bad):
-        none = np.zeros(frames.shape, dtype=bool)
-        levels["bad_pixel_map"] = np.stack([none if mask is None else mask for mask in bad])
-        levels["bad_pixels"] = int(levels["bad_pixel_map"].sum())
-    if len(bad) > 1:
-        return levels
-    arrays = {name: value[0] for name, value in levels.items() if isinstance(value, np.ndarray)}
-    return levels | {n: v if v.ndim else float(v) for n, v in arrays.items()}
-
-
-def _walls_first(frames: Frames, count: int) -> tuple[int, ...]:
-    return (count,) if frames.n_walls == 1 else (frames.n_walls, count)
-
-
-def _assembled(
-    frames: Frames,
-    energy: FreeEnergy,
-    best: Starts,
-    *,
-    gain: float | None,
-    status: Status,
-    reasons: tuple[str, ...],
-    history: Mapping[str, list[float]],
-    started: float,
-    given: int,
-    **figures: float,
-) -> Reconstruction:
-    """Assemble the reconstruction in image units; ``given`` is the number of given modes."""
-    best, levels = energy.judged(best)
-    object_level = energy.objects(best)[0].astype(np.float64) * frames.scale
-    gains = best.gains[0]
-    if energy.known:  # its brightness
-        object_level, gains = object_level * gains.mean(), gains / gains.mean()
-    brightest = float(object_level.max())
-    if gain is None:
-        gain = brightest if brightest > 0.0 else 1.0
-    walls = best.coefficients[0].astype(np.float64).reshape(frames.n_walls, -1)
-    more = walls[:, given:].reshape(_walls_first(frames, walls.shape[1] - given))
-    return Reconstruction(
-        object=frames.measured[0].like_input(torch.from_numpy(object_level / gain)),
-        physical_parameters={
-            **_levels(frames, gain, levels[0] * frames.scale),
-            "coefficients": walls[:, :given].reshape(_walls_first(frames, given)),
-            "more_modes": np.array(energy.modes[given:]),
-            "more_coefficients": more,
-            "image_gains": gains,
-            "free_energy": float(best.energy[0]),
-            **figures,
-        },
-        status=status,
-        reasons=reasons,
-        score=math.sqrt(float(np.average(best.chi_square[0], weights=frames.counted))),
-        history=frozen(history),
-        seconds=time.perf_counter() - started,
-    )
+def _levels(frames: Frames, backgrounds: Floats) -> dict[str, Any]:
+    """Return backgrounds, noise and bad pixels; numbers and an image (H, W) for one image."""
+    levels: dict[str, Any] = {
+        "background": backgrounds,
+        "noise_sigma": frames.sigmas * frames.scale,
+    }
+    none = np.zeros(frames.shape, dtype=bool)
+    bad = np.stack([none if one.bad_pixels is None else one.bad_pixels for one in frames.measured])
+    if bad.any():
+        levels["bad_pixel_map"] = bad
+    if len(bad) == 1:
+        levels = {name: values[0] for name, values in levels.items()}
+    return levels | ({"bad_pixels": int(bad.sum())} if bad.any() else {})

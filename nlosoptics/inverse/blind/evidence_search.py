@@ -413,7 +413,7 @@ class Search:
         """Return the norm of the coefficients that is known or proposed, waves rms; else NaN."""
         if self._strength is not None:
             return self._strength
-        return math.nan if self._proposals is None else self._proposals.length
+        return math.nan if self._proposals is None else self._proposals.density.length
 
     def _expected_sharpness(self) -> float:
         """Return the sum of squares that the point spreads of most expected walls exceed."""

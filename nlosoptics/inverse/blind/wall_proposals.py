@@ -102,32 +102,23 @@ class WallProposals:
 class Proposals:
     """Source of proposed walls for one fit.
 
-    ``density``: proposals for the image. ``frames``: the image. ``pupil_psf``: its point spread.
+    ``density``: proposals for the image. ``modes``: Noll indices of the fit. ``side``: 1, or -1 if
+    the pupil lies beyond the image. ``defocus``: known defocus, waves rms.
     """
 
     density: WallProposals
-    frames: Frames
-    pupil_psf: PupilPSF
-
-    @property
-    def length(self) -> float:
-        """Expected norm of the coefficients, waves rms."""
-        return self.density.length
+    modes: tuple[int, ...]
+    side: float
+    defocus: float
 
     def walls(self, count: int, random: Generator) -> Floats:
         """Return proposed coefficients of the fit, (count, M) waves rms, the mean first.
 
         Modes that the network does not know are 0. A known defocus is subtracted.
         """
-        walls, optics = self.density.walls(count, random), self.pupil_psf.optics
-        found = np.zeros((count, len(self.pupil_psf.modes)))
-        signed = walls * np.sign(optics.image_distance)
-        for column, mode in enumerate(self.pupil_psf.modes):
-            if mode in MODES:
-                found[:, column] = signed[:, MODES.index(mode)]
-                if mode == DEFOCUS:
-                    found[:, column] -= self.frames.defocus[0] / optics.wavelength
-        return found
+        proposed = dict(zip(MODES, self.side * self.density.walls(count, random).T, strict=True))
+        proposed[DEFOCUS] = proposed[DEFOCUS] - self.defocus
+        return np.stack([proposed.get(mode, np.zeros(count)) for mode in self.modes], axis=1)
 
 
 def wall_proposals(frames: Frames, pupil_psf: PupilPSF) -> Proposals | None:
@@ -151,7 +142,9 @@ def wall_proposals(frames: Frames, pupil_psf: PupilPSF) -> Proposals | None:
     ):
         return None
     image, noise = at_nyquist(frames.images[0], float(frames.sigmas[0]), scale)
-    return Proposals(WallProposals(image, noise, trained_network()), frames, pupil_psf)
+    density = WallProposals(image, noise, trained_network())
+    side = float(np.sign(optics.image_distance))
+    return Proposals(density, pupil_psf.modes, side, frames.defocus[0] / optics.wavelength)
 
 
 def at_nyquist(image: Floats, noise: float, scale: float) -> tuple[Tensor, float]:

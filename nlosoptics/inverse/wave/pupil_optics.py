@@ -113,13 +113,7 @@ class PupilOptics(nn.Module):
         self, shape: int | tuple[int, int], pitch: float, dtype: torch.dtype = torch.float64
     ) -> PupilOptics:
         """Return these optics for an image of another shape and pitch, m, on the processor."""
-        names = (
-            "wavelength",
-            "pupil_radius",
-            "image_distance",
-            "pixel_integrated",
-            "transmission",
-        )
+        names = ("wavelength", "pupil_radius", "image_distance", "pixel_integrated", "transmission")
         given = {name: getattr(self, name) for name in names}
         return PupilOptics(**given, pitch=pitch, shape=shape, dtype=dtype)
 
@@ -233,4 +227,3 @@ class PupilOptics(nn.Module):
         half = np.ones((self.shape[0], self.shape[1] // 2 + 1))
         keep("pixel", wide if self.pixel_integrated and self._finer == 1 else half)
         keep("_wide", wide)
-
