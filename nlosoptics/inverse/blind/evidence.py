@@ -231,7 +231,7 @@ def evidence_fit(
         return state_of(torch.from_numpy(level), **search.place.saved())
 
     ended = not dark and search.run(watch)
-    if not dark:
+    if not dark and not len(search.place.answers):
         search.finish_early()
     best, energy = search.best(), search.energy()
     margin, rival = search.margins

@@ -127,14 +127,14 @@ class Search:
         self._energy = self._prior = energies(SETTINGS.padding, modes)
         if start_error is not None:
             self._prior = self._energy.about(first, start_error)
-        self._frames = verdict.several
+        self._several = verdict.several
         self._noisy = verdict.vague and start_error is None
-        usual = int(self._noisy or not self._frames) if proposals is None else 2
+        usual = int(self._noisy or not self._several) if proposals is None else 2
         self._rounds = SETTINGS.rounds[usual] if rounds is None else rounds
-        self._last = SETTINGS.finish if self._frames else SETTINGS.free
+        self._last = SETTINGS.finish if self._several else SETTINGS.free
         #: sum of squares of a point spread above which walls are penalised
         self._sharpness = math.inf
-        if not self._frames and start_error is None and self._expected_length() > SETTINGS.weak:
+        if not self._several and start_error is None and self._expected_length() > SETTINGS.weak:
             self._sharpness = self._expected_sharpness()
         self._flat = self._energy.starts(np.zeros((1, self._energy.size)), SETTINGS.free.first)
         self.place = Place(modes=modes, pool=self._flat[:0], answers=self._flat[:0])
@@ -145,7 +145,7 @@ class Search:
     def margins(self) -> tuple[float, float]:
         """Energies of no blur and of the best answer of another object, minus the best one's."""
         energies = self.place.answers.energy
-        if self._frames or not len(energies):
+        if self._several or not len(energies):
             return math.nan, math.nan
         rival = float(energies[1] - energies[0]) if len(energies) > 1 else math.inf
         return self.place.sharp - float(energies[0]), rival
@@ -190,25 +190,22 @@ class Search:
         return True
 
     def finish_early(self) -> None:
-        """Fit an answer quickly if the search ended before it had one."""
-        if len(self.place.answers):
-            return
+        """Fit an answer quickly; the search ended before it had one."""
         pool = self.place.pool
         if not len(pool):
             pool = self._energy.starts(self._first[None], self._last.first)
-        self._offer(
-            self._energy.descend(replace(pool.best(1), radius=np.array([np.inf])), self._last)
-        )
+        free = replace(pool.best(1), radius=np.array([np.inf]))
+        self._offer(self._energy.descend(free, self._last))
 
     def reference(self, random: Generator) -> str:
         """Fit without blur, which an answer for one image has to beat."""
-        if not self._frames and self._error is not None:
+        if not self._several and self._error is not None:
             walls = self._energy.starts(np.zeros((1, self._energy.size)), SETTINGS.near[1].first)
             for stage in SETTINGS.near[1:]:
                 walls = self._energy.descend(walls, stage)
             prior = self._prior.held(walls.coefficients)
             self.place.sharp = float(walls.energy[0] + prior[0])
-        elif not self._frames:
+        elif not self._several:
             # one wall stays without blur, the others only start near it
             walls = random_walls(5, self._energy.size, np.array([0.1]), random)
             walls[0] *= SETTINGS.sharp / 0.1
@@ -238,15 +235,15 @@ class Search:
             self.place.pool = pool.best(1 if count else len(pool))
             return "near"
         self._offer(pool, met=self._verdict.rounds)
-        return "widen" if self._frames else "end"
+        return "widen" if self._several else "end"
 
     def given(self, _: Generator) -> str:
         """Fit from given coefficients of unknown error, one start among others."""
-        settle = SETTINGS.settle if self._frames else SETTINGS.compare
+        settle = SETTINGS.settle if self._several else SETTINGS.compare
         pool = self._energy.starts(self._first[None], SETTINGS.near[0].first)
         pool = self._energy.descend(self._energy.descend(pool, SETTINGS.near[0]), settle)
         self._offer(self._settled(pool), met=1)
-        return "widen" if self._frames else self._next()
+        return "widen" if self._several else self._next()
 
     def propose(self, random: Generator) -> str:
         """Fit proposed walls, with objects of their own."""
@@ -257,7 +254,7 @@ class Search:
     def gather(self, random: Generator) -> str:
         """Fit random walls, the best ones then with the prior that ranks answers."""
         modes, starts, settings = len(self._energy.modes), SETTINGS.starts, SETTINGS
-        slow = self._frames and self.place.turn > 0
+        slow = self._several and self.place.turn > 0
         stage = settings.gather_slowly if slow else settings.gather
         if self._noisy:
             stage = settings.gather_noisy
@@ -269,7 +266,7 @@ class Search:
 
     def settle(self, _: Generator) -> str:
         """Fit the best walls with the prior that ranks answers."""
-        stage = SETTINGS.settle if self._frames else SETTINGS.release
+        stage = SETTINGS.settle if self._several else SETTINGS.release
         pool = self._searched().descend(self.place.pool, stage)
         self.place.pool = self._ranked(pool, SETTINGS.pool)
         return "neighbours"
@@ -279,7 +276,7 @@ class Search:
 
         The descent alone can stop in a local minimum whose object is right within a few per cent.
         """
-        pool, several, energy = self.place.pool, self._frames, self._searched()
+        pool, several, energy = self.place.pool, self._several, self._searched()
         most = SETTINGS.generations[not several or self._noisy]
         fits = several and not self._noisy and self._verdict.fits(pool)
         if fits or self.place.count == most:
@@ -299,7 +296,7 @@ class Search:
 
     def finish(self, _: Generator) -> str:
         """Fit the best walls of a round a last time, and compare them with those before."""
-        several = self._frames
+        several = self._several
         pool = self.place.pool[:2] if several else self._different(self.place.pool)
         self._offer(self._ranked(self._settled(pool), len(pool)), met=1)
         if not several:
@@ -343,7 +340,7 @@ class Search:
         for stage in stages:
             pool = energy.descend(pool, stage)
         ranked = len(stages) > 1  # by the prior that compares answers
-        few = 8 if self._frames else 20
+        few = 8 if self._several else 20
         self.place.pool = self._ranked(pool, SETTINGS.pool) if ranked else pool.best(few)
         return "neighbours" if ranked else "settle"
 
@@ -353,7 +350,7 @@ class Search:
         ``met`` is the number of rounds that the first of them counts for.
         """
         place, old = self.place, self.place.answers
-        if not self._frames:
+        if not self._several:
             every = joined([old, starts])
             place.answers = self._different(self._ranked(every, len(every)))
         elif not len(old) or starts.energy[0] < old.energy[0]:
@@ -388,7 +385,7 @@ class Search:
     def _settled(self, starts: Starts) -> Starts:
         """Fit answers a last time; those for one image until no energy decreases much."""
         starts = self._energy.descend(starts, self._last)
-        for _ in range(0 if self._frames else SETTINGS.repeats):
+        for _ in range(0 if self._several else SETTINGS.repeats):
             before, starts = starts.energy, self._energy.descend(starts, self._last)
             if (before - starts.energy).max() < SETTINGS.standstill:
                 break

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.random import Generator
+from scipy.signal import resample
 from torch import Tensor
 
 from ..._checks import reason
@@ -157,32 +158,22 @@ def at_nyquist(image: Floats, noise: float, scale: float) -> tuple[Tensor, float
     cut to SIDE pixels about the centroid of the light.
     """
     edges = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
-    dark = torch.from_numpy(image - np.median(edges))
-    whole = 192  # pixels at Nyquist's pitch of the transform that resamples
-    period = round(whole / scale)
-    spectrum = torch.fft.fft2(dark, s=(period, period))
-    half = whole // 2
-    kept = torch.zeros((whole, whole), dtype=spectrum.dtype)
-    inside = torch.fft.fftfreq(whole, 1.0 / whole).long()
-    inside = inside[inside.abs() < min(half, (period + 1) // 2)]
-    kept[inside[:, None], inside] = spectrum[inside[:, None], inside]
-    if period == whole:
-        kept = spectrum
-    found = torch.fft.ifft2(kept).real * (whole / period) ** 2
-    sides = [max(1, round(side * scale)) for side in image.shape]
-    found = found[: sides[0], : sides[1]]
-    light = found.clamp(min=0.0)
-    made = torch.zeros(SIDE, SIDE)
-    given, put = [], []
-    for axis, side in enumerate(sides):
-        along = light.sum(dim=1 - axis)
-        middle = float((along * torch.arange(side)).sum() / along.sum().clamp(min=1e-12))
-        first = min(max(round(middle) - SIDE // 2, 0), max(side - SIDE, 0))
-        given.append(slice(first, first + SIDE))
-        room = max(SIDE - side, 0) // 2
-        put.append(slice(room, room + min(side, SIDE)))
-    made[put[0], put[1]] = found[given[0], given[1]].float()
-    return made, noise * min(1.0, scale)
+    picture = image - np.median(edges)
+    for axis, side in enumerate(image.shape):
+        # 192 pixels at Nyquist's pitch leave room for what is periodic
+        room = [(0, round(192 / scale) - side if i == axis else 0) for i in (0, 1)]
+        picture = resample(np.pad(picture, room), 192, axis=axis)
+        picture = picture.take(range(max(1, round(side * scale))), axis)
+    light = np.maximum(picture, 0.0)
+    for axis, side in enumerate(picture.shape):
+        along = light.sum(axis=1 - axis)
+        middle = round(float(along @ np.arange(side)) / max(float(along.sum()), 1e-12))
+        first = min(max(middle - SIDE // 2, 0), max(side - SIDE, 0))
+        picture = picture.take(range(first, min(first + SIDE, side)), axis)
+        room = max(SIDE - side, 0)
+        rooms = [(room // 2, room - room // 2) if i == axis else (0, 0) for i in (0, 1)]
+        picture = np.pad(picture, rooms)
+    return torch.from_numpy(picture).float(), noise * min(1.0, scale)
 
 
 @cache
@@ -213,8 +204,7 @@ def loaded_network(path: Path) -> WallNetwork:
         with safe_open(path, "pt") as file:
             if (form := (file.metadata() or {}).get("format")) != FORMAT:
                 raise ValueError(f'format {form!r}, must be "{FORMAT}"')
-            names = file.keys()
-            tensors = {name: file.get_tensor(name).float() for name in names}
+            tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
         network.load_state_dict(tensors)
     except (OSError, RuntimeError, ValueError, SafetensorError) as error:
         raise SceneError(
