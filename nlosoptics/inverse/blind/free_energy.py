@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from ..data.arrays import half_spectrum_weights
 from ..wave.frames import Frames
 from ..wave.pupil_psf import PupilPSF
-from ..wave.pupil_waves import ZernikeWaves
+from ..wave.pupil_waves import ZernikeWaves, twin_signs
 from .search_settings import SETTINGS, Stage
 
 Floats = NDArray[Any]
@@ -148,9 +148,8 @@ class FreeEnergy:
         self._known: Tensor | None = None
         if known_object is not None:
             self._known = self._tensor(known_object / known_object.max())
-        orders = (np.sqrt(8.0 * np.array(self.modes) - 7.0) - 1.0) // 2.0
         #: signs that convert a wall to the one with the same in-focus point spread, W(x) -> -W(-x)
-        self.twin = np.tile(np.where(orders % 2 == 0, -1.0, 1.0), frames.n_walls)
+        self.twin = np.tile(twin_signs(self.modes), frames.n_walls)
         self._share = math.prod(frames.shape) / math.prod(grid)
         down, along = (2.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(n) / n) for n in grid)
         # squared transfer functions of the differences, and how often a column counts

@@ -24,10 +24,10 @@ from ...errors import MissingExtraError, SceneError
 from ...psf.wave.zernikes import zernike
 from ..wave.frames import Frames
 from ..wave.pupil_psf import PupilPSF
-from ..wave.pupil_waves import DEFOCUS, ZernikeWaves
+from ..wave.pupil_waves import DEFOCUS, ZernikeWaves, twin_signs
 from .free_energy import Floats, Starts
 from .search_settings import SETTINGS
-from .wall_network import MODES, SIDE, WallNetwork, twin_signs
+from .wall_network import MODES, SIDE, WallNetwork
 
 #: File of the trained weights.
 WEIGHTS = Path(__file__).with_name("wall_proposals.safetensors")
@@ -81,7 +81,7 @@ class WallProposals:
         density; that of the largest one is kept.
         """
         weights, means, deviations = self._parts
-        every = np.concatenate([means, means * twin_signs().double().numpy()])
+        every = np.concatenate([means, means * twin_signs(MODES)])
         # twice as wide as proposed, so that the looks meet
         precision = (2.0 * np.tile(deviations, (2, 1))) ** -2
         shares = np.log(np.tile(weights, 2)) + 0.5 * np.log(precision).sum(axis=1)
@@ -131,7 +131,7 @@ def wall_proposals(frames: Frames, pupil_psf: PupilPSF) -> Proposals | None:
     optics, waves = pupil_psf.optics, pupil_psf.waves
     scale = optics.pitch / optics.nyquist_pitch
     sides = [side * scale for side in frames.shape]
-    known = isinstance(waves, ZernikeWaves) and waves.rest is not None
+    known = isinstance(waves, ZernikeWaves) and waves.rest_of is not None
     if (
         len(frames.images) > 1
         or scale > 1.02

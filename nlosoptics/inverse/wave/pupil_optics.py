@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from typing import TypedDict
+from typing import Required, TypedDict
 
 import numpy as np
 import torch
@@ -30,6 +30,16 @@ class ImageOptions(TypedDict, total=False):
     pixel_integrated: bool
     device: torch.device | str
     dtype: torch.dtype
+
+
+class OpticsOptions(ImageOptions):
+    """All options of `PupilOptics` for a clear pupil."""
+
+    wavelength: Required[float]
+    pupil_radius: Required[float]
+    image_distance: Required[float]
+    pitch: Required[float]
+    shape: Required[int | tuple[int, int]]
 
 
 class PupilOptics(nn.Module):

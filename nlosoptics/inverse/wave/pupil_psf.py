@@ -13,7 +13,7 @@ from ..._checks import positive
 from ...errors import SamplingError, SceneError
 from ...psf import wavefront
 from ...scene import Scene
-from .pupil_optics import ImageOptions, PupilOptics
+from .pupil_optics import ImageOptions, OpticsOptions, PupilOptics
 from .pupil_waves import (
     DEFOCUS,
     SlopeWaves,
@@ -168,16 +168,7 @@ class PupilPSF(nn.Module):
 
     @classmethod
     def from_angles(
-        cls,
-        angles: ArrayLike,
-        *,
-        angle_pitch: float,
-        wavelength: float,
-        pupil_radius: float,
-        image_distance: float,
-        pitch: float,
-        shape: int | tuple[int, int],
-        **options: Unpack[ImageOptions],
+        cls, angles: ArrayLike, *, angle_pitch: float, **options: Unpack[OpticsOptions]
     ) -> Self:
         """Build a PSF from the angles at which light leaves points of the exit pupil.
 
@@ -204,14 +195,7 @@ class PupilPSF(nn.Module):
         Arbitrary slopes need not be the gradient of any wave. The wave is their least-squares fit
         over the whole grid, as in `psf.wavefront_from_slopes`.
         """
-        optics = PupilOptics(
-            wavelength=wavelength,
-            pupil_radius=pupil_radius,
-            image_distance=image_distance,
-            pitch=pitch,
-            shape=shape,
-            **options,
-        )
+        optics = PupilOptics(**options)
         angle_pitch = positive("angle_pitch", angle_pitch, unit="m")
         slopes = checked_tangents(angles, angle_pitch, optics.pupil_radius)
         waves = SlopeWaves(len(slopes), angle_pitch, optics)
