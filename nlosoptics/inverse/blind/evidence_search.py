@@ -88,7 +88,7 @@ class Place:
             setattr(self, part, Starts(**arrays))
         numbers = np.asarray(state["place"], dtype=float)
         check_shape("start's place", numbers, (5,), "in this version; leave it out")
-        self.turn, self.count, self.met, _, step = numbers.astype(int).tolist()
+        self.turn, self.count, self.met, step = map(int, numbers[[0, 1, 2, 4]])
         self.sharp, self.step, self.modes = float(numbers[3]), list(PHASES)[step], modes
         self.history = dict(zip(self.history, np.asarray(state["history"]).tolist(), strict=True))
 
