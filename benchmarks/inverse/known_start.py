@@ -72,6 +72,7 @@ def solved(group: str, name: str, wall: int, size: int) -> dict[str, Any]:
     correlation = registered_correlation(found, data.truth)
     margin = found.physical_parameters["margin"]
     return {
+        **{"group": group, "object": name, "wall": wall, "size": size},
         "correlation": correlation,
         "image": registered_correlation(data.images[0], data.truth),
         "status": found.status,
@@ -107,13 +108,6 @@ def _calibrated(wall: int, size: int) -> tuple[np.ndarray, dict[str, Any]]:
     }
 
 
-def work(key: tuple[str, str, int, int]) -> dict[str, Any]:
-    """One line."""
-    group, name, wall, size = key
-    line = {"group": group, "object": name, "wall": wall, "size": size}
-    return {**line, **solved(group, name, wall, size)}
-
-
 def main() -> None:
     """Run what is not in the file yet."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -137,7 +131,7 @@ def main() -> None:
     ]
     todo = [key for key in keys if key not in done]
     with ProcessPoolExecutor(options.jobs) as pool, options.json.open("a") as file:
-        for future in as_completed([pool.submit(work, key) for key in todo]):
+        for future in as_completed([pool.submit(solved, *key) for key in todo]):
             line = future.result()
             lines.append(line)
             file.write(json.dumps(line) + "\n")

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from ..._checks import counted
 from ...errors import SamplingError, SceneError
+from ...imaging.forward_model import ForwardModel
 from ..data.arrays import real_array, shape_of
 from ..data.measurement import measured
 from ..data.noisy_image import NoisyImage, noisy_image
@@ -101,14 +103,15 @@ def frames_of(
             "PupilPSF.from_zernike"
         )
     each = measured(images).each()
-    count, shape = len(each), each[0].image.shape
+    count, shape = len(each), tuple(each[0].image.shape)
     own = pupil_psf.shape
     if own[0] < shape[0] or own[1] < shape[1]:
         raise SamplingError(
             f"pupil_psf has shape {own} and the images {shape}; give a point spread of the "
             "images' shape or larger"
         )
-    checked = tuple(noisy_image(one, tuple(shape)).in_torch() for one in each)
+    model = ForwardModel(_sharpest(pupil_psf, shape), shape=shape)
+    checked = tuple(noisy_image(one, model).in_torch() for one in each)
     for number, one in enumerate(checked):
         if one.sigma == 0.0:
             raise SceneError(f"the estimated noise of image {number} is 0; give noise_sigma")
@@ -123,6 +126,15 @@ def frames_of(
         walls=_wall_numbers(walls, count),
         defocus=known_defoci(defocus, count),
     )
+
+
+def _sharpest(pupil_psf: PupilPSF, shape: tuple[int, int]) -> Array:
+    """Return the point spread without aberration, (H, W): no wall passes more of any frequency."""
+    with torch.no_grad():
+        turns = torch.zeros(pupil_psf.optics.share.shape).to(pupil_psf.coefficients)
+        spread = pupil_psf.optics.point_spread(turns).double().cpu().numpy()
+    first = [own // 2 - side // 2 for own, side in zip(spread.shape, shape, strict=True)]
+    return spread[first[0] : first[0] + shape[0], first[1] : first[1] + shape[1]]
 
 
 def _wall_numbers(walls: Any, count: int) -> NDArray[np.int64]:
