@@ -218,14 +218,6 @@ def _path_shares(
     return image, np.where(seen, viewed / SIDE**2, 1.0)
 
 
-def wall_samples(
-    scene: Scene, centres: tuple[Array, Array], pitch: float, use: Mask
-) -> Iterator[tuple[Array, Array]]:
-    """Sample the paths between the lens and the parts of the wall that detector areas see."""
-    for rays, lens in _sample_rays(scene, centres, pitch):
-        yield on_wall(scene, rays, use, lens), lens
-
-
 def _sample_rays(
     scene: Scene, centres: tuple[Array, Array], pitch: float
 ) -> Iterator[tuple[ChiefRays, Array]]:

@@ -71,7 +71,7 @@ class WallTransport(Noun):
         Reflection of the wall; by default that of the scene without perfectly smooth lobes, which
         form an image instead (see `form_image`).
     samples : int, optional
-        Points of the wall for each pixel. By default as many as the shadows need, 8 to 64.
+        Points of the wall for each pixel. By default as many as the shadows need, 5 to 64.
 
     Attributes
     ----------
@@ -526,8 +526,8 @@ class WallTransport(Noun):
         for mesh, _ in self.scene.occluder_surfaces:
             near = max(float(mesh.vertices[:, 2].min()), 0.02 * centre[2])
             if near < centre[2]:
-                need = max(need, 4.0 * step * (centre[2] - near) / near / cell)
-        return int(min(max(need * need, 8.0), 64.0))
+                need = max(need, 3.0 * step * (centre[2] - near) / near / cell)
+        return int(min(max(need * need, 5.0), 64.0))
 
     def _bins(self) -> tuple[tuple[Array, float], tuple[Array, float], float]:
         """Return centres and sides of the detector's areas along x and y, m, and their pixels."""
