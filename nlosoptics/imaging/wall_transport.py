@@ -34,7 +34,8 @@ Plate = tuple[Array, Array, tuple[float, float]]
 
 FINE = 40  # samples per distance between plane and wall: the midpoint rule errs by 2e-4
 MOST_SAMPLES = 1024  # of the plane along one side
-GOLDEN = (math.sqrt(5.0) - 1.0) / 2
+# Steps of the lattices over a pixel and round the lens, fractions of a period
+GOLDEN, TURN = (math.sqrt(5.0) - 1.0) / 2, 0.7548776662466927
 
 
 @dataclass(frozen=True, eq=False)
@@ -554,11 +555,10 @@ class WallTransport(Noun):
         k = np.arange(count)
         along, across = (k + 0.5) / count - 0.5, k * GOLDEN % 1.0
         across -= across.mean()
-        radius = scene.camera.stop_diameter / 2 * np.sqrt((k * 0.7548776662466927 + 0.5) % 1.0)
-        angle = 2 * math.pi * (k * 0.5698402909980532 % 1.0)
-        e1, e2, _ = scene.camera.frame
-        lens = np.outer(radius * np.cos(angle), e1) + np.outer(radius * np.sin(angle), e2)
-        lens += np.array(scene.camera.position)
+        radius = scene.camera.stop_diameter / 2 * np.sqrt((k + 0.5) / count)
+        angle = 2 * math.pi * (k * TURN % 1.0)
+        disc = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+        lens = (disc - disc.mean(axis=0)) @ scene.camera.frame[:2] + scene.camera.position
         points = np.zeros((self.shape[0], count, 3))
         normals = np.zeros(points.shape)
         weights = np.zeros(points.shape[:2])

@@ -77,13 +77,13 @@ CHAIR = trimesh.util.concatenate(
 DISC = disc(0.06, (0.013, 0.05, 0.5))
 
 
-def electrons_per_radiance(camera: Camera) -> float:
+def electrons_per_radiance(sharp: Scene) -> float:
     """Electrons on the whole detector, small and on the axis, per W/(m^2 sr)."""
-    distance = 1 / (1 / camera.focal_length - 1 / math.dist(camera.position, camera.aim))
-    sine = 1 / math.hypot(1, 2 * distance / camera.stop_diameter)
+    camera = sharp.camera
+    lens = camera.stop_diameter / (2 * sharp.image_distance)
     area = math.prod(camera.pixels) * camera.pixel_pitch**2
     rate = camera.quantum_efficiency * LASER.wavelength / (constants.h * constants.c)
-    return math.pi * camera.transmission * sine**2 * area * camera.exposure * rate
+    return math.pi * camera.transmission * lens**2 * area * camera.exposure * rate
 
 
 def test_luminous_rectangle_has_its_configuration_factor():
@@ -94,15 +94,16 @@ def test_luminous_rectangle_has_its_configuration_factor():
     x = 0.7
     one = x / math.hypot(1, x) * math.atan(x / math.hypot(1, x))
     factor = 2 * one / (2 * math.pi)
-    expected = electrons_per_radiance(camera) * 0.6 * factor
+    expected = electrons_per_radiance(small) * 0.6 * factor
     assert transport.forward(np.ones((5, 7))).item() == approx(expected, rel=2e-4)
 
 
 def test_small_cell_is_a_point_source_with_the_cosine_powers_of_its_lobe():
     camera = replace(CAMERA, aim=(-0.3, 0.4, 0), pixels=(4, 4), binning=1)
     hidden = PlanarObject(np.ones((2, 2)), 0.01, position=(0, 0, 1.0))
+    small = scene(camera=camera, hidden=hidden)
     transport = WallTransport(
-        scene(camera=camera, hidden=hidden),
+        small,
         cells=(1, 1),
         pixels=(1, 1),
         source="luminous",
@@ -110,13 +111,13 @@ def test_small_cell_is_a_point_source_with_the_cosine_powers_of_its_lobe():
     )
     square = 1 + 0.3**2 + 0.4**2
     lobe = (1 + 0.3**2) ** -1.5 * (1 + 0.4**2) ** -2.5
-    expected = electrons_per_radiance(camera) * 0.6 / math.pi * lobe * 0.01**2 / square**2
+    expected = electrons_per_radiance(small) * 0.6 / math.pi * lobe * 0.01**2 / square**2
     assert transport.matrix.item() == approx(expected, rel=1e-4)
 
 
 def test_what_a_straight_edge_leaves_of_a_cell_is_linear_in_its_shift():
     """Half way to the plane, the shadow moves twice as far as the edge."""
-    sheet = box((0.6, 1.2, 1e-9), (-0.3, 0, 0.5))
+    sheet = box((0.2, 1.2, 1e-9), (-0.1, 0, 0.5))
     edged = scene(
         sheet,
         camera=replace(CAMERA, pixels=(4, 4), binning=4, stop_diameter=1e-5),
@@ -157,16 +158,15 @@ def test_visible_parts_of_cells_are_those_of_many_rays(occluders):
     points = np.array(shaded.hidden.position) + 0.7 * (
         across[..., None] * right + down[..., None] * up
     )
-    # the sampled cells' light varies a little over a cell, which half a cell in shadow can show
+    assert np.ptp(shares) > 0.5
     for i, j in ((0, 0), (1, 3), (3, 2)):
         ends = np.broadcast_to(wall[i, j], points.shape)
         lines = points - ends
         light = (lines[..., 2] / (lines**2).sum(axis=-1)) ** 2
         seen = light * ~raytrace.occluded(shaded.occluding_mesh, ends, points)
         expected = [a.reshape(4, 60, 5, 60).sum(axis=(1, 3)) for a in (seen, light)]
-        assert np.ptp(shares[i, j]) > 0.3
         assert shares[i, j] == approx(expected[0] / expected[1], abs=0.012)
-        assert (shares[i, j] - expected[0] / expected[1]).mean() == approx(0.0, abs=1e-3)
+        assert (shares[i, j] - expected[0] / expected[1]).mean() == approx(0.0, abs=2e-3)
 
 
 def traced(sharp: Scene, n_rays: int) -> tuple[np.ndarray, ...]:
@@ -241,7 +241,7 @@ def test_luminous_screen_past_a_chair_is_its_sum_over_random_points():
         light *= (screen.image_distance / np.linalg.norm(rays, axis=1)) ** 4
         free = ~raytrace.occluded(screen.occluding_mesh, wall, points)
         counts.append((light * free).mean())
-    expected = electrons_per_radiance(camera) / 64 * np.reshape(counts, (8, 8))
+    expected = electrons_per_radiance(screen) / 64 * np.reshape(counts, (8, 8))
     # 40000 points for each pixel leave 0.4 %, and 0.05 % of the mean
     assert image.mean() == approx(expected.mean(), rel=1.5e-3)
     assert image == approx(expected, rel=0.025)
@@ -288,7 +288,7 @@ def test_tensors_give_tensors_with_gradients(small):
 @pytest.mark.parametrize("occluder", [0, 1], ids=["disc", "box through the plane"])
 def test_derivative_by_the_pose_is_that_of_differences(small, occluder):
     f = np.random.default_rng(0).random((6, 7))
-    rates, step = small.pose_derivative(f, occluder), 1e-5
+    rates, step = small.pose_derivative(f, occluder), 1e-6
     for k, change in enumerate(step * np.eye(6)):
         ahead, back = (
             small.moved(occluder, s * change[:3], s * change[3:]).forward(f) for s in (1, -1)
