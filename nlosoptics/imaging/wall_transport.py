@@ -34,8 +34,6 @@ Plate = tuple[Array, Array, tuple[float, float]]
 
 FINE = 40  # samples per distance between plane and wall: the midpoint rule errs by 2e-4
 MOST_SAMPLES = 1024  # of the plane along one side
-# Steps of the lattices over a pixel and round the lens, fractions of a period
-GOLDEN, TURN = (math.sqrt(5.0) - 1.0) / 2, 0.7548776662466927
 
 
 @dataclass(frozen=True, eq=False)
@@ -553,10 +551,10 @@ class WallTransport(Noun):
         rays = chief_rays(scene, x, y)
         visible = pixels * wall_visibility(scene, rays)
         k = np.arange(count)
-        along, across = (k + 0.5) / count - 0.5, k * GOLDEN % 1.0
+        along, across = (k + 0.5) / count - 0.5, k * (math.sqrt(5.0) - 1.0) / 2 % 1.0
         across -= across.mean()
         radius = scene.camera.stop_diameter / 2 * np.sqrt((k + 0.5) / count)
-        angle = 2 * math.pi * (k * TURN % 1.0)
+        angle = 2 * math.pi * (k * 0.7548776662466927 % 1.0)  # R sequence, see `objects`
         disc = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
         lens = (disc - disc.mean(axis=0)) @ scene.camera.frame[:2] + scene.camera.position
         points = np.zeros((self.shape[0], count, 3))

@@ -189,7 +189,7 @@ def traced(sharp: Scene, n_rays: int) -> tuple[np.ndarray, ...]:
         (scene(DISC, wall=ConvexWall(radius=4.0, size=(1.6, 1.2))), 1 << 20),
         (
             scene(DISC, wall_material=SumMaterial(Lambert(0.3), SpecularMicrofacet(0.4, 0.15))),
-            1 << 22,
+            1 << 19,
         ),
     ],
     ids=["free", "disc", "chair", "curved wall", "glossy wall"],
