@@ -459,8 +459,6 @@ class WallTransport(Noun):
         if self.source == "laser":
             tables.append(self.scene.hidden.material.lobe_table())
         slopes = [row[2] for table in tables for row in table if row[0] >= BECKMANN]
-        if self.source == "laser" and has_highlight(self.scene):
-            slopes += [slope for slope in self.scene.mirror_slopes if slope > 0.0]
         step = nearest * min(1.0 / FINE, *(slope / 2 for slope in slopes), 1.0)
         parts = []
         for count, side in zip(self.cells, size[::-1], strict=True):
@@ -501,8 +499,20 @@ class WallTransport(Noun):
             if mesh is not None:
                 check_beam(self.scene, mesh, spot)
             row, column = (index[..., None] for index in np.indices(shape))
-            points = axes[0] + column * axes[1] + row * axes[2]
-            radiance, to_spot = spot_irradiance(self.scene, spot, points, axes[3])
+            to_spot = spot.point - (axes[0] + column * axes[1] + row * axes[2])
+            to_spot /= np.linalg.norm(to_spot, axis=-1, keepdims=True)
+            # a highlight may be narrower than a sample, which gets its mean
+            count = 1
+            if has_highlight(self.scene):
+                blur = min(slope for slope in self.scene.mirror_slopes if slope > 0.0)
+                blur *= float(np.linalg.norm(self.scene.object_point - spot.point)) / 2
+                count = min(64, math.ceil(float(np.abs(axes[1:3]).max()) / blur))
+            inside = (np.arange(count) + 0.5) / count - 0.5
+            across = np.add.outer(np.arange(shape[1]), inside).ravel()[:, None]
+            for i in range(shape[0]):
+                points = axes[0] + across * axes[1] + (i + inside)[:, None, None] * axes[2]
+                light = spot_irradiance(self.scene, spot, points, axes[3])[0]
+                radiance[i] = light.reshape(count, shape[1], count).mean(axis=(0, 2))
             table, kind = material.lobe_table(), 1
             if (table[:, 0] == LAMBERT).all():
                 radiance, kind = radiance * float((table[:, 1] * table[:, 3]).sum()) / math.pi, 0
