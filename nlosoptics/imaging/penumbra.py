@@ -48,8 +48,8 @@ class Edges(Noun):
             signs = np.where(pairs[order, 0] < pairs[order, 1], 1, -1)
             sizes = np.array([len(vertices), len(faces), len(ends), len(order)])
             group = np.stack([counts[:3], (counts + sizes)[:3]], axis=1).ravel()
-            parts = (vertices, faces + counts[0], group[None], ends + counts[0])
-            parts += (first + counts[3], order // 3 + counts[1], signs)
+            parts = [vertices, faces + counts[0], group[None], ends + counts[0]]
+            parts += [first + counts[3], order // 3 + counts[1], signs]
             for values, part in zip(lists, parts, strict=True):
                 values.append(part)
             counts += sizes

@@ -538,7 +538,7 @@ class WallTransport(Noun):
                 need = max(need, 3.0 * step * (centre[2] - near) / near / cell)
         return int(min(max(need * need, 5.0), 64.0))
 
-    def _bins(self) -> tuple[tuple[Array, float], tuple[Array, float], float]:
+    def _bins(self) -> tuple[tuple[Any, float], tuple[Any, float], float]:
         """Return centres and sides of the detector's areas along x and y, m, and their pixels."""
         camera = self.scene.camera
         axes = []
@@ -550,7 +550,8 @@ class WallTransport(Noun):
     @cached_property
     def _paths(self) -> tuple[Array, Array, Array, Array]:
         """Wall points and normals (n, k, 3), their electrons per radiance (n, k), lens points."""
-        scene, count = self.scene, self._samples
+        scene, count, exposure = self.scene, self._samples, self.exposure
+        assert exposure is not None  # set by __post_init__
         fits_memory(
             f"{count} wall points for each of {self.shape[0]} pixels",
             160 * count * self.shape[0],
@@ -576,7 +577,7 @@ class WallTransport(Noun):
             at = use.ravel()
             points[at, i] = on_wall(scene, rays, use, lens[i])
             normals[at, i] = rays.normals[use]
-            weights[at, i] = electrons_per_radiance(scene, rays.cos_axis[use], self.exposure)
+            weights[at, i] = electrons_per_radiance(scene, rays.cos_axis[use], exposure)
         met = np.count_nonzero(weights, axis=1)
         weights *= (visible.ravel() / np.maximum(met, 1))[:, None]
         return points, normals, weights, lens
