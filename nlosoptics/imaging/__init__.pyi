@@ -7,3 +7,4 @@ from .images import diffuse_background as diffuse_background
 from .images import form_image as form_image
 from .shadows import Shadows as Shadows
 from .shadows import cast_shadows as cast_shadows
+from .wall_transport import WallTransport as WallTransport

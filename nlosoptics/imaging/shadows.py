@@ -205,25 +205,17 @@ def _path_shares(
     centres, pitch = pixel_centres(scene.camera), scene.camera.image_pitch
     for rays, lens in _sample_rays(scene, centres, pitch):
         use = seen & np.isfinite(rays.distance)
-        on_wall = _on_wall(scene, rays, use, lens)
-        open_view = ~occluded(mesh, lens, on_wall)
+        met_wall = on_wall(scene, rays, use, lens)
+        open_view = ~occluded(mesh, lens, met_wall)
         viewed[use] += open_view
         points, hit = _object_points(scene, rays, use)
         lit = np.zeros(hit.shape, dtype=bool)
-        lit[hit] = ~occluded(mesh, on_wall[hit], points) & ~occluded(mesh, points, spot.point)
+        lit[hit] = ~occluded(mesh, met_wall[hit], points) & ~occluded(mesh, points, spot.point)
         met[use] += hit
         free[use] += lit & open_view
     image = np.ones(seen.shape)
     np.divide(free, met, out=image, where=met > 0)
     return image, np.where(seen, viewed / SIDE**2, 1.0)
-
-
-def wall_samples(
-    scene: Scene, centres: tuple[Array, Array], pitch: float, use: Mask
-) -> Iterator[tuple[Array, Array]]:
-    """Sample the paths between the lens and the parts of the wall that detector areas see."""
-    for rays, lens in _sample_rays(scene, centres, pitch):
-        yield _on_wall(scene, rays, use, lens), lens
 
 
 def _sample_rays(
@@ -242,7 +234,7 @@ def _sample_rays(
         yield chief_rays(scene, x + steps[column], y + steps[row]), lens[k]
 
 
-def _on_wall(scene: Scene, rays: ChiefRays, use: Mask, lens: Array) -> Array:
+def on_wall(scene: Scene, rays: ChiefRays, use: Mask, lens: Array) -> Array:
     """Return the wall points (m, 3), m, of rays through a point of the lens.
 
     Each ray goes to the point in focus on its chief ray. The wall is replaced by its tangent plane

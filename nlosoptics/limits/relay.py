@@ -3,32 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import scipy  # loads scipy.special and scipy.optimize on first use
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, positive, whole
-from .._vectors import dot
 from ..errors import SceneError
+from ..imaging import WallTransport
 from ..imaging.detector import noise_variance
-from ..imaging.geometry import chief_rays, wall_visibility
-from ..imaging.objects import Patches
-from ..imaging.radiometry import (
-    LaserSpot,
-    arrivals,
-    electrons_per_radiance,
-    laser_spot,
-)
-from ..imaging.shadows import wall_samples
-from ..raytrace import occluded
+from ..imaging.wall_transport import plate
 from ..scene import Material, PlanarObject, Scene, SumMaterial
 
 Array = NDArray[np.float64]
 
 CELLS = 24  # cells of the object along its longer side
-PARTS = 4  # samples of visibility along each side of a cell
 CONTRAST = 0.3  # assumed rms variation of a cell's reflectance about the mean
 
 
@@ -195,25 +184,27 @@ def relay_signal(
     material = wide_lobes(scene, cells=cells)
     if material is None:
         return None
+    counts = _cell_counts(plate(scene)[2], whole("cells", cells, 2, 64))
     camera = scene.camera
     exposure = positive("exposure", camera.exposure if exposure is None else exposure)
     freedom = None if freedom is None else positive("freedom", freedom)
     dark = camera.dark_current * exposure * camera.binning**2
 
     def signal(count: int) -> Array:
-        response, pixels = relay_response(
-            scene, material, exposure=exposure, cells=cells, bins=count
+        bins = _bin_counts(camera.shape, count)
+        pixels = math.prod(camera.shape) / math.prod(bins)
+        transport = WallTransport(
+            scene, cells=counts, pixels=bins, exposure=exposure, material=material
         )
-        if light is None:
-            arriving = 0.35 * response.sum(axis=1)  # by an object of this mean reflectance
-        else:
-            arriving = _binned(light, _bin_counts(camera.shape, count)).ravel()
+        response = np.array(transport.matrix)
+        # without ``light``, that of an object of this mean reflectance
+        arriving = 0.35 * response.sum(axis=1) if light is None else _binned(light, bins).ravel()
         variance = pixels * noise_variance(camera, arriving / pixels, dark, freedom)
         response *= (CONTRAST / np.sqrt(variance))[:, None]
         return response
 
     if bins is not None:
-        return signal(bins)
+        return signal(whole("bins", bins, 2, 128))
     count, result = 6, signal(6)
     while count < min(max(camera.shape), 96):
         before, count = _freedom_of(result), 2 * count
@@ -296,130 +287,20 @@ def wide_lobes(scene: Scene, *, cells: int = CELLS) -> Material | None:
     return SumMaterial(*parts) if len(parts) > 1 else (parts[0] if parts else None)
 
 
-def relay_response(
-    scene: Scene, material: Material, *, exposure: float, cells: int = CELLS, bins: int
-) -> tuple[Array, float]:
-    """Electrons in each detector bin from each white cell of the object."""
-    whole("cells", cells, 2, 64)
-    whole("bins", bins, 2, 128)
-    camera, spot = scene.camera, laser_spot(scene)
-    counts = _bin_counts(camera.shape, bins)
-    pixels = math.prod(camera.shape) / math.prod(counts)
-    y, x = (
-        (np.arange(n, dtype=np.float64) + 0.5 - n / 2) * (camera.image_pitch * side / n)
-        for n, side in zip(counts, camera.shape, strict=True)
-    )
-    rays = chief_rays(scene, x, y)
-    visible = wall_visibility(scene, rays)
-    gain = electrons_per_radiance(scene, rays.cos_axis, exposure) * visible * pixels
-    seen = visible > 0.0
-    patches = _cells(scene, cells)
-    response = np.zeros((math.prod(counts), len(patches.areas)))
-    rows = np.flatnonzero(seen)
-    points, normals, view = rays.points[seen], rays.normals[seen], -rays.directions[seen]
-    for block, radiance in passed_radiance(scene, spot, material, patches, points, normals, view):
-        response[rows[block]] = radiance * gain.ravel()[rows[block], None]
-    if scene.occluders:
-        step = camera.image_pitch * camera.shape[1] / counts[1]
-        response[rows] *= _visible_cells(scene, spot, (x, y), step, seen, cells)
-    return response, pixels
-
-
-def _visible_cells(
-    scene: Scene,
-    spot: LaserSpot,
-    centres: tuple[Array, Array],
-    step: float,
-    seen: NDArray[np.bool_],
-    cells: int,
-) -> Array:
-    """Return the shares of each cell's light that pass the occluders, (n_seen, n_cells).
-
-    The shares are averages over 16 paths from the lens to each bin. ``centres`` are the detector
-    coordinates x and y of the bins of side ``step``, m; ``seen`` selects the bins. On the
-    object, samples of a cell count if the spot lights them and the wall point sees them.
-    """
-    from . import _shadow_kernels
-
-    mesh = scene.occluding_mesh
-    assert mesh is not None  # the caller has seen occluders
-    vertices = np.array(mesh.vertices, dtype=np.float64)
-    faces = np.array(mesh.faces, dtype=np.int64)
-    centre, (right, up, normal), (width, height) = plate(scene)
-    corner = centre - right * width / 2 - up * height / 2
-    frame = np.array([corner, right / width, up / height, normal])
-    n_x, n_y = _cell_counts((width, height), cells)
-    lit = np.ones((n_y * PARTS, n_x * PARTS), dtype=np.uint8)
-    _shadow_kernels.hide(spot.point, vertices, faces, frame, lit)
-    paths = list(wall_samples(scene, centres, step, seen))
-    points = np.stack([on_wall for on_wall, _ in paths], axis=1)
-    met = np.isfinite(points[..., 0])
-    points[~met] = spot.point
-    lens = np.array([at for _, at in paths])
-    free = met & ~occluded(mesh, np.broadcast_to(lens, points.shape), points)
-    shares = _shadow_kernels.seen_shares(points, free, vertices, faces, frame, lit, (n_y, n_x))
-    return np.asarray(shares * (met.shape[1] / np.maximum(met.sum(axis=1), 1))[:, None])
-
-
-def passed_radiance(
-    scene: Scene,
-    spot: LaserSpot,
-    material: Material,
-    patches: Patches,
-    points: Array,
-    normals: Array,
-    view: Array,
-) -> Iterator[tuple[slice, Array]]:
-    """Radiance of wall points toward the camera due to each patch of the object, in blocks."""
-    for block, toward, light in arrivals(scene, spot, patches, points):
-        facing = normals[block][:, None]
-        light *= np.maximum(dot(toward, facing), 0.0)
-        yield block, light * material.evaluate(toward, view[block][:, None], facing)
-
-
-def plate(scene: Scene) -> tuple[Array, Array, tuple[float, float]]:
-    """Return centre, axes (right, up, normal) and size of the object's plane, m, world frame.
-
-    A mesh is replaced by a plate that faces the wall and has the mesh's width and height.
-    """
-    hidden = scene.hidden
-    if isinstance(hidden, PlanarObject):
-        return np.array(hidden.position), hidden.axes, (hidden.size[0], hidden.size[1])
-    extent = np.ptp(np.asarray(hidden.surface.vertices), axis=0)
-    axes = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
-    return scene.object_point, axes, (float(extent[0]), float(extent[1]))
-
-
-def _cells(scene: Scene, cells: int) -> Patches:
-    centre, (right, up, normal), (width, height) = plate(scene)
-    n_x, n_y = _cell_counts((width, height), cells)
-    across, upward = np.meshgrid(
-        ((np.arange(n_x) + 0.5) / n_x - 0.5) * width, ((np.arange(n_y) + 0.5) / n_y - 0.5) * height
-    )
-    points = centre + across.reshape(-1, 1) * right + upward.reshape(-1, 1) * up
-    area = width * height / (n_x * n_y)
-    return Patches(
-        points=points,
-        normals=np.broadcast_to(normal, points.shape),
-        areas=np.full(len(points), area),
-    )
-
-
 def _cell_counts(size: tuple[float, float], cells: int) -> tuple[int, int]:
-    """Return the numbers of nearly square cells along both sides of a plate of a given size, m."""
-    n_x, n_y = (max(1, round(cells * side / max(size))) for side in size)
-    return n_x, n_y
+    """Return rows and columns of nearly square cells on a plate of a given width and height, m."""
+    columns, rows = (max(1, round(cells * side / max(size))) for side in size)
+    return rows, columns
 
 
 def _cell_picture(scene: Scene) -> Array | None:
-    """Return the mean reflectance of each cell, in the order of `_cells`; None for a mesh."""
+    """Return the mean reflectance of each cell, row by row; None for a mesh."""
     hidden = scene.hidden
     if not isinstance(hidden, PlanarObject):
         return None
-    n_x, n_y = _cell_counts(hidden.size, CELLS)
-    # row 0 of a picture is its top, and cells run upward
-    sums = _binned(hidden.reflectance[::-1], (n_y, n_x))
-    return np.asarray(sums.ravel() * (n_x * n_y / hidden.reflectance.size))
+    counts = _cell_counts(hidden.size, CELLS)
+    sums = _binned(hidden.reflectance, counts)
+    return np.asarray(sums.ravel() * (math.prod(counts) / hidden.reflectance.size))
 
 
 def _bin_counts(shape: tuple[int, int], bins: int) -> tuple[int, int]:

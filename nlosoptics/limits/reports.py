@@ -21,12 +21,13 @@ from ..imaging.geometry import picture_coordinates
 from ..imaging.images import light_levels
 from ..imaging.radiometry import laser_spot
 from ..imaging.stray import spot_image
+from ..imaging.wall_transport import plate
 from ..psf import SceneOptics, rms_aberration
 from ..scene import PlanarObject, Scene
 from . import frequency_table
 from .blind import BlindForecast, blind_forecast
 from .modulation import Noise, object_scale, padded, picture_modes, spectra, stroke_width
-from .relay import count_modes, lambert_relay_transfer, plate, relay_score, relay_signal
+from .relay import count_modes, lambert_relay_transfer, relay_score, relay_signal
 from .transfer import scene_transfer
 from .verdicts import Case, verdict
 from .wave_bounds import wave_bounds

@@ -17,8 +17,8 @@ from scipy import constants, integrate, special
 from nlosoptics import limits
 from nlosoptics.errors import NlosError
 from nlosoptics.imaging.objects import Patches
-from nlosoptics.imaging.radiometry import laser_spot
-from nlosoptics.limits.relay import CONTRAST, count_modes, passed_radiance, relay_signal
+from nlosoptics.imaging.radiometry import arrivals, laser_spot
+from nlosoptics.limits.relay import CONTRAST, count_modes, relay_signal
 from nlosoptics.scene import (
     Camera,
     FlatWall,
@@ -148,12 +148,10 @@ def test_modes_above_noise(row: dict) -> None:
     per_radiance = math.pi * 0.9 / (4 * 2.0**2) * (9e-6) ** 2 * pixels * exposure * 0.7
     per_radiance *= 632.8e-9 / (constants.h * constants.c)
     response = np.empty((len(points), len(cells)))
-    normals = np.broadcast_to((0.0, 0.0, 1.0), points.shape)
-    passed = passed_radiance(
-        scene, laser_spot(scene), material or Lambert(0.8), patches, points, normals, view
-    )
-    for block, radiance in passed:
-        response[block] = radiance * per_radiance
+    facing, material = (0.0, 0.0, 1.0), material or Lambert(0.8)
+    for block, toward, light in arrivals(scene, laser_spot(scene), patches, points):
+        lobes = material.evaluate(toward, view[block][:, None], facing)
+        response[block] = light * toward[..., 2] * lobes * per_radiance
     variance = 0.35 * response.sum(axis=1) + pixels * 3.6**2
     signal = response * (CONTRAST / np.sqrt(variance))[:, None]
     assert count_modes(signal) == int(row["value"][0])

@@ -1,0 +1,92 @@
+"""Edges of occluding meshes, from which the kernels draw their shadows on a plane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._nouns import Noun
+
+if TYPE_CHECKING:
+    import trimesh
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Edges(Noun):
+    """Triangles of several meshes with the edges that they share."""
+
+    vertices: Array  # (n, 3): world frame, m
+    faces: NDArray[np.int64]  # (n_faces, 3)
+    # (n_meshes, 6): first and last of each mesh's vertices, faces and edges
+    groups: NDArray[np.int64]
+    ends: NDArray[np.int64]  # (n_edges, 2): vertices
+    # (n_edges + 1,): first of the sides of each edge, (n_sides,): their faces, and 1 or -1 for the
+    # order in which they pass the edge's vertices
+    starts: NDArray[np.int64]
+    sides: NDArray[np.int64]
+    turned: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, meshes: Sequence[trimesh.Trimesh]) -> Edges:
+        """Collect the edges of meshes; vertices at the same place are one."""
+        lists: list[list[Array]] = [[] for _ in range(7)]
+        counts = np.zeros(4, dtype=np.int64)  # of vertices, faces, edges and sides
+        for mesh in meshes:
+            vertices, same = np.unique(np.asarray(mesh.vertices), axis=0, return_inverse=True)
+            faces = same.ravel()[np.asarray(mesh.faces)].reshape(-1, 3)
+            pairs = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+            ends, edge = np.unique(np.sort(pairs, axis=1), axis=0, return_inverse=True)
+            order = np.argsort(edge.ravel(), kind="stable")
+            first = np.searchsorted(edge.ravel()[order], np.arange(len(ends)))
+            signs = np.where(pairs[order, 0] < pairs[order, 1], 1, -1)
+            sizes = np.array([len(vertices), len(faces), len(ends), len(order)])
+            group = np.stack([counts[:3], (counts + sizes)[:3]], axis=1).ravel()
+            parts = [vertices, faces + counts[0], group[None], ends + counts[0]]
+            parts += [first + counts[3], order // 3 + counts[1], signs]
+            for values, part in zip(lists, parts, strict=True):
+                values.append(part)
+            counts += sizes
+        empty = [(0, 3), (0, 3), (0, 6), (0, 2), (0,), (0,), (0,)]
+        arrays: list[Any] = [
+            np.concatenate([np.zeros(shape), *parts]).astype(np.int64 if i else np.float64)
+            for i, (shape, parts) in enumerate(zip(empty, lists, strict=True))
+        ]
+        arrays[4] = np.append(arrays[4], counts[3])
+        return cls(*arrays)
+
+    @cached_property
+    def arrays(self) -> tuple[Any, ...]:
+        """All arrays in the order in which the kernels take them."""
+        return (
+            self.vertices,
+            self.faces,
+            self.ends,
+            self.starts,
+            self.sides,
+            self.turned,
+            self.groups,
+        )
+
+    def still(self) -> Array:
+        """Return the velocities of vertices of which none is asked for, (n, 0, 3)."""
+        return np.zeros((len(self.vertices), 0, 3))
+
+    def rigid(self, mesh: int, centre: Array) -> Array:
+        """Return the velocities (n, 6, 3) of vertices as one mesh is shifted or turned.
+
+        Shifts along the axes come first, per metre, then turns about them through ``centre``, per
+        radian.
+        """
+        speeds = np.zeros((len(self.vertices), 6, 3))
+        first, last = self.groups[mesh, :2]
+        arm = self.vertices[first:last, None] - centre
+        speeds[first:last, :3] = np.eye(3)
+        speeds[first:last, 3:] = np.cross(np.eye(3), arm)
+        return speeds
