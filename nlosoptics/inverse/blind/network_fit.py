@@ -69,7 +69,7 @@ def network_fit(
 
     Where the network of proposals does not apply, the wall is that of `evidence_fit`. The status is
     that of `evidence_fit`. If it is "converged", the two objects must have a correlation of 0.9, so
-    that two different priors agree; otherwise it is "unconverged".
+    that two different priors agree; otherwise it is "ambiguous".
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ def _with_object(
             f"the objects of network and evidence have a correlation of {agreement:.2f}, must be "
             f"{least:g}; give a second image with a known defocus, or allow more max_iterations"
         )
-        doubts = {"status": "unconverged", "reasons": (reason,)}
+        doubts = {"status": "ambiguous", "reasons": (reason,)}
     background, score = beside(data, level, model)
     gain = float(level.max()) if gain is None else gain
     values = {"gain": gain, "background": background, "agreement": agreement}

@@ -62,8 +62,8 @@ def pcin(
     Reconstruction
         Object, status and score. ``physical_parameters`` contains the fitted ``coefficients``. With
         "network" the values are those of `evidence_fit`, with the U-net's object and score, and
-        ``agreement``, the correlation of the objects of both. If it is below 0.9, the status is
-        not "converged".
+        ``agreement``, the correlation of the objects of both. If it is below 0.9, the status
+        "converged" becomes "ambiguous".
 
     Raises
     ------

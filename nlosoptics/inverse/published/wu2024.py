@@ -105,8 +105,8 @@ def wu2024_fit(
         Object, status and score. ``physical_parameters`` also contains the fitted ``coefficients``
         in the shape and unit of ``pupil_psf.coefficients``, ``network_weights`` (n,) float32,
         ``network_base``, ``network_depth``, ``strehl`` (peak of the PSF relative to that without
-        aberration) and ``iterations``. The status is "trivial" if the object is the image itself (a
-        correlation of 0.95 or more), otherwise "unconverged" (see Notes).
+        aberration) and ``iterations``. The status is "ambiguous" if the object is the image itself
+        (a correlation of 0.95 or more), otherwise "unconverged" (see Notes).
 
     See Also
     --------
@@ -305,12 +305,16 @@ class _Pcin(Solver[_Turns]):
         coefficients = self.angles.detach()
         model = self.optics.model(coefficients)
         flat = _Optics(self.optics.pupil_psf, [0.0]).model(torch.zeros_like(coefficients))
-        alike = registered_correlation(level, self.data.data)
+        same = registered_correlation(level, self.data.data) > 0.95
+        reason = (
+            "the object is the image itself, as without blur" if same else "no test of the wall"
+        )
         network = self.network.network
         return {
             "model": model,
             "background": beside(self.data, level, model)[0],
-            "status": "trivial" if alike > 0.95 else "unconverged",
+            "status": "ambiguous" if same else "unconverged",
+            "reasons": (f'{reason}; give several images to recipe "evidence"',),
             "coefficients": coefficients.to(torch.float64).cpu().numpy(),
             "network_weights": joined(list(network.parameters())).cpu().numpy(),
             "network_base": float(network.base),
