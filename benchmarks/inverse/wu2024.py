@@ -74,6 +74,7 @@ def one_case(job):
         "status": found.status,
         "score": round(found.score, 4),
         "wave_rms": round(float(np.linalg.norm(found.physical_parameters["coefficients"])), 4),
+        "iterations": len(found.history["objective"]),
         "seconds": round(found.seconds, 1),
         "cpu_seconds": round(time.process_time() - before, 1),
     }
@@ -107,7 +108,7 @@ def main():
     done = set()
     if options.json and options.json.exists():
         lines = map(json.loads, options.json.read_text().splitlines())
-        done = {tuple(line[name] for name in KEY) for line in lines}
+        done = {tuple(line.get(name) for name in KEY) for line in lines}
     walls = range(options.first_wall, options.first_wall + options.walls)
     values = [
         (recipe, change, name, wall, rms, options.size, options.iterations)
