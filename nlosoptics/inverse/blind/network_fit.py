@@ -136,8 +136,8 @@ def network_fit(
     with suppress(Stop):
         ends = [fitted(wall, steps, True)[0] for wall in walls]
         if ends:
-            grid = tuple(8 * math.ceil(SETTINGS.narrow * side / 8) for side in frames.shape)
-            energy, stage = FreeEnergy(frames, pupil_psf, grid=grid), SETTINGS.compare
+            rows, columns = (8 * math.ceil(SETTINGS.narrow * n / 8) for n in frames.shape)
+            energy, stage = FreeEnergy(frames, pupil_psf, grid=(rows, columns)), SETTINGS.compare
             judged = energy.descend(energy.starts(np.array(ends), stage.first), stage)
             best = _moved(pupil_psf, judged.best(1).coefficients[0])
     report.part = len(walls)
