@@ -117,16 +117,26 @@ def wu2024_fit(
     Notes
     -----
     The theory pages of the documentation list the statements of the paper's section 2.2, and what
-    this function does. The paper leaves some choices open, which are options here: the number of
-    repetitions of the steps for angles and network (``alternate``), the input of the network in the
-    second (``network_input``), its size (``base``), the strength of the random angles
-    (``start_rms``), and the weight of TV (``tv_weight``; equation 9 has the weight 1, but the scale
-    of the image is not stated). The image is treated as periodic, as equation 8 implies.
+    this function does. It departs from the paper in these points:
 
-    In tests with random angles and one image, this method never found the true object and wall, but
-    the image itself, or another object that agrees with the image within the noise
+    - The radiance of the exit angles, equations 4 to 7, is not in the model. Angles act on the
+      phase of the pupil only (equation 3), and its amplitude is 1.
+    - Step 2 of the text feeds "the reconstruction image" to the network. The default feeds the
+      camera image, as step 1 and the paper's figure do; ``network_input="reconstruction"`` follows
+      the text.
+    - Gain and background of the image take their least-squares values in every step, the object is
+      between 0 and 1, and the image is periodic, as equation 8 implies.
+
+    The paper leaves some choices open, which are options here: the number of repetitions of both
+    steps (``alternate``), the size of the network (``base``), the strength of the random angles
+    (``start_rms``), and the weight of TV (``tv_weight``; equation 9 has the weight 1, but the scale
+    of the image is not stated). The study in ``examples/pcin_study`` varies them one by one.
+
+    In tests with random angles and one image, this method rarely came near the true object: it
+    found the image itself, or another object that agrees with the image within the noise
     (`benchmarks/inverse/wu2024.py`). A residual at the noise level is therefore no sign of success,
-    and the status is never "converged".
+    and the status is never "converged". For the same network from proposed walls, judged by the
+    evidence, see recipe "network" of `pcin`.
 
     References
     ----------
@@ -295,12 +305,16 @@ class _Pcin(Solver[_Turns]):
         coefficients = self.angles.detach()
         model = self.optics.model(coefficients)
         flat = _Optics(self.optics.pupil_psf, [0.0]).model(torch.zeros_like(coefficients))
-        alike = registered_correlation(level, self.data.data)
+        same = registered_correlation(level, self.data.data) > 0.95
+        reason = (
+            "the object is the image itself, as without blur" if same else "no test of the wall"
+        )
         network = self.network.network
         return {
             "model": model,
             "background": beside(self.data, level, model)[0],
-            "status": "ambiguous" if alike > 0.95 else "unconverged",
+            "status": "ambiguous" if same else "unconverged",
+            "reasons": (f'{reason}; give several images to recipe "evidence"',),
             "coefficients": coefficients.to(torch.float64).cpu().numpy(),
             "network_weights": joined(list(network.parameters())).cpu().numpy(),
             "network_base": float(network.base),
