@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft, optimize
 
-from ..._checks import counted, whole
+from ..._checks import whole
 from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
@@ -32,28 +33,31 @@ class Settings:
     ``edge``: width of the window's edges over the frame's side. ``low``: frequency, cycles per
     frame, up to which facets of a wall add to the power of speckle; it is not used. ``smoothing``:
     width of the Gaussian that makes the envelope from the mean image, over the frame's side.
-    ``flux``: error of the object's sum, which the mean image determines. ``rounds``, ``steps``: the
-    model of the power in the third cumulant is renewed so often, after so many steps. ``rounding``:
-    part of the object's maximum below which differences are no edges. ``agreement``: least
-    correlation with the truth, expected from two halves of the burst. ``skewness``: least ratio of
-    the third cumulant to the model's, for the object of one half and the images of the other.
-    ``margin``: least logarithm of the odds against the object turned by half a turn. ``settled``:
-    largest relative change of the object in the last round. ``information``: least information of
-    half a burst about the phases, nats for each frequency that exceeds the noise.
+    ``dark``: envelope over its maximum below which pixels have little weight. ``flux``: error of
+    the object's sum, which the mean image determines. ``rounds``, ``steps``: the model of the power
+    in the third cumulant is renewed so often, after so many steps. ``rounding``: part of the
+    object's maximum below which differences are no edges. ``settled``: largest relative change of
+    the object in the last round. ``information``: least information about the phases, nats for each
+    frequency that exceeds the noise; 0.25 leaves errors of about 1 rad. ``skewness``: least third
+    cumulant over the model's. ``margin``: least logarithm of the odds against the object turned by
+    half a turn, unless object and turned object correlate by more than ``symmetric``.
+    ``expected``: least expected correlation with the truth.
     """
 
     edge: float = 1.0 / 8.0
     low: float = 4.0
     smoothing: float = 1.0 / 20.0
+    dark: float = 0.1
     flux: float = 0.03
     rounds: int = 5
     steps: int = 60
     rounding: float = 1e-3
-    agreement: float = 0.9
+    settled: float = 0.05
+    information: float = 0.25
     skewness: float = 0.5
     margin: float = 5.0
-    settled: float = 0.05
-    information: float = 0.5
+    symmetric: float = 0.95
+    expected: float = 0.9
 
 
 SETTINGS = Settings()
@@ -76,7 +80,7 @@ def burst_fit(
     ----------
     images : array_like (K, H, W)
         Images of one object, in any unit that is proportional to light, without background
-        (subtract it; its noise may remain). At least 4; 16 are often enough. Between two exposures
+        (subtract it; its noise may remain). At least 6; 16 are often enough. Between two exposures
         the camera or the laser moves along the wall by more than the part of it that the lens sees
         from one object point. A shift of the whole image does not matter.
     spread : PointSpread
@@ -97,24 +101,25 @@ def burst_fit(
         Object (H, W) within the middle half of the frame, with a maximum of 1. Its true position is
         unknown; its orientation is not.
 
-        ``status`` is "too_few_photons" if the fluctuations determine no object, or the two halves
-        of the burst too little of it; "does_not_fit" if the halves show different objects, or the
-        light is less skewed than speckle, as with an object that changes or a wall that is too
-        smooth; "ambiguous" if the object turned by half a turn is as likely; "unconverged" if the
-        fit was stopped or has not settled.
+        ``status`` is "too_few_photons" if images and light determine too little of the object;
+        "does_not_fit" if the light is less skewed than speckle through the object, as with an
+        object that changes or a wall that is too smooth; "ambiguous" if the object turned by half a
+        turn is about as likely; "unconverged" if the fit was stopped or has not settled.
 
-        ``score`` is the correlation between the objects of the first and second half of the burst,
-        fitted from different starts. ``physical_parameters``: ``expected_correlation`` with the
-        truth that follows from it; ``skewness``, third cumulant relative to the model's, for the
-        object of one half and the images of the other; ``turn_margin``, logarithm of the odds
-        against the object turned by half a turn, likewise (infinite for an object that does not
-        change); ``information``, nats about the phases for each frequency above the noise, in half
-        the burst; ``noise_sigma``, rms noise beyond the optics' cut-off, relative to the image.
+        ``score`` and ``agreement`` are the correlation between the objects of the first and the
+        second half of the burst. Each half is fitted from a start of its own and from the answer of
+        the whole, and the more probable answer counts. Other ``physical_parameters``:
+        ``expected_correlation`` with the truth, ``sqrt(2 a/(1 + a))`` for the agreement a;
+        ``information`` about the phases, nats for each frequency above the noise; ``skewness``,
+        third cumulant over the model's, for the object of one half and the images of the other;
+        ``turn_margin``, logarithm of the odds against the object turned by half a turn, likewise;
+        ``symmetry``, correlation of the object with the turned one; ``noise_sigma``, rms noise of a
+        pixel of the fluctuations, relative to the mean image.
 
     Raises
     ------
     SamplingError
-        If ``images`` are not (K, H, W) with K of 4 or more and sides of 16 or more, or the pixels
+        If ``images`` are not (K, H, W) with K of 6 or more and sides of 16 or more, or the pixels
         are wider than 0.6 lambda N, with the wavelength lambda and the F-number N.
     SceneError
         If an image is not finite, or the mean image is not positive.
@@ -174,12 +179,16 @@ def burst_fit(
             edge=SETTINGS.edge,
             low=SETTINGS.low,
             smooth=SETTINGS.smoothing,
+            dark=SETTINGS.dark,
         )
         for part in (values, values[:half], values[half:])
     )
-    level = search.run(whole_burst)
-    settled = search.change <= SETTINGS.settled and not search.stopped
-    tests = _tests(halves, [search.run(part) for part in halves], level)
+    level = search.run(whole_burst, search.start())
+    if search.change > SETTINGS.settled:  # once more, from another start
+        level = search.run(whole_burst, search.start())
+    settled = search.change <= SETTINGS.settled
+    levels = [search.better(part, search.start(), level) for part in halves]
+    tests = _tests(whole_burst, halves, level, levels)
     status, reasons = _status(tests, settled and not search.stopped)
     brightest = float(level.max())
     return Reconstruction(
@@ -187,7 +196,7 @@ def burst_fit(
         physical_parameters={**tests, "noise_sigma": math.sqrt(whole_burst.noise)},
         status=status,
         score=tests["agreement"],
-        history=frozen({"objective": search.objective}),
+        history=frozen({"objective": search.costs}),
         seconds=time.perf_counter() - started,
         reasons=reasons,
     )
@@ -196,9 +205,9 @@ def burst_fit(
 def _checked(images: ArrayLike, spread: Any) -> tuple[Array, float]:
     """Return images (K, H, W) and the cut-off, cycles per pixel."""
     values = real_array("images", images)
-    if values.ndim != 3 or len(values) < 4 or min(values.shape[1:]) < 16:
+    if values.ndim != 3 or len(values) < 6 or min(values.shape[1:]) < 16:
         raise SamplingError(
-            f"images have shape {values.shape}, must be (K, H, W) with K of 4 or more and sides of "
+            f"images have shape {values.shape}, must be (K, H, W) with K of 6 or more and sides of "
             "16 or more; stack all images of the burst"
         )
     check_finite("images", values, "replace or leave out the image")
@@ -232,38 +241,44 @@ class _Search:
         self.shape = shape[0], shape[1]
         self.random, self.progress = random, progress
         self.middle = tuple(slice(n // 4, n // 4 + n // 2) for n in shape)
-        self.stopped, self.change, self.reports = False, math.inf, 0
-        self.objective: list[float] = []
+        self.stopped, self.change = False, math.inf
+        self.costs: list[float] = []
 
-    def run(self, likelihood: BurstLikelihood) -> Array:
-        """Return the object (H, W), about unit sum, of the largest likelihood times prior."""
+    def start(self) -> Array:
+        """Return a disc (H, W) of random brightness, unit sum, near the size of most objects."""
         y, x = (np.arange(n) - n // 2 for n in self.shape)
         disc = np.hypot(y[:, None], x) < 0.11 * min(self.shape)
         level = disc * self.random.random(self.shape)
-        level /= level.sum()
+        return np.asarray(level / level.sum())
+
+    def better(self, likelihood: BurstLikelihood, *starts: Array) -> Array:
+        """Return the answer of least cost from several starts."""
+        answers = []
+        for start in starts:
+            answers.append((self.run(likelihood, start), self.costs[-1]))
+        return min(answers, key=lambda answer: answer[1])[0]
+
+    def run(self, likelihood: BurstLikelihood, level: Array) -> Array:
+        """Return the object (H, W), about unit sum, of the largest likelihood times prior."""
         for _ in range(SETTINGS.rounds):
-            if self.stopped:
+            if self.stopped and self.costs:
                 break
             before, level = level, self._round(likelihood, level)
             self.change = float(np.linalg.norm(level - before) / np.linalg.norm(level))
-            self.reports += 1
-            self.stopped = not goes_on(
-                self.progress,
-                "burst: object, and those of two halves",
-                self.reports / (3 * SETTINGS.rounds),
-                lambda level=level: state_of(level),
-            )
+            share = min(len(self.costs) / (6 * SETTINGS.rounds), 1.0)  # of at most six runs
+            text = "burst: the object, and that of each half"
+            self.stopped = not goes_on(self.progress, text, share, partial(state_of, level))
         return level
 
     def _round(self, likelihood: BurstLikelihood, level: Array) -> Array:
         """Make steps with a fixed model of the power in the third cumulant."""
-        model, brightest = likelihood.spectrum(np.asarray(fft.rfft2(level))), float(level.max())
-        frame, middle = np.zeros(self.shape), self.middle
+        power = likelihood.spectrum(np.asarray(fft.rfft2(level)))
+        brightest, middle, frame = float(level.max()), self.middle, np.zeros(self.shape)
 
         def cost(values: Array) -> tuple[float, Array]:
             frame[middle] = brightest * values.reshape(frame[middle].shape)
             waves = np.asarray(fft.rfft2(frame))
-            second, third = likelihood.second(waves), likelihood.third(waves, model)
+            second, third = likelihood.second(waves), likelihood.third(waves, power)
             variation, slope = _total_variation(frame, SETTINGS.rounding * brightest)
             weight, excess = values.size / 2.0, (float(frame.sum()) - 1.0) / SETTINGS.flux
             value = second[0] + third[0] - weight * math.log(variation) - 0.5 * excess**2
@@ -279,7 +294,7 @@ class _Search:
             bounds=[(0.0, None)] * level[middle].size,
             options={"maxiter": SETTINGS.steps, "maxcor": 20},
         )
-        self.objective.append(float(result.fun))
+        self.costs.append(float(result.fun))
         answer = np.zeros(self.shape)
         answer[middle] = brightest * result.x.reshape(answer[middle].shape)
         return answer
@@ -294,8 +309,10 @@ def _total_variation(level: Array, rounding: float) -> tuple[float, Array]:
     return value, down - np.roll(down, -1, 0) + across - np.roll(across, -1, 1)
 
 
-def _tests(halves: list[BurstLikelihood], levels: list[Array], level: Array) -> dict[str, float]:
-    """Return the agreement of two halves, and how each explains the images of the other."""
+def _tests(
+    burst: BurstLikelihood, halves: list[BurstLikelihood], level: Array, levels: list[Array]
+) -> dict[str, float]:
+    """Return how far two halves agree, and how the object of each explains images of the other."""
     agreement = registered_correlation(*levels)
     measured = expected = margin = 0.0
     for likelihood, other in zip(halves, reversed(levels), strict=True):
@@ -304,16 +321,41 @@ def _tests(halves: list[BurstLikelihood], levels: list[Array], level: Array) -> 
         measured, expected = measured + value, expected + model
         margin += value - likelihood.cumulants(np.conj(waves))[0]
     waves = np.asarray(fft.rfft2(level))
+    information = 0.5 * burst.cumulants(waves)[1] / max(burst.frequencies(waves), 1.0)
     return {
         "agreement": agreement,
-        "turned_agreement": registered_correlation(levels[0], levels[1][::-1, ::-1]),
         "expected_correlation": math.sqrt(2.0 * agreement / (1.0 + agreement)),
+        "information": information,
         "skewness": measured / expected if expected > 0.0 else 0.0,
         "turn_margin": margin,
-        "half_turn": registered_correlation(level, level[::-1, ::-1]),
-        "information": expected / 4.0 / max(halves[0].frequencies(waves), 1.0),
+        "symmetry": registered_correlation(level, level[::-1, ::-1]),
     }
 
 
 def _status(tests: dict[str, float], settled: bool) -> tuple[Status, tuple[str, ...]]:
+    """Return the status, and the reason against "converged"."""
+    limits = SETTINGS
+    if tests["information"] < limits.information:
+        return "too_few_photons", (
+            f"each frequency has {tests['information']:.2g} nats about its phase, least "
+            f"{limits.information:g}; take more images, or expose longer",
+        )
+    if tests["skewness"] < limits.skewness:
+        return "does_not_fit", (
+            f"for the object of the other half, images have {tests['skewness']:.2f} of the third "
+            f"cumulant of speckle, least {limits.skewness:g}: object or camera changed, or the "
+            "wall is not rough",
+        )
+    if tests["turn_margin"] < limits.margin and tests["symmetry"] < limits.symmetric:
+        return "ambiguous", (
+            f"the object turned by half a turn is less likely by {tests['turn_margin']:.2g} nats "
+            f"only, least {limits.margin:g}; take more images",
+        )
+    if tests["expected_correlation"] < limits.expected:
+        return "too_few_photons", (
+            f"two halves of the burst let expect a correlation of "
+            f"{tests['expected_correlation']:.2f}, least {limits.expected:g}; take more images",
+        )
+    if not settled:
+        return "unconverged", ("the object still changed when the fit ended",)
     return "converged", ()

@@ -59,22 +59,34 @@ class BurstLikelihood:
 
     @classmethod
     def of(
-        cls, images: Array, speckle: Array, cutoff: float, *, edge: float, low: float, smooth: float
+        cls,
+        images: Array,
+        speckle: Array,
+        cutoff: float,
+        *,
+        edge: float,
+        low: float,
+        smooth: float,
+        dark: float,
     ) -> BurstLikelihood:
         """Reduce images (K, H, W) to their fluctuations.
 
         ``speckle``, ``cutoff``: as of `speckle_power`. ``edge``, ``smooth``: widths of the window's
         edges and of the Gaussian that makes the envelope from the mean image, over the frame's
-        side. ``low``: frequency, cycles per frame, from which the model holds.
+        side. ``low``: frequency, cycles per frame, from which the model holds. ``dark``: envelope
+        over its maximum at which the window falls to a half.
         """
         count, rows, columns = images.shape
         mean = images.mean(axis=0)
         envelope = ndimage.gaussian_filter(mean, (smooth * rows, smooth * columns), mode="nearest")
+        brightest = float(envelope.max())
+        envelope = np.maximum(envelope / brightest, 0.1 * dark)
         window = np.multiply.outer(*(_taper(n, edge * n) for n in (rows, columns)))
+        window *= envelope**2 / (envelope**2 + dark**2)
         squares, cubes, fourths = (float((window**p).mean()) for p in (2, 3, 4))
         # The mean image contains 1/K of each, so that differences have smaller cumulants.
         variance = squares * (1.0 - 1.0 / count)
-        scaled = (images - mean) * window / (envelope * math.sqrt(variance))
+        scaled = (images - mean) * window / (envelope * brightest * math.sqrt(variance))
         waves = np.asarray(fft.rfft2(scaled))
         power = squared(waves).mean(axis=0) / mean.size
         y, x = np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(columns)
@@ -97,8 +109,11 @@ class BurstLikelihood:
 
     def spectrum(self, waves: NDArray[np.complex128]) -> Array:
         """Return the model of `power` for an object's ``rfft2``."""
-        spread = fft.irfft2(self.speckle * squared(waves), self.lags.shape) * self.lags
-        return np.maximum(fft.rfft2(spread).real, 0.0) + self.noise
+        return np.maximum(self.smoothed(self.speckle * squared(waves)), 0.0) + self.noise
+
+    def smoothed(self, power: Array) -> Array:
+        """Return a power spectrum (H, W//2 + 1) as the window smooths it."""
+        return np.asarray(fft.rfft2(fft.irfft2(power, self.lags.shape) * self.lags).real)
 
     def second(self, waves: NDArray[np.complex128]) -> tuple[float, Array]:
         """Return the log-likelihood of the power, and its gradient with respect to the object."""
@@ -107,9 +122,8 @@ class BurstLikelihood:
         twice = half_spectrum_weights(self.lags.shape[1])
         value = -float((twice * weight * (np.log(model) + self.power / model)).sum())
         slope = weight * (self.power / model - 1.0) / model
-        slope = fft.rfft2(fft.irfft2(slope, self.lags.shape) * self.lags).real
-        scale = 2.0 * self.lags.size
-        return value, scale * fft.irfft2(slope * self.speckle * waves, self.lags.shape)
+        slope = 2.0 * self.lags.size * self.smoothed(slope) * self.speckle
+        return value, fft.irfft2(slope * waves, self.lags.shape)
 
     def third(self, waves: NDArray[np.complex128], model: Array) -> tuple[float, Array]:
         """Return the term of third order, and its gradient, for a given model of the power.

@@ -32,7 +32,9 @@ from .spectra import (
 Array = NDArray[np.float64]
 
 #: How a solver ended and whether its answer holds; see `inverse.Reconstruction`.
-Status = Literal["converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"]
+Status = Literal[
+    "converged", "trivial", "unconverged", "too_few_photons", "does_not_fit", "ambiguous"
+]
 
 
 @dataclass(frozen=True)
