@@ -35,7 +35,7 @@ class Settings:
     width of the Gaussian that makes the envelope from the mean image, over the frame's side.
     ``dark``: envelope over its maximum below which pixels have little weight. ``flux``: error of
     the object's sum, which the mean image determines. ``rounds``, ``steps``: the model of the power
-    in the third cumulant is renewed so often, after so many steps. ``rounding``: part of the
+    in the third cumulant is renewed at most so often, after so many steps. ``rounding``: part of the
     object's maximum below which differences are no edges. ``settled``: largest relative change of
     the object in the last round. ``information``: least information about the phases, nats for each
     frequency that exceeds the noise; 0.25 leaves errors of about 1 rad. ``skewness``: least third
@@ -49,10 +49,10 @@ class Settings:
     smoothing: float = 1.0 / 20.0
     dark: float = 0.1
     flux: float = 0.03
-    rounds: int = 5
+    rounds: int = 10
     steps: int = 60
     rounding: float = 1e-3
-    settled: float = 0.05
+    settled: float = 0.03
     information: float = 0.25
     skewness: float = 0.5
     margin: float = 5.0
@@ -268,6 +268,8 @@ class _Search:
             share = min(len(self.costs) / (6 * SETTINGS.rounds), 1.0)  # of at most six runs
             text = "burst: the object, and that of each half"
             self.stopped = not goes_on(self.progress, text, share, partial(state_of, level))
+            if self.change <= SETTINGS.settled:
+                break
         return level
 
     def _round(self, likelihood: BurstLikelihood, level: Array) -> Array:
