@@ -100,7 +100,7 @@ def test_object_that_turns_halfway_does_not_fit():
 
 @pytest.mark.thorough
 def test_dark_burst_has_too_few_photons():
-    images = speckled(letter(), 12, light=4.0)
+    images = speckled(letter(), 12, light=0.5)
     assert inverse.burst_fit(images, SPREAD).status == "too_few_photons"
 
 

@@ -35,13 +35,13 @@ class Settings:
     width of the Gaussian that makes the envelope from the mean image, over the frame's side.
     ``dark``: envelope over its maximum below which pixels have little weight. ``flux``: error of
     the object's sum, which the mean image determines. ``rounds``, ``steps``: the model of the power
-    in the third cumulant is renewed at most so often, after so many steps. ``rounding``: part of the
-    object's maximum below which differences are no edges. ``settled``: largest relative change of
-    the object in the last round. ``information``: least information about the phases, nats for each
-    frequency that exceeds the noise; 0.25 leaves errors of about 1 rad. ``skewness``: least third
-    cumulant over the model's. ``margin``: least logarithm of the odds against the object turned by
-    half a turn, unless object and turned object correlate by more than ``symmetric``.
-    ``expected``: least expected correlation with the truth.
+    in the third cumulant is renewed at most so often, after so many steps. ``rounding``: part of
+    the object's maximum below which differences are no edges. ``settled``: largest distance from 1
+    of the correlation of the last two rounds' objects. ``information``: least information about the
+    phases, nats for each frequency above the noise; 0.25 leaves errors of about 1 rad.
+    ``skewness``: least third cumulant over the model's. ``margin``: least logarithm of the odds
+    against the object turned by half a turn, unless object and turned object correlate by more than
+    ``symmetric``. ``expected``: least expected correlation with the truth.
     """
 
     edge: float = 1.0 / 8.0
@@ -52,7 +52,7 @@ class Settings:
     rounds: int = 10
     steps: int = 60
     rounding: float = 1e-3
-    settled: float = 0.03
+    settled: float = 5e-3
     information: float = 0.25
     skewness: float = 0.5
     margin: float = 5.0
@@ -260,11 +260,14 @@ class _Search:
 
     def run(self, likelihood: BurstLikelihood, level: Array) -> Array:
         """Return the object (H, W), about unit sum, of the largest likelihood times prior."""
+        power = likelihood.spectrum(np.asarray(fft.rfft2(level)))
         for _ in range(SETTINGS.rounds):
             if self.stopped and self.costs:
                 break
-            before, level = level, self._round(likelihood, level)
-            self.change = float(np.linalg.norm(level - before) / np.linalg.norm(level))
+            before, level = level, self._round(likelihood, level, power)
+            # The geometric mean, since the answer overshoots a model that is renewed at once.
+            power = np.sqrt(power * likelihood.spectrum(np.asarray(fft.rfft2(level))))
+            self.change = 1.0 - registered_correlation(level, before)
             share = min(len(self.costs) / (6 * SETTINGS.rounds), 1.0)  # of at most six runs
             text = "burst: the object, and that of each half"
             self.stopped = not goes_on(self.progress, text, share, partial(state_of, level))
@@ -272,9 +275,8 @@ class _Search:
                 break
         return level
 
-    def _round(self, likelihood: BurstLikelihood, level: Array) -> Array:
+    def _round(self, likelihood: BurstLikelihood, level: Array, power: Array) -> Array:
         """Make steps with a fixed model of the power in the third cumulant."""
-        power = likelihood.spectrum(np.asarray(fft.rfft2(level)))
         brightest, middle, frame = float(level.max()), self.middle, np.zeros(self.shape)
 
         def cost(values: Array) -> tuple[float, Array]:
