@@ -252,11 +252,12 @@ class _Search:
         return np.asarray(level / level.sum())
 
     def better(self, likelihood: BurstLikelihood, *starts: Array) -> Array:
-        """Return the answer of least cost from several starts."""
+        """Return the answer of least cost from several starts, of those that settled if any did."""
         answers = []
         for start in starts:
-            answers.append((self.run(likelihood, start), self.costs[-1]))
-        return min(answers, key=lambda answer: answer[1])[0]
+            answer = self.run(likelihood, start)
+            answers.append(((self.change > SETTINGS.settled, self.costs[-1]), answer))
+        return min(answers, key=lambda pair: pair[0])[1]
 
     def run(self, likelihood: BurstLikelihood, level: Array) -> Array:
         """Return the object (H, W), about unit sum, of the largest likelihood times prior."""
