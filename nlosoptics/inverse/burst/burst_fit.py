@@ -54,7 +54,7 @@ class Settings:
     rounding: float = 1e-3
     settled: float = 5e-3
     information: float = 0.25
-    skewness: float = 0.5
+    skewness: float = 0.6
     margin: float = 5.0
     symmetric: float = 0.95
     expected: float = 0.9
