@@ -1,5 +1,6 @@
 from .blind.evidence import evidence_fit as evidence_fit
 from .blind.pcin import pcin as pcin
+from .burst.burst_fit import burst_fit as burst_fit
 from .data.checkpoints import Stop as Stop
 from .data.forward import TorchForwardModel as TorchForwardModel
 from .data.measurement import Measurement as Measurement

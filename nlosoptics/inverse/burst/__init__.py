@@ -1,0 +1,1 @@
+"""Objects behind rough walls, from many images through different speckle."""
