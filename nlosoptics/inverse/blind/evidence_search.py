@@ -154,8 +154,9 @@ class Search:
         """Return the status of the best answer, and the reason against "converged"."""
         margin, rival = self.margins
         best, effective = self.best(), float(self.energy().terms(self.best()).effective[0])
-        figures = {"margin": margin, "rival": rival, "rounds": self.place.met}
-        return self._verdict.status(best, effective=effective, **figures)
+        return self._verdict.status(
+            best, effective=effective, margin=margin, rival=rival, rounds=self.place.met
+        )
 
     def energy(self) -> FreeEnergy:
         """Return the free energy with the best answer's modes."""
@@ -207,11 +208,11 @@ class Search:
             self.place.sharp = float(walls.energy[0] + prior[0])
         elif not self._several:
             # one wall stays without blur, the others only start near it
-            walls = random_walls(5, self._energy.size, np.array([0.1]), random)
-            walls[0] *= SETTINGS.sharp / 0.1
-            walls[1] = 0.0
+            drawn = random_walls(5, self._energy.size, np.array([0.1]), random)
+            drawn[0] *= SETTINGS.sharp / 0.1
+            drawn[1] = 0.0
             radius = np.array([SETTINGS.sharp, *[np.inf] * 4])
-            starts = self._energy.starts(walls, SETTINGS.release.first, radius)
+            starts = self._energy.starts(drawn, SETTINGS.release.first, radius)
             starts = self._energy.descend(starts, SETTINGS.release)
             sharp, near = starts[:1], starts[1:].best(1)
             starts = self._settled(joined([sharp, near]))

@@ -161,7 +161,8 @@ class FreeEnergy:
         if given.nyquist_pitch < pitch <= 1.02 * given.nyquist_pitch:
             pitch = given.nyquist_pitch
         optics = given.resized(grid, pitch, dtype)
-        waves = ZernikeWaves(self.modes, optics, pupil_psf.waves.rest_of)
+        rest: Any = pupil_psf.waves.rest_of
+        waves = ZernikeWaves(self.modes, optics, rest)
         self._pupil = PupilPSF(optics, waves, np.zeros(len(self.modes))).requires_grad_(False)
         self._pixel = optics.pixel * self._levels
         self._defocus = self._pupil.defocus_turns(self._tensor(frames.defocus))
@@ -241,8 +242,8 @@ class FreeEnergy:
         ``noise``: ratio of the assumed noise to the actual one. ``kappa``: strength of the object's
         prior.
         """
-        free, *state = self._state(starts)
-        return self._terms(self._mean(free)[0], *state, noise, kappa)
+        free, wall, gains, variances = self._state(starts)
+        return self._terms(self._mean(free)[0], wall, gains, variances, noise, kappa)
 
     def judged(self, starts: Starts) -> tuple[Starts, Floats]:
         """Return starts with their residuals, and the backgrounds (B, K) in the images' unit."""
@@ -417,19 +418,22 @@ class FreeEnergy:
 
     def _samples(self, wall: Tensor) -> Tensor:
         """Return point spreads (B, K, p, c) of walls (B, M), without the pixels of the detector."""
-        turns = self._pupil.waves(wall.unflatten(1, (-1, len(self.modes))))
-        return self._pupil.optics.samples(turns[:, self._frames.walls] + self._defocus)
+        turns = self._pupil.waves(wall.reshape(len(wall), -1, len(self.modes)))
+        samples: Tensor = self._pupil.optics.samples(turns[:, self._frames.walls] + self._defocus)
+        return samples
 
     def _transfer(self, wall: Tensor) -> Tensor:
         """Return transfer functions of walls (B, M) times the images' levels, (B, K, p, q)."""
         return torch.fft.rfft2(self._samples(wall)) * self._pixel
 
     def _held(self, wall: Tensor) -> Tensor:
-        return self._stiffness * (wall - self._first).square().sum(1)
+        held: Tensor = self._stiffness * (wall - self._first).square().sum(1)
+        return held
 
     def _spreads(self, walls: Floats) -> Floats:
         """Return the point spreads (B, K, p, c) of walls (B, M), their centre at sample [0, 0]."""
-        return torch.fft.irfft2(self._transfer(self._tensor(walls)), s=self.grid).numpy()
+        spreads: Floats = torch.fft.irfft2(self._transfer(self._tensor(walls)), s=self.grid).numpy()
+        return spreads
 
     def _cut(self, spectra: Tensor) -> Tensor:
         """Return the images (..., H, W) of half spectra."""

@@ -170,9 +170,9 @@ def at_nyquist(image: Floats, noise: float, scale: float) -> tuple[Tensor, float
         middle = round(float(along @ np.arange(side)) / max(float(along.sum()), 1e-12))
         first = min(max(middle - SIDE // 2, 0), max(side - SIDE, 0))
         picture = picture.take(range(first, min(first + SIDE, side)), axis)
-        room = max(SIDE - side, 0)
-        rooms = [(room // 2, room - room // 2) if i == axis else (0, 0) for i in (0, 1)]
-        picture = np.pad(picture, rooms)
+        dark = max(SIDE - side, 0)
+        rims = [(dark // 2, dark - dark // 2) if i == axis else (0, 0) for i in (0, 1)]
+        picture = np.pad(picture, rims)
     return torch.from_numpy(picture).float(), noise * min(1.0, scale)
 
 

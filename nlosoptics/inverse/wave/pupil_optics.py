@@ -170,7 +170,8 @@ class PupilOptics(nn.Module):
         if self._finer == 1:
             return intensity
         fine = torch.fft.irfft2(torch.fft.rfft2(intensity) * self._wide, s=self.fine_grid)
-        return fine[..., :: self._finer, :: self._finer]
+        intensity = fine[..., :: self._finer, :: self._finer]
+        return intensity
 
     def steepest(self, turns: Tensor) -> float:
         """Return the largest difference, in waves, between neighbouring cells of ``turns``."""
