@@ -424,7 +424,8 @@ class FreeEnergy:
 
     def _transfer(self, wall: Tensor) -> Tensor:
         """Return transfer functions of walls (B, M) times the images' levels, (B, K, p, q)."""
-        return torch.fft.rfft2(self._samples(wall)) * self._pixel
+        transfer: Tensor = torch.fft.rfft2(self._samples(wall)) * self._pixel
+        return transfer
 
     def _held(self, wall: Tensor) -> Tensor:
         held: Tensor = self._stiffness * (wall - self._first).square().sum(1)
