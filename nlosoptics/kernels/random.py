@@ -13,7 +13,7 @@ HALF = np.uint64(32)
 SHIFT = np.uint64(11)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _rounds(c0, c1, c2, c3, k0, k1):
     """Return the four words of Philox4x32-10, in uint64 variables; Salmon et al., SC 2011."""
     for _ in range(10):

@@ -63,7 +63,7 @@ def _bin(x, y, z, dx, dy, dz):
     return int((u + 1.0) * (0.4999 * SIDE)) * SIDE + int((v + 1.0) * (0.4999 * SIDE))
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _head(w, centre, half):
     """Normalise the directions of a block of rays, and count the rays that start outside a box."""
     outside = bad = 0  # whole numbers, since the order of their sum may change
@@ -78,7 +78,7 @@ def _head(w, centre, half):
     return -1 if bad else outside
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _prepare(w, centre, shrink, aside):
     """Compute the displaced starts of a block of rays for Embree."""
     for i in range(BLOCK):
@@ -90,7 +90,7 @@ def _prepare(w, centre, shrink, aside):
         w[PX + i], w[PY + i], w[PZ + i] = x, y, z
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _cells(w, cells):
     """Fill ``cells`` (BLOCK,) with the numbers of `_bin` of a block of rays."""
     for i in range(BLOCK):
@@ -98,7 +98,7 @@ def _cells(w, cells):
         cells[i] = _bin(start[0], start[1], start[2], d[0], d[1], d[2])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _flat(hits):
     """Return the result arrays with one axis, whose columns have constant distances."""
     return hits[0], hits[1].reshape(-1), hits[2].reshape(-1), hits[3]
@@ -263,7 +263,7 @@ def aside(rays, shift, turn, out):
             out[j, k + 3] = d[k]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def after(node):
     """Return the node that follows the subtree of ``node`` in depth-first order; -1 at the end."""
     while node > 0 and node & 1 == 0:  # a second child ends the subtree of its parent too

@@ -155,7 +155,7 @@ def search(terms, grid_bounds, box, slab, rim, o, d):
     return low, high, bound, scale, missed
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _safe_step(f, slope, bound):
     """Return the step to the positive root s of f + slope s - bound s^2/2; inf without one."""
     root = math.sqrt(slope * slope + 2.0 * bound * f)

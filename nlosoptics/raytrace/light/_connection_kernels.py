@@ -81,7 +81,7 @@ def between(a, b):
     return d, square, dot(d, three(a, 3)), -dot(d, three(b, 3))
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _chained(world, a, b, seen, second, d, cos_a, cos_b):
     """Return the share of a connection by `connect` that is traced as a chain of narrow lobes."""
     kind_a, kind_b = int(a[SURFACE]), int(b[SURFACE])

@@ -56,13 +56,13 @@ ESCAPED, BLOCKED, LEFT, UNRESOLVED_LIGHT, WALL_TO_WALL, TRAPPED = range(5, 11)
 SUMS = 11
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def sums_of(path_sums, first, i):
     """Return the row of ``path_sums`` to which the power of ray ``first + i`` is added."""
     return path_sums[i // UNIT * GROUPS + (first + i) % GROUPS]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def lobes_of(world, kind):
     """Return the table of lobes (n, 7) of a surface that reflects light; see `reflects`."""
     if kind == WALL:
@@ -70,7 +70,7 @@ def lobes_of(world, kind):
     return world.thing if kind == OBJECT else world.room[kind - ROOM]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def aimed_share(world, vertex, eye):
     """Return the fraction, 0 to 1, of the rays leaving ``vertex`` that are aimed at the object."""
     if vertex[SURFACE] == OBJECT:
@@ -119,7 +119,7 @@ def chain_shares(vertex, narrow, kind):
     return wide + chain, wide * vertex[NARROW] + chain
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _far(world, p):
     """Return whether only rays aimed at the hidden object may reach it from the point ``p``."""
     ball = world.ball

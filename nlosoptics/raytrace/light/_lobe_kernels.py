@@ -79,7 +79,7 @@ def lobe_direction(lobes, incident, n, u, v, w, eye):
     return d, -1.0
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def is_narrow(lobes, j):
     """Return whether lobe ``j`` reflects light and is narrow; a smooth mirror is narrow too."""
     kind, slope = lobes[j, 0], lobes[j, 2]

@@ -120,7 +120,7 @@ def cells_of(points, power, first, corner, step, shape, cells, powers):
     return count
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _intensity(source, d):
     """Return the radiant intensity, W/sr, of a source of 1 W along the unit vector d."""
     if source[6] > 0.0:
@@ -128,7 +128,7 @@ def _intensity(source, d):
     return max(0.0, dot(d, three(source, 3))) / math.pi
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _along(a, b, n, x, y, z):
     """Return the vector with components (x, y, z) along a, b and n."""
     return (
@@ -216,7 +216,7 @@ def arrive(source, whole, box, share, directions, reach, live, hits, new):
         new[i, SURFACE], new[i, BEFORE] = WALL, NOTHING
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _lens_point(camera, sampler, ray):
     """Draw a point from the uniform distribution over the lens."""
     u, v = disc(*pair(sampler, ray, DRAW_LENS))
@@ -228,7 +228,7 @@ def _lens_point(camera, sampler, ray):
     )
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def landing(camera, point, d):
     """Return the detector point (x, y), m, of light that goes back along ``d`` from the lens."""
     cosine = dot(d, three(camera, 9))
@@ -320,7 +320,7 @@ def from_source(source, lobes, eye, value, starts, ends):
             starts[i, k], ends[i, k] = source[k], b[k]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _imaged(lobes, matt, mu, cosine, turn, f):
     """Return the part of ``f``, the sum of all lobes (1/sr), that is due to mirror-like lobes."""
     if matt.shape[0] == lobes.shape[0] or f <= 0.0:

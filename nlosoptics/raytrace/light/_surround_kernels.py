@@ -96,7 +96,7 @@ def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def reflects(kind):
     """Return whether surfaces of this kind reflect light, so that a path may go on from them."""
     return kind in (WALL, OBJECT) or kind >= ROOM
@@ -121,7 +121,7 @@ def interval(shares, u):
     return min(low - 1, shares.size - 2)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def pair(sampler, ray, number):
     """Return the random numbers ``number`` and ``number + 1`` of a ray."""
     group, index = ray % GROUPS, ray // GROUPS
@@ -315,7 +315,7 @@ def mesh_hits(world, rows, found, away, normals, directions, distance, kind, nor
                 normal[i, m] = -normal[i, m]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _triangle(world, splits, u, v):
     """Return the triangle at a point of the chart's unit square, and the place within it."""
     areas, node = world.areas, 1
@@ -341,7 +341,7 @@ def _triangle(world, splits, u, v):
     return k, min((t - areas[k]) / whole, 1.0) if whole > 0.0 else 0.5, v
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def object_point(world, splits, u, v):
     """Draw a point of the object's front by area times brightness; return it and its normal."""
     if world.plate.size > 0:

@@ -17,7 +17,7 @@ from ...kernels.parallel import threaded
 ALONE, ALL, PAIRED = 0, 1, 2
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def distance(a, b):
     return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 

@@ -53,7 +53,7 @@ class Surfaces(NamedTuple):
     boxes: NDArray[np.float64]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _lobes(surfaces, triangle):
     return surfaces.lobes[surfaces.spans[triangle, 0] : surfaces.spans[triangle, 1]]
 
@@ -186,7 +186,7 @@ def _viewed_density(lobes, views, n, d, cosine):
     return 0.5 * cosine / math.pi + 0.5 * density / VIEWS
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _plain(lobes):
     """Return whether a material is purely Lambertian."""
     return lobes.shape[0] == 1 and lobes[0, 0] == LAMBERT

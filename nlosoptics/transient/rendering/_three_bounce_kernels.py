@@ -40,7 +40,7 @@ TAU, F, AREA, DEPTH = 9, 12, 15, 16
 COLUMNS = 17
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _node(x, y, z, pair, lobes, begin, end):
     """Return path r1 + r2, integrand in 1/m^4, r1, r2 and the half vector's cosine at a point.
 
@@ -103,7 +103,7 @@ def spread(t0, t1, t2, f0, f1, f2, area, start, delta, bins):
     bins[j] += whole - before
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _bin(t, start, delta, last):
     """Return the bin of a path; bins 0 and ``last`` collect paths outside the window."""
     where = (t - start) / delta
@@ -131,7 +131,7 @@ def _may_hide(light, tilt, turn, sharp, limit):
     return light * math.exp(min((here - there) * (here + there), 700.0)) > limit
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _square(s, i, j):
     x, y, z = s[i] - s[j], s[i + 1] - s[j + 1], s[i + 2] - s[j + 2]
     return x * x + y * y + z * z

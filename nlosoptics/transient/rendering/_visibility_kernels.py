@@ -40,7 +40,7 @@ def frame(row):
     return n, (u[0] / s, u[1] / s, u[2] / s), (v[0] / s, v[1] / s, v[2] / s)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _corner(row, i):
     if i == 0:
         return row[0], row[1], row[2]
@@ -117,7 +117,7 @@ def _sector(p, a, b, planes):
     return True
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _box_outside(box, planes, slack):
     """Whether a box lies entirely outside the region of `_sector`."""
     for k in range(4):
@@ -134,7 +134,7 @@ def _box_outside(box, planes, slack):
     return False
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _aside(row, planes, slack):
     """Whether a triangle lies entirely outside the region of `_sector`."""
     for k in range(4):
@@ -240,7 +240,7 @@ def _enters(line):
     return (high - low) * math.hypot(du, dv) > ROUNDING
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _left_of(ax, ay, bx, by, x, y):
     """Return the signed distance of (x, y) from the line a to b, positive on its left."""
     ex, ey = bx - ax, by - ay
@@ -479,7 +479,7 @@ def crossings(rows, boxes, reach, ends, cuts):
             ends[t + 1] = count
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _apart(row, box, slack):
     """Whether a triangle's bounding box is disjoint from another box."""
     for k in range(3):
