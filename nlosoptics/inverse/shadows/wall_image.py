@@ -1,0 +1,189 @@
+"""Image of a wall, divided by its noise, with the polynomials of its ambient light."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from ..._checks import whole
+from ...errors import SamplingError, SceneError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class WallImage:
+    """Pixels of a wall over their noise, (P, C), and polynomials over the wall, (P, K).
+
+    ``used`` (H W,) selects the P pixels that count, of an image of ``shape`` (H, W). ``values`` and
+    the orthonormal ``polynomials`` are divided by the ``noise`` (P,) that all colours share, and
+    the values also by the rms noise ``sigma`` (C,) of each colour. ``correlated`` is the number of
+    pixels that err together; the noise is multiplied by its root, so that sums of squares count
+    independent pixels.
+    """
+
+    values: Array
+    used: NDArray[np.bool_]
+    noise: Array
+    sigma: Array
+    polynomials: Array
+    orders: Sequence[int]
+    shape: tuple[int, int]
+    correlated: float = 1.0
+
+    def over_noise(self, matrix: Array) -> Array:
+        """Return the rows (P, N) of an operator that count, over the noise."""
+        return np.asarray(matrix[self.used] / self.noise[:, None])
+
+    def of_correlated(self, residual: Array, side: int = 3) -> WallImage:
+        """Return the image for as many pixels that err together as a residual (P, C) shows.
+
+        White noise has the same variance in the means of squares of ``side`` pixels, over the
+        number of their pixels, as in the pixels. An error of the model varies slowly.
+        """
+        grid = np.full((self.shape[0] * self.shape[1], residual.shape[1]), np.nan)
+        grid[self.used] = residual
+        rows, columns = (n // side for n in self.shape)
+        grid = grid.reshape(*self.shape, -1)[: rows * side, : columns * side]
+        means = grid.reshape(rows, side, columns, side, -1).mean((1, 3))
+        means = means[np.isfinite(means).all(2)]
+        ratio = side**2 * (means**2).mean(0) / (residual**2).mean(0) if len(means) else np.ones(1)
+        factor = max(1.0, float(ratio.mean())) / self.correlated
+        return replace(
+            self,
+            values=self.values / math.sqrt(factor),
+            noise=self.noise * math.sqrt(factor),
+            correlated=self.correlated * factor,
+        )
+
+    def ambient(self, order: int) -> Array:
+        """Return the polynomials up to an order, none for -1."""
+        return self.polynomials[:, : (order + 1) * (order + 2) // 2]
+
+
+def wall_image(
+    image: Any,
+    pixels: tuple[int, int],
+    noise: Any = None,
+    reference: Any = None,
+    ambient: int | None = None,
+    most: int = 6,
+) -> WallImage:
+    """Check an image and sum it over the operator's ``pixels``; see `shadow_fit`."""
+    light = _colours("image", image)
+    seen = light
+    if reference is not None:
+        dark = _colours("reference", reference)
+        if dark.shape != light.shape:
+            raise SamplingError(
+                f"reference has shape {dark.shape} and image {light.shape}; give two exposures "
+                "of one camera"
+            )
+        light, seen = light - dark, light + dark
+    if noise is None:
+        variance = _variance_by_neighbours(light, seen)
+    else:
+        variance = np.broadcast_to(_colours("noise", noise, light.shape), light.shape) ** 2
+        if np.isnan(variance).any() or not (variance > 0.0).all():
+            raise SceneError("noise has values that are not above 0; state the rms of each pixel")
+    rows, columns, colours = light.shape
+    steps = (rows // max(pixels[0], 1), columns // max(pixels[1], 1))
+    if (steps[0] * pixels[0], steps[1] * pixels[1]) != (rows, columns) or 0 in steps:
+        raise SamplingError(
+            f"image has {rows} x {columns} pixels and the operator {pixels[0]} x {pixels[1]}; give "
+            "an operator of as many pixels, or of a whole fraction along each side"
+        )
+    light, variance = (
+        part.reshape(pixels[0], steps[0], pixels[1], steps[1], colours)
+        .sum((1, 3))
+        .reshape(-1, colours)
+        for part in (light, variance)
+    )
+    used = np.isfinite(light).all(1) & np.isfinite(variance).all(1)
+    if np.count_nonzero(used) < 64:
+        raise SamplingError(
+            f"image has {np.count_nonzero(used)} pixels of finite value and noise, must be at "
+            "least 64; give a larger part of the wall"
+        )
+    light, variance = light[used], variance[used]
+    sigma = np.sqrt(variance.mean(0))
+    relative = np.sqrt((variance / sigma**2).mean(1))
+    orders = range(-1, most + 1)
+    if ambient is not None:
+        orders = range(whole("ambient", ambient, -1, 12), ambient + 1)
+    y, x = (2.0 * (np.arange(n) + 0.5) / n - 1.0 for n in pixels)
+    plane = [
+        np.outer(
+            legendre.legval(y, np.eye(top + 1)[k]), legendre.legval(x, np.eye(top + 1)[top - k])
+        )
+        for top in range(orders[-1] + 1)
+        for k in range(top + 1)
+    ]
+    smooth = np.array(plane).reshape(len(plane), math.prod(pixels)).T[used] / relative[:, None]
+    return WallImage(
+        values=light / relative[:, None] / sigma,
+        used=used,
+        noise=relative,
+        sigma=sigma,
+        polynomials=np.linalg.qr(smooth)[0],
+        orders=orders,
+        shape=pixels,
+    )
+
+
+def _colours(name: str, values: Any, shape: tuple[int, ...] | None = None) -> Array:
+    """Return an image as float64 (H, W, C); a noise may have fewer axes than the image."""
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(f"{name} is not an array of numbers; give (H, W) or (H, W, C)") from None
+    if array.ndim == 2:
+        array = array[..., None]
+    if shape is not None and array.ndim in (0, 3):
+        try:
+            return np.broadcast_to(array, shape)
+        except ValueError:
+            pass
+    elif shape is None and array.ndim == 3 and array.size:
+        return array
+    wanted = "(H, W) or (H, W, C)" if shape is None else f"one number or the image's, {shape}"
+    raise SamplingError(f"{name} has shape {np.shape(values)}, must be {wanted}; reshape it")
+
+
+def _variance_by_neighbours(light: Array, seen: Array, groups: int = 16) -> Array:
+    """Estimate the variance of each pixel, a + b times its light, from neighbouring pixels.
+
+    The difference of second differences along both axes is free of smooth light; its median square
+    in groups of equal brightness resists edges [Immerkaer, CVIU 64 (1996) 300].
+    """
+    if min(light.shape[:2]) < 16:
+        raise SamplingError(
+            f"image has {light.shape[0]} x {light.shape[1]} pixels, must have at least 16 x 16 to "
+            "estimate its noise; state the noise"
+        )
+    kernel = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0]) / 6.0
+    result = np.empty_like(light)
+    for colour in range(light.shape[2]):
+        rough = scipy.signal.convolve2d(light[..., colour], kernel, mode="valid").ravel() ** 2
+        level = np.maximum(seen[1:-1, 1:-1, colour].ravel(), 0.0)
+        good = np.isfinite(rough) & np.isfinite(level)
+        order = np.argsort(level[good], kind="stable")
+        parts = np.array_split(order, groups)
+        # the median of a squared normal variate is 0.4549 of its variance
+        squares = np.array([np.median(rough[good][part]) for part in parts]) / 0.4549
+        levels = np.array([level[good][part].mean() for part in parts])
+        floor = max(float(squares.mean()), 1e-300)
+        columns = np.stack([np.ones(groups), levels / max(float(levels.mean()), 1e-300)], 1)
+        weight = 1.0 / np.maximum(squares, 0.1 * floor)
+        factors = scipy.optimize.nnls(columns * weight[:, None], squares * weight)[0]
+        result[..., colour] = factors[0] + factors[1] * np.maximum(seen[..., colour], 0.0) / max(
+            float(levels.mean()), 1e-300
+        )
+    return result
