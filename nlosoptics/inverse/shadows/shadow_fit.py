@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from ..._checks import in_range, positive, whole
 from ...errors import SamplingError, SceneError
 from ..data.reconstruction import Reconstruction, frozen
-from .evidence import Evidence, evidence
-from .total_variation import Sharp, least_variation
-from .wall_image import WallImage, wall_image
+from .linear_model import Evidence, WallImage, evidence, wall_image
+from .total_variation import least_variation
 
 Array = NDArray[np.float64]
 
@@ -47,6 +46,15 @@ class Operator(NamedTuple):
     cells: tuple[int, int]
 
 
+class Settings(NamedTuple):
+    """Options of the sharp fit; ``colour`` is whether the object has an axis of colours."""
+
+    brightest: float
+    most: int
+    tolerance: float
+    colour: bool
+
+
 def shadow_fit(
     image: Any,
     operator: Any,
@@ -67,8 +75,8 @@ def shadow_fit(
         Image of the wall, linear in the light, in one colour or several. NaN marks a pixel that is
         to be ignored.
     operator : WallTransport or array_like, (P, N)
-        Light in each of P pixels for each of N cells of the object, without ambient light: an array,
-        or an object with ``matrix``, ``pixel_shape`` and ``cell_shape``, such as
+        Light in each of P pixels for each of N cells of the object, without ambient light: an
+        array, or an object with ``matrix``, ``pixel_shape`` and ``cell_shape``, such as
         `nlosoptics.imaging.WallTransport`. If it has fewer pixels than the image by a whole factor
         along each side, pixels of the image are added up.
     cells : tuple of int, optional
@@ -147,20 +155,18 @@ def shadow_fit(
     started = time.perf_counter()
     known = checked_operator(operator, np.shape(image), cells)
     data = wall_image(image, known.pixels, noise, reference, ambient)
-    settings = Settings(brightest, max_iterations, tolerance, np.ndim(image) == 3)
+    settings = checked_settings(image, brightest, max_iterations, tolerance)
     return fitted(data, known, settings, started)
 
 
-class Settings:
-    """Options of the sharp fit, checked; ``colour`` is whether the object has an axis of colours."""
-
-    def __init__(self, brightest: Any, most: Any, tolerance: Any, colour: bool) -> None:
-        if brightest != math.inf:
-            brightest = positive("brightest", brightest)
-        self.brightest = float(brightest)
-        self.most = whole("max_iterations", most)
-        self.tolerance = in_range("tolerance", tolerance, 0.0, 0.1)
-        self.colour = colour
+def checked_settings(image: Any, brightest: Any, most: Any, tolerance: Any) -> Settings:
+    """Return the options of the sharp fit, checked."""
+    return Settings(
+        math.inf if brightest == math.inf else positive("brightest", brightest),
+        whole("max_iterations", most),
+        in_range("tolerance", tolerance, 0.0, 0.1),
+        np.ndim(image) == 3,
+    )
 
 
 def checked_operator(
@@ -174,8 +180,8 @@ def checked_operator(
     cells = getattr(operator, "cell_shape", cells)
     if cells is None or matrix.ndim != 2 or math.prod(cells) != matrix.shape[1]:
         raise SamplingError(
-            f"operator has shape {matrix.shape} and {cells} cells, must be (pixels, rows * columns); "
-            "give cells=(rows, columns)"
+            f"operator has shape {matrix.shape} for {cells} cells, must be (pixels, rows * columns)"
+            "; give cells=(rows, columns)"
         )
     if not np.isfinite(matrix).all() or not matrix.any():
         raise SceneError("operator has values that are not finite, or is 0; compute it again")
@@ -186,8 +192,8 @@ def checked_operator(
         pixels = (rows // steps, columns // steps)
     if math.prod(pixels) != matrix.shape[0]:
         raise SamplingError(
-            f"operator has {matrix.shape[0]} rows and image the shape {image}; give one row a pixel, "
-            "or one a square of pixels"
+            f"operator has {matrix.shape[0]} rows and image the shape {image}; give one row for "
+            "each pixel, or for each square of pixels"
         )
     return Operator(matrix, (int(pixels[0]), int(pixels[1])), (int(cells[0]), int(cells[1])))
 
@@ -202,56 +208,45 @@ def fitted(
 ) -> Reconstruction:
     """Return the fit for an operator; ``reasons`` are further pairs of status and sentence."""
     data, linear = settled(data, known)
-    nothing = np.zeros((known.matrix.shape[1], len(data.sigma)))
-    sharp, ended = Sharp(nothing, 0.0, []), []
-    if linear.gain >= LIMITS.detection:
-        sharp = sharpened(data, known, linear, settings)
-        left = (unexplained(data, known.matrix, linear, sharp.values) ** 2).sum()
-        power = (unexplained(data, known.matrix, linear, nothing) ** 2).sum() - left
-        count = data.values.size / data.correlated
-        beyond = left - count - LIMITS.errors * math.sqrt(2.0 * count)
-        misfit = beyond / max(power, 1e-300)
-        if misfit > LIMITS.misfit:
-            ended.append(
-                (
-                    "does_not_fit",
-                    f"the residual beyond the noise has {misfit:.2g} of the power that the object "
-                    f"explains, limit {LIMITS.misfit:g}; check the place of the occluder, or fit it "
-                    "by occluder_fit",
-                )
-            )
-        if linear.correlation < LIMITS.correlation:
-            ended.append(
-                (
-                    "too_few_photons",
-                    f"the expected correlation is {linear.correlation:.2f}, limit "
-                    f"{LIMITS.correlation:g}; expose longer, or use a larger part of the wall",
-                )
-            )
-        if sharp.changes[-1] >= settings.tolerance:
-            ended.append(
-                (
-                    "unconverged",
-                    f"the relative change is {sharp.changes[-1]:.2g} after {len(sharp.changes)} "
-                    f"iterations, tolerance {settings.tolerance:g}; raise max_iterations",
-                )
-            )
-    else:
-        ended.append(
-            (
-                "too_few_photons",
-                f"no object is detected: it raises the log evidence by {linear.gain:.1f}, limit "
-                f"{LIMITS.detection:.1f}; expose longer",
-            )
-        )
-    ended += reasons
-    rank = ("unconverged", "too_few_photons", "does_not_fit", "ambiguous")
-    ended.sort(key=lambda pair: rank.index(pair[0]))
-    residual = unexplained(data, known.matrix, linear, sharp.values)
-    light = data.values * data.noise[:, None] - known.matrix[data.used] @ sharp.values / data.sigma
+    values = np.zeros((known.matrix.shape[1], len(data.sigma)))
+    before = left = float((unexplained(data, known.matrix, linear, values) ** 2).sum())
+    changes, detected = [0.0], linear.gain >= LIMITS.detection
+    if detected:
+        values, changes = sharpened(data, known, linear, settings)
+        left = float((unexplained(data, known.matrix, linear, values) ** 2).sum())
+    count = data.values.size / data.correlated
+    misfit = (left - count - LIMITS.errors * math.sqrt(2.0 * count)) / max(before - left, 1e-300)
+    tests = (
+        (
+            changes[-1] > settings.tolerance,
+            "unconverged",
+            f"the relative change is {changes[-1]:.2g} after {len(changes)} iterations, limit "
+            f"{settings.tolerance:g}; raise max_iterations",
+        ),
+        (
+            not detected,
+            "too_few_photons",
+            f"no object is detected: it raises the log evidence by {linear.gain:.1f}, limit "
+            f"{LIMITS.detection:.1f}; expose longer",
+        ),
+        (
+            detected and linear.correlation < LIMITS.correlation,
+            "too_few_photons",
+            f"the expected correlation is {linear.correlation:.2f}, limit "
+            f"{LIMITS.correlation:g}; expose longer, or use a larger part of the wall",
+        ),
+        (
+            detected and misfit > LIMITS.misfit,
+            "does_not_fit",
+            f"the residual beyond the noise has {misfit:.2g} of the power that the object "
+            f"explains, limit {LIMITS.misfit:g}; check the occluder's place, or use occluder_fit",
+        ),
+    )
+    failed = [test[1:] for test in tests if test[0]] + list(reasons)
+    light = data.values * data.noise[:, None] - known.matrix[data.used] @ values / data.sigma
     shape = known.cells + ((len(data.sigma),) if settings.colour else ())
     return Reconstruction(
-        object=sharp.values.reshape(shape),
+        object=values.reshape(shape),
         physical_parameters={
             "gain": 1.0,
             "background": float((light.mean(0) * data.sigma).mean()),
@@ -266,11 +261,11 @@ def fitted(
             "log_evidence": linear.log,
             **more,
         },
-        status=ended[0][0] if ended else "converged",  # type: ignore[arg-type]
-        score=math.sqrt(float((residual**2).mean()) * data.correlated),
-        history=frozen({"change": sharp.changes}),
+        status=failed[0][0] if failed else "converged",  # type: ignore[arg-type]
+        score=math.sqrt(left / count),
+        history=frozen({"change": changes}),
         seconds=time.perf_counter() - started,
-        reasons=tuple(sentence for _, sentence in ended),
+        reasons=tuple(sentence for _, sentence in failed),
     )
 
 
@@ -288,8 +283,10 @@ def unexplained(data: WallImage, matrix: Array, linear: Evidence, values: Array)
     return np.asarray(residual - smooth @ (smooth.T @ residual))
 
 
-def sharpened(data: WallImage, known: Operator, linear: Evidence, settings: Settings) -> Sharp:
-    """Return the object of least total variation, for as many modes as the evidence counts."""
+def sharpened(
+    data: WallImage, known: Operator, linear: Evidence, settings: Settings
+) -> tuple[Array, list[float]]:
+    """Return the object of least total variation, and the relative changes of its iterations."""
     smooth = data.ambient(linear.order)
     response = data.over_noise(known.matrix)
     response -= smooth @ (smooth.T @ response)
@@ -298,13 +295,14 @@ def sharpened(data: WallImage, known: Operator, linear: Evidence, settings: Sett
     noise = data.sigma * np.sqrt(linear.scale)
     common = math.sqrt(float(((level / noise) ** 2).mean()))
     unit = noise * common
-    sharp = least_variation(
+    values, changes = least_variation(
         common**2 * (response.T @ response),
         common * response.T @ (data.values * data.sigma / noise),
         known.cells,
         float(linear.modes.sum()),
+        start=np.clip(linear.estimate, 0.0, settings.brightest) / unit,
         brightest=settings.brightest / unit,
         tolerance=settings.tolerance,
         most=settings.most,
     )
-    return sharp._replace(values=sharp.values * unit)
+    return values * unit, changes

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -12,34 +11,29 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class Sharp(NamedTuple):
-    """Minimum: ``values`` (N, C), weight of the variation, and the relative change in each step."""
-
-    values: Array
-    weight: float
-    changes: list[float]
-
-
 def least_variation(
     gram: Array,
     moment: Array,
     shape: tuple[int, int],
     modes: float,
     *,
+    start: Array,
     brightest: Array,
     tolerance: float,
     most: int,
     every: int = 20,
-) -> Sharp:
+) -> tuple[Array, list[float]]:
     """Minimise ``1/2 f'Gf - f'v + weight TV(f)`` over ``0 <= f <= brightest`` (C,).
 
-    G is ``gram`` (N, N) and v is ``moment`` (N, C), scaled such that values are of order 1. TV is
-    the sum over the cells of the norm of the forward differences along both axes in all colours,
-    so that colours share edges. The prior ``exp(-weight TV)`` is most probable where ``weight TV``
-    equals the number of ``modes`` above the noise [1]_; the weight is set to that value after each
-    ``every`` iterations. The alternating direction method of multipliers splits off differences
-    and box [2]_; its linear equations are factored once. The fit has converged if the last of the
-    relative changes is below the tolerance.
+    Returns f (N, C), and the relative change of each iteration. G is ``gram`` (N, N) and v is
+    ``moment`` (N, C), scaled such that values are of order 1. TV is the sum over the cells of the
+    norm of the forward differences along both axes in all colours, so that colours share edges.
+
+    The prior ``exp(-weight TV)`` is most probable where ``weight TV`` equals the number of ``modes``
+    above the noise [1]_. The weight is set to that value after each ``every`` iterations, up to
+    twice its value for ``start`` (N, C), an estimate in the box. The alternating direction method
+    of multipliers splits off differences and box [2]_; its linear equations are factored once for
+    each penalty.
 
     References
     ----------
@@ -54,20 +48,22 @@ def least_variation(
         [scipy.sparse.kron(down, columns), scipy.sparse.kron(rows, across)], format="csr"
     )
     back = ahead.T.tocsr()
-    weight, stiffness, relaxation = 1.0, 10.0, 1.6
+    stiffness, relaxation = 10.0, 1.6
     curvature = (back @ ahead).toarray() + np.eye(len(gram))
     factor = scipy.linalg.cho_factor(gram + stiffness * curvature)
-    inside, pulled = np.zeros_like(moment), np.zeros_like(moment)
+    inside, pulled = start, np.zeros_like(moment)
     edges, bent = np.zeros((2, *moment.shape)), np.zeros((2, *moment.shape))
     changes: list[float] = []
 
     def flat(pairs: Array) -> Array:
         return pairs.reshape(-1, moment.shape[1])
 
-    def variation() -> float:
+    def implied() -> float:
         steps = (ahead @ inside).reshape(edges.shape)
-        return float(np.sqrt((steps**2).sum((0, 2))).sum())
+        return modes / max(float(np.sqrt((steps**2).sum((0, 2))).sum()), 1e-300)
 
+    weight = implied()
+    most_weight = 2.0 * weight
     for step in range(1, most + 1):
         right = moment + stiffness * (back @ flat(edges - bent) + inside - pulled)
         values = scipy.linalg.cho_solve(factor, right, check_finite=False)
@@ -83,7 +79,7 @@ def least_variation(
         pulled = moved - inside
         changes.append(max(_norm(inside - before), _norm(values - inside)) / _norm(inside))
         if step % every == 0:
-            wanted = modes / max(variation(), 1e-300)
+            wanted = min(implied(), most_weight)
             settled = abs(wanted / weight - 1.0) < 0.05
             weight = min(max(wanted, 0.5 * weight), 2.0 * weight)
             if settled and changes[-1] < tolerance:
@@ -97,7 +93,7 @@ def least_variation(
                 ratio = min(max(ratio, 0.1), 10.0)
                 stiffness, bent, pulled = stiffness * ratio, bent / ratio, pulled / ratio
                 factor = scipy.linalg.cho_factor(gram + stiffness * curvature)
-    return Sharp(inside, weight, changes)
+    return inside, changes
 
 
 def _norm(values: Array) -> float:

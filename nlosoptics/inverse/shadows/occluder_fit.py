@@ -1,0 +1,194 @@
+"""Place of an occluder, and picture of the object whose light it shades on a matt wall."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike, NDArray
+
+from ..._checks import positive, whole
+from ...errors import SceneError
+from ..data.reconstruction import Reconstruction
+from .linear_model import WallImage, evidence, wall_image
+from .shadow_fit import LIMITS, Operator, checked_operator, checked_settings, fitted, settled
+
+Array = NDArray[np.float64]
+
+
+def occluder_fit(
+    image: Any,
+    operator_at: Callable[[Array], Any],
+    *,
+    start: ArrayLike = (0.0, 0.0, 0.0),
+    reach: float = 0.05,
+    cells: tuple[int, int] | None = None,
+    noise: Any = None,
+    reference: Any = None,
+    ambient: int | None = None,
+    brightest: float = math.inf,
+    modes: int = 200,
+    max_evaluations: int = 200,
+    max_iterations: int = 1000,
+    tolerance: float = 1e-3,
+) -> Reconstruction:
+    """Find the place of an occluder of known shape on its own shadows, and reconstruct the object.
+
+    Parameters
+    ----------
+    image, cells, noise, reference, ambient, brightest, max_iterations, tolerance
+        See `shadow_fit`.
+    operator_at : callable
+        Returns the operator, see `shadow_fit`, for an array of the occluder's d unknown values,
+        such as its shift in m: for a `nlosoptics.imaging.WallTransport` named ``wall``,
+        ``lambda shift: wall.moved(0, shift)``. Few pixels and cells are enough, and quick; the
+        result's ``place`` can then be passed to `shadow_fit` with a finer operator.
+    start : array_like, (d,)
+        Values at which the search starts.
+    reach : float
+        Distance from the start that the search covers first, in the unit of the values. It ends at
+        twice this distance along each value.
+    modes : int
+        Largest number of the object's modes during the search, 16 to 2000.
+    max_evaluations : int
+        Maximum number of operators that each of the two searches computes.
+
+    Returns
+    -------
+    Reconstruction
+        As of `shadow_fit` for the operator at the best place. ``physical_parameters`` also has
+        ``place`` (d,), ``place_covariance`` (d, d), and ``evaluations``, the number of operators.
+
+    Raises
+    ------
+    SamplingError
+        If the shapes of image, operator, noise and reference do not fit each other.
+    SceneError
+        If a value is out of range or not finite.
+
+    See Also
+    --------
+    shadow_fit : Fit for an occluder at a known place.
+
+    Notes
+    -----
+    The place maximises the evidence of the linear model of `shadow_fit`, in which the object, the
+    ambient light and the noise are integrated out or take their best values. The residual alone
+    prefers wrong places, at which a noisy object fits better. The search starts at the two best of
+    2 d + 1 points, the start and its neighbours at ``reach``, and uses quadratic models of the
+    evidence [1]_. The covariance is the inverse of the evidence's curvature.
+
+    The status is "ambiguous" if the two searches end at different places of similar evidence, or at
+    the edge of the region, or if the evidence has no curvature.
+
+    A shift of occluder and object together changes the shadows little: the place along the wall is
+    less certain than the picture, which may be shifted.
+
+    References
+    ----------
+    .. [1] Ragonneau and Zhang, COBYQA, https://www.cobyqa.com.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.inverse import occluder_fit
+    >>> wall = np.arange(32)[:, None] + 0.5
+    >>> cell = 32 / 24 * (np.arange(24) + 0.5)
+    >>> def operator_at(place):  # a pole between a line of wall points, in 20 rows, and the cells
+    ...     free = np.clip(abs(wall - 0.6 * cell - place[0]) - 2.5, 0.0, 1.0)
+    ...     return np.tile(1e4 * free / (400.0 + (wall - cell) ** 2), (20, 1))
+    >>> truth = np.where((cell > 9) & (cell < 15), 100.0, 0.0)
+    >>> image = (operator_at([8.0]) @ truth).reshape(20, 32)
+    >>> image += np.random.default_rng(0).standard_normal(image.shape)
+    >>> fit = occluder_fit(
+    ...     image, operator_at, start=[5.0], reach=3.0, cells=(1, 24), noise=1.0, ambient=-1
+    ... )
+    >>> fit.status, bool(abs(fit.physical_parameters["place"][0] - 8.0) < 0.05)
+    ('converged', True)
+    """
+    started = time.perf_counter()
+    first = np.atleast_1d(np.asarray(start, dtype=np.float64))
+    if first.ndim != 1 or not np.isfinite(first).all():
+        raise SceneError(f"start = {start!r} must be finite numbers; give one for each value")
+    reach = positive("reach", reach)
+    modes, most = whole("modes", modes, 16, 2000), whole("max_evaluations", max_evaluations, 10)
+    settings = checked_settings(image, brightest, max_iterations, tolerance)
+
+    def operator(place: Array) -> Operator:
+        return checked_operator(operator_at(place), np.shape(image), cells)
+
+    data = wall_image(image, operator(first).pixels, noise, reference, ambient)
+    evaluations = 0
+
+    def cost(steps: Array, seen: WallImage = data) -> float:
+        nonlocal evaluations
+        evaluations += 1
+        known = operator(first + reach * steps)
+        return -evidence(seen, known.matrix, known.cells, most=modes).log
+
+    around = np.vstack([np.zeros(len(first)), np.eye(len(first)), -np.eye(len(first))])
+    best_first = around[np.argsort([cost(steps) for steps in around], kind="stable")]
+    ends = [
+        scipy.optimize.minimize(
+            cost,
+            steps,
+            method="COBYQA",
+            bounds=[(-2.0, 2.0)] * len(first),
+            options={"initial_tr_radius": 0.5, "final_tr_radius": 0.01, "maxfev": most},
+        )
+        for steps in best_first[:2]
+    ]
+    ends.sort(key=lambda end: float(end.fun))
+    best = np.array(ends[0].x)
+    data, _ = settled(data, operator(first + reach * best))
+    slope, curvature = _quadratic(lambda steps: cost(steps, data), best)
+    reasons = []
+    if np.linalg.eigvalsh(curvature)[0] <= 0.0 or (abs(best) > 1.98).any():
+        covariance = np.full(curvature.shape, math.inf)
+        reasons.append("the evidence has no maximum within reach; start elsewhere or enlarge reach")
+    else:
+        covariance = np.linalg.inv(curvature)
+        step = -covariance @ slope
+        best = best + step * min(1.0, 0.1 / max(float(abs(step).max()), 1e-300))
+        apart = np.array(ends[1].x) - best
+        margin = (float(ends[1].fun) - float(ends[0].fun)) / data.correlated
+        if margin < LIMITS.detection and apart @ curvature @ apart > LIMITS.errors**2:
+            reasons.append(
+                f"another place, {np.round(first + reach * ends[1].x, 4).tolist()}, has a log "
+                f"evidence that is smaller by {margin:.1f}, limit {LIMITS.detection:.1f}; give a "
+                "closer start or a smaller reach"
+            )
+    place = first + reach * best
+    more = [("ambiguous", sentence) for sentence in reasons]
+    if not (ends[0].success or ends[0].nfev < most):
+        more.append(("unconverged", f"the search ended after {most} places; raise max_evaluations"))
+    return fitted(
+        data,
+        operator(place),
+        settings,
+        started,
+        tuple(more),
+        place=place,
+        place_covariance=reach**2 * covariance,
+        evaluations=evaluations,
+    )
+
+
+def _quadratic(
+    cost: Callable[[Array], float], centre: Array, step: float = 0.1
+) -> tuple[Array, Array]:
+    """Return slope (d,) and curvature (d, d) of a function by central differences."""
+    sides = step * np.eye(len(centre))
+    middle = cost(centre)
+    up, down = (np.array([cost(centre + sign * side) for side in sides]) for sign in (1.0, -1.0))
+    curvature = np.diag((up + down - 2.0 * middle) / step**2)
+    for i in range(len(centre)):
+        for j in range(i):
+            both = cost(centre + sides[i] + sides[j]) + cost(centre - sides[i] - sides[j])
+            mixed = (both + 2.0 * middle - up[i] - up[j] - down[i] - down[j]) / (2.0 * step**2)
+            curvature[i, j] = curvature[j, i] = mixed
+    return (up - down) / (2.0 * step), curvature
