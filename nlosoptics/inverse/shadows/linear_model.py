@@ -83,34 +83,25 @@ def wall_image(
     most: int = 6,
 ) -> WallImage:
     """Check an image and sum it over the operator's ``pixels``; see `shadow_fit`."""
-    light = _colours("image", image)
-    seen = light
+    light = seen = _colours("image", image)
     if reference is not None:
-        dark = _colours("reference", reference)
-        if dark.shape != light.shape:
-            raise SamplingError(
-                f"reference has shape {dark.shape} and image {light.shape}; give two exposures "
-                "of one camera"
-            )
+        dark = _colours("reference", reference, light.shape)
         light, seen = light - dark, light + dark
     if noise is None:
         variance = _variance_by_neighbours(light, seen)
     else:
-        variance = np.broadcast_to(_colours("noise", noise, light.shape), light.shape) ** 2
-        if np.isnan(variance).any() or not (variance > 0.0).all():
-            raise SceneError("noise has values that are not above 0; state the rms of each pixel")
-    rows, columns, colours = light.shape
-    steps = (rows // max(pixels[0], 1), columns // max(pixels[1], 1))
-    if (steps[0] * pixels[0], steps[1] * pixels[1]) != (rows, columns) or 0 in steps:
+        variance = _colours("noise", noise, light.shape) ** 2
+    if not (variance > 0.0).all():
+        raise SceneError("noise is not above 0 in all pixels; state the rms noise of each pixel")
+    (rows, columns), colours = pixels, light.shape[2]
+    if light.shape[0] % rows or light.shape[1] % columns:
         raise SamplingError(
-            f"image has {rows} x {columns} pixels and the operator {pixels[0]} x {pixels[1]}; give "
-            "an operator of as many pixels, or of a whole fraction along each side"
+            f"image has {light.shape[0]} x {light.shape[1]} pixels and the operator {rows} x "
+            f"{columns}; give an operator of a whole fraction of them along each side"
         )
+    shape = (rows, light.shape[0] // rows, columns, light.shape[1] // columns, colours)
     light, variance = (
-        part.reshape(pixels[0], steps[0], pixels[1], steps[1], colours)
-        .sum((1, 3))
-        .reshape(-1, colours)
-        for part in (light, variance)
+        part.reshape(shape).sum((1, 3)).reshape(-1, colours) for part in (light, variance)
     )
     used = np.isfinite(light).all(1) & np.isfinite(variance).all(1)
     if np.count_nonzero(used) < 64:
@@ -125,14 +116,10 @@ def wall_image(
     if ambient is not None:
         orders = range(whole("ambient", ambient, -1, 12), ambient + 1)
     y, x = (2.0 * (np.arange(n) + 0.5) / n - 1.0 for n in pixels)
-    plane = [
-        np.outer(
-            legendre.legval(y, np.eye(top + 1)[k]), legendre.legval(x, np.eye(top + 1)[top - k])
-        )
-        for top in range(orders[-1] + 1)
-        for k in range(top + 1)
-    ]
-    smooth = np.array(plane).reshape(len(plane), math.prod(pixels)).T[used] / relative[:, None]
+    plane = legendre.legvander2d(*np.meshgrid(x, y), [orders[-1] + 1] * 2)
+    degree = np.add.outer(*[np.arange(orders[-1] + 2)] * 2).ravel()
+    lowest = np.argsort(degree, kind="stable")[: (orders[-1] + 1) * (orders[-1] + 2) // 2]
+    smooth = plane.reshape(rows * columns, -1)[:, lowest][used] / relative[:, None]
     return WallImage(
         values=light / relative[:, None] / sigma,
         used=used,
@@ -145,22 +132,18 @@ def wall_image(
 
 
 def _colours(name: str, values: Any, shape: tuple[int, ...] | None = None) -> Array:
-    """Return an image as float64 (H, W, C); a noise may have fewer axes than the image."""
+    """Return an image as float64 (H, W, C), broadcast to a shape if one is given."""
     try:
         array = np.asarray(values, dtype=np.float64)
+        array = array[..., None] if array.ndim == 2 else array
+        array = array if shape is None else np.broadcast_to(array, shape)
     except (TypeError, ValueError):
-        raise SceneError(f"{name} is not an array of numbers; give (H, W) or (H, W, C)") from None
-    if array.ndim == 2:
-        array = array[..., None]
-    if shape is not None and array.ndim in (0, 3):
-        try:
-            return np.broadcast_to(array, shape)
-        except ValueError:
-            pass
-    elif shape is None and array.ndim == 3 and array.size:
-        return array
-    wanted = "(H, W) or (H, W, C)" if shape is None else f"one number or the image's, {shape}"
-    raise SamplingError(f"{name} has shape {np.shape(values)}, must be {wanted}; reshape it")
+        raise SamplingError(
+            f"{name} has shape {np.shape(values)}; give numbers, (H, W) or (H, W, C) as the image"
+        ) from None
+    if array.ndim != 3 or array.size == 0:
+        raise SamplingError(f"{name} has shape {np.shape(values)}; give (H, W) or (H, W, C)")
+    return array
 
 
 def _variance_by_neighbours(light: Array, seen: Array, groups: int = 16) -> Array:
@@ -175,24 +158,20 @@ def _variance_by_neighbours(light: Array, seen: Array, groups: int = 16) -> Arra
             "estimate its noise; state the noise"
         )
     kernel = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0]) / 6.0
+    level = np.maximum(seen, 0.0) / max(float(np.nanmean(np.maximum(seen, 0.0))), 1e-300)
     result = np.empty_like(light)
     for colour in range(light.shape[2]):
         rough = scipy.signal.convolve2d(light[..., colour], kernel, mode="valid").ravel() ** 2
-        level = np.maximum(seen[1:-1, 1:-1, colour].ravel(), 0.0)
-        good = np.isfinite(rough) & np.isfinite(level)
-        order = np.argsort(level[good], kind="stable")
-        parts = np.array_split(order, groups)
+        near = level[1:-1, 1:-1, colour].ravel()
+        good = np.flatnonzero(np.isfinite(rough + near))
+        parts = np.array_split(good[np.argsort(near[good], kind="stable")], groups)
         # the median of a squared normal variate is 0.4549 of its variance
-        squares = np.array([np.median(rough[good][part]) for part in parts]) / 0.4549
-        levels = np.array([level[good][part].mean() for part in parts])
-        floor = max(float(squares.mean()), 1e-300)
-        columns = np.stack([np.ones(groups), levels / max(float(levels.mean()), 1e-300)], 1)
-        weight = 1.0 / np.maximum(squares, 0.1 * floor)
-        factors = scipy.optimize.nnls(columns * weight[:, None], squares * weight)[0]
-        result[..., colour] = factors[0] + factors[1] * np.maximum(seen[..., colour], 0.0) / max(
-            float(levels.mean()), 1e-300
-        )
-    return result
+        squares = np.array([np.median(rough[part]) / 0.4549 for part in parts])
+        columns = np.stack([np.ones(groups), [near[part].mean() for part in parts]], 1)
+        weight = 1.0 / np.maximum(squares, 0.1 * squares.mean() + 1e-300)
+        constant, slope = scipy.optimize.nnls(columns * weight[:, None], squares * weight)[0]
+        result[..., colour] = constant + slope * level[..., colour]
+    return np.where(np.isnan(result), np.inf, result)
 
 
 class Evidence(NamedTuple):
@@ -200,8 +179,8 @@ class Evidence(NamedTuple):
 
     ``log`` is the natural logarithm of its evidence, ``gain`` how much it exceeds that of the best
     model without an object, and ``order`` the polynomial's order, -1 for none. For each of the
-    colours: ``strength``, prior variance of the object at the lowest frequency; ``scale``, variance
-    of the noise over the expected one; ``modes``, the effective number of modes above the noise.
+    colours: ``scale``, variance of the noise over the expected one, and ``modes``, the effective
+    number of modes above the noise.
     ``estimate`` (N, C) is the posterior mean of the object, ``error`` (N, C) its standard deviation
     and ``correlation`` the correlation with the object that the model expects.
     """
@@ -209,7 +188,6 @@ class Evidence(NamedTuple):
     log: float
     gain: float
     order: int
-    strength: Array
     scale: Array
     modes: Array
     estimate: Array
@@ -243,7 +221,7 @@ def evidence(
     response = data.over_noise(matrix) @ basis
     gram, moment = response.T @ response, response.T @ data.values
     power = (data.values**2).sum(0)
-    best = nothing = None
+    models, nothing = [], []
     for order in data.orders:
         smooth = data.ambient(order)
         seen, light = smooth.T @ response, smooth.T @ data.values
@@ -253,15 +231,11 @@ def evidence(
         left = power - (light**2).sum(0)
         count = (len(data.values) - smooth.shape[1]) / data.correlated
         price = smooth.shape[1] * np.log(power).sum()
-        none = -0.5 * (count * np.log(left / count).sum() + price)
+        nothing.append(-0.5 * (sum(_misfit(part, count)[0] for part in left) + price))
         fits = [_strongest(values, projected[:, c], left[c], count) for c in range(len(left))]
         log = sum(fit[0] for fit in fits) - 0.5 * price
-        nothing = none if nothing is None else max(nothing, none)
-        if best is None or log > best[0]:
-            best = (log, order, values, vectors, projected, fits)
-    assert best is not None
-    assert nothing is not None
-    log, order, values, vectors, projected, fits = best
+        models.append((log, order, values, vectors, projected, fits))
+    log, order, values, vectors, projected, fits = max(models, key=lambda model: model[0])
     strength, scale = (np.array(part) for part in zip(*(fit[1:] for fit in fits), strict=True))
     share = np.outer(values, strength) / (1.0 + np.outer(values, strength))
     mean = projected * strength / (1.0 + np.outer(values, strength))
@@ -270,9 +244,8 @@ def evidence(
     whole = np.outer((basis**2).sum(1), strength) * scale
     return Evidence(
         log=log,
-        gain=log - nothing,
+        gain=float(log - max(nothing)),
         order=order,
-        strength=strength * scale,
         scale=scale,
         modes=share.sum(0),
         estimate=rotated @ mean * data.sigma,
@@ -286,17 +259,14 @@ def _strongest(
 ) -> tuple[float, float, float]:
     """Return the log evidence at its maximum over the object's strength, strength and noise.
 
-    The strength is relative to the noise's variance, which takes its most probable value, but at
-    least half the expected one.
+    The strength is relative to the noise's variance.
     """
 
     def cost(log_strength: float) -> tuple[float, float]:
-        strength = math.exp(log_strength)
-        weighed = 1.0 + strength * values
-        unexplained = left - strength * float((projected**2 / weighed).sum())
-        scale = max(unexplained / count, 0.5)
-        fit = count * math.log(scale) + unexplained / scale - count
-        return 0.5 * (fit + float(np.log(weighed).sum())), scale
+        weighed = 1.0 + math.exp(log_strength) * values
+        explained = math.exp(log_strength) * float((projected**2 / weighed).sum())
+        misfit, scale = _misfit(left - explained, count)
+        return 0.5 * (misfit + float(np.log(weighed).sum())), scale
 
     grid = np.arange(-3.0, 30.0) - math.log(max(float(values[-1]), 1e-300))
     start = grid[np.argmin([cost(value)[0] for value in grid])]
@@ -304,3 +274,9 @@ def _strongest(
         lambda value: cost(value)[0], bounds=(start - 1.0, start + 1.0), method="bounded"
     )
     return -float(best.fun), math.exp(best.x), cost(best.x)[1]
+
+
+def _misfit(left: float, count: float) -> tuple[float, float]:
+    """Return the misfit of a sum of squares, and the best scale of the noise, at least 0.5."""
+    scale = max(left / count, 0.5)
+    return count * math.log(scale) + left / scale - count, scale

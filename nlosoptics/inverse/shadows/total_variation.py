@@ -29,11 +29,11 @@ def least_variation(
     ``moment`` (N, C), scaled such that values are of order 1. TV is the sum over the cells of the
     norm of the forward differences along both axes in all colours, so that colours share edges.
 
-    The prior ``exp(-weight TV)`` is most probable where ``weight TV`` equals the number of ``modes``
-    above the noise [1]_. The weight is set to that value after each ``every`` iterations, up to
-    twice its value for ``start`` (N, C), an estimate in the box. The alternating direction method
-    of multipliers splits off differences and box [2]_; its linear equations are factored once for
-    each penalty.
+    The prior ``exp(-weight TV)`` is most probable where ``weight TV`` equals the number of
+    ``modes`` above the noise [1]_. The weight is set to that value after each ``every``
+    iterations, up to twice its value for ``start`` (N, C), an estimate in the box. The alternating
+    direction method of multipliers splits off differences and box [2]_; its linear equations are
+    factored once for each penalty.
 
     References
     ----------
