@@ -30,9 +30,10 @@ class Limits:
     """
 
     detection: float = math.log(1000.0)
-    misfit: float = 0.01
+    misfit: float = 0.005
     errors: float = 5.0
-    correlation: float = 0.7
+    correlation: float = 0.75
+    disagreement: float = 0.03
 
 
 LIMITS = Limits()
@@ -106,7 +107,8 @@ def shadow_fit(
         above the noise in each colour; ``resolved_object``, the object at the resolution of these
         modes, which may be negative; ``object_error``, its standard deviation, both of the object's
         shape; ``expected_correlation`` of the resolved object with the truth; ``detection``, gain
-        in log evidence over a wall without an object; ``log_evidence``.
+        in log evidence over a wall without an object; ``misfit``, power of the residual beyond the
+        noise over the power that the object explains; ``log_evidence``.
 
     Raises
     ------
@@ -131,8 +133,10 @@ def shadow_fit(
     the noise. No value is chosen by hand, nor by the truth.
 
     The status is "too_few_photons" without a detected object, whose values are then 0, and for an
-    expected correlation below 0.7. It is "does_not_fit" if the residual beyond the noise has more
-    than 1 % of the power that the object explains.
+    expected correlation below 0.75. It is "does_not_fit" if the residual beyond the noise has more
+    than 0.5 % of the power that the object explains, or if the object's correlation with the linear
+    estimate, which may be negative, is 0.03 below the expected correlation. An object that is
+    shifted together with the occluder has nearly the same shadows, and is not recognised.
 
     References
     ----------
@@ -216,6 +220,7 @@ def fitted(
         left = float((unexplained(data, known.matrix, linear, values) ** 2).sum())
     count = data.values.size / data.correlated
     misfit = (left - count - LIMITS.errors * math.sqrt(2.0 * count)) / max(before - left, 1e-300)
+    agreement = _correlation(values, linear.estimate)
     tests = (
         (
             changes[-1] > settings.tolerance,
@@ -241,6 +246,13 @@ def fitted(
             f"the residual beyond the noise has {misfit:.2g} of the power that the object "
             f"explains, limit {LIMITS.misfit:g}; check the occluder's place, or use occluder_fit",
         ),
+        (
+            detected and agreement < linear.correlation - LIMITS.disagreement,
+            "does_not_fit",
+            f"the correlation of object and linear estimate is {agreement:.2f}, expected "
+            f"{linear.correlation:.2f}: no object without negative values explains the image; "
+            "check the occluder's place and shape",
+        ),
     )
     failed = [test[1:] for test in tests if test[0]] + list(reasons)
     light = data.values * data.noise[:, None] - known.matrix[data.used] @ values / data.sigma
@@ -258,6 +270,7 @@ def fitted(
             "object_error": linear.error.reshape(shape),
             "expected_correlation": linear.correlation,
             "detection": linear.gain,
+            "misfit": misfit,
             "log_evidence": linear.log,
             **more,
         },
@@ -267,6 +280,13 @@ def fitted(
         seconds=time.perf_counter() - started,
         reasons=tuple(sentence for _, sentence in failed),
     )
+
+
+def _correlation(first: Array, second: Array) -> float:
+    """Return the correlation of two objects (N, C); 0 if one is uniform."""
+    first, second = first - first.mean(0), second - second.mean(0)
+    norm = math.sqrt(float((first**2).sum()) * float((second**2).sum()))
+    return float((first * second).sum()) / norm if norm > 0.0 else 0.0
 
 
 def settled(data: WallImage, known: Operator) -> tuple[WallImage, Evidence]:
