@@ -52,7 +52,7 @@ FLOORS: tuple[dict[str, tuple[str, ...]], ...] = (
     },
     {"imaging": ()},
     {"limits": ()},
-    {"inverse": ("data", "wave", "known", "published", "blind")},
+    {"inverse": ("data", "wave", "known", "shadows", "published", "blind")},
     {"runs": ()},
     {"study": ("design", "search")},
     {"views": ()},

@@ -19,7 +19,7 @@ DISC = np.array([0.05, -0.02, 0.45, 0.09])  # x, y, height and radius, m
 @functools.cache
 def operator(shift=(0.0, 0.0, 0.0), cells=CELLS, parts=2):
     """Light on a wall of 0.8 m, past a disc, from the cells of a plane of 0.6 m, 1 m away."""
-    x, y, z, radius = DISC + [*shift, 0.0]
+    x, y, z, radius = DISC + np.append(shift, 0.0)
     wall = 0.8 * ((np.arange(PIXELS * 2) + 0.5) / (PIXELS * 2) - 0.5)
     plane = 0.6 * ((np.arange(cells * parts) + 0.5) / (cells * parts) - 0.5)
     across = np.subtract.outer(wall, plane)  # from plane to wall

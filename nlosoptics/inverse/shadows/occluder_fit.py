@@ -80,7 +80,8 @@ def occluder_fit(
     ambient light and the noise are integrated out or take their best values. The residual alone
     prefers wrong places, at which a noisy object fits better. The search starts at the two best of
     2 d + 1 points, the start and its neighbours at ``reach``, and uses quadratic models of the
-    evidence [1]_. The covariance is the inverse of the evidence's curvature.
+    evidence [1]_. A last search takes into account that pixels err together, see `shadow_fit`. The
+    covariance is the inverse of the evidence's curvature.
 
     The status is "ambiguous" if the two searches end at different places of similar evidence, or at
     the edge of the region, or if the evidence has no curvature.
@@ -124,36 +125,36 @@ def occluder_fit(
     data = wall_image(image, operator(first).pixels, noise, reference, ambient)
     evaluations = 0
 
-    def cost(steps: Array, seen: WallImage = data) -> float:
+    def cost(steps: Array, seen: WallImage) -> float:
         nonlocal evaluations
         evaluations += 1
         known = operator(first + reach * steps)
         return -evidence(seen, known.matrix, known.cells, most=modes).log
 
-    around = np.vstack([np.zeros(len(first)), np.eye(len(first)), -np.eye(len(first))])
-    best_first = around[np.argsort([cost(steps) for steps in around], kind="stable")]
-    ends = [
-        scipy.optimize.minimize(
+    def searched(steps: Array, seen: WallImage, radius: float, least: float) -> Any:
+        return scipy.optimize.minimize(
             cost,
             steps,
+            args=(seen,),
             method="COBYQA",
             bounds=[(-2.0, 2.0)] * len(first),
-            options={"initial_tr_radius": 0.5, "final_tr_radius": 0.01, "maxfev": most},
+            options={"initial_tr_radius": radius, "final_tr_radius": least, "maxfev": most},
         )
-        for steps in best_first[:2]
-    ]
+
+    around = np.vstack([np.zeros(len(first)), np.eye(len(first)), -np.eye(len(first))])
+    order = np.argsort([cost(steps, data) for steps in around], kind="stable")
+    ends = [searched(steps, data, 0.5, 0.05) for steps in around[order[:2]]]
     ends.sort(key=lambda end: float(end.fun))
-    best = np.array(ends[0].x)
-    data, _ = settled(data, operator(first + reach * best))
-    slope, curvature = _quadratic(lambda steps: cost(steps, data), best)
+    data, _ = settled(data, operator(first + reach * ends[0].x))
+    final = searched(ends[0].x, data, 0.1, 0.01)
+    best = np.array(final.x)
+    curvature = _curvature(lambda steps: cost(steps, data), best)
     reasons = []
+    covariance = np.full(curvature.shape, math.inf)
     if np.linalg.eigvalsh(curvature)[0] <= 0.0 or (abs(best) > 1.98).any():
-        covariance = np.full(curvature.shape, math.inf)
         reasons.append("the evidence has no maximum within reach; start elsewhere or enlarge reach")
     else:
         covariance = np.linalg.inv(curvature)
-        step = -covariance @ slope
-        best = best + step * min(1.0, 0.1 / max(float(abs(step).max()), 1e-300))
         apart = np.array(ends[1].x) - best
         margin = (float(ends[1].fun) - float(ends[0].fun)) / data.correlated
         if margin < LIMITS.detection and apart @ curvature @ apart > LIMITS.errors**2:
@@ -164,7 +165,7 @@ def occluder_fit(
             )
     place = first + reach * best
     more = [("ambiguous", sentence) for sentence in reasons]
-    if not (ends[0].success or ends[0].nfev < most):
+    if final.nfev >= most:
         more.append(("unconverged", f"the search ended after {most} places; raise max_evaluations"))
     return fitted(
         data,
@@ -178,17 +179,14 @@ def occluder_fit(
     )
 
 
-def _quadratic(
-    cost: Callable[[Array], float], centre: Array, step: float = 0.1
-) -> tuple[Array, Array]:
-    """Return slope (d,) and curvature (d, d) of a function by central differences."""
+def _curvature(cost: Callable[[Array], float], centre: Array, step: float = 0.1) -> Array:
+    """Return the second derivatives (d, d) of a function by central differences."""
     sides = step * np.eye(len(centre))
     middle = cost(centre)
-    up, down = (np.array([cost(centre + sign * side) for side in sides]) for sign in (1.0, -1.0))
-    curvature = np.diag((up + down - 2.0 * middle) / step**2)
+    around = np.array([cost(centre + side) + cost(centre - side) for side in sides])
+    result = np.diag(around - 2.0 * middle)
     for i in range(len(centre)):
         for j in range(i):
             both = cost(centre + sides[i] + sides[j]) + cost(centre - sides[i] - sides[j])
-            mixed = (both + 2.0 * middle - up[i] - up[j] - down[i] - down[j]) / (2.0 * step**2)
-            curvature[i, j] = curvature[j, i] = mixed
-    return (up - down) / (2.0 * step), curvature
+            result[i, j] = result[j, i] = (both + 2.0 * middle - around[i] - around[j]) / 2.0
+    return np.asarray(result / step**2)
