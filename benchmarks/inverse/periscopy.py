@@ -1,17 +1,18 @@
 """Picture on a hidden screen from one published photograph of a matt wall.
 
-    NLOSOPTICS_DATA=FOLDER python benchmarks/inverse/periscopy.py
+    NLOSOPTICS_DATA=FOLDER python benchmarks/inverse/periscopy.py [STARTS]
 
 The photograph and its scene are those of Saunders, Murray-Bruce and Goyal, Nature 565, 472 (2019):
 a chair stands between a screen and a wall. FOLDER holds `computational_periscopy/chair.npz`, with
 the photograph (126, 126, 3), rows downward, and the screen (29, 36, 3) in blocks. Correlations of
 red, green and blue are printed for the chair where it was measured, and for a chair whose place is
-fitted from starts 5 cm away.
+fitted from up to five starts 5 cm away.
 """
 
 from __future__ import annotations
 
 import os
+import sys
 import time
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from nlosoptics.inverse import occluder_fit, registered_correlation, shadow_fit
 CORNER = np.array([0.506, 0.594, 0.242])  # of the chair's seat, m
 STARTS = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, 0], [-1, -1, 1], [0, 1, 1]])
 WALL = (0.543, 1.03, 0.064, 0.401)  # corner and side of the photographed part, m
+COARSE = (15, 18)  # blocks of the search
 SCREEN = (0.027375, 36 * 0.01115625, 0.13871143, 29 * 0.01054443)  # left, width, low, height, m
 
 
@@ -94,22 +96,23 @@ def response(boxes, n, rows, columns, points, lines, wall, screen):
     return matrix
 
 
-def operator(shift, pixels, points, lines):
+def operator(shift, pixels=63, blocks=(29, 36), lines=3):
     """Return the operator for a chair that is moved from its measured place, m."""
-    return response(chair(CORNER + shift), pixels, 29, 36, points, lines, WALL, SCREEN)
+    return response(chair(CORNER + shift), pixels, *blocks, 2, lines, WALL, SCREEN)
 
 
 def coarse(shift):
-    """Return the operator of the search, for 21 x 21 pixels."""
-    return operator(shift, 21, 2, 2)
+    """Return the operator of the search, for fewer pixels and blocks of twice the size."""
+    return operator(shift, 42, COARSE, 2)
 
 
 def main() -> None:
     """Print correlations, places and CPU seconds."""
+    starts = STARTS[: int(sys.argv[1])] if len(sys.argv) > 1 else STARTS
     path = Path(os.environ["NLOSOPTICS_DATA"]) / "computational_periscopy" / "chair.npz"
     with np.load(path) as data:
         photograph, screen = data["photograph"].astype(float), data["screen"].astype(float)
-    operator(np.zeros(3), 3, 1, 1)
+    operator(np.zeros(3), 3)
 
     def shown(fit):
         scores = [registered_correlation(fit.object[..., c], screen[..., c]) for c in range(3)]
@@ -117,14 +120,14 @@ def main() -> None:
         return f"{' '.join(f'{s:.3f}' for s in scores)}, {fit.status}, {ratio:.1f} times the noise"
 
     begun = time.process_time()
-    fit = shadow_fit(photograph, operator(np.zeros(3), 63, 2, 3), cells=(29, 36))
+    fit = shadow_fit(photograph, operator(np.zeros(3)), cells=(29, 36))
     print(f"place as measured: {shown(fit)}, {time.process_time() - begun:.1f} CPU s")
-    for direction in STARTS:
+    for direction in starts:
         start = 0.05 * direction / np.linalg.norm(direction)
         begun = time.process_time()
-        found = occluder_fit(photograph, coarse, start=start, cells=(29, 36))
+        found = occluder_fit(photograph, coarse, start=start, cells=COARSE)
         place = found.physical_parameters["place"]
-        fit = shadow_fit(photograph, operator(place, 63, 2, 3), cells=(29, 36))
+        fit = shadow_fit(photograph, operator(place), cells=(29, 36))
         seconds = time.process_time() - begun
         error = np.sqrt(np.diag(found.physical_parameters["place_covariance"]))
         print(

@@ -14,8 +14,17 @@ from numpy.typing import ArrayLike, NDArray
 from ..._checks import positive, whole
 from ...errors import SceneError
 from ..data.reconstruction import Reconstruction
-from .linear_model import WallImage, evidence, wall_image
-from .shadow_fit import LIMITS, Operator, checked_operator, checked_settings, fitted, settled
+from .linear_model import evidence, wall_image
+from .shadow_fit import (
+    LIMITS,
+    Operator,
+    checked_operator,
+    checked_settings,
+    fitted,
+    settled,
+    sharpened,
+    unexplained,
+)
 
 Array = NDArray[np.float64]
 
@@ -76,12 +85,14 @@ def occluder_fit(
 
     Notes
     -----
-    The place maximises the evidence of the linear model of `shadow_fit`, in which the object, the
-    ambient light and the noise are integrated out or take their best values. The residual alone
-    prefers wrong places, at which a noisy object fits better. The search starts at the two best of
-    2 d + 1 points, the start and its neighbours at ``reach``, and uses quadratic models of the
-    evidence [1]_. A last search takes into account that pixels err together, see `shadow_fit`. The
-    covariance is the inverse of the evidence's curvature.
+    The search first maximises the evidence of the linear model of `shadow_fit`, in which the
+    object, the ambient light and the noise are integrated out or take their best values. It starts
+    at the two best of 2 d + 1 points, the start and its neighbours at ``reach``, and uses quadratic
+    models [1]_. A linear object may be negative, and explains images of wrong places. The better of
+    both ends therefore starts a second search, for the least ``n/2 log |r|^2 + m log TV(f)`` with
+    the residual r of n independent pixels and the sharp object f. It is the free energy of an
+    object with the prior exp(-w TV) at its best weight w, for m modes above the noise. The
+    covariance is the inverse of its curvature.
 
     The status is "ambiguous" if the two searches end at different places of similar evidence, or at
     the edge of the region, or if the evidence has no curvature.
@@ -125,41 +136,56 @@ def occluder_fit(
     data = wall_image(image, operator(first).pixels, noise, reference, ambient)
     evaluations = 0
 
-    def cost(steps: Array, seen: WallImage) -> float:
+    def cost(steps: Array) -> float:
         nonlocal evaluations
         evaluations += 1
         known = operator(first + reach * steps)
-        return -evidence(seen, known.matrix, known.cells, most=modes).log
+        return -evidence(data, known.matrix, known.cells, most=modes).log
 
-    def searched(steps: Array, seen: WallImage, radius: float, least: float) -> Any:
+    def sharp_cost(steps: Array) -> float:
+        nonlocal evaluations
+        evaluations += 1
+        known = operator(first + reach * steps)
+        linear = evidence(data, known.matrix, known.cells, most=modes)
+        values, _ = sharpened(data, known, linear, settings)
+        left = float((unexplained(data, known.matrix, linear, values) ** 2).sum())
+        grid = (values / data.sigma).reshape(*known.cells, -1)
+        edges = np.gradient(grid, axis=[axis for axis in (0, 1) if known.cells[axis] > 1])
+        variation = float(np.sqrt((np.reshape(edges, (-1, *grid.shape)) ** 2).sum((0, 3))).sum())
+        count = data.values.size / data.correlated
+        return 0.5 * count * math.log(left) + exponent * math.log(max(variation, 1e-300))
+
+    def searched(function: Any, steps: Array, radius: float, least: float) -> Any:
         return scipy.optimize.minimize(
-            cost,
+            function,
             steps,
-            args=(seen,),
             method="COBYQA",
             bounds=[(-2.0, 2.0)] * len(first),
             options={"initial_tr_radius": radius, "final_tr_radius": least, "maxfev": most},
         )
 
     around = np.vstack([np.zeros(len(first)), np.eye(len(first)), -np.eye(len(first))])
-    order = np.argsort([cost(steps, data) for steps in around], kind="stable")
-    ends = [searched(steps, data, 0.5, 0.05) for steps in around[order[:2]]]
+    order = np.argsort([cost(steps) for steps in around], kind="stable")
+    ends = [searched(cost, steps, 0.5, 0.05) for steps in around[order[:2]]]
     ends.sort(key=lambda end: float(end.fun))
-    data, _ = settled(data, operator(first + reach * ends[0].x))
-    final = searched(ends[0].x, data, 0.1, 0.01)
+    data, linear = settled(data, operator(first + reach * ends[0].x))
+    exponent = float(linear.modes.sum())
+    costs = [sharp_cost(end.x) for end in ends]
+    nearer = int(np.argmin(costs))
+    final = searched(sharp_cost, ends[nearer].x, 0.3, 0.01)
     best = np.array(final.x)
-    curvature = _curvature(lambda steps: cost(steps, data), best)
+    curvature = _curvature(sharp_cost, best)
     reasons = []
     covariance = np.full(curvature.shape, math.inf)
     if np.linalg.eigvalsh(curvature)[0] <= 0.0 or (abs(best) > 1.98).any():
         reasons.append("the evidence has no maximum within reach; start elsewhere or enlarge reach")
     else:
         covariance = np.linalg.inv(curvature)
-        apart = np.array(ends[1].x) - best
-        margin = (float(ends[1].fun) - float(ends[0].fun)) / data.correlated
+        other = np.array(ends[1 - nearer].x)
+        apart, margin = other - best, costs[1 - nearer] - float(final.fun)
         if margin < LIMITS.detection and apart @ curvature @ apart > LIMITS.errors**2:
             reasons.append(
-                f"another place, {np.round(first + reach * ends[1].x, 4).tolist()}, has a log "
+                f"another place, {np.round(first + reach * other, 4).tolist()}, has a log "
                 f"evidence that is smaller by {margin:.1f}, limit {LIMITS.detection:.1f}; give a "
                 "closer start or a smaller reach"
             )
