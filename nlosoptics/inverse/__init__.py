@@ -1,7 +1,8 @@
 """Reconstruction of the hidden object from camera images.
 
 The solvers take numpy arrays or torch tensors, and return an object of the same type.
-`tv_deconvolve` and `registered_correlation` run without torch; the other solvers need it.
+`tv_deconvolve`, `shadow_fit`, `occluder_fit` and `registered_correlation` run without torch; the
+other solvers need it.
 `nlosoptics.limits.feasibility` predicts how well a fit can recover the object.
 
 All functions raise a `SamplingError` if an array does not have the shape of the image model or of
