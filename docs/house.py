@@ -52,7 +52,7 @@ FLOORS: tuple[dict[str, tuple[str, ...]], ...] = (
     },
     {"imaging": ()},
     {"limits": ()},
-    {"inverse": ("data", "wave", "known", "published", "burst", "blind")},
+    {"inverse": ("data", "wave", "known", "shadows", "published", "burst", "blind")},
     {"runs": ()},
     {"study": ("design", "search")},
     {"views": ()},

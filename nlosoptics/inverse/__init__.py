@@ -1,7 +1,7 @@
 """Reconstruction of the hidden object from camera images.
 
 The solvers take numpy arrays or torch tensors, and return an object of the same type.
-Solvers with a known point spread run in numpy; the others need torch.
+Solvers with a known point spread, or past a known occluder, run in numpy; the others need torch.
 `nlosoptics.limits.feasibility` predicts how well a fit can recover the object.
 
 Every solver takes a `Measurement`: one or several images with all that is known of their noise,

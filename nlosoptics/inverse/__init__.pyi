@@ -15,4 +15,6 @@ from .published.phase_retrieval import object_from_autocorrelation as object_fro
 from .published.phase_retrieval import phase_retrieval as phase_retrieval
 from .published.unet import UNet as UNet
 from .published.wu2024 import wu2024_fit as wu2024_fit
+from .shadows.occluder_fit import occluder_fit as occluder_fit
+from .shadows.shadow_fit import shadow_fit as shadow_fit
 from .wave.pupil_psf import PupilPSF as PupilPSF

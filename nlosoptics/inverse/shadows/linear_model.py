@@ -1,0 +1,282 @@
+"""Evidence of an object in the light of a matt wall, with object and ambient light integrated out.
+
+The image is ``y = A f + B c + n``. The object f is Gaussian with a power spectrum that falls as the
+square of the spatial frequency, as in natural scenes; c are the coefficients of a polynomial over
+the wall, and n is the noise. Its scale, the strength of the object and the order of the polynomial
+maximise the evidence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from ..._checks import whole
+from ...errors import SamplingError, SceneError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class WallImage:
+    """Pixels of a wall over their noise, (P, C), and polynomials over the wall, (P, K).
+
+    ``used`` (H W,) selects the P pixels that count, of an image of ``shape`` (H, W). ``values`` and
+    the orthonormal ``polynomials`` are divided by the ``noise`` (P,) that all colours share, and
+    the values also by the rms noise ``sigma`` (C,) of each colour. ``correlated`` is the number of
+    pixels that err together; the noise is multiplied by its root, so that sums of squares count
+    independent pixels.
+    """
+
+    values: Array
+    used: NDArray[np.bool_]
+    noise: Array
+    sigma: Array
+    polynomials: Array
+    orders: Sequence[int]
+    shape: tuple[int, int]
+    correlated: float = 1.0
+
+    def over_noise(self, matrix: Array) -> Array:
+        """Return the rows (P, N) of an operator that count, over the noise."""
+        return np.asarray(matrix[self.used] / self.noise[:, None])
+
+    def of_correlated(self, residual: Array, side: int = 3) -> WallImage:
+        """Return the image for as many pixels that err together as a residual (P, C) shows.
+
+        White noise has the same variance in the means of squares of ``side`` pixels, over the
+        number of their pixels, as in the pixels. An error of the model varies slowly.
+        """
+        grid = np.full((self.shape[0] * self.shape[1], residual.shape[1]), np.nan)
+        grid[self.used] = residual
+        rows, columns = (n // side for n in self.shape)
+        grid = grid.reshape(*self.shape, -1)[: rows * side, : columns * side]
+        means = grid.reshape(rows, side, columns, side, -1).mean((1, 3))
+        means = means[np.isfinite(means).all(2)]
+        ratio = side**2 * (means**2).mean(0) / (residual**2).mean(0) if len(means) else np.ones(1)
+        factor = max(1.0, float(ratio.mean())) / self.correlated
+        return replace(
+            self,
+            values=self.values / math.sqrt(factor),
+            noise=self.noise * math.sqrt(factor),
+            correlated=self.correlated * factor,
+        )
+
+    def ambient(self, order: int) -> Array:
+        """Return the polynomials up to an order, none for -1."""
+        return self.polynomials[:, : (order + 1) * (order + 2) // 2]
+
+
+def wall_image(
+    image: Any,
+    pixels: tuple[int, int],
+    noise: Any = None,
+    reference: Any = None,
+    ambient: int | None = None,
+    most: int = 6,
+) -> WallImage:
+    """Check an image and sum it over the operator's ``pixels``; see `shadow_fit`."""
+    light = seen = _colours("image", image)
+    if reference is not None:
+        dark = _colours("reference", reference, light.shape)
+        light, seen = light - dark, light + dark
+    if noise is None:
+        variance = _variance_by_neighbours(light, seen)
+    else:
+        variance = _colours("noise", noise, light.shape) ** 2
+    if not (variance > 0.0).all():
+        raise SceneError("noise is not above 0 in all pixels; state the rms noise of each pixel")
+    (rows, columns), colours = pixels, light.shape[2]
+    if light.shape[0] % rows or light.shape[1] % columns:
+        raise SamplingError(
+            f"image has {light.shape[0]} x {light.shape[1]} pixels and the operator {rows} x "
+            f"{columns}; give an operator of a whole fraction of them along each side"
+        )
+    shape = (rows, light.shape[0] // rows, columns, light.shape[1] // columns, colours)
+    light, variance = (
+        part.reshape(shape).sum((1, 3)).reshape(-1, colours) for part in (light, variance)
+    )
+    used = np.isfinite(light).all(1) & np.isfinite(variance).all(1)
+    if np.count_nonzero(used) < 64:
+        raise SamplingError(
+            f"image has {np.count_nonzero(used)} pixels of finite value and noise, must be at "
+            "least 64; give a larger part of the wall"
+        )
+    light, variance = light[used], variance[used]
+    sigma = np.sqrt(variance.mean(0))
+    relative = np.sqrt((variance / sigma**2).mean(1))
+    orders = range(-1, most + 1)
+    if ambient is not None:
+        orders = range(whole("ambient", ambient, -1, 12), ambient + 1)
+    y, x = (2.0 * (np.arange(n) + 0.5) / n - 1.0 for n in pixels)
+    plane = legendre.legvander2d(*np.meshgrid(x, y), [orders[-1] + 1] * 2)
+    degree = np.add.outer(*[np.arange(orders[-1] + 2)] * 2).ravel()
+    lowest = np.argsort(degree, kind="stable")[: (orders[-1] + 1) * (orders[-1] + 2) // 2]
+    smooth = plane.reshape(rows * columns, -1)[:, lowest][used] / relative[:, None]
+    return WallImage(
+        values=light / relative[:, None] / sigma,
+        used=used,
+        noise=relative,
+        sigma=sigma,
+        polynomials=np.linalg.qr(smooth)[0],
+        orders=orders,
+        shape=pixels,
+    )
+
+
+def _colours(name: str, values: Any, shape: tuple[int, ...] | None = None) -> Array:
+    """Return an image as float64 (H, W, C), broadcast to a shape if one is given."""
+    try:
+        array = np.asarray(values, dtype=np.float64)
+        array = array[..., None] if array.ndim == 2 else array
+        array = array if shape is None else np.broadcast_to(array, shape)
+    except (TypeError, ValueError):
+        raise SamplingError(
+            f"{name} has shape {np.shape(values)}; give numbers, (H, W) or (H, W, C) as the image"
+        ) from None
+    if array.ndim != 3 or array.size == 0:
+        raise SamplingError(f"{name} has shape {np.shape(values)}; give (H, W) or (H, W, C)")
+    return array
+
+
+def _variance_by_neighbours(light: Array, seen: Array, groups: int = 16) -> Array:
+    """Estimate the variance of each pixel, a + b times its light, from neighbouring pixels.
+
+    The difference of second differences along both axes is free of smooth light; its median square
+    in groups of equal brightness resists edges [Immerkaer, CVIU 64 (1996) 300].
+    """
+    if min(light.shape[:2]) < 16:
+        raise SamplingError(
+            f"image has {light.shape[0]} x {light.shape[1]} pixels, must have at least 16 x 16 to "
+            "estimate its noise; state the noise"
+        )
+    kernel = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0]) / 6.0
+    level = np.maximum(seen, 0.0) / max(float(np.nanmean(np.maximum(seen, 0.0))), 1e-300)
+    result = np.empty_like(light)
+    for colour in range(light.shape[2]):
+        rough = scipy.signal.convolve2d(light[..., colour], kernel, mode="valid").ravel() ** 2
+        near = level[1:-1, 1:-1, colour].ravel()
+        good = np.flatnonzero(np.isfinite(rough + near))
+        parts = np.array_split(good[np.argsort(near[good], kind="stable")], groups)
+        # the median of a squared normal variate is 0.4549 of its variance
+        squares = np.array([np.median(rough[part]) / 0.4549 for part in parts])
+        columns = np.stack([np.ones(groups), [near[part].mean() for part in parts]], 1)
+        weight = 1.0 / np.maximum(squares, 0.1 * squares.mean() + 1e-300)
+        constant, slope = scipy.optimize.nnls(columns * weight[:, None], squares * weight)[0]
+        result[..., colour] = constant + slope * level[..., colour]
+    return np.where(np.isnan(result), np.inf, result)
+
+
+class Evidence(NamedTuple):
+    """Best linear Gaussian model of a wall's image.
+
+    ``log`` is the natural logarithm of its evidence, ``gain`` how much it exceeds that of the best
+    model without an object, and ``order`` the polynomial's order, -1 for none. For each of the
+    colours: ``scale``, variance of the noise over the expected one, and ``modes``, the effective
+    number of modes above the noise.
+    ``estimate`` (N, C) is the posterior mean of the object, ``error`` (N, C) its standard deviation
+    and ``correlation`` the correlation with the object that the model expects.
+    """
+
+    log: float
+    gain: float
+    order: int
+    scale: Array
+    modes: Array
+    estimate: Array
+    error: Array
+    correlation: float
+
+
+def cosines(shape: tuple[int, int], most: int) -> tuple[Array, Array]:
+    """Return the lowest cosine modes (N, n) of a grid of cells, and their prior variances (n,).
+
+    The variance is ``1/(f^2 + f_0^2)`` at the spatial frequency f, for f_0 of half a cycle per
+    longer side, relative to that of the mean.
+    """
+    rows, columns = (scipy.fft.idct(np.eye(n), axis=0, norm="ortho") for n in shape)
+    v, u = (np.arange(n) / n for n in shape)
+    frequency = np.add.outer(v**2, u**2).ravel() * max(shape) ** 2
+    lowest = np.argsort(frequency, kind="stable")[:most]
+    modes = np.einsum("ai,bj->ijab", rows, columns).reshape(len(frequency), -1)[lowest].T
+    return np.ascontiguousarray(modes), 1.0 / (1.0 + frequency[lowest])
+
+
+def evidence(
+    data: WallImage, matrix: Array, shape: tuple[int, int], *, most: int = 600
+) -> Evidence:
+    """Return the best linear model of an image for the operator ``matrix`` (P, N).
+
+    ``shape`` is that of the grid of cells, and ``most`` limits the number of its cosine modes.
+    """
+    basis, prior = cosines(shape, most)
+    basis = basis * np.sqrt(prior)
+    response = data.over_noise(matrix) @ basis
+    gram, moment = response.T @ response, response.T @ data.values
+    power = (data.values**2).sum(0)
+    models, nothing = [], []
+    for order in data.orders:
+        smooth = data.ambient(order)
+        seen, light = smooth.T @ response, smooth.T @ data.values
+        values, vectors = np.linalg.eigh(gram - seen.T @ seen)
+        values = np.maximum(values, 0.0)
+        projected = vectors.T @ (moment - seen.T @ light)
+        left = power - (light**2).sum(0)
+        count = (len(data.values) - smooth.shape[1]) / data.correlated
+        price = smooth.shape[1] * np.log(power).sum()
+        nothing.append(-0.5 * (sum(_misfit(part, count)[0] for part in left) + price))
+        fits = [_strongest(values, projected[:, c], left[c], count) for c in range(len(left))]
+        log = sum(fit[0] for fit in fits) - 0.5 * price
+        models.append((log, order, values, vectors, projected, fits))
+    log, order, values, vectors, projected, fits = max(models, key=lambda model: model[0])
+    strength, scale = (np.array(part) for part in zip(*(fit[1:] for fit in fits), strict=True))
+    share = np.outer(values, strength) / (1.0 + np.outer(values, strength))
+    mean = projected * strength / (1.0 + np.outer(values, strength))
+    rotated = basis @ vectors
+    variance = (rotated**2) @ ((1.0 - share) * strength) * scale
+    whole = np.outer((basis**2).sum(1), strength) * scale
+    return Evidence(
+        log=log,
+        gain=float(log - max(nothing)),
+        order=order,
+        scale=scale,
+        modes=share.sum(0),
+        estimate=rotated @ mean * data.sigma,
+        error=np.sqrt(variance) * data.sigma,
+        correlation=math.sqrt(max(0.0, 1.0 - float((variance.mean(0) / whole.mean(0)).mean()))),
+    )
+
+
+def _strongest(
+    values: Array, projected: Array, left: float, count: float
+) -> tuple[float, float, float]:
+    """Return the log evidence at its maximum over the object's strength, strength and noise.
+
+    The strength is relative to the noise's variance.
+    """
+
+    def cost(log_strength: float) -> tuple[float, float]:
+        weighed = 1.0 + math.exp(log_strength) * values
+        explained = math.exp(log_strength) * float((projected**2 / weighed).sum())
+        misfit, scale = _misfit(left - explained, count)
+        return 0.5 * (misfit + float(np.log(weighed).sum())), scale
+
+    grid = np.arange(-3.0, 30.0) - math.log(max(float(values[-1]), 1e-300))
+    start = grid[np.argmin([cost(value)[0] for value in grid])]
+    best = scipy.optimize.minimize_scalar(
+        lambda value: cost(value)[0], bounds=(start - 1.0, start + 1.0), method="bounded"
+    )
+    return -float(best.fun), math.exp(best.x), cost(best.x)[1]
+
+
+def _misfit(left: float, count: float) -> tuple[float, float]:
+    """Return the misfit of a sum of squares, and the best scale of the noise, at least 0.5."""
+    scale = max(left / count, 0.5)
+    return count * math.log(scale) + left / scale - count, scale

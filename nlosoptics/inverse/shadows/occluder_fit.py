@@ -1,0 +1,218 @@
+"""Place of an occluder, and picture of the object whose light it shades on a matt wall."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike, NDArray
+
+from ..._checks import positive, whole
+from ...errors import SceneError
+from ..data.reconstruction import Reconstruction
+from .linear_model import evidence, wall_image
+from .shadow_fit import (
+    LIMITS,
+    Operator,
+    checked_operator,
+    checked_settings,
+    fitted,
+    settled,
+    sharpened,
+    unexplained,
+)
+
+Array = NDArray[np.float64]
+
+
+def occluder_fit(
+    image: Any,
+    operator_at: Callable[[Array], Any],
+    *,
+    start: ArrayLike = (0.0, 0.0, 0.0),
+    reach: float = 0.05,
+    cells: tuple[int, int] | None = None,
+    noise: Any = None,
+    reference: Any = None,
+    ambient: int | None = None,
+    brightest: float = math.inf,
+    modes: int = 200,
+    max_evaluations: int = 200,
+    max_iterations: int = 1000,
+    tolerance: float = 1e-3,
+) -> Reconstruction:
+    """Find the place of an occluder of known shape on its own shadows, and reconstruct the object.
+
+    Parameters
+    ----------
+    image, cells, noise, reference, ambient, brightest, max_iterations, tolerance
+        See `shadow_fit`.
+    operator_at : callable
+        Returns the operator, see `shadow_fit`, for an array of the occluder's d unknown values,
+        such as its shift in m: for a `nlosoptics.imaging.WallTransport` named ``wall``,
+        ``lambda shift: wall.moved(0, shift)``. Few pixels and cells are enough, and quick; the
+        result's ``place`` can then be passed to `shadow_fit` with a finer operator.
+    start : array_like, (d,)
+        Values at which the search starts.
+    reach : float
+        Distance from the start that the search covers first, in the unit of the values. It ends at
+        twice this distance along each value.
+    modes : int
+        Largest number of the object's modes during the search, 16 to 2000.
+    max_evaluations : int
+        Maximum number of operators that each of the two searches computes.
+
+    Returns
+    -------
+    Reconstruction
+        As of `shadow_fit` for the operator at the best place. ``physical_parameters`` also has
+        ``place`` (d,), ``place_covariance`` (d, d), and ``evaluations``, the number of operators.
+
+    Raises
+    ------
+    SamplingError
+        If the shapes of image, operator, noise and reference do not fit each other.
+    SceneError
+        If a value is out of range or not finite.
+
+    See Also
+    --------
+    shadow_fit : Fit for an occluder at a known place.
+
+    Notes
+    -----
+    The search first maximises the evidence of the linear model of `shadow_fit`, in which the
+    object, the ambient light and the noise are integrated out or take their best values. It starts
+    at the two best of 2 d + 1 points, the start and its neighbours at ``reach``, and uses quadratic
+    models [1]_. A linear object may be negative, and explains images of wrong places. The better of
+    both ends therefore starts a second search, for the least ``n/2 log |r|^2 + m log TV(f)`` with
+    the residual r of n independent pixels and the sharp object f. It is the free energy of an
+    object with the prior exp(-w TV) at its best weight w, for m modes above the noise. The
+    covariance is the inverse of its curvature.
+
+    The status is "ambiguous" if the two searches end at different places of similar evidence, or at
+    the edge of the region, or if the evidence has no curvature.
+
+    A shift of occluder and object together changes the shadows little: the place along the wall is
+    less certain than the picture, which may be shifted.
+
+    References
+    ----------
+    .. [1] Ragonneau and Zhang, COBYQA, https://www.cobyqa.com.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.inverse import occluder_fit
+    >>> wall = np.arange(32)[:, None] + 0.5
+    >>> cell = 32 / 24 * (np.arange(24) + 0.5)
+    >>> def operator_at(place):  # a pole between a line of wall points, in 20 rows, and the cells
+    ...     free = np.clip(abs(wall - 0.6 * cell - place[0]) - 2.5, 0.0, 1.0)
+    ...     return np.tile(1e4 * free / (400.0 + (wall - cell) ** 2), (20, 1))
+    >>> truth = np.where((cell > 9) & (cell < 15), 100.0, 0.0)
+    >>> image = (operator_at([8.0]) @ truth).reshape(20, 32)
+    >>> image += np.random.default_rng(0).standard_normal(image.shape)
+    >>> fit = occluder_fit(
+    ...     image, operator_at, start=[5.0], reach=3.0, cells=(1, 24), noise=1.0, ambient=-1
+    ... )
+    >>> fit.status, bool(abs(fit.physical_parameters["place"][0] - 8.0) < 0.05)
+    ('converged', True)
+    """
+    started = time.perf_counter()
+    first = np.atleast_1d(np.asarray(start, dtype=np.float64))
+    if first.ndim != 1 or not np.isfinite(first).all():
+        raise SceneError(f"start = {start!r} must be finite numbers; give one for each value")
+    reach = positive("reach", reach)
+    modes, most = whole("modes", modes, 16, 2000), whole("max_evaluations", max_evaluations, 10)
+    settings = checked_settings(image, brightest, max_iterations, tolerance)
+
+    def operator(place: Array) -> Operator:
+        return checked_operator(operator_at(place), np.shape(image), cells)
+
+    data = wall_image(image, operator(first).pixels, noise, reference, ambient)
+    evaluations = 0
+
+    def cost(steps: Array) -> float:
+        nonlocal evaluations
+        evaluations += 1
+        known = operator(first + reach * steps)
+        return -evidence(data, known.matrix, known.cells, most=modes).log
+
+    def sharp_cost(steps: Array) -> float:
+        nonlocal evaluations
+        evaluations += 1
+        known = operator(first + reach * steps)
+        linear = evidence(data, known.matrix, known.cells, most=modes)
+        values, _ = sharpened(data, known, linear, settings)
+        left = float((unexplained(data, known.matrix, linear, values) ** 2).sum())
+        grid = (values / data.sigma).reshape(*known.cells, -1)
+        edges = np.gradient(grid, axis=[axis for axis in (0, 1) if known.cells[axis] > 1])
+        variation = float(np.sqrt((np.reshape(edges, (-1, *grid.shape)) ** 2).sum((0, 3))).sum())
+        count = data.values.size / data.correlated
+        return 0.5 * count * math.log(left) + exponent * math.log(max(variation, 1e-300))
+
+    def searched(function: Any, steps: Array, radius: float, least: float) -> Any:
+        return scipy.optimize.minimize(
+            function,
+            steps,
+            method="COBYQA",
+            bounds=[(-2.0, 2.0)] * len(first),
+            options={"initial_tr_radius": radius, "final_tr_radius": least, "maxfev": most},
+        )
+
+    around = np.vstack([np.zeros(len(first)), np.eye(len(first)), -np.eye(len(first))])
+    order = np.argsort([cost(steps) for steps in around], kind="stable")
+    ends = [searched(cost, steps, 0.5, 0.05) for steps in around[order[:2]]]
+    ends.sort(key=lambda end: float(end.fun))
+    data, linear = settled(data, operator(first + reach * ends[0].x))
+    exponent = float(linear.modes.sum())
+    costs = [sharp_cost(end.x) for end in ends]
+    nearer = int(np.argmin(costs))
+    final = searched(sharp_cost, ends[nearer].x, 0.3, 0.01)
+    best = np.array(final.x)
+    curvature = _curvature(sharp_cost, best)
+    reasons = []
+    covariance = np.full(curvature.shape, math.inf)
+    if np.linalg.eigvalsh(curvature)[0] <= 0.0 or (abs(best) > 1.98).any():
+        reasons.append("the evidence has no maximum within reach; start elsewhere or enlarge reach")
+    else:
+        covariance = np.linalg.inv(curvature)
+        other = np.array(ends[1 - nearer].x)
+        apart, margin = other - best, costs[1 - nearer] - float(final.fun)
+        if margin < LIMITS.detection and apart @ curvature @ apart > LIMITS.errors**2:
+            reasons.append(
+                f"another place, {np.round(first + reach * other, 4).tolist()}, has a log "
+                f"evidence that is smaller by {margin:.1f}, limit {LIMITS.detection:.1f}; give a "
+                "closer start or a smaller reach"
+            )
+    place = first + reach * best
+    more = [("ambiguous", sentence) for sentence in reasons]
+    if final.nfev >= most:
+        more.append(("unconverged", f"the search ended after {most} places; raise max_evaluations"))
+    return fitted(
+        data,
+        operator(place),
+        settings,
+        started,
+        tuple(more),
+        place=place,
+        place_covariance=reach**2 * covariance,
+        evaluations=evaluations,
+    )
+
+
+def _curvature(cost: Callable[[Array], float], centre: Array, step: float = 0.1) -> Array:
+    """Return the second derivatives (d, d) of a function by central differences."""
+    sides = step * np.eye(len(centre))
+    middle = cost(centre)
+    around = np.array([cost(centre + side) + cost(centre - side) for side in sides])
+    result = np.diag(around - 2.0 * middle)
+    for i in range(len(centre)):
+        for j in range(i):
+            both = cost(centre + sides[i] + sides[j]) + cost(centre - sides[i] - sides[j])
+            result[i, j] = result[j, i] = (both + 2.0 * middle - around[i] - around[j]) / 2.0
+    return np.asarray(result / step**2)
