@@ -55,7 +55,7 @@ def solved(key: dict[str, Any], folder: Path | None) -> dict[str, Any]:
         "image_correlation": inverse.registered_correlation(data.images[0], data.truth),
         "status": found.status,
         "score": found.score,
-        **{k: finite(settled[k]) for k in ("margin", "rival_margin", "effective_data")},
+        **{k: finite(settled[k]) for k in ("margin", "sharp_margin")},
         "bad_pixels": settled.get("bad_pixels", 0),
         "model_error": settled["model_error"],
         "length": float(np.linalg.norm(settled["coefficients"])),

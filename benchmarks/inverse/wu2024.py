@@ -1,4 +1,4 @@
-"""One image, by the published PCIN, by the recipe "network" and by the evidence; a line a case.
+"""One image, by the published PCIN and by the evidence; a line a case.
 
 python benchmarks/inverse/wu2024.py [--recipes wu2024] [--walls 6] [--rms 0.25 0.5 1]
     [--objects F arrow ...] [--folder PICTURES] [--size 64] [--json FILE] [--jobs 2]

@@ -44,6 +44,7 @@ def evidence_fit(
     start_error: float | None = None,
     known_object: Any = None,
     support: Any = None,
+    fit_gains: bool = True,
     strength: float | None = None,
     max_iterations: int | None = None,
     max_seconds: float | None = None,
@@ -65,8 +66,7 @@ def evidence_fit(
     images : Measurement, ndarray or Tensor
         K camera images, (K, H, W), or one, (H, W), with their noise and backgrounds. All show the
         same object: via one wall with K known defoci, or via several walls. The object must lie
-        inside the image. Dead, hot and saturated pixels are found and ignored, and the relative
-        brightness of the images is fitted.
+        inside the image.
     pupil_psf : PupilPSF
         Point spread function (PSF) of the wall and lens as a function of the M Zernike coefficients
         to fit, (M,) or (n_walls, M). Coefficients other than 0 are an additional start of the fit.
@@ -87,12 +87,14 @@ def evidence_fit(
         Object, (H, W), if it is known. Then only its brightness and the walls are fitted.
     support : array_like, optional
         Mask, (H, W), 0 at pixels where the object is known to be dark.
+    fit_gains : bool
+        Whether to fit the relative brightness of several images, by a factor of at most 10.
     strength : float or None
         Rms aberration of the wall, waves, if known. None: several values are tried.
     max_iterations : int, optional
         Maximum number of search rounds. The default is 2 if a known object or a defocused image
         excludes the answer without blur, and 4 if noise then hides the residual of a wrong wall. It
-        is 1 for one image with proposals of the network, see the Notes, otherwise 4. A round starts
+        is 1 for one image with proposals of the network, see the Notes, otherwise 5. A round starts
         from 24 proposals or 32 random walls, and continues with random variations of the best.
     max_seconds : float, optional
         Time, s, after which the search ends, once it has found a first result; an unfinished step
@@ -118,19 +120,16 @@ def evidence_fit(
           coefficients, waves rms, of modes that were added because the residual exceeded the noise.
         - ``image_gains``, (K,): relative brightness of the images.
         - ``free_energy``: free energy of the result.
-        - ``margin``: free energy without blur, with the image itself as the object, minus that of
-          the result. It is the logarithm of the odds of the result, if the model is exact. NaN
-          where data exclude no blur anyway: with images of different defocus or of several walls,
-          or with ``known_object``.
-        - ``rival_margin``: the same for the best answer with another object (correlation below
-          0.93) that the search found, infinite if it found none; NaN if ``margin`` is NaN.
-        - ``effective_data``: number of values of the object that the images determine, n below.
-        - ``rounds_agreed``: number of search rounds that found the object of the result.
+        - ``margin``: free energy of the result minus that of the best fit that starts with an
+          unaberrated wave, which causes no blur. A negative value favours the result. NaN where
+          an unaberrated wave cannot explain the data anyway: with images of different defocus or of
+          several walls, or with ``known_object``.
+        - ``sharp_margin``: free energy of the result minus that of a fit in which the image itself
+          is the object. NaN if ``margin`` is NaN, or with ``start_error``.
         - ``model_error``: rms residual in excess of the noise, as a fraction of the images' range.
 
-        ``background`` and ``bad_pixel_map`` have one entry for each of several images. ``history``
-        has one entry for each wall that was fitted to the end, with the values of the best wall so
-        far.
+        ``background`` is (K,) for several images. ``history`` has one entry for each wall that was
+        fitted to the end, with the values of the best wall so far.
 
     See Also
     --------
@@ -153,22 +152,24 @@ def evidence_fit(
     of the squares of the PSF above the value q_0 that 90 % of the expected walls exceed: waves of
     little blur have a low free energy long before the right one is found.
 
-    **Status.** It follows from four tests.
+    **Residual.** For the status "converged", ``model_error`` must be at most
+    ``sqrt(a^2 + 3 s^2 sqrt(2/n))``. For several images a is ``0.004 + 0.003 w``, for one
+    ``0.004 + 0.01 w``; w is the smaller of 1 and the wall's rms aberration in waves, and s the rms
+    noise as a fraction of the images' range. Images of one wall whose defoci differ by less than
+    0.1 waves count as one. If the residual of several images exceeds the noise, further modes are
+    fitted, up to radial order 5, then 7, then 8. If noise hides the residual of a wrong wall (the
+    root of the second term exceeds 0.0035), two rounds must find the same object instead.
 
-    - Does the model explain the images? If the mean squared residual exceeds the noise by more than
-      three standard errors, ``sqrt(2/pixels)`` each, and more than 0.1 % of the power of the
-      images' detail, the status is "does_not_fit". If the residual of several images exceeds the
-      noise, further modes are fitted, up to radial order 5, then 7, then 8.
-    - Is there an object? If the background explains the images, it is "too_few_photons".
-    - Did the search end? If not, it is "unconverged".
-    - Does nothing else explain the images as well? One image must have ``margin`` and
-      ``rival_margin`` above ``3 sqrt(2 n)``, with n the effective number of data. A margin of
-      ln(1000) = 7 would decide if the object were drawn from the prior. It is not: its energy errs
-      by about 1 for each of n values, and so does that of the other answer. With several images
-      whose noise hides a residual of 0.1 %, two rounds must find the same object. If not, the
-      status is "ambiguous".
+    **No blur.** One image must also exclude that there is no blur. Without ``start_error``,
+    ``margin`` must be below -70, or ``sharp_margin`` per pixel below -0.092 (for s below 0.01:
+    ``-0.092 - 0.045 ln(0.01/s)``), while all different walls have 100 more free energy, and the
+    wall has at least 0.6 of its expected strength. With ``start_error``, ``margin`` must be below
+    -50, or three conditions must be met: ``margin - P`` is below -100, where P is what the prior
+    adds to the fit without blur; ``margin`` is below 1/s; and the rms residual is at least 0.93 of
+    the noise.
 
-    Images of one wall whose defoci differ by less than 0.1 waves count as one.
+    The status is "ambiguous" if the result has almost no blur (less than 0.12 waves rms), or is the
+    same as that of a fit that starts without blur.
     """
     started = time.perf_counter()
     checked_seed(seed)
@@ -185,9 +186,6 @@ def evidence_fit(
     frames = frames_of(images, pupil_psf, defocus=defocus, walls=walls)
     known = frames.picture("known_object", known_object)
     mask = frames.picture("support", support)
-    dark = all(image.is_background() for image in frames.measured)
-    if dark:  # the object is zero
-        known, mask = None, np.zeros(frames.shape)
     several = known is not None or _diverse(frames, pupil_psf.wavelength)
     single = len(frames.images) == 1 and known is None and mask is None
 
@@ -201,18 +199,20 @@ def evidence_fit(
             modes=modes,
             support=mask,
             known_object=known,
+            fit_gains=fit_gains,
             late=late,
         )
 
     def late() -> bool:
-        return time.perf_counter() > started + seconds and len(search.place.answers) > 0
+        return time.perf_counter() > started + seconds and len(search.place.best) > 0
 
-    verdict = Verdict(frames, several, known is not None)
+    verdict = Verdict(frames, pupil_psf.modes, several)
+    if all(one.is_background() for one in frames.measured):
+        return _without_object(frames, pupil_psf, gain, started)
     searched = not several and start_error is None
     search = Search(
         energies,
         verdict,
-        pupil_psf.modes,
         first=_first_coefficients(frames, pupil_psf),
         start_error=start_error,
         strength=strength,
@@ -221,63 +221,44 @@ def evidence_fit(
         seed=seed,
         state=start,
     )
+    ended = False
 
     def watch(text: str, done: float) -> bool:
-        return not goes_on(progress, f"evidence: {text}", done, snapshot) or late()
+        nonlocal ended
+        ended = not goes_on(progress, f"evidence: {text}", done, snapshot)
+        return ended or late()
 
     def snapshot() -> State:
         best = search.best()
         level = search.energy().objects(best)[0].astype(np.float64) * frames.scale
         return state_of(torch.from_numpy(level), **search.place.saved())
 
-    ended = not dark and search.run(watch)
-    if not dark and not len(search.place.answers):
-        search.finish_early()
+    search.run(watch)
+    search.finished()
     best, energy = search.best(), search.energy()
-    margin, rival = search.margins
-    figures: dict[str, Any] = {
-        "free_energy": float(best.energy[0]),
-        "margin": margin,
-        "rival_margin": rival,
-        "effective_data": float(energy.terms(best).effective[0]),
-        "rounds_agreed": search.place.met,
-        "model_error": verdict.model_error(best),
-    }
+    margin, sharp_margin = search.margins
+    error = verdict.model_error(best)
     status: Status = "unconverged"
-    reasons: tuple[str, ...] = ("the search was ended early; resume it, or allow more max_seconds",)
-    if dark:
-        status = "too_few_photons"
-        reasons = ("no object was detected above the noise, so the object is zero; expose longer",)
-    elif ended:
-        status, reasons = search.status()
+    reasons: tuple[str, ...] = ("the progress callback ended the search; resume it",)
+    if not ended:
+        reasons = search.faults
+        status = verdict.status(best, margin, reasons)
         goes_on(progress, "evidence: done", 1.0, snapshot)
         if single:
             best = _refined(frames, energy, best)
-    best, levels = energy.judged(best)
-    level = energy.objects(best)[0].astype(np.float64) * frames.scale
-    gains = best.gains[0]
-    if energy.known:  # its brightness
-        level, gains = level * gains.mean(), gains / gains.mean()
-    if gain is None:
-        gain = float(level.max()) or 1.0
-    given, wall = len(pupil_psf.modes), best.coefficients.astype(np.float64)
-    coefficients = wall.reshape((-1,) if frames.n_walls == 1 else (frames.n_walls, -1))
-    return Reconstruction(
-        object=frames.measured[0].like_input(torch.from_numpy(level / gain)),
-        physical_parameters={
-            "gain": gain,
-            **_levels(frames, levels[0] * frames.scale),
-            "coefficients": coefficients[..., :given],
-            "more_modes": np.array(energy.modes[given:]),
-            "more_coefficients": coefficients[..., given:],
-            "image_gains": gains,
-            **figures,
-        },
+    return _assembled(
+        frames,
+        energy,
+        best,
+        gain=gain,
         status=status,
         reasons=reasons,
-        score=math.sqrt(float(np.average(best.chi_square[0], weights=frames.counted))),
-        history=frozen(search.place.history),
-        seconds=time.perf_counter() - started,
+        history=search.place.history,
+        started=started,
+        given=len(pupil_psf.modes),
+        margin=margin,
+        sharp_margin=sharp_margin,
+        model_error=error,
     )
 
 
@@ -321,16 +302,80 @@ def _refined(frames: Frames, energy: FreeEnergy, best: Starts) -> Starts:
     return energy.judged(replace(best, free=energy.parameters(mean)))[0]
 
 
-def _levels(frames: Frames, backgrounds: Floats) -> dict[str, Any]:
-    """Return backgrounds, noise and bad pixels; numbers and an image (H, W) for one image."""
-    levels: dict[str, Any] = {
-        "background": backgrounds,
-        "noise_sigma": frames.sigmas * frames.scale,
+def _without_object(
+    frames: Frames, pupil_psf: PupilPSF, gain: float | None, started: float
+) -> Reconstruction:
+    """Return a zero object for images that their background explains."""
+    strengths = np.array([one.background_strength(one.data) for one in frames.measured])
+    scores = [
+        one.score(one.background(b)) for one, b in zip(frames.measured, strengths, strict=True)
+    ]
+    return Reconstruction(
+        object=frames.measured[0].like_input(torch.zeros(frames.shape, dtype=torch.float64)),
+        physical_parameters={
+            **_levels(frames, 1.0 if gain is None else gain, strengths),
+            "coefficients": np.zeros(_walls_first(frames, len(pupil_psf.modes))),
+        },
+        status="too_few_photons",
+        reasons=("no object was detected above the noise, so the object is zero; expose longer",),
+        score=math.sqrt(float(np.mean(np.square(scores)))),
+        history=frozen({"objective": [], "residual": [], "change": []}),
+        seconds=time.perf_counter() - started,
+    )
+
+
+def _levels(frames: Frames, gain: float, backgrounds: Floats) -> dict[str, Any]:
+    """Return gain, backgrounds and noise in image units; numbers for one image, else arrays."""
+    one, sigmas = len(frames.measured) == 1, frames.sigmas * frames.scale
+    return {
+        "gain": gain,
+        "background": float(backgrounds[0]) if one else backgrounds,
+        "noise_sigma": float(sigmas[0]) if one else sigmas,
     }
-    none = np.zeros(frames.shape, dtype=bool)
-    bad = np.stack([none if one.bad_pixels is None else one.bad_pixels for one in frames.measured])
-    if bad.any():
-        levels["bad_pixel_map"] = bad
-    if len(bad) == 1:
-        levels = {name: values[0] for name, values in levels.items()}
-    return levels | ({"bad_pixels": int(bad.sum())} if bad.any() else {})
+
+
+def _walls_first(frames: Frames, count: int) -> tuple[int, ...]:
+    return (count,) if frames.n_walls == 1 else (frames.n_walls, count)
+
+
+def _assembled(
+    frames: Frames,
+    energy: FreeEnergy,
+    best: Starts,
+    *,
+    gain: float | None,
+    status: Status,
+    reasons: tuple[str, ...],
+    history: Mapping[str, list[float]],
+    started: float,
+    given: int,
+    **figures: float,
+) -> Reconstruction:
+    """Assemble the reconstruction in image units; ``given`` is the number of given modes."""
+    best, levels = energy.judged(best)
+    object_level = energy.objects(best)[0].astype(np.float64) * frames.scale
+    gains = best.gains[0]
+    if energy.known:  # its brightness
+        object_level, gains = object_level * gains.mean(), gains / gains.mean()
+    brightest = float(object_level.max())
+    if gain is None:
+        gain = brightest if brightest > 0.0 else 1.0
+    walls = best.coefficients[0].astype(np.float64).reshape(frames.n_walls, -1)
+    more = walls[:, given:].reshape(_walls_first(frames, walls.shape[1] - given))
+    return Reconstruction(
+        object=frames.measured[0].like_input(torch.from_numpy(object_level / gain)),
+        physical_parameters={
+            **_levels(frames, gain, levels[0] * frames.scale),
+            "coefficients": walls[:, :given].reshape(_walls_first(frames, given)),
+            "more_modes": np.array(energy.modes[given:]),
+            "more_coefficients": more,
+            "image_gains": gains,
+            "free_energy": float(best.energy[0]),
+            **figures,
+        },
+        status=status,
+        reasons=reasons,
+        score=math.sqrt(float(np.average(best.chi_square[0], weights=frames.counted))),
+        history=frozen(history),
+        seconds=time.perf_counter() - started,
+    )

@@ -12,21 +12,23 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numba
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
-from ..data.arrays import half_spectrum_weights
 from ..wave.frames import Frames
 from ..wave.pupil_psf import PupilPSF
-from ..wave.pupil_waves import ZernikeWaves, twin_signs
-from .search_settings import SETTINGS, Stage
+from ..wave.pupil_waves import DEFOCUS, ZernikeWaves, noll_mode
+from . import _evidence_kernels as kernels
+from .search_settings import Stage
 
 Floats = NDArray[Any]
+#: Softness of the transition of object values to 0, relative to the image's maximum.
+_SOFTNESS = 0.1
 
 
 class OutOfTime(Exception):
@@ -71,26 +73,6 @@ def joined(parts: Iterable[Starts]) -> Starts:
     return Starts(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in vars(parts[0])})
 
 
-class Terms(NamedTuple):
-    """Terms of the free energy for B starts.
-
-    ``energy`` (B,): energy. ``squares`` (B, K): squared residuals over the noise variance.
-    ``background`` (B, K): strengths of the backgrounds. ``gains`` (B, K): brightness for the next
-    iteration. ``variances`` (B, 2): posterior variances of the objects' differences. ``effective``
-    (B,): number of values of the object that the images determine. ``by_object`` (B, H, W),
-    ``by_wall`` (B, M): gradients with respect to the mean objects and the coefficients.
-    """
-
-    energy: Tensor
-    squares: Tensor
-    background: Tensor
-    gains: Tensor
-    variances: Tensor
-    effective: Tensor
-    by_object: Tensor
-    by_wall: Tensor
-
-
 class FreeEnergy:
     """Free energy of images as a function of wall coefficients and mean object.
 
@@ -99,9 +81,10 @@ class FreeEnergy:
     FFT grid, at least those of the images; c is even. ``modes``: Noll indices of the coefficients;
     by default those of ``pupil_psf``. ``support``: mask, (H, W), 0 where the object is known to be
     dark. ``known_object``: known object of unknown brightness, (H, W). Then F is half the squared
-    residuals. ``dtype``: ``torch.float32`` or ``torch.float64``; by default float32 unless the
-    noise is too small. ``late``: function that each iteration of a descent calls; if it returns
-    True, `OutOfTime` is raised.
+    residuals. ``fit_gains``: whether to fit the relative brightness of the images. ``dtype``:
+    ``numpy.float32`` or ``numpy.float64``; by default float32 unless the noise is too small.
+    ``late``: function that each iteration of a descent calls; if it returns True, `OutOfTime` is
+    raised.
 
     With residuals r, noise s, prior strength kappa, differences D, mean object m, variances v,
     transfer functions H and posterior covariance C [1]_::
@@ -127,46 +110,36 @@ class FreeEnergy:
         modes: Sequence[int] | None = None,
         support: Floats | None = None,
         known_object: Floats | None = None,
-        dtype: torch.dtype | None = None,
+        fit_gains: bool = False,
+        dtype: type | None = None,
         late: Callable[[], bool] = lambda: False,
     ) -> None:
         if dtype is None:
-            dtype = torch.float32 if frames.sigmas.min() > 1e-4 else torch.float64
+            dtype = np.float32 if frames.sigmas.min() > 1e-4 else np.float64
         self.sigma = float(np.mean(np.square(frames.sigmas)) ** 0.5)
-        self.grid, self.modes = grid, tuple(pupil_psf.modes if modes is None else modes)
-        self._dtype, self._late, self._frames = dtype, late, frames
-        levels = self.sigma / frames.sigmas
-        self._levels = self._tensor(levels)[:, None, None]
-        self._images = self._tensor(frames.images) * self._levels
-        self._weights = self._tensor(frames.weights())
-        # strengths of backgrounds are sums over the image times these
-        shapes = self._tensor(frames.background_shapes()) * frames.fit_background
-        self._shapes = shapes
-        norms = (self._weights * shapes**2).sum((1, 2), keepdim=True)
-        self._averages = self._weights * shapes / norms.clamp(min=1e-12)
-        self._support = self._tensor(np.ones(frames.shape) if support is None else support > 0.0)
-        self._known: Tensor | None = None
+        self._dtype, self.grid, self._shape = dtype, grid, frames.shape
+        self._late = late
+        self._levels: Floats = self.sigma / frames.sigmas
+        self._images = self._array(frames.images * self._levels[:, None, None])
+        self._weights = self._array(frames.weights())
+        self._shapes = self._array(frames.background_shapes())
+        self._norms: Floats = (self._weights.astype(float) * self._shapes**2).sum(axis=(1, 2))
+        self._counted, self._walls = frames.counted, frames.walls
+        self._fit_background, self._fit_gains = frames.fit_background, fit_gains
+        self._support = self._array(np.ones(frames.shape) if support is None else support > 0.0)
+        self._known: Floats | None = None
         if known_object is not None:
-            self._known = self._tensor(known_object / known_object.max())
+            self._known = self._array(known_object / known_object.max())
+        self.modes = tuple(pupil_psf.modes if modes is None else modes)
+        orders = (np.sqrt(8.0 * np.array(self.modes) - 7.0) - 1.0) // 2.0
         #: signs that convert a wall to the one with the same in-focus point spread, W(x) -> -W(-x)
-        self.twin = np.tile(twin_signs(self.modes), frames.n_walls)
+        self.twin = np.tile(np.where(orders % 2 == 0, -1.0, 1.0), frames.n_walls)
         self._share = math.prod(frames.shape) / math.prod(grid)
-        down, along = (2.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(n) / n) for n in grid)
-        # squared transfer functions of the differences, and how often a column counts
-        half = along[: grid[1] // 2 + 1], down, half_spectrum_weights(grid[1])
-        self._steps = [self._tensor(values) for values in half]
-        given = pupil_psf.optics
-        pitch = given.pitch
-        # the transfer function 2 % below the cutoff is less than 1e-3
-        if given.nyquist_pitch < pitch <= 1.02 * given.nyquist_pitch:
-            pitch = given.nyquist_pitch
-        optics = given.resized(grid, pitch, dtype)
-        rest: Any = pupil_psf.waves.rest_of
-        waves = ZernikeWaves(self.modes, optics, rest)
-        self._pupil = PupilPSF(optics, waves, np.zeros(len(self.modes))).requires_grad_(False)
-        self._pixel = optics.pixel * self._levels
-        self._defocus = self._pupil.defocus_turns(self._tensor(frames.defocus))
-        self._first, self._stiffness = self._tensor(np.zeros(self.size)), 0.0
+        turns = [2.0 * np.pi * np.arange(side) / side for side in grid]
+        self._steps = self._array(2.0 - 2.0 * np.cos(np.concatenate(turns)))
+        self._sample_pupil(pupil_psf, frames.defocus)
+        self._first: Floats = np.zeros(len(self.twin))
+        self._stiffness = 0.0
 
     @property
     def size(self) -> int:
@@ -180,27 +153,41 @@ class FreeEnergy:
 
     def point_spread(self, starts: Starts) -> Floats:
         """Return the point spread of the first start for the first image, (p, c), centred."""
-        spread = self._spreads(starts.coefficients[:1])[0, 0] / float(self._levels[0])
-        return np.maximum(np.fft.fftshift(spread).astype(np.float64), 0.0)
+        transfer = self._transfer(starts.coefficients[:1])[0][0, 0] * self._pixel[0]
+        spread = np.fft.fftshift(np.fft.irfft2(transfer / self._levels[0], s=self.grid))
+        return np.maximum(spread.astype(np.float64), 0.0)
+
+    def apart(self, starts: Starts, wall: Floats) -> Floats:
+        """Return the distances (B,) of the point spreads from that of a wall (1, M), relative."""
+        each, one = self._spreads(starts.coefficients), self._spreads(wall)
+        squares = np.square([each - one, one + 0.0 * each]).sum(axis=(2, 3, 4))
+        distances: Floats = np.sqrt(squares[0] / squares[1])
+        return distances
 
     def sharpness(self, walls: Floats) -> Floats:
         """Return the sums of squares (B,) of the first image's point spreads, of walls (B, M)."""
         squares: Floats = np.square(self._spreads(walls)[:, 0]).sum(axis=(1, 2))
         return squares
 
+    def _spreads(self, walls: Floats) -> Floats:
+        """Return the point spreads (B, K, p, c) of walls (B, M), their centre at sample [0, 0]."""
+        return np.fft.irfft2(self._transfer(self._array(walls))[0] * self._pixel, s=self.grid)
+
     def about(self, first: Floats, error: float) -> Self:
         """Return this energy with a Gaussian prior of the coefficients about ``first`` (M,).
 
         ``error`` is the expected rms difference of a wall's wave, waves.
         """
-        prior = copy.copy(self)
-        prior._first = self._tensor(first)
-        prior._stiffness = len(self.modes) / (2.0 * error**2)
-        return prior
+        found = copy.copy(self)
+        found._first = np.asarray(first, dtype=np.float64)
+        found._stiffness = len(self.modes) / (2.0 * error**2)
+        return found
 
     def held(self, coefficients: Floats) -> Floats:
         """Return the energy (B,) that the prior of the coefficients adds."""
-        return self._held(self._tensor(coefficients)).numpy()
+        offset = coefficients.astype(np.float64) - self._first
+        energy: Floats = self._stiffness * np.square(offset).sum(axis=1)
+        return energy
 
     def starts(self, coefficients: Floats, noise: float, radius: Any = np.inf) -> Starts:
         """Return starts with given walls and Wiener-filtered objects.
@@ -209,182 +196,103 @@ class FreeEnergy:
         assumed noise to the actual one. ``radius`` (B,): fixed norm of the coefficients, waves rms;
         infinite: free.
         """
-        wall = self._tensor(coefficients)
-        mean = np.concatenate(self._spread(lambda rows: self._objects(rows, noise), wall))
-        count, frames = len(wall), len(self._images)
+        wall = self._array(coefficients)
+        mean = np.concatenate(self._spread(lambda w: self._objects(w, noise), wall))
+        count = len(wall)
         return Starts(
-            coefficients=wall.numpy(),
+            coefficients=wall,
             free=self.parameters(mean),
-            gains=np.ones((count, frames)),
+            gains=np.ones((count, len(self._images))),
             variances=np.full((count, 2), 1e-3),
             energy=np.full(count, np.inf),
-            chi_square=np.full((count, frames), np.inf),
+            chi_square=np.full((count, len(self._images)), np.inf),
             radius=np.broadcast_to(np.float64(radius), count).copy(),
         )
 
     def parameters(self, objects: Floats) -> Floats:
         """Return the free parameters of positive objects (B, H, W), in the images' unit."""
-        soft = SETTINGS.softness
-        bright = np.maximum(objects, 0.1 * soft)
-        return self._tensor(bright - soft**2 / (4.0 * bright)).numpy()
-
-    def objects(self, starts: Starts) -> Floats:
-        """Return the mean objects, (B, H, W), in the images' unit."""
-        return self._mean(self._tensor(starts.free))[0].numpy()
+        bright = np.maximum(objects, 0.1 * _SOFTNESS)
+        return self._array(bright - _SOFTNESS**2 / (4.0 * bright))
 
     def descend(self, starts: Starts, stage: Stage) -> Starts:
         """Run one stage; return the resulting starts with their energies."""
         return joined(self._spread(lambda part: self._descend(part, stage), starts))
 
-    def terms(self, starts: Starts, noise: float = 1.0, kappa: float = 0.5) -> Terms:
-        """Return the terms of the energy of starts and its gradients.
+    def objects(self, starts: Starts) -> Floats:
+        """Return the mean objects, (B, H, W), in the images' unit."""
+        if self._known is not None:
+            return np.repeat(self._known[None], len(starts), axis=0)
+        mean = np.empty_like(starts.free)
+        kernels.softly_positive(starts.free, self._support, _SOFTNESS, mean)
+        return mean
 
-        ``noise``: ratio of the assumed noise to the actual one. ``kappa``: strength of the object's
-        prior.
+    def evaluate(
+        self, starts: Starts, wall: Floats, noise: float, kappa: float, want_energy: bool
+    ) -> tuple[dict[str, Floats], Floats, Floats, Floats]:
+        """Return energies and gradients for given walls.
+
+        ``starts``: objects, variances and gains. ``wall`` (B, M): coefficients, used instead of
+        those of ``starts``. ``noise``: ratio of the assumed noise to the actual one. ``kappa``:
+        strength of the object's prior. ``want_energy``: whether to compute the energies.
+
+        Returns: ``values``: ``energy`` (B,), without meaning if not wanted; ``squares`` (B, K), the
+        squared residuals over the noise variance; ``background`` (B, K), times the images' weights;
+        ``gains`` (B, K), for the next iteration; ``variances`` (B, 2). ``by_data`` (B, p, c):
+        gradient of the data term with respect to the mean object, in its first H x W samples.
+        ``by_prior`` (B, H, W): gradient of the prior with respect to the mean object. ``by_wall``
+        (B, M): gradient with respect to the coefficients.
         """
-        free, wall, gains, variances = self._state(starts)
-        return self._terms(self._mean(free)[0], wall, gains, variances, noise, kappa)
+        mean, grid = self.objects(starts), self.grid
+        count, frames = len(mean), len(self._images)
+        transfer, pupil, field = self._transfer(wall)
+        spectrum = torch.fft.rfft2(torch.from_numpy(mean), s=grid).numpy()
+        product = np.empty_like(transfer)
+        kernels.predict(transfer, self._pixel, starts.gains, spectrum, product)
+        seen = torch.fft.irfft2(torch.from_numpy(product), s=grid).numpy()
+        gains = self._brightness(seen, starts.gains)
+        squares, background = np.empty((count, frames)), np.empty((count, frames))
+        kernels.residuals(
+            seen, self._images, self._weights, self._shapes, self._norms, self._fit_background,
+            squares, background,
+        )  # fmt: skip
+        residual = torch.fft.rfft2(torch.from_numpy(seen)).numpy()
+        by_prior, rough, weights = np.zeros_like(mean), np.zeros(count), np.ones((count, 2))
+        if self._known is None:
+            kernels.roughness(
+                mean, starts.variances.astype(self._dtype), kappa, by_prior, weights, rough,
+                want_energy,
+            )  # fmt: skip
+        precision = np.full(count, 1.0 / (noise * self.sigma) ** 2)
+        variances, volume = np.empty((count, 2)), np.empty(count)
+        kernels.spectra(
+            transfer, residual, spectrum, self._pixel, starts.gains, self._steps, weights,
+            precision, self._share if self._known is None else 0.0, product[:, 0], variances,
+            volume, want_energy,
+        )  # fmt: skip
+        by_data = torch.fft.irfft2(torch.from_numpy(product[:, 0]), s=grid).numpy()
+        energy = 0.5 * (squares.sum(axis=1) * precision + rough + volume) + self.held(wall)
+        values = {
+            "energy": energy,
+            "squares": squares / self.sigma**2,
+            "background": background,
+            "gains": gains,
+            "variances": variances,
+        }
+        by_wall = self._wall_gradient(residual, pupil, field)
+        by_wall += 2.0 * self._stiffness * (wall - self._first)
+        return values, by_data, by_prior, by_wall
 
     def judged(self, starts: Starts) -> tuple[Starts, Floats]:
         """Return starts with their residuals, and the backgrounds (B, K) in the images' unit."""
-        terms = self.terms(starts)
-        level: Floats = terms.background.numpy() / self._levels.numpy().ravel()
-        return replace(starts, chi_square=self._chi_square(terms)), level
+        values = self.evaluate(starts, starts.coefficients, 1.0, 0.5, False)[0]
+        level: Floats = values["background"] / self._levels
+        return replace(starts, chi_square=values["squares"] / self._counted), level
 
-    def _terms(
-        self,
-        mean: Tensor,
-        wall: Tensor,
-        gains: Tensor,
-        variances: Tensor,
-        noise: float,
-        kappa: float,
-        last: bool = True,
-    ) -> Terms:
-        """Return the terms of the energy and its gradients.
-
-        ``mean`` (B, H, W): mean objects. ``wall`` (B, M), ``gains`` (B, K), ``variances`` (B, 2):
-        as in `Starts`. ``noise``: ratio of the assumed noise to the actual one. ``kappa``: strength
-        of the object's prior. ``last``: whether ``energy`` and ``effective`` are wanted.
-        """
-        precision, count = (noise * self.sigma) ** -2, math.prod(self.grid)
-        with torch.enable_grad():
-            wall = wall.detach().requires_grad_()
-            samples = self._samples(wall)
-        transfer = torch.fft.rfft2(samples.detach()).mul_(self._pixel)
-        transfer *= gains[..., None, None]
-        spectrum = torch.fft.rfft2(mean, s=self.grid)[:, None]
-        seen = self._cut(transfer * spectrum)
-        residual = seen - self._images
-        background = -(self._averages * residual).sum((2, 3))
-        residual += background[..., None, None] * self._shapes
-        weighed = self._weights * residual
-        squares = (weighed * residual).sum((2, 3))
-        energy = 0.5 * precision * squares.sum(1) + self._held(wall.detach())
-        pull = torch.fft.rfft2(weighed, s=self.grid).mul_(precision)
-        by_object = self._cut((transfer.conj() * pull).sum(1))
-        pull *= spectrum.conj()
-        effective = torch.zeros(len(mean))
-        if self._known is None:
-            weights = []
-            for i, pad in enumerate(((1, 1), (0, 0, 1, 1))):
-                step = nn.functional.pad(mean, pad).diff(dim=2 - i)
-                width = step.square().add_(variances[:, i, None, None])
-                weight = kappa / width
-                weights.append(weight.mean((1, 2)))
-                by_object -= weight.mul_(step).diff(dim=2 - i)
-                if last:
-                    energy += 0.5 * kappa * width.log_().sum((1, 2))
-            along, down, twice = self._steps
-            wx, wy = (weight[:, None] for weight in weights)
-            power = (transfer.real.square() + transfer.imag.square()).sum(1).mul_(precision)
-            power += (wx * along + 1e-6)[:, None] + (wy * down)[..., None]
-            covariance = power.reciprocal()
-            sums = [covariance.sum(1) @ (twice * along), covariance @ twice @ down]
-            variances = torch.stack(sums, 1) / count
-            if last:
-                effective = self._share * (
-                    count - (torch.stack(weights, 1) * torch.stack(sums, 1)).sum(1)
-                )
-                energy += 0.5 * (effective + self._share * (power.log_() @ twice).sum(1))
-            # the trace of the covariance is what counts against no blur
-            transfer *= covariance.mul_(count * self._share * precision)[:, None]
-            pull += transfer
-        pull *= self._pixel * gains[..., None, None]
-        by_samples = torch.fft.irfft2(pull, s=self.grid)
-        (by_wall,) = torch.autograd.grad(samples, wall, by_samples)
-        by_wall += 2.0 * self._stiffness * (wall.detach() - self._first)
-        gains = self._brightness(seen, gains, precision)
-        return Terms(energy, squares, background, gains, variances, effective, by_object, by_wall)
-
-    def _brightness(self, seen: Tensor, gains: Tensor, precision: float) -> Tensor:
-        """Return the relative brightness of the images (B, K) after one step of least squares.
-
-        ``seen`` (B, K, H, W): predicted images. ``precision``: 1 over the noise's variance.
-
-        Without a known object, gains are near 1, and their geometric mean is 1, since the
-        brightness of the object is free.
-        """
-        if gains.shape[1] == 1 and self._known is None:
-            return gains
-        level = (self._averages * seen).sum((2, 3), keepdim=True)
-        even = self._weights * (seen - level * self._shapes) * precision
-        cross, norm = (even * self._images).sum((2, 3)), (even * seen).sum((2, 3))
-        if self._known is not None:
-            return gains * (cross / norm.clamp(min=1e-12)).clamp(1.0 / 1.2, 1.2)
-        prior = SETTINGS.gain_error**-2
-        ratio = (cross + prior * gains) / (norm + prior * gains.square())
-        ratio = ratio.clamp(min=1e-3)
-        ratio = ratio / ratio.log().mean(1, keepdim=True).exp()
-        return gains * ratio.clamp(1.0 / 1.2, 1.2)
-
-    def _state(self, starts: Starts) -> list[Tensor]:
-        """Return copies of objects, walls, gains and variances as tensors."""
-        parts = (starts.free, starts.coefficients, starts.gains, starts.variances)
-        return [torch.tensor(part, dtype=self._dtype) for part in parts]
-
-    def _descend(self, starts: Starts, stage: Stage) -> Starts:
-        free, wall, gains, variances = self._state(starts)
-        radius = self._tensor(starts.radius)[:, None]
-        fixed = radius.isfinite()
-        radius = radius.where(fixed, torch.tensor(1.0, dtype=self._dtype))
-        rates = (SETTINGS.object_rate, stage.wave_rate)
-        groups = [{"params": [part]} for part in (free, wall)]
-        adam = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-10, foreach=False)
-        for step in range(stage.iterations):
-            if self._late():
-                raise OutOfTime
-            length = torch.linalg.vector_norm(wall, dim=1, keepdim=True).clamp(min=1e-12)
-            placed = wall.where(~fixed, wall * (radius / length))
-            mean, bend = self._mean(free)
-            factors, last = (stage.noise(step), stage.kappa), step == stage.iterations - 1
-            terms = self._terms(mean, placed, gains, variances, *factors, last)
-            along = (terms.by_wall * placed).sum(1, keepdim=True) * placed / radius.square()
-            slope = (terms.by_wall - along) * (radius / length)
-            wall.grad = terms.by_wall.where(~fixed, slope)
-            free.grad = bend * terms.by_object
-            for group, rate in zip(adam.param_groups, rates, strict=True):
-                group["lr"] = rate * stage.pace(step)
-            adam.step()
-            variances, gains = (0.5 * (variances + terms.variances)).clamp(min=1e-6), terms.gains
-        return Starts(
-            coefficients=placed.where(fixed, wall).numpy(),
-            free=free.numpy(),
-            gains=gains.double().numpy(),
-            variances=variances.double().numpy(),
-            energy=terms.energy.double().numpy(),
-            chi_square=self._chi_square(terms),
-            radius=starts.radius,
-        )
-
-    def _chi_square(self, terms: Terms) -> Floats:
-        squares: Floats = terms.squares.double().numpy()
-        return squares / (self.sigma**2 * self._frames.counted)
-
-    def _spread(self, work: Callable[[Any], Any], rows: Any) -> list[Any]:
+    def _spread(self, work: Any, rows: Any) -> list[Any]:
         """Apply ``work`` to chunks of rows, on several threads; the chunks do not depend on them.
 
-        Eight starts fit into the processor's cache. Torch releases the interpreter lock.
+        Eight starts fit into the processor's cache. Torch and the kernels release the interpreter
+        lock.
         """
         parts = [rows[first : first + 8] for first in range(0, len(rows), 8)]
         threads = min(len(parts), numba.get_num_threads())
@@ -393,54 +301,164 @@ class FreeEnergy:
         with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
             return list(pool.map(work, parts))
 
-    def _mean(self, free: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the mean objects (B, H, W) of free parameters, and their derivatives."""
-        if self._known is not None:
-            return self._known.expand(len(free), -1, -1), torch.zeros(())
-        root = (free.square() + SETTINGS.softness**2).sqrt_()
-        mean = (free + root).mul_(0.5 * self._support)
-        return mean, mean / root
+    def _descend(self, starts: Starts, stage: Stage) -> Starts:
+        wall, free = starts.coefficients.copy(), starts.free.copy()
+        now = replace(
+            starts, free=free, variances=starts.variances.copy(), gains=starts.gains.copy()
+        )
+        first, second = np.zeros_like(free), np.zeros_like(free)
+        wall_first, wall_second = np.zeros(wall.shape), np.zeros(wall.shape)
+        held = np.isfinite(starts.radius)[:, None]
+        radius = np.where(held, starts.radius[:, None], 1.0)
+        for step in range(stage.iterations):
+            if self._late():
+                raise OutOfTime
+            length = np.linalg.norm(wall, axis=1, keepdims=True)
+            placed = np.where(held, wall * (radius / np.maximum(length, 1e-12)), wall)
+            placed = self._array(placed)
+            last = step == stage.iterations - 1
+            values, by_data, by_prior, slope = self.evaluate(
+                now, placed, stage.noise(step), stage.kappa, last
+            )
+            along = (slope * placed).sum(axis=1, keepdims=True) * placed / radius**2
+            slope = np.where(held, (slope - along) * (radius / np.maximum(length, 1e-12)), slope)
+            np.maximum(0.5 * (now.variances + values["variances"]), 1e-6, out=now.variances)
+            now.gains[:] = values["gains"]
+            bias, bias_square = 1.0 - np.array([0.9, 0.99]) ** (step + 1)
+            pace = stage.pace(step) / bias
+            rate = 0.05 * pace  # of the image's maximum
+            kernels.object_step(
+                free, self._support, by_data, by_prior, first, second, _SOFTNESS,
+                rate, bias_square,
+            )  # fmt: skip
+            wall_first += 0.1 * (slope - wall_first)
+            wall_second += 0.01 * (slope**2 - wall_second)
+            root = np.sqrt(wall_second / bias_square) + 1e-10
+            wall = (wall - stage.wave_rate * pace * wall_first / root).astype(self._dtype)
+        return replace(
+            now,
+            coefficients=placed if held.all() else np.where(held, placed, wall),
+            energy=values["energy"],
+            chi_square=values["squares"] / self._counted,
+        )
 
-    def _objects(self, wall: Tensor, noise: float) -> Floats:
+    def _brightness(self, seen: Floats, gains: Floats) -> Floats:
+        """Return the relative brightness of the images (B, K) after one step of least squares.
+
+        That of a known object is common to all images; otherwise the geometric mean is 1, since
+        the object's own brightness is free.
+        """
+        if self._known is None and (not self._fit_gains or gains.shape[1] == 1):
+            return gains
+        cross, norm = np.empty(gains.shape), np.empty(gains.shape)
+        kernels.brightness(
+            seen, self._images, self._weights, self._shapes, self._fit_background, cross, norm
+        )
+        if not self._fit_gains:
+            cross, norm = cross.sum(axis=1, keepdims=True), norm.sum(axis=1, keepdims=True)
+        ratio = np.maximum(cross, 1e-12) / np.maximum(norm, 1e-12)
+        if self._known is None:
+            ratio /= np.exp(np.log(ratio).mean(axis=1, keepdims=True))
+        found: Floats = gains * np.clip(ratio, 1.0 / 1.2, 1.2)
+        return found if self._known is not None else np.clip(found, 0.1, 10.0)
+
+    def _objects(self, wall: Floats, noise: float) -> Floats:
         """Return Wiener-filtered objects, (B, H, W), at least 0.01 of the image's range.
 
         ``noise`` is the ratio of the assumed noise to the actual one.
         """
-        transfer, images = self._transfer(wall), self._images
-        if self._frames.fit_background:
-            edges = [images[:, [0, -1]].flatten(1), images[:, :, [0, -1]].flatten(1)]
-            images = images - torch.cat(edges, 1).median(dim=1).values[:, None, None]
-        seen, (along, down, _) = torch.fft.rfft2(images, s=self.grid), self._steps
-        prior = (noise * self.sigma) ** 2 * ((along + down[:, None]) / 0.02 + 1e-3)
-        power = (transfer.real.square() + transfer.imag.square()).sum(1)
-        mean = self._cut((transfer.conj() * seen).sum(1) / (power + prior))
-        return mean.clamp(min=0.01).numpy()
+        rows, columns = self._shape
+        transfer = self._transfer(wall)[0] * self._pixel
+        level = np.zeros(len(self._images))
+        if self._fit_background:
+            edges = [self._images[:, [0, -1]], self._images[:, :, [0, -1]].swapaxes(1, 2)]
+            flat = [edge.reshape(len(level), -1) for edge in edges]
+            level = np.median(np.concatenate(flat, axis=1), axis=1)
+        data = torch.from_numpy(self._array(self._images - level[:, None, None]))
+        seen = torch.fft.rfft2(data, s=self.grid).numpy()
+        down, along = self._steps[: self.grid[0]], self._steps[self.grid[0] :]
+        rough = down[:, None] + along[: seen.shape[-1]]
+        prior = (noise * self.sigma) ** 2 * (rough / 0.02 + 1e-3)
+        power = (transfer.real**2 + transfer.imag**2).sum(axis=1)
+        spectrum = (transfer.conj() * seen).sum(axis=1) / (power + prior)
+        mean = torch.fft.irfft2(torch.from_numpy(spectrum), s=self.grid).numpy()
+        bright: Floats = np.maximum(mean[:, :rows, :columns], 0.01)
+        return bright
 
-    def _samples(self, wall: Tensor) -> Tensor:
-        """Return point spreads (B, K, p, c) of walls (B, M), without the pixels of the detector."""
-        turns = self._pupil.waves(wall.reshape(len(wall), -1, len(self.modes)))
-        samples: Tensor = self._pupil.optics.samples(turns[:, self._frames.walls] + self._defocus)
-        return samples
+    def _transfer(self, wall: Floats) -> tuple[Floats, Tensor, Floats]:
+        """Return transfer functions (B, K, p, q), pupil functions, and image fields.
 
-    def _transfer(self, wall: Tensor) -> Tensor:
-        """Return transfer functions of walls (B, M) times the images' levels, (B, K, p, q)."""
-        transfer: Tensor = torch.fft.rfft2(self._samples(wall)) * self._pixel
-        return transfer
+        The transfer functions do not contain that of the detector's pixels, unless these are wider
+        than the field's samples.
+        """
+        count, frames, rows, columns = len(wall), len(self._images), *self._fine
+        each = torch.from_numpy(wall).view(count, -1, len(self.modes))
+        phase = (each @ self._basis)[:, self._walls] + self._known_phase
+        pupil = torch.complex(phase.cos() * self._amplitude, phase.sin() * self._amplitude)
+        lit = pupil.view(count, frames, *self._cells)
+        field = torch.fft.fft(torch.fft.fft(lit, n=rows, dim=-2), n=columns, dim=-1).numpy()
+        spread = np.empty(field.shape, dtype=self._dtype)
+        kernels.intensity(field, spread)
+        return torch.fft.rfft2(self._to_pixels(torch.from_numpy(spread))).numpy(), pupil, field
 
-    def _held(self, wall: Tensor) -> Tensor:
-        held: Tensor = self._stiffness * (wall - self._first).square().sum(1)
-        return held
+    def _wall_gradient(self, toward: Floats, pupil: Tensor, field: Floats) -> Floats:
+        rows, columns = self._cells
+        spread = torch.fft.irfft2(torch.from_numpy(toward), s=self.grid)
+        spread = self._from_pixels(spread).contiguous()
+        pulled = np.empty(field.shape, dtype=field.dtype)
+        scale = 2.0 * float(math.prod(self.grid)) * math.prod(self._fine)
+        kernels.pull_back(field, spread.numpy(), scale, pulled)
+        cells = torch.fft.ifft(torch.from_numpy(pulled), dim=-1)[..., :columns]
+        cells = torch.fft.ifft(cells, dim=-2)[..., :rows, :].contiguous()
+        walls = len(self.twin) // len(self.modes)
+        phase = np.empty((len(field), walls, rows * columns), dtype=self._dtype)
+        kernels.phase_gradient(pupil.numpy(), cells.view(pupil.shape).numpy(), self._walls, phase)
+        return (torch.from_numpy(phase) @ self._basis.T).flatten(1).numpy()
 
-    def _spreads(self, walls: Floats) -> Floats:
-        """Return the point spreads (B, K, p, c) of walls (B, M), their centre at sample [0, 0]."""
-        spreads: Floats = torch.fft.irfft2(self._transfer(self._tensor(walls)), s=self.grid).numpy()
-        return spreads
+    def _to_pixels(self, spread: Tensor) -> Tensor:
+        """Return the energy per pixel (..., p, c) of intensities on the fine grid."""
+        if self._wide is None:
+            return spread
+        finer = self._fine[0] // self.grid[0]
+        fine: Tensor = torch.fft.irfft2(torch.fft.rfft2(spread) * self._wide, s=self._fine)
+        return fine[..., ::finer, ::finer].contiguous()
 
-    def _cut(self, spectra: Tensor) -> Tensor:
-        """Return the images (..., H, W) of half spectra."""
-        rows, columns = self._frames.shape
-        images: Tensor = torch.fft.irfft2(spectra, s=self.grid)
-        return images[..., :rows, :columns]
+    def _from_pixels(self, pixels: Tensor) -> Tensor:
+        """Apply the transpose of `_to_pixels`."""
+        if self._wide is None:
+            return pixels
+        finer = self._fine[0] // self.grid[0]
+        fine = torch.zeros((*pixels.shape[:-2], *self._fine), dtype=pixels.dtype)
+        fine[..., ::finer, ::finer] = pixels
+        spread: Tensor = torch.fft.irfft2(torch.fft.rfft2(fine) * self._wide, s=self._fine)
+        return spread
 
-    def _tensor(self, values: Any) -> Tensor:
-        return torch.as_tensor(np.asarray(values), dtype=self._dtype)
+    def _sample_pupil(self, pupil_psf: PupilPSF, defocus: Floats) -> None:
+        """Sample pupil, modes and known waves for the FFT grid; ``defocus`` (K,) is in m rms."""
+        given = pupil_psf.optics
+        pitch = given.pitch
+        # the transfer function 2 % below the cutoff is less than 1e-3
+        if given.nyquist_pitch < pitch <= given.nyquist_pitch * 1.02:
+            pitch = given.nyquist_pitch
+        optics = given.resized(self.grid, pitch)
+        side = math.copysign(2.0 * math.pi, given.image_distance)
+        basis = np.stack([noll_mode(mode, optics).ravel() for mode in self.modes])
+        known = np.outer(defocus / optics.wavelength, noll_mode(DEFOCUS, optics))
+        waves = pupil_psf.waves
+        rest = waves.rest_on(optics) if isinstance(waves, ZernikeWaves) else None
+        if rest is not None:
+            known = known + rest.ravel()
+        self._cells, self._fine = optics.share.shape, optics.fine_grid
+        self._amplitude = torch.from_numpy(self._array(optics.cell_weights().ravel()))
+        self._basis = torch.from_numpy(self._array(side * basis))
+        # whole waves are subtracted before the conversion to single precision, to keep digits
+        self._known_phase = torch.from_numpy(self._array(side * (known - np.round(known))))
+        pixel = optics.pixel_transfer()
+        self._wide: Tensor | None = None
+        half = (self.grid[0], self.grid[1] // 2 + 1)
+        if self._fine != self.grid:
+            self._wide, pixel = torch.from_numpy(self._array(pixel)), np.ones(half)
+        self._pixel = self._array(pixel * self._levels[:, None, None])
+
+    def _array(self, values: Any) -> Floats:
+        return np.ascontiguousarray(values, dtype=self._dtype)

@@ -1,4 +1,4 @@
-"""Blind reconstruction of object and wall: common entry point of three solvers."""
+"""Blind reconstruction of object and wall: common entry point of two solvers."""
 
 from __future__ import annotations
 
@@ -11,14 +11,9 @@ from ..data.reconstruction import Reconstruction
 from ..published.wu2024 import wu2024_fit
 from ..wave.pupil_psf import PupilPSF
 from .evidence import evidence_fit
-from .network_fit import network_fit
 
 #: Solver of each recipe.
-RECIPES: dict[str, Callable[..., Reconstruction]] = {
-    "evidence": evidence_fit,
-    "network": network_fit,
-    "wu2024": wu2024_fit,
-}
+RECIPES: dict[str, Callable[..., Reconstruction]] = {"evidence": evidence_fit, "wu2024": wu2024_fit}
 
 
 def pcin(
@@ -35,35 +30,25 @@ def pcin(
 ) -> Reconstruction:
     """Reconstruct the hidden object via an unknown wall, by a fit of both object and wall.
 
-    The default solver, `evidence_fit`, is the recommended one. The recipes "network" and "wu2024"
-    represent the object by an untrained neural network (U-net). The latter, `wu2024_fit`, is the
+    The default solver, `evidence_fit`, is the recommended one. The other, `wu2024_fit`, is the
     published physics-constrained inverse network (PCIN), which gave this function its name.
 
     Parameters
     ----------
     images, pupil_psf, defocus, max_iterations, seed, start, progress
         See `evidence_fit`.
-    recipe : {"evidence", "network", "wu2024"}
-        Solver. "evidence": `evidence_fit`, which makes many fits from proposed or random walls and
-        returns the one with the largest Bayesian evidence (marginal likelihood: the probability of
-        the images for a wall, averaged over all objects). "network": one image; U-nets with noise
-        as their input are fitted together with walls that a trained network proposes, the evidence
-        chooses the wall and states the status, and a U-net gives the object. "wu2024":
-        `wu2024_fit`, which fits a U-net and the coefficients in turn to one image, from random
-        angles. It is included for comparison.
+    recipe : {"evidence", "wu2024"}
+        Solver. "evidence": `evidence_fit`, which makes many fits from random starts and returns the
+        one with the largest Bayesian evidence (marginal likelihood: the probability of the images
+        for a wall, averaged over all objects). "wu2024": `wu2024_fit`, which fits a neural network
+        (U-net) and the coefficients in turn to one image. It is included for comparison.
     **options
-        Further options of the solver, see `evidence_fit` and `wu2024_fit`. Those of "network" are
-        ``proposals``, the number of proposed walls that are fitted (3), and ``base``, the width of
-        the U-net (8); its ``max_iterations`` is the number of steps from each wall (160), a third
-        of those for the object. It cannot resume from ``start``.
+        Further options of the solver, see `evidence_fit` and `wu2024_fit`.
 
     Returns
     -------
     Reconstruction
-        Object, status and score. ``physical_parameters`` contains the fitted ``coefficients``. With
-        "network" the values are those of `evidence_fit`, with the U-net's object and score, and
-        ``agreement``, the correlation of the objects of both. If it is below 0.9, the status
-        "converged" becomes "ambiguous".
+        Object, status and score. ``physical_parameters`` contains the fitted ``coefficients``.
 
     Raises
     ------
@@ -76,7 +61,7 @@ def pcin(
 
     See Also
     --------
-    evidence_fit, wu2024_fit : Two of the solvers with all their options.
+    evidence_fit, wu2024_fit : The two solvers with all their options.
     """
     solver = RECIPES[one_of("recipe", recipe, RECIPES)]
     if max_iterations is not None:

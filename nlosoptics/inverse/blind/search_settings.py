@@ -11,9 +11,9 @@ class Stage:
     """Settings of one descent.
 
     ``iterations``: number of iterations. ``kappa``: strength of the object's prior; 0.5 to compare
-    answers, 1 to search. ``first``, ``last``: ratio of the assumed noise to the actual one, at the
-    start and from ``share`` on. ``share``: fraction of the iterations after which ``last`` is
-    reached. ``wave_rate``: largest step of a coefficient, waves; 0 keeps the coefficients.
+    answers, 1 to 1.5 to search. ``first``, ``last``: ratio of the assumed noise to the actual one,
+    at the start and from ``share`` on. ``share``: fraction of the iterations after which ``last``
+    is reached. ``wave_rate``: largest step of a coefficient, waves; 0 keeps the coefficients.
     """
 
     iterations: int
@@ -35,6 +35,21 @@ class Stage:
 
 
 @dataclass(frozen=True)
+class Neighbourhood:
+    """Generations near the best walls, with the random changes of one to the next.
+
+    ``generations``, ``litter``: largest number of generations, and children of each; they have a
+    third as many parents. ``flips``: probability that a coefficient changes its sign. ``noise``:
+    norm of a random change relative to the norm of the parent's coefficients.
+    """
+
+    generations: int
+    litter: int
+    flips: float
+    noise: float
+
+
+@dataclass(frozen=True)
 class Settings:
     """Settings of the search; norms of coefficients are in waves rms.
 
@@ -51,9 +66,11 @@ class Settings:
     settle: Stage = Stage(250, 0.5, 3.0, 1.0, 0.5, 0.01)
     finish: Stage = Stage(250, 0.5, 1.5, 1.0, 0.3, 0.006)
     # one image
+    trivial: Stage = Stage(400, 0.5, 3.0, 1.5, 0.3, 0.008)
     release: Stage = Stage(200, 0.5, 3.0, 1.5, 0.5, 0.01)
     compare: Stage = Stage(150, 0.5, 5.0, 1.5, 0.6, 0.015)
     free: Stage = Stage(200, 0.5, 2.0, 1.5, 0.3, 0.005)
+    noises: tuple[float, ...] = (30.0, 10.0, 60.0, 20.0)  # at the beginning, round by round
     # proposed walls: the object first, then both
     proposed: tuple[Stage, ...] = (
         Stage(60, 0.5, 5.0, 5.0, 1.0, 0.0),
@@ -65,20 +82,19 @@ class Settings:
         Stage(400, 0.5, 5.0, 1.0, 0.7, 0.01),
         Stage(200, 0.5, 1.0, 1.0, 1.0, 0.004),
     )
-    object_rate: float = 0.05  # largest step of the object, relative to the images' range
-    softness: float = 0.1  # of the transition of object values to 0, relative to the images' range
-    gain_error: float = 0.2  # standard deviation of the prior of the images' relative brightness
     # Ratio of FFT grid to image, so that light leaving at one edge does not re-enter at the other.
-    # A narrow grid is sufficient until answers are compared.
+    # A narrow grid is sufficient until an answer for one image is compared with no blur.
     padding: float = 1.5
     narrow: float = 1.125
-    # norms of random walls if unknown, and limits of the factors by which they vary; too large is
-    # better than too small
+    # norms of initial walls, too large rather than too small; relative to a known rms; and those
+    # for one image relative to these, between two limits
     strengths: tuple[float, ...] = (0.3, 0.6, 1.0)
+    around: tuple[float, ...] = (0.9, 1.1, 1.4)
     lengths: tuple[float, float] = (0.9, 1.5)
     sharp: float = 0.01  # norm of a wall without noticeable blur
     starts: int = 32
     near_starts: int = 4
+    kept: int = 20  # walls of one image that are fitted further
     pool: int = 12  # walls that a step passes to the next
     proposals: int = 24
     # walls that show which point spreads are expected for one image, the share of them beyond the
@@ -89,23 +105,25 @@ class Settings:
     too_sharp: float = 0.2
     weak: float = 0.35  # expected norm up to which sharp point spreads are right ones
     tops: tuple[int, ...] = (21, 36, 45)  # largest Noll indices up to which modes are added
-    # largest number of generations near the best walls: of several images, and of one or with much
-    # noise; children in each, which have a third as many parents; norm of their random changes
-    # relative to the parent's; probability that a coefficient changes its sign
-    generations: tuple[int, int] = (4, 12)
-    litter: int = 12
-    litter_of_one: int = 24
-    change: float = 0.3
-    flips: float = 0.05
-    # correlation of objects that count as the same: two rounds with the right one had 0.94 to 0.98
-    # with each other at 5 % noise, others 0.3
+    near_several: Neighbourhood = Neighbourhood(4, 12, 0.03, 0.25)
+    near_noisy: Neighbourhood = Neighbourhood(12, 12, 0.03, 0.25)
+    near_one: Neighbourhood = Neighbourhood(12, 24, 0.06, 0.3)
+    growth: tuple[float, float] = (0.95, 1.05)  # of the norm of children's coefficients
+    # Relative distance of point spreads beyond which walls are different answers: in tests below
+    # 0.2 for equal ones, above 0.34 for different ones. Correlation of the objects of two rounds
+    # that found the same: right ones had 0.94 to 0.98 with each other at 5 % noise, others 0.3.
+    other: float = 0.3
     same_object: float = 0.93
-    answers: int = 3  # different objects that are compared at the end
-    # decrease of the score per generation or repetition below which these end
+    # decrease of the score per generation below which these end; those of one image go on unless
+    # they have the point spread of the best answer so far, or are better by the second number
     standstill: float = 5.0
-    repeats: int = 5  # of the last fit for one image
-    # rounds for several images; with much noise, or for one image; for one with proposals
-    rounds: tuple[int, int, int] = (2, 4, 1)
+    ahead: float = 50.0
+    # Repetitions of the last fit for one image. Answers, different walls and fits without blur are
+    # repeated alike, since the status compares their energies.
+    repeats: int = 5
+    # rounds with several images, with several with much noise, with one, with one and proposals
+    rounds: tuple[int, int, int, int] = (2, 4, 5, 1)
+    enough: int = 2  # rounds after which the search ends if it found no different wall
 
 
 SETTINGS = Settings()

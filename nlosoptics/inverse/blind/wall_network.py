@@ -9,6 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from ...psf.wave.zernikes import zernike_order
+
 #: Noll indices of the proposed coefficients, n = 2..5.
 MODES = tuple(range(4, 22))
 #: Pixels of the network's image along each side, at Nyquist's pitch.
@@ -86,6 +88,12 @@ def channels(images: Tensor, noise: Tensor) -> Tensor:
     even = torch.fft.ifft2(spectrum * (power / ((1.0 + power) * size.sqrt().clamp(min=1e-9)))).real
     centred = torch.fft.fftshift(torch.stack([logarithm / 4.0 - 0.5, 16.0 * lags], 1), (2, 3))
     return torch.cat([4.0 * scaled[:, None] - 0.5, centred, 40.0 * even[:, None]], dim=1)
+
+
+@cache
+def twin_signs() -> Tensor:
+    """Return the signs (M,) that convert a wave to its twin, -1 for even radial orders."""
+    return torch.tensor([-1.0 if zernike_order(mode)[0] % 2 == 0 else 1.0 for mode in MODES])
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Walls as starts of a search: proposed by a trained network for one image, random, or varied.
+"""Waves that a trained network proposes for one image, as starts of a search.
 
 The network has seen images of 64 x 64 pixels at Nyquist's pitch. Others are resampled, and cut out
 about their light or surrounded by black. Its training script
@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.random import Generator
-from scipy.signal import resample
 from torch import Tensor
 
 from ..._checks import reason
@@ -24,10 +23,9 @@ from ...errors import MissingExtraError, SceneError
 from ...psf.wave.zernikes import zernike
 from ..wave.frames import Frames
 from ..wave.pupil_psf import PupilPSF
-from ..wave.pupil_waves import DEFOCUS, ZernikeWaves, twin_signs
-from .free_energy import Floats, Starts
-from .search_settings import SETTINGS
-from .wall_network import MODES, SIDE, WallNetwork
+from ..wave.pupil_waves import DEFOCUS, ZernikeWaves
+from .free_energy import Floats
+from .wall_network import MODES, SIDE, WallNetwork, twin_signs
 
 #: File of the trained weights.
 WEIGHTS = Path(__file__).with_name("wall_proposals.safetensors")
@@ -81,7 +79,7 @@ class WallProposals:
         density; that of the largest one is kept.
         """
         weights, means, deviations = self._parts
-        every = np.concatenate([means, means * twin_signs(MODES)])
+        every = np.concatenate([means, means * twin_signs().double().numpy()])
         # twice as wide as proposed, so that the looks meet
         precision = (2.0 * np.tile(deviations, (2, 1))) ** -2
         shares = np.log(np.tile(weights, 2)) + 0.5 * np.log(precision).sum(axis=1)
@@ -103,23 +101,32 @@ class WallProposals:
 class Proposals:
     """Source of proposed walls for one fit.
 
-    ``density``: proposals for the image. ``modes``: Noll indices of the fit. ``side``: 1, or -1 if
-    the pupil lies beyond the image. ``defocus``: known defocus, waves rms.
+    ``density``: proposals for the image. ``frames``: the image. ``pupil_psf``: its point spread.
     """
 
     density: WallProposals
-    modes: tuple[int, ...]
-    side: float
-    defocus: float
+    frames: Frames
+    pupil_psf: PupilPSF
+
+    @property
+    def length(self) -> float:
+        """Expected norm of the coefficients, waves rms."""
+        return self.density.length
 
     def walls(self, count: int, random: Generator) -> Floats:
         """Return proposed coefficients of the fit, (count, M) waves rms, the mean first.
 
         Modes that the network does not know are 0. A known defocus is subtracted.
         """
-        proposed = dict(zip(MODES, self.side * self.density.walls(count, random).T, strict=True))
-        proposed[DEFOCUS] = proposed[DEFOCUS] - self.defocus
-        return np.stack([proposed.get(mode, np.zeros(count)) for mode in self.modes], axis=1)
+        walls, optics = self.density.walls(count, random), self.pupil_psf.optics
+        found = np.zeros((count, len(self.pupil_psf.modes)))
+        signed = walls * np.sign(optics.image_distance)
+        for column, mode in enumerate(self.pupil_psf.modes):
+            if mode in MODES:
+                found[:, column] = signed[:, MODES.index(mode)]
+                if mode == DEFOCUS:
+                    found[:, column] -= self.frames.defocus[0] / optics.wavelength
+        return found
 
 
 def wall_proposals(frames: Frames, pupil_psf: PupilPSF) -> Proposals | None:
@@ -131,7 +138,7 @@ def wall_proposals(frames: Frames, pupil_psf: PupilPSF) -> Proposals | None:
     optics, waves = pupil_psf.optics, pupil_psf.waves
     scale = optics.pitch / optics.nyquist_pitch
     sides = [side * scale for side in frames.shape]
-    known = isinstance(waves, ZernikeWaves) and waves.rest_of is not None
+    known = isinstance(waves, ZernikeWaves) and waves.rest is not None
     if (
         len(frames.images) > 1
         or scale > 1.02
@@ -143,9 +150,7 @@ def wall_proposals(frames: Frames, pupil_psf: PupilPSF) -> Proposals | None:
     ):
         return None
     image, noise = at_nyquist(frames.images[0], float(frames.sigmas[0]), scale)
-    density = WallProposals(image, noise, trained_network())
-    side = float(np.sign(optics.image_distance))
-    return Proposals(density, pupil_psf.modes, side, frames.defocus[0] / optics.wavelength)
+    return Proposals(WallProposals(image, noise, trained_network()), frames, pupil_psf)
 
 
 def at_nyquist(image: Floats, noise: float, scale: float) -> tuple[Tensor, float]:
@@ -158,22 +163,32 @@ def at_nyquist(image: Floats, noise: float, scale: float) -> tuple[Tensor, float
     cut to SIDE pixels about the centroid of the light.
     """
     edges = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
-    picture = image - np.median(edges)
-    for axis, side in enumerate(image.shape):
-        # 192 pixels at Nyquist's pitch leave room for what is periodic
-        room = [(0, round(192 / scale) - side if i == axis else 0) for i in (0, 1)]
-        picture = resample(np.pad(picture, room), 192, axis=axis)
-        picture = picture.take(range(max(1, round(side * scale))), axis)
-    light = np.maximum(picture, 0.0)
-    for axis, side in enumerate(picture.shape):
-        along = light.sum(axis=1 - axis)
-        middle = round(float(along @ np.arange(side)) / max(float(along.sum()), 1e-12))
-        first = min(max(middle - SIDE // 2, 0), max(side - SIDE, 0))
-        picture = picture.take(range(first, min(first + SIDE, side)), axis)
-        dark = max(SIDE - side, 0)
-        rims = [(dark // 2, dark - dark // 2) if i == axis else (0, 0) for i in (0, 1)]
-        picture = np.pad(picture, rims)
-    return torch.from_numpy(picture).float(), noise * min(1.0, scale)
+    dark = torch.from_numpy(image - np.median(edges))
+    whole = 192  # pixels at Nyquist's pitch of the transform that resamples
+    period = round(whole / scale)
+    spectrum = torch.fft.fft2(dark, s=(period, period))
+    half = whole // 2
+    kept = torch.zeros((whole, whole), dtype=spectrum.dtype)
+    inside = torch.fft.fftfreq(whole, 1.0 / whole).long()
+    inside = inside[inside.abs() < min(half, (period + 1) // 2)]
+    kept[inside[:, None], inside] = spectrum[inside[:, None], inside]
+    if period == whole:
+        kept = spectrum
+    found = torch.fft.ifft2(kept).real * (whole / period) ** 2
+    sides = [max(1, round(side * scale)) for side in image.shape]
+    found = found[: sides[0], : sides[1]]
+    light = found.clamp(min=0.0)
+    made = torch.zeros(SIDE, SIDE)
+    given, put = [], []
+    for axis, side in enumerate(sides):
+        along = light.sum(dim=1 - axis)
+        middle = float((along * torch.arange(side)).sum() / along.sum().clamp(min=1e-12))
+        first = min(max(round(middle) - SIDE // 2, 0), max(side - SIDE, 0))
+        given.append(slice(first, first + SIDE))
+        room = max(SIDE - side, 0) // 2
+        put.append(slice(room, room + min(side, SIDE)))
+    made[put[0], put[1]] = found[given[0], given[1]].float()
+    return made, noise * min(1.0, scale)
 
 
 @cache
@@ -204,7 +219,8 @@ def loaded_network(path: Path) -> WallNetwork:
         with safe_open(path, "pt") as file:
             if (form := (file.metadata() or {}).get("format")) != FORMAT:
                 raise ValueError(f'format {form!r}, must be "{FORMAT}"')
-            tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+            names = file.keys()
+            tensors = {name: file.get_tensor(name).float() for name in names}
         network.load_state_dict(tensors)
     except (OSError, RuntimeError, ValueError, SafetensorError) as error:
         raise SceneError(
@@ -237,55 +253,3 @@ def _turns() -> list[tuple[Turn, Tensor]]:
             matrix = torch.linalg.lstsq(plain.T, turned.T).solution
             found.append((turn, matrix.round().float()))
     return found
-
-
-def random_walls(count: int, modes: int, lengths: Floats, random: Generator) -> Floats:
-    """Return coefficients (count, modes) with random directions and given norms.
-
-    The norms ``lengths``, waves rms, are used in turn.
-    """
-    walls = random.normal(size=(count, modes))
-    walls *= np.resize(lengths, count)[:, None] / np.linalg.norm(walls, axis=1, keepdims=True)
-    return walls
-
-
-def children(parents: Starts, count: int, twin: Floats, random: Generator) -> Floats:
-    """Return coefficients (count, M) that vary those of the best parents.
-
-    ``parents``: parents by increasing energy; a better one is chosen with higher probability.
-    ``count``: number of children. ``twin`` (M,): signs that convert a wall to the one with the same
-    point spread, W(x) -> -W(-x). ``random``: source of random numbers.
-
-    A third of the children takes each coefficient from one of two parents, of which the second is
-    replaced by its twin if that is closer. A third changes signs. Most others move in a random
-    direction. A few change all signs, which mirrors the point spread.
-    """
-    walls = parents.coefficients.astype(np.float64)
-    chances = np.linspace(1.0, 0.2, len(walls))
-    chances /= chances.sum()
-    varied = []
-    for kind in random.random(count):
-        wall = walls[random.choice(len(walls), p=chances)].copy()
-        length = float(np.linalg.norm(wall))
-        if kind < 0.35:
-            other = walls[random.choice(len(walls), p=chances)]
-            if np.linalg.norm(wall - twin * other) < np.linalg.norm(wall - other):
-                other = twin * other
-            wall = np.where(random.random(wall.size) < 0.5, wall, other)
-            wall += 0.15 * length * _direction(wall.size, random)
-        elif kind < 0.65:
-            flipped = random.random(wall.size) < SETTINGS.flips
-            flipped[random.integers(wall.size)] = True
-            wall = np.where(flipped, -wall, wall)
-        elif kind < 0.95:
-            size = SETTINGS.change * length * random.uniform(0.5, 1.5)
-            wall += size * _direction(wall.size, random)
-        else:
-            wall = -wall
-        varied.append(wall)
-    return np.array(varied)
-
-
-def _direction(size: int, random: Generator) -> Floats:
-    vector = random.normal(size=size)
-    return vector / np.linalg.norm(vector)

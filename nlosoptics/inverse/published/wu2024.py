@@ -135,8 +135,7 @@ def wu2024_fit(
     In tests with random angles and one image, this method rarely came near the true object: it
     found the image itself, or another object that agrees with the image within the noise
     (`benchmarks/inverse/wu2024.py`). A residual at the noise level is therefore no sign of success,
-    and the status is never "converged". For the same network from proposed walls, judged by the
-    evidence, see recipe "network" of `pcin`.
+    and the status is never "converged".
 
     References
     ----------

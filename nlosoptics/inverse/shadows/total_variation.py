@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import scipy
@@ -40,9 +41,7 @@ def least_variation(
     .. [1] MacKay, Neural Computation 4 (1992) 415.
     .. [2] Boyd et al., Foundations and Trends in Machine Learning 3 (2011) 1.
     """
-    down, across = (
-        scipy.sparse.diags([-np.append(np.ones(n - 1), 0.0), np.ones(n - 1)], [0, 1]) for n in shape
-    )
+    down, across = (_differences(n) for n in shape)
     rows, columns = (scipy.sparse.eye(n) for n in shape)
     ahead = scipy.sparse.vstack(
         [scipy.sparse.kron(down, columns), scipy.sparse.kron(rows, across)], format="csr"
@@ -94,6 +93,13 @@ def least_variation(
                 stiffness, bent, pulled = stiffness * ratio, bent / ratio, pulled / ratio
                 factor = scipy.linalg.cho_factor(gram + stiffness * curvature)
     return inside, changes
+
+
+def _differences(count: int) -> Any:
+    """Return the matrix of forward differences of a row, (count, count); its last row is 0."""
+    matrix = scipy.sparse.eye(count, k=1, format="lil") - scipy.sparse.eye(count, format="lil")
+    matrix[count - 1] = 0.0
+    return matrix
 
 
 def _norm(values: Array) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from typing import Required, TypedDict
+from typing import TypedDict
 
 import numpy as np
 import torch
@@ -32,16 +32,6 @@ class ImageOptions(TypedDict, total=False):
     dtype: torch.dtype
 
 
-class OpticsOptions(ImageOptions):
-    """All options of `PupilOptics` for a clear pupil."""
-
-    wavelength: Required[float]
-    pupil_radius: Required[float]
-    image_distance: Required[float]
-    pitch: Required[float]
-    shape: Required[int | tuple[int, int]]
-
-
 class PupilOptics(nn.Module):
     """Fraunhofer transform of a circular pupil to point spread and transfer function.
 
@@ -59,12 +49,11 @@ class PupilOptics(nn.Module):
     n_u//2] is on the axis. ``share`` (n_v, n_u): fraction of each cell that lies in the pupil.
     ``amplitude`` (n_v, n_u): this fraction times the transmission. ``nyquist_pitch``: largest pitch
     of point samples, m. ``fine_grid`` (int, int): rows and columns of the fine samples; `shape` if
-    pixels are small. ``pixel`` (H, W//2 + 1): factor of the transfer function due to the pixels.
+    pixels are small.
     """
 
-    pixel: Tensor
     _amplitude: Tensor
-    _wide: Tensor
+    _pixel: Tensor
 
     def __init__(
         self,
@@ -119,13 +108,28 @@ class PupilOptics(nn.Module):
             self.amplitude[lit] = self.share[lit] * transmission(u[lit], v[lit])
         self._prepare(device, dtype)
 
-    def resized(
-        self, shape: int | tuple[int, int], pitch: float, dtype: torch.dtype = torch.float64
-    ) -> PupilOptics:
-        """Return these optics for an image of another shape and pitch, m, on the processor."""
-        names = ("wavelength", "pupil_radius", "image_distance", "pixel_integrated", "transmission")
-        given = {name: getattr(self, name) for name in names}
-        return PupilOptics(**given, pitch=pitch, shape=shape, dtype=dtype)
+    def resized(self, shape: int | tuple[int, int], pitch: float) -> PupilOptics:
+        """Return these optics in double precision for an image of another shape and pitch, m."""
+        return PupilOptics(
+            wavelength=self.wavelength,
+            pupil_radius=self.pupil_radius,
+            image_distance=self.image_distance,
+            pitch=pitch,
+            shape=shape,
+            pixel_integrated=self.pixel_integrated,
+            transmission=self.transmission,
+            dtype=torch.float64,
+        )
+
+    def cell_weights(self) -> Array:
+        """Return the pupil function's modulus on the cells, (n_v, n_u); the image sums to 1."""
+        return self._amplitude.double().cpu().numpy()
+
+    def pixel_transfer(self) -> Array:
+        """Return the transfer function of a pixel for the half spectrum of the fine samples."""
+        if not self.pixel_integrated:
+            return np.ones((self.fine_grid[0], self.fine_grid[1] // 2 + 1))
+        return self._pixel.double().cpu().numpy()
 
     @property
     def dtype(self) -> torch.dtype:
@@ -142,9 +146,10 @@ class PupilOptics(nn.Module):
 
         ``turns`` (..., n_v, n_u) is the wave aberration divided by the wavelength.
         """
-        spread = self.samples(turns)
-        if self.pixel_integrated:
-            spread = torch.fft.irfft2(torch.fft.rfft2(spread) * self.pixel, s=self.shape)
+        if not self.pixel_integrated:
+            spread = self._periodic(turns)
+        else:
+            spread = torch.fft.irfft2(self.transfer(turns), s=self.shape)
         centred: Tensor = torch.fft.fftshift(spread, dim=(-2, -1))
         return centred
 
@@ -153,25 +158,13 @@ class PupilOptics(nn.Module):
 
         ``turns`` (..., n_v, n_u) is the wave aberration divided by the wavelength.
         """
-        transfer: Tensor = torch.fft.rfft2(self.samples(turns)) * self.pixel
-        return transfer
-
-    def samples(self, turns: Tensor) -> Tensor:
-        """Return energies (..., H, W) at [0, 0]: their ``rfft2`` times `pixel` is `transfer`.
-
-        ``turns`` (..., n_v, n_u) is the wave aberration divided by the wavelength. The origin of
-        the pupil is moved from its centre to its corner, which changes only the phase in the image.
-        """
-        rows, columns = self.fine_grid
-        phase = turns * math.copysign(2 * math.pi, self.image_distance)
-        pupil = torch.complex(self._amplitude * phase.cos(), self._amplitude * phase.sin())
-        field = torch.fft.fft(torch.fft.fft(pupil, n=columns, dim=-1), n=rows, dim=-2)
-        intensity: Tensor = field.real.square() + field.imag.square()
-        if self._finer == 1:
-            return intensity
-        fine = torch.fft.irfft2(torch.fft.rfft2(intensity) * self._wide, s=self.fine_grid)
-        intensity = fine[..., :: self._finer, :: self._finer]
-        return intensity
+        spectrum: Tensor = torch.fft.rfft2(self._periodic(turns))
+        if self.pixel_integrated:
+            spectrum = spectrum * self._pixel
+        if self._finer > 1:
+            fine = torch.fft.irfft2(spectrum, s=self.fine_grid)
+            spectrum = torch.fft.rfft2(fine[..., :: self._finer, :: self._finer])
+        return spectrum
 
     def steepest(self, turns: Tensor) -> float:
         """Return the largest difference, in waves, between neighbouring cells of ``turns``."""
@@ -193,6 +186,19 @@ class PupilOptics(nn.Module):
                 " the point spread is aliased; use a larger shape",
                 stacklevel=4,
             )
+
+    def _periodic(self, turns: Tensor) -> Tensor:
+        """Return the intensity over one period of fine samples, centre at sample [0, 0].
+
+        The origin of the pupil is moved from its centre to its corner, which changes only the phase
+        in the image.
+        """
+        rows, columns = self.fine_grid
+        phase = turns * math.copysign(2 * math.pi, self.image_distance)
+        pupil = torch.complex(self._amplitude * phase.cos(), self._amplitude * phase.sin())
+        field = torch.fft.fft(torch.fft.fft(pupil, n=columns, dim=-1), n=rows, dim=-2)
+        intensity: Tensor = field.real.square() + field.imag.square()
+        return intensity
 
     def _period_axis(self, side: int) -> Array:
         """Return cell centres, m, for which ``side`` image pixels are exactly one period."""
@@ -231,10 +237,7 @@ class PupilOptics(nn.Module):
             self.register_buffer(name, torch.from_numpy(values).to(device=device, dtype=dtype))
 
         keep("_amplitude", self.amplitude * (scale / self._finer))
-        # a pixel is _finer samples wide: its energy is their mean times their number
-        y, x = (np.fft.fftfreq(n, 1 / self._finer) for n in self.fine_grid)
-        wide = np.outer(np.sinc(y), np.sinc(x[: len(x) // 2 + 1])) * self._finer**2
-        # the detector is applied to fine samples, or to the transfer function
-        half = np.ones((self.shape[0], self.shape[1] // 2 + 1))
-        keep("pixel", wide if self.pixel_integrated and self._finer == 1 else half)
-        keep("_wide", wide)
+        if self.pixel_integrated:
+            # a pixel is _finer samples wide: its energy is their mean times their number
+            y, x = (np.fft.fftfreq(n, 1 / self._finer) for n in self.fine_grid)
+            keep("_pixel", np.outer(np.sinc(y), np.sinc(x[: len(x) // 2 + 1])) * self._finer**2)

@@ -13,7 +13,7 @@ from ..._checks import positive
 from ...errors import SamplingError, SceneError
 from ...psf import wavefront
 from ...scene import Scene
-from .pupil_optics import ImageOptions, OpticsOptions, PupilOptics
+from .pupil_optics import ImageOptions, PupilOptics
 from .pupil_waves import (
     DEFOCUS,
     SlopeWaves,
@@ -64,12 +64,6 @@ class PupilPSF(nn.Module):
         Fit parameters: Zernike coefficients in waves rms over the full pupil, or slopes in waves
         per pupil radius. Unlike all lengths, which are in m, they are in units of the wavelength,
         so that the steps of an optimiser have a suitable size.
-    shape : (int, int)
-        Rows and columns of the PSF.
-    pitch, wavelength : float
-        Distance between the samples of the PSF, and vacuum wavelength, m.
-    modes : tuple of int
-        Noll indices of the coefficients; empty if these are slopes.
 
     Raises
     ------
@@ -93,8 +87,6 @@ class PupilPSF(nn.Module):
     ) -> None:
         super().__init__()
         self.optics, self.waves = optics, waves
-        self.shape, self.pitch, self.wavelength = optics.shape, optics.pitch, optics.wavelength
-        self.modes = waves.modes
         self.coefficients = nn.Parameter(like(optics, coefficients))
         self._checked(None)
         if not bool(torch.isfinite(self.coefficients).all()):
@@ -168,7 +160,16 @@ class PupilPSF(nn.Module):
 
     @classmethod
     def from_angles(
-        cls, angles: ArrayLike, *, angle_pitch: float, **options: Unpack[OpticsOptions]
+        cls,
+        angles: ArrayLike,
+        *,
+        angle_pitch: float,
+        wavelength: float,
+        pupil_radius: float,
+        image_distance: float,
+        pitch: float,
+        shape: int | tuple[int, int],
+        **options: Unpack[ImageOptions],
     ) -> Self:
         """Build a PSF from the angles at which light leaves points of the exit pupil.
 
@@ -195,7 +196,14 @@ class PupilPSF(nn.Module):
         Arbitrary slopes need not be the gradient of any wave. The wave is their least-squares fit
         over the whole grid, as in `psf.wavefront_from_slopes`.
         """
-        optics = PupilOptics(**options)
+        optics = PupilOptics(
+            wavelength=wavelength,
+            pupil_radius=pupil_radius,
+            image_distance=image_distance,
+            pitch=pitch,
+            shape=shape,
+            **options,
+        )
         angle_pitch = positive("angle_pitch", angle_pitch, unit="m")
         slopes = checked_tangents(angles, angle_pitch, optics.pupil_radius)
         waves = SlopeWaves(len(slopes), angle_pitch, optics)
@@ -236,6 +244,26 @@ class PupilPSF(nn.Module):
         optics = optics_of(wave, pitch, shape, **options)
         known, fit = fitted_modes(wave, modes)
         return cls(optics, ZernikeWaves(modes, optics, known), fit)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the PSF."""
+        return self.optics.shape
+
+    @property
+    def pitch(self) -> float:
+        """Distance between the samples of the PSF, m."""
+        return self.optics.pitch
+
+    @property
+    def wavelength(self) -> float:
+        """Vacuum wavelength, m."""
+        return self.optics.wavelength
+
+    @property
+    def modes(self) -> tuple[int, ...]:
+        """Noll indices of the coefficients; empty if these are slopes."""
+        return self.waves.modes
 
     def forward(
         self, coefficients: Tensor | None = None, *, defocus: Tensor | Sequence[float] | None = None

@@ -18,7 +18,7 @@ from ...psf import Wavefront, fit_zernike
 from ...psf.pupil.slope_integration import slope_filter
 from ...psf.wave.cell_series import CellSpectrum
 from ...psf.wave.polar_series import PolarSpectrum, values_at
-from ...psf.wave.zernikes import zernike, zernike_order
+from ...psf.wave.zernikes import zernike
 from ..data.arrays import real_array
 from .pupil_optics import ImageOptions, PupilOptics
 
@@ -37,12 +37,12 @@ class ZernikeWaves(nn.Module):
     aberration to add, (n_v, n_u), m.
 
     ``leaf_shape`` (int,): shape of one set of coefficients, in waves rms over the full disc.
-    ``rest_of``: the given function.
+    ``rest`` (n_v, n_u): fixed aberration divided by the wavelength.
     """
 
     _basis: Tensor
-    _phase: Tensor
-    _whole: Tensor
+    rest: Tensor | None
+    _phase: Tensor | None
 
     def __init__(self, modes: Iterable[int], optics: PupilOptics, rest: Rest | None = None) -> None:
         super().__init__()
@@ -59,29 +59,35 @@ class ZernikeWaves(nn.Module):
         fits_memory(held, 24.0 * size, "use fewer modes")
         basis = np.stack([noll_mode(mode, optics) for mode in self.modes])
         self.register_buffer("_basis", like(optics, basis))
-        self.rest_of = rest
+        self._rest_of = rest
         turns = self.rest_on(optics)
-        # whole waves are kept apart, since single precision has too few digits for both
-        self.register_buffer("_whole", like(optics, np.round(turns)))
-        self.register_buffer("_phase", like(optics, turns - np.round(turns)))
+        self.register_buffer("rest", None if turns is None else like(optics, turns))
+        # subtract whole waves before the conversion to single precision, to keep digits
+        phase = None if turns is None else like(optics, turns - np.round(turns))
+        self.register_buffer("_phase", phase)
 
-    def rest_on(self, optics: PupilOptics) -> Array:
+    def rest_on(self, optics: PupilOptics) -> Array | None:
         """Return the fixed aberration over the wavelength on the cells of given optics."""
-        rest = 0.0 if self.rest_of is None else self.rest_of(optics)
-        return np.where(optics.share > 0, rest, 0.0) / optics.wavelength
+        if self._rest_of is None:
+            return None
+        return np.where(optics.share > 0, self._rest_of(optics), 0.0) / optics.wavelength
 
     def forward(self, coefficients: Tensor) -> Tensor:
         """Return aberration over wavelength, (..., n_v, n_u), modulo whole waves.
 
         It is 0 outside the pupil.
         """
-        flat = coefficients @ self._basis.flatten(1)
-        return flat.reshape(*coefficients.shape[:-1], *self._basis.shape[1:]) + self._phase
+        turns = self._sum(coefficients)
+        return turns if self._phase is None else turns + self._phase
 
     def unwrapped(self, coefficients: Tensor) -> Tensor:
         """Return aberration over wavelength, (..., n_v, n_u), including whole waves."""
-        turns: Tensor = self(coefficients) + self._whole
-        return turns
+        turns = self._sum(coefficients)
+        return turns if self.rest is None else turns + self.rest
+
+    def _sum(self, coefficients: Tensor) -> Tensor:
+        flat = coefficients @ self._basis.flatten(1)
+        return flat.reshape(*coefficients.shape[:-1], *self._basis.shape[1:])
 
 
 class SlopeWaves(nn.Module):
@@ -219,11 +225,6 @@ def _spline(nodes: Array, cells: Array) -> Array:
 
     spline = make_interp_spline(nodes, np.eye(nodes.size), k=min(3, nodes.size - 1))
     return np.asarray(spline(cells))
-
-
-def twin_signs(modes: Iterable[int]) -> Array:
-    """Return the signs (M,) that convert a wave to its twin W(x) -> -W(-x), of the same image."""
-    return np.array([-1.0 if zernike_order(mode)[0] % 2 == 0 else 1.0 for mode in modes])
 
 
 def noll_mode(mode: int, optics: PupilOptics) -> Array:

@@ -77,6 +77,8 @@ def test_a_start_rules_no_blur_out_where_free_energies_are_alike(cases):
     data = cases.case("hanzi_zhong", 5, rms_waves=0.5)
     first = cases.start(data.coefficients, 0.1, 5)[0]
     found = pcin(data.images[0], unknown(data, first, cases.MODES), start_error=0.1)
+    # not below it by the 50 that would be sufficient without the prior
+    assert found.physical_parameters["margin"] > -50.0
     assert registered_correlation(found, data.truth) > 0.95
     assert found.status == "converged"
 
@@ -206,26 +208,14 @@ def test_same_seed_same_bits_and_kinds_in_kinds_out():
 @pytest.mark.thorough
 def test_relative_gains_of_images():
     images, spread, defocus, truth = made(gains=(1.0, 0.6))
-    found = evidence_fit(images, spread, defocus=defocus, **NEAR)
+    found = evidence_fit(images, spread, defocus=defocus, fit_gains=True, **NEAR)
     gains = found.physical_parameters["image_gains"]
     # noise of 1 % on hundreds of lit pixels; the rest is the fit's bias to smooth objects
     assert gains[1] / gains[0] == pytest.approx(0.6, rel=0.02)
     assert registered_correlation(found, truth) > 0.98
-    assert found.status == "converged"
     assert found.physical_parameters["background"].shape == (2,)
-
-
-@pytest.mark.thorough
-def test_hot_pixels_are_found_and_ignored():
-    images, spread, defocus, truth = made(gains=(1.0, 1.0))
-    places = np.random.default_rng(4).choice(images[0].size, 20, replace=False)
-    hot = np.zeros(images.shape, dtype=bool)
-    hot[0].flat[places[:10]] = hot[1].flat[places[10:]] = True
-    spoilt = np.where(hot, 2.0 * images.max(), images)
-    found = evidence_fit(spoilt, spread, defocus=defocus, **NEAR)
-    assert (found.physical_parameters["bad_pixel_map"] & hot).sum() >= 19
-    assert registered_correlation(found, truth) > 0.98
-    assert found.status == "converged"
+    without = evidence_fit(images, spread, defocus=defocus, **NEAR)
+    assert without.status == "unconverged"
 
 
 @pytest.mark.thorough
@@ -308,7 +298,7 @@ def test_a_scene_s_known_wave_is_part_of_the_model(examples):
     frames = frames_of(
         Measurement(np.random.default_rng(0).normal(size=(32, 40)), noise_sigma=1.0), spread
     )
-    energy = FreeEnergy(frames, spread, grid=(64, 80), dtype=torch.float64)
+    energy = FreeEnergy(frames, spread, grid=(64, 80), dtype=np.float64)
     given = spread.coefficients.detach().double().numpy()[None]
     expected = wide.optics.resized((64, 80), energy_pitch(wide)).transfer(
         torch.from_numpy(wide.waves.rest_on(wide.optics))
@@ -317,7 +307,7 @@ def test_a_scene_s_known_wave_is_part_of_the_model(examples):
             for m, c in zip((4, 5), given[0], strict=True)
         )
     )
-    found = energy._transfer(torch.from_numpy(given))[0, 0].numpy()
+    found = energy._transfer(given)[0][0, 0] * energy._pixel[0]
     # float64 transforms of 64 x 80 samples
     np.testing.assert_allclose(found, expected.numpy(), atol=1e-12)
 

@@ -10,17 +10,16 @@ from nlosoptics.errors import SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import PupilPSF
 from nlosoptics.inverse.blind import wall_proposals as proposals
-from nlosoptics.inverse.blind.wall_network import MODES, SIDE, WallNetwork, channels
-from nlosoptics.inverse.blind.wall_proposals import random_walls
+from nlosoptics.inverse.blind.random_walls import random_walls
+from nlosoptics.inverse.blind.wall_network import MODES, SIDE, WallNetwork, channels, twin_signs
 from nlosoptics.inverse.wave.frames import frames_of
-from nlosoptics.inverse.wave.pupil_waves import twin_signs
 
 from ..by_name import called
 
 WAVELENGTH = 632.8e-9
 OPTICS = {"wavelength": WAVELENGTH, "pupil_radius": 0.9e-3, "image_distance": 51.2e-3}
 NYQUIST = OPTICS["wavelength"] * OPTICS["image_distance"] / (4.0 * OPTICS["pupil_radius"])
-TWIN = twin_signs(MODES)
+TWIN = twin_signs().double().numpy()
 
 
 def pupil(pitch=NYQUIST, shape=SIDE, modes=MODES, **options):

@@ -89,12 +89,14 @@ def test_cells_of_one_period():
     assert optics.share.sum() * 2e-7 == pytest.approx(math.pi * RADIUS**2, rel=1e-9)
     v, u = np.meshgrid(optics.v, optics.u, indexing="ij")
     assert optics.amplitude == pytest.approx(optics.share * shade(u, v), rel=1e-12)
-    # |field|^2 adds up to 1 over a period
-    assert float(optics.samples(torch.zeros(5, 7)).sum()) == pytest.approx(1.0, rel=1e-12)
+    weights = optics.cell_weights()
+    # |field|^2 of the fine samples adds up to 1 over their period of 12 x 15
+    assert np.sum(weights**2) * 12 * 15 == pytest.approx(1.0, rel=1e-12)
+    assert weights / weights[2, 3] == pytest.approx(optics.amplitude / optics.amplitude[2, 3])
     for share, cells in ((1 - 1e-6, 5), (1 + 1e-6, 7)):  # of a rim at the edge of the last cell
         assert optics_of(pupil_radius=1.25e-3 * share, pitch=7e-6).v.size == cells
     assert optics.fine_grid == (12, 15)
-    assert optics.pixel.tolist() == np.ones((12, 8)).tolist()
+    assert optics.pixel_transfer().tolist() == np.ones((12, 8)).tolist()
     assert (optics.dtype, optics.device.type) == (torch.float64, "cpu")
 
 
@@ -102,9 +104,9 @@ def test_cells_of_one_period():
 def test_wide_pixels_have_fine_samples(pitch, finer):
     optics = optics_of(pitch=pitch * NYQUIST, pixel_integrated=True, shape=(9, 7))
     assert optics.fine_grid == (9 * finer, 7 * finer)
-    # pixels are integrals of fine samples, or a factor of the transfer function
-    expected = np.outer(np.sinc(np.fft.fftfreq(9)), np.sinc(np.fft.rfftfreq(7)))
-    assert optics.pixel.numpy() == pytest.approx(expected if finer == 1 else 1.0, abs=1e-12)
+    y, x = np.fft.fftfreq(9 * finer) * finer, np.fft.rfftfreq(7 * finer) * finer
+    expected = np.outer(np.sinc(y), np.sinc(x)) * finer**2
+    assert optics.pixel_transfer() == pytest.approx(expected, abs=1e-12)
 
 
 def test_other_images_of_the_same_pupil():
@@ -186,11 +188,12 @@ def test_modes_beside_a_known_wave():
     plain = np.einsum("km,muv->kuv", strengths, table)
     alone = ZernikeWaves(modes, optics)
     given = torch.from_numpy(strengths)
-    assert (alone.modes, alone.leaf_shape) == (modes, (3,))
-    assert not alone.rest_on(optics).any()
+    assert (alone.modes, alone.leaf_shape, alone.rest) == (modes, (3,), None)
+    assert alone.rest_on(optics) is None
     assert alone(given).numpy() == pytest.approx(plain, abs=1e-14)
     assert alone.unwrapped(given).numpy() == pytest.approx(plain, abs=1e-14)
     waves = ZernikeWaves(modes, optics, known)
+    assert waves.rest.numpy() == pytest.approx(rest, rel=1e-12)
     assert waves.rest_on(optics) == pytest.approx(rest, rel=1e-12)
     assert waves.unwrapped(given).numpy() == pytest.approx(plain + rest, rel=1e-12)
     wrapped = plain + rest - np.round(rest)
