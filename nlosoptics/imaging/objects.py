@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from .._vectors import dot
 from ..raytrace import intersect_mesh, occluded
-from ..scene import MeshObject, PlanarObject
+from ..scene import MeshObject, PlanarObject, Scene
 from .geometry import picture_points
 
 if TYPE_CHECKING:
     import trimesh
 
 Array = NDArray[np.float64]
+#: Centre, axes (right, up, normal) and size of a plane, m.
+Plate = tuple[Array, Array, tuple[float, float]]
 
 MAX_PATCHES = 4096
 
@@ -186,3 +188,16 @@ def mesh_hits(
     chosen = met[free]
     points[chosen], normals[chosen], lit[chosen] = point[free], normal[free], True
     return points, normals, lit
+
+
+def plate(scene: Scene) -> Plate:
+    """Return centre, axes (right, up, normal) and size of the object's plane, m, world frame.
+
+    A mesh is replaced by a plate that faces the wall and has the mesh's width and height.
+    """
+    hidden = scene.hidden
+    if isinstance(hidden, PlanarObject):
+        return np.array(hidden.position), hidden.axes, (hidden.size[0], hidden.size[1])
+    extent = np.ptp(np.asarray(hidden.surface.vertices), axis=0)
+    axes = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
+    return scene.object_point, axes, (float(extent[0]), float(extent[1]))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._nouns import Noun
+from ..raytrace.intersection.meshes import worker_pool
 
 if TYPE_CHECKING:
     import trimesh
@@ -90,3 +91,14 @@ class Edges(Noun):
         speeds[first:last, :3] = np.eye(3)
         speeds[first:last, 3:] = np.cross(np.eye(3), arm)
         return speeds
+
+
+def in_bands(kernel: Any, nodes: tuple[Array, ...], *arguments: Any) -> None:
+    """Run a kernel for bands of the pixels in several threads; the last argument is its output."""
+    *others, out = arguments
+
+    def band(start: int) -> None:
+        rows = slice(start, start + 32)
+        kernel(tuple(array[rows] for array in nodes[:3]) + nodes[3:], *others, out[rows])
+
+    list(worker_pool().map(band, range(0, len(out), 32)))

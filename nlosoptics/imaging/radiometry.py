@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .._photons import photon_rate
 from .._vectors import dot
 from ..errors import SceneError
-from ..kernels.codes import BECKMANN, LAMBERT
+from ..kernels.codes import BECKMANN, GGX, LAMBERT
 from ..psf.pupil.exit_pupil import working_f_number
 from ..raytrace import intersect
 from ..raytrace.intersection.meshes import worker_pool
@@ -377,3 +377,20 @@ class _Chebyshev:
         u = np.clip((values - self._middle) / self._half, -1.0, 1.0)
         terms = np.cos(np.arange(self.nodes.size) * np.arccos(u)[..., None])
         return np.asarray(np.einsum("...j,jk->...k", terms, self._from_nodes))
+
+
+def wall_lobes(scene: Scene, material: Material | None = None) -> Array:
+    """Return the table of the wall's lobes that scatter light, or of those of a material."""
+    if material is not None:
+        table = material.lobe_table()
+    else:
+        diffuse = scene.wall_material.diffuse
+        parts = [*scene.mirror_lobes] + ([] if diffuse is None else [diffuse])
+        table = np.concatenate([np.empty((0, 7)), *(part.lobe_table() for part in parts)])
+    smooth = ((table[:, 0] == BECKMANN) | (table[:, 0] == GGX)) & (table[:, 2] == 0.0)
+    if smooth.all():
+        raise SceneError(
+            "scene.wall_material has 0 lobes that scatter light, must be at least 1; add a "
+            "Lambert lobe, or form the image of a mirror by form_image"
+        )
+    return np.ascontiguousarray(table[~smooth])

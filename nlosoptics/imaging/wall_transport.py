@@ -16,13 +16,19 @@ from .._checks import available_memory, fits_memory, in_range, one_of, positive,
 from .._nouns import Noun
 from .._random import generator
 from ..errors import SamplingError, SceneError
-from ..kernels.codes import BECKMANN, GGX, LAMBERT
+from ..kernels.codes import BECKMANN, LAMBERT
 from ..raytrace import occluded
-from ..raytrace.intersection.meshes import worker_pool
-from ..scene import Material, Occluder, PlanarObject, Scene
+from ..scene import Material, Occluder, Scene
 from .geometry import chief_rays, wall_visibility
-from .penumbra import Edges
-from .radiometry import electrons_per_radiance, has_highlight, laser_spot, spot_irradiance
+from .objects import plate
+from .penumbra import Edges, in_bands
+from .radiometry import (
+    electrons_per_radiance,
+    has_highlight,
+    laser_spot,
+    spot_irradiance,
+    wall_lobes,
+)
 from .shadows import check_beam, on_wall
 
 if TYPE_CHECKING:
@@ -30,7 +36,6 @@ if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
 
 Array = NDArray[np.float64]
-Plate = tuple[Array, Array, tuple[float, float]]
 
 FINE = 40  # samples per distance between plane and wall: the midpoint rule errs by 2e-4
 MOST_SAMPLES = 1024  # of the plane along one side
@@ -345,7 +350,7 @@ class WallTransport(Noun):
         speeds = self._edges.rigid(index, self._centre(index))
         rates = np.empty((self.shape[0], 6))
         arguments = self._arguments(slice(None), speeds)
-        _in_bands(_penumbra_kernels.fill_rates, *arguments, values, rates)
+        in_bands(_penumbra_kernels.fill_rates, *arguments, values, rates)
         return np.ascontiguousarray(rates.T).reshape(6, *self.pixel_shape)
 
     def _applied(
@@ -395,7 +400,7 @@ class WallTransport(Noun):
 
         out = np.empty((rows.stop - rows.start, self.shape[1]))
         arguments = self._arguments(rows, self._edges.still())
-        _in_bands(_penumbra_kernels.fill_rows, *arguments, self._parts, out)
+        in_bands(_penumbra_kernels.fill_rows, *arguments, self._parts, out)
         return out
 
     def _arguments(self, rows: slice, speeds: Array) -> tuple[Any, ...]:
@@ -436,19 +441,7 @@ class WallTransport(Noun):
     @cached_property
     def _wall_lobes(self) -> Array:
         """Table of the wall's lobes."""
-        if self.material is not None:
-            table = self.material.lobe_table()
-        else:
-            diffuse = self.scene.wall_material.diffuse
-            parts = [*self.scene.mirror_lobes] + ([] if diffuse is None else [diffuse])
-            table = np.concatenate([np.empty((0, 7)), *(part.lobe_table() for part in parts)])
-        smooth = ((table[:, 0] == BECKMANN) | (table[:, 0] == GGX)) & (table[:, 2] == 0.0)
-        if smooth.all():
-            raise SceneError(
-                "scene.wall_material has 0 lobes that scatter light, must be at least 1; add a "
-                "Lambert lobe, or form the image of a mirror by form_image"
-            )
-        return np.ascontiguousarray(table[~smooth])
+        return wall_lobes(self.scene, self.material)
 
     @cached_property
     def _parts(self) -> tuple[int, int]:
@@ -581,30 +574,6 @@ class WallTransport(Noun):
         met = np.count_nonzero(weights, axis=1)
         weights *= (visible.ravel() / np.maximum(met, 1))[:, None]
         return points, normals, weights, lens
-
-
-def _in_bands(kernel: Any, nodes: tuple[Array, ...], *arguments: Any) -> None:
-    """Run a kernel for bands of the pixels in several threads; the last argument is its output."""
-    *others, out = arguments
-
-    def band(start: int) -> None:
-        rows = slice(start, start + 32)
-        kernel(tuple(array[rows] for array in nodes[:3]) + nodes[3:], *others, out[rows])
-
-    list(worker_pool().map(band, range(0, len(out), 32)))
-
-
-def plate(scene: Scene) -> Plate:
-    """Return centre, axes (right, up, normal) and size of the object's plane, m, world frame.
-
-    A mesh is replaced by a plate that faces the wall and has the mesh's width and height.
-    """
-    hidden = scene.hidden
-    if isinstance(hidden, PlanarObject):
-        return np.array(hidden.position), hidden.axes, (hidden.size[0], hidden.size[1])
-    extent = np.ptp(np.asarray(hidden.surface.vertices), axis=0)
-    axes = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
-    return scene.object_point, axes, (float(extent[0]), float(extent[1]))
 
 
 def _counts(name: str, value: Any, most: tuple[int, int]) -> tuple[int, int]:

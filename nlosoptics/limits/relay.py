@@ -12,7 +12,7 @@ from .._checks import in_range, positive, whole
 from ..errors import SceneError
 from ..imaging import WallTransport
 from ..imaging.detector import noise_variance
-from ..imaging.wall_transport import plate
+from ..imaging.objects import plate
 from ..scene import Material, PlanarObject, Scene, SumMaterial
 
 Array = NDArray[np.float64]

@@ -19,9 +19,9 @@ from ..errors import SceneError
 from ..imaging.detector import noise_variance
 from ..imaging.geometry import picture_coordinates
 from ..imaging.images import light_levels
+from ..imaging.objects import plate
 from ..imaging.radiometry import laser_spot
 from ..imaging.stray import spot_image
-from ..imaging.wall_transport import plate
 from ..psf import SceneOptics, rms_aberration
 from ..scene import PlanarObject, Scene
 from . import frequency_table
