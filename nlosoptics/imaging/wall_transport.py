@@ -440,7 +440,6 @@ class WallTransport(Noun):
 
     @cached_property
     def _wall_lobes(self) -> Array:
-        """Table of the wall's lobes."""
         return wall_lobes(self.scene, self.material)
 
     @cached_property
