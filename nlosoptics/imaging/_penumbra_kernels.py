@@ -60,6 +60,17 @@ def _append(flat, flat_rate, a, b, weight, edges, weights, rates, count):
 
 
 @njit(cache=True)
+def _between(corners, rates, depth, i, j, t, out, out_rate, out_depth, at):
+    """Set corner ``at`` to the point at the part ``t`` of the way from corner i to corner j."""
+    for k in range(3):
+        out[at, k] = corners[i, k] + t * (corners[j, k] - corners[i, k])
+        for m in range(rates.shape[1]):
+            out_rate[at, m, k] = rates[i, m, k] + t * (rates[j, m, k] - rates[i, m, k])
+    for m in range(depth.shape[1]):
+        out_depth[at, m] = depth[i, m] + t * (depth[j, m] - depth[i, m])
+
+
+@njit(cache=True)
 def _clipped(corners, rates, depth, count, level, above, out, out_rate, out_depth):
     """Clip a convex polygon to depths above or below a level; return the number of its corners.
 
@@ -73,19 +84,18 @@ def _clipped(corners, rates, depth, count, level, above, out, out_rate, out_dept
         if not above:
             first, second = -first, -second
         if first >= 0.0:
-            out[size], out_rate[size], out_depth[size] = corners[i], rates[i], depth[i]
+            _between(corners, rates, depth, i, i, 0.0, out, out_rate, out_depth, size)
             size += 1
         if (first >= 0.0) != (second >= 0.0):
             t = first / (first - second)
-            out[size] = corners[i] + t * (corners[j] - corners[i])
-            out_depth[size, 0] = level
+            _between(corners, rates, depth, i, j, t, out, out_rate, out_depth, size)
             for m in range(rates.shape[1]):
                 # depth[:, 1 + m] is the rate of depth
-                deeper = depth[i, 1 + m] + t * (depth[j, 1 + m] - depth[i, 1 + m])
-                slide = -deeper / (depth[j, 0] - depth[i, 0])
-                out_rate[size, m] = rates[i, m] + t * (rates[j, m] - rates[i, m])
-                out_rate[size, m] += slide * (corners[j] - corners[i])
+                slide = -out_depth[size, 1 + m] / (depth[j, 0] - depth[i, 0])
                 out_depth[size, 1 + m] = 0.0
+                for k in range(3):
+                    out_rate[size, m, k] += slide * (corners[j, k] - corners[i, k])
+            out_depth[size, 0] = level
             size += 1
     return size
 
@@ -141,10 +151,13 @@ def outline(point, frame, shape, mesh, speeds, edges, weights, rates, count):
                 continue
             for i in range(3):
                 v = faces[f, i]
-                corners[i], moves[i] = vertices[v], speeds[v]
                 depth[i, 0] = flat[v, 0]
-                for m in range(n_rates):
-                    depth[i, 1 + m] = (frame[3] * speeds[v, m]).sum() / height
+                depth[i, 1:] = 0.0
+                for k in range(3):
+                    corners[i, k] = vertices[v, k]
+                    for m in range(n_rates):
+                        moves[i, m, k] = speeds[v, m, k]
+                        depth[i, 1 + m] += frame[3, k] * speeds[v, m, k] / height
             n = _clipped(corners, moves, depth, 3, NEAR, True, other, other_moves, other_depth)
             n = _clipped(
                 other, other_moves, other_depth, n, 1.0 - NEAR, False, corners, moves, depth
@@ -466,7 +479,12 @@ def _buffers(mesh, spot):
     most = first + len(mesh[2]) + 5 * len(mesh[1])
     edges, weights = np.empty((most, 4)), np.empty(most, np.int64)
     rates = np.empty((most, spot[2].shape[1], 4))
-    edges[:first], weights[:first], rates[:first] = spot[0], spot[1], spot[2]
+    for e in range(first):
+        weights[e] = spot[1][e]
+        for k in range(4):
+            edges[e, k] = spot[0][e, k]
+            for m in range(rates.shape[1]):
+                rates[e, m, k] = spot[2][e, m, k]
     return edges, weights, rates
 
 
@@ -537,5 +555,7 @@ def fill_rates(nodes, frame, plane, mesh, speeds, spot, wall, source, values, ou
                 continue
             pieces, n = _shadow(points, p, k, frame, shape, mesh, speeds, spot, buffers, pieces)
             _light(points[p, k], normals[p, k], lens[k], plane, wall, source, light)
-            light *= values * weights[p, k]
+            for row in range(shape[0]):
+                for column in range(shape[1]):
+                    light[row, column] *= values[row, column] * weights[p, k]
             cover_rates(buffers[0], buffers[2], pieces, n, light, out[p])

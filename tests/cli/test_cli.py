@@ -151,7 +151,7 @@ def test_help(command: list[str], run: Run) -> None:
 
 
 def test_schema_is_json(run: Run) -> None:
-    """A JSON schema that knows the four tables."""
+    """A JSON schema that knows the tables."""
     schema = json.loads(run("schema").out)
     assert set(schema["properties"]) == {
         "laser",
@@ -160,6 +160,8 @@ def test_schema_is_json(run: Run) -> None:
         "camera",
         "occluder",
         "transient",
+        "ambient",
+        "burst",
     }
 
 

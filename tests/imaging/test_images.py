@@ -31,6 +31,7 @@ from nlosoptics.scene import (
 def spread(scene, kernel=((1.0,),), **changes):
     """A point spread with the fields that an image needs."""
     fields = {"pitch": scene.camera.image_pitch, "normalisation": "unit-sum", **changes}
+    fields = {"pixel_integrated": False, **fields}
     return SimpleNamespace(intensity=np.array(kernel, dtype=float), **fields)
 
 

@@ -28,14 +28,14 @@ def run(path: Path, figure: str, **tables) -> Results:
 
 
 def test_sensitivities_are_differences_from_the_nominal_scene(tmp_path: Path) -> None:
-    cases = {"laser.power": ["4 mW", "7 mW", "0 W"], "camera.exposure": ["1 s"]}
+    cases = {"laser.power": ["4 mW", "7 mW", "-1 W"], "camera.exposure": ["1 s"]}
     results = run(tmp_path, "power", one_at_a_time=cases)
     bars = sensitivities(results, "power")
     assert [bar.case for bar in bars] == [
         "laser.power = 7 mW",
         "laser.power = 4 mW",
         "camera.exposure = 1 s",
-        "laser.power = 0 W",  # refused by the laser
+        "laser.power = -1 W",  # refused by the laser
     ]
     assert [bar.change for bar in bars[:3]] == approx([2e-3, -1e-3, 0.0], abs=1e-18)
     assert [bar.resolved for bar in bars] == [True, True, False, False]

@@ -131,6 +131,7 @@ def phase_retrieval(
             score=0.0,
             history=frozen({"fourier_error": []}),
             seconds=time.perf_counter() - started,
+            reasons=("the spectrum is that of noise, so that no object is seen; expose longer",),
         )
     data = data.in_torch()
     twin = None if model is None else torch_model(model, data.data.device, torch.float64)

@@ -97,9 +97,9 @@ def least_variation(
 
 def _differences(count: int) -> Any:
     """Return the matrix of forward differences of a row, (count, count); its last row is 0."""
-    matrix = scipy.sparse.eye(count, k=1, format="lil") - scipy.sparse.eye(count, format="lil")
-    matrix[count - 1] = 0.0
-    return matrix
+    matrix = np.eye(count, k=1) - np.eye(count)
+    matrix[-1] = 0.0
+    return scipy.sparse.csr_array(matrix)
 
 
 def _norm(values: Array) -> float:
