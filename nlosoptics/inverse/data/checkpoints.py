@@ -47,7 +47,8 @@ class Stop(Exception):
     >>> from nlosoptics.imaging import ForwardModel
     >>> from nlosoptics.inverse import Measurement, Stop, tv_deconvolve
     >>> model = ForwardModel(np.full((3, 3), 1 / 9), shape=(24, 24))
-    >>> image = model.forward(np.pad(np.eye(16), 4)) + np.random.default_rng(0).normal(0.0, 0.01, (24, 24))
+    >>> noise = np.random.default_rng(0).normal(0.0, 0.01, (24, 24))
+    >>> image = model.forward(np.pad(np.eye(16), 4)) + noise
     >>> def stop_early(text, fraction):
     ...     if fraction > 0.1:
     ...         raise Stop
