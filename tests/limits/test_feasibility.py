@@ -147,6 +147,7 @@ def test_diffuse_light_past_one_disc_is_limited_by_its_shadow(scene: Scene) -> N
     assert found.score == 0.0
 
 
+@pytest.mark.thorough
 def test_wide_lobe_is_told_with_the_slope_that_would_do(scene: Scene) -> None:
     found = limits.feasibility(walled(scene, 0.05))
     assert not found.recoverable

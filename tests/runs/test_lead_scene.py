@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
+
 import nlosoptics as nlos
 from nlosoptics import inverse
 
 
+@pytest.mark.thorough
 def test_the_chart_around_the_corner_is_recovered(examples) -> None:
     """Seen 64 pixels wide, which takes a quarter of the time; the full width gives 0.99 too."""
     scene = nlos.Scene.load(examples / "scenes" / "corner.toml").resized(64)

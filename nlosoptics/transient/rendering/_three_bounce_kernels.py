@@ -21,6 +21,7 @@ from ._visibility_kernels import (
     CORNERS,
     OVERFLOW,
     PIECES,
+    copy_row,
     frame,
     outline,
     outline_room,
@@ -265,7 +266,8 @@ def _seen(mesh, clear, p, q, outlined, known, known_is_q, room, pieces):
             for k in range(1, sizes[m] - 1):
                 if count == pieces.shape[0]:
                     longer = np.empty((2 * count, 13))
-                    longer[:count] = pieces
+                    for i in range(count):
+                        copy_row(pieces, i, longer, i)
                     pieces = longer
                 corners = polygons[m]
                 u0, v0 = corners[0], corners[1]

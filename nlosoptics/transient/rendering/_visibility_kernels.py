@@ -181,10 +181,19 @@ def _throw(mesh, p, a, b, sector, heads, links, lines, count):
 
 
 @njit(cache=True, error_model="numpy")
+def copy_row(source, i, target, j):
+    """Copy row i to row j; assignments of whole rows take seconds to compile."""
+    for k in range(source.shape[1]):
+        target[j, k] = source[i, k]
+
+
+@njit(cache=True, error_model="numpy")
 def _longer(links, lines):
     """Return copies of both arrays with twice the length."""
     more, longer = np.empty(2 * links.size, dtype=np.int64), np.empty((2 * links.size, 4))
-    more[: links.size], longer[: links.size] = links, lines
+    for i in range(links.size):
+        more[i] = links[i]
+        copy_row(lines, i, longer, i)
     return more, longer
 
 
@@ -391,8 +400,8 @@ def see(mesh, t, p, outlined, polygons, sizes, count, room):
     heads, links, lines, _ = outlined
     new = 0
     for m in range(count):
-        cells[0], cell_sizes[0] = polygons[m], sizes[m]
-        n_cells = 1
+        copy_row(polygons, m, cells, 0)
+        cell_sizes[0], n_cells = sizes[m], 1
         for i in range(crossed[t], crossed[t + 1]):
             n_cells = _cut(cells, cell_sizes, n_cells, cuts[i], sides)
         i = heads[t]
@@ -404,18 +413,21 @@ def see(mesh, t, p, outlined, polygons, sizes, count, room):
         seen = 0
         for k in range(n_cells):
             if not _hidden(mesh, t, p, cells[k], cell_sizes[k]):
-                cells[seen], cell_sizes[seen] = cells[k], cell_sizes[k]
+                copy_row(cells, k, cells, seen)
+                cell_sizes[seen] = cell_sizes[k]
                 seen += 1
         if seen == n_cells:  # entirely visible: keep the uncut polygon
-            cells[0], cell_sizes[0] = polygons[m], sizes[m]
-            seen = 1
+            copy_row(polygons, m, cells, 0)
+            cell_sizes[0], seen = sizes[m], 1
         if new + seen > more_sizes.size:
             return OVERFLOW
         for k in range(seen):
-            more[new], more_sizes[new] = cells[k], cell_sizes[k]
+            copy_row(cells, k, more, new)
+            more_sizes[new] = cell_sizes[k]
             new += 1
     for m in range(new):
-        polygons[m], sizes[m] = more[m], more_sizes[m]
+        copy_row(more, m, polygons, m)
+        sizes[m] = more_sizes[m]
     return new
 
 

@@ -100,6 +100,7 @@ def flat_grid(n=80, low=-SIZE[0] / 2):
     return points, np.array([0.0, 0.0, 1.0]), area
 
 
+@pytest.mark.thorough
 def test_matt_wall_sends_its_integral():
     """80 x 80 x 6 x 16 Gauss nodes are exact to 1e-9 here."""
     scene = point_scene(Lambert(0.6))
@@ -119,6 +120,7 @@ def test_matt_wall_sends_its_integral():
     assert found.energy.sum() == approx(found.flux - found.missed, abs=5 * seen)
 
 
+@pytest.mark.thorough
 def test_matt_wall_over_the_pixels():
     """Each pixel against the wall's own integral over what it sees through a pinhole."""
     scene = point_scene(Lambert(0.6), stop=2e-4, focus_distance=0.9)
@@ -155,6 +157,7 @@ def test_matt_wall_over_the_pixels():
     assert (found.energy[~on.reshape(16, 6, 16, 6).any(axis=(1, 3))] < 1e-3 * exact.max()).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("emission", ["lambertian", "isotropic"])
 def test_mirror_sends_what_the_lens_subtends(emission):
     """Seen from the mirrored point, the lens is lit by the inverse square."""
@@ -170,6 +173,7 @@ def test_mirror_sends_what_the_lens_subtends(emission):
     assert found.energy.sum() == approx(found.flux - found.missed, rel=1e-12)
 
 
+@pytest.mark.thorough
 def test_defocus_makes_a_disc():
     """A mirror image out of focus is the lens's shadow, with the thin lens's radius."""
     scene = point_scene(MIRROR, focus_distance=1.2)
@@ -190,6 +194,7 @@ def test_defocus_makes_a_disc():
     assert inside.std() < 0.3 * inside.mean()
 
 
+@pytest.mark.thorough
 def test_lobes_add():
     scene = point_scene(PAINT)
     both = trace_point(scene, shape=(1, 1))
@@ -234,6 +239,7 @@ def hollow_scene(material, radius=1.5, side=1.4, **options):
     return point_scene(material, wall=wall, **options)
 
 
+@pytest.mark.thorough
 def test_hollow_wall_by_bounces():
     """A sphere lights itself evenly, so every reflection has a closed form."""
     radius, rho = 1.5, 0.8
@@ -342,6 +348,7 @@ def test_paint_seen_by_way_of_a_mirror():
     assert share[2] > 10 * error[2]
 
 
+@pytest.mark.thorough
 def test_occluder_hides_half_the_wall():
     """A black sheet close above the wall leaves the integral over the other half."""
     sheet = trimesh.Trimesh(
@@ -362,6 +369,7 @@ def test_occluder_hides_half_the_wall():
     assert found.queries["shadow"] > 0
 
 
+@pytest.mark.thorough
 def test_field_stop_cuts_the_light():
     """A small lens sees the wall within the baffle's cone, mirror image or not."""
     scene = point_scene(Lambert(0.6), stop=1e-3, field_stop=0.5)
@@ -379,6 +387,7 @@ def test_field_stop_cuts_the_light():
     assert trace_point(point_scene(MIRROR, field_stop=0.01)).flux == 0.0
 
 
+@pytest.mark.thorough
 def test_point_of_a_mesh_shines_at_the_wall():
     """Its own faces are not in the way, and it shines about -z as the picture does."""
     scene = point_scene(PAINT)

@@ -91,6 +91,7 @@ def test_each_seed_is_one_surface(gloss):
     assert np.linalg.norm(one.energy - other.energy) > 3 * noise
 
 
+@pytest.mark.thorough
 def test_all_light_on_rough_walls(gloss):
     """Total flux and balance of a full trace, on a flat and a curved mean wall."""
     scene = Scene.load(Path(__file__).parents[3] / "examples" / "scenes" / "letter_rough.toml")
