@@ -179,7 +179,10 @@ class Scene(Noun, Shown):
         try:
             moved = [replace(camera, position=place, aim=aim) for place in places]
         except SceneError as error:
-            raise SceneError(f"burst.camera_step = {self.burst.camera_step:g} m: {error}") from None
+            raise SceneError(
+                f"burst.camera_step = {self.burst.camera_step:g} m leads to a camera that is "
+                f"refused ({error}); give a shorter step"
+            ) from None
         return tuple(replace(self, camera=camera, burst=None) for camera in moved)
 
     def _evaluate_colours(self) -> None:

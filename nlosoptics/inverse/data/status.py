@@ -159,9 +159,13 @@ def judged(
         residual = data.whitened((data.data - light) / data.sigma)
         beyond = twice * beyond_optics(signal, variance)
         detail = float((twice * signal).sum()) / (variance * level.size)
+        spectrum = power(residual)
+        # below 0.1 % of the image's amplitude, light beyond the cut-off is that of the pixels
+        seen = float((beyond * spectrum).sum()) > 1e-6 * detail * level.size
+        errors = _structure(spectrum, beyond, np.sqrt(typical)) if seen else 0.0
         faults = (
             *_residual_faults(data.score(light), detail, ending),
-            *_light_faults(_structure(power(residual), beyond, np.sqrt(typical))),
+            *_light_faults(errors),
             *_object_faults(level, model.boundary == "padded", 0.5 * (1.0 - share**2)),
         )
         if faults:
