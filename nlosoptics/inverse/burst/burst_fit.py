@@ -81,7 +81,7 @@ def burst_fit(
     images : array_like (K, H, W)
         Images of one object, in any unit that is proportional to light, without background
         (subtract it; its noise may remain). At least 6; 16 are often enough. Between two exposures
-        the camera or the laser moves along the wall by more than the part of it that the lens sees
+        the camera moves along the wall by more than the part of it that the lens sees
         from one object point. A shift of the whole image does not matter.
     spread : PointSpread
         Any point spread of the lens at the images' pixels, such as `scene_point_spread` or
