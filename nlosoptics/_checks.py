@@ -102,6 +102,16 @@ def whole(name: str, value: Any, low: int = 1, high: int | None = None) -> int:
     return number
 
 
+def whole_pair(name: str, value: Any, most: tuple[int, int] | None = None) -> tuple[int, int]:
+    """Return rows and columns as two whole numbers, each at least 1 and at most the limit."""
+    try:
+        rows, columns = value
+    except (TypeError, ValueError):
+        raise SceneError(f"{name} = {value!r} is not (rows, columns); give two integers") from None
+    high = most or (None, None)
+    return whole(f"{name}[0]", rows, 1, high[0]), whole(f"{name}[1]", columns, 1, high[1])
+
+
 def one_of(name: str, value: Any, choices: Iterable[str]) -> str:
     """Return ``value`` if it is one of ``choices``, otherwise raise `SceneError`."""
     choices = tuple(choices)

@@ -74,8 +74,8 @@ def _between(corners, rates, depth, i, j, t, out, out_rate, out_depth, at):
 def _clipped(corners, rates, depth, count, level, above, out, out_rate, out_depth):
     """Clip a convex polygon to depths above or below a level; return the number of its corners.
 
-    ``depth`` (count,) is linear in space. A new corner moves with the edge it cuts, in the plane
-    of this depth.
+    ``depth`` (count, 1 + m), linear in space, is followed by its m rates. A new corner moves with
+    the edge that it cuts, in the plane of this depth.
     """
     size = 0
     for i in range(count):
@@ -90,7 +90,6 @@ def _clipped(corners, rates, depth, count, level, above, out, out_rate, out_dept
             t = first / (first - second)
             _between(corners, rates, depth, i, j, t, out, out_rate, out_depth, size)
             for m in range(rates.shape[1]):
-                # depth[:, 1 + m] is the rate of depth
                 slide = -out_depth[size, 1 + m] / (depth[j, 0] - depth[i, 0])
                 out_depth[size, 1 + m] = 0.0
                 for k in range(3):

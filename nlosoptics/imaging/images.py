@@ -282,7 +282,7 @@ def form_image(
     exposure = positive("exposure", camera.exposure if exposure is None else exposure, unit="s")
     _check_pitch(point_spread, camera.image_pitch)
     if not isinstance(point_spread, PointSpreadField):
-        _check_energy(point_spread)
+        _check_energy(scene, point_spread)
     if object_image is not None:
         scene = _with_picture(scene, object_image)
     levels = light_levels(scene, exposure=exposure, shadows=shadows)
@@ -444,7 +444,7 @@ def _check_pitch(point_spread: PointSpread | PointSpreadField, pitch: float) -> 
         )
 
 
-def _check_energy(point_spread: PointSpread) -> None:
+def _check_energy(scene: Scene, point_spread: PointSpread) -> None:
     if point_spread.normalisation != "unit-sum":
         raise SamplingError(
             f"point_spread.normalisation = {point_spread.normalisation!r}, must be 'unit-sum' "
@@ -458,7 +458,8 @@ def _check_energy(point_spread: PointSpread) -> None:
         )
     total = float(point_spread.intensity.sum())
     # one rough wall may focus more light into the lens than a smooth one reflects into it
-    if total > 1.01 and not point_spread.pixel_integrated:
+    focuses = scene.wall_roughness is not None and point_spread.pixel_integrated
+    if total > 1.01 and not focuses:
         raise SamplingError(
             f"point_spread sums to {total:g}, limit 1: point samples are too coarse for its peak; "
             "compute it with pixel_integrated=True"

@@ -12,7 +12,16 @@ import numpy as np
 import scipy  # its parts are loaded on first use
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import available_memory, fits_memory, in_range, one_of, positive, vector, whole
+from .._checks import (
+    available_memory,
+    fits_memory,
+    in_range,
+    one_of,
+    positive,
+    vector,
+    whole,
+    whole_pair,
+)
 from .._nouns import Noun
 from .._random import generator
 from ..errors import SamplingError, SceneError
@@ -137,8 +146,8 @@ class WallTransport(Noun):
         camera = self.scene.camera
         exposure = camera.exposure if self.exposure is None else self.exposure
         values: dict[str, Any] = {
-            "cells": _counts("cells", self.cells, (MOST_SAMPLES, MOST_SAMPLES)),
-            "pixels": _counts("pixels", self.pixels or camera.shape, camera.shape),
+            "cells": whole_pair("cells", self.cells, (MOST_SAMPLES, MOST_SAMPLES)),
+            "pixels": whole_pair("pixels", self.pixels or camera.shape, camera.shape),
             "exposure": positive("exposure", exposure, unit="s"),
             "lobe": tuple(in_range("lobe", power, 0.0, 1e3) for power in self.lobe),
         }
@@ -573,15 +582,6 @@ class WallTransport(Noun):
         met = np.count_nonzero(weights, axis=1)
         weights *= (visible.ravel() / np.maximum(met, 1))[:, None]
         return points, normals, weights, lens
-
-
-def _counts(name: str, value: Any, most: tuple[int, int]) -> tuple[int, int]:
-    """Return rows and columns as two whole numbers, each at most the limit."""
-    try:
-        rows, columns = value
-    except (TypeError, ValueError):
-        raise SceneError(f"{name} = {value!r} is not (rows, columns); give two integers") from None
-    return whole(f"{name}[0]", rows, 1, most[0]), whole(f"{name}[1]", columns, 1, most[1])
 
 
 def _checked(name: str, values: ArrayLike, shape: tuple[int, int]) -> Array:

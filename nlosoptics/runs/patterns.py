@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ..errors import SamplingError
 from ..imaging.images import mirror_image
-from ..psf import PointSpread, scene_point_spread
 from ..psf.pupil.exit_pupil import ExitPupil, exit_pupil
 from ..psf.pupil.scene_optics import PointOptics, SceneOptics
 from ..psf.rough.relief import ReliefView
@@ -50,13 +49,6 @@ def mean_optics(optics: SceneOptics) -> SceneOptics:
     assert rough is not None
     scene = replace(optics.scene, wall_roughness=replace(rough, realisation="mean"), burst=None)
     return SceneOptics(scene, optics.exit_pupil)
-
-
-def mean_spread(scene: Scene, tol: float) -> PointSpread:
-    """Return the mean point spread over all walls of a roughness, as far as an image reaches."""
-    optics = mean_optics(SceneOptics(scene, exit_pupil(scene)))
-    wide = 2 * max(scene.camera.shape) - 1
-    return scene_point_spread(optics, tol, shape=wide).point_spread
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import inspect
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,10 +25,10 @@ from .._random import checked_seed
 from .._whole_files import RECORD, whole_folder, write_whole
 from ..errors import SamplingError, SceneError
 from ..imaging import CameraImage, ForwardModel, camera_image
-from ..psf import PointSpreadField, SceneOptics
+from ..psf import PointSpreadField, SceneOptics, scene_point_spread
 from ..scene import Scene
 from .noise import camera_noise
-from .patterns import BURST, mean_spread
+from .patterns import BURST
 from .plan import plan
 from .record import arrays, now, record_text, scene_hash, versions, write_record
 from .simulate import image_model, image_spreads
@@ -261,7 +261,9 @@ def _several(task: Task, options: dict[str, Any]) -> Reconstruction:
         )
     if task.method == BURST:
         options = _accepted(task, inverse.burst_fit, options)
-        return inverse.burst_fit(images, mean_spread(scene, task.tol), **options)
+        smooth = replace(scene, wall_roughness=None, burst=None)
+        lens = scene_point_spread(smooth, task.tol, shape=16)  # whose extent is not used
+        return inverse.burst_fit(images, lens.point_spread, **options)
     pupil = inverse.PupilPSF.from_scene(
         scene,
         MODES,

@@ -16,7 +16,7 @@ from ..errors import NotWaveGradeError
 from ..imaging.detector import full_reading
 from ..scene import MeshWall, PlanarObject, Scene
 from .noise import electron_noise
-from .patterns import BURST, CHECKS, mean_optics, mean_spread, uses_mean
+from .patterns import BURST, CHECKS, mean_optics, uses_mean
 from .plan import MOST_SECONDS, Plan, looked_at
 from .refusals import wave_refusal
 from .results import Result
@@ -147,7 +147,7 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
         if burst is None:
             reconstruction = _reconstruct(scene, image, spreads, shadows)
         else:
-            reconstruction = inverse.burst_fit(burst, mean_spread(scene, tol), seed=seed)
+            reconstruction = inverse.burst_fit(burst, spread, seed=seed)
     ends = [*list(begun.values())[1:], time.perf_counter()]
     if progress is not None:
         progress("done", 1.0)

@@ -239,6 +239,7 @@ def test_mesh_casts_a_shadow_on_itself(flat_scene):
         ({"pitch": 9e-6}, SamplingError, "point_spread.pitch = 9e-06 m, camera pixels are"),
         ({"normalisation": "ideal-peak"}, SamplingError, "normalisation='unit-sum'"),
         ({"kernel": [[3.0]]}, SamplingError, "sums to 3, limit 1"),
+        ({"kernel": [[3.0]], "pixel_integrated": True}, SamplingError, "sums to 3, limit 1"),
         ({"kernel": [[0.8, -0.1]]}, SamplingError, "is negative, down to -0.1 with a peak of 0.8"),
         ({"exposure": -1.0}, SceneError, "exposure"),
         ({"exposure": math.nan}, SceneError, "exposure"),

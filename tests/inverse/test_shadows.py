@@ -140,6 +140,9 @@ TABLE = {
     "operator": ({"operator": np.full((576, 196), np.nan)}, "operator has values that are not"),
     "rows": ({"operator": np.ones((575, 196))}, "operator has 575 rows and image the shape"),
     "noise": ({"noise": 0.0}, "noise is not above 0 in all pixels; state"),
+    "negative": ({"noise": -1.0}, "noise is not above 0 in all pixels; state"),
+    "nothing": ({"image": np.full((24, 24), np.nan)}, "image has 0 pixels among finite ones"),
+    "size": ({"cells": 3}, "cells = 3 is not (rows, columns); give two integers"),
     "reference": ({"reference": np.ones((3, 4))}, "reference has shape (3, 4); give numbers"),
     "ambient": ({"noise": 1.0, "ambient": 13}, "ambient = 13 is out of range"),
     "brightest": ({"noise": 1.0, "brightest": -1.0}, "brightest = -1 is out of range"),
@@ -154,3 +157,19 @@ def test_refusals(options, message):
         inverse.shadow_fit(**options)
     assert message in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("call", "start", "message"),
+    [(3, 0.0, "operator_at = 3 cannot be called"), (operator, "x", "start of type str is not an")],
+)
+def test_a_search_needs_a_function_and_numbers(call, start, message):
+    with pytest.raises(NlosError, match=message):
+        inverse.occluder_fit(IMAGE, call, start=start, cells=(CELLS, CELLS))
+
+
+def test_an_operator_that_ambient_light_explains_shows_no_object():
+    """All cells light the wall evenly, as the room does."""
+    fit = inverse.shadow_fit(IMAGE, np.ones((576, 9)), cells=(3, 3), noise=1.0)
+    assert fit.status == "too_few_photons"
+    assert not fit.object.any()

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..._checks import whole
 from ...errors import SamplingError, SceneError
+from ..data.arrays import MEDIAN_OVER_SIGMA, real_array
 
 Array = NDArray[np.float64]
 
@@ -90,7 +91,8 @@ def wall_image(
     if noise is None:
         variance = _variance_by_neighbours(light, seen)
     else:
-        variance = _colours("noise", noise, light.shape) ** 2
+        rms = _colours("noise", noise, light.shape)
+        variance = np.where(rms > 0.0, rms**2, 0.0)
     if not (variance > 0.0).all():
         raise SceneError("noise is not above 0 in all pixels; state the rms noise of each pixel")
     (rows, columns), colours = pixels, light.shape[2]
@@ -133,11 +135,11 @@ def wall_image(
 
 def _colours(name: str, values: Any, shape: tuple[int, ...] | None = None) -> Array:
     """Return an image as float64 (H, W, C), broadcast to a shape if one is given."""
+    array = real_array(name, values)
+    array = array[..., None] if array.ndim == 2 else array
     try:
-        array = np.asarray(values, dtype=np.float64)
-        array = array[..., None] if array.ndim == 2 else array
         array = array if shape is None else np.broadcast_to(array, shape)
-    except (TypeError, ValueError):
+    except ValueError:
         raise SamplingError(
             f"{name} has shape {np.shape(values)}; give numbers, (H, W) or (H, W, C) as the image"
         ) from None
@@ -158,15 +160,21 @@ def _variance_by_neighbours(light: Array, seen: Array, groups: int = 16) -> Arra
             "estimate its noise; state the noise"
         )
     kernel = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0]) / 6.0
-    level = np.maximum(seen, 0.0) / max(float(np.nanmean(np.maximum(seen, 0.0))), 1e-300)
+    lit = np.maximum(seen, 0.0)
+    finite = np.isfinite(lit)
+    level = lit / max(float(lit[finite].sum()) / max(np.count_nonzero(finite), 1), 1e-300)
     result = np.empty_like(light)
     for colour in range(light.shape[2]):
         rough = scipy.signal.convolve2d(light[..., colour], kernel, mode="valid").ravel() ** 2
         near = level[1:-1, 1:-1, colour].ravel()
         good = np.flatnonzero(np.isfinite(rough + near))
+        if len(good) < 4 * groups:
+            raise SamplingError(
+                f"image has {len(good)} pixels among finite ones, must have at least {4 * groups} "
+                "to estimate its noise; state the noise"
+            )
         parts = np.array_split(good[np.argsort(near[good], kind="stable")], groups)
-        # the median of a squared normal variate is 0.4549 of its variance
-        squares = np.array([np.median(rough[part]) / 0.4549 for part in parts])
+        squares = np.array([np.median(rough[part]) / MEDIAN_OVER_SIGMA**2 for part in parts])
         columns = np.stack([np.ones(groups), [near[part].mean() for part in parts]], 1)
         weight = 1.0 / np.maximum(squares, 0.1 * squares.mean() + 1e-300)
         constant, slope = scipy.optimize.nnls(columns * weight[:, None], squares * weight)[0]
@@ -226,8 +234,9 @@ def evidence(
         smooth = data.ambient(order)
         seen, light = smooth.T @ response, smooth.T @ data.values
         values, vectors = np.linalg.eigh(gram - seen.T @ seen)
-        values = np.maximum(values, 0.0)
-        projected = vectors.T @ (moment - seen.T @ light)
+        # modes that ambient light explains are rounding
+        values[values < values.size * np.finfo(float).eps * np.trace(gram)] = 0.0
+        projected = (vectors.T @ (moment - seen.T @ light)) * (values > 0.0)[:, None]
         left = power - (light**2).sum(0)
         count = (len(data.values) - smooth.shape[1]) / data.correlated
         price = smooth.shape[1] * np.log(power).sum()
@@ -268,7 +277,7 @@ def _strongest(
         misfit, scale = _misfit(left - explained, count)
         return 0.5 * (misfit + float(np.log(weighed).sum())), scale
 
-    grid = np.arange(-3.0, 30.0) - math.log(max(float(values[-1]), 1e-300))
+    grid = np.arange(-3.0, 30.0) - math.log(max(float(values[-1]), 1e-200))
     start = grid[np.argmin([cost(value)[0] for value in grid])]
     best = scipy.optimize.minimize_scalar(
         lambda value: cost(value)[0], bounds=(start - 1.0, start + 1.0), method="bounded"

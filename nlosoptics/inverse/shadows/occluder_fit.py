@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import positive, whole
 from ...errors import SceneError
+from ..data.arrays import real_array
 from ..data.reconstruction import Reconstruction
 from .linear_model import evidence, wall_image
 from .shadow_fit import (
@@ -123,7 +124,9 @@ def occluder_fit(
     ('converged', True)
     """
     started = time.perf_counter()
-    first = np.atleast_1d(np.asarray(start, dtype=np.float64))
+    first = np.atleast_1d(real_array("start", start))
+    if not callable(operator_at):
+        raise SceneError(f"operator_at = {operator_at!r} cannot be called; give a function")
     if first.ndim != 1 or not np.isfinite(first).all():
         raise SceneError(f"start = {start!r} must be finite numbers; give one for each value")
     reach = positive("reach", reach)

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import in_range, positive, whole
+from ..._checks import in_range, positive, whole, whole_pair
 from ...errors import SamplingError, SceneError
+from ..data.arrays import real_array
 from ..data.reconstruction import Reconstruction, frozen
 from .linear_model import Evidence, WallImage, evidence, wall_image
 from .total_variation import least_variation
@@ -26,7 +27,8 @@ class Limits:
     ``detection``: least gain in log evidence over a wall without an object, odds of 1000 to 1.
     ``misfit``: largest power of the residual beyond the noise, over the power that the object
     explains; ``errors``: as many standard errors of the residual are not counted. ``correlation``:
-    least expected correlation of the linear estimate.
+    least expected correlation of the linear estimate. ``disagreement``: largest difference of this
+    correlation from that of the object with the linear estimate.
     """
 
     detection: float = math.log(1000.0)
@@ -177,11 +179,9 @@ def checked_operator(
     operator: Any, image: tuple[int, ...], cells: tuple[int, int] | None = None
 ) -> Operator:
     """Return an operator or a matrix with the shapes of its pixels and cells, checked."""
-    try:
-        matrix = np.asarray(getattr(operator, "matrix", operator), dtype=np.float64)
-    except (TypeError, ValueError):
-        raise SceneError("operator is not an array of numbers; give (pixels, cells)") from None
+    matrix = real_array("operator", getattr(operator, "matrix", operator))
     cells = getattr(operator, "cell_shape", cells)
+    cells = None if cells is None else whole_pair("cells", cells)
     if cells is None or matrix.ndim != 2 or math.prod(cells) != matrix.shape[1]:
         raise SamplingError(
             f"operator has shape {matrix.shape} for {cells} cells, must be (pixels, rows * columns)"
@@ -199,7 +199,7 @@ def checked_operator(
             f"operator has {matrix.shape[0]} rows and image the shape {image}; give one row for "
             "each pixel, or for each square of pixels"
         )
-    return Operator(matrix, (int(pixels[0]), int(pixels[1])), (int(cells[0]), int(cells[1])))
+    return Operator(matrix, pixels, cells)
 
 
 def fitted(
