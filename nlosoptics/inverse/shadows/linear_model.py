@@ -162,7 +162,8 @@ def _variance_by_neighbours(light: Array, seen: Array, groups: int = 16) -> Arra
     kernel = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0]) / 6.0
     lit = np.maximum(seen, 0.0)
     finite = np.isfinite(lit)
-    level = lit / max(float(lit[finite].sum()) / max(np.count_nonzero(finite), 1), 1e-300)
+    mean = float(lit[finite].sum()) / max(int(np.count_nonzero(finite)), 1)
+    level = lit / max(mean, 1e-300)
     result = np.empty_like(light)
     for colour in range(light.shape[2]):
         rough = scipy.signal.convolve2d(light[..., colour], kernel, mode="valid").ravel() ** 2
