@@ -1,17 +1,18 @@
-"""Commands transient and phasor, for time-resolved captures."""
+"""Commands transient and image, for time-resolved captures."""
 
 from __future__ import annotations
 
 import time
 import warnings
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .._checks import one_of
 from .._whole_files import whole_folder
-from ..errors import SceneError
 from ..runs.record import arrays, now, peak_memory, scene_hash, versions, write_record
 from .shell import (
     Changes,
@@ -33,9 +34,11 @@ from .shell import (
 )
 
 if TYPE_CHECKING:
-    from ..transient import PhasorImage, TransientCapture
+    from ..transient import TransientCapture, VolumeImage
+    from ..transient.imaging.depth import DepthMap
 
 PICOSECOND = 299792458e-12  # m of optical path
+_LENGTHS = ("wl_mean", "wl_sigma", "aperture")
 
 
 @app.command("transient", short_help="Simulate a time-resolved capture of a scene.")
@@ -129,54 +132,65 @@ def transient_command(
         print_table(_capture_rows(capture, path, time.perf_counter() - start))
 
 
-@app.command("phasor", short_help="Form an image of the hidden scene from a time-resolved capture.")
-def phasor_command(
+@app.command("image", short_help="Form an image of the hidden scene from a time-resolved capture.")
+def image_command(
     context: typer.Context,
     capture_file: Annotated[
-        Path, typer.Argument(metavar="CAPTURE", help="Capture file: HDF5 or .mat.")
+        Path, typer.Argument(metavar="CAPTURE", help="Capture file: HDF5, .mat, .npy or .npz.")
     ],
     out: Out = None,
+    method: Annotated[
+        str, typer.Option(help="Method: phasor, fk, lct or backprojection.")
+    ] = "phasor",
     camera: Annotated[
-        str, typer.Option(help="Virtual camera: confocal_time_gated or direct_light.")
+        str, typer.Option(help="Virtual camera of phasor: confocal_time_gated or direct_light.")
     ] = "confocal_time_gated",
     wl_mean: Annotated[
-        float | None,
-        typer.Option(help="Central wavelength of the virtual pulse, m; by default from the file."),
-    ] = None,
+        str,
+        typer.Option(
+            help="Central wavelength of the virtual pulse, such as 6cm; by default from the file's "
+            "scene or chosen from the photons."
+        ),
+    ] = "",
     wl_sigma: Annotated[
-        float | None,
-        typer.Option(help="Length (sigma) of the virtual pulse, m; by default wl-mean/sqrt(2)."),
-    ] = None,
+        str,
+        typer.Option(help="Length (sigma) of the virtual pulse; by default wl-mean/sqrt(2)."),
+    ] = "",
     near: Annotated[
-        float | None,
-        typer.Option(
-            help="Distance of the first image plane from the wall, m; by default from the file."
-        ),
-    ] = None,
+        str, typer.Option(help="Distance of the first image plane from the wall, such as 0.4m.")
+    ] = "",
     far: Annotated[
-        float | None,
-        typer.Option(
-            help="Distance of the last image plane from the wall, m; by default from the file."
-        ),
-    ] = None,
+        str, typer.Option(help="Distance of the last image plane from the wall, such as 0.9m.")
+    ] = "",
     step: Annotated[
-        float | None,
-        typer.Option(help="Distance between neighbouring planes, m; by default from the file."),
-    ] = None,
+        str, typer.Option(help="Distance between neighbouring planes, such as 5mm.")
+    ] = "",
     aperture: Annotated[
-        float | None,
+        str,
         typer.Option(
-            help="Use only wall points in a central square with this side, m; by default all."
+            help="Use only wall points in a central square with this side; by default all."
         ),
-    ] = None,
-    delta_t: Annotated[
-        float | None,
-        typer.Option(help="Width of a time bin, m of optical path, if the file does not state it."),
-    ] = None,
+    ] = "",
+    array: Annotated[
+        str, typer.Option(help="Name of the array with the counts in a file of another layout.")
+    ] = "",
+    axes: Annotated[
+        str,
+        typer.Option(help="Order of its axes, such as y,x,t; -y is an axis that runs downward."),
+    ] = "t,y,x",
+    side: Annotated[
+        str, typer.Option(help="Side of the scanned wall in such a file, such as 0.7m.")
+    ] = "",
+    bin: Annotated[
+        str,
+        typer.Option(
+            help="Width of a time bin, as time (16ps) or path (4.8mm), if not in the file."
+        ),
+    ] = "",
     t_start: Annotated[
-        float | None,
-        typer.Option(help="Start of bin 0, m of optical path, if the file does not state it."),
-    ] = None,
+        str,
+        typer.Option(help="Start of bin 0, as time or path, if the file does not state it."),
+    ] = "",
     pairing: Annotated[
         str | None,
         typer.Option(
@@ -199,15 +213,18 @@ def phasor_command(
         ),
     ] = None,
     gate_start: Annotated[
-        float | None,
-        typer.Option(help="Drop all earlier bins, to remove direct light; m of optical path."),
-    ] = None,
+        str,
+        typer.Option(help="Drop all earlier bins, to remove direct light; time or optical path."),
+    ] = "",
+    seed: Seed = 0,
     debug: Debug = False,
 ) -> None:
-    """Form an image of the hidden scene from a time-resolved capture, by the phasor-field method.
+    """Form an image of the hidden scene from a time-resolved capture.
 
-    The output folder gets the volume (volume.npz), views from the front, the top and the side, and
-    result.json. Options that only describe the capture are needed if the file does not state them.
+    Gate, background, wavelength and planes that neither the file nor an option states are chosen
+    from the capture: two halves of its photons must agree on the front view. The output folder gets
+    the volume with depths (volume.npz), views from the front, the top and the side, a map of
+    depths, and result.json.
     """
     with errors_told(debug):
         start = time.perf_counter()
@@ -216,109 +233,177 @@ def phasor_command(
 
         check_target(folder)
         drawn = can_draw()
-        picture = {"wl_mean": wl_mean, "near": near, "far": far, "step": step}
+        lengths = {
+            name: _path(f"--{name.replace('_', '-')}", text)
+            for name, text in (
+                ("wl_mean", wl_mean),
+                ("near", near),
+                ("far", far),
+                ("step", step),
+                ("wl_sigma", wl_sigma),
+                ("aperture", aperture),
+                ("side", side),
+                ("bin", bin),
+                ("t_start", t_start),
+                ("gate_start", gate_start),
+            )
+        }
         capture = transient.TransientCapture.load(
             capture_file,
-            delta_t=delta_t,
-            t_start=t_start,
+            array=array or None,
+            axes=axes,
+            side=lengths["side"],
+            delta_t=lengths["bin"],
+            t_start=lengths["t_start"],
             pairing=pairing,
             laser_points=numbers("--laser-points", laser_points) or None,
             outer_legs=outer_legs,
         )
-        if gate_start is not None:
-            capture = transient.gated(capture, start=gate_start)
-        wanted = _planes(capture_file, capture, picture)
-        volume = transient.Volume.facing(
-            _grid(capture), (wanted["near"], wanted["far"], wanted["step"])
-        )
+        if lengths["gate_start"] is not None:
+            capture = transient.gated(capture, start=lengths["gate_start"])
+        picture = {name: lengths[name] for name in ("wl_mean", "near", "far", "step")}
         with progress_bar(width=32) as progress, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the image's notes repeat the warnings
-            image = transient.phasor_image(
+            image, depths = _formed(
                 capture,
-                volume,
-                camera=camera,  # type: ignore[arg-type]  # checked there
-                wl_mean=wanted["wl_mean"],
-                wl_sigma=wl_sigma,
-                aperture=aperture,
-                progress=progress,
+                picture,
+                one_of("--method", method, ("phasor", "fk", "lct", "backprojection")),
+                seed,
+                progress,
+                camera=camera,
+                wl_sigma=lengths["wl_sigma"],
+                aperture=lengths["aperture"],
             )
             progress("writing", 1.0)
             report = _report(image, capture, capture_file) | {"command_line": typed(context)}
             with whole_folder(folder) as new:
-                _write_picture(image, new, drawn)
+                if image is not None and depths is not None:
+                    _write_picture(image, depths, new, drawn)
                 report["seconds"]["total"] = time.perf_counter() - start
                 write_record(report, new)
-        for note in image.notes:
+        for note in report["notes"]:
             typer.echo(f"nlosoptics: {note}", err=True)
         print_table(_picture_rows(report, folder))
 
 
-def _grid(capture: TransientCapture) -> Any:
-    """Return the grid of wall points that the volume faces.
+def _path(option: str, text: str) -> float | None:
+    """Return a length or time of light, such as 4.8mm or 16ps, in m; a number is in m."""
+    from ..scene.file.units import measured
+    from ..scene.parts._quantities import Kind
 
-    These are the sensor points, or the laser points if there is a single sensor point.
-    """
-    sensors, lasers = capture.sensor_points, capture.laser_points
-    # some files store a single point as a grid
-    alone = sensors.ndim < 3 or (sensors.size == 3 and lasers.ndim == 3)
-    return lasers if alone else sensors
+    if not text:
+        return None
+    with suppress(ValueError):
+        return float(text)
+    value, kind = measured(text) or (0.0, None)
+    if kind not in (Kind.LENGTH, Kind.TIME):
+        raise typer.BadParameter(
+            f"{text!r} is neither a length nor a time; give such as 4.8mm or 16ps",
+            param_hint=option,
+        )
+    return value if kind == Kind.LENGTH else value * 1e12 * PICOSECOND
 
 
-def _planes(
-    path: Path, capture: TransientCapture, picture: dict[str, float | None]
-) -> dict[str, float]:
-    """Return wavelength and planes of an image: the options, else those of the capture's scene."""
+def _formed(
+    capture: TransientCapture,
+    picture: dict[str, float | None],
+    method: str,
+    seed: int,
+    progress: Any,
+    **options: Any,
+) -> tuple[VolumeImage | None, DepthMap | None]:
+    """Return an image and its depths by the options, the file's scene, or else the photons."""
+    from .. import transient
+    from ..transient.imaging.advice import AMPLITUDE, grid_of
+
     stored = capture.details.get("picture")
-    wanted = dict(stored) if isinstance(stored, dict) else {}
+    wanted: dict[str, float] = dict(stored) if isinstance(stored, dict) else {}
     wanted |= {name: value for name, value in picture.items() if value is not None}
-    missing = [f"--{name.replace('_', '-')}" for name in picture if name not in wanted]
-    if missing:
-        raise SceneError(f"{path} does not state all values for an image; add {', '.join(missing)}")
-    return wanted
+    if set(picture) - set(wanted):
+        advice = transient.advise(capture, seed=seed, progress=progress)
+        if advice.image is None:
+            return None, None
+        chosen = not wanted and options == {**options, "wl_sigma": None, "aperture": None}
+        if method == "phasor" and chosen and options["camera"] == "confocal_time_gated":
+            return advice.image, advice.depths
+        z = advice.image.volume.z
+        wl_mean = advice.image.wl_mean
+        step = wl_mean / (4 if method == "phasor" else 16)  # the others have sharper edges
+        wanted = {"near": z[0], "far": z[-1], "step": step, "wl_mean": wl_mean} | wanted
+        capture = advice.light
+    volume = transient.Volume.facing(
+        grid_of(capture), (wanted["near"], wanted["far"], wanted["step"])
+    )
+    if method == "phasor":
+        image: VolumeImage = transient.phasor_image(
+            capture, volume, wl_mean=wanted["wl_mean"], progress=progress, **options
+        )
+    elif method == "backprojection":
+        image = transient.backprojection(capture, volume, progress=progress)
+    else:
+        light = transient.without_outer_legs(capture)
+        if method == "fk":  # the root of noise would be brighter than the noise
+            image = transient.fk_migration(light, volume, amplitude="light", progress=progress)
+        else:
+            image = transient.lct(light, volume, progress=progress)
+    # intensities of waves are squares of amplitudes
+    share = AMPLITUDE ** (2 if method in ("phasor", "fk") else 1)
+    return image, transient.depth_map(image, threshold=share)
 
 
-def _report(image: PhasorImage, capture: TransientCapture, path: Path) -> dict[str, Any]:
+def _report(image: VolumeImage | None, capture: TransientCapture, path: Path) -> dict[str, Any]:
     """Contents of ``result.json`` for an image of a capture."""
     import hashlib
 
     import numpy as np
 
-    z, y, x = np.unravel_index(int(image.intensity.argmax()), image.intensity.shape)
-    volume = image.volume
+    figures: dict[str, Any] = {
+        "reconstruction_status": "no object above the noise",
+        "capture_shape": list(capture.H.shape),
+        "peak_memory_bytes": peak_memory(),
+    }
+    if image is not None:
+        z, y, x = np.unravel_index(int(image.intensity.argmax()), image.intensity.shape)
+        volume = image.volume
+        figures |= {
+            "reconstruction_status": "converged",
+            "method": image.method,
+            "brightest_voxel": [float(volume.x[x]), float(volume.y[y]), float(volume.z[z])],
+            "volume_shape": list(volume.shape),
+        }
     ran = capture.details.get("run")
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
+    details = {} if image is None else image.details
     return {
         "program": "nlosoptics",
-        "command": "phasor",
+        "command": "image",
         "status": "done",
         "finished": now(),
-        "figures": {
-            "brightest_voxel": [float(volume.x[x]), float(volume.y[y]), float(volume.z[z])],
-            "volume_shape": list(volume.shape),
-            "capture_shape": list(capture.H.shape),
-            "peak_memory_bytes": peak_memory(),
-        },
-        "camera": image.camera,
-        "wl_mean": image.wl_mean,
-        "wl_sigma": image.wl_sigma,
-        "aperture": image.aperture,
-        "notes": list(image.notes),
-        "details": {k: v for k, v in image.details.items() if isinstance(v, str | int | float)},
+        "figures": figures,
+        **{name: getattr(image, name, None) for name in ("camera", *_LENGTHS)},
+        "notes": list(getattr(image, "notes", ())),
+        "details": {k: v for k, v in details.items() if isinstance(v, str | int | float)},
         "capture_file": path.name,
         "capture_sha256": digest,
         "capture_run": dict(ran) if isinstance(ran, dict) else None,
-        "seconds": {"reconstruction": image.seconds},
+        "seconds": {} if image is None else {"reconstruction": image.seconds},
         "versions": versions(),
     }
 
 
-def _write_picture(image: PhasorImage, folder: Path, drawn: bool) -> None:
-    """Write the volume with its axes, and pictures of it from the wall, from above and the side."""
+def _write_picture(image: VolumeImage, depths: DepthMap, folder: Path, drawn: bool) -> None:
+    """Write the volume with its axes and depths, and pictures of it."""
     import numpy as np
 
+    field = {"field": image.field} if hasattr(image, "field") else {}
     np.savez(
-        folder / "volume.npz", intensity=image.intensity, field=image.field, **arrays(image.volume)
+        folder / "volume.npz",
+        intensity=image.intensity,
+        depth=depths.depth,
+        confidence=depths.confidence,
+        **field,
+        **arrays(image.volume),
     )
     if not drawn:
         return
@@ -326,6 +411,7 @@ def _write_picture(image: PhasorImage, folder: Path, drawn: bool) -> None:
 
     for name, axis in (("front", "z"), ("top", "y"), ("side", "x")):
         views.save(views.volume(image, axis=axis), folder / f"{name}.png")
+    views.save(views.depth_map(depths), folder / "depth.png")
 
 
 def _capture_rows(
@@ -346,9 +432,13 @@ def _capture_rows(
 
 def _picture_rows(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
     figures = report["figures"]
-    place = ", ".join(f"{value:.3g}" for value in figures["brightest_voxel"])
-    yield ("brightest voxel", f"({place}) m")
-    yield ("voxels", " x ".join(map(str, figures["volume_shape"])))
-    yield ("camera", f"{report['camera']}, wavelength {report['wl_mean']:g} m")
+    yield ("reconstruction", figures["reconstruction_status"])
+    if "brightest_voxel" in figures:
+        place = ", ".join(f"{value:.3g}" for value in figures["brightest_voxel"])
+        yield ("brightest voxel", f"({place}) m")
+        yield ("voxels", " x ".join(map(str, figures["volume_shape"])))
+        yield ("method", figures["method"])
+    if report["wl_mean"] is not None:
+        yield ("virtual wavelength", f"{report['wl_mean']:.3g} m")
     yield from stage_rows(report)
     yield ("written to", str(folder))

@@ -19,7 +19,7 @@ from .elements import Part, facts, number, plot, quantity, seconds, sections, sp
 COMMANDS = {
     "run": "simulation",
     "reconstruct": "reconstruction from camera images",
-    "phasor": "image from a time-resolved capture",
+    "image": "image from a time-resolved capture",
 }
 
 #: Meaning of a reconstruction's status for its object; see `inverse.Reconstruction`.
@@ -56,7 +56,7 @@ def contents(folder: Path, record: dict[str, Any], computed: bool) -> tuple[str,
             made += [("reconstruction", "Reconstruction", _fit(result, figures))]
     elif command == "reconstruct":
         made += [("reconstruction", "Reconstruction", _reconstruction(folder, figures))]
-    else:
+    elif (folder / "volume.npz").is_file() or "brightest_voxel" in figures:
         made += [("volume", "Hidden volume", _volume(folder, record, computed))]
     made += [
         ("times", "Accuracy and time", _times(record)),
@@ -70,7 +70,7 @@ def _head(name: str, record: dict[str, Any]) -> Html:
     figures, took = record.get("figures", {}), record.get("seconds", {})
     status = figures.get("reconstruction_status")
     lead = "No object was reconstructed."
-    if record["command"] == "phasor":
+    if "brightest_voxel" in figures:
         place = ", ".join(map(number, figures["brightest_voxel"]))
         lead = f"The brightest voxel of the hidden scene is at ({place}) m."
     elif status is not None:
@@ -315,7 +315,7 @@ def _volume(folder: Path, record: dict[str, Any], computed: bool) -> Iterator[Ht
     yield facts(
         [
             ("Voxels", " × ".join(map(str, image.intensity.shape))),
-            ("Virtual camera", spaced(record.get("camera", ""))),
+            ("Virtual camera", spaced(record.get("camera") or "")),
             ("Virtual pulse", None if sigma is None else f"sigma {quantity(sigma, 'm')}"),
             (
                 "Aperture",

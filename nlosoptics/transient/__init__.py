@@ -7,8 +7,10 @@ reconstruct a `VolumeImage`, and `depth_map` returns its depths.
 
 from .capture.capture import TransientCapture
 from .capture.detector import Detector
+from .capture.hidden_light import hidden_light
 from .capture.preprocessing import downsampled, gated, without_outer_legs
 from .capture.wall_points import wall_grid
+from .imaging.advice import advise
 from .imaging.backprojection import backprojection
 from .imaging.depth import depth_error, depth_map, true_depths
 from .imaging.fk_migration import fk_migration
@@ -24,12 +26,14 @@ __all__ = [
     "TransientCapture",
     "Volume",
     "VolumeImage",
+    "advise",
     "backprojection",
     "depth_error",
     "depth_map",
     "downsampled",
     "fk_migration",
     "gated",
+    "hidden_light",
     "lct",
     "phasor_image",
     "render",

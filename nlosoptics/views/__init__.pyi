@@ -19,5 +19,6 @@ from .studies import study_map as study_map
 from .studies import study_panels as study_panels
 from .studies import study_slices as study_slices
 from .transients import transient as transient
+from .volumes import depth_map as depth_map
 from .volumes import phasor_volume as phasor_volume
 from .volumes import volume as volume

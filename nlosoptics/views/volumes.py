@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pyvista import Plotter
 
     from ..transient import VolumeImage
+    from ..transient.imaging.depth import DepthMap
 
 
 def volume(image: VolumeImage, *, axis: str = "z", axes: Axes | None = None) -> Axes:
@@ -84,6 +85,55 @@ def volume(image: VolumeImage, *, axis: str = "z", axes: Axes | None = None) -> 
     few_ticks(axes)
     colour_bar(axes, drawn, "relative intensity")
     axes.set(xlabel=f"{across} (m)", ylabel=f"{up} (m)", title=title)
+    return axes
+
+
+def depth_map(depths: DepthMap, *, axes: Axes | None = None) -> Axes:
+    """Draw the depth of the hidden surface in each cell, as seen from the wall.
+
+    Parameters
+    ----------
+    depths : DepthMap
+        Depths from `nlosoptics.transient.depth_map` or `nlosoptics.transient.advise`.
+    axes : matplotlib Axes, optional
+        Axes to draw on; a new figure by default.
+
+    Returns
+    -------
+    Axes
+        Axes in world coordinates, m; x points left. Cells without a surface are blank.
+
+    See Also
+    --------
+    volume : Projection of the volume.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics import transient, views
+    >>> axis = np.linspace(-0.5, 0.5, 5)
+    >>> grid = transient.Volume(axis, axis, np.linspace(0.8, 1.2, 3))
+    >>> image = transient.VolumeImage(intensity=np.ones((3, 5, 5)), volume=grid, method="test")
+    >>> views.depth_map(transient.depth_map(image)).get_title()
+    'depth from the wall'
+    """
+    if axes is None:
+        (axes,) = new_axes(1, width=5.8, height=4.6)
+    seen = depths.depth[np.isfinite(depths.depth)]
+    low, high = np.percentile(seen, (2, 98)) if seen.size else (0.0, 1.0)  # without outliers
+    drawn = axes.imshow(
+        depths.depth,
+        cmap="viridis",
+        vmin=low,
+        vmax=high,
+        origin="lower",
+        extent=(*_ends(depths.x), *_ends(depths.y)),
+        interpolation="nearest",
+    )
+    axes.invert_xaxis()
+    few_ticks(axes)
+    colour_bar(axes, drawn, "depth (m)")
+    axes.set(xlabel="x (m)", ylabel="y (m)", title="depth from the wall")
     return axes
 
 

@@ -1,18 +1,16 @@
-"""The commands transient and phasor: from a scene file to a picture, by files."""
+"""The commands transient and image: from a scene file to a picture, by files."""
 
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from scipy.io import savemat
 
 from nlosoptics import cli
-from nlosoptics.transient import TransientCapture
+from nlosoptics.transient import TransientCapture, wall_grid
 
 SCENE = """
 [laser]
@@ -74,9 +72,10 @@ def test_from_a_scene_to_its_picture(run):
     assert capture.details["run"]["seed"] == 0
     assert len(capture.details["run"]["scene_sha256"]) == 64
 
-    code, out, err = run("phasor", "dot.hdf5", "--out", "seen")
+    code, out, err = run("image", "dot.hdf5", "--out", "seen")
     assert code == 0
     assert sorted(p.name for p in Path("seen").iterdir()) == [
+        "depth.png",
         "front.png",
         "result.json",
         "side.png",
@@ -113,32 +112,46 @@ def test_options_stand_for_what_a_capture_lacks(run):
     with h5py.File("x.hdf5", "a") as file:
         del file["scene_info"], file["delta_t"]
         file["delta_t"] = 0.02 / 299792458
-    code, out, err = run("phasor", "x.hdf5")
+    code, out, err = run("image", "x.hdf5")
     assert (code, out) == (2, "")
     assert "if it is in seconds, give delta_t = 0.02" in err
-    code, _, err = run("phasor", "x.hdf5", "--delta-t", 0.02)
-    assert code == 2
-    assert "--wl-mean" in err
-    assert err.count("\n") == 1
-    planes = ("--near", 0.6, "--far", 1.0, "--step", 0.1)
-    code, _, _ = run("phasor", "x.hdf5", "--delta-t", 0.02, "--wl-mean", 0.5, *planes)
+    planes = ("--near", 0.6, "--far", "1 m", "--step", "10cm")
+    code, _, _ = run("image", "x.hdf5", "--bin", "2cm", "--wl-mean", 0.5, *planes)
     assert code == 0
     assert Path("x/front.png").is_file()
 
 
-@pytest.mark.thorough
-def test_all_missing_options_are_named_at_once(run):
-    savemat("scan.mat", {"rect_data": np.ones((4, 4, 30)), "width": 1.0})
-    code, out, err = run("phasor", "scan.mat")
-    assert (code, out) == (2, "")
-    assert err.count("\n") == 1
-    assert "give delta_t (width of a bin, m of optical path)" in err
-    code, _, err = run("phasor", "scan.mat", "--delta-t", 0.1)
-    assert code == 2
-    assert re.findall(r"--[\w-]+", err) == ["--wl-mean", "--near", "--far", "--step"]
-    planes = ("--wl-mean", 4.0, "--near", 0.5, "--far", 1.0, "--step", 0.25)
-    code, _, err = run("phasor", "scan.mat", "--delta-t", 0.1, "--gate-start", 0.2, *planes)
+@pytest.mark.parametrize("method", ["phasor", "fk", "lct", "backprojection"])
+def test_any_array_is_read_and_shown_without_hints(run, method):
+    """Rows run downward in it, time comes last; the object is where it was put."""
+    wall = wall_grid(1.0, 16)
+    path = 2.0 * np.linalg.norm(wall - (0.2, -0.1, 0.6), axis=-1)
+    counts = 60.0 * (np.arange(40)[:, None, None] == (path - 0.8) // 0.06)
+    counts += np.random.default_rng(1).poisson(0.5, counts.shape)
+    np.save("scan.npy", counts[:, ::-1].transpose(1, 2, 0))
+    layout = ("--array", "array", "--axes=-y,x,t", "--side", "1 m", "--t-start", "80 cm")
+    code, _, err = run("image", "scan.npy", *layout, "--bin", "200.1 ps", "--method", method)
     assert code == 0, err
+    report = json.loads(Path("scan/result.json").read_text())
+    place = report["figures"]["brightest_voxel"]
+    assert place == pytest.approx([0.2, -0.1, 0.6], abs=0.07)  # one pitch
+
+
+def test_an_empty_room_is_told(run):
+    counts = np.random.default_rng(2).poisson(2.0, (40, 8, 8))
+    np.savez("dark.npz", counts=counts)
+    code, out, _ = run("image", "dark.npz", "--array", "counts", "--side", 1, "--bin", "0.06m")
+    assert code == 0
+    assert "no object above the noise" in out
+    assert not Path("dark/volume.npz").exists()
+    for words, named in (
+        (("--array", "Q"), "holds no Q; give one of counts"),
+        (("--array", "counts", "--axes", "x,y"), "must name t, y and x once each"),
+        (("--array", "counts"), "m, or side"),
+    ):
+        code, _, err = run("image", "dark.npz", *words)
+        assert (code, err.count("\n")) == (2, 1)
+        assert named in err
 
 
 @pytest.mark.parametrize(
@@ -148,10 +161,11 @@ def test_all_missing_options_are_named_at_once(run):
         (("transient", "dot.toml", "--out", "no/x.hdf5"), "no folder"),
         (("transient", "dot.toml", "--jitter-ps", 50), "--photons"),
         (("transient", "dot.toml", "--quantity", "lumen"), "lumen"),
-        (("phasor", "none.hdf5"), "none.hdf5: the capture file is missing"),
-        (("phasor", "dot.toml"), "neither HDF5 nor a MATLAB file"),
-        (("phasor", "dot.hdf5", "--out", "dot.toml"), "is a file"),
-        (("phasor", "dot.hdf5", "--laser-points", "a, b"), "--laser-points"),
+        (("image", "none.hdf5"), "none.hdf5: the capture file is missing"),
+        (("image", "dot.toml"), "neither HDF5 nor a MATLAB or numpy file"),
+        (("image", "dot.hdf5", "--out", "dot.toml"), "is a file"),
+        (("image", "dot.hdf5", "--laser-points", "a, b"), "--laser-points"),
+        (("image", "dot.hdf5", "--bin", "3 kg"), "neither a length nor a time"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(run, words, named):

@@ -176,13 +176,13 @@ _RUN = ("run", *SCENE, "--tol", "1e-2", "--memory", "4", "--out", "result", "--s
 _FIT = ("reconstruct", "letter.npy", "--scene", *SCENE, "--tol", "1e-2", "--out", "result")
 _LIGHT = ("transient", "scenes/transient_letter.toml", "--out", "light.hdf5")
 _LIGHT += ("--set", "transient.count=4", "--photons", "5e3", "--tol", "0.05", "--seed")
-_PLANES = ("phasor", "echo.hdf5", "--near", "0.4", "--far", "0.6", "--step", "0.1")
+_PLANES = ("image", "echo.hdf5", "--near", "0.4", "--far", "0.6", "--step", "0.1")
 _PLANES += ("--out", "result", "--wl-mean")
 COMMANDS = {
     "run": Command("result", (*_RUN, "1"), (*_RUN, "2"), _scenes),
     "reconstruct": Command("result", (*_FIT, "--iterations", "20"), _FIT, _exposure, STATE),
     "transient": Command("light.hdf5", (*_LIGHT, "1"), (*_LIGHT, "2"), _scenes),
-    "phasor": Command("result", (*_PLANES, "0.3"), (*_PLANES, "0.2"), _captured),
+    "image": Command("result", (*_PLANES, "0.3"), (*_PLANES, "0.2"), _captured),
     "report": Command("run/report.html", ("report", "run"), ("report", "run", "--no-3d"), _result),
     "study": Command(
         "store",

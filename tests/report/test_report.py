@@ -245,7 +245,7 @@ def test_folder_of_phasor(examples, tmp_path, monkeypatch):
         scene = scene.replace(old, new)
     Path("letter.toml").write_text(scene)
     assert call("transient", "letter.toml", "--tol", 0.1) == 0
-    assert call("phasor", "letter.hdf5") == 0
+    assert call("image", "letter.hdf5") == 0
     page = report.page("letter", computed=False)
     words = told(page)
     assert [a["id"] for a in Outline(page).named("section")] == ["volume", "times", "provenance"]

@@ -21,7 +21,7 @@ class TransientScan:
     exclude the paths from the laser to the wall and from the wall to the detector.
 
     ``wl_mean``, ``near``, ``far`` and ``step`` do not affect the capture. They are stored in its
-    file as defaults of the command ``nlosoptics phasor``, which otherwise requires them as options.
+    file as defaults of the command ``nlosoptics image``, which otherwise requires them as options.
 
     Parameters
     ----------

@@ -276,7 +276,15 @@ class TransientCapture(Noun, Shown):
         save(self, path, compression=compression)
 
     @classmethod
-    def load(cls, path: str | Path, **values: Any) -> TransientCapture:
+    def load(
+        cls,
+        path: str | Path,
+        *,
+        array: str | None = None,
+        axes: str = "t,y,x",
+        side: float | tuple[float, float] | None = None,
+        **values: Any,
+    ) -> TransientCapture:
         """Read a capture from a file of this or another program.
 
         The layout is recognised from the names of the variables in the file.
@@ -287,7 +295,17 @@ class TransientCapture(Noun, Shown):
             HDF5 file of this library, of the library y-tal or of the data set Z-NLOS (2019); or a
             ``.mat`` file (v5 or v7.3) of the light-cone transform (LCT, 2018). In LCT files laser
             and sensor points are equal (confocal), and ``width`` is half the side of the wall; the
-            first bins can be direct light, which `gated` removes.
+            first bins can be direct light, which `hidden_light` removes. Of any other HDF5,
+            ``.mat`` or numpy file, name the array, its axes and the side of its wall.
+        array : str, optional
+            Name of an array of three axes in a file of another layout; "array" for an ``.npy``
+            file. Without ``laser_points``, the capture is confocal.
+        axes : str
+            Order of its axes, such as "y,x,t". With a minus, as in "-y", an axis runs against the
+            world's: y points up, and x to the left of a viewer who looks from the wall into the
+            room.
+        side : float or (float, float), optional
+            Side of the wall that its points fill, or extents along x and y, m.
         **values
             Arguments of `TransientCapture` that the file does not state, such as
             ``delta_t=1.2e-3`` (4 ps) for an LCT file. An error names those that are missing. A
@@ -311,7 +329,7 @@ class TransientCapture(Noun, Shown):
         """
         from .reading import load_capture
 
-        return load_capture(cls, path, values)
+        return load_capture(cls, path, values, array=array, axes=axes, side=side)
 
     def _bins(self, name: str, values: Any) -> Array:
         try:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import fits_memory, path_of, positive, real, reason
+from ..._checks import fits_memory, pair, path_of, positive, real, reason
 from ...errors import NlosError, SamplingError, SceneError
 from . import tal_files
 from .layouts import Values, array, number, triple, upright
@@ -21,7 +21,7 @@ Array = NDArray[Any]
 LIGHT: Final = 299792458.0  # m/s
 #: What a capture needs, and what a user has to give if the file does not state it.
 NEEDED: Final = {
-    "sensor_points": "points observed by the sensor, m",
+    "sensor_points": "points observed by the sensor, m, or side",
     "pairing": "'confocal' or 'all'",
     "laser_points": "points lit by the laser, m",
     "delta_t": "width of a bin, m of optical path",
@@ -30,10 +30,18 @@ NEEDED: Final = {
 }
 
 
-def load_capture(capture: Callable[..., T], path: str | Path, given: Mapping[str, Any]) -> T:
+def load_capture(
+    capture: Callable[..., T],
+    path: str | Path,
+    given: Mapping[str, Any],
+    *,
+    array: str | None = None,
+    axes: str = "t,y,x",
+    side: Any = None,
+) -> T:
     """Read a file and return ``capture(**values)``; the values in ``given`` replace the file's.
 
-    ``capture`` is the class `TransientCapture`.
+    ``capture`` is the class `TransientCapture`; the others are arguments of its method ``load``.
     """
     path = path_of("path", path)
     if not path.is_file():
@@ -41,13 +49,13 @@ def load_capture(capture: Callable[..., T], path: str | Path, given: Mapping[str
         raise SceneError(f"{path}: the capture file is {what}; give the path of an HDF5 or .mat")
     with _in_file(path):
         given = {name: value for name, value in given.items() if value is not None}
-        values = _stated(path)
+        values = _stated(path) if array is None else _plain(read_variables(path), array, axes, side)
         for name in ("laser", "sensor"):
             if f"{name}_points" in given:
                 values[f"{name}_normals"] = None
         values |= given
-        if values.get("pairing") is None and "laser_points" in given:
-            values["pairing"] = "all"
+        if values.get("pairing") is None and (array is not None or "laser_points" in given):
+            values["pairing"] = "all" if "laser_points" in given else "confocal"
         if values.get("pairing") == "confocal" and values.get("laser_points") is None:
             values["laser_points"] = values.get("sensor_points")
             values["laser_normals"] = values.get("sensor_normals")
@@ -97,15 +105,40 @@ def _stated(path: Path) -> Values:
     names = ", ".join(sorted(variables)[:8]) or "nothing"
     raise SceneError(
         f"holds {names}, which is no known layout; give a file of y-tal (H), Z-NLOS (data, "
-        "cameraGridPositions) or LCT (rect_data, width), or build a TransientCapture from arrays"
+        "cameraGridPositions) or LCT (rect_data, width), or name the array, its axes and its side"
     )
 
 
+def _plain(variables: Mapping[str, Any], name: str, axes: str, side: Any) -> Values:
+    """Return the values of a capture in an array of any name and order of axes.
+
+    ``axes`` names them as in "y,-x,t"; an axis with a minus runs against the world's.
+    """
+    if name not in variables:
+        raise SceneError(f"holds no {name}; give one of {', '.join(sorted(variables)[:8])}")
+    signed = [axis.strip() for axis in axes.split(",")]
+    order = [axis.lstrip("-") for axis in signed]
+    if sorted(order) != ["t", "x", "y"]:
+        raise SceneError(f"axes = {axes!r} must name t, y and x once each; give such as 'y,x,-t'")
+    data = array(variables, name, 3)
+    data = np.flip(data, [k for k, axis in enumerate(signed) if axis.startswith("-")])
+    H = np.ascontiguousarray(data.transpose([order.index(axis) for axis in "tyx"]))
+    values: Values = {"H": H, "t_start": 0.0, "outer_legs": False, "quantity": "unknown"}
+    if side is not None:
+        width, height = pair("side", side)
+        y, x = (
+            (np.arange(n) + 0.5) / n * size - 0.5 * size
+            for n, size in zip(H.shape[1:], (height, width), strict=True)
+        )
+        values["sensor_points"] = np.stack([*np.meshgrid(x, y), np.zeros(H.shape[1:])], axis=-1)
+    return values
+
+
 def read_variables(path: Path) -> dict[str, Any]:
-    """Return the variables of an HDF5 or MATLAB file (v5, v7.3), and ``H``'s attributes, by name.
+    """Return the variables of an HDF5, MATLAB (v5, v7.3) or numpy file, and ``H``'s attributes.
 
     Arrays written by MATLAB get MATLAB's order of axes. An attribute has the key ``H@name``, an
-    empty variable the value None.
+    empty variable the value None. The variable of an ``.npy`` file is called "array".
     """
     import h5py
     from scipy.io import loadmat
@@ -113,6 +146,9 @@ def read_variables(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as file:
             head = file.read(128)
+        if head.startswith((b"\x93NUMPY", b"PK")):
+            with np.load(path) if head.startswith(b"PK") else nullcontext() as several:
+                return {"array": np.load(path)} if several is None else dict(several)
         if head.startswith(b"\x89HDF") or h5py.is_hdf5(path):
             with h5py.File(path, "r") as opened:
                 size = float(sum(item.nbytes for item in _datasets(opened).values()))
@@ -133,7 +169,7 @@ def read_variables(path: Path) -> dict[str, Any]:
         raise
     except Exception as error:  # both libraries raise errors of many types
         raise SceneError(f"is broken ({reason(error)}); copy or write it again") from None
-    raise SceneError("is neither HDF5 nor a MATLAB file; give a capture in one of these formats")
+    raise SceneError("is neither HDF5 nor a MATLAB or numpy file; give a capture in such a format")
 
 
 def _datasets(file: Any) -> dict[str, Any]:
@@ -242,9 +278,10 @@ def _grid(variables: Mapping[str, Any], key: str) -> Array:
 def _read_lct(variables: Mapping[str, Any]) -> Values:
     """Read an LCT capture [1]_: rectified confocal counts (x, y, t); ``width`` is half the side.
 
-    For a viewer who looks from the wall into the room, x grows to the right and y downward in the
-    file. In this library y points up and z into the room, so that x grows to the left. Both indices
-    are therefore reversed; otherwise the scene would be rotated by 180 degrees about z.
+    The front view that its authors publish is what a viewer sees who looks from the wall into the
+    room: the second index grows downward in it and the first one to the left, since they reverse
+    the first one for display. In this library y points up and z into the room, so that x grows to
+    the left of this viewer, too. The second index alone is therefore reversed.
 
     References
     ----------
@@ -260,7 +297,7 @@ def _read_lct(variables: Mapping[str, Any]) -> Values:
             "as many points along x as along y; correct the file"
         )
     return {
-        "H": np.ascontiguousarray(np.moveaxis(data, 2, 0)[:, ::-1, ::-1].swapaxes(1, 2)),
+        "H": np.ascontiguousarray(np.moveaxis(data, 2, 0)[:, :, ::-1].swapaxes(1, 2)),
         "sensor_points": wall_grid(2.0 * positive("width", width, unit="m"), nx),
         "t_start": 0.0,
         "pairing": "confocal",

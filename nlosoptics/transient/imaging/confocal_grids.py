@@ -73,11 +73,6 @@ def confocal_grid(capture: TransientCapture, method: str) -> ConfocalGrid:
             f"deviate by up to {away:.3g} m; use backprojection"
         )
     refuse_direct_light(capture, method)
-    if float(capture.H.min()) < 0.0:
-        raise SceneError(
-            f"{method} needs values of at least 0, the capture goes down to {capture.H.min():g}; "
-            "remove negative values"
-        )
     return ConfocalGrid(x, y, 0.5 * capture.t_start, 0.5 * capture.delta_t, capture.n_bins)
 
 

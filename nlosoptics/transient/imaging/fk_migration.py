@@ -65,9 +65,10 @@ def fk_migration(
         Kind of hidden surface. It sets the falloff of the intensity that is undone: the fourth or
         the second power of the distance.
     amplitude : {"root", "light"}
-        Wave to propagate back. "root": the square root of the falloff-corrected intensity [1]_; the
-        image scales linearly with the capture. "light": the corrected intensity itself; the waves
-        of several objects then add linearly, and weak objects appear darker in the image.
+        Wave to propagate back. "root": the square root of the falloff-corrected intensity [1]_,
+        with its sign; the image scales linearly with the capture. "light": the corrected intensity
+        itself; the waves of several objects then add linearly, and weak objects appear darker in
+        the image.
     dtype : {"float32", "float64"}
         Precision of the waves; the error of float32 is about 1e-6 of the brightest voxel.
     progress : callable(str, float), optional
@@ -84,7 +85,7 @@ def fk_migration(
         If the capture is not confocal on an evenly spaced grid, or the volume exceeds the covered
         range.
     SceneError
-        If the capture has direct light or negative values, or its times include the outer legs.
+        If the capture has direct light, or its times include the outer legs.
     MemoryLimitError
         If spectrum and image exceed the free memory.
 
@@ -143,7 +144,7 @@ def fk_migration(
         "give a volume of fewer or larger voxels, or a coarser capture",
     )
     light = capture.H * grid.depths[:, None, None] ** FALLOFF[target]
-    wave = np.sqrt(light) if amplitude == "root" else light
+    wave = np.sign(light) * np.sqrt(np.abs(light)) if amplitude == "root" else light
     field = _migrated(wave, grid, volume, kind, progress)
     intensity = field.real**2 + field.imag**2
     details = {"target": target, "amplitude": amplitude, "dtype": dtype}

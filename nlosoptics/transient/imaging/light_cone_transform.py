@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from .volume import Volume, VolumeImage
 
 Array = NDArray[np.floating]
 Waves = NDArray[np.complexfloating]
-Penalty = Literal["size", "curvature"]
 
 
 def lct(
@@ -34,7 +33,6 @@ def lct(
     *,
     target: Target = "diffuse",
     snr: float = 1.0,
-    penalty: Penalty = "size",
     dtype: Precision = "float32",
     progress: Progress | None = None,
 ) -> VolumeImage:
@@ -54,12 +52,6 @@ def lct(
         more noise. The kernel passes some frequencies better than others, so that the ratio depends
         on the frequency. ``snr`` is the ratio at frequencies at which the power of the kernel
         equals its mean over all frequencies.
-    penalty : {"size", "curvature"}
-        What the Wiener filter keeps small: "size" the albedo itself, "curvature" its second
-        derivatives over x, y and squared depth. The filter divides by the kernel's power, relative
-        to its mean, plus a term: ``1/snr`` for "size", and ``q^4/snr`` for "curvature". Here q^2 is
-        the sum of the three squared frequencies, each relative to its Nyquist frequency; the mean
-        of q^2 over all frequencies is 1.
 
     Returns
     -------
@@ -93,7 +85,6 @@ def lct(
     """
     begun = time.perf_counter()
     one_of("target", target, FALLOFF)
-    one_of("penalty", penalty, ("size", "curvature"))
     snr = positive("snr", snr)
     kind = waves_kind(dtype)
     grid = confocal_grid(capture, "lct")
@@ -111,12 +102,12 @@ def lct(
         "gate the capture to the required depths, or make it coarser",
     )
     light = _over_squares(capture.H, grid, squares, FALLOFF[target], kind)
-    found = _inverted(light, grid, volume, squares, size, snr, penalty, kind, progress)
+    found = _inverted(light, grid, volume, squares, size, snr, kind, progress)
     image = _over_depths(found, squares, volume)
     below = -float(image[image < 0.0].sum(dtype=np.float64))
     image = np.maximum(image, 0.0)
     above = float(image.sum(dtype=np.float64))
-    details: dict[str, Any] = {"target": target, "snr": snr, "penalty": penalty}
+    details: dict[str, Any] = {"target": target, "snr": snr}
     details |= {"dtype": dtype, "below_zero": below / above if above else 0.0}
     return VolumeImage(
         intensity=image,
@@ -189,7 +180,6 @@ def _inverted(
     squares: Array,
     size: int,
     snr: float,
-    penalty: Penalty,
     kind: type,
     progress: Progress | None,
 ) -> Array:
@@ -198,28 +188,18 @@ def _inverted(
 
     step = squares[1] - squares[0]
     n_x, n_y = next_size(2 * len(grid.x)), next_size(2 * len(grid.y))
-    kx, to_kx, from_kx = waves_along(grid.x, volume.x, n_x, kind)
-    ky, to_ky, from_ky = waves_along(grid.y, volume.y, n_y, kind)
+    _, to_kx, from_kx = waves_along(grid.x, volume.x, n_x, kind)
+    _, to_ky, from_ky = waves_along(grid.y, volume.y, n_y, kind)
     frequencies = np.arange(size // 2 + 1) / (size * step)
     along_x = _cone(grid.x[1] - grid.x[0], n_x, frequencies)
     along_y = _cone(grid.y[1] - grid.y[0], n_y, frequencies)
     power_x, power_y = np.mean(np.abs(along_x) ** 2, axis=1), np.mean(np.abs(along_y) ** 2, axis=1)
     mean = float(np.mean(power_x * power_y))
-    # squared lateral frequencies, each relative to its Nyquist frequency
-    lateral = (kx * 2 * (grid.x[1] - grid.x[0])) ** 2 + (
-        (ky[:, None] * 2 * (grid.y[1] - grid.y[0])) ** 2
-    )
     spectrum = scipy.fft.rfft(light, size, axis=0)
     found: Waves = np.empty((len(frequencies), len(volume.y), len(volume.x)), dtype=kind)
-    for i, frequency in enumerate(frequencies):
+    for i in range(len(frequencies)):
         cone = along_y[i][:, None] * along_x[i]
-        noise = mean / snr
-        weight: Any = noise
-        if penalty == "curvature":
-            # each of the three squares has the mean 1/3 over its band, so that q^2 has the mean 1
-            weight = noise * (lateral + (2.0 * frequency * step) ** 2) ** 2
-            weight = np.maximum(weight, noise * np.finfo(np.float32).eps)
-        wiener = (np.conj(cone) / (np.abs(cone) ** 2 + weight)).astype(kind)
+        wiener = (np.conj(cone) / (np.abs(cone) ** 2 + mean / snr)).astype(kind)
         waves = (to_ky @ spectrum[i] @ to_kx.T) * wiener
         found[i] = from_ky @ waves @ from_kx.T
         if progress is not None and (i % 64 == 0 or i == len(frequencies) - 1):

@@ -292,8 +292,8 @@ def test_files_that_are_no_captures(tmp_path):
     whole = (tmp_path / "x.hdf5").read_bytes()
     refused("half.hdf5", whole[: len(whole) // 2], "is broken .*copy")
     refused("head.hdf5", whole[:20], "is broken")
-    refused("text.hdf5", b"x" * 500, "neither HDF5 nor a MATLAB file")
-    refused("empty.mat", b"", "neither HDF5 nor a MATLAB file")
+    refused("text.hdf5", b"x" * 500, "neither HDF5 nor a MATLAB or numpy file")
+    refused("empty.mat", b"", "neither HDF5 nor a MATLAB or numpy file")
     with pytest.raises(SceneError, match="is missing; give the path"):
         TransientCapture.load(tmp_path / "none.hdf5")
     with pytest.raises(SceneError, match="is a folder"):
@@ -373,7 +373,7 @@ def test_pictures_stand_before_the_lasers_of_one_sensor_in_a_grid(tmp_path, monk
     ).save("one.hdf5")
     planes = ("--wl-mean", "0.5", "--near", "0.5", "--far", "0.7", "--step", "0.1")
     with pytest.raises(SystemExit) as ended:
-        cli.main(["phasor", "one.hdf5", *planes])
+        cli.main(["image", "one.hdf5", *planes])
     assert not ended.value.code
     with np.load("one/volume.npz") as kept:
         assert kept["intensity"].shape == (3, 4, 4)

@@ -137,14 +137,47 @@ def test_lct_asks_for_what_it_does_not_say(tmp_path, version):
     after = TransientCapture.load(path, delta_t=0.0012)
     assert after.is_confocal
     assert (after.quantity, after.t_start, after.outer_legs) == ("counts", 0.0, False)
-    # columns are the first index, rows the second, both from the other end: the lower left as the
-    # wall sees it, (x > 0, y < 0), is first in x and last in y there
-    assert after.H[:, 0, 3].tolist() == counts[0, 3].tolist()
-    assert after.H[:, 1, 0].tolist() == counts[3, 2].tolist()
+    # columns are the first index, rows the second from its end
+    assert after.H[:, 0, 3].tolist() == counts[3, 3].tolist()
+    assert after.H[:, 1, 0].tolist() == counts[0, 2].tolist()
     assert after.sensor_points[0, 0] == pytest.approx([-0.15, -0.15, 0.0])  # cells of a 0.4 m side
     # a value that is given replaces that of the file
     other = TransientCapture.load(path, sensor_points=wall_grid(0.2, 4), delta_t=0.0012)
     assert other.sensor_points[0, 0] == pytest.approx([-0.075, -0.075, 0.0])
+
+
+L = np.array([[1, 0, 0, 0], [1, 0, 0, 0], [1, 0, 0, 0], [1, 1, 1, 0]])  # as seen from the wall
+
+
+@pytest.mark.parametrize("layout", ["LCT", "rows downward", "ours"])
+def test_letters_read_the_right_way_from_the_wall(tmp_path, layout):
+    """A viewer who looks from the wall into the room has x on the left and y up.
+
+    The front view published with LCT files is ``rect_data[::-1]`` with its second index downward.
+    """
+    path = tmp_path / "l.mat"
+    if layout == "LCT":
+        savemat(path, {"rect_data": L.T[::-1, :, None], "width": 0.2})
+        capture = TransientCapture.load(path, delta_t=0.01)
+    elif layout == "rows downward":
+        np.save(tmp_path / "l.npy", L[..., None])
+        axes = {"array": "array", "axes": "-y,-x,t", "side": 0.4}
+        capture = TransientCapture.load(tmp_path / "l.npy", delta_t=0.01, **axes)
+    else:
+        wall = wall_grid(0.4, 4)
+        capture = TransientCapture(
+            H=L[None, ::-1, ::-1],
+            laser_points=wall,
+            sensor_points=wall,
+            delta_t=0.01,
+            pairing="confocal",
+        )
+        capture.save(tmp_path / "l.hdf5")
+        capture = TransientCapture.load(tmp_path / "l.hdf5")
+    x, y = capture.sensor_points[..., 0], capture.sensor_points[..., 1]
+    assert x[0, 0] < x[0, 1]
+    assert y[0, 0] < y[1, 0]
+    assert np.array_equal(capture.H[0, ::-1, ::-1], L)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,74 @@
+"""Images with all settings from the capture: gate, background, wavelength, planes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nlosoptics import transient
+from nlosoptics.errors import SamplingError
+
+WALL = transient.wall_grid(1.0, 32)
+PLACE = (0.15, -0.2, 0.62)
+
+
+def capture(photons=30.0, direct=0.0, dark=0.0, pairing="confocal", seed=0):
+    """Echoes of a disc of 15 cm, direct light that decays over 10 cm, and dark counts."""
+    rng = np.random.default_rng(seed)
+    lasers = WALL if pairing == "confocal" else np.zeros(3)
+    times = 0.012 * (np.arange(200) + 0.5)[:, None, None]
+    light = np.zeros((200, 32, 32))
+    for x, y in rng.uniform(-0.075, 0.075, (40, 2)):
+        point = np.add(PLACE, (x, y, 0.0))
+        path = np.linalg.norm(WALL - point, axis=-1) + np.linalg.norm(lasers - point, axis=-1)
+        light += np.exp(-(((times - path) / 0.015) ** 2)) / path**4
+    light *= photons / light.max()
+    apart = 0.0 if pairing == "confocal" else np.linalg.norm(WALL, axis=-1)
+    light += direct * np.exp(-(times - apart) / 0.1) * (times > apart) + dark
+    return transient.TransientCapture(
+        H=rng.poisson(light).astype(float),
+        laser_points=lasers,
+        sensor_points=WALL,
+        delta_t=0.012,
+        pairing=pairing,
+    )
+
+
+@pytest.mark.parametrize("pairing", ["confocal", "all"])
+def test_an_object_is_found_behind_direct_light(pairing):
+    """Weak light far below the laser's own is gated, imaged and placed within a pitch."""
+    advice = transient.advise(capture(direct=1e3, dark=0.5, pairing=pairing))
+    assert advice.status == "converged"
+    facts = advice.light.details["hidden_light"]
+    assert facts["background"] == pytest.approx(0.5, rel=0.1)
+    assert 0.5 < facts["start"] < 1.25
+    seen = np.isfinite(advice.depths.depth)
+    x, y = np.meshgrid(advice.depths.x, advice.depths.y)
+    place = [float(np.mean(values[seen])) for values in (x, y, advice.depths.depth)]
+    assert place == pytest.approx(PLACE, abs=0.03)
+    confidence = advice.depths.confidence
+    assert np.mean(confidence[seen]) > 0.9 > np.mean(confidence[~seen]) + 0.2
+
+
+def test_fewer_photons_take_a_longer_wave():
+    waves = [transient.advise(capture(n, dark=0.2 * n)).image.wl_mean for n in (100, 1)]
+    assert waves[0] < waves[1]
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_empty_rooms_show_nothing(seed):
+    """Neither dark counts nor the end of the direct light is an object."""
+    advice = transient.advise(capture(0.0, direct=1e4 * (seed % 2), dark=0.1 * 4**seed, seed=seed))
+    assert advice.status == "no object above the noise"
+
+
+def test_light_keeps_its_sum():
+    """The subtracted background leaves the object's own photons, to their noise."""
+    expected = capture(30.0).H.sum()
+    light = transient.hidden_light(capture(30.0, dark=2.0)).H.sum()
+    assert light == pytest.approx(expected, abs=5.0 * (expected + 2.0 * 200 * 1024) ** 0.5)
+
+
+def test_dark_captures_are_refused():
+    with pytest.raises(SamplingError, match="no light of 5 standard deviations above"):
+        transient.hidden_light(capture(0.0, dark=1.0))
