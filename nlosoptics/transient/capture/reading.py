@@ -121,7 +121,7 @@ def _plain(variables: Mapping[str, Any], name: str, axes: str, side: Any) -> Val
     if sorted(order) != ["t", "x", "y"]:
         raise SceneError(f"axes = {axes!r} must name t, y and x once each; give such as 'y,x,-t'")
     data = array(variables, name, 3)
-    data = np.flip(data, [k for k, axis in enumerate(signed) if axis.startswith("-")])
+    data = np.flip(data, tuple(k for k, axis in enumerate(signed) if axis[:1] == "-"))
     H = np.ascontiguousarray(data.transpose([order.index(axis) for axis in "tyx"]))
     values: Values = {"H": H, "t_start": 0.0, "outer_legs": False, "quantity": "unknown"}
     if side is not None:
