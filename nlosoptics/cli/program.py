@@ -14,6 +14,7 @@ import typer
 
 from .. import __version__
 from . import (  # imported to register their commands, in the order of the help
+    analyses,  # noqa: F401
     captures,  # noqa: F401
     forward,  # noqa: F401
     pictures,  # noqa: F401

@@ -1,3 +1,4 @@
+from .analysis import analysis as analysis
 from .answers import search as search
 from .answers import tornado as tornado
 from .answers import yield_curve as yield_curve

@@ -1,0 +1,31 @@
+"""`nlosoptics analyse`: the page and its tables."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nlosoptics.cli import main
+
+pytest.importorskip("matplotlib")
+
+
+@pytest.mark.parametrize(("scene", "perfect"), [("letter_flat", True), ("letter_wavy", False)])
+def test_tables_of_a_scene(scene, perfect, examples, tmp_path, capsys):
+    """A flat wall has the MTF of its pupil; the aberration of a wavy one is that of its terms."""
+    with pytest.raises(SystemExit) as ended:
+        main(["analyse", str(examples / "scenes" / f"{scene}.toml"), "--out", str(tmp_path / "a")])
+    assert not ended.value.code, capsys.readouterr().err
+    tables = {
+        path.stem: np.loadtxt(path, delimiter=",", skiprows=1)
+        for path in (tmp_path / "a").glob("*.csv")
+    }
+    assert {*tables} == {"mtf", "encircled_energy", "through_focus", "zernikes"}
+    assert (tmp_path / "a" / "analysis.png").stat().st_size > 10_000
+    _, x, y, ideal = tables["mtf"].T
+    assert (np.abs(np.stack([x, y]) - ideal).max() < 1e-5) == perfect  # the pupil is not quite even
+    assert np.all(np.diff(tables["encircled_energy"][:, 1]) > 0.0)
+    noll, terms = tables["zernikes"].T
+    waves = np.linalg.norm(terms[noll > 3]) / 632.8
+    printed = float(capsys.readouterr().out.split("wave aberration")[1].split()[0])
+    assert waves == pytest.approx(printed, rel=0.02, abs=1e-9)
