@@ -1,5 +1,6 @@
 __version__: str
 
+from . import errors as errors
 from . import imaging as imaging
 from . import inverse as inverse
 from . import limits as limits
@@ -16,4 +17,18 @@ from .runs.plan import plan as plan
 from .runs.results import Result as Result
 from .runs.results import load_result as load_result
 from .runs.simulate import simulate as simulate
+from .scene import Camera as Camera
+from .scene import ConcaveWall as ConcaveWall
+from .scene import ConvexWall as ConvexWall
+from .scene import FlatWall as FlatWall
+from .scene import Lambert as Lambert
+from .scene import Laser as Laser
+from .scene import MeshObject as MeshObject
+from .scene import MeshWall as MeshWall
+from .scene import Occluder as Occluder
+from .scene import OrenNayar as OrenNayar
+from .scene import PlanarObject as PlanarObject
 from .scene import Scene as Scene
+from .scene import SpecularMicrofacet as SpecularMicrofacet
+from .scene import SumMaterial as SumMaterial
+from .scene import WavyWall as WavyWall
