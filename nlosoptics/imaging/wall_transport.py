@@ -573,8 +573,9 @@ class WallTransport(Noun):
         weights, met = np.zeros(points.shape[:2]), np.zeros(self.shape[0])
         for i in range(count):
             rays = chief_rays(scene, x + across[i] * width, y + along[i] * height)
-            part = wall_visibility(scene, rays)
-            use = (part > 0.0) & (visible > 0.0)
+            use = np.isfinite(rays.distance) & (visible > 0.0)
+            # points that the stop hides count only if it hides all of the pixel's points
+            part = wall_visibility(scene, rays) + 1e-9
             at = use.ravel()
             points[at, i] = on_wall(scene, rays, use, lens[i])
             normals[at, i] = rays.normals[use]
