@@ -190,8 +190,10 @@ class Evidence(NamedTuple):
     model without an object, and ``order`` the polynomial's order, -1 for none. For each of the
     colours: ``scale``, variance of the noise over the expected one, and ``modes``, the effective
     number of modes above the noise.
-    ``estimate`` (N, C) is the posterior mean of the object, ``error`` (N, C) its standard deviation
-    and ``correlation`` the correlation with the object that the model expects.
+    ``estimate`` (N, C) is the posterior mean of the object, ``error`` (N, C) its standard deviation,
+    ``noise`` (C,) the sum of squares that noise adds to it, and ``correlation`` the correlation
+    with the object that the model expects. ``patterns`` (N, K) are the object's modes, of the same
+    prior variance, and ``share`` (K, C) is the part of each that the estimate contains.
     """
 
     log: float
@@ -202,6 +204,15 @@ class Evidence(NamedTuple):
     estimate: Array
     error: Array
     correlation: float
+    noise: Array
+    patterns: Array
+    share: Array
+
+    def resolved(self, values: Array, shape: tuple[int, int]) -> Array:
+        """Return the estimate (N, C) from a noiseless image of an object (N, C)."""
+        modes, prior = cosines(shape, self.patterns.shape[1])
+        white = modes @ ((modes.T @ values) / prior[:, None])
+        return np.asarray(self.patterns @ (self.share * (self.patterns.T @ white)))
 
 
 def cosines(shape: tuple[int, int], most: int) -> tuple[Array, Array]:
@@ -261,6 +272,9 @@ def evidence(
         estimate=rotated @ mean * data.sigma,
         error=np.sqrt(variance) * data.sigma,
         correlation=math.sqrt(max(0.0, 1.0 - float((variance.mean(0) / whole.mean(0)).mean()))),
+        noise=(rotated**2).sum(0) @ (share * (1.0 - share) * strength) * scale * data.sigma**2,
+        patterns=rotated,
+        share=share,
     )
 
 
