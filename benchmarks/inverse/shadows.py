@@ -42,7 +42,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from feasibility import KINDS, drawn_picture
 
 SCENE = Path(__file__).parents[2] / "examples" / "scenes" / "letter_flat.toml"
-FINE, CELLS, SEARCH = 41, 24, (32, 16)  # cells of data and fit; pixels and cells of the search
+FINE, CELLS, SEARCH = 41, 24, (32, 24)  # cells of data and fit; pixels and cells of the search
 RADIUS, REACH = 0.06, 0.05  # of a disc and of the search, m
 OFFSETS = ((0.0, 0.0, 0.0), (0.16, -0.1, -0.05), (-0.08, 0.15, 0.05))  # of up to three discs, m
 
@@ -115,7 +115,7 @@ def case(index, kind, pixels=64):
     shape = scene.camera.shape
     y, x = (np.mgrid[: shape[0], : shape[1]] + 0.5) / shape[0] * 2.0 - 1.0
     light = WallTransport(scene, cells=(FINE, FINE)).forward(cells(truth, FINE))
-    signal = light.mean()
+    seen_by_camera, signal = light > 0.0, light.mean()  # not hidden by the field stop
     tilt = rng.uniform(-0.3, 0.3, 5)
     room = 1.0 + tilt[0] * x + tilt[1] * y + tilt[2] * x * y + tilt[3] * x**2 + tilt[4] * y**2
     if kind == "ambient":
@@ -125,8 +125,8 @@ def case(index, kind, pixels=64):
     elif kind == "gains":
         light = light * (1.0 + 0.01 * rng.standard_normal(shape))
     elif kind == "stripes":
-        light = light + 0.01 * signal * np.cos(4.0 * np.pi * x)
-    image = recorded(scene, light, index)
+        light = light + 0.01 * signal * (1.0 + np.cos(4.0 * np.pi * x))
+    image = np.where(seen_by_camera, recorded(scene, light, index), np.nan)
     seen, started = cells(truth, CELLS), time.process_time()
     if kind in ("size", "oval"):
         scale = (0.95, 0.95) if kind == "size" else (1.0, 1.0)
