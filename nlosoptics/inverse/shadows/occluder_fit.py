@@ -16,7 +16,7 @@ from ..._checks import positive, whole
 from ...errors import SceneError
 from ..data.arrays import real_array
 from ..data.reconstruction import Reconstruction
-from .linear_model import WallImage, evidence, wall_image
+from .linear_model import evidence, wall_image
 from .shadow_fit import (
     LIMITS,
     Operator,
@@ -88,10 +88,10 @@ def occluder_fit(
     by that of the probability of the most probable object (Laplace's method). The search starts at
     the two best of 2 d + 1 points, the start and its neighbours at ``reach``, uses quadratic models
     [1]_, and is repeated from the better end with the number of independent pixels that the
-    residual shows there. The covariance is the inverse Fisher information, with the object unknown.
+    residual shows there. The covariance is the inverse of the curvature there.
 
     The status is "ambiguous" if the two searches end at different places of similar evidence, or at
-    the edge of the region, or if the evidence has no curvature.
+    the edge of the region, or if the curvature leaves a standard deviation above ``reach``.
 
     A shift of occluder and object together changes the shadows little: the place along the wall is
     less certain than the picture, which may be shifted.
@@ -159,17 +159,16 @@ def occluder_fit(
     data, _ = settled(data, operator(first + reach * ends[0].x))
     final = searched(ends[0].x, 0.1, 0.01)
     best = np.array(final.x)
-    sides = np.eye(len(first)) * 0.02 * reach
-    information = _information(data, operator, first + reach * best, sides)
+    curvature = _curvature(cost, best)
     reasons = []
-    covariance = np.full(information.shape, math.inf)
-    if np.linalg.eigvalsh(information)[0] <= 0.0 or (abs(best) > 1.98).any():
+    covariance = np.full(curvature.shape, math.inf)
+    if np.linalg.eigvalsh(curvature)[0] <= 1.0 or (abs(best) > 1.98).any():
         reasons.append("the evidence has no maximum within reach; start elsewhere or enlarge reach")
     else:
-        covariance = np.linalg.inv(information)
+        covariance = reach**2 * np.linalg.inv(curvature)
         other = np.array(ends[1].x)
-        apart, margin = reach * (other - best), cost(other) - float(final.fun)
-        if margin < LIMITS.detection and apart @ information @ apart > LIMITS.errors**2:
+        apart, margin = other - best, cost(other) - float(final.fun)
+        if margin < LIMITS.detection and apart @ curvature @ apart > LIMITS.errors**2:
             reasons.append(
                 f"another place, {np.round(first + reach * other, 4).tolist()}, has a log "
                 f"evidence that is smaller by {margin:.1f}, limit {LIMITS.detection:.1f}; give a "
@@ -191,28 +190,15 @@ def occluder_fit(
     )
 
 
-def _information(
-    data: WallImage, operator: Callable[[Array], Operator], place: Array, sides: Array
-) -> Array:
-    """Return the Fisher information (d, d) on the place, with object and ambient light unknown.
-
-    Operators are differentiated by central differences; ``sides`` (d, d) are their steps.
-    """
-    known = operator(place)
-    linear = evidence(data, known.matrix, known.cells, most=math.prod(known.cells))
-    smooth = data.ambient(linear.order)
-
-    def seen(values: Array) -> Array:
-        return np.asarray(values - smooth @ (smooth.T @ values))
-
-    steps = [operator(place + side).matrix - operator(place - side).matrix for side in sides]
-    changes = [data.over_noise(step) @ linear.estimate / data.sigma for step in steps]
-    response = seen(data.over_noise(known.matrix) @ linear.patterns)
-    result = np.zeros(sides.shape)
-    for colour, sigma in enumerate(data.sigma):
-        slopes = seen(np.stack([change[:, colour] for change in changes], 1))
-        slopes /= 2.0 * np.linalg.norm(sides, axis=1)
-        shared = response.T @ slopes
-        free = linear.variance[:, colour, None] / (linear.scale[colour] * sigma**2)
-        result += (slopes.T @ slopes - shared.T @ (free * shared)) / linear.scale[colour]
-    return result
+def _curvature(cost: Callable[[Array], float], centre: Array, step: float = 0.1) -> Array:
+    """Return the second derivatives (d, d) of a function by central differences."""
+    sides = step * np.eye(len(centre))
+    middle = cost(centre)
+    result = np.diag([cost(centre + side) + cost(centre - side) - 2.0 * middle for side in sides])
+    for i in range(len(centre)):
+        for j in range(i):
+            both, apart = sides[i] + sides[j], sides[i] - sides[j]
+            equal = cost(centre + both) + cost(centre - both)
+            opposite = cost(centre + apart) + cost(centre - apart)
+            result[i, j] = result[j, i] = (equal - opposite) / 4.0
+    return np.asarray(result / step**2)
