@@ -560,8 +560,7 @@ class WallTransport(Noun):
         )
         (x, width), (y, height), pixels = self._bins()
         scene.check_in_front()
-        rays = chief_rays(scene, x, y)
-        visible = pixels * wall_visibility(scene, rays)
+        visible = pixels * self._visible
         k = np.arange(count)
         along, across = (k + 0.5) / count - 0.5, k * (math.sqrt(5.0) - 1.0) / 2 % 1.0
         across -= across.mean()
@@ -571,17 +570,34 @@ class WallTransport(Noun):
         lens = (disc - disc.mean(axis=0)) @ scene.camera.frame[:2] + scene.camera.position
         points = np.zeros((self.shape[0], count, 3))
         normals = np.zeros(points.shape)
-        weights = np.zeros(points.shape[:2])
+        weights, met = np.zeros(points.shape[:2]), np.zeros(self.shape[0])
         for i in range(count):
             rays = chief_rays(scene, x + across[i] * width, y + along[i] * height)
             use = np.isfinite(rays.distance) & (visible > 0.0)
+            # points that the stop hides count only if it hides all of the pixel's points
+            part = wall_visibility(scene, rays) + 1e-9
             at = use.ravel()
             points[at, i] = on_wall(scene, rays, use, lens[i])
             normals[at, i] = rays.normals[use]
             weights[at, i] = electrons_per_radiance(scene, rays.cos_axis[use], exposure)
-        met = np.count_nonzero(weights, axis=1)
-        weights *= (visible.ravel() / np.maximum(met, 1))[:, None]
+            weights[at, i] *= part[use]
+            met[at] += part[use]
+        weights *= (visible.ravel() / np.where(met > 0.0, met, 1.0))[:, None]
         return points, normals, weights, lens
+
+    @cached_property
+    def _visible(self) -> Array:
+        """Share of each pixel's light that edges and field stop let pass, from its image pixels."""
+        (x, width), (y, height), _ = self._bins()
+        steps = [
+            math.ceil(whole / count)
+            for whole, count in zip(self.scene.camera.shape, self.pixel_shape, strict=True)
+        ]
+        parts = [(np.arange(n) + 0.5) / n - 0.5 for n in steps]
+        rows = np.add.outer(y, height * parts[0]).ravel()
+        columns = np.add.outer(x, width * parts[1]).ravel()
+        passed = wall_visibility(self.scene, chief_rays(self.scene, columns, rows))
+        return np.asarray(passed.reshape(len(y), steps[0], len(x), steps[1]).mean((1, 3)))
 
 
 def _checked(name: str, values: ArrayLike, shape: tuple[int, int]) -> Array:

@@ -56,9 +56,10 @@ class Feasibility(Noun, Shown):
     score_spread : float
         Standard deviation to expect of the correlation of such a fit about ``score``.
     relay_score : float
-        Predicted correlation between the true object and the result of a linear fit to the diffuse
-        light. In this fit the object is divided into cells, 24 along its longer side. The light
-        that each cell causes on the detector is taken as known, with the shadows of occluders.
+        Predicted correlation between the true object and the result of `inverse.shadow_fit` for the
+        diffuse light. In this fit the object is divided into cells, 24 along its longer side. The
+        light that each cell causes on the detector is taken as known, with the shadows of
+        occluders, and total variation sharpens the object. No constant is fitted.
     photons : float
         Number of photons of the object's image on the detector in one exposure.
     electrons : mapping of str to float

@@ -34,7 +34,7 @@ class Case:
     stroke: float  # Stroke width of the object, m; 0 for a dark object
     full: float  # Expected fraction of saturated pixels
     diffuse_modes: int  # Modes above the noise through wide lobes
-    relay_score: float  # Predicted correlation of a linear fit to the light of wide lobes
+    relay_score: float  # Predicted correlation of a fit to the light of wide lobes
     shadowed: bool  # Whether the scene has occluders
 
     @property

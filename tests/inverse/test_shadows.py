@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from pytest import approx
 
-from nlosoptics import inverse
+from nlosoptics import Scene, inverse
 from nlosoptics.errors import NlosError
+from nlosoptics.imaging import WallTransport
 from nlosoptics.inverse.shadows.total_variation import least_variation
+from nlosoptics.scene import Lambert
 
 PIXELS, CELLS = 24, 14
 DISC = np.array([0.05, -0.02, 0.45, 0.09])  # x, y, height and radius, m
@@ -132,6 +137,23 @@ def test_height_of_a_disc():
     assert abs(estimates["place"][0]) < 0.004
     assert abs(estimates["place"][0]) < 5.0 * estimates["place_covariance"][0, 0] ** 0.5 + 0.002
     assert correlation(fit) > 0.9
+
+
+def test_profile_past_an_edge():
+    """A half-plane shows the profile along the angle about its edge, as in a corner camera."""
+    base = Scene.load(Path(__file__).parents[2] / "examples" / "scenes" / "letter_flat.toml")
+    edge = trimesh.creation.box((1.0, 3.0, 1e-3)).apply_translation((0.77, 0.0, 0.5))
+    scene = replace(base.resized(32), wall_material=Lambert(0.8), occluders=(edge,))
+    walls = [WallTransport(scene, cells=(1, n), source="luminous", exposure=1.0) for n in (36, 12)]
+    profile = np.zeros((1, 36))
+    profile[0, 9:18], profile[0, 24:30] = 1.0, 0.5
+    light = walls[0].forward(profile)
+    light *= 1e5 / light.max()
+    dark = light == 0.0  # behind the field stop
+    image = np.where(dark, np.nan, np.random.default_rng(0).poisson(light + 1e4))
+    fit = inverse.shadow_fit(image, walls[1])
+    assert fit.status == "converged", fit.reasons
+    assert np.corrcoef(fit.object[0], profile.reshape(12, 3).mean(1))[0, 1] > 0.97
 
 
 IMAGE = np.ones((24, 24))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,8 +24,6 @@ from .shadow_fit import (
     checked_settings,
     fitted,
     settled,
-    sharpened,
-    unexplained,
 )
 
 Array = NDArray[np.float64]
@@ -41,7 +40,6 @@ def occluder_fit(
     reference: Any = None,
     ambient: int | None = None,
     brightest: float = math.inf,
-    modes: int = 200,
     max_evaluations: int = 200,
     max_iterations: int = 1000,
     tolerance: float = 1e-3,
@@ -62,10 +60,8 @@ def occluder_fit(
     reach : float
         Distance from the start that the search covers first, in the unit of the values. It ends at
         twice this distance along each value.
-    modes : int
-        Largest number of the object's modes during the search, 16 to 2000.
     max_evaluations : int
-        Maximum number of operators that each of the two searches computes.
+        Maximum number of operators that each of the three searches computes.
 
     Returns
     -------
@@ -86,17 +82,16 @@ def occluder_fit(
 
     Notes
     -----
-    The search first maximises the evidence of the linear model of `shadow_fit`, in which the
-    object, the ambient light and the noise are integrated out or take their best values. It starts
-    at the two best of 2 d + 1 points, the start and its neighbours at ``reach``, and uses quadratic
-    models [1]_. A linear object may be negative, and explains images of wrong places. The better of
-    both ends therefore starts a second search, for the least ``n/2 log |r|^2 + m log TV(f)`` with
-    the residual r of n independent pixels and the sharp object f. It is the free energy of an
-    object with the prior exp(-w TV) at its best weight w, for m modes above the noise. The
-    covariance is the inverse of its curvature.
+    The search maximises the evidence of the linear model of `shadow_fit`, in which the object, the
+    ambient light and the noise are integrated out or take their best values, for an object that is
+    nowhere negative: objects at wrong places would have to be. The constraint changes the logarithm
+    by that of the probability of the most probable object (Laplace's method). The search starts at
+    the two best of 2 d + 1 points, the start and its neighbours at ``reach``, uses quadratic models
+    [1]_, and is repeated from the better end with the number of independent pixels that the
+    residual shows there. The covariance is the inverse of the curvature there.
 
     The status is "ambiguous" if the two searches end at different places of similar evidence, or at
-    the edge of the region, or if the evidence has no curvature.
+    the edge of the region, or if the curvature leaves a standard deviation above ``reach``.
 
     A shift of occluder and object together changes the shadows little: the place along the wall is
     less certain than the picture, which may be shifted.
@@ -130,37 +125,26 @@ def occluder_fit(
     if first.ndim != 1 or not np.isfinite(first).all():
         raise SceneError(f"start = {start!r} must be finite numbers; give one for each value")
     reach = positive("reach", reach)
-    modes, most = whole("modes", modes, 16, 2000), whole("max_evaluations", max_evaluations, 10)
+    most = whole("max_evaluations", max_evaluations, 10)
     settings = checked_settings(image, brightest, max_iterations, tolerance)
 
     def operator(place: Array) -> Operator:
         return checked_operator(operator_at(place), np.shape(image), cells)
 
     data = wall_image(image, operator(first).pixels, noise, reference, ambient)
-    evaluations = 0
+    evaluations, orders = 0, set[int]()
 
     def cost(steps: Array) -> float:
         nonlocal evaluations
         evaluations += 1
         known = operator(first + reach * steps)
-        return -evidence(data, known.matrix, known.cells, most=modes).log
+        linear = evidence(data, known.matrix, known.cells, most=math.prod(known.cells))
+        orders.add(linear.order)
+        return -linear.log_positive(known.cells)
 
-    def sharp_cost(steps: Array) -> float:
-        nonlocal evaluations
-        evaluations += 1
-        known = operator(first + reach * steps)
-        linear = evidence(data, known.matrix, known.cells, most=modes)
-        values, _ = sharpened(data, known, linear, settings)
-        left = float((unexplained(data, known.matrix, linear, values) ** 2).sum())
-        grid = (values / data.sigma).reshape(*known.cells, -1)
-        edges = np.gradient(grid, axis=[axis for axis in (0, 1) if known.cells[axis] > 1])
-        variation = float(np.sqrt((np.reshape(edges, (-1, *grid.shape)) ** 2).sum((0, 3))).sum())
-        count = data.values.size / data.correlated
-        return 0.5 * count * math.log(left) + exponent * math.log(max(variation, 1e-300))
-
-    def searched(function: Any, steps: Array, radius: float, least: float) -> Any:
+    def searched(steps: Array, radius: float, least: float) -> Any:
         return scipy.optimize.minimize(
-            function,
+            cost,
             steps,
             method="COBYQA",
             bounds=[(-2.0, 2.0)] * len(first),
@@ -168,24 +152,23 @@ def occluder_fit(
         )
 
     around = np.vstack([np.zeros(len(first)), np.eye(len(first)), -np.eye(len(first))])
-    order = np.argsort([cost(steps) for steps in around], kind="stable")
-    ends = [searched(cost, steps, 0.5, 0.05) for steps in around[order[:2]]]
+    nearest = np.argsort([cost(steps) for steps in around], kind="stable")
+    data, _ = settled(data, operator(first + reach * around[nearest[0]]))
+    data = replace(data, orders=range(data.orders[0], max(orders) + 1))
+    ends = [searched(steps, 0.5, 0.05) for steps in around[nearest[:2]]]
     ends.sort(key=lambda end: float(end.fun))
-    data, linear = settled(data, operator(first + reach * ends[0].x))
-    exponent = float(linear.modes.sum())
-    costs = [sharp_cost(end.x) for end in ends]
-    nearer = int(np.argmin(costs))
-    final = searched(sharp_cost, ends[nearer].x, 0.3, 0.01)
+    data, _ = settled(data, operator(first + reach * ends[0].x))
+    final = searched(ends[0].x, 0.1, 0.01)
     best = np.array(final.x)
-    curvature = _curvature(sharp_cost, best)
+    curvature = _curvature(cost, best)
     reasons = []
     covariance = np.full(curvature.shape, math.inf)
-    if np.linalg.eigvalsh(curvature)[0] <= 0.0 or (abs(best) > 1.98).any():
+    if np.linalg.eigvalsh(curvature)[0] <= 1.0 or (abs(best) > 1.98).any():
         reasons.append("the evidence has no maximum within reach; start elsewhere or enlarge reach")
     else:
-        covariance = np.linalg.inv(curvature)
-        other = np.array(ends[1 - nearer].x)
-        apart, margin = other - best, costs[1 - nearer] - float(final.fun)
+        covariance = reach**2 * np.linalg.inv(curvature)
+        other = np.array(ends[1].x)
+        apart, margin = other - best, cost(other) - float(final.fun)
         if margin < LIMITS.detection and apart @ curvature @ apart > LIMITS.errors**2:
             reasons.append(
                 f"another place, {np.round(first + reach * other, 4).tolist()}, has a log "
@@ -203,7 +186,7 @@ def occluder_fit(
         started,
         tuple(more),
         place=place,
-        place_covariance=reach**2 * covariance,
+        place_covariance=covariance,
         evaluations=evaluations,
     )
 
@@ -212,10 +195,11 @@ def _curvature(cost: Callable[[Array], float], centre: Array, step: float = 0.1)
     """Return the second derivatives (d, d) of a function by central differences."""
     sides = step * np.eye(len(centre))
     middle = cost(centre)
-    around = np.array([cost(centre + side) + cost(centre - side) for side in sides])
-    result = np.diag(around - 2.0 * middle)
+    result = np.diag([cost(centre + side) + cost(centre - side) - 2.0 * middle for side in sides])
     for i in range(len(centre)):
         for j in range(i):
-            both = cost(centre + sides[i] + sides[j]) + cost(centre - sides[i] - sides[j])
-            result[i, j] = result[j, i] = (both + 2.0 * middle - around[i] - around[j]) / 2.0
+            both, apart = sides[i] + sides[j], sides[i] - sides[j]
+            equal = cost(centre + both) + cost(centre - both)
+            opposite = cost(centre + apart) + cost(centre - apart)
+            result[i, j] = result[j, i] = (equal - opposite) / 4.0
     return np.asarray(result / step**2)

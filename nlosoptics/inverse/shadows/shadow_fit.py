@@ -27,15 +27,15 @@ class Limits:
     ``detection``: least gain in log evidence over a wall without an object, odds of 1000 to 1.
     ``misfit``: largest power of the residual beyond the noise, over the power that the object
     explains; ``errors``: as many standard errors of the residual are not counted. ``correlation``:
-    least expected correlation of the linear estimate. ``disagreement``: largest difference of this
-    correlation from that of the object with the linear estimate.
+    least expected correlation of the linear estimate. ``disagreement``: largest power of what the
+    residual adds to the linear estimate, beyond that of the noise, over the power of the estimate.
     """
 
     detection: float = math.log(1000.0)
     misfit: float = 0.005
     errors: float = 5.0
-    correlation: float = 0.75
-    disagreement: float = 0.03
+    correlation: float = 0.8
+    disagreement: float = 0.1
 
 
 LIMITS = Limits()
@@ -108,9 +108,11 @@ def shadow_fit(
         model leaves over the noise; ``ambient_order``; ``modes``, number of the object's modes
         above the noise in each colour; ``resolved_object``, the object at the resolution of these
         modes, which may be negative; ``object_error``, its standard deviation, both of the object's
-        shape; ``expected_correlation`` of the resolved object with the truth; ``detection``, gain
-        in log evidence over a wall without an object; ``misfit``, power of the residual beyond the
-        noise over the power that the object explains; ``log_evidence``.
+        shape; ``expected_correlation`` of the resolved object with the truth, and
+        ``resolved_correlation`` with the truth at the same resolution; ``detection``, gain in log
+        evidence over a wall without an object; ``misfit``, power of the residual beyond the noise
+        over the power that the object explains; ``disagreement``, power beyond the noise of the
+        resolved residual over that of the resolved object; ``log_evidence``.
 
     Raises
     ------
@@ -135,10 +137,14 @@ def shadow_fit(
     the noise. No value is chosen by hand, nor by the truth.
 
     The status is "too_few_photons" without a detected object, whose values are then 0, and for an
-    expected correlation below 0.75. It is "does_not_fit" if the residual beyond the noise has more
-    than 0.5 % of the power that the object explains, or if the object's correlation with the linear
-    estimate, which may be negative, is 0.03 below the expected correlation. An object that is
-    shifted together with the occluder has nearly the same shadows, and is not recognised.
+    expected correlation below 0.8. It is "does_not_fit" if the residual beyond the noise has more
+    than 0.5 % of the power that the object explains, or if it would add more than 10 % to the power
+    of the linear estimate, which may be negative. An object that is shifted together with the
+    occluder has nearly the same shadows, and is not recognised.
+
+    "converged" speaks of the object at the resolution of its modes. The expected correlation is
+    that of objects with the spectrum 1/f^2. No image tells how much of an object is finer than the
+    modes: of fine dots, the correlation with the truth is lower.
 
     References
     ----------
@@ -220,7 +226,11 @@ def fitted(
         left = float((unexplained(data, known.matrix, linear, values) ** 2).sum())
     count = data.values.size / data.correlated
     misfit = (left - count - LIMITS.errors * math.sqrt(2.0 * count)) / max(before - left, 1e-300)
-    agreement = _correlation(values, linear.estimate)
+    seen = linear.resolved(values, known.cells)
+    power = float(((linear.estimate - linear.estimate.mean(0)) ** 2).sum())
+    noise = float(linear.noise.sum())
+    disagreement = float(((linear.estimate - seen) ** 2).sum()) - noise
+    disagreement /= max(power, 1e-300)
     tests = (
         (
             changes[-1] > settings.tolerance,
@@ -247,11 +257,11 @@ def fitted(
             f"explains, limit {LIMITS.misfit:g}; check the occluder's place, or use occluder_fit",
         ),
         (
-            detected and agreement < linear.correlation - LIMITS.disagreement,
+            detected and disagreement > LIMITS.disagreement,
             "does_not_fit",
-            f"the correlation of object and linear estimate is {agreement:.2f}, expected "
-            f"{linear.correlation:.2f}: no object without negative values explains the image; "
-            "check the occluder's place and shape",
+            f"the residual beyond the noise adds {disagreement:.2g} of its power to the linear "
+            f"estimate, limit {LIMITS.disagreement:g}: no object without negative values explains "
+            "the image; check the occluder's place and shape",
         ),
     )
     failed = [test[1:] for test in tests if test[0]] + list(reasons)
@@ -269,6 +279,8 @@ def fitted(
             "resolved_object": linear.estimate.reshape(shape),
             "object_error": linear.error.reshape(shape),
             "expected_correlation": linear.correlation,
+            "resolved_correlation": math.sqrt(max(1.0 - noise / max(power, 1e-300), 0.0)),
+            "disagreement": disagreement,
             "detection": linear.gain,
             "misfit": misfit,
             "log_evidence": linear.log,
@@ -280,13 +292,6 @@ def fitted(
         seconds=time.perf_counter() - started,
         reasons=tuple(sentence for _, sentence in failed),
     )
-
-
-def _correlation(first: Array, second: Array) -> float:
-    """Return the correlation of two objects (N, C); 0 if one is uniform."""
-    first, second = first - first.mean(0), second - second.mean(0)
-    norm = math.sqrt(float((first**2).sum()) * float((second**2).sum()))
-    return float((first * second).sum()) / norm if norm > 0.0 else 0.0
 
 
 def settled(data: WallImage, known: Operator) -> tuple[WallImage, Evidence]:
