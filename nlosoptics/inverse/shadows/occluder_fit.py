@@ -153,8 +153,7 @@ def occluder_fit(
 
     around = np.vstack([np.zeros(len(first)), np.eye(len(first)), -np.eye(len(first))])
     nearest = np.argsort([cost(steps) for steps in around], kind="stable")
-    data, _ = settled(data, operator(first + reach * around[nearest[0]]))
-    data = replace(data, orders=range(data.orders[0], max(orders) + 1))
+    data = replace(data, orders=sorted(orders))
     ends = [searched(steps, 0.5, 0.05) for steps in around[nearest[:2]]]
     ends.sort(key=lambda end: float(end.fun))
     data, _ = settled(data, operator(first + reach * ends[0].x))
