@@ -74,7 +74,7 @@ class Place:
     def of(cls, state: Any, like: Starts, modes: int) -> Place:
         """Return the place of a saved state.
 
-        ``like`` are starts of the resumed fit, with ``modes`` coefficients for each wall.
+        ``like`` are starts of the resumed fit, with ``modes`` coefficients.
         """
         if not isinstance(state, Mapping):
             raise SceneError(
@@ -95,7 +95,7 @@ class Place:
                 arrays[name] = np.array(state[f"{part}_{name}"], dtype=mine.dtype)
                 given, wanted = arrays[name].shape[1:], mine.shape[1:]
                 if name == "coefficients":
-                    wanted = (mine.shape[1] // modes * count,)
+                    wanted = (count,)
                 if given != wanted:
                     raise SamplingError(
                         f"start's {name} have shape {given} for each start, this fit's {wanted}; "

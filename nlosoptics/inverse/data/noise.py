@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,8 +11,9 @@ from scipy import ndimage
 
 from ..._checks import squarable
 from ...errors import SamplingError
-from .arrays import Values, check_finite, check_shape, real_array
-from .models import AnyModel, model_shape
+from ...imaging.forward_model import ForwardModel
+from .arrays import check_finite, check_shape, real_array
+from .models import model_shape
 from .outliers import lone_pixels, noise_of_neighbours
 from .spectra import (
     beyond_optics,
@@ -31,7 +33,7 @@ _AROUND, _LEAST_AROUND = 1.5, 1e-3
 _LEAST_SIDE = 3  # pixels along each side of an image
 
 
-def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> float:
+def estimate_noise(image: ArrayLike | Any, model: ForwardModel | None = None) -> float:
     """Estimate the rms noise of an image from its pixels.
 
     The noise must be uncorrelated between pixels. Its strength may vary over the image.
@@ -40,7 +42,7 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
     ----------
     image : array_like or Tensor
         Image, (H, W), at least 3 x 3 pixels.
-    model : ForwardModel or TorchForwardModel, optional
+    model : ForwardModel, optional
         Image model of shape (H, W): the convolution with the known point spread function (PSF). If
         given, the noise is measured at those spatial frequencies that the PSF does not transmit, if
         there are enough of them.
