@@ -175,8 +175,7 @@ def evidence_fit(
     first = pupil_psf.coefficients.detach().double().cpu().numpy()
     if first.ndim != 1:
         raise SamplingError(
-            f"pupil_psf.coefficients have shape {first.shape}, must be (M,); give "
-            "those of one wall"
+            f"pupil_psf.coefficients have shape {first.shape}, must be (M,); give those of one wall"
         )
     known = frames.picture("known_object", known_object)
     several = known is not None or _diverse(frames, pupil_psf.wavelength)
