@@ -102,7 +102,7 @@ def lone_pixels(
         share = sigma**2 / (100.0 * signal + sigma**2)
         share[0, 0] = 0.0
         if not renewed:  # means of the pixels around are worse than predictions
-            filled, renewed = _filled(filled, out, spectrum, share), True
+            filled, renewed = predicted(filled, out, spectrum, share), True
             sigma = noise_of_neighbours(filled)
             continue
         mean = float((twice * share).sum()) / image.size
@@ -127,7 +127,7 @@ def lone_pixels(
         if not found.any():
             break
         out[row[found], column[found]] = True
-        filled = _filled(filled, out, spectrum, share)
+        filled = predicted(filled, out, spectrum, share)
         sigma, limit = noise_of_neighbours(filled), 4.5  # there are probably more
     return out & np.logical_not(masked), filled
 
@@ -149,7 +149,7 @@ def _left(near: Array, pattern: Array) -> Array:
     return np.asarray(np.min(medians, axis=0) / MEDIAN_OVER_SIGMA)
 
 
-def _filled(image: Array, bad: Mask, spectrum: NDArray[np.complex128], share: Array) -> Array:
+def predicted(image: Array, bad: Mask, spectrum: NDArray[np.complex128], share: Array) -> Array:
     """Return an image with the values in the bad pixels that all the others predict.
 
     ``spectrum`` is that of the image, and ``share`` the reciprocal of the expected one. The errors
