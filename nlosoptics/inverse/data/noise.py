@@ -148,8 +148,10 @@ def _dark_rms(
         if filled.any():
             change = predicted(np.zeros(shape), filled, spectrum, 1.0 * beyond)
             least_power = squared(spectrum + fft.rfft2(change)) / filled.size
-        left = float((twice * share)[beyond].sum()) - float(weights[filled].sum())
-        variance = float((twice * (least_power - signal))[beyond].sum()) / max(left, 1.0)
+        whole = float((twice * share)[beyond].sum())
+        left = whole - float(weights[filled].sum())  # they take as much of the object's detail
+        variance = float((twice * least_power)[beyond].sum()) / max(left, 1.0)
+        variance -= float((twice * signal)[beyond].sum()) / max(whole, 1.0)
         if left < least or variance <= 0.0:
             return first, False
         sigma = math.sqrt(variance)

@@ -103,7 +103,9 @@ def lone_pixels(
         share[0, 0] = 0.0
         if not renewed:  # means of the pixels around are worse than predictions
             filled, renewed = predicted(filled, out, spectrum, share), True
-            sigma = noise_of_neighbours(filled)
+            # each prediction takes the noise of one frequency
+            kept = 1.0 - out.sum() / float((twice * share).sum())
+            sigma = noise_of_neighbours(filled) / math.sqrt(max(kept, 0.1))
             continue
         mean = float((twice * share).sum()) / image.size
         deviation = scipy.fft.irfft2(spectrum * share, shape) / (sigma * math.sqrt(mean))
