@@ -187,7 +187,21 @@ def evidence_fit(
 
     verdict = Verdict(frames, pupil_psf.modes, several)
     if all(one.is_background() for one in frames.measured):
-        return _without_object(frames, pupil_psf, gain, started)
+        strengths = np.array([one.background_strength(one.data) for one in frames.measured])
+        pairs = zip(frames.measured, strengths, strict=True)
+        reason = "no object was detected above the noise, so the object is zero; expose longer"
+        return _answer(
+            frames,
+            np.zeros(frames.shape),
+            strengths,
+            gain,
+            coefficients=np.zeros(len(pupil_psf.modes)),
+            status="too_few_photons",
+            reasons=(reason,),
+            score=float(np.mean([one.score(one.background(b)) ** 2 for one, b in pairs])) ** 0.5,
+            history=frozen({"objective": [], "residual": [], "change": []}),
+            seconds=time.perf_counter() - started,
+        )
     searched = not several and start_error is None
     search = Search(
         energies,
@@ -226,19 +240,29 @@ def evidence_fit(
         goes_on(progress, "evidence: done", 1.0, snapshot)
         if len(frames.images) == 1 and known is None:
             best = _refined(frames, energy, best)
-    return _assembled(
+    best, levels = energy.judged(best)
+    level, gains = energy.objects(best)[0].astype(np.float64) * frames.scale, best.gains[0]
+    if energy.known:  # its brightness
+        level, gains = level * gains.mean(), gains / gains.mean()
+    wall, given = best.coefficients[0].astype(np.float64), len(pupil_psf.modes)
+    return _answer(
         frames,
-        energy,
-        best,
-        gain=gain,
-        status=status,
-        reasons=reasons,
-        history=search.place.history,
-        started=started,
-        given=len(pupil_psf.modes),
+        level,
+        levels[0] * frames.scale,
+        gain,
+        coefficients=wall[:given],
+        more_modes=np.array(energy.modes[given:]),
+        more_coefficients=wall[given:],
+        image_gains=gains,
+        free_energy=float(best.energy[0]),
         margin=margin,
         sharp_margin=sharp_margin,
         model_error=error,
+        status=status,
+        reasons=reasons,
+        score=math.sqrt(float(np.average(best.chi_square[0], weights=frames.counted))),
+        history=frozen(search.place.history),
+        seconds=time.perf_counter() - started,
     )
 
 
@@ -269,75 +293,33 @@ def _refined(frames: Frames, energy: FreeEnergy, best: Starts) -> Starts:
     return energy.judged(replace(best, free=energy.parameters(mean)))[0]
 
 
-def _without_object(
-    frames: Frames, pupil_psf: PupilPSF, gain: float | None, started: float
+def _answer(
+    frames: Frames,
+    level: Floats,
+    backgrounds: Floats,
+    gain: float | None,
+    *,
+    status: Status,
+    reasons: tuple[str, ...],
+    score: float,
+    history: Mapping[str, Floats],
+    seconds: float,
+    **parameters: Any,
 ) -> Reconstruction:
-    """Return a zero object for images that their background explains."""
-    strengths = np.array([one.background_strength(one.data) for one in frames.measured])
-    scores = [
-        one.score(one.background(b)) for one, b in zip(frames.measured, strengths, strict=True)
-    ]
-    return Reconstruction(
-        object=frames.measured[0].like_input(np.zeros(frames.shape)),
-        physical_parameters={
-            **_levels(frames, 1.0 if gain is None else gain, strengths),
-            "coefficients": np.zeros(len(pupil_psf.modes)),
-        },
-        status="too_few_photons",
-        reasons=("no object was detected above the noise, so the object is zero; expose longer",),
-        score=math.sqrt(float(np.mean(np.square(scores)))),
-        history=frozen({"objective": [], "residual": [], "change": []}),
-        seconds=time.perf_counter() - started,
-    )
-
-
-def _levels(frames: Frames, gain: float, backgrounds: Floats) -> dict[str, Any]:
-    """Return gain, backgrounds and noise in image units; numbers for one image, else arrays."""
+    """Return the result for an object in image units; numbers for one image, else arrays."""
     one, sigmas = len(frames.measured) == 1, frames.sigmas * frames.scale
-    return {
+    gain = gain or float(level.max()) or 1.0
+    levels = {
         "gain": gain,
         "background": float(backgrounds[0]) if one else backgrounds,
         "noise_sigma": float(sigmas[0]) if one else sigmas,
     }
-
-
-def _assembled(
-    frames: Frames,
-    energy: FreeEnergy,
-    best: Starts,
-    *,
-    gain: float | None,
-    status: Status,
-    reasons: tuple[str, ...],
-    history: Mapping[str, list[float]],
-    started: float,
-    given: int,
-    **figures: float,
-) -> Reconstruction:
-    """Assemble the reconstruction in image units; ``given`` is the number of given modes."""
-    best, levels = energy.judged(best)
-    object_level = energy.objects(best)[0].astype(np.float64) * frames.scale
-    gains = best.gains[0]
-    if energy.known:  # its brightness
-        object_level, gains = object_level * gains.mean(), gains / gains.mean()
-    brightest = float(object_level.max())
-    if gain is None:
-        gain = brightest if brightest > 0.0 else 1.0
-    wall = best.coefficients[0].astype(np.float64)
     return Reconstruction(
-        object=frames.measured[0].like_input(object_level / gain),
-        physical_parameters={
-            **_levels(frames, gain, levels[0] * frames.scale),
-            "coefficients": wall[:given],
-            "more_modes": np.array(energy.modes[given:]),
-            "more_coefficients": wall[given:],
-            "image_gains": gains,
-            "free_energy": float(best.energy[0]),
-            **figures,
-        },
+        object=frames.measured[0].like_input(level / gain),
+        physical_parameters=levels | parameters,
         status=status,
         reasons=reasons,
-        score=math.sqrt(float(np.average(best.chi_square[0], weights=frames.counted))),
-        history=frozen(history),
-        seconds=time.perf_counter() - started,
+        score=score,
+        history=history,
+        seconds=seconds,
     )

@@ -19,29 +19,6 @@ _Y, _X = (part.ravel() - 3 for part in np.indices((7, 7)))
 _BESIDE = np.maximum(np.abs(_Y), np.abs(_X)) == 1
 
 
-def outlier_pixels(
-    image: Array,
-    passed: Array,
-    *,
-    noise: Array | float = 0.0,
-    masked: Mask | bool = False,
-) -> Mask:
-    """Return the mask (H, W) of good pixels: False for dead and hot ones, and for those masked.
-
-    ``image`` (H, W), float64: image; masked pixels need finite values. ``passed`` (H, W//2 + 1):
-    squared modulus of the transfer function, from `spectra.passed_power`. If the point spread is
-    unknown, give that of the optics without aberration, which is the sharpest. ``noise``: stated
-    noise, a number or (H, W), image units; no pixel within six of it is an outlier. ``masked``
-    (H, W): pixels that hold no measured value.
-
-    No pixel is an outlier if the frame has fewer than 8 pixels along a side, or if the point spread
-    is as narrow as a pixel.
-    """
-    sigma = noise_of_neighbours(image) if min(image.shape) >= 3 else 0.0
-    bad, _ = lone_pixels(image, passed, sigma, noise, masked=masked)
-    return ~(bad | masked)
-
-
 def noise_of_neighbours(values: Array) -> float:
     """Return the rms noise of an image, (H, W), from its second differences."""
     side = 12  # of a block, pixels

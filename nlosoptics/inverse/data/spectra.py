@@ -122,20 +122,18 @@ def expected_signal(
     passed: Array | float,
     variance: float,
     shape: tuple[int, ...],
-    least: float = 0.0,
 ) -> Array:
     """Return the power of the image of an object with spectrum `object_power`.
 
     ``image_power`` (H, W//2 + 1): power of the image, from `periodic_power`. Its excess over the
     noise is the object's. ``passed`` (H, W//2 + 1): squared modulus of the transfer function.
     ``variance``: variance of the noise, image units squared. ``shape`` (int, int): rows H and
-    columns W of the image. ``least``: least sum of the object's power over all frequencies, image
-    units squared.
+    columns W of the image.
     """
     twice = half_weights(shape)
     signal = passed * object_power(shape)
     excess = float((twice * (image_power - variance)).sum())
-    return signal * (max(excess, least) / max(float((twice * signal).sum()), 1e-300))
+    return signal * (max(excess, 0.0) / max(float((twice * signal).sum()), 1e-300))
 
 
 def beyond_optics(signal: Array, variance: float) -> NDArray[np.bool_]:
