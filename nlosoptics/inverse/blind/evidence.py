@@ -60,13 +60,12 @@ def evidence_fit(
     ----------
     images : Measurement, ndarray or Tensor
         K camera images, (K, H, W), or one, (H, W), with their noise and backgrounds. All show the
-        same object: via one wall with K known defoci, or via several walls. The object must lie
-        inside the image.
+        same object via one wall, with K known defoci. The object must lie inside the image.
     pupil_psf : PupilPSF
         Point spread function (PSF) of the wall and lens as a function of the M Zernike coefficients
-        to fit, (M,) or (n_walls, M). Coefficients other than 0 are an additional start of the fit.
-        A known wave or transmission in ``pupil_psf`` is kept fixed. The PSF must have
-        at least the shape of the images.
+        to fit, (M,). Coefficients other than 0 are an additional start of the fit. A known wave or
+        transmission in ``pupil_psf`` is kept fixed. The PSF must have at least the shape of the
+        images.
     defocus : array_like, optional
         Known additional defocus of each image, (K,), m rms over the pupil (Noll 4). Positive values
         mean a detector too close to the lens.

@@ -207,7 +207,7 @@ class FreeEnergy:
         if self._known is not None:
             return np.repeat(self._known[None], len(starts), axis=0)
         free: Floats = starts.free
-        return 0.5 * (free + np.sqrt(free * free + free.dtype.type(_SOFTNESS**2)))
+        return np.asarray(0.5 * (free + np.sqrt(free * free + free.dtype.type(_SOFTNESS**2))))
 
     def evaluate(
         self, starts: Starts, wall: Floats, noise: float, kappa: float, want_energy: bool
@@ -338,9 +338,9 @@ class FreeEnergy:
         ratio = np.maximum(_sums(self._weights * own * self._images), 1e-12)
         ratio /= np.maximum(_sums(self._weights * own * own), 1e-12)
         if self._known is not None:
-            return gains * np.clip(ratio, 1.0 / 1.2, 1.2)
+            return np.asarray(gains * np.clip(ratio, 1.0 / 1.2, 1.2))
         ratio /= np.exp(np.log(ratio).mean(axis=1, keepdims=True))
-        return np.clip(gains * np.clip(ratio, 1.0 / 1.2, 1.2), 0.1, 10.0)
+        return np.asarray(np.clip(gains * np.clip(ratio, 1.0 / 1.2, 1.2), 0.1, 10.0))
 
     def _objects(self, wall: Floats, noise: float) -> Floats:
         """Return Wiener-filtered objects, (B, H, W), at least 0.01 of the image's range.
@@ -372,7 +372,7 @@ class FreeEnergy:
         rows, columns = self._fine
         phase = (torch.from_numpy(wall) @ self._basis)[:, None] + self._known_phase
         pupil = torch.complex(phase.cos() * self._amplitude, phase.sin() * self._amplitude)
-        pupil = pupil.unflatten(-1, self._cells)
+        pupil = pupil.view(*phase.shape[:-1], *self._cells)
         field = torch.fft.fft(torch.fft.fft(pupil, n=rows, dim=-2), n=columns, dim=-1)
         spread = torch.from_numpy(field.numpy().real ** 2 + field.numpy().imag ** 2)
         return torch.fft.rfft2(self._to_pixels(spread)), pupil, field
@@ -384,7 +384,7 @@ class FreeEnergy:
         cells = torch.fft.ifft(field * spread, dim=-1)[..., :columns]
         cells = torch.fft.ifft(cells, dim=-2)[..., :rows, :]
         phase = (pupil.real * cells.imag - pupil.imag * cells.real).sum(dim=1)
-        return (phase.flatten(1) @ self._basis.T).numpy()
+        return np.asarray(phase.flatten(1) @ self._basis.T)
 
     def _to_pixels(self, spread: Tensor) -> Tensor:
         """Return the energy per pixel (..., p, c) of intensities on the fine grid."""

@@ -146,7 +146,7 @@ def _dark_rms(
         signal = expected_signal(image_power, passed, sigma**2, shape)
         beyond = beyond_optics(signal, sigma**2) & (twice > 0.0)
         if filled.any():
-            change = predicted(np.zeros(shape), filled, spectrum, 1.0 * beyond)
+            change = predicted(np.zeros(shape), filled, spectrum, beyond.astype(np.float64))
             least_power = squared(spectrum + fft.rfft2(change)) / filled.size
         whole = float((twice * share)[beyond].sum())
         left = whole - float(weights[filled].sum())  # they take as much of the object's detail

@@ -134,7 +134,7 @@ class _Maximisation(Solver):
         if start is None:
             reached = self._reached.astype(np.float64)
             light = total(np.maximum(image, 0.0))
-            return light / total(self._model.forward(reached)) * reached
+            return np.asarray(light / total(self._model.forward(reached)) * reached)
         first = started_from(start, self._model.shape)
         current = np.maximum(first / self._scale, 0.0) * self._reached
         if not current.any():
@@ -142,7 +142,7 @@ class _Maximisation(Solver):
                 f"start has no light (largest value {float(first.max()):g}), and what is dark "
                 "stays dark; leave it out"
             )
-        return current
+        return np.asarray(current)
 
     def step(self) -> tuple[float, float, float]:
         """Make one iteration; return objective, residual and change of the object before it."""

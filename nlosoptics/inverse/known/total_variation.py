@@ -166,11 +166,6 @@ def sharpest(
     return answer["level"], answer["background"], answer["tv_weight"]
 
 
-#: Attributes of `_Splitting` that change from one iteration to the next, and a second fit takes on.
-_STATE = "signed", "predicted", "edges", "data_dual", "sign_dual", "edge_dual"
-_STATE += "background", "multiplier", "data_penalty", "edge_penalty", "sign_penalty"
-
-
 class _Splitting(Solver):
     """Alternating direction method of multipliers (ADMM) for total variation.
 
@@ -182,6 +177,10 @@ class _Splitting(Solver):
     """
 
     records = ("variation", "residual", "change")
+    changing: tuple[str, ...] = (
+        *("signed", "predicted", "edges", "data_dual", "sign_dual", "edge_dual", "background"),
+        *("multiplier", "data_penalty", "edge_penalty", "sign_penalty"),
+    )  # attributes that a second fit takes on
     report = "total variation: residual {residual:.3f}, change {change:.1e}"
 
     def __init__(
@@ -327,7 +326,7 @@ class _Splitting(Solver):
         """
         rule = self.max_iterations, _TUNING.coarser * self._tolerance
         again = _Splitting(data, model, rule, None)
-        for name in _STATE:
+        for name in self.changing:
             setattr(again, name, getattr(self, name))
         run(again)
         return again.level()

@@ -276,7 +276,7 @@ def _spectral_start(objects: Array, modulus: Array, support: Array, used: Array)
 
 def _norms(values: Array) -> Array:
     """Return the norms (R, 1, 1) of arrays (R, H, W)."""
-    return np.sqrt((values * values).sum(axis=(1, 2), keepdims=True))
+    return np.asarray(np.sqrt((values * values).sum(axis=(1, 2), keepdims=True)))
 
 
 def _stepped(objects: Array, modulus: Array, support: Array, method: str, share: float) -> Array:
@@ -316,7 +316,7 @@ def _averaged(objects: Array, errors: Array) -> Array:
             place = np.unravel_index(overlap.argmax(), overlap.shape)
             overlaps.append((float(overlap.max()), np.roll(turned, place, (0, 1))))
         aligned.append(max(overlaps, key=lambda pair: pair[0])[1])
-    return np.mean(aligned, axis=0)
+    return np.asarray(np.mean(aligned, axis=0))
 
 
 def _allowed(objects: Array, support: Array) -> Array:

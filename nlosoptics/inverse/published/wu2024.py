@@ -291,7 +291,7 @@ class _Pcin(Solver):
         with torch.no_grad():
             picture = self.network()
             gain = self.misfit(picture, self.optics.transfer(self.angles))[0].item()
-        return gain * self.unit * picture.double().cpu().numpy()
+        return np.asarray(gain * self.unit * picture.double().cpu().numpy())
 
     def answer(self, level: NDArray[np.float64], history: History) -> dict[str, Any]:
         """Return image model, background and status, and the parameters of angles and network."""
