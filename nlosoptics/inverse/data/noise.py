@@ -156,7 +156,7 @@ def _dark_rms(
             return first, False
         sigma = math.sqrt(variance)
     dark = beyond & (passed < 0.01 * float(passed.max()))
-    return sigma, float(twice[dark].sum()) >= least
+    return sigma, float(twice[dark].sum()) >= 500
 
 
 def pixel_noise(
