@@ -33,17 +33,15 @@ HIGHER = tuple(range(22, 46))  # n = 6..8
 class Case:
     """Data of one fit, and the truth.
 
-    ``images`` (K, H, W) are electrons, wall by wall and of each wall its defoci, with ``defocus``
-    (K,), m rms of Noll 4, ``wall_of_image`` (K,) and ``noise_sigma`` (K,). ``truth`` (H, W) is the
-    picture as the camera would see it without blur. ``coefficients`` (n_walls, 18) are Noll 4 to 21
-    of each wall at the frame's centre, waves rms; ``pupil`` are options of
-    `inverse.PupilPSF.from_zernike`, m.
+    ``images`` (K, H, W) are electrons, with ``defocus`` (K,), m rms of Noll 4, and
+    ``noise_sigma`` (K,). ``truth`` (H, W) is the picture as the camera would see it without blur.
+    ``coefficients`` (18,) are Noll 4 to 21 of the wall at the frame's centre, waves rms; ``pupil``
+    are options of `inverse.PupilPSF.from_zernike`, m.
     """
 
     images: np.ndarray
     truth: np.ndarray
     defocus: np.ndarray
-    wall_of_image: np.ndarray
     noise_sigma: np.ndarray
     coefficients: np.ndarray
     pupil: dict[str, float]
@@ -57,23 +55,22 @@ def case(
     size: int = 64,
     noise: float = 0.01,
     defocus: tuple[float, ...] = (0.0,),
-    n_walls: int = 1,
     noise_seed: int | None = None,
     higher: float = 0.04,
     field_variation: float = 0.02,
     surround: float = 0.01,
     fine: int = 4,
 ) -> Case:
-    """Images of one object by one or more walls.
+    """Images of one object by one wall.
 
     ``object_name`` is a picture of examples/objects or of the test objects in NLOSOPTICS_DATA, or a
     path. The same ``wall_seed`` is the same wall, whatever the object; ``rms_waves`` is that of the
     wave at the exit pupil, without piston and tilt. The picture fills ``size`` pixels along each
     side. ``noise`` is rms over the blurred image's maximum, ``defocus`` the known extra Noll-4 of
-    each image, m rms, and each of ``n_walls`` walls is seen with every defocus. ``higher`` is the
-    rms of the modes n = 6..8 over that of the wall, ``field_variation`` the rms by which the wave
-    changes from the frame's centre to its edges, waves, and ``surround`` the radiance around the
-    frame over that of white; ``fine`` are samples per pixel.
+    each image, m rms. ``higher`` is the rms of the modes n = 6..8 over that of the wall,
+    ``field_variation`` the rms by which the wave changes from the frame's centre to its edges,
+    waves, and ``surround`` the radiance around the frame over that of white; ``fine`` are samples
+    per pixel.
     """
     if max(np.abs(defocus)) > 1e-4:
         raise ValueError(f"defocus = {defocus} m; give metres rms, waves * WAVELENGTH")
@@ -84,28 +81,24 @@ def case(
         "pupil_radius": pupil.radius,
         "image_distance": pupil.image_distance,
     }
-    images, sigmas, coefficients, truth = [], [], [], None
+    images, sigmas, truth = [], [], None
     number = _object_number(object_name)
     noise_seed = wall_seed if noise_seed is None else noise_seed
     rng = np.random.default_rng([noise_seed, number, 1])
-    for wall in range(n_walls):
-        draw = np.random.default_rng([wall_seed, wall, 0])
-        shape = _Wall(draw, rms_waves, higher, field_variation)
-        coefficients.append(_projected(shape.wave((0.0, 0.0), 0.0, optics)))
-        for extra in defocus:
-            field = _field(shape, extra, optics, scene, fine)
-            taken = imaging.form_image(scene, field, seed=0)
-            clean = _binned(taken.signal + taken.background, size, fine)
-            truth = _binned(taken.ideal, size, fine)
-            sigmas.append(float(noise * clean.max()))
-            images.append(clean + sigmas[-1] * rng.normal(size=clean.shape))
+    shape = _Wall(np.random.default_rng([wall_seed, 0, 0]), rms_waves, higher, field_variation)
+    for extra in defocus:
+        field = _field(shape, extra, optics, scene, fine)
+        taken = imaging.form_image(scene, field, seed=0)
+        clean = _binned(taken.signal + taken.background, size, fine)
+        truth = _binned(taken.ideal, size, fine)
+        sigmas.append(float(noise * clean.max()))
+        images.append(clean + sigmas[-1] * rng.normal(size=clean.shape))
     return Case(
         images=np.array(images),
         truth=truth / truth.max(),
-        defocus=np.tile(np.asarray(defocus, dtype=float), n_walls),
-        wall_of_image=np.repeat(np.arange(n_walls), len(defocus)),
+        defocus=np.asarray(defocus, dtype=float),
         noise_sigma=np.array(sigmas),
-        coefficients=np.array(coefficients),
+        coefficients=_projected(shape.wave((0.0, 0.0), 0.0, optics)),
         pupil={**optics, "pitch": fine * scene.camera.image_pitch},
     )
 

@@ -53,7 +53,7 @@ def physics_of(deepinv, model):
     """A model of one point spread as a linear physics of deepinv."""
     from nlosoptics import inverse
 
-    twin = inverse.TorchForwardModel.from_numpy(model)
+    twin = inverse.TorchForwardModel(model).float()
 
     class Physics(deepinv.physics.LinearPhysics):
         def A(self, x, **_):

@@ -12,8 +12,8 @@ a stated noise gives its shape over the image.
 
 Options of a solver are about its method alone: ``max_iterations`` and ``tolerance`` say when it
 stops, ``start`` is an initial object or a saved state, and ``progress`` is a callback that may end
-the fit (`Stop`). One driver makes the iterations of all of them. A solver is a class with an
-initial state, a step, a criterion, and the object of a state; the state holds all that changes.
+the fit (`Stop`). One driver makes the iterations of all of them. A solver is a class with a step, a
+criterion and an object, which holds all that changes.
 
 Every solver returns a `Reconstruction`: the object, fitted and measured parameters, the records of
 the iterations, and a status with its reasons. The status says whether the model fits the image,

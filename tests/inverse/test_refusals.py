@@ -65,7 +65,7 @@ TABLE = {
     ),
     "start of a network": (
         lambda: inverse.wu2024_fit(np.kron(np.eye(2), np.ones((8, 8))), zernike(), start=EDGE),
-        "start holds no ",
+        "is no Reconstruction",
     ),
 }
 
@@ -96,6 +96,6 @@ def test_the_last_values_are_accepted():
 
 
 def test_files_of_networks_need_safetensors(monkeypatch):
-    monkeypatch.setitem(sys.modules, "safetensors", None)
+    monkeypatch.setitem(sys.modules, "safetensors.torch", None)
     with pytest.raises(MissingExtraError, match="safetensors, which is not installed"):
-        wall_proposals.loaded_network(wall_proposals.WEIGHTS)
+        wall_proposals.trained_network.__wrapped__()

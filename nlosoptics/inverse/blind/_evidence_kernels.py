@@ -1,6 +1,6 @@
 """Compiled loops of the evidence fit over batches of starts, which read each array only once.
 
-In the shapes of arrays, b counts starts, k images and w walls. The padded FFT grid has p x c
+In the shapes of arrays, b counts starts and k images. The padded FFT grid has p x c
 samples, of which the first n x m are the image; half spectra have q = c//2 + 1 columns, and c is
 even. Arrays are contiguous, float32 or float64, or complex of the same precision.
 """
@@ -10,95 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from ...kernels.compiling import njit
-
-
-@njit(cache=True, nogil=True)
-def intensity(field, out):
-    """Fill ``out`` with the squared modulus of ``field``, (b, k, p, c)."""
-    f, o = field.ravel(), out.ravel()
-    for j in range(o.size):
-        o[j] = f[j].real * f[j].real + f[j].imag * f[j].imag
-
-
-@njit(cache=True, nogil=True)
-def predict(transfer, pixel, gains, objects, out):
-    """Fill ``out`` (b, k, p, q) with the spectra of the predicted images.
-
-    ``transfer`` (b, k, p, q) is multiplied in place by ``pixel`` (k, p, q), which is the transfer
-    function of a pixel times the image's weight, and by the images' ``gains`` (b, k). The
-    objects' spectra (b, p, q) are a further factor of ``out``.
-    """
-    for b in range(transfer.shape[0]):
-        for k in range(transfer.shape[1]):
-            gain = pixel.dtype.type(gains[b, k])
-            for i in range(transfer.shape[2]):
-                h, m, o, w = transfer[b, k, i], objects[b, i], out[b, k, i], pixel[k, i]
-                for j in range(h.size):
-                    scale = gain * w[j]
-                    x = h[j].real * scale
-                    y = h[j].imag * scale
-                    h[j] = complex(x, y)
-                    o[j] = complex(x * m[j].real - y * m[j].imag, x * m[j].imag + y * m[j].real)
-
-
-@njit(cache=True, nogil=True)
-def brightness(predicted, images, weights, shapes, fit_background, cross, norm):
-    """Fill ``cross`` and ``norm`` (b, k) with products of predictions, without background.
-
-    ``cross`` is the product with the images and ``norm`` that with the predictions themselves; the
-    other arguments are those of `residuals`.
-    """
-    n, m = images.shape[1:]
-    for b in range(predicted.shape[0]):
-        for k in range(predicted.shape[1]):
-            both, own, along, across, shape = 0.0, 0.0, 0.0, 0.0, 0.0
-            for i in range(n):
-                p, g, w, s = predicted[b, k, i], images[k, i], weights[k, i], shapes[k, i]
-                for j in range(m):
-                    both += w[j] * p[j] * g[j]
-                    own += w[j] * p[j] * p[j]
-                    along += w[j] * s[j] * p[j]
-                    across += w[j] * s[j] * g[j]
-                    shape += w[j] * s[j] * s[j]
-            if fit_background:
-                both -= along * across / shape
-                own -= along * along / shape
-            cross[b, k], norm[b, k] = both, own
-
-
-@njit(cache=True, nogil=True)
-def residuals(predicted, images, weights, shapes, norms, fit_background, squares, background):
-    """Subtract the images (k, n, m) from the predictions (b, k, p, c), in place.
-
-    The result is multiplied by the pixels' ``weights`` (k, n, m), and 0 outside the image. If
-    ``fit_background``, the best multiple of the background's ``shapes`` (k, n, m) is subtracted and
-    stored in ``background`` (b, k); ``norms`` (k,) are the weighted squares of the shapes.
-    ``squares`` (b, k) receives the weighted sums of squares.
-    """
-    n, m = images.shape[1:]
-    zero = predicted.dtype.type(0.0)
-    for b in range(predicted.shape[0]):
-        for k in range(predicted.shape[1]):
-            picture = predicted[b, k]
-            level = 0.0
-            for i in range(n):
-                p, g, w, s = picture[i], images[k, i], weights[k, i], shapes[k, i]
-                for j in range(m):
-                    p[j] -= g[j]
-                    level += w[j] * s[j] * p[j]
-                p[m:] = zero
-            picture[n:] = zero
-            level = level / norms[k] if fit_background else 0.0
-            background[b, k] = -level
-            shift = predicted.dtype.type(level)
-            total = 0.0
-            for i in range(n):
-                p, w, s = picture[i], weights[k, i], shapes[k, i]
-                for j in range(m):
-                    r = p[j] - shift * s[j]
-                    p[j] = w[j] * r
-                    total += p[j] * r
-            squares[b, k] = total
 
 
 @njit(cache=True, nogil=True)
@@ -230,55 +141,12 @@ def spectra(
 
 
 @njit(cache=True, nogil=True)
-def pull_back(field, weight, scale, out):
-    """Fill ``out`` (b, k, p, c) with ``field`` times the real ``weight`` times ``scale``.
-
-    This is the gradient of an intensity with respect to its field.
-    """
-    factor = weight.dtype.type(scale)
-    f, w, o = field.ravel(), weight.ravel(), out.ravel()
-    for j in range(o.size):
-        x = w[j] * factor
-        o[j] = complex(f[j].real * x, f[j].imag * x)
-
-
-@njit(cache=True, nogil=True)
-def phase_gradient(pupil, toward, walls, out):
-    """Fill ``out`` (b, w, cells) with the gradient with respect to each wall's phase.
-
-    ``pupil`` and ``toward`` (b, k, cells) are pupil function and gradient with respect to it. The
-    gradients of all images of a wall are added; ``walls`` (k,) are the walls' numbers.
-    """
-    for b in range(out.shape[0]):
-        out[b] = 0.0
-        for k in range(pupil.shape[1]):
-            p, g, o = pupil[b, k], toward[b, k], out[b, walls[k]]
-            for i in range(o.size):
-                o[i] += g[i].imag * p[i].real - g[i].real * p[i].imag
-
-
-@njit(cache=True, nogil=True)
-def softly_positive(free, support, softness, out):
-    """Fill ``out`` (b, n, m) with positive values of free parameters: (x + sqrt(x^2 + s^2))/2.
-
-    s is ``softness``. The values are multiplied by ``support`` (n, m), 0 where the object is known
-    to be dark.
-    """
-    square, half = free.dtype.type(softness * softness), free.dtype.type(0.5)
-    for b in range(free.shape[0]):
-        for i in range(free.shape[1]):
-            x, s, o = free[b, i], support[i], out[b, i]
-            for j in range(x.size):
-                o[j] = half * s[j] * (x[j] + np.sqrt(x[j] * x[j] + square))
-
-
-@njit(cache=True, nogil=True)
-def object_step(free, support, data_gradient, prior_gradient, first, second, softness, rate, bias):
+def object_step(free, data_gradient, prior_gradient, first, second, softness, rate, bias):
     """Make one Adam step on the free parameters (b, n, m) of the objects, in place.
 
-    ``support`` (n, m) is 0 where the object is known to be dark, ``first`` and ``second`` are the
-    moments of the gradient, ``rate`` the step and ``bias`` the bias correction of the second
-    moment.
+    Objects are (x + sqrt(x^2 + s^2))/2 for parameters x and ``softness`` s. ``first`` and
+    ``second`` are the moments of the gradient, ``rate`` the step and ``bias`` the bias correction
+    of the second moment.
     """
     real = free.dtype.type
     square, half, lr = real(softness * softness), real(0.5), real(rate)
@@ -287,10 +155,10 @@ def object_step(free, support, data_gradient, prior_gradient, first, second, sof
     n, m = free.shape[1:]
     for b in range(free.shape[0]):
         for i in range(n):
-            x, g, d, s = free[b, i], prior_gradient[b, i], data_gradient[b, i], support[i]
+            x, g, d = free[b, i], prior_gradient[b, i], data_gradient[b, i]
             u, v = first[b, i], second[b, i]
             for j in range(m):
-                slope = half * s[j] * (one + x[j] / np.sqrt(x[j] * x[j] + square))
+                slope = half * (one + x[j] / np.sqrt(x[j] * x[j] + square))
                 step = (g[j] + d[j]) * slope
                 u[j] = a1 * u[j] + b1 * step
                 v[j] = a2 * v[j] + b2 * step * step

@@ -10,7 +10,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import torch
 
 from ..._checks import counted, in_range, positive, whole
 from ..._progress import Progress
@@ -18,7 +17,6 @@ from ..._random import checked_seed
 from ...errors import SamplingError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
-from ..data.arrays import as_numpy
 from ..data.checkpoints import State, goes_on, state_of
 from ..data.measurement import measured
 from ..data.noisy_image import NoisyImage
@@ -40,11 +38,8 @@ def evidence_fit(
     pupil_psf: PupilPSF,
     *,
     defocus: Any = None,
-    walls: Any = None,
     start_error: float | None = None,
     known_object: Any = None,
-    support: Any = None,
-    fit_gains: bool = True,
     strength: float | None = None,
     max_iterations: int | None = None,
     max_seconds: float | None = None,
@@ -65,30 +60,22 @@ def evidence_fit(
     ----------
     images : Measurement, ndarray or Tensor
         K camera images, (K, H, W), or one, (H, W), with their noise and backgrounds. All show the
-        same object: via one wall with K known defoci, or via several walls. The object must lie
-        inside the image.
+        same object via one wall, with K known defoci. The object must lie inside the image.
     pupil_psf : PupilPSF
         Point spread function (PSF) of the wall and lens as a function of the M Zernike coefficients
-        to fit, (M,) or (n_walls, M). Coefficients other than 0 are an additional start of the fit.
-        A known wave or transmission in ``pupil_psf`` is kept fixed. The PSF must have
-        at least the shape of the images.
+        to fit, (M,). Coefficients other than 0 are an additional start of the fit. A known wave or
+        transmission in ``pupil_psf`` is kept fixed. The PSF must have at least the shape of the
+        images.
     defocus : array_like, optional
         Known additional defocus of each image, (K,), m rms over the pupil (Noll 4). Positive values
         mean a detector too close to the lens.
-    walls : array_like of int, optional
-        Number of the wall of each image, (K,), counted from 0. By default all images show the same
-        wall.
     start_error : float, optional
         Expected rms error, waves, at most 0.25, of the wave that the coefficients in ``pupil_psf``
         describe, if the wall is roughly known. Each coefficient then has a Gaussian prior of
         standard deviation ``start_error/sqrt(M)`` about its given value, and one image can be
         sufficient. Overestimate the error if in doubt. By default there is no prior.
     known_object : array_like, optional
-        Object, (H, W), if it is known. Then only its brightness and the walls are fitted.
-    support : array_like, optional
-        Mask, (H, W), 0 at pixels where the object is known to be dark.
-    fit_gains : bool
-        Whether to fit the relative brightness of several images, by a factor of at most 10.
+        Object, (H, W), if it is known. Then only its brightness and the wall are fitted.
     strength : float or None
         Rms aberration of the wall, waves, if known. None: several values are tried.
     max_iterations : int, optional
@@ -97,8 +84,8 @@ def evidence_fit(
         is 1 for one image with proposals of the network, see the Notes, otherwise 5. A round starts
         from 24 proposals or 32 random walls, and continues with random variations of the best.
     max_seconds : float, optional
-        Time, s, after which the search ends, once it has found a first result; an unfinished step
-        is discarded. With such a limit, the result depends on the speed of the machine. By default
+        Time, s, after which the search ends with the running step, once it has a first result. With
+        such a limit, the result depends on the speed of the machine. By default
         there is no limit.
     seed : int
         Seed of the random starts.
@@ -115,15 +102,15 @@ def evidence_fit(
         Object, status and score. ``physical_parameters`` also contains the values below. The Notes
         explain the free energy.
 
-        - ``coefficients``, (M,) or (n_walls, M): Zernike coefficients, waves rms.
-        - ``more_modes``, (L,), and ``more_coefficients``, (L,) or (n_walls, L): Noll indices and
-          coefficients, waves rms, of modes that were added because the residual exceeded the noise.
+        - ``coefficients``, (M,): Zernike coefficients, waves rms.
+        - ``more_modes``, (L,), and ``more_coefficients``, (L,): Noll indices and coefficients,
+          waves rms, of modes that were added because the residual exceeded the noise.
         - ``image_gains``, (K,): relative brightness of the images.
         - ``free_energy``: free energy of the result.
         - ``margin``: free energy of the result minus that of the best fit that starts with an
           unaberrated wave, which causes no blur. A negative value favours the result. NaN where
-          an unaberrated wave cannot explain the data anyway: with images of different defocus or of
-          several walls, or with ``known_object``.
+          an unaberrated wave cannot explain the data anyway: with images of different defocus, or
+          with ``known_object``.
         - ``sharp_margin``: free energy of the result minus that of a fit in which the image itself
           is the object. NaN if ``margin`` is NaN, or with ``start_error``.
         - ``model_error``: rms residual in excess of the noise, as a fraction of the images' range.
@@ -155,8 +142,8 @@ def evidence_fit(
     **Residual.** For the status "converged", ``model_error`` must be at most
     ``sqrt(a^2 + 3 s^2 sqrt(2/n))``. For several images a is ``0.004 + 0.003 w``, for one
     ``0.004 + 0.01 w``; w is the smaller of 1 and the wall's rms aberration in waves, and s the rms
-    noise as a fraction of the images' range. Images of one wall whose defoci differ by less than
-    0.1 waves count as one. If the residual of several images exceeds the noise, further modes are
+    noise as a fraction of the images' range. Images whose defoci differ by less than 0.1 waves
+    count as one. If the residual of several images exceeds the noise, further modes are
     fitted, up to radial order 5, then 7, then 8. If noise hides the residual of a wrong wall (the
     root of the second term exceeds 0.0035), two rounds must find the same object instead.
 
@@ -183,37 +170,42 @@ def evidence_fit(
         )
     rounds = None if max_iterations is None else whole("max_iterations", max_iterations)
     seconds = math.inf if max_seconds is None else positive("max_seconds", max_seconds, unit="s")
-    frames = frames_of(images, pupil_psf, defocus=defocus, walls=walls)
+    frames = frames_of(images, pupil_psf, defocus=defocus)
+    first = pupil_psf.coefficients.detach().double().cpu().numpy()
+    if first.ndim != 1:
+        raise SamplingError(
+            f"pupil_psf.coefficients have shape {first.shape}, must be (M,); give those of one wall"
+        )
     known = frames.picture("known_object", known_object)
-    mask = frames.picture("support", support)
     several = known is not None or _diverse(frames, pupil_psf.wavelength)
-    single = len(frames.images) == 1 and known is None and mask is None
 
     @cache
     def energies(padding: float, modes: tuple[int, ...]) -> FreeEnergy:
         rows, columns = (8 * math.ceil(padding * side / 8) for side in frames.shape)
-        return FreeEnergy(
-            frames,
-            pupil_psf,
-            grid=(rows, columns),
-            modes=modes,
-            support=mask,
-            known_object=known,
-            fit_gains=fit_gains,
-            late=late,
-        )
-
-    def late() -> bool:
-        return time.perf_counter() > started + seconds and len(search.place.best) > 0
+        return FreeEnergy(frames, pupil_psf, grid=(rows, columns), modes=modes, known_object=known)
 
     verdict = Verdict(frames, pupil_psf.modes, several)
     if all(one.is_background() for one in frames.measured):
-        return _without_object(frames, pupil_psf, gain, started)
+        strengths = np.array([one.background_strength(one.data) for one in frames.measured])
+        pairs = zip(frames.measured, strengths, strict=True)
+        reason = "no object was detected above the noise, so the object is zero; expose longer"
+        return _answer(
+            frames,
+            np.zeros(frames.shape),
+            strengths,
+            gain,
+            coefficients=np.zeros(len(pupil_psf.modes)),
+            status="too_few_photons",
+            reasons=(reason,),
+            score=float(np.mean([one.score(one.background(b)) ** 2 for one, b in pairs])) ** 0.5,
+            history=frozen({"objective": [], "residual": [], "change": []}),
+            seconds=time.perf_counter() - started,
+        )
     searched = not several and start_error is None
     search = Search(
         energies,
         verdict,
-        first=_first_coefficients(frames, pupil_psf),
+        first=first,
         start_error=start_error,
         strength=strength,
         proposals=wall_proposals(frames, pupil_psf) if searched else None,
@@ -226,12 +218,13 @@ def evidence_fit(
     def watch(text: str, done: float) -> bool:
         nonlocal ended
         ended = not goes_on(progress, f"evidence: {text}", done, snapshot)
-        return ended or late()
+        late = time.perf_counter() > started + seconds and len(search.place.best) > 0
+        return ended or late
 
     def snapshot() -> State:
         best = search.best()
         level = search.energy().objects(best)[0].astype(np.float64) * frames.scale
-        return state_of(torch.from_numpy(level), **search.place.saved())
+        return state_of(level, **search.place.saved())
 
     search.run(watch)
     search.finished()
@@ -244,47 +237,44 @@ def evidence_fit(
         reasons = search.faults
         status = verdict.status(best, margin, reasons)
         goes_on(progress, "evidence: done", 1.0, snapshot)
-        if single:
+        if len(frames.images) == 1 and known is None:
             best = _refined(frames, energy, best)
-    return _assembled(
+    best, levels = energy.judged(best)
+    level, gains = energy.objects(best)[0].astype(np.float64) * frames.scale, best.gains[0]
+    if energy.known:  # its brightness
+        level, gains = level * gains.mean(), gains / gains.mean()
+    wall, given = best.coefficients[0].astype(np.float64), len(pupil_psf.modes)
+    return _answer(
         frames,
-        energy,
-        best,
-        gain=gain,
-        status=status,
-        reasons=reasons,
-        history=search.place.history,
-        started=started,
-        given=len(pupil_psf.modes),
+        level,
+        levels[0] * frames.scale,
+        gain,
+        coefficients=wall[:given],
+        more_modes=np.array(energy.modes[given:]),
+        more_coefficients=wall[given:],
+        image_gains=gains,
+        free_energy=float(best.energy[0]),
         margin=margin,
         sharp_margin=sharp_margin,
         model_error=error,
+        status=status,
+        reasons=reasons,
+        score=math.sqrt(float(np.average(best.chi_square[0], weights=frames.counted))),
+        history=frozen(search.place.history),
+        seconds=time.perf_counter() - started,
     )
 
 
 def _diverse(frames: Frames, wavelength: float) -> bool:
     """Return whether the images themselves exclude a wave without blur."""
-    sights = {(int(w), float(d)) for w, d in zip(frames.walls, frames.defocus, strict=True)}
-    if len(sights) < len(frames.images):
+    sights = len(np.unique(frames.defocus))
+    if sights < len(frames.images):
         raise SamplingError(
-            f"{counted(len(frames.images), 'image')} with {counted(len(sights), 'pair')} of wall "
-            "and defocus: equal ones tell no more than their mean; average them, or give the known "
-            "defocus of each image, for example [0, half a wavelength]"
+            f"{counted(len(frames.images), 'image')} with {counted(sights, 'defocus', 'defoci')}: "
+            "equal ones tell no more than their mean; average them, or give the known defocus of "
+            "each image, for example [0, half a wavelength]"
         )
-    return frames.n_walls > 1 or bool(np.ptp(frames.defocus) >= 0.1 * wavelength)
-
-
-def _first_coefficients(frames: Frames, pupil_psf: PupilPSF) -> Floats:
-    """Return the given coefficients of all walls, (n_walls M,), waves rms."""
-    given = pupil_psf.coefficients.detach().double().cpu().numpy()
-    if given.ndim == 1:
-        given = np.tile(given, (frames.n_walls, 1))
-    if given.shape != (frames.n_walls, len(pupil_psf.modes)):
-        raise SamplingError(
-            f"pupil_psf.coefficients have shape {given.shape} for "
-            f"{counted(frames.n_walls, 'wall')}; give (M,) or (n_walls, M)"
-        )
-    return given.ravel()
+    return bool(np.ptp(frames.defocus) >= 0.1 * wavelength)
 
 
 def _refined(frames: Frames, energy: FreeEnergy, best: Starts) -> Starts:
@@ -298,84 +288,37 @@ def _refined(frames: Frames, energy: FreeEnergy, best: Starts) -> Starts:
     # errors of the wall's modes must not be fitted, like noise
     excess = math.sqrt(max(1.0, float(best.chi_square[0, 0])))
     data = replace(data, sigma=data.sigma * excess)
-    mean = 0.5 * (energy.objects(best) + as_numpy(sharpest(data, model)[0]) / frames.scale)
+    mean = 0.5 * (energy.objects(best) + sharpest(data, model)[0] / frames.scale)
     return energy.judged(replace(best, free=energy.parameters(mean)))[0]
 
 
-def _without_object(
-    frames: Frames, pupil_psf: PupilPSF, gain: float | None, started: float
+def _answer(
+    frames: Frames,
+    level: Floats,
+    backgrounds: Floats,
+    gain: float | None,
+    *,
+    status: Status,
+    reasons: tuple[str, ...],
+    score: float,
+    history: Mapping[str, Floats],
+    seconds: float,
+    **parameters: Any,
 ) -> Reconstruction:
-    """Return a zero object for images that their background explains."""
-    strengths = np.array([one.background_strength(one.data) for one in frames.measured])
-    scores = [
-        one.score(one.background(b)) for one, b in zip(frames.measured, strengths, strict=True)
-    ]
-    return Reconstruction(
-        object=frames.measured[0].like_input(torch.zeros(frames.shape, dtype=torch.float64)),
-        physical_parameters={
-            **_levels(frames, 1.0 if gain is None else gain, strengths),
-            "coefficients": np.zeros(_walls_first(frames, len(pupil_psf.modes))),
-        },
-        status="too_few_photons",
-        reasons=("no object was detected above the noise, so the object is zero; expose longer",),
-        score=math.sqrt(float(np.mean(np.square(scores)))),
-        history=frozen({"objective": [], "residual": [], "change": []}),
-        seconds=time.perf_counter() - started,
-    )
-
-
-def _levels(frames: Frames, gain: float, backgrounds: Floats) -> dict[str, Any]:
-    """Return gain, backgrounds and noise in image units; numbers for one image, else arrays."""
+    """Return the result for an object in image units; numbers for one image, else arrays."""
     one, sigmas = len(frames.measured) == 1, frames.sigmas * frames.scale
-    return {
+    gain = gain or float(level.max()) or 1.0
+    levels = {
         "gain": gain,
         "background": float(backgrounds[0]) if one else backgrounds,
         "noise_sigma": float(sigmas[0]) if one else sigmas,
     }
-
-
-def _walls_first(frames: Frames, count: int) -> tuple[int, ...]:
-    return (count,) if frames.n_walls == 1 else (frames.n_walls, count)
-
-
-def _assembled(
-    frames: Frames,
-    energy: FreeEnergy,
-    best: Starts,
-    *,
-    gain: float | None,
-    status: Status,
-    reasons: tuple[str, ...],
-    history: Mapping[str, list[float]],
-    started: float,
-    given: int,
-    **figures: float,
-) -> Reconstruction:
-    """Assemble the reconstruction in image units; ``given`` is the number of given modes."""
-    best, levels = energy.judged(best)
-    object_level = energy.objects(best)[0].astype(np.float64) * frames.scale
-    gains = best.gains[0]
-    if energy.known:  # its brightness
-        object_level, gains = object_level * gains.mean(), gains / gains.mean()
-    brightest = float(object_level.max())
-    if gain is None:
-        gain = brightest if brightest > 0.0 else 1.0
-    walls = best.coefficients[0].astype(np.float64).reshape(frames.n_walls, -1)
-    more = walls[:, given:].reshape(_walls_first(frames, walls.shape[1] - given))
     return Reconstruction(
-        object=frames.measured[0].like_input(torch.from_numpy(object_level / gain)),
-        physical_parameters={
-            **_levels(frames, gain, levels[0] * frames.scale),
-            "coefficients": walls[:, :given].reshape(_walls_first(frames, given)),
-            "more_modes": np.array(energy.modes[given:]),
-            "more_coefficients": more,
-            "image_gains": gains,
-            "free_energy": float(best.energy[0]),
-            **figures,
-        },
+        object=frames.measured[0].like_input(level / gain),
+        physical_parameters=levels | parameters,
         status=status,
         reasons=reasons,
-        score=math.sqrt(float(np.average(best.chi_square[0], weights=frames.counted))),
-        history=frozen(history),
-        seconds=time.perf_counter() - started,
+        score=score,
+        history=history,
+        seconds=seconds,
     )

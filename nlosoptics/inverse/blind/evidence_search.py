@@ -12,7 +12,7 @@ from numpy.random import Generator
 
 from ..._random import generator
 from ..data.scores import registered_correlation
-from .free_energy import Floats, FreeEnergy, OutOfTime, Starts, joined
+from .free_energy import Floats, FreeEnergy, Starts, joined
 from .random_walls import children, random_walls
 from .search_place import STEPS, TEXTS, Place
 from .search_settings import SETTINGS
@@ -33,7 +33,7 @@ class Search:
     """Search of one fit, step by step; each step draws from its own stream of random numbers.
 
     ``energies``: returns the free energy for a padding and Noll indices. ``verdict``: tests of
-    answers. ``first`` (M,): given coefficients of all walls, waves rms; zeros if there are none.
+    answers. ``first`` (M,): given coefficients of the wall, waves rms; zeros if there are none.
     ``start_error``: expected rms error of the given coefficients, waves; None: they are only one
     more start. ``strength``: known rms of the walls' waves, waves. ``proposals``: proposed walls
     for one image; None: there are none. ``rounds``: largest number of rounds; None: the default.
@@ -71,7 +71,7 @@ class Search:
         self._sharpness = math.inf
         if not self._frames and start_error is None and self._expected_length() > SETTINGS.weak:
             self._sharpness = self._expected_sharpness()
-        self._flat = self._energy.starts(np.zeros((1, self._energy.size)), SETTINGS.trivial.first)
+        self._flat = self._energy.starts(np.zeros((1, len(modes))), SETTINGS.trivial.first)
         self.place = Place(modes=modes, pool=self._flat[:0], best=self._flat[:0])
         if state is not None:
             self.place = Place.of(state, self._flat, len(modes))
@@ -109,23 +109,14 @@ class Search:
         return self.place.best if len(self.place.best) else self._flat
 
     def run(self, watch: Watch) -> None:
-        """Make steps until the search ends or ``watch`` asks it to.
-
-        A step that runs out of time leaves the place as it was before.
-        """
+        """Make steps until the search ends or ``watch`` asks it to."""
         while self.place.step != "end":
             now, count = self.place.step, self.place.count
             part = (STEPS.index(now) + count / 10.0) / len(STEPS)
             whole = self.place.turn + part if self.place.turn >= 0 else 0.1 * part - 0.1
             if watch(TEXTS[now], (whole + 0.1) / (self._rounds + 0.1)):
                 return
-            history = {name: values.copy() for name, values in self.place.history.items()}
-            before = replace(self.place, history=history)
-            try:
-                step = getattr(self, f"_{now}")(self._random(now, count))
-            except OutOfTime:
-                self.place = before
-                return
+            step = getattr(self, f"_{now}")(self._random(now, count))
             self.place.count = count + 1 if step == now else 0
             self.place.step = step
 
@@ -146,7 +137,7 @@ class Search:
     def _reference(self, random: Generator) -> str:
         """Fit without blur, which an answer for one image has to beat."""
         if not self._frames:
-            walls = random_walls(4, self._energy.size, np.array([0.1]), random)
+            walls = random_walls(4, len(self._energy.modes), np.array([0.1]), random)
             walls[0] = 0.0
             if self._error is not None:
                 found = self._energy.starts(walls[:1], SETTINGS.near[1].first)
@@ -159,7 +150,7 @@ class Search:
                 found = _settled(
                     self._energy, self._energy.descend(found, SETTINGS.trivial).best(1)
                 )
-                flat = random_walls(1, self._energy.size, np.array([SETTINGS.sharp]), random)
+                flat = random_walls(1, len(self._energy.modes), np.array([SETTINGS.sharp]), random)
                 flat_starts = self._energy.starts(flat, SETTINGS.trivial.first, SETTINGS.sharp)
                 self.place.floor = float(found.energy[0])
                 flat_starts = self._energy.descend(flat_starts, SETTINGS.trivial)
@@ -177,7 +168,7 @@ class Search:
         count, pool = self.place.count, self.place.pool
         if count == 0:
             walls = random_walls(
-                SETTINGS.near_starts, self._energy.size, np.array([self._error]), random
+                SETTINGS.near_starts, len(self._energy.modes), np.array([self._error]), random
             )
             walls[0] = 0.0
             pool = self._prior.starts(self._first + walls, SETTINGS.near[0].first)
@@ -199,8 +190,6 @@ class Search:
 
     def _gather(self, random: Generator) -> str:
         """Fit random walls."""
-        modes = len(self._energy.modes)
-        many = self._energy.size // modes
         slow = self._frames and self.place.turn > 0 and not self._noisy
         stage = SETTINGS.gather_slowly if slow else SETTINGS.gather
         if self._noisy:
@@ -211,8 +200,7 @@ class Search:
             noises = SETTINGS.noises
             stage = replace(stage, first=noises[self.place.turn % len(noises)])
             lengths = lengths * random.uniform(*SETTINGS.lengths, starts)
-        walls = random_walls(starts * many, modes, np.repeat(lengths, many), random)
-        walls = walls.reshape(starts, -1)
+        walls = random_walls(starts, len(self._energy.modes), lengths, random)
         energy = self._searched()
         self.place.pool = energy.descend(energy.starts(walls, stage.first), stage)
         return "settle"
@@ -238,7 +226,7 @@ class Search:
         random = generator(self._seed, 12)
         if self._proposals is None:
             lengths = np.array([self._expected_length()])
-            walls = random_walls(SETTINGS.expected, self._energy.size, lengths, random)
+            walls = random_walls(SETTINGS.expected, len(self._energy.modes), lengths, random)
         else:
             walls = self._proposals.walls(SETTINGS.expected, random)
         return float(np.quantile(self._searched().sharpness(walls), SETTINGS.spread_out))
@@ -281,7 +269,7 @@ class Search:
         well = frames and not self._noisy and self._verdict.well(pool)
         if well or self.place.count == near.generations:
             return "finish"
-        twin = np.ones(energy.size) if frames else energy.twin
+        twin = np.ones(len(energy.modes)) if frames else energy.twin
         walls = children(pool[: near.litter // 3], near.litter, twin, near, random)
         walls *= random.uniform(*SETTINGS.growth, size=(len(walls), 1))
         stage = SETTINGS.settle if frames else SETTINGS.compare
@@ -343,11 +331,10 @@ class Search:
             added = [mode for mode in range(4, tops[place.count] + 1) if mode not in place.modes]
             modes = (*place.modes, *added)
             wide = self._wider(modes)
-            walls = place.best.coefficients.reshape(-1, len(place.modes))
-            wider = np.pad(walls, ((0, 0), (0, len(added)))).reshape(1, -1)
+            wider = np.pad(place.best.coefficients, ((0, 0), (0, len(added))))
             found = wide.descend(replace(place.best, coefficients=wider), SETTINGS.finish)
             # Schwarz (1978): a parameter costs half the logarithm of the number of data
-            least = 0.5 * math.log(self._verdict.pixels) * (wide.size - walls.size)
+            least = 0.5 * math.log(self._verdict.pixels) * len(added)
             if float(place.best.energy[0] - found.energy[0]) > least:
                 self._offer(found, modes)
             return "widen"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -31,21 +31,16 @@ Floats = NDArray[Any]
 _SOFTNESS = 0.1
 
 
-class OutOfTime(Exception):
-    """Raised by a descent that is to end without a result."""
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Starts:
     """Walls and objects during a fit, one per row.
 
-    ``coefficients`` (B, M): Zernike coefficients of the walls, waves rms; those of several walls
-    one after the other. ``free`` (B, H, W): free parameters x of the objects (x + sqrt(x^2 +
-    s^2))/2. ``gains`` (B, K): relative brightness of the images. ``variances`` (B, 2): posterior
-    variances of the objects' differences along x and y. ``energy`` (B,): free energy at the end of
-    the last stage, infinite before. ``chi_square`` (B, K): mean squared residual of each image over
-    its noise variance. ``radius`` (B,): fixed norm of the coefficients, waves rms; infinite if it
-    is free.
+    ``coefficients`` (B, M): Zernike coefficients of the walls, waves rms. ``free`` (B, H, W): free
+    parameters x of the objects (x + sqrt(x^2 + s^2))/2. ``gains`` (B, K): relative brightness of
+    the images. ``variances`` (B, 2): posterior variances of the objects' differences along x and y.
+    ``energy`` (B,): free energy at the end of the last stage, infinite before. ``chi_square``
+    (B, K): mean squared residual of each image over its noise variance. ``radius`` (B,): fixed norm
+    of the coefficients, waves rms; infinite if it is free.
     """
 
     coefficients: Floats
@@ -79,12 +74,9 @@ class FreeEnergy:
     ``frames``: the images with their noise, walls and known defoci. ``pupil_psf``: point spread
     with Zernike coefficients, of any shape. ``grid`` (int, int): rows p and columns c of the padded
     FFT grid, at least those of the images; c is even. ``modes``: Noll indices of the coefficients;
-    by default those of ``pupil_psf``. ``support``: mask, (H, W), 0 where the object is known to be
-    dark. ``known_object``: known object of unknown brightness, (H, W). Then F is half the squared
-    residuals. ``fit_gains``: whether to fit the relative brightness of the images. ``dtype``:
-    ``numpy.float32`` or ``numpy.float64``; by default float32 unless the noise is too small.
-    ``late``: function that each iteration of a descent calls; if it returns True, `OutOfTime` is
-    raised.
+    by default those of ``pupil_psf``. ``known_object``: known object of unknown brightness, (H, W).
+    Then F is half the squared residuals. ``dtype``: ``numpy.float32`` or ``numpy.float64``; by
+    default float32 unless the noise is too small.
 
     With residuals r, noise s, prior strength kappa, differences D, mean object m, variances v,
     transfer functions H and posterior covariance C [1]_::
@@ -108,32 +100,27 @@ class FreeEnergy:
         *,
         grid: tuple[int, int],
         modes: Sequence[int] | None = None,
-        support: Floats | None = None,
         known_object: Floats | None = None,
-        fit_gains: bool = False,
         dtype: type | None = None,
-        late: Callable[[], bool] = lambda: False,
     ) -> None:
         if dtype is None:
             dtype = np.float32 if frames.sigmas.min() > 1e-4 else np.float64
         self.sigma = float(np.mean(np.square(frames.sigmas)) ** 0.5)
         self._dtype, self.grid, self._shape = dtype, grid, frames.shape
-        self._late = late
         self._levels: Floats = self.sigma / frames.sigmas
         self._images = self._array(frames.images * self._levels[:, None, None])
-        self._weights = self._array(frames.weights())
-        self._shapes = self._array(frames.background_shapes())
-        self._norms: Floats = (self._weights.astype(float) * self._shapes**2).sum(axis=(1, 2))
-        self._counted, self._walls = frames.counted, frames.walls
-        self._fit_background, self._fit_gains = frames.fit_background, fit_gains
-        self._support = self._array(np.ones(frames.shape) if support is None else support > 0.0)
+        self._weights = self._array(np.stack([one.weights for one in frames.measured]))
+        shapes = np.stack([one.background_shape for one in frames.measured])
+        self._shapes = self._array(shapes * frames.measured[0].fit_background)
+        self._norms: Floats = _sums(self._weights * self._shapes**2)
+        self._counted = frames.counted
         self._known: Floats | None = None
         if known_object is not None:
             self._known = self._array(known_object / known_object.max())
         self.modes = tuple(pupil_psf.modes if modes is None else modes)
         orders = (np.sqrt(8.0 * np.array(self.modes) - 7.0) - 1.0) // 2.0
         #: signs that convert a wall to the one with the same in-focus point spread, W(x) -> -W(-x)
-        self.twin = np.tile(np.where(orders % 2 == 0, -1.0, 1.0), frames.n_walls)
+        self.twin = np.where(orders % 2 == 0, -1.0, 1.0)
         self._share = math.prod(frames.shape) / math.prod(grid)
         turns = [2.0 * np.pi * np.arange(side) / side for side in grid]
         self._steps = self._array(2.0 - 2.0 * np.cos(np.concatenate(turns)))
@@ -142,18 +129,13 @@ class FreeEnergy:
         self._stiffness = 0.0
 
     @property
-    def size(self) -> int:
-        """Number of coefficients of all walls."""
-        return len(self.twin)
-
-    @property
     def known(self) -> bool:
         """Whether the object is known."""
         return self._known is not None
 
     def point_spread(self, starts: Starts) -> Floats:
         """Return the point spread of the first start for the first image, (p, c), centred."""
-        transfer = self._transfer(starts.coefficients[:1])[0][0, 0] * self._pixel[0]
+        transfer = self._transfer(starts.coefficients[:1])[0][0, 0].numpy() * self._pixel[0]
         spread = np.fft.fftshift(np.fft.irfft2(transfer / self._levels[0], s=self.grid))
         return np.maximum(spread.astype(np.float64), 0.0)
 
@@ -171,7 +153,9 @@ class FreeEnergy:
 
     def _spreads(self, walls: Floats) -> Floats:
         """Return the point spreads (B, K, p, c) of walls (B, M), their centre at sample [0, 0]."""
-        return np.fft.irfft2(self._transfer(self._array(walls))[0] * self._pixel, s=self.grid)
+        return np.fft.irfft2(
+            self._transfer(self._array(walls))[0].numpy() * self._pixel, s=self.grid
+        )
 
     def about(self, first: Floats, error: float) -> Self:
         """Return this energy with a Gaussian prior of the coefficients about ``first`` (M,).
@@ -222,9 +206,8 @@ class FreeEnergy:
         """Return the mean objects, (B, H, W), in the images' unit."""
         if self._known is not None:
             return np.repeat(self._known[None], len(starts), axis=0)
-        mean = np.empty_like(starts.free)
-        kernels.softly_positive(starts.free, self._support, _SOFTNESS, mean)
-        return mean
+        free: Floats = starts.free
+        return np.asarray(0.5 * (free + np.sqrt(free * free + free.dtype.type(_SOFTNESS**2))))
 
     def evaluate(
         self, starts: Starts, wall: Floats, noise: float, kappa: float, want_energy: bool
@@ -243,19 +226,19 @@ class FreeEnergy:
         (B, M): gradient with respect to the coefficients.
         """
         mean, grid = self.objects(starts), self.grid
-        count, frames = len(mean), len(self._images)
+        count, (rows, columns) = len(mean), self._shape
         transfer, pupil, field = self._transfer(wall)
-        spectrum = torch.fft.rfft2(torch.from_numpy(mean), s=grid).numpy()
-        product = np.empty_like(transfer)
-        kernels.predict(transfer, self._pixel, starts.gains, spectrum, product)
-        seen = torch.fft.irfft2(torch.from_numpy(product), s=grid).numpy()
+        scale = self._pixel * self._array(starts.gains)[..., None, None]
+        transfer = transfer * torch.from_numpy(scale)
+        spectrum = torch.fft.rfft2(torch.from_numpy(mean), s=grid)
+        seen = torch.fft.irfft2(transfer * spectrum[:, None], s=grid)[..., :rows, :columns].numpy()
         gains = self._brightness(seen, starts.gains)
-        squares, background = np.empty((count, frames)), np.empty((count, frames))
-        kernels.residuals(
-            seen, self._images, self._weights, self._shapes, self._norms, self._fit_background,
-            squares, background,
-        )  # fmt: skip
-        residual = torch.fft.rfft2(torch.from_numpy(seen)).numpy()
+        background = self._background(self._images - seen)
+        seen -= self._images
+        seen += self._array(background)[..., None, None] * self._shapes
+        weighted = self._weights * seen
+        squares = _sums(weighted * seen)
+        residual = torch.fft.rfft2(torch.from_numpy(weighted), s=grid).numpy()
         by_prior, rough, weights = np.zeros_like(mean), np.zeros(count), np.ones((count, 2))
         if self._known is None:
             kernels.roughness(
@@ -264,12 +247,13 @@ class FreeEnergy:
             )  # fmt: skip
         precision = np.full(count, 1.0 / (noise * self.sigma) ** 2)
         variances, volume = np.empty((count, 2)), np.empty(count)
+        toward = np.empty(spectrum.shape, dtype=residual.dtype)
         kernels.spectra(
-            transfer, residual, spectrum, self._pixel, starts.gains, self._steps, weights,
-            precision, self._share if self._known is None else 0.0, product[:, 0], variances,
+            transfer.numpy(), residual, spectrum.numpy(), self._pixel, starts.gains, self._steps,
+            weights, precision, self._share if self._known is None else 0.0, toward, variances,
             volume, want_energy,
         )  # fmt: skip
-        by_data = torch.fft.irfft2(torch.from_numpy(product[:, 0]), s=grid).numpy()
+        by_data = torch.fft.irfft2(torch.from_numpy(toward), s=grid).numpy()
         energy = 0.5 * (squares.sum(axis=1) * precision + rough + volume) + self.held(wall)
         values = {
             "energy": energy,
@@ -311,8 +295,6 @@ class FreeEnergy:
         held = np.isfinite(starts.radius)[:, None]
         radius = np.where(held, starts.radius[:, None], 1.0)
         for step in range(stage.iterations):
-            if self._late():
-                raise OutOfTime
             length = np.linalg.norm(wall, axis=1, keepdims=True)
             placed = np.where(held, wall * (radius / np.maximum(length, 1e-12)), wall)
             placed = self._array(placed)
@@ -328,9 +310,8 @@ class FreeEnergy:
             pace = stage.pace(step) / bias
             rate = 0.05 * pace  # of the image's maximum
             kernels.object_step(
-                free, self._support, by_data, by_prior, first, second, _SOFTNESS,
-                rate, bias_square,
-            )  # fmt: skip
+                free, by_data, by_prior, first, second, _SOFTNESS, rate, bias_square
+            )
             wall_first += 0.1 * (slope - wall_first)
             wall_second += 0.01 * (slope**2 - wall_second)
             root = np.sqrt(wall_second / bias_square) + 1e-10
@@ -342,25 +323,24 @@ class FreeEnergy:
             chi_square=values["squares"] / self._counted,
         )
 
+    def _background(self, images: Floats) -> Floats:
+        """Return the strengths (B, K) of the backgrounds that fit best; 0 if these are known."""
+        return _sums(self._weights * self._shapes * images) / np.where(self._norms, self._norms, 1)
+
     def _brightness(self, seen: Floats, gains: Floats) -> Floats:
         """Return the relative brightness of the images (B, K) after one step of least squares.
 
-        That of a known object is common to all images; otherwise the geometric mean is 1, since
-        the object's own brightness is free.
+        Unless the object is known, the geometric mean is 1, since its own brightness is free.
         """
-        if self._known is None and (not self._fit_gains or gains.shape[1] == 1):
+        if self._known is None and gains.shape[1] == 1:
             return gains
-        cross, norm = np.empty(gains.shape), np.empty(gains.shape)
-        kernels.brightness(
-            seen, self._images, self._weights, self._shapes, self._fit_background, cross, norm
-        )
-        if not self._fit_gains:
-            cross, norm = cross.sum(axis=1, keepdims=True), norm.sum(axis=1, keepdims=True)
-        ratio = np.maximum(cross, 1e-12) / np.maximum(norm, 1e-12)
-        if self._known is None:
-            ratio /= np.exp(np.log(ratio).mean(axis=1, keepdims=True))
-        found: Floats = gains * np.clip(ratio, 1.0 / 1.2, 1.2)
-        return found if self._known is not None else np.clip(found, 0.1, 10.0)
+        own = seen - self._array(self._background(seen))[..., None, None] * self._shapes
+        ratio = np.maximum(_sums(self._weights * own * self._images), 1e-12)
+        ratio /= np.maximum(_sums(self._weights * own * own), 1e-12)
+        if self._known is not None:
+            return np.asarray(gains * np.clip(ratio, 1.0 / 1.2, 1.2))
+        ratio /= np.exp(np.log(ratio).mean(axis=1, keepdims=True))
+        return np.asarray(np.clip(gains * np.clip(ratio, 1.0 / 1.2, 1.2), 0.1, 10.0))
 
     def _objects(self, wall: Floats, noise: float) -> Floats:
         """Return Wiener-filtered objects, (B, H, W), at least 0.01 of the image's range.
@@ -368,12 +348,10 @@ class FreeEnergy:
         ``noise`` is the ratio of the assumed noise to the actual one.
         """
         rows, columns = self._shape
-        transfer = self._transfer(wall)[0] * self._pixel
-        level = np.zeros(len(self._images))
-        if self._fit_background:
-            edges = [self._images[:, [0, -1]], self._images[:, :, [0, -1]].swapaxes(1, 2)]
-            flat = [edge.reshape(len(level), -1) for edge in edges]
-            level = np.median(np.concatenate(flat, axis=1), axis=1)
+        transfer = self._transfer(wall)[0].numpy() * self._pixel
+        edges = [self._images[:, [0, -1]], self._images[:, :, [0, -1]].swapaxes(1, 2)]
+        flat = [edge.reshape(len(self._images), -1) for edge in edges]
+        level = np.median(np.concatenate(flat, axis=1), axis=1) * (self._norms > 0.0)
         data = torch.from_numpy(self._array(self._images - level[:, None, None]))
         seen = torch.fft.rfft2(data, s=self.grid).numpy()
         down, along = self._steps[: self.grid[0]], self._steps[self.grid[0] :]
@@ -385,35 +363,28 @@ class FreeEnergy:
         bright: Floats = np.maximum(mean[:, :rows, :columns], 0.01)
         return bright
 
-    def _transfer(self, wall: Floats) -> tuple[Floats, Tensor, Floats]:
+    def _transfer(self, wall: Floats) -> tuple[Tensor, Tensor, Tensor]:
         """Return transfer functions (B, K, p, q), pupil functions, and image fields.
 
         The transfer functions do not contain that of the detector's pixels, unless these are wider
         than the field's samples.
         """
-        count, frames, rows, columns = len(wall), len(self._images), *self._fine
-        each = torch.from_numpy(wall).view(count, -1, len(self.modes))
-        phase = (each @ self._basis)[:, self._walls] + self._known_phase
+        rows, columns = self._fine
+        phase = (torch.from_numpy(wall) @ self._basis)[:, None] + self._known_phase
         pupil = torch.complex(phase.cos() * self._amplitude, phase.sin() * self._amplitude)
-        lit = pupil.view(count, frames, *self._cells)
-        field = torch.fft.fft(torch.fft.fft(lit, n=rows, dim=-2), n=columns, dim=-1).numpy()
-        spread = np.empty(field.shape, dtype=self._dtype)
-        kernels.intensity(field, spread)
-        return torch.fft.rfft2(self._to_pixels(torch.from_numpy(spread))).numpy(), pupil, field
+        pupil = pupil.view(*phase.shape[:-1], *self._cells)
+        field = torch.fft.fft(torch.fft.fft(pupil, n=rows, dim=-2), n=columns, dim=-1)
+        spread = torch.from_numpy(field.numpy().real ** 2 + field.numpy().imag ** 2)
+        return torch.fft.rfft2(self._to_pixels(spread)), pupil, field
 
-    def _wall_gradient(self, toward: Floats, pupil: Tensor, field: Floats) -> Floats:
+    def _wall_gradient(self, toward: Floats, pupil: Tensor, field: Tensor) -> Floats:
         rows, columns = self._cells
-        spread = torch.fft.irfft2(torch.from_numpy(toward), s=self.grid)
-        spread = self._from_pixels(spread).contiguous()
-        pulled = np.empty(field.shape, dtype=field.dtype)
-        scale = 2.0 * float(math.prod(self.grid)) * math.prod(self._fine)
-        kernels.pull_back(field, spread.numpy(), scale, pulled)
-        cells = torch.fft.ifft(torch.from_numpy(pulled), dim=-1)[..., :columns]
-        cells = torch.fft.ifft(cells, dim=-2)[..., :rows, :].contiguous()
-        walls = len(self.twin) // len(self.modes)
-        phase = np.empty((len(field), walls, rows * columns), dtype=self._dtype)
-        kernels.phase_gradient(pupil.numpy(), cells.view(pupil.shape).numpy(), self._walls, phase)
-        return (torch.from_numpy(phase) @ self._basis.T).flatten(1).numpy()
+        spread = self._from_pixels(torch.fft.irfft2(torch.from_numpy(toward), s=self.grid))
+        spread = spread * (2.0 * math.prod(self.grid) * math.prod(self._fine))
+        cells = torch.fft.ifft(field * spread, dim=-1)[..., :columns]
+        cells = torch.fft.ifft(cells, dim=-2)[..., :rows, :]
+        phase = (pupil.real * cells.imag - pupil.imag * cells.real).sum(dim=1)
+        return np.asarray(phase.flatten(1) @ self._basis.T)
 
     def _to_pixels(self, spread: Tensor) -> Tensor:
         """Return the energy per pixel (..., p, c) of intensities on the fine grid."""
@@ -462,3 +433,8 @@ class FreeEnergy:
 
     def _array(self, values: Any) -> Floats:
         return np.ascontiguousarray(values, dtype=self._dtype)
+
+
+def _sums(images: Floats) -> Floats:
+    """Return the sums (...) of images (..., H, W) in double precision."""
+    return np.asarray(images.sum(axis=(-2, -1), dtype=np.float64))

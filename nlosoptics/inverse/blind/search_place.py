@@ -28,6 +28,7 @@ TEXTS = {
 }
 STEPS = tuple(TEXTS)
 HISTORY = ("objective", "residual", "change")
+NUMBERS = ("turn", "count", "met", "floor", "sharp", "held", "rival")
 
 
 @dataclass(eq=False, kw_only=True)
@@ -60,21 +61,20 @@ class Place:
 
     def saved(self) -> dict[str, Any]:
         """Return all that a resumed search needs, as arrays."""
-        numbers = [self.turn, self.count, self.met, STEPS.index(self.step)]
-        found: dict[str, Any] = {
-            "place": [*numbers, self.floor, self.sharp, self.held, self.rival],
+        arrays: dict[str, Any] = {
+            "place": [STEPS.index(self.step), *(getattr(self, name) for name in NUMBERS)],
             "modes": self.modes,
-            **{f"history_{name}": values for name, values in self.history.items()},
+            "history": np.array([self.history[name] for name in HISTORY]),
         }
         for name, starts in (("pool", self.pool), ("best", self.best)):
-            found |= {f"{name}_{key}": values for key, values in vars(starts).items()}
-        return found
+            arrays |= {f"{name}_{key}": values for key, values in vars(starts).items()}
+        return arrays
 
     @classmethod
     def of(cls, state: Any, like: Starts, modes: int) -> Place:
         """Return the place of a saved state.
 
-        ``like`` are starts of the resumed fit, with ``modes`` coefficients for each wall.
+        ``like`` are starts of the resumed fit, with ``modes`` coefficients.
         """
         if not isinstance(state, Mapping):
             raise SceneError(
@@ -82,7 +82,7 @@ class Place:
                 "evidence_fit, or leave it out"
             )
         names = [f"{part}_{entry.name}" for part in ("pool", "best") for entry in fields(Starts)]
-        names += ["place", "modes", *(f"history_{name}" for name in HISTORY)]
+        names += ["place", "modes", "history"]
         missing = [name for name in names if name not in state]
         if missing:
             raise SceneError(
@@ -95,7 +95,7 @@ class Place:
                 arrays[name] = np.array(state[f"{part}_{name}"], dtype=mine.dtype)
                 given, wanted = arrays[name].shape[1:], mine.shape[1:]
                 if name == "coefficients":
-                    wanted = (mine.shape[1] // modes * count,)
+                    wanted = (count,)
                 if given != wanted:
                     raise SamplingError(
                         f"start's {name} have shape {given} for each start, this fit's {wanted}; "
@@ -103,21 +103,15 @@ class Place:
                     )
             return Starts(**arrays)
 
-        found = tuple(np.asarray(state["modes"], dtype=int).tolist())
+        wide = tuple(np.asarray(state["modes"], dtype=int).tolist())
         numbers = np.asarray(state["place"], dtype=float)
         check_shape("start's place", numbers, (8,), "in this version; leave it out")
-        turn, count, met, step, floor, sharp, held, rival = numbers.tolist()
+        step, turn, count, met, *energies = numbers.tolist()
         return cls(
-            turn=int(turn),
-            count=int(count),
-            met=int(met),
             step=STEPS[int(step)],
-            floor=floor,
-            sharp=sharp,
-            held=held,
-            rival=rival,
-            modes=found,
+            **dict(zip(NUMBERS, [int(turn), int(count), int(met), *energies], strict=True)),
+            modes=wide,
             pool=kept("pool", modes),
-            best=kept("best", len(found)),
-            history={name: np.asarray(state[f"history_{name}"]).tolist() for name in HISTORY},
+            best=kept("best", len(wide)),
+            history=dict(zip(HISTORY, np.asarray(state["history"]).tolist(), strict=True)),
         )

@@ -60,8 +60,7 @@ class Verdict:
     """Tests of the answers of one fit; the truth is not used.
 
     ``frames``: the images. ``modes``: Noll indices of the given modes. ``several``: whether the
-    images themselves exclude a wave without blur: by known defoci, by several walls, or by a known
-    object.
+    images themselves exclude a wave without blur: by known defoci, or by a known object.
     """
 
     def __init__(self, frames: Frames, modes: tuple[int, ...], several: bool) -> None:
@@ -88,8 +87,7 @@ class Verdict:
 
         It includes three standard errors of the mean squared residual.
         """
-        walls = best.coefficients[0].reshape(self._frames.n_walls, -1)
-        length = min(float(np.linalg.norm(walls, axis=1).mean()), 1.0)
+        length = min(float(np.linalg.norm(best.coefficients[0])), 1.0)
         least, more = LIMITS.complete_error if complete else LIMITS.model_error
         return math.sqrt((least + more * length) ** 2 + self._noise())
 

@@ -18,8 +18,7 @@ import torch
 from numpy.random import Generator
 from torch import Tensor
 
-from ..._checks import reason
-from ...errors import MissingExtraError, SceneError
+from ...errors import MissingExtraError
 from ...psf.wave.zernikes import zernike
 from ..wave.frames import Frames
 from ..wave.pupil_psf import PupilPSF
@@ -29,7 +28,6 @@ from .wall_network import MODES, SIDE, WallNetwork, twin_signs
 
 #: File of the trained weights.
 WEIGHTS = Path(__file__).with_name("wall_proposals.safetensors")
-FORMAT = "nlosoptics wall proposals 1"
 Turn = Callable[[Tensor], Tensor]
 
 
@@ -193,39 +191,16 @@ def at_nyquist(image: Floats, noise: float, scale: float) -> tuple[Tensor, float
 
 @cache
 def trained_network() -> WallNetwork:
-    """Return the network with the weights of the package."""
-    return loaded_network(WEIGHTS)
-
-
-def loaded_network(path: Path) -> WallNetwork:
-    """Load a network from a file in the safetensors format.
-
-    Raises
-    ------
-    SceneError
-        If the file cannot be read or does not contain such a network.
-    MissingExtraError
-        If safetensors is not installed.
-    """
+    """Return the network with the weights of the package; raise if safetensors is missing."""
     try:
-        from safetensors import SafetensorError, safe_open
+        from safetensors.torch import load_file
     except ImportError:
         raise MissingExtraError(
             "networks are files of safetensors, which is not installed; "
             "pip install 'nlosoptics[inverse]'"
         ) from None
-    network = WallNetwork()
-    try:
-        with safe_open(path, "pt") as file:
-            if (form := (file.metadata() or {}).get("format")) != FORMAT:
-                raise ValueError(f'format {form!r}, must be "{FORMAT}"')
-            names = file.keys()
-            tensors = {name: file.get_tensor(name).float() for name in names}
-        network.load_state_dict(tensors)
-    except (OSError, RuntimeError, ValueError, SafetensorError) as error:
-        raise SceneError(
-            f"{path} does not hold the network of proposals ({reason(error)}); install it again"
-        ) from None
+    network, weights = WallNetwork(), load_file(WEIGHTS)
+    network.load_state_dict({name: values.float() for name, values in weights.items()})
     return network.train(False).requires_grad_(False)
 
 

@@ -1,8 +1,4 @@
-"""Arithmetic on numpy arrays and torch tensors alike, without importing torch for arrays.
-
-Checked images, tests and total variation run in numpy; the other solvers, and data on a GPU, in
-torch. Both libraries share most names, so that functions here take either.
-"""
+"""Checked arrays, from arrays or tensors, and sums in double precision."""
 
 from __future__ import annotations
 
@@ -12,12 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from ...errors import SamplingError, SceneError
 
-#: numpy array or torch tensor.
-Values = Any
 #: Standard normal quantile at 3/4: median of abs(x) over sigma.
 MEDIAN_OVER_SIGMA = 0.6744897501960817
 
@@ -28,12 +21,7 @@ def is_tensor(value: Any) -> bool:
     return torch is not None and isinstance(value, torch.Tensor)
 
 
-def library(values: Values) -> Any:
-    """Return the module, ``numpy`` or ``torch``, that made an array."""
-    return sys.modules["torch"] if is_tensor(values) else np
-
-
-def as_numpy(values: Values) -> NDArray[Any]:
+def as_numpy(values: Any) -> NDArray[Any]:
     """Return values as a numpy array; a tensor on the processor is not copied."""
     if is_tensor(values):
         values = values.detach().cpu().numpy()
@@ -73,7 +61,7 @@ def shape_of(name: str, value: Any) -> tuple[int, ...]:
 
 def check_shape(
     name: str,
-    values: Values,
+    values: Any,
     shape: tuple[int, ...],
     rest: str = "like the model; resample it or build the model for that shape",
 ) -> None:
@@ -98,45 +86,14 @@ def check_finite(
         )
 
 
-def as_double(values: Values) -> Values:
-    """Return values in double precision."""
-    return values.double() if is_tensor(values) else values.astype(np.float64, copy=False)
+def total(values: NDArray[Any]) -> float:
+    """Return the sum of an image in double precision."""
+    return float(values.sum(-1, dtype=np.float64).sum())
 
 
-def like(values: Values, prototype: Values) -> Values:
-    """Return values in the library and precision, and on the device, of another array."""
-    if is_tensor(prototype):
-        return library(prototype).as_tensor(values).to(prototype)
-    return as_numpy(values).astype(prototype.dtype)
-
-
-def total(values: Values) -> float:
-    """Return the sum of an image in double precision.
-
-    Rows are summed first, so that the result has the same bits for any number of threads.
-    """
-    return float(values.sum(-1, dtype=library(values).float64).sum())
-
-
-def weighted(values: Values, weights: Values | None) -> Values:
-    """Return values times the pixel weights; None for weights of 1."""
-    return values if weights is None else values * weights
-
-
-def norm(values: Values) -> float:
+def norm(values: NDArray[Any]) -> float:
     """Return the root of the sum of squares of an image, in double precision."""
     return math.sqrt(total(values * values))
-
-
-def rfft2(values: Values) -> Values:
-    """Return the half spectra (..., rows, columns//2 + 1) of images (..., rows, columns)."""
-    return library(values).fft.rfft2(values) if is_tensor(values) else fft.rfft2(values)
-
-
-def irfft2(spectra: Values, columns: int) -> Values:
-    """Return the images (..., rows, columns) of half spectra (..., rows, columns//2 + 1)."""
-    transforms = library(spectra).fft if is_tensor(spectra) else fft
-    return transforms.irfft2(spectra, s=(spectra.shape[-2], columns))
 
 
 def half_spectrum_weights(columns: int) -> NDArray[np.float64]:

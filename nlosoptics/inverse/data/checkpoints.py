@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..._progress import Progress
 from ...errors import SceneError
-from .arrays import Values, as_numpy, check_finite, check_shape, is_tensor, library
+from .arrays import as_numpy, check_finite, check_shape
 
 State = dict[str, NDArray[Any]]
 Snapshot = Callable[[], State]
@@ -37,9 +37,9 @@ class Stop(Exception):
     To save the state of a fit, pass as ``progress`` a callable object with a method ``look``. The
     solver calls ``look(snapshot)`` after each report. ``snapshot()`` returns the state as a dict of
     arrays; nothing is copied unless it is called. The entry ``"object"``, (H, W), in image units,
-    serves as a preview. The whole dict can be passed as ``start`` to the same solver with the same
-    image and options. The fit then resumes, with the same result bit for bit as without
-    interruption.
+    serves as a preview. The dict can be passed as ``start`` to the same solver with the same image
+    and options. `evidence_fit`, which takes minutes, then resumes, with the same result bit for bit
+    as without interruption. The solvers with a known point spread start again from the object.
 
     Examples
     --------
@@ -78,18 +78,18 @@ def goes_on(progress: Progress | None, text: str, fraction: float, snapshot: Sna
     return True
 
 
-def state_of(level: Values, **more: Any) -> State:
+def state_of(level: Any, **more: Any) -> State:
     """Return a solver's state as a dict of arrays: the object in image units, and ``more``."""
     arrays = {"object": np.array(as_numpy(level), dtype=np.float64)}
     return arrays | {name: np.array(as_numpy(value)) for name, value in more.items()}
 
 
-def started_from(start: Any, like: Values) -> Values:
+def started_from(start: Any, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Return the initial object (H, W), float64 in image units.
 
-    ``start`` is an object, or a saved state that holds one. ``like`` (H, W) has the shape and
-    library of the model. A `SamplingError` is raised if the object has another shape, and a
-    `SceneError` if it is not finite or missing.
+    ``start`` is an object, or a saved state that holds one. ``shape`` is that of the model. A
+    `SamplingError` is raised if the object has another shape, and a `SceneError` if it is not
+    finite or missing.
     """
     if isinstance(start, Mapping):
         if "object" not in start:
@@ -105,6 +105,6 @@ def started_from(start: Any, like: Values) -> Values:
             f"start of type {type(start).__name__} is not an array of numbers; give an object "
             "in image units, for example gain times object of a Reconstruction"
         ) from None
-    check_shape("start", level, like.shape, "like the model; resample it or leave it out")
+    check_shape("start", level, shape, "like the model; resample it or leave it out")
     check_finite("start", level, "leave it out")
-    return library(like).as_tensor(level, device=like.device) if is_tensor(like) else level
+    return level

@@ -10,7 +10,7 @@ import numpy as np
 from ..._checks import counted, positive
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
-from .arrays import Values, as_numpy, is_tensor, shape_of
+from .arrays import as_numpy, is_tensor, shape_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ def measured(image: Any) -> Measurement:
     return image if isinstance(image, Measurement) else Measurement(image)
 
 
-def _stack(images: Any) -> Values:
+def _stack(images: Any) -> Any:
     try:
         stack = images if is_tensor(images) else np.asarray(images)
     except ValueError:

@@ -1,35 +1,27 @@
-"""Image models of either library: their shapes, mean transfer functions and images."""
+"""Image models: their shapes, mean transfer functions, and wider point spreads."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import scipy  # its parts are loaded on first use
+from numpy.typing import NDArray
 
 from ..._checks import counted
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
-from .arrays import Values, as_double, is_tensor, library
-
-if TYPE_CHECKING:
-    from .forward import TorchForwardModel
-
-#: Image model in numpy or torch.
-AnyModel: TypeAlias = "ForwardModel | TorchForwardModel"
 
 
 def model_shape(model: Any) -> tuple[int, int]:
-    """Return the shape (H, W) of a numpy or torch image model; raise for any other object."""
-    # a torch model is recognised by its conversion, since its class needs torch
-    if not isinstance(model, ForwardModel) and not hasattr(model, "to_numpy_model"):
+    """Return the shape (H, W) of an image model; raise for any other object."""
+    if not isinstance(model, ForwardModel):
         raise SceneError(
             f"model of type {type(model).__name__} is not an image model; "
-            "give an imaging.ForwardModel or an inverse.TorchForwardModel"
+            "give an imaging.ForwardModel"
         )
-    shape: tuple[int, int] = model.shape
-    return shape
+    return model.shape
 
 
 def one_kernel_shape(model: Any) -> tuple[int, int]:
@@ -44,45 +36,23 @@ def one_kernel_shape(model: Any) -> tuple[int, int]:
     return shape
 
 
-def numpy_model(model: AnyModel) -> ForwardModel:
-    """Return the image model in numpy; the given model is not changed."""
-    return model if isinstance(model, ForwardModel) else model.to_numpy_model()
-
-
-def model_like(model: AnyModel, values: Values) -> AnyModel:
-    """Return the image model in double precision, in the library and on the device of an array."""
-    if not is_tensor(values):
-        return numpy_model(model)
-    from .forward import torch_model
-
-    return torch_model(model, values.device, library(values).float64)
-
-
-def image_of(model: AnyModel, level: Values) -> Values:
-    """Return the image (H, W) of an object (H, W), in double precision."""
-    own, level = model_like(model, level), as_double(level)
-    return own.forward(level)
-
-
-def mean_transfer(model: AnyModel) -> Values:
+def mean_transfer(model: ForwardModel) -> NDArray[np.complex128]:
     """Return the ``rfft2`` of a model's kernel averaged over the frame, on the model's grid.
 
     It is a single transfer function, (rows, columns//2 + 1), also for a field of point spreads.
     """
     if model.weights is None:
         return model.transfer
-    shares = model.weights.mean((-2, -1))
-    return (shares[:, None, None] * model.transfer).sum(0)
+    return np.tensordot(model.weights.mean((-2, -1)), model.transfer, 1)
 
 
-def widened(model: AnyModel, factor: float = math.sqrt(2.0)) -> ForwardModel:
-    """Return the image model, in numpy, of a point spread that is ``factor`` > 1 times as wide.
+def widened(model: ForwardModel, factor: float = math.sqrt(2.0)) -> ForwardModel:
+    """Return the image model of a point spread that is ``factor`` > 1 times as wide.
 
     The kernel is interpolated linearly on the model's grid. The mean transfer function keeps its
     largest modulus.
     """
-    own = numpy_model(model)
-    kernel = np.fft.fftshift(scipy.fft.irfft2(own.transfer, own.grid), axes=(-2, -1))
+    kernel = np.fft.fftshift(scipy.fft.irfft2(model.transfer, model.grid), axes=(-2, -1))
     for axis in (-2, -1):
         middle = kernel.shape[axis] // 2
         at = middle + (np.arange(kernel.shape[axis]) - middle) / factor
@@ -92,9 +62,9 @@ def widened(model: AnyModel, factor: float = math.sqrt(2.0)) -> ForwardModel:
         kernel = (1.0 - part) * lower + part * upper
     twin = ForwardModel.__new__(ForwardModel)
     transfer = scipy.fft.rfft2(np.fft.ifftshift(kernel, axes=(-2, -1)))
-    for name, value in {**vars(own), "kernel": kernel, "transfer": transfer}.items():
+    for name, value in {**vars(model), "kernel": kernel, "transfer": transfer}.items():
         object.__setattr__(twin, name, value)
-    scale = abs(mean_transfer(own)).max() / abs(mean_transfer(twin)).max()
+    scale = abs(mean_transfer(model)).max() / abs(mean_transfer(twin)).max()
     kernel *= scale
     transfer *= scale
     return twin

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
+from scipy import fft, ndimage
 
 from ..._checks import squarable
 from ...errors import SamplingError
-from .arrays import Values, check_finite, check_shape, real_array
-from .models import AnyModel, model_shape
-from .outliers import lone_pixels, noise_of_neighbours
+from ...imaging.forward_model import ForwardModel
+from .arrays import check_finite, check_shape, real_array
+from .models import model_shape
+from .outliers import lone_pixels, noise_of_neighbours, predicted
 from .spectra import (
     beyond_optics,
     expected_signal,
     half_weights,
     noise_share,
     passed_power,
-    periodic_power,
-    power,
+    periodic_spectrum,
+    squared,
 )
 
 Array = NDArray[np.float64]
@@ -31,7 +33,7 @@ _AROUND, _LEAST_AROUND = 1.5, 1e-3
 _LEAST_SIDE = 3  # pixels along each side of an image
 
 
-def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> float:
+def estimate_noise(image: ArrayLike | Any, model: ForwardModel | None = None) -> float:
     """Estimate the rms noise of an image from its pixels.
 
     The noise must be uncorrelated between pixels. Its strength may vary over the image.
@@ -40,7 +42,7 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
     ----------
     image : array_like or Tensor
         Image, (H, W), at least 3 x 3 pixels.
-    model : ForwardModel or TorchForwardModel, optional
+    model : ForwardModel, optional
         Image model of shape (H, W): the convolution with the known point spread function (PSF). If
         given, the noise is measured at those spatial frequencies that the PSF does not transmit, if
         there are enough of them.
@@ -105,39 +107,56 @@ def _noise_beyond(image: Array, passed: Array, first: float, filled: Mask) -> tu
 
     ``first`` is an estimate, which is returned if there are too few such frequencies. The result is
     sure if the optics pass less than 1 % of the power there, so that no object shows. Pixels that
-    are ``filled`` hold predictions, which have hardly any noise.
+    are ``filled`` hold predictions.
 
-    Light that the frame cuts off spreads over all frequencies, of which `periodic_power` leaves the
+    Light that the frame cuts off spreads over all frequencies; of it `periodic_spectrum` leaves the
     part from bent edges. A Hann window leaves hardly any, but sees the middle of the frame only; it
     counts if its noise is less by more than 10 %, two of its standard errors.
     """
     window = np.multiply.outer(*(np.hanning(length + 2)[1:-1] for length in image.shape))
-    middle = (image - np.average(image, weights=window)) * window
-    middle /= math.sqrt(max(float(np.mean(np.where(filled, 0.0, window**2))), 1e-300))
-    quiet = math.sqrt(1.0 - filled.mean())
-    image, first = image / quiet, first / quiet
-    shape = image.shape
-    whole = _dark_rms(shape, periodic_power(image), passed, noise_share(shape), first)
-    apart = _dark_rms(shape, power(middle), passed, 1.0, first)
+    window, mean = window / math.sqrt((window**2).mean()), np.average(image, weights=window)
+    first /= math.sqrt(1.0 - filled.mean())
+    share = noise_share(image.shape)
+    spectrum = periodic_spectrum(image)
+    whole = _dark_rms(spectrum, passed, share, first, filled, np.ones(image.shape))
+    middle = fft.rfft2((image - mean) * window)
+    apart = _dark_rms(middle, passed, np.ones_like(share), first, filled, window**2)
     return apart if apart[0] < 0.9 * whole[0] else whole
 
 
 def _dark_rms(
-    shape: tuple[int, ...], spectrum: Array, passed: Array, share: Array | float, first: float
+    spectrum: NDArray[np.complex128],
+    passed: Array,
+    share: Array,
+    first: float,
+    filled: Mask,
+    weights: Array,
 ) -> tuple[float, bool]:
-    """Return what `_noise_beyond` does, for a power spectrum in which noise has a given share."""
-    least = 500  # frequencies: a relative standard error of 3 %, that of 64 x 64 differences
-    twice, sigma = half_weights(shape), first
+    """Return what `_noise_beyond` does, for a spectrum in which noise has a share of power.
+
+    Filled pixels get the values that make the power beyond the optics least. As each parameter of a
+    least-squares fit, each of them takes the noise of one frequency.
+    """
+    # frequencies: a relative standard error of 3 %, that of 64 x 64 differences; 7 % if filled
+    # pixels spoil these
+    least = 100 if filled.any() else 500
+    twice, sigma, shape = half_weights(filled.shape), first, filled.shape
+    image_power = least_power = squared(spectrum) / filled.size
     for _ in range(3):  # the frequencies depend on the noise; three rounds change it below 1 %
-        signal = expected_signal(spectrum, passed, sigma**2, shape)
-        beyond = beyond_optics(signal, sigma**2)
-        expected = float((twice * share)[beyond].sum())
-        variance = float((twice * (spectrum - signal))[beyond].sum()) / max(expected, 1.0)
-        if float(twice[beyond].sum()) < least or variance <= 0.0:
+        signal = expected_signal(image_power, passed, sigma**2, shape)
+        beyond = beyond_optics(signal, sigma**2) & (twice > 0.0)
+        if filled.any():
+            change = predicted(np.zeros(shape), filled, spectrum, beyond.astype(np.float64))
+            least_power = squared(spectrum + fft.rfft2(change)) / filled.size
+        whole = float((twice * share)[beyond].sum())
+        left = whole - float(weights[filled].sum())  # they take as much of the object's detail
+        variance = float((twice * least_power)[beyond].sum()) / max(left, 1.0)
+        variance -= float((twice * signal)[beyond].sum()) / max(whole, 1.0)
+        if left < least or variance <= 0.0:
             return first, False
         sigma = math.sqrt(variance)
     dark = beyond & (passed < 0.01 * float(passed.max()))
-    return sigma, float(twice[dark].sum()) >= least
+    return sigma, float(twice[dark].sum()) >= 500
 
 
 def pixel_noise(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,81 +12,47 @@ from scipy import special
 
 from ..._checks import positive, real, squarable
 from ...errors import SceneError
-from .arrays import (
-    Values,
-    as_numpy,
-    check_finite,
-    check_shape,
-    is_tensor,
-    library,
-    real_array,
-    shape_of,
-    total,
-    weighted,
-)
+from ...imaging.forward_model import ForwardModel
+from .arrays import as_numpy, check_finite, check_shape, is_tensor, real_array, shape_of, total
 from .measurement import measured
-from .models import AnyModel, model_shape
+from .models import model_shape
 from .noise import clipped_pixels, lit_pixels, pixel_noise, surrounded
-from .spectra import (
-    half_weights,
-    object_power,
-    passed_power,
-    power,
-)
+from .spectra import half_weights, object_power, passed_power, power
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NoisyImage:
     """Image with its known background subtracted, and its noise.
 
-    Its arrays are numpy's, or torch's after `in_torch`.
-
     ``data`` (H, W): image minus the known background, float64. Excluded pixels hold the weighted
     mean. ``sigma``: reference noise: 1/sigma^2 is the mean of 1/noise_sigma^2 over the pixels.
-    ``weights`` (H, W): (sigma/noise_sigma)^2, mean 1; None for uniform noise. Excluded pixels,
-    which have infinite noise, have weight 0. ``fit_background``: whether there is a further
-    background of unknown strength. ``background_shape`` (H, W): shape of that background, mean 1;
-    None if it is uniform. ``template``: the image as given if it was a tensor; None for an array.
-    ``bad_pixels`` (H, W): mask of the pixels that were found to be dead, hot or saturated, and are
-    excluded too; None if none was. ``saturated`` (H, W): mask of those of them that are saturated;
-    None if no pixel is.
-    ``least`` (H, W): values that the saturated pixels would at least have without saturation, in
-    the unit of ``data``; not finite for all other pixels. None if no pixel is saturated.
+    ``weights`` (H, W): (sigma/noise_sigma)^2, mean 1. Excluded pixels, which have infinite noise,
+    have weight 0. ``fit_background``: whether there is a further background of unknown strength.
+    ``background_shape`` (H, W): shape of that background, mean 1. ``template``: the image as given
+    if it was a tensor; None for an array. ``bad_pixels`` (H, W): mask of the pixels that were found
+    to be dead, hot or saturated, and are excluded too; None if none was. ``saturated`` (H, W): mask
+    of those of them that are saturated; None if no pixel is. ``least`` (H, W): values that the
+    saturated pixels would at least have without saturation, in the unit of ``data``; not finite for
+    all other pixels. None if no pixel is saturated.
     """
 
-    data: Values
+    data: Array
     sigma: float
-    weights: Values | None
+    weights: Array
     fit_background: bool
-    background_shape: Values | None
-    template: Values | None
-    bad_pixels: NDArray[np.bool_] | None = None
-    saturated: NDArray[np.bool_] | None = None
-    least: Values | None = None
-
-    def in_torch(self) -> NoisyImage:
-        """Return the image with tensors, on the device of the given image."""
-        import torch
-
-        device = torch.device("cpu") if self.template is None else self.template.device
-        return self._mapped(lambda values: torch.as_tensor(values, device=device))
-
-    def in_numpy(self) -> NoisyImage:
-        """Return the image with numpy arrays."""
-        return self._mapped(as_numpy)
-
-    def _mapped(self, change: Callable[[Values], Values]) -> NoisyImage:
-        """Return the image with all arrays changed."""
-        names = ("data", "weights", "background_shape", "least")
-        given = {name: getattr(self, name) for name in names}
-        return replace(self, **{n: change(v) for n, v in given.items() if v is not None})
+    background_shape: Array
+    template: Any
+    bad_pixels: Mask | None = None
+    saturated: Mask | None = None
+    least: Array | None = None
 
     @property
     def counted(self) -> int:
         """Number of pixels with finite noise; the others are excluded from fits."""
-        if self.weights is None:
-            return int(math.prod(self.data.shape))
-        return int(library(self.weights).count_nonzero(self.weights))
+        return int(np.count_nonzero(self.weights))
 
     def noise_power(self) -> float:
         """Return the expected sum of squares of noise and of excluded pixels, over all pixels.
@@ -95,59 +60,46 @@ class NoisyImage:
         An excluded pixel holds the mean of the others. Its error has the variance of the image
         itself.
         """
-        n_pixels = int(math.prod(self.data.shape))
-        if self.weights is None:
-            return self.sigma**2 * n_pixels
         counts = self.weights > 0.0
         values = self.data[counts]
-        missing = n_pixels - len(values)
         noise = self.sigma**2 * total((1.0 / self.weights[counts])[None])
-        return noise + missing * float(((values - values.mean()) ** 2).mean())
+        return noise + (self.data.size - values.size) * float(values.var())
 
-    def weighted(self, values: Values) -> Values:
+    def weighted(self, values: Array) -> Array:
         """Return values (H, W) times the pixel weights."""
-        return weighted(values, self.weights)
+        return values * self.weights
 
-    def weighted_mean(self, values: Values) -> float:
-        """Return the mean of values (H, W) with the pixel weights, which have mean 1."""
-        return total(self.weighted(values)) / int(math.prod(values.shape))
-
-    def background_strength(self, values: Values) -> float:
+    def background_strength(self, values: Array) -> float:
         """Return the best-fitting strength of the unknown background; 0 if it is known."""
         if not self.fit_background:
             return 0.0
         shape = self.background_shape
-        if shape is None:
-            return self.weighted_mean(values)
         # a veil can be dark in all pixels that count
         return total(self.weighted(shape * values)) / (total(self.weighted(shape * shape)) or 1.0)
 
-    def background(self, strength: float) -> Values | float:
+    def background(self, strength: float) -> Array:
         """Return the unknown background for a given strength, which is its mean over the image."""
-        return strength if self.background_shape is None else strength * self.background_shape
+        return strength * self.background_shape
 
-    def without_background(self) -> Values:
+    def without_background(self) -> Array:
         """Return the image (H, W) minus the unknown background that best fits it alone."""
         return self.data - self.background(self.background_strength(self.data))
 
-    def whitened(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def whitened(self, values: Array) -> Array:
         """Return values (H, W) times the roots of the weights: of noise, equally strong noise."""
-        return values if self.weights is None else values * np.sqrt(self.weights)
+        return values * np.sqrt(self.weights)
 
     def border_strength(self) -> float:
         """Return the strength of the unknown background at the image's border; 0 if it is known."""
         if not self.fit_background:
             return 0.0
 
-        def border(picture: Values) -> NDArray[np.float64]:
-            edges = as_numpy(picture)
-            return np.concatenate((edges[0], edges[-1], edges[:, 0], edges[:, -1]))
-
-        values = border(self.data)
-        if self.background_shape is not None:
-            shape = border(self.background_shape)
-            lit = shape > 0.5
-            values = values[lit] / shape[lit]
+        values, shape = (
+            np.concatenate((edges[0], edges[-1], edges[:, 0], edges[:, -1]))
+            for edges in (self.data, self.background_shape)
+        )
+        lit = shape > 0.5
+        values = values[lit] / shape[lit]
         return float(np.sort(values)[(len(values) - 1) // 2]) if len(values) else 0.0
 
     def span(self) -> float:
@@ -156,16 +108,15 @@ class NoisyImage:
 
     def working_dtype(self) -> Any:
         """Return float32, or float64 if the noise is close to rounding errors of float32 FFTs."""
-        single = self.sigma > 1e-4 * self.span()
-        return getattr(library(self.data), "float32" if single else "float64")
+        return np.float32 if self.sigma > 1e-4 * self.span() else np.float64
 
-    def score(self, explained: Values | float) -> float:
+    def score(self, explained: Array | float) -> float:
         """Return the weighted rms of data minus ``explained``, divided by the noise."""
         residual = self.data - explained
         rms = math.sqrt(total(self.weighted(residual * residual)) / self.counted)
         return rms / self.sigma if self.sigma > 0.0 else rms
 
-    def is_background(self, model: AnyModel | None = None) -> bool:
+    def is_background(self, model: ForwardModel | None = None) -> bool:
         """Return whether no object is detected against the unknown background and noise.
 
         ``model``: image model; if omitted, all frequencies are taken to pass.
@@ -178,8 +129,7 @@ class NoisyImage:
         """
         if self.sigma == 0.0:
             return True
-        own = self.in_numpy()
-        rest = own.whitened(own.without_background())
+        rest = self.whitened(self.without_background())
         shape = rest.shape
         passed = 1.0 if model is None else passed_power(model)
         if not self.fit_background:  # even light is an object then
@@ -190,18 +140,17 @@ class NoisyImage:
         chances = [_chance(power(rest), kind, shape) for kind in kinds]
         return len(kinds) * min(chances) > 1e-3
 
-    def like_input(self, values: Values) -> Values:
+    def like_input(self, values: Array) -> Any:
         """Convert a result to the input's kind: array, or tensor of the same type and device."""
         if self.template is None:
             return as_numpy(values).astype(np.float64)
-        torch = library(self.template)
+        import torch
+
         dtype = self.template.dtype if self.template.is_floating_point() else torch.float32
         return torch.as_tensor(values).detach().to(device=self.template.device, dtype=dtype)
 
 
-def _chance(
-    spectrum: NDArray[np.float64], weights: NDArray[np.float64], shape: tuple[int, ...]
-) -> float:
+def _chance(spectrum: Array, weights: Array, shape: tuple[int, ...]) -> float:
     """Return the probability that white noise has this weighted sum of power, or more.
 
     ``spectrum`` and ``weights`` are half spectra. The noise's power is the mean of the spectrum.
@@ -221,7 +170,7 @@ def _chance(
 
 
 def noisy_image(
-    image: Any, model: AnyModel | tuple[int, int], *, measured_scale: bool = True
+    image: Any, model: ForwardModel | tuple[int, int], *, measured_scale: bool = True
 ) -> NoisyImage:
     """Check a `Measurement` of one image, or an image alone, against an image model.
 
@@ -279,9 +228,7 @@ def noisy_image(
     )
 
 
-def _stated_noise(
-    value: Any, shape: tuple[int, int], masked: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def _stated_noise(value: Any, shape: tuple[int, int], masked: Mask) -> Array:
     """Return the noise of each pixel that the caller states, (H, W); 0 if it is unknown."""
     if value is None:
         return np.zeros(shape)
@@ -298,16 +245,14 @@ def _stated_noise(
     return sigmas
 
 
-def _weighed(
-    data: NDArray[np.float64], noise: NDArray[np.float64], valid: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], float, NDArray[np.float64] | None]:
+def _weighed(data: Array, noise: Array, valid: Mask) -> tuple[Array, float, Array]:
     """Return image, reference noise and weights, as in `NoisyImage`, for the noise of each pixel.
 
     ``valid`` (H, W) are the pixels that count.
     """
     uniform = float(noise[valid].max())
     if uniform == float(noise[valid].min()) and (valid.all() or uniform == 0.0):
-        return data, uniform, None
+        return data, uniform, np.ones(data.shape)
     weights = np.divide(1.0, noise**2, out=np.zeros_like(noise), where=valid)
     sigma = (total(weights) / weights.size) ** -0.5
     weights = weights * sigma**2
@@ -316,9 +261,9 @@ def _weighed(
     return data, sigma, weights
 
 
-def _background_shape(value: Any, shape: tuple[int, int]) -> NDArray[np.float64] | None:
+def _background_shape(value: Any, shape: tuple[int, int]) -> Array:
     if value is None:
-        return None
+        return np.ones(shape)
     picture = _picture("background_shape", value, shape)
     mean = total(picture) / picture.size
     if float(picture.min()) < 0.0 or mean <= 0.0:
@@ -329,7 +274,7 @@ def _background_shape(value: Any, shape: tuple[int, int]) -> NDArray[np.float64]
     return picture / mean
 
 
-def _mask(name: str, value: Any, shape: tuple[int, int]) -> NDArray[np.bool_]:
+def _mask(name: str, value: Any, shape: tuple[int, int]) -> Mask:
     """Return a mask of pixels; no pixel if it is None."""
     if value is None:
         return np.zeros(shape, dtype=bool)
@@ -344,10 +289,10 @@ def _picture(
     name: str,
     value: Any,
     shape: tuple[int, int],
-    masked: NDArray[np.bool_] | bool = False,
+    masked: Mask | bool = False,
     *,
     infinite: bool = False,
-) -> NDArray[np.float64]:
+) -> Array:
     picture = real_array(name, value)
     check_shape(name, picture, shape)
     ignored = masked | (picture == np.inf) if infinite else masked

@@ -19,29 +19,6 @@ _Y, _X = (part.ravel() - 3 for part in np.indices((7, 7)))
 _BESIDE = np.maximum(np.abs(_Y), np.abs(_X)) == 1
 
 
-def outlier_pixels(
-    image: Array,
-    passed: Array,
-    *,
-    noise: Array | float = 0.0,
-    masked: Mask | bool = False,
-) -> Mask:
-    """Return the mask (H, W) of good pixels: False for dead and hot ones, and for those masked.
-
-    ``image`` (H, W), float64: image; masked pixels need finite values. ``passed`` (H, W//2 + 1):
-    squared modulus of the transfer function, from `spectra.passed_power`. If the point spread is
-    unknown, give that of the optics without aberration, which is the sharpest. ``noise``: stated
-    noise, a number or (H, W), image units; no pixel within six of it is an outlier. ``masked``
-    (H, W): pixels that hold no measured value.
-
-    No pixel is an outlier if the frame has fewer than 8 pixels along a side, or if the point spread
-    is as narrow as a pixel.
-    """
-    sigma = noise_of_neighbours(image) if min(image.shape) >= 3 else 0.0
-    bad, _ = lone_pixels(image, passed, sigma, noise, masked=masked)
-    return ~(bad | masked)
-
-
 def noise_of_neighbours(values: Array) -> float:
     """Return the rms noise of an image, (H, W), from its second differences."""
     side = 12  # of a block, pixels
@@ -102,8 +79,10 @@ def lone_pixels(
         share = sigma**2 / (100.0 * signal + sigma**2)
         share[0, 0] = 0.0
         if not renewed:  # means of the pixels around are worse than predictions
-            filled, renewed = _filled(filled, out, spectrum, share), True
-            sigma = noise_of_neighbours(filled)
+            filled, renewed = predicted(filled, out, spectrum, share), True
+            # each prediction takes the noise of one frequency
+            kept = 1.0 - out.sum() / float((twice * share).sum())
+            sigma = noise_of_neighbours(filled) / math.sqrt(max(kept, 0.1))
             continue
         mean = float((twice * share).sum()) / image.size
         deviation = scipy.fft.irfft2(spectrum * share, shape) / (sigma * math.sqrt(mean))
@@ -127,7 +106,7 @@ def lone_pixels(
         if not found.any():
             break
         out[row[found], column[found]] = True
-        filled = _filled(filled, out, spectrum, share)
+        filled = predicted(filled, out, spectrum, share)
         sigma, limit = noise_of_neighbours(filled), 4.5  # there are probably more
     return out & np.logical_not(masked), filled
 
@@ -149,7 +128,7 @@ def _left(near: Array, pattern: Array) -> Array:
     return np.asarray(np.min(medians, axis=0) / MEDIAN_OVER_SIGMA)
 
 
-def _filled(image: Array, bad: Mask, spectrum: NDArray[np.complex128], share: Array) -> Array:
+def predicted(image: Array, bad: Mask, spectrum: NDArray[np.complex128], share: Array) -> Array:
     """Return an image with the values in the bad pixels that all the others predict.
 
     ``spectrum`` is that of the image, and ``share`` the reciprocal of the expected one. The errors

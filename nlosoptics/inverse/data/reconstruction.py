@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ..._html import Figures, Shown
 from ..._nouns import Noun
-from .arrays import Values, as_double, is_tensor
-from .models import AnyModel, image_of
+from ...imaging.forward_model import ForwardModel
 from .noisy_image import NoisyImage
 from .status import LIMITS, Ending, Status, judged
 
@@ -106,9 +105,9 @@ def frozen(history: Mapping[str, Sequence[float]]) -> dict[str, NDArray[np.float
 
 def assemble(
     data: NoisyImage,
-    level: Values,
+    level: NDArray[np.float64],
     *,
-    model: AnyModel,
+    model: ForwardModel,
     background: float,
     gain: float | None,
     status: Status,
@@ -126,9 +125,7 @@ def assemble(
     becomes the parameter ``object_error``. ``started`` is ``time.perf_counter()`` at the start, and
     ``parameters`` are further entries of ``physical_parameters``.
     """
-    level = as_double(level)
-    own = data.in_torch() if is_tensor(level) else data.in_numpy()
-    explained = image_of(model, level) + own.background(background)
+    explained = model.forward(level) + data.background(background)
     if gain is None:
         brightest = float(level.max())
         gain = brightest if brightest > 0.0 else 1.0
@@ -148,7 +145,7 @@ def assemble(
             **parameters,
         },
         status=status,
-        score=own.score(explained),
+        score=data.score(explained),
         history=frozen(history),
         seconds=time.perf_counter() - started,
         reasons=reasons,
@@ -157,9 +154,9 @@ def assemble(
 
 def concluded(
     data: NoisyImage,
-    level: Values,
+    level: NDArray[np.float64],
     *,
-    model: AnyModel,
+    model: ForwardModel,
     background: float,
     ending: Ending,
     **more: Any,
@@ -188,12 +185,14 @@ def concluded(
     )
 
 
-def beside(data: NoisyImage, level: Values, model: AnyModel) -> tuple[float, float]:
+def beside(
+    data: NoisyImage, level: NDArray[np.float64], model: ForwardModel
+) -> tuple[float, float]:
     """Fit the unknown background for a given object.
 
     Returns its strength, image units, and the rms residual of object and background over the noise.
     ``level`` (H, W) is the object in image units.
     """
-    seen = image_of(model, level)
+    seen = model.forward(level)
     strength = data.background_strength(data.data - seen)
     return strength, data.score(seen + data.background(strength))

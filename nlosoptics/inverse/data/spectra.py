@@ -15,24 +15,22 @@ from numpy.typing import NDArray
 
 from ...imaging.forward_model import ForwardModel
 from .arrays import half_spectrum_weights
-from .models import AnyModel, numpy_model
 
 Array = NDArray[np.float64]
 
 
-def passed_power(model: AnyModel) -> Array:
+def passed_power(model: ForwardModel) -> Array:
     """Return the squared modulus of the transfer function at the frequencies of the frame.
 
     For a field it is the mean over the object, so that different speckle in each part of the object
     does not cancel: with weights w_i and transfer functions T_i, it is the sum over i and j of
     ``mean(w_i w_j) T_i T_j*``.
     """
-    twin = numpy_model(model)
-    if twin.weights is None:
-        return squared(frame_transfer(twin.transfer, twin))
-    flat = twin.weights.reshape(len(twin.weights), -1)
+    if model.weights is None:
+        return squared(frame_transfer(model.transfer, model))
+    flat = model.weights.reshape(len(model.weights), -1)
     values, vectors = np.linalg.eigh(flat @ flat.T / flat.shape[1])
-    each = np.stack([frame_transfer(part, twin) for part in twin.transfer])
+    each = np.stack([frame_transfer(part, model) for part in model.transfer])
     parts = zip(values, np.tensordot(vectors.T, each, 1), strict=True)
     return np.asarray(sum(max(float(value), 0.0) * squared(part) for value, part in parts))
 
@@ -124,20 +122,18 @@ def expected_signal(
     passed: Array | float,
     variance: float,
     shape: tuple[int, ...],
-    least: float = 0.0,
 ) -> Array:
     """Return the power of the image of an object with spectrum `object_power`.
 
     ``image_power`` (H, W//2 + 1): power of the image, from `periodic_power`. Its excess over the
     noise is the object's. ``passed`` (H, W//2 + 1): squared modulus of the transfer function.
     ``variance``: variance of the noise, image units squared. ``shape`` (int, int): rows H and
-    columns W of the image. ``least``: least sum of the object's power over all frequencies, image
-    units squared.
+    columns W of the image.
     """
     twice = half_weights(shape)
     signal = passed * object_power(shape)
     excess = float((twice * (image_power - variance)).sum())
-    return signal * (max(excess, least) / max(float((twice * signal).sum()), 1e-300))
+    return signal * (max(excess, 0.0) / max(float((twice * signal).sum()), 1e-300))
 
 
 def beyond_optics(signal: Array, variance: float) -> NDArray[np.bool_]:

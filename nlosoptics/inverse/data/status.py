@@ -18,8 +18,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import Values, as_double, as_numpy
-from .models import AnyModel, image_of, widened
+from ...imaging.forward_model import ForwardModel
+from .models import widened
 from .noisy_image import NoisyImage
 from .spectra import (
     beyond_optics,
@@ -80,14 +80,14 @@ class Ending:
     ``residual`` (over the noise) and ``change`` (relative). ``to_noise``: whether the solver brings
     the residual to the noise; if not, because it is a filter or the caller chose the weight,
     residuals are not tested. ``again``: for a solver that does so by its weight of edges: function
-    of a `NoisyImage` and an image model that returns the object (H, W) and the background, image
-    units, of the same fit to that image.
+    of a `NoisyImage` and an image model that returns the object (H, W), image units, of the same
+    fit to that image.
     """
 
     converged: bool
     history: Mapping[str, Sequence[float]]
     to_noise: bool = False
-    again: Callable[[NoisyImage, AnyModel], tuple[Values, float]] | None = None
+    again: Callable[[NoisyImage, ForwardModel], Array] | None = None
 
     def steady(self) -> bool:
         """Return whether the solver has converged, or the residual no longer changes."""
@@ -119,7 +119,7 @@ class Judgement(NamedTuple):
 
 
 def judged(
-    data: NoisyImage, level: Values, strength: float, model: AnyModel, ending: Ending
+    data: NoisyImage, level: Array, strength: float, model: ForwardModel, ending: Ending
 ) -> Judgement:
     """Return the status of a fit with a known point spread, and the reasons against "converged".
 
@@ -142,7 +142,6 @@ def judged(
     fit, to the image of the object by a wider point spread with other noise: the wider one takes
     about as much from the object as blur and noise have taken from it already.
     """
-    data, level = data.in_numpy(), as_double(as_numpy(level))
     if not level.any():
         reason = "the fit explains the image without an object; expose longer"
         return Judgement("too_few_photons", (reason,))
@@ -152,7 +151,7 @@ def judged(
     weights, gain = twice * typical, signal / (signal + variance)
     # a single pixel has no detail
     share = math.sqrt((weights * gain).sum() / weights.sum()) if weights.any() else 1.0
-    light = image_of(model, level) + data.background(strength)
+    light = model.forward(level) + data.background(strength)
     count = max(float(twice.sum()), 1.0)
     blurred = float((twice * passed).sum()) / count < 0.25 * float(passed[0, 0])  # > four pixels
     if ending.steady() and blurred:
@@ -180,9 +179,7 @@ def judged(
     unlike, error = 1.0 - share, None
     if ending.again is not None:
         wider = widened(model)
-        again = as_double(
-            as_numpy(ending.again(repetition(data, level, strength, wider), wider)[0])
-        )
+        again = ending.again(repetition(data, level, strength, wider), wider)
         unlike, error = 1.0 - _correlation(level, again), np.abs(again - level)
     # both tell what blur and noise take from an object; saturated pixels double it
     lack = 0.88 * (unlike * (1.0 - share)) ** (2.0 / 3.0)
@@ -196,13 +193,12 @@ def judged(
     return Judgement("converged", (), expected, error)
 
 
-def repetition(data: NoisyImage, level: Array, strength: float, model: AnyModel) -> NoisyImage:
-    """Return a model's image of an object with other noise of the same strength, in numpy."""
+def repetition(data: NoisyImage, level: Array, strength: float, model: ForwardModel) -> NoisyImage:
+    """Return a model's image of an object with other noise of the same strength."""
     noise = np.random.default_rng(20).normal(size=level.shape) * data.sigma
-    if data.weights is not None:
-        root = np.sqrt(data.weights)
-        noise = np.divide(noise, root, out=np.zeros_like(noise), where=root > 0.0)
-    image = image_of(model, level) + data.background(strength)
+    root = np.sqrt(data.weights)
+    noise = np.divide(noise, root, out=np.zeros_like(noise), where=root > 0.0)
+    image = model.forward(level) + data.background(strength)
     least = data.least
     if least is not None:  # the camera would saturate there in this image too, or not at all
         least = np.minimum(least, image)

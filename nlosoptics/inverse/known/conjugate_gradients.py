@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from ..data.arrays import Values, total
+from typing import Any
+
+from numpy.typing import NDArray
+
+from ..data.arrays import total
+
+Array = NDArray[Any]
 
 
 def conjugate_direction(
-    residual: Values, step: Values, direction: Values, last: float
-) -> tuple[Values, float]:
+    residual: Array, step: Array, direction: Array, last: float
+) -> tuple[Array, float]:
     """Return the next direction of preconditioned conjugate gradients, and its product.
 
     ``step`` is the preconditioned residual, and the product that of residual and ``step``. Before

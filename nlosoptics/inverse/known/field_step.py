@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
-from ..data.arrays import irfft2, rfft2, total
+from ..data.arrays import total
 from .conjugate_gradients import conjugate_direction
 
 Array = NDArray[Any]
@@ -29,7 +30,7 @@ class FieldStep:
         self._weights = np.empty((len(weights), *prototype.shape), prototype.dtype)
         self._weights[...] = weights.mean((-2, -1))[:, None, None]
         self._weights[:, :rows, :columns] = weights
-        self._transfer = transfer.astype(rfft2(prototype).dtype)
+        self._transfer = transfer.astype(fft.rfft2(prototype).dtype)
 
     def solve(
         self,
@@ -65,16 +66,16 @@ class FieldStep:
         return free, seen
 
     def _forward(self, picture: Array) -> Array:
-        parts = rfft2(self._weights * picture) * self._transfer
-        image: Array = irfft2(parts.sum(0), picture.shape[-1])
+        parts = fft.rfft2(self._weights * picture) * self._transfer
+        image: Array = fft.irfft2(parts.sum(0), picture.shape)
         return image
 
     def _adjoint(self, image: Array) -> Array:
-        spectra = rfft2(image) * self._transfer.conj()
-        picture: Array = (irfft2(spectra, image.shape[-1]) * self._weights).sum(0)
+        spectra = fft.rfft2(image) * self._transfer.conj()
+        picture: Array = (fft.irfft2(spectra, image.shape) * self._weights).sum(0)
         return picture
 
 
 def _filtered(picture: Array, response: Array) -> Array:
-    filtered: Array = irfft2(rfft2(picture) * response, picture.shape[-1])
+    filtered: Array = fft.irfft2(fft.rfft2(picture) * response, picture.shape)
     return filtered

@@ -13,7 +13,7 @@ from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
 from ..data.arrays import half_spectrum_weights
 from ..data.driver import reconstructed
-from ..data.models import AnyModel, numpy_model, one_kernel_shape
+from ..data.models import one_kernel_shape
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from ..data.spectra import squared
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 def inverse_filter(
     image: Any,
-    model: AnyModel,
+    model: ForwardModel,
     *,
     guard: float | None = None,
     progress: Progress | None = None,
@@ -71,7 +71,7 @@ def inverse_filter(
     guard = None if guard is None else in_range("guard", guard, 1e-13, 1.0)
 
     def solve(data: NoisyImage) -> dict[str, Any]:
-        level, used = _divided(data, numpy_model(model), guard)
+        level, used = _divided(data, model, guard)
         strength, score = beside(data, level, model)
         if progress is not None:
             progress(f"inverse filter: residual {score:.2g} of the noise", 1.0)
@@ -81,7 +81,7 @@ def inverse_filter(
         return {"level": level, "background": strength, "ending": ending, "guard": used}
 
     one_kernel_shape(model)
-    return reconstructed(solve, image, model, in_numpy=True)
+    return reconstructed(solve, image, model)
 
 
 def _divided(data: NoisyImage, model: ForwardModel, guard: float | None) -> tuple[Array, float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,9 +10,10 @@ from numpy.typing import NDArray
 
 from ..._progress import Progress
 from ...errors import SceneError
+from ...imaging.forward_model import ForwardModel
 from ..data.arrays import norm, total
-from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
-from ..data.models import AnyModel, numpy_model
+from ..data.checkpoints import started_from
+from ..data.driver import History, Solver, reconstructed, solved, stop_rule
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 from ..data.status import Ending
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 def richardson_lucy(
     image: Any,
-    model: AnyModel,
+    model: ForwardModel,
     *,
     accelerated: bool = True,
     max_iterations: int = 1000,
@@ -84,122 +84,106 @@ def richardson_lucy(
     rule = stop_rule(max_iterations, tolerance)
 
     def solve(data: NoisyImage) -> dict[str, Any]:
-        return solved(_Maximisation(data, model, rule, accelerated), start, progress)
+        return solved(_Maximisation(data, model, rule, accelerated, start), progress)
 
-    return reconstructed(solve, image, model, in_numpy=True)
+    return reconstructed(solve, image, model)
 
 
-@dataclass(eq=False, kw_only=True)
-class _Estimate(Iterate):
-    """State of the iteration.
+class _Maximisation(Solver):
+    """Richardson-Lucy iteration. Internally the image is divided by its range.
 
-    ``before`` and ``move`` are the last object before extrapolation and its last step; ``best`` has
-    the least objective so far, or ended the fit.
+    ``_before`` and ``_move`` are the last object before extrapolation and its last step; ``_best``
+    has the least objective so far, or ended the fit.
     """
 
-    current: Array
-    before: Array
-    move: Array
-    best: Array
-    strength: float
-    best_strength: float
-    least: float = math.inf
-    residual: float = math.inf
-    change: float = math.inf
-
-
-class _Maximisation(Solver[_Estimate]):
-    """Richardson-Lucy iteration. Internally the image is divided by its range."""
-
-    name = "richardson_lucy"
     report = "Richardson-Lucy: residual {residual:.3g} of the noise"
 
     def __init__(
-        self, data: NoisyImage, model: AnyModel, rule: tuple[int, float], accelerated: bool
+        self,
+        data: NoisyImage,
+        model: ForwardModel,
+        rule: tuple[int, float],
+        accelerated: bool,
+        start: Any,
     ) -> None:
         self.data = data
         self.max_iterations, self._tolerance = rule
         self._accelerated = accelerated
         self._scale = data.span()
         self._sigma = data.sigma / self._scale
-        self._model = numpy_model(model)
+        self._model = model
         self._level = background_estimate(data, model)
         image = (data.data - data.background(self._level)) / self._scale
         self._pedestal = self._sigma + max(0.0, -float(image.min()))
         self._image = image + self._pedestal
         # The fitted background starts one noise sigma below its estimate. It is positive, so that
         # the multiplicative iteration can lower the background too.
-        self._shape: Array | None = None
         if data.fit_background:
-            self._shape = np.ones_like(image) * data.background(1.0)
-            self._image += self._sigma * self._shape
+            self._image += self._sigma * data.background_shape
         ceiling = self._model.adjoint(data.weighted(np.ones_like(image)))
         # An object pixel without light in the frame cannot be determined; it stays dark.
         self._reached = ceiling > 1e-6 * ceiling.max()
         self._ceiling = np.where(self._reached, ceiling, 1.0)
-        reached = self._reached.astype(np.float64)
-        self._flat = total(np.maximum(image, 0.0)) / total(self._model.forward(reached)) * reached
+        self._current = self._begun(image, start)
+        self._before, self._move = self._current, 0.0 * self._current
+        self._best, self._best_strength, self._strength = self._current, self._sigma, self._sigma
+        self._least, self.residual, self._change = math.inf, math.inf, math.inf
 
-    def init(self, first: Array | None) -> _Estimate:
-        """Return the initial state; its object is uniform if none is given."""
-        current = self._flat
-        if first is not None:
-            current = np.maximum(first / self._scale, 0.0) * self._reached
-            if not current.any():
-                raise SceneError(
-                    f"start has no light (largest value {float(first.max()):g}), and what is dark "
-                    "stays dark; leave it out"
-                )
-        return _Estimate(
-            current=current,
-            before=current,
-            move=0.0 * current,
-            best=current,
-            strength=self._sigma,
-            best_strength=self._sigma,
-        )
+    def _begun(self, image: Array, start: Any) -> Array:
+        """Return the initial object, uniform if none is given."""
+        if start is None:
+            reached = self._reached.astype(np.float64)
+            light = total(np.maximum(image, 0.0))
+            return np.asarray(light / total(self._model.forward(reached)) * reached)
+        first = started_from(start, self._model.shape)
+        current = np.maximum(first / self._scale, 0.0) * self._reached
+        if not current.any():
+            raise SceneError(
+                f"start has no light (largest value {float(first.max()):g}), and what is dark "
+                "stays dark; leave it out"
+            )
+        return np.asarray(current)
 
-    def step(self, state: _Estimate) -> tuple[float, float, float]:
+    def step(self) -> tuple[float, float, float]:
         """Make one iteration; return objective, residual and change of the object before it."""
-        ratio, objective, state.residual = self._misfit(state)
+        ratio, objective, self.residual = self._misfit()
         drawn = np.maximum(self._model.adjoint(ratio), 0.0)
-        new = np.where(self._reached, state.current * drawn / self._ceiling, 0.0)
-        state.change = norm(new - state.before) / max(norm(new), 1e-30)
-        if objective < state.least or self.done(state):
-            state.least = objective
-            state.best, state.best_strength = state.current, state.strength
-        move = new - state.current
-        reach = _reach(state.move, move) if self._accelerated else 0.0
-        state.current = np.maximum(new + reach * (new - state.before), 0.0)
-        state.before, state.move = new, move
-        if self._shape is not None:
-            drawn_level = total(self._shape * ratio)
-            state.strength *= drawn_level / total(self.data.weighted(self._shape))
-        return objective, state.residual, state.change
+        new = np.where(self._reached, self._current * drawn / self._ceiling, 0.0)
+        self._change = norm(new - self._before) / max(norm(new), 1e-30)
+        if objective < self._least or self.done():
+            self._least = objective
+            self._best, self._best_strength = self._current, self._strength
+        move = new - self._current
+        reach = _reach(self._move, move) if self._accelerated else 0.0
+        self._current = np.maximum(new + reach * (new - self._before), 0.0)
+        self._before, self._move = new, move
+        if self.data.fit_background:
+            shape = self.data.background_shape
+            self._strength *= total(shape * ratio) / total(self.data.weighted(shape))
+        return objective, self.residual, self._change
 
-    def done(self, state: _Estimate) -> bool:
+    def done(self) -> bool:
         """Return whether the residual is at the noise, or the object no longer changes."""
-        return state.residual <= 1.0 or state.change <= self._tolerance
+        return self.residual <= 1.0 or self._change <= self._tolerance
 
-    def level(self, state: _Estimate) -> Array:
+    def level(self) -> Array:
         """Return the object (H, W) in image units."""
-        return state.best * self._scale
+        return self._best * self._scale
 
-    def answer(self, found: Run[_Estimate], level: Array) -> dict[str, Any]:
+    def answer(self, level: Array, history: History) -> dict[str, Any]:
         """Return the mean of the fitted background in image units."""
-        moved = (found.state.best_strength - self._sigma) * self._scale
-        converged = self.done(found.state)
-        ending = Ending(converged=converged, history=found.history, to_noise=True)
+        moved = (self._best_strength - self._sigma) * self._scale
+        ending = Ending(converged=self.done(), history=history, to_noise=True)
         return {"background": self._level + moved, "ending": ending}
 
-    def _misfit(self, state: _Estimate) -> tuple[Array, float, float]:
+    def _misfit(self) -> tuple[Array, float, float]:
         """Return weighted ratio image/model (H, W), divergence, and rms residual over the noise.
 
         The divergence is the weighted generalised Kullback-Leibler divergence of image and model.
         """
-        model = self._model.forward(state.current) + self._pedestal
-        if self._shape is not None:
-            model = model + state.strength * self._shape
+        model = self._model.forward(self._current) + self._pedestal
+        if self.data.fit_background:
+            model = model + self._strength * self.data.background_shape
         # FFT rounding errors may lower the model below the pedestal, which is at least one sigma.
         model = np.maximum(model, 0.5 * self._pedestal)
         ratio = self._image / model

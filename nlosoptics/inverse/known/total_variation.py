@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from ..._checks import positive
 from ..._progress import Progress
-from ..data.arrays import irfft2, rfft2
-from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
-from ..data.models import AnyModel, mean_transfer, numpy_model
+from ...imaging.forward_model import ForwardModel
+from ..data.checkpoints import started_from
+from ..data.driver import History, Solver, reconstructed, run, solved, stop_rule
+from ..data.models import mean_transfer
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 from ..data.status import Ending
@@ -50,7 +51,7 @@ _TUNING = _Tuning()
 
 def tv_deconvolve(
     image: Any,
-    model: AnyModel,
+    model: ForwardModel,
     *,
     tv_weight: float | None = None,
     max_iterations: int = _RULE[0],
@@ -67,7 +68,7 @@ def tv_deconvolve(
     ----------
     image : Measurement, ndarray or Tensor
         Camera image, (H, W), with its noise and background.
-    model : ForwardModel or TorchForwardModel
+    model : ForwardModel
         Image model of shape (H, W): the convolution of an object with the known point spread
         function, which may vary over the object.
     tv_weight : float or None
@@ -82,8 +83,8 @@ def tv_deconvolve(
         the other object are both below this fraction. If ``tv_weight`` is None, the rms residual
         must also differ from its target by less than ``20 tolerance`` times the noise.
     start : array_like, mapping or None
-        Initial object, (H, W), in image units, or a saved state of this solver (see `Stop`), from
-        which the fit resumes with the same result bit for bit. None: the solver chooses it.
+        Initial object, (H, W), in image units, or a saved state (see `Stop`), whose object is
+        taken. None: the solver chooses it.
     progress : callable or None
         Function that is called repeatedly with a text and the completed fraction, 0 to 1. It may
         raise `Stop` to end the fit.
@@ -150,59 +151,45 @@ def tv_deconvolve(
     tv_weight = None if tv_weight is None else positive("tv_weight", tv_weight)
 
     def solve(data: NoisyImage) -> dict[str, Any]:
-        return solved(_Splitting(data, model, rule, tv_weight), start, progress)
+        return solved(_Splitting(data, model, rule, tv_weight, start), progress)
 
-    return reconstructed(solve, image, model, in_numpy=True)
+    return reconstructed(solve, image, model)
 
 
 def sharpest(
-    data: NoisyImage, model: AnyModel, rule: tuple[int, float] = _RULE, tv_weight: Any = None
+    data: NoisyImage, model: ForwardModel, rule: tuple[int, float] = _RULE, tv_weight: Any = None
 ) -> tuple[Array, float, float]:
     """Return object, background and weight of `tv_deconvolve`, not judged; 0 if none is seen."""
-    data = data.in_numpy()
     if data.is_background(model):
         return 0.0 * data.data, float(data.background_strength(data.data)), 0.0
-    answer = solved(_Splitting(data, model, rule, tv_weight), None, None)
+    answer = solved(_Splitting(data, model, rule, tv_weight), None)
     return answer["level"], answer["background"], answer["tv_weight"]
 
 
-@dataclass(eq=False, kw_only=True)
-class _Split(Iterate):
-    """State of the splitting: copies of image, gradient and object, their duals and penalties.
-
-    ``free`` and ``seen`` are object and image of the last step for a field of point spreads;
-    ``measure`` is compared with the tolerance.
-    """
-
-    signed: Array
-    predicted: Array
-    edges: Array
-    data_dual: Array
-    sign_dual: Array
-    edge_dual: Array
-    free: Array | None
-    seen: Array | None
-    background: float = 0.0
-    multiplier: float
-    data_penalty: float
-    edge_penalty: float
-    sign_penalty: float
-    measure: float = math.inf
-
-
-class _Splitting(Solver[_Split]):
+class _Splitting(Solver):
     """Alternating direction method of multipliers (ADMM) for total variation.
 
     Dual variables are scaled by their penalties. Internally the image is divided by its range and
     the kernel by its largest transfer modulus. Total variation has weight 1, and half the squared
-    residual has the weight ``multiplier``.
+    residual has the weight ``multiplier``. The state consists of copies of image, gradient and
+    object, with their duals and penalties; `FieldStep` starts from ``last``, object and image of
+    its last step; ``measure`` is compared with the tolerance.
     """
 
-    name, records = "tv_deconvolve", ("variation", "residual", "change")
+    records = ("variation", "residual", "change")
+    changing: tuple[str, ...] = (
+        *("signed", "predicted", "edges", "data_dual", "sign_dual", "edge_dual", "background"),
+        *("multiplier", "data_penalty", "edge_penalty", "sign_penalty"),
+    )  # attributes that a second fit takes on
     report = "total variation: residual {residual:.3f}, change {change:.1e}"
 
     def __init__(
-        self, data: NoisyImage, model: AnyModel, rule: tuple[int, float], tv_weight: float | None
+        self,
+        data: NoisyImage,
+        model: ForwardModel,
+        rule: tuple[int, float],
+        tv_weight: float | None,
+        start: Any = None,
     ) -> None:
         self.data, self._model = data, model
         self.max_iterations, self._tolerance = rule
@@ -214,10 +201,9 @@ class _Splitting(Solver[_Split]):
         self._frame = tuple(slice(None, length) for length in model.shape)
         kind = data.working_dtype()
         self._dark = np.zeros(model.grid, kind)
-        ones = np.ones(model.shape)
         self._image = ((data.data - data.background(self._level)) / self._scale).astype(kind)
-        self._shape = (ones * data.background(1.0)).astype(kind)
-        self._weights = data.weighted(ones).astype(kind)
+        self._shape = data.background_shape.astype(kind)
+        self._weights = data.weights.astype(kind)
         self._saturated = None
         if data.least is not None:
             least = (data.least - data.background(self._level)) / self._scale
@@ -225,16 +211,15 @@ class _Splitting(Solver[_Split]):
             self._saturated = np.where(saturated)
             self._image = np.where(saturated, least.astype(kind), self._image)
         self._steps = Steps(self._image, self._shape, self._weights, model.grid[1])
-        twin = numpy_model(model)
-        transfer = mean_transfer(twin)
+        transfer = mean_transfer(model)
         self._response = float(abs(transfer).max())
         transfer = transfer / self._response
-        self._transfer = transfer.astype(rfft2(self._dark).dtype)
+        self._transfer = transfer.astype(fft.rfft2(self._dark).dtype)
         self._power = (transfer.real**2 + transfer.imag**2).astype(kind)
         self._laplacian = _laplacian(model.grid).astype(kind)
         self._field = None
-        if twin.weights is not None:
-            self._field = FieldStep(twin.weights, twin.transfer / self._response, self._dark)
+        if model.weights is not None:
+            self._field = FieldStep(model.weights, model.transfer / self._response, self._dark)
         self._given = None if tv_weight is None else self._response / (self._sigma * tv_weight)
         if self._given is None:
             rest = data.whitened(data.without_background()) / data.sigma
@@ -244,160 +229,145 @@ class _Splitting(Solver[_Split]):
             left = max(whole - signal - _taken(signal, model.shape), data.counted / 2)
             self._target = self._sigma * math.sqrt(left)
         self._factored: tuple[tuple[float, ...], tuple[Array, Array, Array]] | None = None
+        self._begin(None if start is None else started_from(start, model.shape))
 
-    def init(self, first: Array | None) -> _Split:
-        """Return the initial state, from an object or by a mild inverse filter.
+    def _begin(self, first: Array | None) -> None:
+        """Set the initial state, from an object or by a mild inverse filter.
 
         Negative values and values outside the frame are removed. The predicted image starts as the
         image itself. The image of ``first`` would leave nothing to do in the first step, and the
         iteration would appear to have converged.
         """
-        predicted = self._dark + 0.0
-        predicted[self._frame] = self._image
+        self.predicted = self._dark + 0.0
+        self.predicted[self._frame] = self._image
         if first is None:
-            spectrum = self._transfer.conj() * rfft2(predicted)
+            spectrum = self._transfer.conj() * fft.rfft2(self.predicted)
             spectrum /= self._power + 1e-2
-            begun = irfft2(spectrum, predicted.shape[-1])[self._frame]
+            begun = fft.irfft2(spectrum, self._dark.shape)[self._frame]
         else:
             begun = first * (self._response / self._scale)
-        signed = self._dark + 0.0
-        signed[self._frame] = np.maximum(begun, 0.0)
-        framed = signed[self._frame].ravel()
+        self.signed = self._dark + 0.0
+        self.signed[self._frame] = np.maximum(begun, 0.0)
+        framed = self.signed[self._frame].ravel()
         highest = math.ceil(0.99 * framed.size) - 1
         brightness = float(np.partition(framed, highest)[highest]) or 1.0
-        edges = gradient(signed)
         if self._given is None:
-            data_penalty = 1.0 / (self._sigma * brightness)
-            multiplier = data_penalty / _TUNING.data
+            self.data_penalty = 1.0 / (self._sigma * brightness)
+            self.multiplier = self.data_penalty / _TUNING.data
         else:
-            multiplier = self._given
-            data_penalty = _TUNING.data * multiplier
-        return _Split(
-            signed=signed,
-            predicted=predicted,
-            edges=edges,
-            data_dual=0.0 * self._image,
-            sign_dual=self._dark + 0.0,
-            edge_dual=0.0 * edges,
-            free=None if self._field is None else self._dark + 0.0,
-            seen=None if self._field is None else self._dark + 0.0,
-            multiplier=multiplier,
-            data_penalty=data_penalty,
-            edge_penalty=_TUNING.edge / brightness,
-            sign_penalty=_TUNING.sign / brightness,
-        )
+            self.multiplier = self._given
+            self.data_penalty = _TUNING.data * self.multiplier
+        self.edges = gradient(self.signed)
+        self.data_dual, self.sign_dual = 0.0 * self._image, self._dark + 0.0
+        self.edge_dual = 0.0 * self.edges
+        self.edge_penalty, self.sign_penalty = _TUNING.edge / brightness, _TUNING.sign / brightness
+        self.last = self._dark, self._dark
+        self.background, self.measure = 0.0, math.inf
 
-    def resumed(self, state: _Split) -> None:
-        """Use a given weight instead of the saved one, which may be that of another fit."""
-        if self._given is not None and self._given != state.multiplier:
-            state.multiplier, state.measure = self._given, math.inf
-
-    def step(self, state: _Split) -> tuple[float, float, float]:
+    def step(self) -> tuple[float, float, float]:
         """Make one iteration; return total variation, residual and change of the object."""
-        steps, wanted, pulled = self._steps, state.predicted.copy(), np.empty_like(self._dark)
-        wanted[self._frame] -= state.data_dual
-        edges = state.edges, state.edge_dual, state.edge_penalty
-        pull(*edges, state.signed, state.sign_dual, state.sign_penalty, pulled)
-        free, seen = self._object_step(state, wanted, pulled)
-        residual = self._data_step(state, seen)
-        variation = steps.shrink_edges(free, state.edges, state.edge_dual, 1 / state.edge_penalty)
-        sums = steps.keep_positive(free, state.signed, state.sign_dual)
+        steps, wanted, pulled = self._steps, self.predicted.copy(), np.empty_like(self._dark)
+        wanted[self._frame] -= self.data_dual
+        edges = self.edges, self.edge_dual, self.edge_penalty
+        pull(*edges, self.signed, self.sign_dual, self.sign_penalty, pulled)
+        free, seen = self._object_step(wanted, pulled)
+        residual = self._data_step(seen)
+        variation = steps.shrink_edges(free, self.edges, self.edge_dual, 1 / self.edge_penalty)
+        sums = steps.keep_positive(free, self.signed, self.sign_dual)
         size, change, distance = map(math.sqrt, sums)
         change, distance = (length / max(size, 1e-30) for length in (change, distance))
-        state.measure = max(change, distance)
+        self.measure = max(change, distance)
         if self._given is None:
             expected = self._target / (self._sigma * math.sqrt(self._counted))
-            state.measure = max(state.measure, _TUNING.residual * abs(residual - expected))
-        if state.count < 100 and state.count % 10 == 9:
-            _adapt(state)
+            self.measure = max(self.measure, _TUNING.residual * abs(residual - expected))
+        if self.count < 100 and self.count % 10 == 9:
+            # adapt the data penalty to the multiplier, by at most a factor of 3
+            ratio = _TUNING.data * self.multiplier / self.data_penalty
+            ratio = min(max(ratio, 1.0 / 3.0), 3.0)
+            self.data_penalty *= ratio
+            self.data_dual /= ratio
         return variation, residual, change
 
-    def done(self, state: _Split) -> bool:
+    def done(self) -> bool:
         """Return whether object, sign and residual have settled."""
         # The first change is due to the data alone and is tiny if the weight is large.
-        return state.measure <= self._tolerance and state.count > 1
+        return self.measure <= self._tolerance and self.count > 1
 
-    def level(self, state: _Split) -> Array:
+    def level(self) -> Array:
         """Return the object (H, W) in image units."""
-        return state.signed[self._frame].astype(np.float64) * (self._scale / self._response)
+        return self.signed[self._frame].astype(np.float64) * (self._scale / self._response)
 
-    def answer(self, found: Run[_Split], level: Array) -> dict[str, Any]:
+    def answer(self, level: Array, history: History) -> dict[str, Any]:
         """Return background, dimensionless weight of total variation, and history.
 
         The objective is computed with the final weight, since in some steps the weight is
         undefined.
         """
-        tv_weight = self._response / (self._sigma * max(found.state.multiplier, 1e-30))
+        tv_weight = self._response / (self._sigma * max(self.multiplier, 1e-30))
         price = tv_weight / (self._response * self._sigma)
-        variations, residuals, changes = found.history.values()
+        variations, residuals, changes = history.values()
         objective = [
             0.5 * self.data.counted * residual**2 + price * variation
             for residual, variation in zip(residuals, variations, strict=True)
         ]
         ending = Ending(
-            converged=self.done(found.state),
+            converged=self.done(),
             history={"objective": objective, "residual": residuals, "change": changes},
         )
         if self._given is None:
-            again = partial(self._nearby, found.state)
-            ending = replace(ending, to_noise=True, again=again)
-        background = self._background(found.state)
+            ending = replace(ending, to_noise=True, again=self._nearby)
+        background = self._level + self.background * self._scale
         return {"background": background, "tv_weight": tv_weight, "ending": ending}
 
-    def _background(self, state: _Split) -> float:
-        return self._level + state.background * self._scale
+    def _nearby(self, data: NoisyImage, model: ForwardModel) -> Array:
+        """Return the object (H, W), image units, of a coarser fit to another image.
 
-    def _nearby(self, state: _Split, data: NoisyImage, model: AnyModel) -> tuple[Array, float]:
-        """Return object (H, W) and background, image units, of a coarser fit to another image.
-
-        It begins at a state of this fit, whose arrays it changes.
+        It begins at the state of this fit, whose arrays it changes.
         """
         rule = self.max_iterations, _TUNING.coarser * self._tolerance
         again = _Splitting(data, model, rule, None)
-        begun = replace(state, count=0, measure=math.inf)
-        if state.free is not None:  # the last step's image is that of this fit's model
-            begun.free, begun.seen = self._dark + 0.0, self._dark + 0.0
-        found = run(again, begun).state
-        return again.level(found), again._background(found)
+        for name in self.changing:
+            setattr(again, name, getattr(self, name))
+        run(again)
+        return again.level()
 
-    def _factors(self, state: _Split) -> tuple[Array, Array, Array]:
+    def _factors(self) -> tuple[Array, Array, Array]:
         """Return the half spectra of R, of the preconditioner and of the data filter.
 
         They are computed again only when a penalty has changed.
         """
-        penalties = state.data_penalty, state.edge_penalty, state.sign_penalty
+        penalties = self.data_penalty, self.edge_penalty, self.sign_penalty
         if self._factored is None or self._factored[0] != penalties:
-            rest = state.edge_penalty * self._laplacian + state.sign_penalty
-            inverse = 1.0 / (state.data_penalty * self._power + rest)
-            filtered = state.data_penalty * self._transfer.conj() * inverse
+            rest = self.edge_penalty * self._laplacian + self.sign_penalty
+            inverse = 1.0 / (self.data_penalty * self._power + rest)
+            filtered = self.data_penalty * self._transfer.conj() * inverse
             self._factored = penalties, (rest, inverse, filtered)
         return self._factored[1]
 
-    def _object_step(self, state: _Split, wanted: Array, pulled: Array) -> tuple[Array, Array]:
+    def _object_step(self, wanted: Array, pulled: Array) -> tuple[Array, Array]:
         """Return the object whose image and gradients best match their targets, and its image.
 
         The targets are on the FFT grid: the image, and gradients and values, transposed and times
         their penalties.
         """
-        rest, inverse, filtered = self._factors(state)
-        if self._field is not None and state.free is not None and state.seen is not None:
-            state.free, state.seen = self._field.solve(
-                wanted, pulled, state.data_penalty, rest, inverse, (state.free, state.seen)
+        rest, inverse, filtered = self._factors()
+        if self._field is not None:
+            self.last = self._field.solve(
+                wanted, pulled, self.data_penalty, rest, inverse, self.last
             )
-            return state.free, state.seen
-        free, seen = rfft2(wanted), rfft2(pulled)
+            return self.last
+        free, seen = fft.rfft2(wanted), fft.rfft2(pulled)
         mix(free, seen, filtered, inverse, self._transfer)
-        columns = self._dark.shape[-1]
-        return irfft2(free, columns), irfft2(seen, columns)
+        return fft.irfft2(free, self._dark.shape), fft.irfft2(seen, self._dark.shape)
 
-    def _data_step(self, state: _Split, seen: Array) -> float:
+    def _data_step(self, seen: Array) -> float:
         """Move the predicted image toward the measured one until the residual equals the noise.
 
         The background and, if searched for, the multiplier are updated too. Returns the rms
         residual before, over the noise.
         """
-        steps, predicted, dual = self._steps, state.predicted, state.data_dual
-        ratio, level = state.multiplier / state.data_penalty, state.background
+        steps, predicted, dual = self._steps, self.predicted, self.data_dual
+        ratio, level = self.multiplier / self.data_penalty, self.background
         if self._saturated is not None:  # these pixels count only below their least values
             here = self._saturated
             moved = predicted[here] + RELAXATION * (seen[here] - predicted[here]) + dual[here]
@@ -405,34 +375,26 @@ class _Splitting(Solver[_Split]):
             self._weights[here] = 1.0 * below
         square, best = steps.relax_image(seen, predicted, dual, level, ratio)
         if self.data.fit_background:
-            state.background = best
+            self.background = best
         if self._given is None:
-            self._seek_multiplier(state)
-        ratio = state.multiplier / state.data_penalty
-        steps.split_misfit(predicted, dual, state.background, ratio)
+            self._seek_multiplier()
+        ratio = self.multiplier / self.data_penalty
+        steps.split_misfit(predicted, dual, self.background, ratio)
         return math.sqrt(square / self._counted) / self._sigma
 
-    def _seek_multiplier(self, state: _Split) -> None:
+    def _seek_multiplier(self) -> None:
         """Set the multiplier for which the residual after the data step equals the noise, rms.
 
         Newton's method for 1/norm, which is nearly linear in the multiplier: exactly for uniform
         noise.
         """
         for _ in range(2):
-            ratio = state.multiplier / state.data_penalty
-            square, slope = self._steps.weigh_misfit(state.predicted, state.background, ratio)
+            ratio = self.multiplier / self.data_penalty
+            square, slope = self._steps.weigh_misfit(self.predicted, self.background, ratio)
             if slope <= 0.0:
                 return
             step = (1.0 / self._target - square**-0.5) * square**1.5 / slope
-            state.multiplier = max(state.multiplier + state.data_penalty * step, 0.0)
-
-
-def _adapt(state: _Split) -> None:
-    """Adapt the data penalty to the multiplier, by at most a factor of 3."""
-    ratio = _TUNING.data * state.multiplier / state.data_penalty
-    ratio = min(max(ratio, 1.0 / 3.0), 3.0)
-    state.data_penalty *= ratio
-    state.data_dual /= ratio
+            self.multiplier = max(self.multiplier + self.data_penalty * step, 0.0)
 
 
 def _taken(signal: float, shape: tuple[int, int]) -> float:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..._progress import Progress
-from ..data.arrays import half_spectrum_weights, irfft2, norm, rfft2, total
-from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
-from ..data.models import AnyModel, mean_transfer, numpy_model
+from ...imaging.forward_model import ForwardModel
+from ..data.arrays import half_spectrum_weights, norm, total
+from ..data.checkpoints import started_from
+from ..data.driver import History, Solver, reconstructed, run, solved, stop_rule
+from ..data.models import mean_transfer
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from .conjugate_gradients import conjugate_direction
@@ -22,7 +24,7 @@ Array = NDArray[np.float64]
 
 def wiener(
     image: Any,
-    model: AnyModel,
+    model: ForwardModel,
     *,
     max_iterations: int = 300,
     tolerance: float = 1e-6,
@@ -73,12 +75,12 @@ def wiener(
     rule = stop_rule(max_iterations, tolerance)
 
     def solve(data: NoisyImage) -> dict[str, Any]:
-        return solved(_NormalEquations(data, model, rule), start, progress)
+        return solved(_NormalEquations(data, model, rule, start), progress)
 
-    return reconstructed(solve, image, model, in_numpy=True)
+    return reconstructed(solve, image, model)
 
 
-def background_estimate(data: NoisyImage, model: AnyModel) -> float:
+def background_estimate(data: NoisyImage, model: ForwardModel) -> float:
     """Return the fitted strength of the unknown background, image units; 0 if it is known.
 
     It is the background that explains what the image of the Wiener-filtered object leaves.
@@ -87,36 +89,26 @@ def background_estimate(data: NoisyImage, model: AnyModel) -> float:
         return 0.0
     # The background is then within a tenth of the noise; fine detail takes ten times longer.
     problem = _NormalEquations(data, model, (300, 1e-4))
-    return beside(data, run(problem).state.solution, problem.model)[0]
+    run(problem)
+    return beside(data, problem.solution, model)[0]
 
 
-@dataclass(eq=False, kw_only=True)
-class _Gradients(Iterate):
-    """State of the conjugate gradients; ``left`` is the residual over the right-hand side."""
-
-    solution: Array
-    misfit: Array
-    penalised: Array
-    residual: Array
-    direction: Array
-    product: float = math.inf
-    left: float
-
-
-class _NormalEquations(Solver[_Gradients]):
+class _NormalEquations(Solver):
     """Normal equations of the Wiener filter, with the background eliminated.
 
     The matrix is ``A' W A + sigma^2 S^-1`` for objects inside the frame, with image model A, pixel
-    weights W and prior spectrum S. They are solved by preconditioned conjugate gradients.
+    weights W and prior spectrum S. They are solved by preconditioned conjugate gradients; ``left``
+    is the residual over the right-hand side.
     """
 
-    name, every = "wiener", 1
+    every = 1
     report = "Wiener filter: residual {left:.1e}"
 
-    def __init__(self, data: NoisyImage, model: AnyModel, rule: tuple[int, float]) -> None:
+    def __init__(
+        self, data: NoisyImage, model: ForwardModel, rule: tuple[int, float], start: Any = None
+    ) -> None:
         self.max_iterations, self._tolerance = rule
-        self.data = data
-        self.model = model = numpy_model(model)
+        self.data, self.model = data, model
         rows, columns = model.grid
         # The mean transfer function of a field of point spreads is used for preconditioning and
         # for the scale of the prior.
@@ -125,7 +117,7 @@ class _NormalEquations(Solver[_Gradients]):
         squares = np.fft.fftfreq(rows)[:, None] ** 2 + np.fft.rfftfreq(columns) ** 2
         prior = 1.0 / (squares + (1.0 / max(model.shape)) ** 2)
         passed = power * prior * half_spectrum_weights(columns)
-        of_mean, steady = float(passed[0, 0]), 0.0
+        of_mean, steady = float(passed[0, 0]), 0.0 * data.data
         if data.fit_background:  # the object's mean is not counted as variance of the prior
             steady, passed[0, 0] = data.background(data.background_strength(data.data)), 0.0
         # an even kernel over a periodic frame, or one pixel
@@ -136,66 +128,57 @@ class _NormalEquations(Solver[_Gradients]):
         self._penalty = light / (data.counted * excess * prior)
         self._preconditioner = 1.0 / (power + self._penalty)
         self._right_side = model.adjoint(self._cleaned(data.data))
+        solution = 0.0 * data.data if start is None else started_from(start, model.shape)
+        seen, self._penalised = model.forward(solution), self._filtered(solution, self._penalty)
+        self._residual = self._right_side - self._normal(seen, self._penalised)
+        self.solution, self._misfit = solution, data.data - seen
+        self._direction, self._product = 0.0 * self._residual, math.inf
+        self.left = math.inf if bool(self._residual.any()) else 0.0
 
-    def init(self, first: Array | None) -> _Gradients:
-        """Return the initial state; its object is zero if none is given."""
-        solution = 0.0 * self.data.data if first is None else first + 0.0
-        seen, penalised = self.model.forward(solution), self._filtered(solution, self._penalty)
-        residual = self._right_side - self._normal(seen, penalised)
-        return _Gradients(
-            solution=solution,
-            misfit=self.data.data - seen,
-            penalised=penalised,
-            residual=residual,
-            direction=0.0 * residual,
-            left=math.inf if bool(residual.any()) else 0.0,
-        )
-
-    def step(self, state: _Gradients) -> tuple[float, float, float]:
+    def step(self) -> tuple[float, float, float]:
         """Minimise along the next direction; return objective, residual and change."""
-        step = self._filtered(state.residual, self._preconditioner)
-        state.direction, state.product = direction, product = conjugate_direction(
-            state.residual, step, state.direction, state.product
+        step = self._filtered(self._residual, self._preconditioner)
+        self._direction, self._product = direction, product = conjugate_direction(
+            self._residual, step, self._direction, self._product
         )
         seen = self.model.forward(direction)
         penalised = self._filtered(direction, self._penalty)
         image = self._normal(seen, penalised)
         length = product / total(direction * image)
-        state.solution += length * direction
-        state.misfit -= length * seen
-        state.penalised += length * penalised
-        state.residual = state.residual - length * image
-        state.left = norm(state.residual) / norm(self._right_side)
-        squared = max(total(self._cleaned(state.misfit) * state.misfit), 0.0)
-        prior = total(state.solution * state.penalised)
+        self.solution += length * direction
+        self._misfit -= length * seen
+        self._penalised += length * penalised
+        self._residual = self._residual - length * image
+        self.left = norm(self._residual) / norm(self._right_side)
+        squared = max(total(self._cleaned(self._misfit) * self._misfit), 0.0)
+        prior = total(self.solution * self._penalised)
         return (
             0.5 * (squared + prior) / self.data.sigma**2,
             math.sqrt(squared / self.data.counted) / self.data.sigma,
-            abs(length) * norm(direction) / max(norm(state.solution), 1e-300),
+            abs(length) * norm(direction) / max(norm(self.solution), 1e-300),
         )
 
-    def done(self, state: _Gradients) -> bool:
+    def done(self) -> bool:
         """Return whether the residual of the normal equations is below the tolerance."""
-        return state.left <= self._tolerance
+        return self.left <= self._tolerance
 
-    def level(self, state: _Gradients) -> Array:
+    def level(self) -> Array:
         """Return the object (H, W) in image units."""
-        return state.solution
+        return self.solution
 
-    def fraction(self, state: _Gradients) -> float:
+    def fraction(self) -> float:
         """Return the completed fraction, of the fall of the residual or of the iterations."""
-        fallen = math.log(min(state.left, 1.0)) / math.log(self._tolerance)
-        return max(fallen, super().fraction(state))
+        return max(math.log(min(self.left, 1.0)) / math.log(self._tolerance), super().fraction())
 
-    def answer(self, found: Run[_Gradients], level: Array) -> dict[str, Any]:
+    def answer(self, level: Array, history: History) -> dict[str, Any]:
         """Return the background that fits best beside the object."""
         return {"background": beside(self.data, level, self.model)[0]}
 
     def _cleaned(self, image: Array) -> Array:
         """Return the weighted image minus its best-fitting background."""
-        image = image - self.data.background(self.data.background_strength(image))
-        cleaned: Array = self.data.weighted(image)
-        return cleaned
+        return self.data.weighted(
+            image - self.data.background(self.data.background_strength(image))
+        )
 
     def _normal(self, seen: Array, penalised: Array) -> Array:
         """Return the matrix times an object, given its image and ``sigma^2 S^-1`` times it."""
@@ -203,7 +186,6 @@ class _NormalEquations(Solver[_Gradients]):
 
     def _filtered(self, picture: Array, response: Array) -> Array:
         rows, columns = self.model.shape
-        wide = np.zeros(self.model.grid)
-        wide[:rows, :columns] = picture
-        filtered: Array = irfft2(rfft2(wide) * response, wide.shape[1])
+        spectrum = scipy.fft.rfft2(picture, self.model.grid) * response
+        filtered: Array = scipy.fft.irfft2(spectrum, self.model.grid)
         return filtered[:rows, :columns]

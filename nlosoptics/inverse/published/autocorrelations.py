@@ -6,14 +6,14 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from ...errors import SamplingError, SceneError
-from ..data.arrays import as_numpy, real_array
-from ..data.forward import TorchForwardModel
+from ...imaging.forward_model import ForwardModel
+from ..data.arrays import real_array
 from ..data.noisy_image import NoisyImage
+from ..data.spectra import squared
 
 Array = NDArray[np.float64]
 
@@ -32,35 +32,28 @@ class SpectrumModulus(NamedTuple):
     object_size: tuple[int, int]
 
 
-def image_lags(data: NoisyImage, model: TorchForwardModel | None) -> Array:
+def image_lags(data: NoisyImage, model: ForwardModel | None) -> Array:
     """Return the autocorrelation of an image minus its mean, with the zero lag at the centre.
 
     Both sides are odd. Without a model each lag is the mean over all pairs of valid pixels. With a
     model the power spectrum is divided by that of the point spread, where this exceeds the noise.
     """
-    clean = as_numpy(data.data - data.data.mean())
-    counts = np.ones(clean.shape)
-    if data.weights is not None:
-        # excluded pixels hold the weighted mean of the others
-        counts = as_numpy(data.weights > 0.0).astype(np.float64)
-        clean = np.where(counts > 0.0, clean - clean[counts > 0.0].mean(), 0.0)
+    counts = (data.weights > 0.0).astype(np.float64)
+    # excluded pixels hold the weighted mean of the others
+    clean = counts * (data.data - np.average(data.data, weights=counts))
     if model is None:
         grid = tuple(int(fft.next_fast_len(2 * n, real=True)) for n in clean.shape)
-        power = np.abs(fft.rfft2(clean, s=grid)) ** 2
-        pairs = fft.irfft2(np.abs(fft.rfft2(counts, s=grid)) ** 2, s=grid)
-        lags = fft.irfft2(power, s=grid) / np.maximum(pairs, 1.0)
+        pairs = fft.irfft2(squared(fft.rfft2(counts, s=grid)), s=grid)
+        lags = fft.irfft2(squared(fft.rfft2(clean, s=grid)), s=grid) / np.maximum(pairs, 1.0)
     else:
-        grid = model.grid
-        power = np.abs(fft.rfft2(clean, s=grid)) ** 2
-        passed = torch.abs(model.transfer).cpu().numpy() ** 2
-        noise = data.noise_power()
+        grid, passed = model.grid, squared(model.transfer)
+        power, noise = squared(fft.rfft2(clean, s=grid)), data.noise_power()
         # Wiener filter of the power; the image's mean power gives the signal-to-noise ratio
         floor = noise / max(power.mean() - noise, 1e-12 * power.mean()) * passed.mean()
         lags = fft.irfft2(np.maximum(power - noise, 0.0) * passed / (passed**2 + floor**2), s=grid)
     reach = [min((n - 1) // 2, (g - 1) // 2) for n, g in zip(clean.shape, grid, strict=True)]
     # from FFT order to the zero lag at the centre
-    centred: Array = lags[np.ix_(*(np.arange(-r, r + 1) for r in reach))]
-    return centred
+    return np.asarray(lags[np.ix_(*(np.arange(-r, r + 1) for r in reach))])
 
 
 def spectrum_modulus(lags: Array, object_size: tuple[int, int] | None) -> SpectrumModulus:

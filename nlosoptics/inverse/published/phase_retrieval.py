@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import time
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-import torch
-from numpy.typing import ArrayLike
-from torch import Tensor
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft
 
 from ..._checks import counted, one_of, whole
 from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
-from ..data._threads import single_thread
 from ..data.arrays import half_spectrum_weights, shape_of
-from ..data.checkpoints import State, goes_on, state_of
-from ..data.forward import TorchForwardModel, torch_model
+from ..data.checkpoints import goes_on, state_of
 from ..data.measurement import measured
 from ..data.models import one_kernel_shape
 from ..data.noisy_image import noisy_image
@@ -28,12 +25,12 @@ from ..data.scores import registered_correlation
 from .autocorrelations import SpectrumModulus, checked_lags, image_lags, spectrum_modulus
 
 Method = Literal["alternating", "hio", "raar"]
+Array = NDArray[Any]
 
 
-@single_thread()
 def phase_retrieval(
     image: Any,
-    model: ForwardModel | TorchForwardModel | None = None,
+    model: ForwardModel | None = None,
     *,
     method: Method = "alternating",
     object_size: tuple[int, int] | None = None,
@@ -53,7 +50,7 @@ def phase_retrieval(
         Camera image, (H, W), with its noise and background. A uniform background has no effect. The
         measurement must have neither a ``gain`` nor a ``background_shape``, since the brightness of
         the object is not found.
-    model : ForwardModel or TorchForwardModel or None
+    model : ForwardModel or None
         Image model, if the modulus of its transfer function is known. The image's power spectrum is
         divided by the squared modulus; the phase is not used. None: the wall is assumed to transmit
         all spatial frequencies equally on average, like a diffuser.
@@ -125,7 +122,7 @@ def phase_retrieval(
     search = _Search(method, object_size, restarts, max_iterations, seed, progress)
     if data.is_background():
         return Reconstruction(
-            object=data.like_input(torch.zeros(shape, dtype=torch.float64)),
+            object=data.like_input(np.zeros(shape)),
             physical_parameters={"noise_sigma": data.sigma},
             status="too_few_photons",
             score=0.0,
@@ -133,11 +130,9 @@ def phase_retrieval(
             seconds=time.perf_counter() - started,
             reasons=("the spectrum is that of noise, so that no object is seen; expose longer",),
         )
-    data = data.in_torch()
-    twin = None if model is None else torch_model(model, data.data.device, torch.float64)
-    found, score, errors, parameters = search.run(image_lags(data, twin), shape, data.data.device)
+    level, score, errors, parameters = search.run(image_lags(data, model), shape)
     return Reconstruction(
-        object=data.like_input(found),
+        object=data.like_input(level),
         physical_parameters={**parameters, "noise_sigma": data.sigma},
         status="unconverged",
         score=score,
@@ -146,7 +141,6 @@ def phase_retrieval(
     )
 
 
-@single_thread()
 def object_from_autocorrelation(
     autocorrelation: ArrayLike,
     *,
@@ -181,9 +175,9 @@ def object_from_autocorrelation(
     started = time.perf_counter()
     lags = checked_lags(autocorrelation)
     search = _Search(method, object_size, restarts, max_iterations, seed, progress)
-    found, score, errors, parameters = search.run(lags, lags.shape, torch.device("cpu"))
+    level, score, errors, parameters = search.run(lags, lags.shape)
     return Reconstruction(
-        object=found.numpy(),
+        object=level,
         physical_parameters=parameters,
         status="converged" if score >= 0.9 and not search.stopped else "unconverged",
         score=score,
@@ -218,31 +212,28 @@ class _Search:
             self.size = rows, columns
 
     def run(
-        self, lags: Any, shape: tuple[int, ...], device: torch.device
-    ) -> tuple[Tensor, float, list[float], dict[str, Any]]:
+        self, lags: Array, shape: tuple[int, ...]
+    ) -> tuple[Array, float, list[float], dict[str, Any]]:
         """Retrieve an object of a given shape from its autocorrelation.
 
         Returns object, correlation of two halves of the restarts, their errors, and parameters. The
         errors are rms differences of the spectra's moduli, relative.
         """
         spectrum = spectrum_modulus(lags, self.size)
-        modulus = torch.from_numpy(spectrum.modulus).to(device, torch.float32)
+        modulus = spectrum.modulus.astype(np.float32)
         rows, columns = spectrum.object_size
-        support = torch.zeros(spectrum.grid, dtype=torch.bool, device=device)
-        support[:rows, :columns] = True
+        support = np.zeros(spectrum.grid, dtype=np.float32)
+        support[:rows, :columns] = 1.0
         random = generator(self.seed, 0x70686173)
-        starts = random.random((self.restarts, *spectrum.grid), dtype=np.float32)
-        objects = torch.from_numpy(starts).to(modulus) * support
+        objects = random.random((self.restarts, *spectrum.grid), dtype=np.float32) * support
         if self.method == "alternating":
             used = random.random((self.restarts, *modulus.shape)) < 0.5
-            objects = spectral_start(objects, modulus, support, torch.from_numpy(used).to(device))
+            objects = _spectral_start(objects, modulus, support, used)
         text = f"phase retrieval: {counted(self.restarts, 'restart')} by {self.method}"
-
-        def snapshot() -> State:
-            return state_of(_framed(objects[0], spectrum, shape))
-
         for count in range(1, self.iterations + 1):
-            objects = stepped(objects, modulus, support, self.method, (count - 1) / self.iterations)
+            share = (count - 1) / self.iterations
+            objects = _stepped(objects, modulus, support, self.method, share)
+            snapshot = partial(state_of, _framed(objects[0], spectrum, shape))
             last = count == self.iterations
             if (last or count % 20 == 0) and not goes_on(
                 self.progress, text, count / self.iterations, snapshot
@@ -250,20 +241,21 @@ class _Search:
                 self.stopped = not last
                 break
         if self.method == "alternating":  # the modulus does not determine the overall sign
-            sums = objects.sum(dim=(-2, -1), keepdim=True)
-            objects = torch.where(sums >= 0.0, objects, -objects)
+            objects = objects * np.where(objects.sum(axis=(1, 2), keepdims=True) < 0.0, -1.0, 1.0)
         else:
             for _ in range(50):
                 objects = _allowed(_with_modulus(objects, modulus), support)
-        errors = fourier_errors(objects, modulus)
-        halves = [averaged(objects[i::2], errors[i::2]).cpu().numpy() for i in (0, 1)]
-        score = registered_correlation(halves[0], halves[1], flip=True)
+        twice = half_spectrum_weights(support.shape[1])
+        misfits = ((np.abs(fft.rfft2(objects)) - modulus) ** 2 * twice).sum(axis=(1, 2))
+        errors = np.sqrt(misfits / (modulus**2 * twice).sum())
+        halves = [_averaged(objects[i::2], errors[i::2]) for i in (0, 1)]
+        score = registered_correlation(*halves, flip=True)
         parameters = {"fourier_error": float(errors.min()), "object_size": spectrum.object_size}
-        found = _framed(averaged(objects, errors), spectrum, shape)
-        return found, score, errors.tolist(), parameters
+        level = _framed(_averaged(objects, errors), spectrum, shape)
+        return level, score, errors.tolist(), parameters
 
 
-def spectral_start(objects: Tensor, modulus: Tensor, support: Tensor, used: Tensor) -> Tensor:
+def _spectral_start(objects: Array, modulus: Array, support: Array, used: Array) -> Array:
     """Return the leading eigenvectors of ``sum y_i^2 a_i a_i'``, scaled to the moduli y [1]_.
 
     ``objects`` (R, H, W) start the power iteration, in which only the frequencies that are ``used``
@@ -274,92 +266,75 @@ def spectral_start(objects: Tensor, modulus: Tensor, support: Tensor, used: Tens
     .. [1] Chen and Candes, Advances in Neural Information Processing Systems 28 (2015) 739.
     """
     squares = modulus * modulus
-    mean = (used * squares).sum(dim=(-2, -1), keepdim=True) / used.sum(dim=(-2, -1), keepdim=True)
-    weights = torch.where(used & (squares <= 9.0 * mean), squares, 0.0)
-    grid, tiny = tuple(support.shape), torch.finfo(modulus.dtype).tiny
+    mean = np.mean(np.broadcast_to(squares, used.shape), axis=(1, 2), keepdims=True, where=used)
+    weights = np.where(used & (squares <= 9.0 * mean), squares, np.float32(0.0))
     for _ in range(50):
-        objects = torch.fft.irfft2(weights * torch.fft.rfft2(objects), s=grid) * support
-        objects = objects / objects.norm(dim=(-2, -1), keepdim=True).clamp_min(tiny)
-    seen = (used * torch.fft.rfft2(objects).abs()).norm(dim=(-2, -1), keepdim=True)
-    scaled: Tensor = objects * ((used * modulus).norm(dim=(-2, -1), keepdim=True) / seen)
-    return scaled
+        objects = fft.irfft2(weights * fft.rfft2(objects), support.shape) * support
+        objects /= np.maximum(_norms(objects), 1e-30)
+    return objects * (_norms(used * modulus) / _norms(used * np.abs(fft.rfft2(objects))))
 
 
-def stepped(objects: Tensor, modulus: Tensor, support: Tensor, method: str, share: float) -> Tensor:
+def _norms(values: Array) -> Array:
+    """Return the norms (R, 1, 1) of arrays (R, H, W)."""
+    return np.asarray(np.sqrt((values * values).sum(axis=(1, 2), keepdims=True)))
+
+
+def _stepped(objects: Array, modulus: Array, support: Array, method: str, share: float) -> Array:
     """Make one iteration towards objects (R, H, W) whose spectra have a given modulus.
 
     ``objects`` (R, H, W): objects of the restarts. ``modulus`` (H, W//2 + 1): modulus of the
-    object's ``rfft2``. ``support`` (H, W): pixels that may be bright. ``method``: alternating
-    minimisation (Netrapalli 2013) for objects of either sign, whose least-squares solution is the
-    adjoint, as the transform is unitary; hybrid input-output (Fienup 1982), with feedback
-    decreasing from 2 to 0; or relaxed averaged alternating reflections (Luke 2005), with relaxation
-    decreasing from 0.9 to 0.5. The last two keep objects non-negative. ``share``: completed
-    fraction of the iterations.
+    object's ``rfft2``. ``support`` (H, W): 1 at pixels that may be bright, else 0. ``method``:
+    alternating minimisation (Netrapalli 2013) for objects of either sign, whose least-squares
+    solution is the adjoint, as the transform is unitary; hybrid input-output (Fienup 1982), with
+    feedback decreasing from 2 to 0; or relaxed averaged alternating reflections (Luke 2005), with
+    relaxation decreasing from 0.9 to 0.5. The last two keep objects non-negative. ``share``:
+    completed fraction of the iterations.
     """
     projection = _with_modulus(objects, modulus)
     if method == "alternating":
         return projection * support
     if method == "hio":
         feedback = 2.0 * (1.0 - share)
-        return torch.where(
-            support & (projection > 0.0), projection, objects - feedback * projection
-        )
+        return np.where(projection * support > 0.0, projection, objects - feedback * projection)
     relaxation = 0.9 - 0.4 * share
     reflection = _allowed(2.0 * projection - objects, support)
     return relaxation * (reflection + objects) + (1.0 - 2.0 * relaxation) * projection
 
 
-def fourier_errors(objects: Tensor, modulus: Tensor) -> Tensor:
-    """Return the relative rms differences (R,) of the objects' spectral moduli from ``modulus``."""
-    twice = torch.from_numpy(half_spectrum_weights(objects.shape[-1])).to(modulus)
-    misfit = (torch.fft.rfft2(objects).abs() - modulus) ** 2 * twice
-    errors: Tensor = (misfit.sum(dim=(-2, -1)) / (modulus**2 * twice).sum()).sqrt()
-    return errors
-
-
-def averaged(objects: Tensor, errors: Tensor) -> Tensor:
+def _averaged(objects: Array, errors: Array) -> Array:
     """Average the best restart and those within 2 % of its error, after aligning them to the best.
 
     If the modulus is noisy, the restarts end at the same object with different errors, which their
-    mean reduces.
+    mean reduces. Each is shifted by whole pixels, and turned by half a turn if that is better.
     """
-    best = int(errors.argmin())
-    good = objects[errors <= 1.02 * errors[best]]
-    return torch.stack([onto(one, objects[best]) for one in good]).mean(dim=0)
+    best = objects[np.argmin(errors)]
+    spectrum, aligned = fft.rfft2(best - best.mean()), []
+    for picture in objects[errors <= 1.02 * errors.min()]:
+        overlaps = []
+        for turned in (picture, picture[::-1, ::-1]):
+            overlap = fft.irfft2(spectrum * np.conj(fft.rfft2(turned)), picture.shape)
+            place = np.unravel_index(overlap.argmax(), overlap.shape)
+            overlaps.append((float(overlap.max()), np.roll(turned, place, (0, 1))))
+        aligned.append(max(overlaps, key=lambda pair: pair[0])[1])
+    return np.asarray(np.mean(aligned, axis=0))
 
 
-def onto(picture: Tensor, reference: Tensor) -> Tensor:
-    """Shift an object by whole pixels to match a reference, turned by half a turn if better."""
-    spectrum = torch.fft.rfft2(reference - reference.mean())
-    best, found = -math.inf, picture
-    for candidate in (picture, picture.flip(0, 1)):
-        product = spectrum * torch.fft.rfft2(candidate).conj()
-        overlap = torch.fft.irfft2(product, s=tuple(picture.shape))
-        peak = int(overlap.argmax())
-        if float(overlap.flatten()[peak]) > best:
-            best = float(overlap.flatten()[peak])
-            found = candidate.roll(divmod(peak, picture.shape[1]), (0, 1))
-    return found
-
-
-def _allowed(objects: Tensor, support: Tensor) -> Tensor:
+def _allowed(objects: Array, support: Array) -> Array:
     """Return the non-negative parts of objects (R, H, W) within their support."""
-    return objects.clamp_min(0.0) * support
+    return np.maximum(objects, 0.0) * support
 
 
-def _with_modulus(objects: Tensor, modulus: Tensor) -> Tensor:
+def _with_modulus(objects: Array, modulus: Array) -> Array:
     """Return the objects closest to the given ones whose spectra have the given modulus."""
-    spectrum = torch.fft.rfft2(objects)
-    size = spectrum.abs().clamp_min(torch.finfo(modulus.dtype).tiny)
-    result: Tensor = torch.fft.irfft2(spectrum * (modulus / size), s=tuple(objects.shape[-2:]))
-    return result
+    spectrum = fft.rfft2(objects)
+    spectrum *= modulus / np.maximum(np.abs(spectrum), np.float32(1e-37))
+    return np.asarray(fft.irfft2(spectrum, objects.shape[1:]))
 
 
-def _framed(objects: Tensor, spectrum: SpectrumModulus, shape: tuple[int, ...]) -> Tensor:
+def _framed(objects: Array, spectrum: SpectrumModulus, shape: tuple[int, ...]) -> Array:
     """Place an object at the centre of an image of a given shape, scaled to a maximum of 1."""
     rows, columns = spectrum.object_size
-    box = objects[:rows, :columns].double()
-    frame = torch.zeros(shape, dtype=torch.float64, device=box.device)
+    box, frame = objects[:rows, :columns], np.zeros(shape)
     top, left = (shape[0] - rows) // 2, (shape[1] - columns) // 2
     brightest = float(box.max())
     frame[top : top + rows, left : left + columns] = box / (brightest if brightest > 0.0 else 1.0)

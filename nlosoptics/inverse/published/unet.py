@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, cast
+from typing import cast
 
 import torch
 import torch.nn.functional as F
@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from ..._checks import one_of, whole
 from ..._random import generator
-from ...errors import SamplingError, SceneError
+from ...errors import SamplingError
 
 WEIGHTS = 601  # stream of a network's weights
 
@@ -117,18 +117,19 @@ class UNetObject(nn.Module):
     .. [1] Ulyanov, Vedaldi and Lempitsky, Int. J. Comput. Vis. 128 (2020) 1867.
     """
 
-    guide: Tensor
-
     def __init__(self, guide: Tensor, *, base: int = 8, depth: int = 4, seed: int = 0) -> None:
         super().__init__()
-        batch = _batch(guide)
-        self.network = UNet(base, depth, in_channels=batch.shape[1], seed=seed)
+        self.set_guide(guide)
+        self.network = UNet(base, depth, in_channels=self.guide.shape[1], seed=seed)
         self.network.to(device=guide.device, dtype=guide.dtype)
-        self.register_buffer("guide", batch)
 
     def set_guide(self, guide: Tensor) -> None:
-        """Replace the network's input by another one with as many channels."""
-        self.guide = _batch(guide).to(self.guide)
+        """Set the network's input, (H, W) or (C, H, W)."""
+        picture = guide.detach().reshape(1, -1, *guide.shape[-2:])
+        centred = picture - picture.mean(dim=(-2, -1), keepdim=True)
+        spread = centred.square().mean(dim=(-2, -1), keepdim=True).sqrt()
+        # a uniform picture has no information and becomes zero
+        self.guide = centred / torch.where(spread > 0.0, spread, 1.0)
 
     def forward(self) -> Tensor:
         """Object (H, W), each pixel between 0 and 1."""
@@ -145,16 +146,3 @@ def _stage(entering: int, leaving: int, convolutions: int = 2) -> nn.Sequential:
             nn.LeakyReLU(0.1, inplace=True),
         ]
     return nn.Sequential(*layers)
-
-
-def _batch(guide: Any) -> Tensor:
-    """Return the network's input (1, C, H, W), of mean 0 and variance 1, for a guide."""
-    if not isinstance(guide, Tensor) or not guide.is_floating_point() or guide.ndim not in (2, 3):
-        raise SceneError(
-            f"guide is a {type(guide).__name__}; give a tensor of floats, (H, W) or (C, H, W)"
-        )
-    picture = guide.detach().reshape(1, -1, *guide.shape[-2:])
-    centred = picture - picture.mean(dim=(-2, -1), keepdim=True)
-    spread = centred.square().mean(dim=(-2, -1), keepdim=True).sqrt()
-    # a uniform picture has no information and becomes zero
-    return centred / torch.where(spread > 0.0, spread, 1.0)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.utils import vector_to_parameters
 
 from ..._checks import in_range, one_of, positive, whole
 from ..._progress import Progress
@@ -17,13 +17,11 @@ from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
-from ..data.adam import descend, joined, spread
 from ..data.arrays import real_array
-from ..data.driver import Iterate, Run, Solver, reconstructed, solved
+from ..data.driver import History, Solver, reconstructed, solved
 from ..data.measurement import measured
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
-from ..data.scaled_images import ScaledImage, total_variation
 from ..data.scores import registered_correlation
 from ..wave.frames import known_defoci
 from ..wave.pupil_psf import PupilPSF
@@ -41,7 +39,7 @@ def wu2024_fit(
     pupil_psf: PupilPSF,
     *,
     defocus: Any = None,
-    start: Reconstruction | Mapping[str, Any] | None = None,
+    start: Reconstruction | None = None,
     start_rms: float | None = None,
     base: int = 8,
     depth: int = 4,
@@ -68,11 +66,9 @@ def wu2024_fit(
         role of the angles. It is not modified.
     defocus : sequence of one float, or None
         Known additional defocus of the image, m rms over the pupil, see `evidence_fit`.
-    start : Reconstruction, mapping or None
-        Reconstruction: warm start from an earlier result of this function for a similar object,
-        which provides angles and network. Mapping: saved state of this solver with the same image
-        and options (see `Stop`), from which the fit resumes with the same result bit for bit. None:
-        cold start with random angles and weights.
+    start : Reconstruction or None
+        Warm start from an earlier result of this function for a similar object, which provides
+        angles and network. None: cold start with random angles and weights.
     start_rms : float or None
         Strength of a cold start's random angles: the rms wave aberration, waves; by default 0.5.
     base : {8, 16, 32}
@@ -146,7 +142,7 @@ def wu2024_fit(
     alternate = whole("alternate", alternate)
     if max_iterations is None:
         # "approximately 1800" and "more than 4000" in the paper
-        max_iterations = 1800 if isinstance(start, Reconstruction) else 4000
+        max_iterations = 4000 if start is None else 1800
     max_iterations = whole("max_iterations", max_iterations)
     tv_weight = in_range("tv_weight", tv_weight, 0.0)
     rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
@@ -162,45 +158,38 @@ def wu2024_fit(
             f'images has {1 + len(others)} frames, recipe "wu2024" takes one; give one of them, or '
             'all of them to recipe "evidence"'
         )
+    if not isinstance(start, Reconstruction | None):
+        raise SceneError(
+            f"start of type {type(start).__name__} is no Reconstruction; give one that wu2024_fit "
+            "returned, or leave it out"
+        )
     if defocus is not None:
         defocus = np.atleast_1d(real_array("defocus", defocus))
     optics = _Optics(pupil_psf, known_defoci(defocus, 1).tolist())
 
     def solve(data: NoisyImage) -> dict[str, Any]:
-        scaled = ScaledImage(data, float(data.data.max() - data.data.min()))
-        guide = scaled.image
+        fit = _Pcin(data, optics, rate, tv_weight, 2 * alternate, max_iterations)
+        guide = fit.image
         if network_input == "noise":
             noise = generator(seed, GUIDE).uniform(size=(8, *guide.shape))
             guide = torch.from_numpy(noise).to(guide)
-        if isinstance(start, Reconstruction):
-            angles, network = _from_earlier(start, pupil_psf, guide)
-        else:
-            angles = _random_angles(pupil_psf, start_rms, seed)
+        if start is None:
             network = UNetObject(guide, base=base, depth=depth, seed=seed)
-        fit = _Pcin(
-            data=data,
-            image=scaled,
-            optics=optics,
-            angles=nn.Parameter(angles),
-            network=network,
-            learning_rate=rate,
-            tv_weight=tv_weight,
-            every=2 * alternate,
-            feeds_back=network_input == "reconstruction",
-            max_iterations=max_iterations,
-        )
-        return solved(fit, None if isinstance(start, Reconstruction) else start, progress)
+            fit.begin(_random_angles(pupil_psf, start_rms, seed), network)
+        else:
+            fit.begin(*_from_earlier(start, pupil_psf, guide))
+        fit.feeds_back = network_input == "reconstruction"
+        return solved(fit, progress)
 
     model = optics.model(pupil_psf.coefficients)
     return reconstructed(solve, image, model, pupil_psf.shape)
 
 
-@dataclass(frozen=True)
 class _Optics:
     """Point spread of given coefficients, at a known defocus."""
 
-    pupil_psf: PupilPSF
-    defocus: list[float]
+    def __init__(self, pupil_psf: PupilPSF, defocus: list[float]) -> None:
+        self.pupil_psf, self.defocus = pupil_psf, defocus
 
     def transfer(self, coefficients: Tensor) -> Tensor:
         """Return the transfer function, differentiable."""
@@ -215,91 +204,96 @@ class _Optics:
         )
 
 
-@dataclass(eq=False, kw_only=True)
-class _Turns(Iterate):
-    """State of the fit: weights and angles with their optimisers, and the network's input.
-
-    ``held`` is the object or the transfer function that the current phase keeps; empty if it has to
-    be computed.
-    """
-
-    network: torch.optim.Adam
-    angles: torch.optim.Adam
-    guide: Tensor
-    held: tuple[Tensor, ...] = ()
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Pcin(Solver[_Turns]):
+class _Pcin(Solver):
     """Alternating fits of angles and network; an iteration is a step of either.
 
-    A turn of ``every`` iterations fits first the angles, then the network.
+    A turn of ``turn`` iterations fits first the angles, then the network. ``image`` (H, W): image
+    over its range, minus the background that best fits it alone. Gain and background take their
+    least-squares values.
     """
 
-    data: NoisyImage
-    image: ScaledImage
-    optics: _Optics
-    angles: nn.Parameter
-    network: UNetObject
-    learning_rate: float
-    tv_weight: float
-    every: int
-    feeds_back: bool
-    max_iterations: int
-
-    name, takes_object = "wu2024_fit", False
     report = "pcin, Wu 2024: residual {residual:.3f}"
+    feeds_back = False
 
-    def init(self, first: Tensor | None) -> _Turns:
-        """Return the initial state; a given object has no effect, network and angles start it."""
-        rate = self.learning_rate
-        return _Turns(
-            network=torch.optim.Adam(self.network.parameters(), rate, fused=True),
-            angles=torch.optim.Adam([self.angles], rate),
-            guide=self.network.guide,
+    def __init__(
+        self,
+        data: NoisyImage,
+        optics: _Optics,
+        rate: float,
+        tv_weight: float,
+        turn: int,
+        max_iterations: int,
+    ) -> None:
+        self.data, self.optics, self.rate, self.tv_weight = data, optics, rate, tv_weight
+        self.turn, self.max_iterations = turn, max_iterations
+        self.unit = float(data.data.max() - data.data.min())
+        shape = data.background_shape * data.fit_background
+        arrays = (data.without_background() / self.unit, data.weights, shape)
+        device = optics.pupil_psf.coefficients.device
+        self.image, self.weights, self.shape = (
+            torch.from_numpy(values).to(device, torch.float32) for values in arrays
+        )
+        self.power = (self.weights * self.image.square()).sum()
+        self.norm = (self.weights * self.shape.square()).sum() or 1.0
+
+    def begin(self, angles: Tensor, network: UNetObject) -> None:
+        """Set angles and network, with their optimisers."""
+        self.angles, self.network = angles.requires_grad_(), network
+        self.adams = (
+            torch.optim.Adam([self.angles], self.rate),
+            torch.optim.Adam(network.parameters(), self.rate, fused=True),
         )
 
-    def resumed(self, state: _Turns) -> None:
-        """Give the network its saved input."""
-        self.network.guide = state.guide
-
-    def step(self, state: _Turns) -> tuple[float, float, float]:
+    def step(self) -> tuple[float, float, float]:
         """Make one step of Adam on the loss of the paper's eq. 9.
 
         The loss is the squared error plus total variation, summed over the pixels. Step 1 of the
         paper moves the angles with the object held, step 2 the network with the angles held.
         """
-        first = state.count % self.every < self.every // 2
-        if not state.held or state.count % (self.every // 2) == 0:
+        half = self.turn // 2
+        first = self.count % self.turn < half
+        if self.count % half == 0:
             with torch.no_grad():
-                state.held = (self.network() if first else self.optics.transfer(self.angles),)
-        (held,) = state.held
-        picture = held if first else self.network()
-        transfer = self.optics.transfer(self.angles) if first else held
-        gain, residual = self.image.misfit(_seen(picture, transfer))
-        square = self.image.weighted(residual * residual).sum()
+                self.held = self.network() if first else self.optics.transfer(self.angles)
+        picture = self.held if first else self.network()
+        transfer = self.optics.transfer(self.angles) if first else self.held
+        gain, residual = self.misfit(picture, transfer)
+        square = (self.weights * residual.square()).sum()
         loss = square + self.tv_weight * gain * total_variation(picture)
         before = self.angles.detach().clone()
-        descend(state.angles if first else state.network, loss)
+        adam = self.adams[0 if first else 1]
+        adam.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        adam.step()
         change = (self.angles.detach() - before).norm() / before.norm().clamp_min(1e-30)
-        rms = math.sqrt(self.image.mean_square(residual.detach()).item())
-        noise = self.data.sigma / self.image.unit
-        ends = (state.count + 1) % self.every == 0 or state.count + 1 == self.max_iterations
-        if self.feeds_back and ends:
+        rms = math.sqrt(square.item() / self.data.counted)
+        noise = self.data.sigma / self.unit
+        if self.feeds_back and (self.count + 1) % self.turn == 0:
             with torch.no_grad():
                 self.network.set_guide(self.network())
-            state.guide = self.network.guide
         return loss.item(), rms / noise if noise > 0.0 else rms, change.item()
 
-    def level(self, state: _Turns) -> Tensor:
+    def misfit(self, picture: Tensor, transfer: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the best gain of a modelled image, and the residual (H, W); differentiable.
+
+        The image is that of eq. 8 of the paper without noise. If the fitted gain is negative or
+        tiny, it is clamped to a tenth of the image contrast, to keep a useful gradient.
+        """
+        seen = torch.fft.irfft2(torch.fft.rfft2(picture) * transfer, s=picture.shape)
+        seen = seen - (self.weights * self.shape * seen).sum() / self.norm * self.shape
+        norm = (self.weights * seen.square()).sum().clamp_min(torch.finfo(seen.dtype).tiny)
+        least = 0.1 * (self.power / norm.detach()).sqrt()
+        gain = ((self.weights * seen * self.image).sum() / norm).clamp_min(least)
+        return gain, self.image - gain * seen
+
+    def level(self) -> NDArray[np.float64]:
         """Return the object (H, W) in image units."""
         with torch.no_grad():
             picture = self.network()
-            gain = self.image.misfit(_seen(picture, self.optics.transfer(self.angles)))[0].item()
-        level: Tensor = gain * self.image.unit * picture.double()
-        return level
+            gain = self.misfit(picture, self.optics.transfer(self.angles))[0].item()
+        return np.asarray(gain * self.unit * picture.double().cpu().numpy())
 
-    def answer(self, found: Run[_Turns], level: Tensor) -> dict[str, Any]:
+    def answer(self, level: NDArray[np.float64], history: History) -> dict[str, Any]:
         """Return image model, background and status, and the parameters of angles and network."""
         coefficients = self.angles.detach()
         model = self.optics.model(coefficients)
@@ -309,24 +303,28 @@ class _Pcin(Solver[_Turns]):
             "the object is the image itself, as without blur" if same else "no test of the wall"
         )
         network = self.network.network
+        weights = [part.detach().reshape(-1) for part in network.parameters()]
         return {
             "model": model,
             "background": beside(self.data, level, model)[0],
             "status": "ambiguous" if same else "unconverged",
             "reasons": (f'{reason}; give several images to recipe "evidence"',),
             "coefficients": coefficients.to(torch.float64).cpu().numpy(),
-            "network_weights": joined(list(network.parameters())).cpu().numpy(),
+            "network_weights": torch.cat(weights).cpu().numpy(),
             "network_base": float(network.base),
             "network_depth": float(network.depth),
             "strehl": float(model.kernel.max() / flat.kernel.max()),
-            "iterations": float(found.state.count),
+            "iterations": float(self.count),
         }
 
 
-def _seen(picture: Tensor, transfer: Tensor) -> Tensor:
-    """Return the modelled image, eq. 8 of the paper without noise."""
-    seen: Tensor = torch.fft.irfft2(torch.fft.rfft2(picture) * transfer, s=picture.shape)
-    return seen
+def total_variation(picture: Tensor) -> Tensor:
+    """Return the isotropic total variation of an object (H, W), without its borders.
+
+    Gradients below 1e-3 enter quadratically, since the square root has an infinite slope at 0.
+    """
+    down, along = picture.diff(dim=-2)[:, :-1], picture.diff(dim=-1)[:-1]
+    return ((down.square() + along.square() + 1e-6).sqrt() - 1e-3).sum()
 
 
 def _random_angles(pupil_psf: PupilPSF, start_rms: float | None, seed: int) -> Tensor:
@@ -363,6 +361,13 @@ def _from_earlier(
         )
     base, depth = int(found["network_base"]), int(found["network_depth"])
     network = UNetObject(guide, base=base, depth=depth)
-    spread("network_weights", found["network_weights"], list(network.network.parameters()))
+    weights, wanted_weights = found["network_weights"], list(network.network.parameters())
+    count = sum(part.numel() for part in wanted_weights)
+    if np.size(weights) != count:
+        raise SamplingError(
+            f"start has {np.size(weights)} network_weights, must be {count}; give a Reconstruction "
+            "that wu2024_fit returned"
+        )
+    vector_to_parameters(torch.from_numpy(np.array(weights)).to(guide), wanted_weights)
     angles = torch.from_numpy(np.array(found["coefficients"])).to(pupil_psf.coefficients)
     return angles, network

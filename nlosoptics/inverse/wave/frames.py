@@ -1,4 +1,4 @@
-"""Images of one object via unknown walls, prepared for a fit of object and walls."""
+"""Images of one object via an unknown wall, prepared for a fit of object and wall."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from ..._checks import counted
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
-from ..data.arrays import real_array, shape_of
+from ..data.arrays import real_array
 from ..data.measurement import measured
 from ..data.noisy_image import NoisyImage, noisy_image
 from .pupil_psf import PupilPSF, check_defocus
@@ -28,8 +26,7 @@ class Frames:
 
     ``measured``: the images with their noise. ``images`` (K, H, W): images minus their known
     background, divided by ``scale``, float64. ``sigmas`` (K,): reference noise of each image in
-    this unit. ``scale``: largest range of an image, image units. ``walls`` (K,): number of the
-    wall, hence of the set of coefficients, of each image. ``defocus`` (K,): known additional
+    this unit. ``scale``: largest range of an image, image units. ``defocus`` (K,): known additional
     defocus, m rms.
     """
 
@@ -37,7 +34,6 @@ class Frames:
     images: Array
     sigmas: Array
     scale: float
-    walls: NDArray[np.int64]
     defocus: Array
 
     @property
@@ -46,27 +42,9 @@ class Frames:
         return self.images.shape[1], self.images.shape[2]
 
     @property
-    def n_walls(self) -> int:
-        """Number of different walls."""
-        return int(self.walls.max()) + 1
-
-    @property
     def counted(self) -> Array:
         """Number of pixels with finite noise in each image, (K,)."""
         return np.array([float(one.counted) for one in self.measured])
-
-    @property
-    def fit_background(self) -> bool:
-        """Whether each image has a further background of unknown strength."""
-        return self.measured[0].fit_background
-
-    def weights(self) -> Array:
-        """Return the pixels' precisions over their mean, (K, H, W); 0 for excluded pixels."""
-        return np.stack([self._or_ones(one.weights) for one in self.measured])
-
-    def background_shapes(self) -> Array:
-        """Return the shapes of the unknown backgrounds, (K, H, W), of mean 1."""
-        return np.stack([self._or_ones(one.background_shape) for one in self.measured])
 
     def picture(self, name: str, value: Any) -> Array | None:
         """Return an optional non-negative image (H, W) given by the user, checked."""
@@ -84,13 +62,8 @@ class Frames:
             )
         return picture
 
-    def _or_ones(self, values: Tensor | None) -> Array:
-        return np.ones(self.shape) if values is None else values.double().cpu().numpy()
 
-
-def frames_of(
-    images: Any, pupil_psf: PupilPSF, *, defocus: Any = None, walls: Any = None
-) -> Frames:
+def frames_of(images: Any, pupil_psf: PupilPSF, *, defocus: Any = None) -> Frames:
     """Check images and the information about them; the arguments are those of `evidence_fit`."""
     if not isinstance(pupil_psf, PupilPSF):
         raise SceneError(
@@ -111,7 +84,7 @@ def frames_of(
             "images' shape or larger"
         )
     model = ForwardModel(_sharpest(pupil_psf, shape), shape=shape)
-    checked = tuple(noisy_image(one, model).in_torch() for one in each)
+    checked = tuple(noisy_image(one, model) for one in each)
     for number, one in enumerate(checked):
         if one.sigma == 0.0:
             raise SceneError(f"the estimated noise of image {number} is 0; give noise_sigma")
@@ -120,10 +93,9 @@ def frames_of(
         scale = max(one.sigma for one in checked)
     return Frames(
         measured=checked,
-        images=np.stack([(one.data / scale).double().cpu().numpy() for one in checked]),
+        images=np.stack([one.data / scale for one in checked]),
         sigmas=np.array([one.sigma for one in checked]) / scale,
         scale=scale,
-        walls=_wall_numbers(walls, count),
         defocus=known_defoci(defocus, count),
     )
 
@@ -135,21 +107,6 @@ def _sharpest(pupil_psf: PupilPSF, shape: tuple[int, int]) -> Array:
         spread = pupil_psf.optics.point_spread(turns).double().cpu().numpy()
     first = [own // 2 - side // 2 for own, side in zip(spread.shape, shape, strict=True)]
     return spread[first[0] : first[0] + shape[0], first[1] : first[1] + shape[1]]
-
-
-def _wall_numbers(walls: Any, count: int) -> NDArray[np.int64]:
-    if walls is None:
-        return np.zeros(count, dtype=np.int64)
-    shape_of("walls", walls)  # refuses rows of different length
-    numbers = np.asarray(walls)
-    if numbers.shape != (count,) or numbers.dtype.kind not in "iu":
-        raise SamplingError(
-            f"walls has shape {numbers.shape} and type {numbers.dtype}; give "
-            f"{counted(count, 'whole number')}, the wall of each image"
-        )
-    if sorted(set(numbers.tolist())) != list(range(int(numbers.max()) + 1)):
-        raise SamplingError(f"walls = {numbers.tolist()}; number them 0, 1, ... without gaps")
-    return numbers.astype(np.int64)
 
 
 def known_defoci(defocus: Any, count: int) -> Array:

@@ -1,4 +1,4 @@
-"""Blind fits with prior knowledge: a start, several walls, a known object, a support, gains."""
+"""Blind fits with prior knowledge: a start, a known object, gains."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def unknown(data, coefficients, modes, **options):
 def near(cases):
     """One image, the start a tenth of a wave off, and the fit."""
     data = cases.case("F", WALL, rms_waves=0.4)
-    first = cases.start(data.coefficients, 0.1, WALL)[0]
+    first = cases.start(data.coefficients, 0.1, WALL)
     found = pcin(data.images[0], unknown(data, first, cases.MODES), start_error=0.1)
     return data, first, found
 
@@ -68,14 +68,14 @@ def test_one_image_and_a_start_a_tenth_of_a_wave_off(near):
     assert found.status == "converged"
     coefficients = found.physical_parameters["coefficients"]
     assert coefficients.shape == first.shape
-    assert np.linalg.norm(coefficients - data.coefficients[0]) < 0.1
+    assert np.linalg.norm(coefficients - data.coefficients) < 0.1
 
 
 @pytest.mark.thorough
 def test_a_start_rules_no_blur_out_where_free_energies_are_alike(cases):
     """Of a busy object no blur is as likely as the truth; what is known of the wall decides."""
     data = cases.case("hanzi_zhong", 5, rms_waves=0.5)
-    first = cases.start(data.coefficients, 0.1, 5)[0]
+    first = cases.start(data.coefficients, 0.1, 5)
     found = pcin(data.images[0], unknown(data, first, cases.MODES), start_error=0.1)
     # not below it by the 50 that would be sufficient without the prior
     assert found.physical_parameters["margin"] > -50.0
@@ -102,11 +102,11 @@ def test_score_and_background_are_those_of_the_answer(near):
 
 def test_residuals_prefer_no_blur_and_free_energy_the_wall(near, cases):
     data = near[0]
-    pupil = unknown(data, data.coefficients[0], cases.MODES)
+    pupil = unknown(data, data.coefficients, cases.MODES)
     frames = frames_of(Measurement(data.images, noise_sigma=data.noise_sigma), pupil)
     energy = FreeEnergy(frames, pupil, grid=(96, 96))
     held = Stage(iterations=300, kappa=0.5, first=1.0, last=1.0, share=1.0, wave_rate=0.0)
-    both = np.stack([np.zeros(18), data.coefficients[0]])
+    both = np.stack([np.zeros(18), data.coefficients])
     found = energy.descend(energy.starts(both, 1.0), held)
     assert np.array_equal(found.coefficients, both.astype(np.float32))
     assert found.chi_square[0, 0] < found.chi_square[1, 0]
@@ -125,15 +125,6 @@ def test_a_known_object_tells_the_wall(cases):
     learnt = unknown(image, found.physical_parameters["coefficients"], cases.MODES)
     again = evidence_fit(image.images, learnt, start_error=0.1)
     assert registered_correlation(again, image.truth) >= 0.95
-
-
-@pytest.mark.thorough
-def test_several_walls_need_no_defocus(cases):
-    data = cases.case("F", WALL, rms_waves=0.4, n_walls=3, size=48)
-    start = unknown(data, np.zeros(18), cases.MODES)
-    found = evidence_fit(data.images, start, walls=data.wall_of_image, max_iterations=1)
-    assert found.physical_parameters["coefficients"].shape == (3, 18)
-    assert registered_correlation(found, data.truth) >= 0.95
 
 
 @pytest.mark.thorough
@@ -208,14 +199,12 @@ def test_same_seed_same_bits_and_kinds_in_kinds_out():
 @pytest.mark.thorough
 def test_relative_gains_of_images():
     images, spread, defocus, truth = made(gains=(1.0, 0.6))
-    found = evidence_fit(images, spread, defocus=defocus, fit_gains=True, **NEAR)
+    found = evidence_fit(images, spread, defocus=defocus, **NEAR)
     gains = found.physical_parameters["image_gains"]
     # noise of 1 % on hundreds of lit pixels; the rest is the fit's bias to smooth objects
     assert gains[1] / gains[0] == pytest.approx(0.6, rel=0.02)
     assert registered_correlation(found, truth) > 0.98
     assert found.physical_parameters["background"].shape == (2,)
-    without = evidence_fit(images, spread, defocus=defocus, fit_gains=False, **NEAR)
-    assert without.status == "unconverged"
 
 
 @pytest.mark.thorough
@@ -232,19 +221,6 @@ def test_pixels_of_infinite_noise_have_no_say():
     assert np.array_equal(found.object, other.object)
     assert found.status == "converged"
     assert registered_correlation(found, truth) > 0.98
-
-
-@pytest.mark.thorough
-def test_a_support_says_where_and_no_more():
-    images, spread, _, _ = made()
-    support = np.zeros(images.shape[-2:])
-    support[8:24, 8:32] = 1.0
-    first, other = (
-        evidence_fit(images, spread, support=s, **NEAR) for s in (support, 255 * support)
-    )
-    np.testing.assert_array_equal(other.object, first.object)
-    assert not first.object[support == 0].any()
-    assert first.object[support == 1].min() > 0.0
 
 
 @pytest.mark.thorough
@@ -307,7 +283,7 @@ def test_a_scene_s_known_wave_is_part_of_the_model(examples):
             for m, c in zip((4, 5), given[0], strict=True)
         )
     )
-    found = energy._transfer(given)[0][0, 0] * energy._pixel[0]
+    found = energy._transfer(given)[0][0, 0].numpy() * energy._pixel[0]
     # float64 transforms of 64 x 80 samples
     np.testing.assert_allclose(found, expected.numpy(), atol=1e-12)
 
@@ -329,19 +305,14 @@ def energy_pitch(pupil):
         (
             {"images": np.random.default_rng(0).normal(size=(2, 32, 40))},
             SamplingError,
-            "2 images with 1 pair of wall and defocus",
+            "2 images with 1 defocus",
         ),
         ({"defocus": [0.0, 1e-7]}, SamplingError, "one value per image"),
         ({"defocus": [0.5]}, SceneError, "metres, not waves"),
         ({"defocus": "far"}, SceneError, "defocus of type str is not an array"),
-        ({"walls": [1]}, SamplingError, "without gaps"),
-        ({"walls": [[0], [0, 1]]}, SceneError, "walls of type list has rows"),
-        ({"walls": [0.5]}, SamplingError, "give 1 whole number, the wall"),
         ({"noise_sigma": [1.0, 2.0]}, SamplingError, "one for each"),
         ({"noise_sigma": -1.0}, SceneError, "noise_sigma"),
         ({"noise_sigma": [[1.0], [2.0, 3.0]]}, SceneError, "noise_sigma of type list has rows"),
-        ({"support": np.zeros((32, 40))}, SceneError, "support"),
-        ({"support": "all"}, SceneError, "support of type str is not an array"),
         ({"known_object": np.ones((3, 3))}, SamplingError, "known_object"),
         ({"start_error": 0.0}, SceneError, "start_error"),
         ({"start_error": 0.5}, SceneError, "start_error = 0.5 waves"),

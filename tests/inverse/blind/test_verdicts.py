@@ -14,8 +14,8 @@ COUNTED, SIGMAS = np.array([900.0, 400.0, 250.0]), np.array([0.01, 0.03, 0.02])
 SQUARES, WALLS = np.array([1.2, 0.9, 1.7]), np.array([0.3, -0.4, 0.0, 0.1, 0.2, -0.2])
 
 
-def verdict_of(counted=COUNTED, sigmas=SIGMAS, n_walls=2, several=True):
-    frames = SimpleNamespace(counted=counted, sigmas=sigmas, n_walls=n_walls)
+def verdict_of(counted=COUNTED, sigmas=SIGMAS, several=True):
+    frames = SimpleNamespace(counted=counted, sigmas=sigmas)
     return Verdict(frames, (4, 6, 9), several)
 
 
@@ -31,7 +31,7 @@ def test_figures_of_several_images():
     assert verdict.model_error(answer(np.array([0.9, 1.0, 0.8]))) == 0.0
     noise = 3 * math.sqrt(2 / 1550) * (1e-4 + 9e-4 + 4e-4) / 3
     for scale in (1.0, 5.0):
-        length = min(scale * (0.5 + 0.3) / 2, 1.0)
+        length = min(scale * math.hypot(0.5, 0.3), 1.0)
         found = [verdict.model_limit(answer(walls=scale * WALLS), whole) for whole in (True, False)]
         assert found[0] == pytest.approx(math.hypot(0.004 + 0.003 * length, math.sqrt(noise)))
         assert found[1] > found[0]
@@ -90,7 +90,7 @@ def test_residuals_beyond_the_noise_come_first():
     assert not told(single, larger).startswith("wall and object")  # modes may be missing
 
 
-ONE = {"counted": np.array([2000.0]), "n_walls": 1, "several": False}
+ONE = {"counted": np.array([2000.0]), "several": False}
 SHARPLY = (
     "a wave without blur explains the image nearly as well: its free energy is above the answer's "
     "by {} only; give a second image with a known defocus"

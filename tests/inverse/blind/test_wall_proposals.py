@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from nlosoptics.errors import SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import PupilPSF
 from nlosoptics.inverse.blind import wall_proposals as proposals
@@ -202,27 +201,6 @@ def test_other_modes_known_defocus_and_negative_distance(cases):
 )
 def test_where_the_network_does_not_apply(data, point_spread, options):
     assert proposed(data + 0.0, point_spread, noise_sigma=0.01, **options) is None
-
-
-def test_bad_files_are_refused_in_one_line(tmp_path):
-    import safetensors.torch
-
-    good = proposals.WEIGHTS.read_bytes()
-    tensors = safetensors.torch.load(good)
-    less = dict(list(tensors.items())[1:])
-    path = tmp_path / "network"
-    for content in (
-        good[: len(good) // 2],
-        b"no network",
-        safetensors.torch.save(tensors),
-        safetensors.torch.save(less, {"format": proposals.FORMAT}),
-    ):
-        path.write_bytes(content)
-        with pytest.raises(SceneError, match=r"does not hold the network.*; install it again") as e:
-            proposals.loaded_network(path)
-        assert "\n" not in str(e.value)
-    with pytest.raises(SceneError, match="does not hold the network"):
-        proposals.loaded_network(tmp_path / "none")
 
 
 def test_draws_hold_no_wall_twice():

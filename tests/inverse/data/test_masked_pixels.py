@@ -13,6 +13,7 @@ from nlosoptics.inverse import (
     inverse_filter,
     phase_retrieval,
     registered_correlation,
+    wiener,
     wu2024_fit,
 )
 
@@ -97,3 +98,25 @@ def test_lags_of_masked_pixels_are_not_taken_for_an_object(pictures):
         sizes.append(np.array(found.physical_parameters["object_size"]))
     # 2 x 2 pixels, one pixel's own lag, where the masked ones were taken for light
     assert sizes[0].min() >= sizes[1].min() // 2
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
+def test_masked_pixels_leave_the_measured_noise_as_it_is(share):
+    """Each filled pixel takes the noise of one frequency, as a parameter of a fit does."""
+    side, measured = 128, []
+    axis = np.arange(31) - 15.0
+    spread = np.exp(-(axis**2 + axis[:, None] ** 2) / 18.0)
+    model = ForwardModel(spread / spread.sum(), shape=(side, side))
+    truth = np.zeros((side, side))
+    truth[30:60, 40:56] = 1.0
+    for seed in range(5):
+        draw = np.random.default_rng(seed)
+        image = model.forward(truth) + 0.01 * draw.normal(size=truth.shape)
+        masked = draw.random(truth.shape) < share
+        data = Measurement(np.where(masked, np.nan, image), masked=masked)
+        found = wiener(data, model, max_iterations=1)
+        # of 1/sigma^2 over all pixels, masked ones with 0
+        sigma = found.physical_parameters["noise_sigma"] * np.sqrt(1.0 - masked.mean())
+        measured.append(sigma / 0.01)
+    # five images of 7000 frequencies and more: a standard error of 0.4 %
+    assert np.mean(measured) == pytest.approx(1.0, abs=0.01)

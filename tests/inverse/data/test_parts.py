@@ -6,13 +6,11 @@ import math
 
 import numpy as np
 import pytest
-import torch
 
 from nlosoptics import inverse
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement
 from nlosoptics.inverse.data import noisy_image
-from nlosoptics.inverse.data.adam import adam_state, descend, take_up_adam
 from nlosoptics.inverse.known.total_variation import sharpest
 
 SHAPE = (20, 24)
@@ -47,20 +45,6 @@ def test_the_sharpest_object_of_noise_is_dark():
     assert level.shape == SHAPE
     assert veil == pytest.approx(3.0 + 0.1 * NOISE.mean(), rel=1e-12)
     assert weight == 0.0
-
-
-def test_the_first_step_of_adam_is_its_rate_against_the_slope():
-    """The state that it leaves brings another optimiser to the same second step."""
-    places = [torch.zeros(3, dtype=torch.float64, requires_grad=True) for _ in range(2)]
-    slope = torch.tensor([2.0, -3.0, 0.5], dtype=torch.float64)
-    first, second = (torch.optim.Adam([place], lr=0.1) for place in places)
-    descend(first, (slope * places[0]).sum())
-    assert places[0].tolist() == pytest.approx([-0.1, 0.1, -0.1], rel=1e-6)
-    state = {name: values.numpy() for name, values in adam_state("place", first).items()}
-    take_up_adam("place", second, state)
-    for adam, place in zip((first, second), places, strict=True):
-        descend(adam, (slope * place * place).sum())
-    assert torch.equal(*places)
 
 
 def reconstruction(history, **parameters):

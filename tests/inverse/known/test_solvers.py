@@ -48,16 +48,6 @@ def test_array_gives_array_and_tensor_gives_tensor(solver, small):
         np.testing.assert_allclose(tensor.object.numpy(), found.object, atol=1e-4)
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_torch_model_serves_as_well(solver, small, dtype):
-    image, model = small
-    twin = inverse.TorchForwardModel.from_numpy(model, "cpu", dtype)
-    found = solver(Measurement(image, noise_sigma=0.02), twin)
-    expected = solver(Measurement(image, noise_sigma=0.02), model)
-    # a transfer function in single precision
-    np.testing.assert_allclose(found.object, expected.object, atol=1e-4)
-
-
 @pytest.mark.thorough
 def test_same_bits_again_and_on_any_number_of_threads(solver, case):
     data, model = case("F", "speckle")

@@ -103,8 +103,6 @@ def test_object_fits_a_picture():
         (lambda: inverse.UNet(8, 0), SceneError, "depth = 0 is out of range"),
         (lambda: inverse.UNet(8, seed=-1), SceneError, "seed = -1"),
         (lambda: inverse.UNet(8)(torch.ones(4, 4)), SamplingError, r"picture has shape \(4, 4\)"),
-        (lambda: UNetObject("F.png"), SceneError, "guide is a str; give"),
-        (lambda: UNetObject(torch.ones(4)), SceneError, r"\(H, W\) or \(C, H, W\)"),
     ],
 )
 def test_bad_input_is_refused(make, kind, words):

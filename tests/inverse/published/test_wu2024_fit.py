@@ -115,7 +115,7 @@ def test_published_numbers_of_steps(image, pupil_psf, sigma, cold, monkeypatch):
     # the package's own name of that kind is the function
     module = importlib.import_module("nlosoptics.inverse.published.wu2024")
 
-    def done(solver, state):
+    def done(solver):
         allowed.append(solver.max_iterations)
         return True
 
@@ -222,7 +222,7 @@ def test_uniform_image_is_too_few_photons(pupil_psf):
         ({"defocus": [0.0, 1e-7]}, SamplingError, "defocus has shape"),
         ({"defocus": [0.5]}, SceneError, "metres, not waves"),
         ({"defocus": "far"}, SceneError, "defocus of type str is not an array"),
-        ({"start": "kept.npz"}, SceneError, "start holds no network"),
+        ({"start": "kept.npz"}, SceneError, "start of type str is no Reconstruction"),
         ({"images": [[1.0], [2.0, 3.0]]}, SamplingError, "images differ in shape"),
         ({"noise_sigma": [[1.0], [2.0, 3.0]]}, SceneError, "noise_sigma of type list has rows"),
         ({"start_rms": 0.0}, SceneError, "start_rms = 0 is out of range"),

@@ -29,7 +29,7 @@ def test_images_in_units_of_the_largest_range():
     ramp = 1.0 + np.arange(14) * np.ones((11, 1))
     given = {"background": [0.5, 0.7, 0.1], "background_shape": ramp}
     seen = Measurement(IMAGES, noise_sigma=noise, **given)
-    found = frames_of(seen, pupil((16, 14)), defocus=[0.0, 2e-7, -3e-7], walls=[1, 0, 1])
+    found = frames_of(seen, pupil((16, 14)), defocus=[0.0, 2e-7, -3e-7])
     plain = IMAGES - np.array(given["background"])[:, None, None]
     held = np.isfinite(noise)
     assert found.scale == pytest.approx(max(np.ptp(one) for one in plain), rel=1e-6)
@@ -38,11 +38,10 @@ def test_images_in_units_of_the_largest_range():
     precision = noise**-2.0
     means = precision.mean(axis=(1, 2))
     assert found.counted.tolist() == [154.0, 154.0, 151.0]
-    assert found.weights() == pytest.approx(precision / means[:, None, None], rel=1e-5)
+    weights = np.stack([one.weights for one in found.measured])
+    assert weights == pytest.approx(precision / means[:, None, None], rel=1e-5)
     assert found.sigmas * found.scale == pytest.approx(means**-0.5, rel=1e-6)
-    assert found.background_shapes() == pytest.approx(np.stack([ramp / ramp.mean()] * 3), rel=1e-6)
-    assert (found.shape, found.n_walls, found.fit_background) == (SIDES, 2, True)
-    assert found.walls.tolist() == [1, 0, 1]
+    assert found.shape == SIDES
     assert found.defocus.tolist() == [0.0, 2e-7, -3e-7]
     assert len(found.measured) == 3
 
@@ -50,10 +49,8 @@ def test_images_in_units_of_the_largest_range():
 def test_images_of_which_nothing_is_known():
     found = frames_of(Measurement(IMAGES[0], noise_sigma=0.2, fit_background=False), pupil())
     assert found.images.shape == (1, *SIDES)
-    assert (found.walls.tolist(), found.defocus.tolist(), found.n_walls) == ([0], [0.0], 1)
-    assert not found.fit_background
-    assert (found.weights() == 1.0).all()
-    assert (found.background_shapes() == 1.0).all()
+    assert found.defocus.tolist() == [0.0]
+    assert (found.measured[0].weights == 1.0).all()
     assert found.picture("prior", None) is None
     even = frames_of(Measurement(np.full((2, *SIDES), 4.0), noise_sigma=[0.2, 0.6]), pupil())
     assert even.scale == pytest.approx(0.6)
@@ -84,11 +81,6 @@ def test_pictures_of_a_user():
         ({"pupil_psf": (10, 14)}, r"pupil_psf has shape \(10, 14\) and the images \(11, 14\)"),
         ({"pupil_psf": (11, 13)}, r"pupil_psf has shape \(11, 13\) and the images \(11, 14\)"),
         ({"noise_sigma": [0.2, 0.0, 0.1]}, "noise"),
-        ({"walls": [0, 1]}, r"walls has shape \(2,\) and type int64; give 3 whole numbers"),
-        ({"walls": [0.0, 1.0, 1.0]}, r"walls has shape \(3,\) and type float64"),
-        ({"walls": [0, 2, 2]}, r"walls = \[0, 2, 2\]; number them 0, 1, ... without gaps"),
-        ({"walls": [1, 2, 1]}, r"walls = \[1, 2, 1\]; number"),
-        ({"walls": [-1, 0, 1]}, r"walls = \[-1, 0, 1\]; number"),
         ({"defocus": [0.0, 1e-7]}, r"defocus has shape \(2,\), must be \(3,\); give one value per"),
         ({"defocus": [0.0, np.nan, 0.0]}, r"defocus = \[0.0, nan, 0.0\] m rms, limit"),
     ],
