@@ -302,6 +302,19 @@ def cover(edges, pieces, n_pieces, covered):
     """Set ``covered`` (rows, columns + 1) to the covered share of each cell; the last is spare."""
     rows, columns = covered.shape[0], covered.shape[1] - 1
     covered[:] = 0.0
+    none = np.empty((0, 0))
+    _differences(edges, pieces, n_pieces, (rows, columns), covered, (none, none, none, none))
+    for row in range(rows):
+        total = 0.0
+        for column in range(columns):
+            total += covered[row, column]
+            covered[row, column] = min(max(total, 0.0), 1.0)
+
+
+@njit(cache=True)
+def _differences(edges, pieces, n_pieces, shape, covered, light):
+    """Add the differences of the covered share along each row, see `_put`."""
+    rows, columns = shape
     for p in range(n_pieces):
         a_u, a_v, b_u, b_v, _ = _upward(edges, int(pieces[p, 0]))
         u0, v0 = a_u + pieces[p, 1] * (b_u - a_u), a_v + pieces[p, 1] * (b_v - a_v)
@@ -319,40 +332,54 @@ def cover(edges, pieces, n_pieces, covered):
             x0, x1 = u0 + (v - v0) * slope, u0 + (above - v0) * slope
             if x0 > x1:
                 x0, x1 = x1, x0
-            _cover_row(covered, row, x0, x1, sign * (above - v), columns)
+            _cover_row(covered, light, row, x0, x1, sign * (above - v), columns)
             v = above
             row += 1
-    for row in range(rows):
-        total = 0.0
-        for column in range(columns):
-            total += covered[row, column]
-            covered[row, column] = min(max(total, 0.0), 1.0)
 
 
 @njit(cache=True)
-def _cover_row(covered, row, x0, x1, height, columns):
+def _put(covered, light, row, column, share):
+    """Add a difference to ``covered`` or, if that is empty, its light to the last of ``light``.
+
+    ``light`` holds the radiance due to blocks of cells (n, m); of each cell, the sum of the picture
+    over the cells to the right of it in its block, itself included (rows, columns); the light of
+    all blocks to the right of each block, in each row of cells (rows, m); and the sum (1, 1).
+    """
+    if covered.size:
+        covered[row, column] += share
+        return
+    radiance, right, beyond, total = light
+    rows, columns = right.shape
+    if column < columns:
+        block = column // (columns // radiance.shape[1])
+        value = radiance[row // (rows // radiance.shape[0]), block] * right[row, column]
+        total[0, 0] += share * (value + beyond[row, block])
+
+
+@njit(cache=True)
+def _cover_row(covered, light, row, x0, x1, height, columns):
     """Add the differences along a row of what lies right of a segment of some height."""
     if x0 >= columns:
         return
     if x1 <= 0.0:
-        covered[row, 0] += height
+        _put(covered, light, row, 0, height)
         return
     column = int(max(x0, 0.0))
     if x0 >= 0.0 and x1 <= column + 1.0:
         part = height * (0.5 * (x0 + x1) - column)
-        covered[row, column] += height - part
-        covered[row, column + 1] += part
+        _put(covered, light, row, column, height - part)
+        _put(covered, light, row, column + 1, part)
         return
     per = height / (x1 - x0)
     if x0 < 0.0:
-        covered[row, 0] -= per * x0
+        _put(covered, light, row, 0, -per * x0)
         x0 = 0.0
     while x0 < x1 and column < columns:
         right = min(x1, column + 1.0)
         share = per * (right - x0)
         part = share * (0.5 * (x0 + right) - column)
-        covered[row, column] += share - part
-        covered[row, column + 1] += part
+        _put(covered, light, row, column, share - part)
+        _put(covered, light, row, column + 1, part)
         x0 = right
         column += 1
 
@@ -536,6 +563,45 @@ def fill_rows(nodes, frame, plane, mesh, speeds, spot, wall, source, parts, out)
                         out[p, cell] += weight * total
                     row += 1
                 first += columns
+
+
+@njit(cache=True, nogil=True)
+def fill_sums(nodes, frame, plane, mesh, speeds, spot, wall, source, right, out):
+    """Fill ``out`` (n, 2) with the mean radiance of wall points past the shadows, and without.
+
+    The source's samples are blocks of cells of a picture, see `_put` for ``right``.
+    """
+    points, normals, weights, lens = nodes
+    shape, light, total = source[0].shape, np.empty(source[0].shape), np.zeros((1, 1))
+    rows, columns = right.shape
+    tall, wide = rows // shape[0], columns // shape[1]
+    buffers, pieces = _buffers(mesh, spot), np.empty((256, 4))
+    beyond, none = np.zeros((rows, shape[1])), np.empty((0, 0))
+    middle = points.shape[1] // 2
+    for p in range(len(points)):
+        out[p] = 0.0
+        if weights[p, middle] == 0.0:
+            continue
+        # the light without shadows hardly changes within a pixel
+        _light(points[p, middle], normals[p, middle], lens[middle], plane, wall, source, light)
+        whole = 0.0
+        for row in range(rows):
+            from_right = 0.0
+            for block in range(shape[1] - 1, -1, -1):
+                beyond[row, block] = from_right
+                from_right += light[row // tall, block] * right[row, block * wide]
+            whole += from_right
+        for k in range(points.shape[1]):
+            if weights[p, k] == 0.0:
+                continue
+            pieces, n = _shadow(
+                points, p, k, frame, (rows, columns), mesh, speeds, spot, buffers, pieces
+            )
+            total[0, 0] = 0.0
+            weighed = light, right, beyond, total
+            _differences(buffers[0], pieces, n, (rows, columns), none, weighed)
+            out[p, 0] += weights[p, k] * max(whole - total[0, 0], 0.0)
+            out[p, 1] += weights[p, k] * whole
 
 
 @njit(cache=True, nogil=True)

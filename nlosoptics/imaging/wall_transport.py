@@ -27,18 +27,18 @@ from .._random import generator
 from ..errors import SamplingError, SceneError
 from ..kernels.codes import BECKMANN, LAMBERT
 from ..raytrace import occluded
-from ..scene import Material, Occluder, Scene
-from .geometry import chief_rays, wall_visibility
+from ..scene import Material, Occluder, PlanarObject, Scene
+from .geometry import chief_rays, on_wall, wall_visibility
 from .objects import plate
 from .penumbra import Edges, in_bands
 from .radiometry import (
+    check_beam,
     electrons_per_radiance,
     has_highlight,
     laser_spot,
     spot_irradiance,
     wall_lobes,
 )
-from .shadows import check_beam, on_wall
 
 if TYPE_CHECKING:
     import trimesh
@@ -358,7 +358,7 @@ class WallTransport(Noun):
             values = np.repeat(values, parts, axis=axis)
         speeds = self._edges.rigid(index, self._centre(index))
         rates = np.empty((self.shape[0], 6))
-        arguments = self._arguments(slice(None), speeds)
+        arguments = self._arguments(self._open_paths(slice(None)), speeds)
         in_bands(_penumbra_kernels.fill_rates, *arguments, values, rates)
         return np.ascontiguousarray(rates.T).reshape(6, *self.pixel_shape)
 
@@ -408,21 +408,57 @@ class WallTransport(Noun):
         from . import _penumbra_kernels
 
         out = np.empty((rows.stop - rows.start, self.shape[1]))
-        arguments = self._arguments(rows, self._edges.still())
+        arguments = self._arguments(self._open_paths(rows), self._edges.still())
         in_bands(_penumbra_kernels.fill_rows, *arguments, self._parts, out)
         return out
 
-    def _arguments(self, rows: slice, speeds: Array) -> tuple[Any, ...]:
-        """Return the arguments that both kernels share, for some of the pixels."""
+    def sums(self, picture: Array, x: Array, y: Array) -> Array:
+        """Return the electrons (2, n) of some pixels past shadows on plane and wall, and without.
+
+        ``picture`` has a whole number of texels in each cell, or of cells' samples in each texel.
+        ``x`` and ``y`` (n,) are centres of pixels on the detector, m. Here, nothing is between wall
+        and lens.
+        """
         from . import _penumbra_kernels
 
+        shape = self._samples_of_plane[0]
+        for axis, count in enumerate(shape):
+            picture = np.repeat(picture, max(1, count // picture.shape[axis]), axis=axis)
+        finer = picture.shape[0] // shape[0], picture.shape[1] // shape[1]
+        blocks = picture.reshape(len(picture), shape[1], -1)
+        right = blocks[..., ::-1].cumsum(axis=-1)[..., ::-1].reshape(picture.shape)
+        radiance, *others = self._radiance
+        mean = radiance / math.prod(finer), *others
+        nodes = self._traced(x[None], y[None])
+        arguments = self._arguments(nodes, self._edges.still(), finer)[:-1]
+        out = np.empty((len(x), 2))
+        in_bands(_penumbra_kernels.fill_sums, *arguments, mean, np.ascontiguousarray(right), out)
+        return out.T
+
+    def _open_paths(self, rows: slice) -> tuple[Array, Array, Array, Array]:
+        """Return the wall points of some pixels, without those that an occluder hides."""
         points, normals, weights, lens = self._paths
-        free = weights[rows]
-        mesh = self.scene.occluding_mesh
+        mesh, free = self.scene.occluding_mesh, weights[rows]
         if mesh is not None:
             way = np.broadcast_to(lens, points[rows].shape)
             free = free * ~occluded(mesh, way, points[rows])
+        return points[rows], normals[rows], free, lens
+
+    def _arguments(
+        self,
+        nodes: tuple[Array, Array, Array, Array],
+        speeds: Array,
+        finer: tuple[int, int] = (1, 1),
+    ) -> tuple[Any, ...]:
+        """Return the arguments that the kernels share, for the wall points of some pixels.
+
+        Shadows are cut into ``finer`` parts of the plane's samples, down and across.
+        """
+        from . import _penumbra_kernels
+
         (n_rows, n_columns), frame, plane = self._samples_of_plane
+        n_rows, n_columns = n_rows * finer[0], n_columns * finer[1]
+        frame = frame * np.array([1, finer[1], finer[0], 1])[:, None]
         arrays, most = self._edges.arrays, 0
         if self.source == "laser":
             most = len(arrays[2]) + 5 * len(arrays[1])
@@ -436,7 +472,6 @@ class WallTransport(Noun):
                 laser_spot(self.scene).point, frame, (n_rows, n_columns), arrays, speeds, *spot, 0
             )
             spot = tuple(array[:count] for array in spot)
-        nodes = points[rows], normals[rows], free, lens
         return nodes, frame, plane, arrays, speeds, spot, self._wall_lobes, self._radiance
 
     @cached_property
@@ -550,16 +585,24 @@ class WallTransport(Noun):
 
     @cached_property
     def _paths(self) -> tuple[Array, Array, Array, Array]:
-        """Wall points and normals (n, k, 3), their electrons per radiance (n, k), lens points."""
-        scene, count, exposure = self.scene, self._samples, self.exposure
-        assert exposure is not None  # set by __post_init__
+        """Wall points of all pixels, see `_traced`."""
         fits_memory(
-            f"{count} wall points for each of {self.shape[0]} pixels",
-            160 * count * self.shape[0],
+            f"{self._samples} wall points for each of {self.shape[0]} pixels",
+            160 * self._samples * self.shape[0],
             "use fewer pixels or samples",
         )
-        (x, width), (y, height), pixels = self._bins()
+        (x, _), (y, _), _ = self._bins()
+        return self._traced(x, y)
+
+    def _traced(self, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
+        """Return wall points, normals (n, k, 3), electrons per radiance (n, k), lens points (k, 3).
+
+        ``x`` and ``y`` are the centres of the pixels, as in `chief_rays`.
+        """
+        scene, count, exposure = self.scene, self._samples, self.exposure
+        assert exposure is not None  # set by __post_init__
         scene.check_in_front()
+        (_, width), (_, height), pixels = self._bins()
         rays = chief_rays(scene, x, y)
         visible = pixels * wall_visibility(scene, rays)
         k = np.arange(count)
@@ -569,7 +612,7 @@ class WallTransport(Noun):
         angle = 2 * math.pi * (k * 0.7548776662466927 % 1.0)  # R sequence, see `objects`
         disc = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
         lens = (disc - disc.mean(axis=0)) @ scene.camera.frame[:2] + scene.camera.position
-        points = np.zeros((self.shape[0], count, 3))
+        points = np.zeros((visible.size, count, 3))
         normals = np.zeros(points.shape)
         weights = np.zeros(points.shape[:2])
         for i in range(count):
@@ -582,6 +625,31 @@ class WallTransport(Noun):
         met = np.count_nonzero(weights, axis=1)
         weights *= (visible.ravel() / np.maximum(met, 1))[:, None]
         return points, normals, weights, lens
+
+
+def picture_cells(scene: Scene, material: Material, texels: tuple[int, ...]) -> tuple[int, int]:
+    """Return the cells for `WallTransport.sums`: the texels, or fewer that hold several of them."""
+    needed = WallTransport(scene, cells=(1, 1), material=material)._parts
+    rows, columns = (
+        next((n for n in range(need, count) if count % n == 0), count)
+        for need, count in zip(needed, texels, strict=True)
+    )
+    return rows, columns
+
+
+def lit_transports(scene: Scene, **options: Any) -> list[tuple[WallTransport, float]]:
+    """Return the operator of each kind of light in a scene, and the brightness of a white cell."""
+    hidden, sources = scene.hidden, []
+    if scene.laser.power > 0.0:
+        sources.append((WallTransport(scene, source="laser", **options), 1.0))
+    if isinstance(hidden, PlanarObject) and hidden.luminous is not None:
+        lobe = hidden.luminous_lobe
+        one = WallTransport(scene, source="luminous", lobe=lobe, **options)
+        sources.append((one, hidden.luminous))
+    if scene.ambient_irradiance > 0.0:
+        one = WallTransport(scene, source="ambient", **options)
+        sources.append((one, scene.ambient_irradiance))
+    return sources
 
 
 def _checked(name: str, values: ArrayLike, shape: tuple[int, int]) -> Array:

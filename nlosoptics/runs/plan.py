@@ -9,8 +9,7 @@ from typing import Literal
 from .._checks import SHARE, Budget, available_memory, fits_memory, in_range, positive, within
 from .._html import Column, table
 from ..errors import SamplingError, SceneError
-from ..imaging.radiometry import laser_spot
-from ..imaging.shadows import check_beam
+from ..imaging.radiometry import check_beam, laser_spot
 from ..psf.pupil.exit_pupil import ExitPupil, exit_pupil
 from ..psf.pupil.scene_optics import SceneOptics
 from ..psf.window.error_bounds import rounded_up
