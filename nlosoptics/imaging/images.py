@@ -275,9 +275,10 @@ def form_image(
     comes from all sides, and no occluder shades wall or object from it. Its mirror-like reflection
     by the wall is left out.
 
-    Two more effects are neglected: blurred light from parts of the object outside the field of view, and
-    the laser beam that a perfectly smooth wall reflects into the room. Occluders dim the light by
-    the fractions in `Shadows`, but the point spread function remains that of an unobstructed pupil.
+    Two more effects are neglected: blurred light from parts of the object outside the field of
+    view, and the laser beam that a perfectly smooth wall reflects into the room. Occluders dim the
+    light by the fractions in `Shadows`, but the point spread function remains that of an
+    unobstructed pupil.
 
     Examples
     --------
@@ -418,7 +419,7 @@ def _shadows(scene: Scene, given: Shadows | None) -> Shadows | None:
 
 
 def _view(scene: Scene, exposure: float) -> tuple[LaserSpot | None, ChiefRays, Array, Array]:
-    """Return laser spot if any, chief rays, visible fraction of the wall, and electrons per radiance."""
+    """Return laser spot, chief rays, visible fraction of the wall, and electrons per radiance."""
     ny, nx = scene.camera.shape
     fits_memory(
         f"an image of {nx} x {ny} pixels (camera.pixels, camera.binning)",

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from .._checks import fits_memory
 from .._nouns import Noun
 from .._vectors import dot
-from ..errors import SceneError
 from ..raytrace import intersect_mesh, occluded
 from ..scene import FlatWall, PlanarObject, Scene
 from .geometry import (
@@ -30,7 +29,7 @@ from .geometry import (
     pixel_centres,
     wall_visibility,
 )
-from .objects import object_samples
+from .objects import object_samples, resampled
 from .radiometry import LaserSpot, arrivals, check_beam, laser_spot, lit_spot
 from .wall_transport import lit_transports, picture_cells
 
@@ -126,8 +125,8 @@ def cast_shadows(scene: Scene) -> Shadows:
 
     ``Shadows.veil`` concerns diffuse light on its way via the object to the wall. For a picture, it
     is the ratio of two sums, `WallTransport.forward` with and without occluders, whose shadows have
-    exact edges. For a mesh, it is a sum over 1024 points, with an error of a few thousandths. Pixels
-    are left out where interpolation between others agrees to some 1e-3 of the mean.
+    exact edges. For a mesh, it is a sum over 1024 points, with an error of a few thousandths.
+    Pixels are left out where interpolation between others agrees to some 1e-3 of the mean.
 
     The laser spot is treated as a point, and its image is dimmed uniformly.
     """
@@ -247,7 +246,8 @@ def _veil_share(scene: Scene, mesh: trimesh.Trimesh, rays: ChiefRays, seen: Mask
         return np.ones(seen.shape)
     if isinstance(hidden, PlanarObject):
         x, y = pixel_centres(scene.camera)
-        picture = _resampled(hidden.reflectance)
+        most = [min(n, MOST_CELLS) for n in hidden.reflectance.shape]
+        picture = resampled(hidden.reflectance, (most[0], most[1]))
         if scene.wall.is_flat:  # no step at the wall's edge
             scene = replace(scene, wall=FlatWall())
         cells = picture_cells(scene, diffuse, picture.shape)
@@ -285,16 +285,6 @@ def _veil_share(scene: Scene, mesh: trimesh.Trimesh, rays: ChiefRays, seen: Mask
 
 def _ratio(free: Array, total: Array) -> Array:
     return np.divide(free, total, out=np.ones_like(total), where=total > 0.0)
-
-
-def _resampled(picture: Array) -> Array:
-    """Return the means of a picture over at most MOST_CELLS cells along each side."""
-    for axis, count in enumerate(picture.shape):
-        if count > MOST_CELLS:
-            edges = np.linspace(0.0, count, MOST_CELLS + 1)[:, None] - np.arange(count)
-            parts = np.diff(np.clip(edges, 0.0, 1.0), axis=0) * (MOST_CELLS / count)
-            picture = np.moveaxis(np.tensordot(parts, picture, (1, axis)), 0, axis)
-    return picture
 
 
 def _on_lattice(share: Callable[[Index, Index], Array], shadow: Mask, tol: float = 2e-3) -> Array:

@@ -432,7 +432,10 @@ class WallTransport(Noun):
         nodes = self._traced(x[None], y[None])
         arguments = self._arguments(nodes, self._edges.still(), finer)[:-1]
         out = np.empty((len(x), 2))
-        in_bands(_penumbra_kernels.fill_sums, *arguments, mean, np.ascontiguousarray(right), out)
+        # within small pixels, light without shadows is uniform
+        wide = (self._step * FINE / plate(self.scene)[0][2]) ** 2 > 5.0
+        right = np.ascontiguousarray(right)
+        in_bands(_penumbra_kernels.fill_sums, *arguments, mean, right, wide, out)
         return out.T
 
     def _open_paths(self, rows: slice) -> tuple[Array, Array, Array, Array]:
@@ -560,12 +563,7 @@ class WallTransport(Noun):
         if self.samples is not None:
             return self.samples
         centre, _, size = plate(self.scene)
-        x, y, _ = self._bins()
-        points = chief_rays(
-            self.scene, *(np.append(c - d / 2, c[-1] + d / 2) for c, d in (x, y))
-        ).points
-        steps = [np.diff(points, axis=axis) for axis in (0, 1)]
-        step = max(float(np.nanmedian(np.linalg.norm(s, axis=-1))) for s in steps)
+        step = self._step
         need = step * FINE / centre[2]
         cell = min(side / count for side, count in zip(size, self.cells[::-1], strict=True))
         for mesh, _ in self.scene.occluder_surfaces:
@@ -573,6 +571,16 @@ class WallTransport(Noun):
             if near < centre[2]:
                 need = max(need, 3.0 * step * (centre[2] - near) / near / cell)
         return int(min(max(need * need, 5.0), 64.0))
+
+    @cached_property
+    def _step(self) -> float:
+        """Side of the area of the wall that a pixel sees, m."""
+        x, y, _ = self._bins()
+        points = chief_rays(
+            self.scene, *(np.append(c - d / 2, c[-1] + d / 2) for c, d in (x, y))
+        ).points
+        steps = [np.diff(points, axis=axis) for axis in (0, 1)]
+        return max(float(np.nanmedian(np.linalg.norm(s, axis=-1))) for s in steps)
 
     def _bins(self) -> tuple[tuple[Any, float], tuple[Any, float], float]:
         """Return centres and sides of the detector's areas along x and y, m, and their pixels."""

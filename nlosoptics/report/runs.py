@@ -203,6 +203,7 @@ def _image(result: Any) -> Iterator[Html]:
         "signal": "image of the object",
         "diffuse": "diffuse light of the wall",
         "spot": "laser spot on the wall",
+        "ambient": "ambient light on the wall",
         "glare": "lens glare",
         "dark": "dark current",
     }
@@ -219,14 +220,10 @@ def _image(result: Any) -> Iterator[Html]:
 def _fit(result: Any, figures: dict[str, Any]) -> Iterator[Html]:
     """Yield the reconstruction of a run beside the truth."""
     from .. import views
-    from ..limits import object_scale
-    from ..views.run_overview import ground_truth
+    from ..views.run_overview import shown_fit
 
-    pitch = object_scale(result.scene) * result.image.pitch
-    truth = ground_truth(result)
-    yield from _card(
-        result.reconstruction, lambda fit: views.reconstruction(fit, truth, pitch=pitch)
-    )
+    fit, truth, pitch = shown_fit(result)
+    yield from _card(fit, lambda fit: views.reconstruction(fit, truth, pitch=pitch))
     yield _outcome(figures)
 
 
