@@ -356,12 +356,19 @@ def shadow_operator(scene: Scene) -> ShadowOperator:
     return ShadowOperator(matrix, pixels, (rows, columns))
 
 
+def wall_pixels(scene: Scene) -> NDArray[np.bool_]:
+    """Return which pixels see the wall with their whole cone of light; no others are compared."""
+    from ..imaging.geometry import chief_rays, pixel_centres, wall_visibility
+
+    return wall_visibility(scene, chief_rays(scene, *pixel_centres(scene.camera))) > 0.999
+
+
 def _from_shadows(scene: Scene, image: SpeckleImage) -> Reconstruction:
     """Reconstruct the object from its shadows; the occluders are known."""
     from .. import inverse
 
     dark = image.ledger["dark"] / image.electrons.size
-    light = image.electrons - dark
-    light[image.electrons >= full_reading(scene.camera)] = np.nan
+    light = np.where(image.electrons < full_reading(scene.camera), image.electrons - dark, np.nan)
+    light[~wall_pixels(scene)] = np.nan
     noise = electron_noise(scene, image.electrons - dark)
     return inverse.shadow_fit(light, shadow_operator(scene), noise=noise)

@@ -78,7 +78,7 @@ def shown_fit(
 ) -> tuple[Reconstruction | None, NDArray[np.float64] | None, float]:
     """Return the reconstruction and the true object as images of the camera, and a pixel's side, m.
 
-    An object from shadows is on cells of its plane, with row 0 on top as in the picture.
+    An object from shadows is on cells of its plane, which the wall has not mirrored.
     """
     from ..imaging.objects import plate
     from ..limits import object_scale
@@ -89,6 +89,6 @@ def shown_fit(
         truth = truth / float(truth.max())
     if result.point_spread is not None or fit is None:
         return fit, truth, object_scale(result.scene) * result.image.pitch
-    turned = np.ascontiguousarray(np.asarray(fit.object)[::-1, ::-1])
+    turned = np.ascontiguousarray(np.asarray(fit.object)[:, ::-1])
     pitch = plate(result.scene)[2][0] / turned.shape[1]
-    return replace(fit, object=turned), None if truth is None else truth[::-1, ::-1], pitch
+    return replace(fit, object=turned), None if truth is None else truth[:, ::-1], pitch
