@@ -49,9 +49,10 @@ def contents(folder: Path, record: dict[str, Any], computed: bool) -> tuple[str,
         made += [
             ("scene", "Scene", _scene(result, computed)),
             ("plan", "Plan", _plan(result.plan)),
-            ("spread", "Wave and point spread", _spread(result)),
-            ("image", "Image", _image(result)),
         ]
+        if result.point_spread is not None:
+            made += [("spread", "Wave and point spread", _spread(result))]
+        made += [("image", "Image", _image(result))]
         if result.reconstruction is not None:
             made += [("reconstruction", "Reconstruction", _fit(result, figures))]
     elif command == "reconstruct":
@@ -159,7 +160,11 @@ def _left_out(error: NlosError) -> Html:
 
 def _scene(result: Any, computed: bool) -> Iterator[Html]:
     """Yield the scene in three dimensions, with light paths, and its sketch."""
-    if computed:
+    if computed and result.scene.laser.power == 0.0:
+        from .. import views
+
+        yield from _room(views.scene_3d(result.scene), "The scene, which has no laser.")
+    elif computed:
         from .. import raytrace, views
 
         rays, most = 4096, 300
