@@ -44,6 +44,6 @@ def _figures(result: Result) -> Iterator[tuple[str, Any]]:
     if result.pupil_field is not None:
         yield "pupil_phase", views.wavefront(result.pupil_field)
     yield "image", views.image(result.image, object_scale=scale)
-    if result.reconstruction is not None:
-        fit, truth, pitch = shown_fit(result)
+    fit, truth, pitch = shown_fit(result)
+    if fit is not None:
         yield "reconstruction", views.reconstruction(fit, truth, pitch=pitch)

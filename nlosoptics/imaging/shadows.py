@@ -284,7 +284,7 @@ def _veil_share(scene: Scene, mesh: trimesh.Trimesh, rays: ChiefRays, seen: Mask
 
 
 def _ratio(free: Array, total: Array) -> Array:
-    return np.divide(free, total, out=np.ones_like(total), where=total > 0.0)
+    return np.asarray(np.divide(free, total, out=np.ones_like(total), where=total > 0.0))
 
 
 def _on_lattice(share: Callable[[Index, Index], Array], shadow: Mask, tol: float = 2e-3) -> Array:

@@ -127,7 +127,10 @@ def _stages(
         begun[name] = time.perf_counter()
         tell(name, share)
 
-    formed = spread = spreads = shadows = None
+    formed: psf.ScenePointSpread | None = None
+    spread: PointSpread | None = None
+    spreads: PointSpreadField | PointSpread | None = None
+    shadows: Shadows | None = None
     errors: dict[str, float] = {}
     if optics is not None:
         if isinstance(scene.wall, MeshWall):
@@ -155,7 +158,7 @@ def _stages(
             reconstruction = _from_shadows(scene, image)
         elif burst is None:
             reconstruction = _reconstruct(scene, image, spreads, shadows)
-        else:
+        elif spread is not None:
             reconstruction = inverse.burst_fit(burst, spread, seed=seed)
     ends = [*list(begun.values())[1:], time.perf_counter()]
     if progress is not None:
