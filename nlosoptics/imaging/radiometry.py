@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from ..psf.pupil.exit_pupil import working_f_number
 from ..raytrace import intersect, occluded
 from ..raytrace.intersection.meshes import worker_pool
 from ..scene import Material, PlanarObject, Scene
-from .geometry import ChiefRays, pixel_centres
+from .geometry import ChiefRays, chief_rays, on_wall, pixel_centres, wall_visibility
 from .objects import Patches, object_patches
 
 if TYPE_CHECKING:
@@ -452,3 +452,37 @@ def wall_lobes(scene: Scene, material: Material | None = None) -> Array:
             "Lambert lobe, or form the image of a mirror by form_image"
         )
     return np.ascontiguousarray(table[~smooth])
+
+
+def wall_paths(
+    scene: Scene, centres: tuple[Array, Array], sides: tuple[Any, Any], count: int, exposure: float
+) -> tuple[Array, Array, Array, Array]:
+    """Return wall points, normals (n, k, 3), electrons per radiance (n, k) and lens points (k, 3).
+
+    ``centres`` along x and y, as in `chief_rays`, and ``sides`` are those of areas of the detector,
+    m. The wall points of each area, of which there are ``count``, lie on a lattice over it, and
+    each of them has a point of the lens. Electrons are those of one pixel in the place of the area.
+    """
+    (x, y), (width, height) = centres, sides
+    rays = chief_rays(scene, x, y)
+    visible = wall_visibility(scene, rays)
+    k = np.arange(count)
+    along, across = (k + 0.5) / count - 0.5, k * (math.sqrt(5.0) - 1.0) / 2 % 1.0
+    across -= across.mean()
+    radius = scene.camera.stop_diameter / 2 * np.sqrt((k + 0.5) / count)
+    angle = 2 * math.pi * (k * 0.7548776662466927 % 1.0)  # R sequence, see `objects`
+    disc = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    lens = (disc - disc.mean(axis=0)) @ scene.camera.frame[:2] + scene.camera.position
+    points = np.zeros((visible.size, count, 3))
+    normals = np.zeros(points.shape)
+    weights = np.zeros(points.shape[:2])
+    for i in range(count):
+        rays = chief_rays(scene, x + across[i] * width, y + along[i] * height)
+        use = np.isfinite(rays.distance) & (visible > 0.0)
+        at = use.ravel()
+        points[at, i] = on_wall(scene, rays, use, lens[i])
+        normals[at, i] = rays.normals[use]
+        weights[at, i] = electrons_per_radiance(scene, rays.cos_axis[use], exposure)
+    met = np.count_nonzero(weights, axis=1)
+    weights *= (visible.ravel() / np.maximum(met, 1))[:, None]
+    return points, normals, weights, lens

@@ -29,9 +29,9 @@ from .geometry import (
     pixel_centres,
     wall_visibility,
 )
+from .lit_walls import lit_transports, picture_cells
 from .objects import object_samples, resampled
 from .radiometry import LaserSpot, arrivals, check_beam, laser_spot, lit_spot
-from .wall_transport import lit_transports, picture_cells
 
 if TYPE_CHECKING:
     import trimesh
@@ -347,7 +347,8 @@ def _bilinear(values: Array, blocks: Index, down: Array, right: Array) -> Array:
     """Interpolate at parts of the way ``down`` and ``right`` in blocks of pixels."""
     (r0, r1), (c0, c1) = blocks
     above = (1.0 - right) * values[r0, c0] + right * values[r0, c1]
-    return (1.0 - down) * above + down * ((1.0 - right) * values[r1, c0] + right * values[r1, c1])
+    below = (1.0 - right) * values[r1, c0] + right * values[r1, c1]
+    return np.asarray((1.0 - down) * above + down * below)
 
 
 def _fill(values: Array, blocks: Index) -> None:

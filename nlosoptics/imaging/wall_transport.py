@@ -27,17 +27,17 @@ from .._random import generator
 from ..errors import SamplingError, SceneError
 from ..kernels.codes import BECKMANN, LAMBERT
 from ..raytrace import occluded
-from ..scene import Material, Occluder, PlanarObject, Scene
-from .geometry import chief_rays, on_wall, wall_visibility
+from ..scene import Material, Occluder, Scene
+from .geometry import chief_rays
 from .objects import plate
 from .penumbra import Edges, in_bands
 from .radiometry import (
     check_beam,
-    electrons_per_radiance,
     has_highlight,
     laser_spot,
     spot_irradiance,
     wall_lobes,
+    wall_paths,
 )
 
 if TYPE_CHECKING:
@@ -419,7 +419,7 @@ class WallTransport(Noun):
         ``x`` and ``y`` (n,) are centres of pixels on the detector, m. Here, nothing is between wall
         and lens.
         """
-        from . import _penumbra_kernels
+        from . import _sum_kernels
 
         shape = self._samples_of_plane[0]
         for axis, count in enumerate(shape):
@@ -435,7 +435,7 @@ class WallTransport(Noun):
         # within small pixels, light without shadows is uniform
         wide = (self._step * FINE / plate(self.scene)[0][2]) ** 2 > 5.0
         right = np.ascontiguousarray(right)
-        in_bands(_penumbra_kernels.fill_sums, *arguments, mean, right, wide, out)
+        in_bands(_sum_kernels.fill_sums, *arguments, mean, right, wide, out)
         return out.T
 
     def _open_paths(self, rows: slice) -> tuple[Array, Array, Array, Array]:
@@ -603,61 +603,12 @@ class WallTransport(Noun):
         return self._traced(x, y)
 
     def _traced(self, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
-        """Return wall points, normals (n, k, 3), electrons per radiance (n, k), lens points (k, 3).
-
-        ``x`` and ``y`` are the centres of the pixels, as in `chief_rays`.
-        """
-        scene, count, exposure = self.scene, self._samples, self.exposure
-        assert exposure is not None  # set by __post_init__
-        scene.check_in_front()
+        """Return `wall_paths` of pixels centred at ``x`` and ``y``."""
+        assert self.exposure is not None  # set by __post_init__
+        self.scene.check_in_front()
         (_, width), (_, height), pixels = self._bins()
-        rays = chief_rays(scene, x, y)
-        visible = pixels * wall_visibility(scene, rays)
-        k = np.arange(count)
-        along, across = (k + 0.5) / count - 0.5, k * (math.sqrt(5.0) - 1.0) / 2 % 1.0
-        across -= across.mean()
-        radius = scene.camera.stop_diameter / 2 * np.sqrt((k + 0.5) / count)
-        angle = 2 * math.pi * (k * 0.7548776662466927 % 1.0)  # R sequence, see `objects`
-        disc = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-        lens = (disc - disc.mean(axis=0)) @ scene.camera.frame[:2] + scene.camera.position
-        points = np.zeros((visible.size, count, 3))
-        normals = np.zeros(points.shape)
-        weights = np.zeros(points.shape[:2])
-        for i in range(count):
-            rays = chief_rays(scene, x + across[i] * width, y + along[i] * height)
-            use = np.isfinite(rays.distance) & (visible > 0.0)
-            at = use.ravel()
-            points[at, i] = on_wall(scene, rays, use, lens[i])
-            normals[at, i] = rays.normals[use]
-            weights[at, i] = electrons_per_radiance(scene, rays.cos_axis[use], exposure)
-        met = np.count_nonzero(weights, axis=1)
-        weights *= (visible.ravel() / np.maximum(met, 1))[:, None]
-        return points, normals, weights, lens
-
-
-def picture_cells(scene: Scene, material: Material, texels: tuple[int, ...]) -> tuple[int, int]:
-    """Return the cells for `WallTransport.sums`: the texels, or fewer that hold several of them."""
-    needed = WallTransport(scene, cells=(1, 1), material=material)._parts
-    rows, columns = (
-        next((n for n in range(need, count) if count % n == 0), count)
-        for need, count in zip(needed, texels, strict=True)
-    )
-    return rows, columns
-
-
-def lit_transports(scene: Scene, **options: Any) -> list[tuple[WallTransport, float]]:
-    """Return the operator of each kind of light in a scene, and the brightness of a white cell."""
-    hidden, sources = scene.hidden, []
-    if scene.laser.power > 0.0:
-        sources.append((WallTransport(scene, source="laser", **options), 1.0))
-    if isinstance(hidden, PlanarObject) and hidden.luminous is not None:
-        lobe = hidden.luminous_lobe
-        one = WallTransport(scene, source="luminous", lobe=lobe, **options)
-        sources.append((one, hidden.luminous))
-    if scene.ambient_irradiance > 0.0:
-        one = WallTransport(scene, source="ambient", **options)
-        sources.append((one, scene.ambient_irradiance))
-    return sources
+        paths = wall_paths(self.scene, (x, y), (width, height), self._samples, self.exposure)
+        return paths[0], paths[1], pixels * paths[2], paths[3]
 
 
 def _checked(name: str, values: ArrayLike, shape: tuple[int, int]) -> Array:

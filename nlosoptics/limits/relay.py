@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import in_range, positive, whole
 from ..errors import SceneError
 from ..imaging.detector import noise_variance
+from ..imaging.lit_walls import lit_transports
 from ..imaging.objects import plate
-from ..imaging.wall_transport import lit_transports
 from ..scene import Material, PlanarObject, Scene, SumMaterial
 
 Array = NDArray[np.float64]

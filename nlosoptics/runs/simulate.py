@@ -340,8 +340,8 @@ def shadow_operator(scene: Scene) -> ShadowOperator:
     An object is a multiple of the reflectance, or of the radiance, of a white picture. The longer
     side has `CELLS` cells, and at most `BINS` bins of a whole number of pixels.
     """
+    from ..imaging.lit_walls import lit_transports
     from ..imaging.objects import plate
-    from ..imaging.wall_transport import lit_transports
 
     size, shape = plate(scene)[2], scene.camera.shape
     columns, rows = (max(1, round(CELLS * side / max(size))) for side in size)
