@@ -29,7 +29,7 @@ from .geometry import (
     pixel_centres,
     wall_visibility,
 )
-from .lit_walls import lit_transports, picture_cells
+from .lit_walls import lit_transports, picture_cells, picture_sums
 from .objects import object_samples, resampled
 from .radiometry import LaserSpot, arrivals, check_beam, laser_spot, lit_spot
 
@@ -254,7 +254,7 @@ def _veil_share(scene: Scene, mesh: trimesh.Trimesh, rays: ChiefRays, seen: Mask
         sources = lit_transports(scene, cells=cells, material=diffuse)
 
         def share(row: Index, column: Index) -> Array:
-            sums = [scale * one.sums(picture, x[column], y[row]) for one, scale in sources]
+            sums = [scale * picture_sums(one, picture, x[column], y[row]) for one, scale in sources]
             return _ratio(*np.sum(sums, axis=0)) if sources else np.ones(len(row))
 
     else:

@@ -412,32 +412,6 @@ class WallTransport(Noun):
         in_bands(_penumbra_kernels.fill_rows, *arguments, self._parts, out)
         return out
 
-    def sums(self, picture: Array, x: Array, y: Array) -> Array:
-        """Return the electrons (2, n) of some pixels past shadows on plane and wall, and without.
-
-        ``picture`` has a whole number of texels in each cell, or of cells' samples in each texel.
-        ``x`` and ``y`` (n,) are centres of pixels on the detector, m. Here, nothing is between wall
-        and lens.
-        """
-        from . import _sum_kernels
-
-        shape = self._samples_of_plane[0]
-        for axis, count in enumerate(shape):
-            picture = np.repeat(picture, max(1, count // picture.shape[axis]), axis=axis)
-        finer = picture.shape[0] // shape[0], picture.shape[1] // shape[1]
-        blocks = picture.reshape(len(picture), shape[1], -1)
-        right = blocks[..., ::-1].cumsum(axis=-1)[..., ::-1].reshape(picture.shape)
-        radiance, *others = self._radiance
-        mean = radiance / math.prod(finer), *others
-        nodes = self._traced(x[None], y[None])
-        arguments = self._arguments(nodes, self._edges.still(), finer)[:-1]
-        out = np.empty((len(x), 2))
-        # within small pixels, light without shadows is uniform
-        wide = (self._step * FINE / plate(self.scene)[0][2]) ** 2 > 5.0
-        right = np.ascontiguousarray(right)
-        in_bands(_sum_kernels.fill_sums, *arguments, mean, right, wide, out)
-        return out.T
-
     def _open_paths(self, rows: slice) -> tuple[Array, Array, Array, Array]:
         """Return the wall points of some pixels, without those that an occluder hides."""
         points, normals, weights, lens = self._paths
@@ -563,13 +537,12 @@ class WallTransport(Noun):
         if self.samples is not None:
             return self.samples
         centre, _, size = plate(self.scene)
-        step = self._step
-        need = step * FINE / centre[2]
+        need = self._step * FINE / centre[2]
         cell = min(side / count for side, count in zip(size, self.cells[::-1], strict=True))
         for mesh, _ in self.scene.occluder_surfaces:
             near = max(float(mesh.vertices[:, 2].min()), 0.02 * centre[2])
             if near < centre[2]:
-                need = max(need, 3.0 * step * (centre[2] - near) / near / cell)
+                need = max(need, 3.0 * self._step * (centre[2] - near) / near / cell)
         return int(min(max(need * need, 5.0), 64.0))
 
     @cached_property
