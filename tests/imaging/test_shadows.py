@@ -242,8 +242,9 @@ def test_veil_is_the_sum_over_the_pictures_texels(flat_scene, binning):
         free &= ~hits_rectangle(texels, rays.points[i, j], *second)
         errors.append(veil[i, j] - (light * free).sum() / light.sum())
     assert np.ptp(veil) > 0.3
-    # the brute force looks from the centre of a pixel and takes texels as points
-    assert abs(np.array(errors)).max() < 0.01
+    # the brute force looks from the centre of a pixel, and takes texels as points: a column of them
+    # appears at once
+    assert abs(np.array(errors)).max() < 0.02
     assert np.sqrt(np.mean(np.square(errors))) < 0.002
 
 
