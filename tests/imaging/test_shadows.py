@@ -245,7 +245,7 @@ def test_veil_is_the_sum_over_the_pictures_texels(flat_scene, binning):
     # the brute force looks from the centre of a pixel, and takes texels as points: a column of them
     # appears at once
     assert abs(np.array(errors)).max() < 0.02
-    assert np.sqrt(np.mean(np.square(errors))) < 0.002
+    assert np.sqrt(np.mean(np.square(errors))) < 0.003
 
 
 @pytest.mark.thorough
