@@ -34,15 +34,16 @@ def _figures(result: Result) -> Iterator[tuple[str, Any]]:
     """Yield the name and the drawing of each figure."""
     from .. import views
     from ..limits import object_scale
+    from ..views.run_overview import shown_fit
 
-    scale, ideal = object_scale(result.scene), result.image.ideal
+    scale = object_scale(result.scene)
     yield "scene", views.scene_sketch(result.scene)
-    yield "point_spread", views.point_spread(result.point_spread)
-    yield "wavefront", views.wavefront(result.wavefront)
+    if result.point_spread is not None and result.wavefront is not None:
+        yield "point_spread", views.point_spread(result.point_spread)
+        yield "wavefront", views.wavefront(result.wavefront)
     if result.pupil_field is not None:
         yield "pupil_phase", views.wavefront(result.pupil_field)
     yield "image", views.image(result.image, object_scale=scale)
-    if result.reconstruction is not None:
-        truth = ideal / ideal.max() if ideal.any() else None
-        pitch = scale * result.image.pitch
-        yield "reconstruction", views.reconstruction(result.reconstruction, truth, pitch=pitch)
+    fit, truth, pitch = shown_fit(result)
+    if fit is not None:
+        yield "reconstruction", views.reconstruction(fit, truth, pitch=pitch)

@@ -99,7 +99,7 @@ def run_command(
         ready = time.perf_counter()
         drawn = can_draw()
         with progress_bar() as progress:
-            result = carried_out(planned, optics, seed, progress)
+            result = carried_out(planned, scene, optics, seed, progress)
             progress("writing", 1.0)
             with whole_folder(folder) as new:
                 began = time.perf_counter()
@@ -138,13 +138,16 @@ def schema_command(debug: Debug = False) -> None:
 def _summary(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
     """Yield a run's most important figures."""
     f = report["figures"]
-    yield "exit pupil", f"radius {1e3 * f['exit_pupil_radius']:.4g} mm, stop: {f['stop']}"
-    yield "working F-number", f"{f['f_number']:.4g}"
-    yield (
-        "wave aberration",
-        f"{f['aberration_rms_waves']:.3g} waves rms ({1e9 * f['aberration_rms']:.3g} nm)",
-    )
-    yield "point spread", f"{f['point_spread_method']}, error {f['point_spread_error']:.1e}"
+    if "exit_pupil_radius" in f:
+        yield "exit pupil", f"radius {1e3 * f['exit_pupil_radius']:.4g} mm, stop: {f['stop']}"
+        yield "working F-number", f"{f['f_number']:.4g}"
+        yield (
+            "wave aberration",
+            f"{f['aberration_rms_waves']:.3g} waves rms ({1e9 * f['aberration_rms']:.3g} nm)",
+        )
+        yield "point spread", f"{f['point_spread_method']}, error {f['point_spread_error']:.1e}"
+    else:
+        yield "wave, point spread", "none: the wall has no mirror-like lobe and forms no image"
     if "point_spread_model_error" in f:
         model = f"{f['point_spread_model']}, error {f['point_spread_model_error']:.1e}"
         yield "model of diffraction", model
@@ -166,6 +169,8 @@ def _summary(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
         if "correlation_with_truth" in f:
             score = f"correlation with the true object {f['correlation_with_truth']:.4f}"
         yield "reconstruction", f"{f['reconstruction_status']}, {score}"
+        for because in f["reconstruction_reasons"]:
+            yield "", because
     yield from stage_rows(report)
     if f["peak_memory_bytes"] is not None:
         yield "peak memory", f"{f['peak_memory_bytes'] / 2**20:.0f} MiB"

@@ -88,14 +88,15 @@ def reconstruct_command(
         ),
     ] = None,
     method: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="Solver. If the scene file describes the wall: tv (total variation), wiener, "
             "inverse_filter, richardson_lucy, phase_retrieval. If the wall is "
             "unknown and fitted too: evidence, wu2024. For a rough wall seen from several camera "
-            "positions, one image each: burst."
+            "positions, one image each: burst. For a matt wall with occluders: shadows. By default "
+            "shadows for such a wall, else tv."
         ),
-    ] = "tv",
+    ] = None,
     iterations: Annotated[
         int | None,
         typer.Option(min=1, help="Maximum number of iterations; by default that of the method."),
@@ -125,7 +126,7 @@ def reconstruct_command(
     fit, writes the best object so far and exits with code 130; --resume continues.
     """
     with errors_told(debug):
-        if method != "tv":
+        if method not in (None, "tv", "shadows"):
             require("torch", "inverse")
         from ..runs import reconstructing
 
@@ -178,6 +179,10 @@ def _reconstruction_rows(report: dict[str, Any], folder: Path) -> Iterator[tuple
         yield ("agreement of two halves of the starts", f"{f['reconstruction_score']:.4g}")
     else:
         yield ("residual", f"{f['reconstruction_score']:.4g} of the noise")
+    if f["method"] == "shadows":
+        fitted = f["physical_parameters"]
+        shown = f"{fitted['modes']:.3g}, expected correlation {fitted['expected_correlation']:.3g}"
+        yield ("modes above the noise", shown)
     yield ("saturated pixels", f"{100 * f['saturated_fraction']:.2g} %")
     if "bad_pixels" in f["physical_parameters"]:
         yield ("dead, hot or saturated pixels found", str(f["physical_parameters"]["bad_pixels"]))

@@ -302,6 +302,19 @@ def cover(edges, pieces, n_pieces, covered):
     """Set ``covered`` (rows, columns + 1) to the covered share of each cell; the last is spare."""
     rows, columns = covered.shape[0], covered.shape[1] - 1
     covered[:] = 0.0
+    none = np.empty((0, 0))
+    _differences(edges, pieces, n_pieces, (rows, columns), covered, (none, none, none, none))
+    for row in range(rows):
+        total = 0.0
+        for column in range(columns):
+            total += covered[row, column]
+            covered[row, column] = min(max(total, 0.0), 1.0)
+
+
+@njit(cache=True)
+def _differences(edges, pieces, n_pieces, shape, covered, light):
+    """Add the differences of the covered share along each row, see `_put`."""
+    rows, columns = shape
     for p in range(n_pieces):
         a_u, a_v, b_u, b_v, _ = _upward(edges, int(pieces[p, 0]))
         u0, v0 = a_u + pieces[p, 1] * (b_u - a_u), a_v + pieces[p, 1] * (b_v - a_v)
@@ -319,40 +332,54 @@ def cover(edges, pieces, n_pieces, covered):
             x0, x1 = u0 + (v - v0) * slope, u0 + (above - v0) * slope
             if x0 > x1:
                 x0, x1 = x1, x0
-            _cover_row(covered, row, x0, x1, sign * (above - v), columns)
+            _cover_row(covered, light, row, x0, x1, sign * (above - v), columns)
             v = above
             row += 1
-    for row in range(rows):
-        total = 0.0
-        for column in range(columns):
-            total += covered[row, column]
-            covered[row, column] = min(max(total, 0.0), 1.0)
 
 
 @njit(cache=True)
-def _cover_row(covered, row, x0, x1, height, columns):
+def _put(covered, light, row, column, share):
+    """Add a difference to ``covered`` or, if that is empty, its light to the last of ``light``.
+
+    ``light`` holds the radiance due to blocks of cells (n, m); of each cell, the sum of the picture
+    over the cells to the right of it in its block, itself included (rows, columns); the light of
+    all blocks to the right of each block, in each row of cells (rows, m); and the sum (1, 1).
+    """
+    if covered.size:
+        covered[row, column] += share
+        return
+    radiance, right, beyond, total = light
+    rows, columns = right.shape
+    if column < columns:
+        block = column // (columns // radiance.shape[1])
+        value = radiance[row // (rows // radiance.shape[0]), block] * right[row, column]
+        total[0, 0] += share * (value + beyond[row, block])
+
+
+@njit(cache=True)
+def _cover_row(covered, light, row, x0, x1, height, columns):
     """Add the differences along a row of what lies right of a segment of some height."""
     if x0 >= columns:
         return
     if x1 <= 0.0:
-        covered[row, 0] += height
+        _put(covered, light, row, 0, height)
         return
     column = int(max(x0, 0.0))
     if x0 >= 0.0 and x1 <= column + 1.0:
         part = height * (0.5 * (x0 + x1) - column)
-        covered[row, column] += height - part
-        covered[row, column + 1] += part
+        _put(covered, light, row, column, height - part)
+        _put(covered, light, row, column + 1, part)
         return
     per = height / (x1 - x0)
     if x0 < 0.0:
-        covered[row, 0] -= per * x0
+        _put(covered, light, row, 0, -per * x0)
         x0 = 0.0
     while x0 < x1 and column < columns:
         right = min(x1, column + 1.0)
         share = per * (right - x0)
         part = share * (0.5 * (x0 + right) - column)
-        covered[row, column] += share - part
-        covered[row, column + 1] += part
+        _put(covered, light, row, column, share - part)
+        _put(covered, light, row, column + 1, part)
         x0 = right
         column += 1
 

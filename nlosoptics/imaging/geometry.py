@@ -53,12 +53,15 @@ def pixel_edges(camera: Camera) -> tuple[Array, Array]:
 def chief_rays(scene: Scene, x: Array, y: Array) -> ChiefRays:
     """Trace the chief rays of the detector grid with columns at ``x`` and rows at ``y``.
 
-    Returns rays with arrays of shape (ny, nx) or (ny, nx, 3).
+    Returns rays with arrays of shape (ny, nx) or (ny, nx, 3), or of the shape of ``x`` and ``y``
+    if these are arrays of two axes.
     """
     distance = scene.image_distance
     e1, e2, axis = scene.camera.frame
-    directions = distance * axis - x[None, :, None] * e1 - y[:, None, None] * e2
-    length = np.sqrt(x[None, :] ** 2 + y[:, None] ** 2 + distance**2)
+    if x.ndim == 1:
+        x, y = x[None, :], y[:, None]
+    directions = distance * axis - x[..., None] * e1 - y[..., None] * e2
+    length = np.sqrt(x**2 + y**2 + distance**2)
     directions /= length[..., None]
     hits = intersect(_with_margin(scene), np.array(scene.camera.position), directions)
     along = dot(directions, hits.normals)
@@ -87,6 +90,19 @@ def _with_margin(scene: Scene) -> Wall:
     except SceneError:  # a spherical cap close to a hemisphere cannot be extended
         pass
     return wall
+
+
+def on_wall(scene: Scene, rays: ChiefRays, use: NDArray[np.bool_], lens: Array) -> Array:
+    """Return the wall points (m, 3), m, of rays through a point of the lens.
+
+    Each ray goes to the point in focus on its chief ray. The wall is replaced by its tangent plane
+    at the chief ray's wall point. ``use`` selects the rays and ``lens`` (3,) is the point, m.
+    """
+    ahead = scene.focus_distance / rays.cos_axis[use]
+    line = np.array(scene.camera.position) + ahead[:, None] * rays.directions[use] - lens
+    normals = rays.normals[use]
+    height = dot(rays.points[use] - lens, normals)
+    return np.asarray(lens + (height / dot(line, normals))[:, None] * line)
 
 
 def wall_visibility(scene: Scene, rays: ChiefRays) -> Array:

@@ -35,11 +35,12 @@ from .geometry import (
 from .objects import mesh_hits
 from .radiometry import (
     LaserSpot,
+    ambient_radiance,
     background_radiance,
     electrons_per_joule,
     electrons_per_radiance,
-    laser_spot,
     lit_patches,
+    lit_spot,
     object_radiance,
     spot_power_through_lens,
 )
@@ -82,7 +83,7 @@ class SpeckleImage(Noun, Shown):
         Electrons of ``signal`` before the blur: the ground truth on the same pixels.
     background : ndarray, (ny, nx)
         Expected electrons that are not of the object's image: diffuse light of the wall, image of
-        the laser spot, glare (light scattered in the lens), and dark current.
+        the laser spot, ambient light, glare (light scattered in the lens), and dark current.
     noise_sigma : ndarray, (ny, nx)
         Expected rms noise of photons, speckle, dark current, readout and digitisation, electrons.
     saturated_fraction : float
@@ -100,7 +101,7 @@ class SpeckleImage(Noun, Shown):
         without blur. It is the sum of "signal", which stays on the detector; "beyond_window",
         which the point spread function sends outside the window on which it was computed; and
         "beyond_detector", which is blurred past the edges of the detector. "diffuse", "spot",
-        "glare" and "dark" form the background.
+        "ambient", "glare" and "dark" form the background.
 
     See Also
     --------
@@ -152,6 +153,7 @@ class LightLevels:
     # (ny, nx): Electrons of the wall's diffuse light and of the image of the laser spot
     diffuse: Array
     spot: Array
+    ambient: Array  # (ny, nx): Electrons of ambient light that the wall reflects
     glare: float  # Electrons of the glare, uniform over the whole detector
     dark: float  # Dark electrons of one image pixel
     # Degrees of freedom of an image pixel's speckle, 1/contrast^2; None for no speckle
@@ -160,7 +162,7 @@ class LightLevels:
     @property
     def stray(self) -> Array:
         """Electrons in each pixel that do not belong to the object's image, without dark ones."""
-        return np.asarray(self.diffuse + self.spot + self.glare / self.ideal.size)
+        return np.asarray(self.diffuse + self.spot + self.ambient + self.glare / self.ideal.size)
 
 
 def light_levels(
@@ -174,8 +176,10 @@ def light_levels(
     ideal = gain * _mirrored_radiance(scene, spot, rays, visible > 0)
     patches = lit_patches(scene, spot)
     diffuse = gain * background_radiance(scene, spot, patches, rays, visible > 0)
+    ambient = gain * ambient_radiance(scene, rays, visible > 0)
     direct = spot_power_through_lens(scene, spot) * exposure * electrons_per_joule(scene)
     if shadows is not None:
+        ambient *= shadows.view
         ideal *= shadows.image
         diffuse *= shadows.view * shadows.veil
         direct *= shadows.spot
@@ -185,7 +189,10 @@ def light_levels(
         visible=visible,
         ideal=ideal,
         diffuse=diffuse,
-        spot=(direct - glare) * spot_image(scene, spot) if direct > glare else 0.0 * gain,
+        spot=0.0 * gain
+        if spot is None or direct <= glare
+        else (direct - glare) * spot_image(scene, spot),
+        ambient=ambient,
         glare=glare,
         dark=camera.dark_current * exposure * camera.binning**2,
         freedom=_speckle_freedom(scene),
@@ -202,7 +209,7 @@ def mirror_image(scene: Scene) -> tuple[ChiefRays, Array]:
 
 def form_image(
     scene: Scene,
-    point_spread: PointSpread | PointSpreadField,
+    point_spread: PointSpread | PointSpreadField | None,
     object_image: ArrayLike | None = None,
     *,
     exposure: float | None = None,
@@ -219,7 +226,7 @@ def form_image(
         Point spread function from the same scene, with ``normalisation="unit-sum"`` and the pitch
         of the camera's image pixels. Its values are fractions of the energy, so that their sum is 1
         minus the fraction outside the window on which it was computed. A field gives the function
-        for every point of a planar object.
+        for every point of a planar object. None for a wall without a mirror-like lobe.
     object_image : array_like, (rows, columns), optional
         Reflectances, 0 to 1, that replace the image on a planar object, row 0 on top. The object's
         size is unchanged. None: the scene's own.
@@ -264,9 +271,14 @@ def form_image(
     The unblurred image is convolved with the point spread function. Energy that this function sends
     outside its window is lost; ``SpeckleImage.ledger`` lists it as "beyond_window".
 
-    Two effects are neglected: blurred light from parts of the object outside the field of view, and
-    the laser beam that a perfectly smooth wall reflects into the room. Occluders dim the light by
-    the fractions in `Shadows`, but the point spread function remains that of an unobstructed pupil.
+    The object is lit by the laser's spot and by ambient light, and may be luminous. Ambient light
+    comes from all sides, and no occluder shades wall or object from it. Its mirror-like reflection
+    by the wall is left out.
+
+    Two more effects are neglected: blurred light from parts of the object outside the field of
+    view, and the laser beam that a perfectly smooth wall reflects into the room. Occluders dim the
+    light by the fractions in `Shadows`, but the point spread function remains that of an
+    unobstructed pupil.
 
     Examples
     --------
@@ -280,16 +292,24 @@ def form_image(
     seed = checked_seed(seed)
     camera = scene.camera
     exposure = positive("exposure", camera.exposure if exposure is None else exposure, unit="s")
-    _check_pitch(point_spread, camera.image_pitch)
-    if not isinstance(point_spread, PointSpreadField):
-        _check_energy(scene, point_spread)
+    if point_spread is not None:
+        _check_pitch(point_spread, camera.image_pitch)
+        if not isinstance(point_spread, PointSpreadField):
+            _check_energy(scene, point_spread)
+    elif scene.wall_material.specular_reflectance > 0.0:
+        raise SceneError(
+            "point_spread is None, but the wall has a mirror-like lobe, which forms an image; "
+            "compute it with psf.scene_point_spread"
+        )
     if object_image is not None:
         scene = _with_picture(scene, object_image)
     levels = light_levels(scene, exposure=exposure, shadows=shadows)
     ideal, stray, dark, freedom = levels.ideal, levels.stray, levels.dark, levels.freedom
-    model, kept = _blur(scene, point_spread, levels.rays, ideal)
-    # the FFT leaves rounding errors of either sign in dark regions
-    signal = np.maximum(model.forward(ideal), 0.0)
+    signal, kept = ideal.copy(), 1.0
+    if point_spread is not None:
+        model, kept = _blur(scene, point_spread, levels.rays, ideal)
+        # the FFT leaves rounding errors of either sign in dark regions
+        signal = np.maximum(model.forward(ideal), 0.0)
     light = signal + stray
     electrons, saturated = read_out(camera, light, dark, freedom=freedom, seed=seed)
     total = float(ideal.sum())
@@ -312,6 +332,7 @@ def form_image(
             "beyond_detector": total * kept - float(signal.sum()),
             "diffuse": float(levels.diffuse.sum()),
             "spot": float(levels.spot.sum()),
+            "ambient": float(levels.ambient.sum()),
             "glare": levels.glare,
             "dark": dark * ideal.size,
         },
@@ -397,7 +418,7 @@ def _shadows(scene: Scene, given: Shadows | None) -> Shadows | None:
     return given
 
 
-def _view(scene: Scene, exposure: float) -> tuple[LaserSpot, ChiefRays, Array, Array]:
+def _view(scene: Scene, exposure: float) -> tuple[LaserSpot | None, ChiefRays, Array, Array]:
     """Return laser spot, chief rays, visible fraction of the wall, and electrons per radiance."""
     ny, nx = scene.camera.shape
     fits_memory(
@@ -405,9 +426,9 @@ def _view(scene: Scene, exposure: float) -> tuple[LaserSpot, ChiefRays, Array, A
         (BYTES_PER_PIXEL + (SHADOW_BYTES if scene.occluders else 0)) * nx * ny,
         "read fewer pixels or bin more",
     )
-    scene.check_laser_light()
+    scene.check_black_occluders()
     scene.check_in_front()
-    spot = laser_spot(scene)
+    spot = lit_spot(scene)
     rays = chief_rays(scene, *pixel_centres(scene.camera))
     visible = wall_visibility(scene, rays)
     gain = electrons_per_radiance(scene, rays.cos_axis, exposure) * visible
@@ -481,15 +502,16 @@ def _with_picture(scene: Scene, object_image: ArrayLike) -> Scene:
 def _speckle_freedom(scene: Scene) -> float | None:
     """Degrees of freedom 1/contrast^2 of an image pixel's speckle, with two polarisations."""
     patterns = scene.laser.independent_patterns
-    if patterns is None:
+    if patterns is None or scene.laser.power == 0.0:
         return None
+    scene.check_laser_light()  # speckle is that of all light
     f_number = working_f_number(scene.camera.stop_diameter / 2, scene.image_distance)
     pixel = scene.camera.image_pitch
     return 2.0 * patterns * speckles_per_pixel(pixel, scene.laser.wavelength, f_number)
 
 
 def _mirrored_radiance(
-    scene: Scene, spot: LaserSpot, rays: ChiefRays, seen: NDArray[np.bool_]
+    scene: Scene, spot: LaserSpot | None, rays: ChiefRays, seen: NDArray[np.bool_]
 ) -> Array:
     """Mean radiance over each pixel of the object mirrored by the wall, W/(m^2 sr)."""
     result = np.zeros(seen.shape)
@@ -497,6 +519,8 @@ def _mirrored_radiance(
     if reflectance == 0.0:
         return result
     if isinstance(scene.hidden, MeshObject):
+        scene.check_laser_light()
+        assert spot is not None  # checked above
         return reflectance * _mesh_radiance(scene, scene.hidden.surface, spot, seen)
     hidden = scene.hidden
     corners = chief_rays(scene, *pixel_edges(scene.camera))

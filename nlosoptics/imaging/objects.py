@@ -85,6 +85,17 @@ def _block_sums(picture: Array, edges: list[NDArray[np.intp]]) -> Array:
     return np.asarray(np.add.reduceat(sums, edges[1][:-1], axis=1))
 
 
+def resampled(picture: Array, shape: tuple[int, int]) -> Array:
+    """Return the means of a picture over ``shape`` equal cells."""
+    for axis, count in enumerate(shape):
+        texels = picture.shape[axis]
+        if texels != count:
+            edges = np.linspace(0.0, texels, count + 1)[:, None] - np.arange(texels)
+            parts = np.diff(np.clip(edges, 0.0, 1.0), axis=0) * (count / texels)
+            picture = np.moveaxis(np.tensordot(parts, picture, (1, axis)), 0, axis)
+    return picture
+
+
 def _mesh_patches(mesh: trimesh.Trimesh) -> Patches:
     area = np.asarray(mesh.area_faces, dtype=np.float64)
     size = math.sqrt(area.sum() / 512)

@@ -8,9 +8,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .._nouns import Noun
+from ..errors import SceneError
 from ..raytrace.intersection.meshes import worker_pool
 
 if TYPE_CHECKING:
@@ -102,3 +103,19 @@ def in_bands(kernel: Any, nodes: tuple[Array, ...], *arguments: Any) -> None:
         kernel(tuple(array[rows] for array in nodes[:3]) + nodes[3:], *others, out[rows])
 
     list(worker_pool().map(band, range(0, len(out), 32)))
+
+
+def checked_planes(name: str, values: ArrayLike, shape: tuple[int, int]) -> Array:
+    """Return values as finite float64 of a shape (..., rows, columns)."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape[-2:] != shape:
+        raise SceneError(
+            f"{name} has the shape {array.shape}, must end with {shape}; resample it, or build the "
+            "operator with other cells and pixels"
+        )
+    if not np.isfinite(array).all():
+        raise SceneError(
+            f"{name} has {np.count_nonzero(~np.isfinite(array))} values that are not finite, limit "
+            "0; replace them"
+        )
+    return array

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +20,14 @@ from .._vectors import dot
 from ..errors import SceneError
 from ..kernels.codes import BECKMANN, GGX, LAMBERT
 from ..psf.pupil.exit_pupil import working_f_number
-from ..raytrace import intersect
+from ..raytrace import intersect, occluded
 from ..raytrace.intersection.meshes import worker_pool
 from ..scene import Material, PlanarObject, Scene
-from .geometry import ChiefRays, pixel_centres
+from .geometry import ChiefRays, chief_rays, on_wall, pixel_centres, wall_visibility
 from .objects import Patches, object_patches
+
+if TYPE_CHECKING:
+    import trimesh
 
 Array = NDArray[np.float64]
 
@@ -58,6 +62,11 @@ class LaserSpot:
     normal: Array
     incident: Array  # (3,): Unit vector from the spot to the laser, world frame
     area: float  # Illuminated area of the wall, m^2
+
+
+def lit_spot(scene: Scene) -> LaserSpot | None:
+    """Return the laser's spot; None without a laser, or if its power is 0."""
+    return laser_spot(scene) if scene.laser.power > 0.0 else None
 
 
 def laser_spot(scene: Scene) -> LaserSpot:
@@ -109,6 +118,24 @@ def _check_footprint(
             )
 
 
+def check_beam(scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot) -> None:
+    """Raise if an occluder cuts the laser beam, on its axis or at its edge."""
+    laser = np.array(scene.laser.position)
+    across = np.linalg.svd(spot.incident[None])[2][1:]
+    angles = 2 * math.pi * np.arange(16) / 16
+    rim = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ across
+    offsets = np.concatenate([np.zeros((1, 3)), scene.laser.beam_diameter / 2 * rim])
+    # intersection of each ray with the tangent plane at the spot
+    cosine = float((spot.incident * spot.normal).sum())
+    ends = spot.point + offsets - np.outer(offsets @ spot.normal / cosine, spot.incident)
+    cut = occluded(mesh, laser + offsets, ends)
+    if cut.any():
+        raise SceneError(
+            f"scene.occluders cut the laser's beam from {scene.laser.position} m to the wall at "
+            f"{tuple(round(float(c), 6) for c in spot.point)} m; move the occluder or the laser"
+        )
+
+
 def radiant_intensity(scene: Scene, spot: LaserSpot, toward: Array) -> Array:
     """Radiant intensity P f_r cos_o of the spot along unit vectors ``toward`` (..., 3), W/sr.
 
@@ -136,14 +163,43 @@ def spot_irradiance(
 
 
 def object_radiance(
-    scene: Scene, spot: LaserSpot, points: Array, normals: Array, toward: Array
+    scene: Scene, spot: LaserSpot | None, points: Array, normals: Array, toward: Array
 ) -> Array:
-    """Radiance L = f_o E of a white object at ``points`` along unit vectors ``toward``, W/(m^2 sr).
+    """Radiance of a white object at ``points`` along unit vectors ``toward``, W/(m^2 sr).
 
-    It is zero on the back side.
+    It is f_o E by the laser's spot, if there is a laser, and zero on the back side; the light that
+    the object emits; and ambient light that it reflects as a matt surface.
     """
-    irradiance, incident = spot_irradiance(scene, spot, points, normals)
-    return scene.hidden.material.evaluate(incident, toward, normals) * irradiance
+    hidden, total = scene.hidden, np.zeros(np.broadcast_shapes(points.shape, toward.shape)[:-1])
+    if spot is not None:
+        irradiance, incident = spot_irradiance(scene, spot, points, normals)
+        total = hidden.material.evaluate(incident, toward, normals) * irradiance
+    cosine = np.maximum(dot(toward, normals), 0.0)
+    if isinstance(hidden, PlanarObject) and hidden.luminous is not None:
+        lobe = np.where(cosine > 0.0, hidden.luminous, 0.0)
+        for power, axis in zip(hidden.luminous_lobe, hidden.axes, strict=False):
+            if power > 0.0:
+                along = np.hypot(cosine, dot(toward, axis))
+                lobe = lobe * (cosine / np.maximum(along, 1e-300)) ** power
+        total = total + lobe
+    if scene.ambient_irradiance > 0.0:
+        albedo = float(hidden.material.albedo(0.0)) / math.pi
+        total = total + np.where(cosine > 0.0, scene.ambient_irradiance * albedo, 0.0)
+    return np.asarray(total)
+
+
+def ambient_radiance(scene: Scene, rays: ChiefRays, seen: NDArray[np.bool_]) -> Array:
+    """Radiance (ny, nx) of the wall's diffuse lobes in ambient light from all sides, W/(m^2 sr).
+
+    By reciprocity it is the directional albedo toward the lens, over pi.
+    """
+    result, diffuse = np.zeros(seen.shape), scene.wall_material.diffuse
+    if scene.ambient_irradiance > 0.0 and diffuse is not None:
+        angle = np.arange(91) * (math.pi / 180)
+        facing = np.clip(-dot(rays.directions[seen], rays.normals[seen]), 0.0, 1.0)
+        albedo = np.interp(np.arccos(facing), angle, diffuse.albedo(angle))
+        result[seen] = scene.ambient_irradiance / math.pi * albedo
+    return result
 
 
 def has_highlight(scene: Scene) -> bool:
@@ -151,14 +207,14 @@ def has_highlight(scene: Scene) -> bool:
     return any(scene.mirror_slopes)
 
 
-def lit_patches(scene: Scene, spot: LaserSpot) -> Patches:
+def lit_patches(scene: Scene, spot: LaserSpot | None) -> Patches:
     """Represent the hidden object by patches, see `object_patches`.
 
     The highlight of a mirror-like lobe may be narrower than a patch. Its irradiance is sampled at
     steps of its rms radius.
     """
     hidden = scene.hidden
-    if not (has_highlight(scene) and isinstance(hidden, PlanarObject)):
+    if spot is None or not (has_highlight(scene) and isinstance(hidden, PlanarObject)):
         return object_patches(hidden)
     normal = hidden.axes[2]
 
@@ -170,11 +226,13 @@ def lit_patches(scene: Scene, spot: LaserSpot) -> Patches:
     return object_patches(hidden, irradiance, 2.0 * slope * distance)
 
 
-def spot_power_through_lens(scene: Scene, spot: LaserSpot) -> float:
+def spot_power_through_lens(scene: Scene, spot: LaserSpot | None) -> float:
     """Power of the spot's direct light that the lens transmits to the detector, W.
 
-    It is I A_lens cos/r^2 T, or zero if the field stop blocks the spot.
+    It is I A_lens cos/r^2 T, or zero without a spot or if the field stop blocks it.
     """
+    if spot is None:
+        return 0.0
     camera = scene.camera
     toward = np.array(camera.position) - spot.point
     distance = math.sqrt(float((toward * toward).sum()))
@@ -189,7 +247,7 @@ def spot_power_through_lens(scene: Scene, spot: LaserSpot) -> float:
 
 
 def background_radiance(
-    scene: Scene, spot: LaserSpot, patches: Patches, rays: ChiefRays, seen: NDArray[np.bool_]
+    scene: Scene, spot: LaserSpot | None, patches: Patches, rays: ChiefRays, seen: NDArray[np.bool_]
 ) -> Array:
     """Radiance toward the lens of the wall's diffuse lobes, lit by the object, W/(m^2 sr).
 
@@ -281,7 +339,7 @@ class Nodes:
 
 
 def arrivals(
-    scene: Scene, spot: LaserSpot, patches: Patches, points: Array
+    scene: Scene, spot: LaserSpot | None, patches: Patches, points: Array
 ) -> Iterator[tuple[slice, Array, Array]]:
     """Compute the light that object patches send to wall points (n, 3), m, in blocks of points.
 
@@ -300,7 +358,7 @@ def arrivals(
 
 
 def _flat_radiance(
-    scene: Scene, spot: LaserSpot, patches: Patches, diffuse: Material, nodes: Nodes
+    scene: Scene, spot: LaserSpot | None, patches: Patches, diffuse: Material, nodes: Nodes
 ) -> Array:
     """Radiance of a flat wall at nodes; zero, its limit at the horizon, for rays that miss it."""
     result = np.zeros(nodes.count)
@@ -340,7 +398,7 @@ def _groups(patches: Patches, diffuse: Material) -> NDArray[np.intp]:
 
 
 def _grouped_flux(
-    scene: Scene, spot: LaserSpot, patches: Patches, nodes: Nodes, diffuse: Material
+    scene: Scene, spot: LaserSpot | None, patches: Patches, nodes: Nodes, diffuse: Material
 ) -> Array:
     """Return the vector irradiance (groups, n_nodes, 3), W/m^2, due to each group of patches."""
     group = _groups(patches, diffuse)
@@ -394,3 +452,59 @@ def wall_lobes(scene: Scene, material: Material | None = None) -> Array:
             "Lambert lobe, or form the image of a mirror by form_image"
         )
     return np.ascontiguousarray(table[~smooth])
+
+
+def visible_shares(
+    scene: Scene, centres: tuple[Array, Array], sides: tuple[float, float], shape: tuple[int, int]
+) -> Array:
+    """Return the share of the light of areas of the detector that edges and field stop let pass.
+
+    The areas form a grid of ``shape``, and the share is that of the image pixels within each.
+    """
+    (x, y), (width, height) = centres, sides
+    steps = [math.ceil(n / count) for n, count in zip(scene.camera.shape, shape, strict=True)]
+    parts = [(np.arange(n) + 0.5) / n - 0.5 for n in steps]
+    rows = np.add.outer(y, height * parts[0]).ravel()
+    columns = np.add.outer(x, width * parts[1]).ravel()
+    passed = wall_visibility(scene, chief_rays(scene, columns, rows))
+    return np.asarray(passed.reshape(len(y), steps[0], len(x), steps[1]).mean((1, 3)))
+
+
+def wall_paths(
+    scene: Scene,
+    centres: tuple[Array, Array],
+    sides: tuple[float, float],
+    visible: Array,
+    count: int,
+    exposure: float,
+) -> tuple[Array, Array, Array, Array]:
+    """Return wall points, normals (n, k, 3), electrons per radiance (n, k) and lens points (k, 3).
+
+    ``centres`` along x and y, as in `chief_rays`, and ``sides`` are those of areas of the detector,
+    m; ``visible`` is the share of their light that passes edges and field stop. The wall points of
+    each area, of which there are ``count``, lie on a lattice over it, and each of them has a point
+    of the lens. Electrons are those of one pixel in the place of the area.
+    """
+    (x, y), (width, height) = centres, sides
+    k = np.arange(count)
+    along, across = (k + 0.5) / count - 0.5, k * (math.sqrt(5.0) - 1.0) / 2 % 1.0
+    across -= across.mean()
+    radius = scene.camera.stop_diameter / 2 * np.sqrt((k + 0.5) / count)
+    angle = 2 * math.pi * (k * 0.7548776662466927 % 1.0)  # R sequence, see `objects`
+    disc = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    lens = (disc - disc.mean(axis=0)) @ scene.camera.frame[:2] + scene.camera.position
+    points = np.zeros((visible.size, count, 3))
+    normals = np.zeros(points.shape)
+    weights, met = np.zeros(points.shape[:2]), np.zeros(visible.size)
+    for i in range(count):
+        rays = chief_rays(scene, x + across[i] * width, y + along[i] * height)
+        use = np.isfinite(rays.distance) & (visible > 0.0)
+        # points that the stop hides count only if it hides all of the area's points
+        part = wall_visibility(scene, rays) + 1e-9
+        at = use.ravel()
+        points[at, i] = on_wall(scene, rays, use, lens[i])
+        normals[at, i] = rays.normals[use]
+        weights[at, i] = electrons_per_radiance(scene, rays.cos_axis[use], exposure) * part[use]
+        met[at] += part[use]
+    weights *= (visible.ravel() / np.where(met > 0.0, met, 1.0))[:, None]
+    return points, normals, weights, lens

@@ -8,7 +8,7 @@ a line of sight.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -18,29 +18,31 @@ from numpy.typing import NDArray
 from .._checks import fits_memory
 from .._nouns import Noun
 from .._vectors import dot
-from ..errors import SceneError
 from ..raytrace import intersect_mesh, occluded
-from ..scene import PlanarObject, Scene
+from ..scene import FlatWall, PlanarObject, Scene
 from .geometry import (
     ChiefRays,
     chief_rays,
+    on_wall,
     picture_coordinates,
     picture_points,
     pixel_centres,
     wall_visibility,
 )
-from .objects import object_samples
-from .radiometry import LaserSpot, Nodes, arrivals, laser_spot
+from .lit_walls import lit_transports, picture_cells, picture_sums
+from .objects import object_samples, resampled
+from .radiometry import LaserSpot, arrivals, check_beam, laser_spot, lit_spot
 
 if TYPE_CHECKING:
     import trimesh
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
 SIDE = 4  # sample paths along each side of a pixel, each through its own point of the lens
-SAMPLES = 1024  # points that represent the object as a source
-NODES = 65  # pixels along each side of the detector at which the wall's light is summed
+SAMPLES = 1024  # points that represent a mesh as a source
+MOST_CELLS = 256  # of a picture along each side, as a source
 SHADOW_BYTES = 450  # measured memory per pixel
 
 
@@ -121,10 +123,10 @@ def cast_shadows(scene: Scene) -> Shadows:
     approximated. It starts at the object point of the chief ray, and is reflected by the plane that
     touches the wall at the wall point of the chief ray.
 
-    ``Shadows.veil`` concerns diffuse light on its way from the laser spot via the object to the
-    wall. It is computed at 65 x 65 pixels as a sum over 1024 points of the object, and interpolated
-    bilinearly between these pixels. Its error is a few thousandths, or a few hundredths at the edge
-    of a shadow that an occluder close to the wall casts on it.
+    ``Shadows.veil`` concerns diffuse light on its way via the object to the wall. For a picture, it
+    is the ratio of two sums, `WallTransport.forward` with and without occluders, whose shadows have
+    exact edges. For a mesh, it is a sum over 1024 points, with an error of a few thousandths.
+    Pixels are left out where interpolation between others agrees to some 1e-3 of the mean.
 
     The laser spot is treated as a point, and its image is dimmed uniformly.
     """
@@ -134,13 +136,16 @@ def cast_shadows(scene: Scene) -> Shadows:
         SHADOW_BYTES * nx * ny,
         "read fewer pixels or bin more",
     )
-    spot = laser_spot(scene)
+    spot = lit_spot(scene)
     mesh = scene.occluding_mesh
     if mesh is None:
         return Shadows(
             image=np.ones((ny, nx)), view=np.ones((ny, nx)), veil=np.ones((ny, nx)), spot=1.0
         )
-    check_beam(scene, mesh, spot)
+    if spot is not None:
+        check_beam(scene, mesh, spot)
+        if scene.wall_material.specular_reflectance > 0.0:
+            scene.check_laser_light()  # the fractions of the image are those of the laser's light
     rays = chief_rays(scene, *pixel_centres(scene.camera))
     seen = wall_visibility(scene, rays) > 0
     image, view = _path_shares(scene, mesh, spot, seen)
@@ -148,8 +153,8 @@ def cast_shadows(scene: Scene) -> Shadows:
     return Shadows(
         image=image,
         view=view,
-        veil=_veil_share(scene, mesh, spot, rays, seen),
-        spot=1.0 - float(occluded(mesh, spot.point, lens).mean()),
+        veil=_veil_share(scene, mesh, rays, seen),
+        spot=1.0 if spot is None else 1.0 - float(occluded(mesh, spot.point, lens).mean()),
     )
 
 
@@ -163,25 +168,7 @@ def repainted(shadows: Shadows, scene: Scene) -> Shadows:
         return shadows
     rays = chief_rays(scene, *pixel_centres(scene.camera))
     seen = wall_visibility(scene, rays) > 0
-    return replace(shadows, veil=_veil_share(scene, mesh, laser_spot(scene), rays, seen))
-
-
-def check_beam(scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot) -> None:
-    """Raise if an occluder cuts the laser beam, on its axis or at its edge."""
-    laser = np.array(scene.laser.position)
-    across = np.linalg.svd(spot.incident[None])[2][1:]
-    angles = 2 * math.pi * np.arange(16) / 16
-    rim = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ across
-    offsets = np.concatenate([np.zeros((1, 3)), scene.laser.beam_diameter / 2 * rim])
-    # intersection of each ray with the tangent plane at the spot
-    cosine = float((spot.incident * spot.normal).sum())
-    ends = spot.point + offsets - np.outer(offsets @ spot.normal / cosine, spot.incident)
-    cut = occluded(mesh, laser + offsets, ends)
-    if cut.any():
-        raise SceneError(
-            f"scene.occluders cut the laser's beam from {scene.laser.position} m to the wall at "
-            f"{tuple(round(float(c), 6) for c in spot.point)} m; move the occluder or the laser"
-        )
+    return replace(shadows, veil=_veil_share(scene, mesh, rays, seen))
 
 
 def _lens_points(scene: Scene) -> Array:
@@ -194,7 +181,7 @@ def _lens_points(scene: Scene) -> Array:
 
 
 def _path_shares(
-    scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot, seen: Mask
+    scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot | None, seen: Mask
 ) -> tuple[Array, Array]:
     """Return unblocked fractions (ny, nx) of the image's paths and of the view of the wall.
 
@@ -210,7 +197,9 @@ def _path_shares(
         viewed[use] += open_view
         points, hit = _object_points(scene, rays, use)
         lit = np.zeros(hit.shape, dtype=bool)
-        lit[hit] = ~occluded(mesh, met_wall[hit], points) & ~occluded(mesh, points, spot.point)
+        lit[hit] = ~occluded(mesh, met_wall[hit], points)
+        if spot is not None:
+            lit[hit] &= ~occluded(mesh, points, spot.point)
         met[use] += hit
         free[use] += lit & open_view
     image = np.ones(seen.shape)
@@ -234,19 +223,6 @@ def _sample_rays(
         yield chief_rays(scene, x + steps[column], y + steps[row]), lens[k]
 
 
-def on_wall(scene: Scene, rays: ChiefRays, use: Mask, lens: Array) -> Array:
-    """Return the wall points (m, 3), m, of rays through a point of the lens.
-
-    Each ray goes to the point in focus on its chief ray. The wall is replaced by its tangent plane
-    at the chief ray's wall point. ``use`` selects the rays and ``lens`` (3,) is the point, m.
-    """
-    ahead = scene.focus_distance / rays.cos_axis[use]
-    line = np.array(scene.camera.position) + ahead[:, None] * rays.directions[use] - lens
-    normals = rays.normals[use]
-    height = dot(rays.points[use] - lens, normals)
-    return np.asarray(lens + (height / dot(line, normals))[:, None] * line)
-
-
 def _object_points(scene: Scene, rays: ChiefRays, use: Mask) -> tuple[Array, Mask]:
     """Object points (m, 3) that the rays in use meet, and the mask of those rays."""
     hidden = scene.hidden
@@ -260,60 +236,126 @@ def _object_points(scene: Scene, rays: ChiefRays, use: Mask) -> tuple[Array, Mas
     return picture_points(hidden, column[hit], row[hit]), hit
 
 
-def _veil_share(
-    scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot, rays: ChiefRays, seen: Mask
-) -> Array:
+def _veil_share(scene: Scene, mesh: trimesh.Trimesh, rays: ChiefRays, seen: Mask) -> Array:
     """Return the unblocked fraction (ny, nx) of diffuse light from the object to the wall.
 
-    Each pixel stands for the wall point that it sees. ``seen`` marks pixels that look at the wall.
+    ``rays`` are those of the pixel centres, and ``seen`` marks pixels that look at the wall.
     """
-    diffuse, patches = scene.wall_material.diffuse, object_samples(scene.hidden, SAMPLES)
-    if diffuse is None or not seen.any() or not len(patches.areas):
+    diffuse, hidden = scene.wall_material.diffuse, scene.hidden
+    if diffuse is None or not seen.any():
         return np.ones(seen.shape)
-    lit = ~occluded(mesh, patches.points, spot.point)
-    rows, columns = (_nodes(count) for count in seen.shape)
-    at = np.ix_(rows, columns)
-    x, y = pixel_centres(scene.camera)
-    x, y = np.broadcast_arrays(x[columns], y[rows, None])
-    on, height, normals = seen[at], rays.points[at][..., 2], rays.normals[at]
-    # rays beyond the wall's edge are continued to its mean height
-    height = np.where(on, height, rays.points[seen][:, 2].mean())
-    normals = np.where(on[..., None], normals, (0.0, 0.0, 1.0)).reshape(-1, 3)
-    nodes = Nodes(scene, x.ravel(), y.ravel(), height.ravel())
-    share = np.ones(nodes.count)
-    for block, toward, light in arrivals(scene, spot, patches, nodes.points):
-        used = nodes.used[block]
-        facing, view = normals[used][:, None], -nodes.directions[block][:, None]
-        light *= np.maximum(dot(toward, facing), 0.0)
-        light *= diffuse.evaluate(toward, view, facing)
-        free = light * lit
-        node, patch = np.nonzero(free)
-        hidden = occluded(mesh, nodes.points[block][node], patches.points[patch])
-        free[node[hidden], patch[hidden]] = 0.0
-        total = light.sum(axis=-1)
-        part = np.ones(total.shape)
-        np.divide(free.sum(axis=-1), total, out=part, where=total > 0)
-        share[used] = part
-    return _bilinear(share.reshape(len(rows), len(columns)), rows, columns, seen.shape)
+    if isinstance(hidden, PlanarObject):
+        x, y = pixel_centres(scene.camera)
+        most = [min(n, MOST_CELLS) for n in hidden.reflectance.shape]
+        picture = resampled(hidden.reflectance, (most[0], most[1]))
+        if scene.wall.is_flat:  # no step at the wall's edge
+            scene = replace(scene, wall=FlatWall())
+        cells = picture_cells(scene, diffuse, picture.shape)
+        sources = lit_transports(scene, cells=cells, material=diffuse)
+
+        def share(row: Index, column: Index) -> Array:
+            sums = [scale * picture_sums(one, picture, x[column], y[row]) for one, scale in sources]
+            return _ratio(*np.sum(sums, axis=0)) if sources else np.ones(len(row))
+
+    else:
+        scene.check_laser_light()
+        spot, patches = laser_spot(scene), object_samples(hidden, SAMPLES)
+        lit = ~occluded(mesh, patches.points, spot.point)
+
+        def share(row: Index, column: Index) -> Array:
+            at, normals = rays.points[row, column], rays.normals[row, column][:, None]
+            views, result = -rays.directions[row, column][:, None], np.ones(len(row))
+            on = np.flatnonzero(seen[row, column])
+            for block, toward, light in arrivals(scene, spot, patches, at[on]):
+                used = on[block]
+                light *= np.maximum(dot(toward, normals[used]), 0.0)
+                light *= diffuse.evaluate(toward, views[used], normals[used])
+                free = light * lit
+                node, patch = np.nonzero(free)
+                hides = occluded(mesh, at[used][node], patches.points[patch])
+                free[node[hides], patch[hides]] = 0.0
+                result[used] = _ratio(free.sum(axis=-1), light.sum(axis=-1))
+            return result
+
+    # the hard shadow of the object's centre shows where narrow occluders are
+    shadow = np.zeros(seen.shape, dtype=bool)
+    shadow[seen] = occluded(mesh, rays.points[seen], scene.object_point)
+    return _on_lattice(share, shadow)
 
 
-def _nodes(count: int) -> NDArray[np.intp]:
-    """Return the indices of at most NODES pixels at which fractions are computed.
+def _ratio(free: Array, total: Array) -> Array:
+    return np.asarray(np.divide(free, total, out=np.ones_like(total), where=total > 0.0))
 
-    The first and the last of ``count`` pixels are included.
+
+def _on_lattice(share: Callable[[Index, Index], Array], shadow: Mask, tol: float = 2e-3) -> Array:
+    """Return ``share(rows, columns)`` at all pixels, interpolated where that is accurate.
+
+    Blocks of pixels are divided into four until bilinear interpolation from the corners agrees with
+    five points between them to ``tol`` of the mean, and down to four pixels at edges of ``shadow``.
+    Each block is then interpolated from these points as well, to about a quarter of the difference.
     """
-    return np.unique(np.rint(np.linspace(0, count - 1, min(NODES, count))).astype(np.intp))
+    values = np.full(shadow.shape, np.nan)
+    rows, columns = (
+        np.unique(np.linspace(0, n - 1, (n + 14) // 16 + 1).round().astype(np.intp))
+        for n in shadow.shape
+    )
 
+    def at(row: Index, column: Index) -> Array:
+        """Return values, computed where they are not known yet."""
+        flat = np.unique(np.ravel_multi_index((row, column), values.shape))
+        missing = flat[np.isnan(values.ravel()[flat])]
+        if len(missing):
+            values.ravel()[missing] = share(*np.unravel_index(missing, values.shape))
+        return values[row, column]
 
-def _bilinear(
-    values: Array, rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, ...]
-) -> Array:
-    """Interpolate values given at pixels ``rows`` and ``columns`` bilinearly to all pixels."""
-    for axis, nodes in enumerate((rows, columns)):
-        at = np.arange(shape[axis])
-        low = np.minimum(np.searchsorted(nodes, at, side="right") - 1, max(len(nodes) - 2, 0))
-        high = np.minimum(low + 1, len(nodes) - 1)
-        part = (at - nodes[low]) / np.maximum(nodes[high] - nodes[low], 1)
-        below, above = values.take(low, axis), values.take(high, axis)
-        values = below + (part[:, None] if axis == 0 else part) * (above - below)
+    at(*(grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij")))
+    allowed = tol * float(np.nanmean(values))
+    counts = np.pad(shadow.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    low, high = (
+        np.meshgrid(rows[part], columns[part], indexing="ij")
+        for part in (slice(-1), slice(1, None))
+    )
+    blocks = np.stack([low, high], axis=1).reshape(2, 2, -1)  # rows, columns of opposite corners
+    while blocks.size:
+        (r0, r1), (c0, c1) = blocks
+        rm, cm = blocks.sum(axis=1) // 2
+        between = [(r0, cm), (rm, c0), (rm, cm), (rm, c1), (r1, cm)]
+        exact = at(*np.reshape(between, (5, 2, -1)).swapaxes(0, 1).reshape(2, -1)).reshape(5, -1)
+        error = np.zeros(len(r0))
+        for (row, column), value in zip(between, exact, strict=True):
+            parts = (row - r0) / (r1 - r0), (column - c0) / (c1 - c0)
+            error = np.maximum(error, np.abs(_bilinear(values, blocks, *parts) - value))
+        shadowed = counts[r1 + 1, c1 + 1] - counts[r0, c1 + 1] - counts[r1 + 1, c0] + counts[r0, c0]
+        edge = (shadowed > 0) & (shadowed < (r1 - r0 + 1) * (c1 - c0 + 1))
+        finer = (error > allowed) | (edge & (np.maximum(r1 - r0, c1 - c0) > 4))
+        quarters = np.stack(
+            [
+                np.stack([(a, b), (c, d)])
+                for a, b in ((r0, rm), (rm, r1))
+                for c, d in ((c0, cm), (cm, c1))
+            ],
+            axis=-1,
+        )
+        _fill(values, quarters[:, :, ~finer].reshape(2, 2, -1))
+        blocks = quarters[:, :, finer].reshape(2, 2, -1)
+        size = blocks[:, 1] - blocks[:, 0]
+        blocks = blocks[..., (size.min(axis=0) > 0) & (size.max(axis=0) > 1)]
     return values
+
+
+def _bilinear(values: Array, blocks: Index, down: Array, right: Array) -> Array:
+    """Interpolate at parts of the way ``down`` and ``right`` in blocks of pixels."""
+    (r0, r1), (c0, c1) = blocks
+    above = (1.0 - right) * values[r0, c0] + right * values[r0, c1]
+    below = (1.0 - right) * values[r1, c0] + right * values[r1, c1]
+    return np.asarray((1.0 - down) * above + down * below)
+
+
+def _fill(values: Array, blocks: Index) -> None:
+    """Interpolate all pixels of blocks from their corners."""
+    sizes = blocks[:, 1] - blocks[:, 0]
+    for height, width in np.unique(sizes[:, sizes.min(axis=0) > 0], axis=1).T:
+        some = blocks[..., (sizes[0] == height) & (sizes[1] == width)]
+        steps = np.indices((height + 1, width + 1)).reshape(2, -1, 1)
+        filled = _bilinear(values, some, steps[0] / height, steps[1] / width)
+        values[some[0, 0] + steps[0], some[1, 0] + steps[1]] = filled

@@ -24,21 +24,22 @@ from .._checks import (
 )
 from .._nouns import Noun
 from .._random import generator
-from ..errors import SamplingError, SceneError
+from ..errors import SamplingError
 from ..kernels.codes import BECKMANN, LAMBERT
 from ..raytrace import occluded
 from ..scene import Material, Occluder, Scene
-from .geometry import chief_rays, wall_visibility
+from .geometry import chief_rays
 from .objects import plate
-from .penumbra import Edges, in_bands
+from .penumbra import Edges, checked_planes, in_bands
 from .radiometry import (
-    electrons_per_radiance,
+    check_beam,
     has_highlight,
     laser_spot,
     spot_irradiance,
+    visible_shares,
     wall_lobes,
+    wall_paths,
 )
-from .shadows import check_beam, on_wall
 
 if TYPE_CHECKING:
     import trimesh
@@ -353,12 +354,12 @@ class WallTransport(Noun):
         from . import _penumbra_kernels
 
         index = whole("occluder", occluder, 0, len(self.scene.occluders) - 1)
-        values = _checked("f", f, self.cells)
+        values = checked_planes("f", f, self.cells)
         for axis, parts in enumerate(self._parts):
             values = np.repeat(values, parts, axis=axis)
         speeds = self._edges.rigid(index, self._centre(index))
         rates = np.empty((self.shape[0], 6))
-        arguments = self._arguments(slice(None), speeds)
+        arguments = self._arguments(self._open_paths(slice(None)), speeds)
         in_bands(_penumbra_kernels.fill_rates, *arguments, values, rates)
         return np.ascontiguousarray(rates.T).reshape(6, *self.pixel_shape)
 
@@ -374,7 +375,7 @@ class WallTransport(Noun):
         """Return the product of arrays (..., *shape) with A or its transpose."""
         if hasattr(values, "new_tensor"):
             if tuple(values.shape[-2:]) != shape:
-                _checked(name, np.empty(tuple(values.shape)), shape)
+                checked_planes(name, np.empty(tuple(values.shape)), shape)
             cached = vars(self).setdefault("_tensors", {})
             key = str((values.dtype, values.device))
             if key not in cached:
@@ -383,7 +384,7 @@ class WallTransport(Noun):
             return (values.reshape(-1, math.prod(shape)) @ matrix).reshape(
                 *values.shape[:-2], *result
             )
-        array = _checked(name, values, shape)
+        array = checked_planes(name, values, shape)
         flat = array.reshape(-1, math.prod(shape))
         total = np.zeros((len(flat), math.prod(result)))
         for rows, block in self._blocks():
@@ -408,21 +409,34 @@ class WallTransport(Noun):
         from . import _penumbra_kernels
 
         out = np.empty((rows.stop - rows.start, self.shape[1]))
-        arguments = self._arguments(rows, self._edges.still())
+        arguments = self._arguments(self._open_paths(rows), self._edges.still())
         in_bands(_penumbra_kernels.fill_rows, *arguments, self._parts, out)
         return out
 
-    def _arguments(self, rows: slice, speeds: Array) -> tuple[Any, ...]:
-        """Return the arguments that both kernels share, for some of the pixels."""
-        from . import _penumbra_kernels
-
+    def _open_paths(self, rows: slice) -> tuple[Array, Array, Array, Array]:
+        """Return the wall points of some pixels, without those that an occluder hides."""
         points, normals, weights, lens = self._paths
-        free = weights[rows]
-        mesh = self.scene.occluding_mesh
+        mesh, free = self.scene.occluding_mesh, weights[rows]
         if mesh is not None:
             way = np.broadcast_to(lens, points[rows].shape)
             free = free * ~occluded(mesh, way, points[rows])
+        return points[rows], normals[rows], free, lens
+
+    def _arguments(
+        self,
+        nodes: tuple[Array, Array, Array, Array],
+        speeds: Array,
+        finer: tuple[int, int] = (1, 1),
+    ) -> tuple[Any, ...]:
+        """Return the arguments that the kernels share, for the wall points of some pixels.
+
+        Shadows are cut into ``finer`` parts of the plane's samples, down and across.
+        """
+        from . import _penumbra_kernels
+
         (n_rows, n_columns), frame, plane = self._samples_of_plane
+        n_rows, n_columns = n_rows * finer[0], n_columns * finer[1]
+        frame = frame * np.array([1, finer[1], finer[0], 1])[:, None]
         arrays, most = self._edges.arrays, 0
         if self.source == "laser":
             most = len(arrays[2]) + 5 * len(arrays[1])
@@ -436,7 +450,6 @@ class WallTransport(Noun):
                 laser_spot(self.scene).point, frame, (n_rows, n_columns), arrays, speeds, *spot, 0
             )
             spot = tuple(array[:count] for array in spot)
-        nodes = points[rows], normals[rows], free, lens
         return nodes, frame, plane, arrays, speeds, spot, self._wall_lobes, self._radiance
 
     @cached_property
@@ -525,19 +538,23 @@ class WallTransport(Noun):
         if self.samples is not None:
             return self.samples
         centre, _, size = plate(self.scene)
+        need = self._step * FINE / centre[2]
+        cell = min(side / count for side, count in zip(size, self.cells[::-1], strict=True))
+        for mesh, _ in self.scene.occluder_surfaces:
+            near = max(float(mesh.vertices[:, 2].min()), 0.02 * centre[2])
+            if near < centre[2]:
+                need = max(need, 3.0 * self._step * (centre[2] - near) / near / cell)
+        return int(min(max(need * need, 5.0), 64.0))
+
+    @cached_property
+    def _step(self) -> float:
+        """Side of the area of the wall that a pixel sees, m."""
         x, y, _ = self._bins()
         points = chief_rays(
             self.scene, *(np.append(c - d / 2, c[-1] + d / 2) for c, d in (x, y))
         ).points
         steps = [np.diff(points, axis=axis) for axis in (0, 1)]
-        step = max(float(np.nanmedian(np.linalg.norm(s, axis=-1))) for s in steps)
-        need = step * FINE / centre[2]
-        cell = min(side / count for side, count in zip(size, self.cells[::-1], strict=True))
-        for mesh, _ in self.scene.occluder_surfaces:
-            near = max(float(mesh.vertices[:, 2].min()), 0.02 * centre[2])
-            if near < centre[2]:
-                need = max(need, 3.0 * step * (centre[2] - near) / near / cell)
-        return int(min(max(need * need, 5.0), 64.0))
+        return max(float(np.nanmedian(np.linalg.norm(s, axis=-1))) for s in steps)
 
     def _bins(self) -> tuple[tuple[Any, float], tuple[Any, float], float]:
         """Return centres and sides of the detector's areas along x and y, m, and their pixels."""
@@ -550,67 +567,21 @@ class WallTransport(Noun):
 
     @cached_property
     def _paths(self) -> tuple[Array, Array, Array, Array]:
-        """Wall points and normals (n, k, 3), their electrons per radiance (n, k), lens points."""
-        scene, count, exposure = self.scene, self._samples, self.exposure
-        assert exposure is not None  # set by __post_init__
+        """Wall points of all pixels, see `_traced`."""
         fits_memory(
-            f"{count} wall points for each of {self.shape[0]} pixels",
-            160 * count * self.shape[0],
+            f"{self._samples} wall points for each of {self.shape[0]} pixels",
+            160 * self._samples * self.shape[0],
             "use fewer pixels or samples",
         )
-        (x, width), (y, height), pixels = self._bins()
-        scene.check_in_front()
-        visible = pixels * self._visible
-        k = np.arange(count)
-        along, across = (k + 0.5) / count - 0.5, k * (math.sqrt(5.0) - 1.0) / 2 % 1.0
-        across -= across.mean()
-        radius = scene.camera.stop_diameter / 2 * np.sqrt((k + 0.5) / count)
-        angle = 2 * math.pi * (k * 0.7548776662466927 % 1.0)  # R sequence, see `objects`
-        disc = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-        lens = (disc - disc.mean(axis=0)) @ scene.camera.frame[:2] + scene.camera.position
-        points = np.zeros((self.shape[0], count, 3))
-        normals = np.zeros(points.shape)
-        weights, met = np.zeros(points.shape[:2]), np.zeros(self.shape[0])
-        for i in range(count):
-            rays = chief_rays(scene, x + across[i] * width, y + along[i] * height)
-            use = np.isfinite(rays.distance) & (visible > 0.0)
-            # points that the stop hides count only if it hides all of the pixel's points
-            part = wall_visibility(scene, rays) + 1e-9
-            at = use.ravel()
-            points[at, i] = on_wall(scene, rays, use, lens[i])
-            normals[at, i] = rays.normals[use]
-            weights[at, i] = electrons_per_radiance(scene, rays.cos_axis[use], exposure)
-            weights[at, i] *= part[use]
-            met[at] += part[use]
-        weights *= (visible.ravel() / np.where(met > 0.0, met, 1.0))[:, None]
-        return points, normals, weights, lens
-
-    @cached_property
-    def _visible(self) -> Array:
-        """Share of each pixel's light that edges and field stop let pass, from its image pixels."""
         (x, width), (y, height), _ = self._bins()
-        steps = [
-            math.ceil(whole / count)
-            for whole, count in zip(self.scene.camera.shape, self.pixel_shape, strict=True)
-        ]
-        parts = [(np.arange(n) + 0.5) / n - 0.5 for n in steps]
-        rows = np.add.outer(y, height * parts[0]).ravel()
-        columns = np.add.outer(x, width * parts[1]).ravel()
-        passed = wall_visibility(self.scene, chief_rays(self.scene, columns, rows))
-        return np.asarray(passed.reshape(len(y), steps[0], len(x), steps[1]).mean((1, 3)))
+        visible = visible_shares(self.scene, (x, y), (width, height), self.pixel_shape)
+        return self._traced(x, y, visible)
 
-
-def _checked(name: str, values: ArrayLike, shape: tuple[int, int]) -> Array:
-    """Return values as finite float64 of a shape (..., rows, columns)."""
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape[-2:] != shape:
-        raise SceneError(
-            f"{name} has the shape {array.shape}, must end with {shape}; resample it, or build the "
-            "operator with other cells and pixels"
-        )
-    if not np.isfinite(array).all():
-        raise SceneError(
-            f"{name} has {np.count_nonzero(~np.isfinite(array))} values that are not finite, limit "
-            "0; replace them"
-        )
-    return array
+    def _traced(self, x: Array, y: Array, visible: Array) -> tuple[Array, Array, Array, Array]:
+        """Return `wall_paths` of pixels centred at ``x`` and ``y``."""
+        assert self.exposure is not None  # set by __post_init__
+        self.scene.check_in_front()
+        (_, width), (_, height), pixels = self._bins()
+        centres, sides = (x, y), (width, height)
+        paths = wall_paths(self.scene, centres, sides, visible, self._samples, self.exposure)
+        return paths[0], paths[1], pixels * paths[2], paths[3]

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, positive, whole
 from ..errors import SceneError
-from ..imaging import WallTransport
 from ..imaging.detector import noise_variance
+from ..imaging.lit_walls import lit_transports
 from ..imaging.objects import plate
 from ..scene import Material, PlanarObject, Scene, SumMaterial
 
@@ -194,10 +194,10 @@ def relay_signal(
     def signal(count: int) -> Array:
         bins = _bin_counts(camera.shape, count)
         pixels = math.prod(camera.shape) / math.prod(bins)
-        transport = WallTransport(
-            scene, cells=counts, pixels=bins, exposure=exposure, material=material
-        )
-        response = np.array(transport.matrix)
+        options = {"pixels": bins, "exposure": exposure, "material": material}
+        response = np.zeros((math.prod(bins), math.prod(counts)))
+        for one, brightness in lit_transports(scene, cells=counts, **options):
+            response += brightness * one.matrix
         # without ``light``, that of an object of this mean reflectance
         arriving = 0.35 * response.sum(axis=1) if light is None else _binned(light, bins).ravel()
         variance = pixels * noise_variance(camera, arriving / pixels, dark, freedom)

@@ -64,8 +64,9 @@ class Feasibility(Noun, Shown):
         Number of photons of the object's image on the detector in one exposure.
     electrons : mapping of str to float
         Expected electrons in the whole image by source: ``signal`` (the object's image),
-        ``diffuse`` (diffuse reflection of the wall), ``spot`` (image of the laser spot), ``glare``
-        (scattering in the lens) and ``dark`` (dark current).
+        ``diffuse`` (diffuse reflection of the wall), ``spot`` (image of the laser spot),
+        ``ambient`` (ambient light on the wall), ``glare`` (scattering in the lens) and ``dark``
+        (dark current).
     brightest : float
         Electrons in the brightest pixel of the object's unblurred image.
     veil : float
@@ -289,7 +290,7 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     case = view.case(by_diffuse, relay_score(scene, signal))
     recoverable, words = verdict(case)
     electrons = view.electrons
-    stray = electrons["diffuse"] + electrons["spot"] + electrons["glare"]
+    stray = sum(electrons[name] for name in ("diffuse", "spot", "ambient", "glare"))
     lit = stray + electrons["signal"]
     one, two = view.wave_bounds()
     blind = view.blind(two)
@@ -326,7 +327,8 @@ class _View:
     """Intermediate results for the report on one scene."""
 
     def __init__(self, scene: Scene) -> None:
-        scene.check_laser_light()
+        if scene.wall_material.specular_reflectance > 0.0:
+            scene.check_laser_light()
         scene.check_black_occluders()
         self._scene = scene
         # the smooth wall's geometry needs no open path, and nor does diffuse light
@@ -382,6 +384,7 @@ class _View:
             "signal": float(signal.sum()),
             "diffuse": float(levels.diffuse.sum()),
             "spot": float(levels.spot.sum()),
+            "ambient": float(levels.ambient.sum()),
             "glare": levels.glare,
             "dark": dark * light.size,
         }

@@ -49,9 +49,10 @@ def contents(folder: Path, record: dict[str, Any], computed: bool) -> tuple[str,
         made += [
             ("scene", "Scene", _scene(result, computed)),
             ("plan", "Plan", _plan(result.plan)),
-            ("spread", "Wave and point spread", _spread(result)),
-            ("image", "Image", _image(result)),
         ]
+        if result.point_spread is not None:
+            made += [("spread", "Wave and point spread", _spread(result))]
+        made += [("image", "Image", _image(result))]
         if result.reconstruction is not None:
             made += [("reconstruction", "Reconstruction", _fit(result, figures))]
     elif command == "reconstruct":
@@ -159,7 +160,11 @@ def _left_out(error: NlosError) -> Html:
 
 def _scene(result: Any, computed: bool) -> Iterator[Html]:
     """Yield the scene in three dimensions, with light paths, and its sketch."""
-    if computed:
+    if computed and result.scene.laser.power == 0.0:
+        from .. import views
+
+        yield from _room(views.scene_3d(result.scene), "The scene, which has no laser.")
+    elif computed:
         from .. import raytrace, views
 
         rays, most = 4096, 300
@@ -203,6 +208,7 @@ def _image(result: Any) -> Iterator[Html]:
         "signal": "image of the object",
         "diffuse": "diffuse light of the wall",
         "spot": "laser spot on the wall",
+        "ambient": "ambient light on the wall",
         "glare": "lens glare",
         "dark": "dark current",
     }
@@ -219,14 +225,10 @@ def _image(result: Any) -> Iterator[Html]:
 def _fit(result: Any, figures: dict[str, Any]) -> Iterator[Html]:
     """Yield the reconstruction of a run beside the truth."""
     from .. import views
-    from ..limits import object_scale
-    from ..views.run_overview import ground_truth
+    from ..views.run_overview import shown_fit
 
-    pitch = object_scale(result.scene) * result.image.pitch
-    truth = ground_truth(result)
-    yield from _card(
-        result.reconstruction, lambda fit: views.reconstruction(fit, truth, pitch=pitch)
-    )
+    fit, truth, pitch = shown_fit(result)
+    yield from _card(fit, lambda fit: views.reconstruction(fit, truth, pitch=pitch))
     yield _outcome(figures)
 
 

@@ -9,8 +9,7 @@ from typing import Literal
 from .._checks import SHARE, Budget, available_memory, fits_memory, in_range, positive, within
 from .._html import Column, table
 from ..errors import SamplingError, SceneError
-from ..imaging.radiometry import laser_spot
-from ..imaging.shadows import check_beam
+from ..imaging.radiometry import check_beam, laser_spot, lit_spot
 from ..psf.pupil.exit_pupil import ExitPupil, exit_pupil
 from ..psf.pupil.scene_optics import SceneOptics
 from ..psf.window.error_bounds import rounded_up
@@ -22,6 +21,7 @@ from .stages import (
     Look,
     Stage,
     image_stage,
+    is_matt,
     left_out,
     mesh_stage,
     point_spread_stage,
@@ -58,9 +58,11 @@ class Plan:
         over rms value). Other stages state their own errors.
     waves : float
         Peak-to-valley wave aberration at the object's centre with tilt removed, waves; NaN for a
-        mesh wall that is too coarse for waves (`MeshWall.wave_grade`).
-    exit_pupil : ExitPupil
-        Exit pupil of the scene, reused by `simulate`.
+        mesh wall that is too coarse for waves (`MeshWall.wave_grade`) and for a wall without a
+        mirror-like lobe.
+    exit_pupil : ExitPupil or None
+        Exit pupil of the scene, reused by `simulate`; None for a wall without a mirror-like lobe,
+        which forms no image.
     budget : Budget
         Limits of memory and time of the run.
     pattern_nodes : int
@@ -81,14 +83,14 @@ class Plan:
     skipped: tuple[Stage, ...]
     tol: float
     waves: float
-    exit_pupil: ExitPupil = field(compare=False, repr=False)
+    exit_pupil: ExitPupil | None = field(compare=False, repr=False)
     budget: Budget = field(compare=False)
     pattern_nodes: int = 0
 
     @property
     def layout(self) -> Literal["polar", "grid"]:
         """Sampling of the pupil: "grid" if the wall's edge cuts the cone of light, else "polar"."""
-        return self.exit_pupil.layout
+        return "polar" if self.exit_pupil is None else self.exit_pupil.layout
 
     @property
     def memory(self) -> float:
@@ -200,8 +202,8 @@ def looked_at(
     reconstruct: bool,
     memory: float | None,
     max_seconds: float,
-) -> tuple[Plan, SceneOptics]:
-    """Return the result of `plan` together with the waves it computed, for reuse by the run."""
+) -> tuple[Plan, SceneOptics | None]:
+    """Return the result of `plan` with the waves it computed, if any, for reuse by the run."""
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
     in_range("tol", tol, 1e-12, 0.1)
@@ -211,15 +213,45 @@ def looked_at(
         return _plan(scene, tol, reconstruct, budget)
 
 
-def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[Plan, SceneOptics]:
+def _matt_plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> Plan:
+    """Return the plan for a wall without a mirror-like lobe, which needs no wave."""
+    scene.check_in_front()
+    spot = lit_spot(scene)
+    if scene.occluding_mesh is not None and spot is not None:
+        check_beam(scene, scene.occluding_mesh, spot)
+    reason = "the wall has no mirror-like lobe and forms no image"
+    stages = [
+        *(skipped(name, reason) for name in ("exit pupil", "wave aberration", "point spread")),
+        shadow_stage(scene),
+        image_stage(scene),
+        reconstruction_stage(scene, reconstruct),
+    ]
+    result = Plan(
+        stages=tuple(s for s in stages if s.runs),
+        skipped=tuple(s for s in stages if not s.runs),
+        tol=tol,
+        waves=math.nan,
+        exit_pupil=None,
+        budget=budget,
+    )
+    _check_budget(result)
+    return result
+
+
+def _plan(
+    scene: Scene, tol: float, reconstruct: bool, budget: Budget
+) -> tuple[Plan, SceneOptics | None]:
     image = image_stage(scene)
     ny, nx = scene.camera.shape
     fits_memory(
         f"an image of {nx} x {ny} pixels", HELD + image.memory, f"{PIXELS}, or give more memory"
     )
-    scene.check_laser_light()
     scene.check_black_occluders()
-    check_laser(scene)
+    if scene.laser.power > 0.0:
+        check_laser(scene)
+    if is_matt(scene):
+        return _matt_plan(scene, tol, reconstruct, budget), None
+    scene.check_laser_light()
     pupil = exit_pupil(scene)
     check_sight(scene, pupil)
     optics, refusal = SceneOptics(scene, pupil), wave_refusal(scene)

@@ -31,7 +31,8 @@ from .noise import camera_noise
 from .patterns import BURST
 from .plan import plan
 from .record import arrays, now, record_text, scene_hash, versions, write_record
-from .simulate import image_model, image_spreads
+from .simulate import image_model, image_spreads, shadow_operator, wall_pixels
+from .stages import is_matt
 from .veil import fitted_veil
 
 if TYPE_CHECKING:
@@ -52,7 +53,8 @@ KNOWN = {
 SINGLE = ("inverse_filter", "phase_retrieval")
 #: Recipes of `inverse.pcin`, which fit the wall's wave as well as the object.
 BLIND = ("evidence", "wu2024")
-METHODS = (*KNOWN, *BLIND, BURST)
+SHADOWS = "shadows"  # of known occluders on a wall that forms no image
+METHODS = (*KNOWN, *BLIND, BURST, SHADOWS)
 MODES = tuple(range(4, 22))  # Noll indices that a blind method fits: radial orders 2 to 5
 CHECKPOINT, PREVIEW = "checkpoint.npz", "preview.png"
 KEPT_EVERY = 5.0  # s between two saved states
@@ -71,7 +73,7 @@ class Task:
         for "burst".
     method : str
         Name of the solver: "tv", "wiener", "inverse_filter", "richardson_lucy", "phase_retrieval",
-        "evidence", "wu2024" or "burst".
+        "evidence", "wu2024", "burst" or "shadows".
     defocus : tuple of float
         Known additional defocus of each image, waves rms; for "evidence" and "wu2024" only.
     iterations : int or None
@@ -103,7 +105,7 @@ def prepared(
     scene: Scene,
     paths: Sequence[Path],
     *,
-    method: str = "tv",
+    method: str | None = None,
     dark: Path | None = None,
     flat: Path | None = None,
     full: float | None = None,
@@ -116,8 +118,11 @@ def prepared(
 
     Parameters
     ----------
-    scene, method, defocus, iterations, seed, tol
+    scene, defocus, iterations, seed, tol
         See `Task`.
+    method : str, optional
+        Name of the solver, see `Task`; by default "shadows" for a wall without a mirror-like lobe,
+        and "tv" for all others.
     paths : sequence of Path
         Image files. Most methods average them as exposures of the same scene. The methods
         "evidence" and "wu2024", which also fit the wall, need the ``defocus`` of each file. For
@@ -135,18 +140,25 @@ def prepared(
     Raises
     ------
     SceneError
-        If an image cannot be used, the wall has no mirror-like lobe, or an option does not fit
-        the method.
+        If an image cannot be used, the method does not fit the wall, or an option the method.
     SamplingError
         If image sizes differ or do not fit the scene's camera.
     """
     checked_seed(seed)
+    matt = is_matt(scene)
+    method = method or (SHADOWS if matt else "tv")
     if method not in METHODS:
         raise SceneError(f"method = {method!r} is unknown, must be one of {', '.join(METHODS)}")
-    if scene.wall_material.specular_reflectance == 0.0:
+    if matt and (method != SHADOWS or not scene.occluders):
         raise SceneError(
             "the scene's wall has no mirror-like lobe (wall.material), and a diffuse wall forms "
-            "no image; nlosoptics feasibility shows what can be recovered"
+            "no image; add an [[occluder]] for the method shadows; nlosoptics feasibility shows "
+            "what can be recovered"
+        )
+    if method == SHADOWS and not matt:
+        raise SceneError(
+            "method = 'shadows' is for walls without a mirror-like lobe, and this one forms an "
+            "image; use tv, or remove the lobe from wall.material"
         )
     blind = method in BLIND
     if defocus and not blind:
@@ -175,7 +187,8 @@ def prepared(
             f"{len(paths)} exposures of a burst show different speckle, and {method} would average "
             "them; use the method burst, or remove [burst]"
         )
-    groups: list[Sequence[Path]] = [paths] if method in KNOWN else [[path] for path in paths]
+    averaged = method in KNOWN or method == SHADOWS
+    groups: list[Sequence[Path]] = [paths] if averaged else [[path] for path in paths]
     return Task(
         scene=scene,
         images=tuple(
@@ -204,8 +217,8 @@ def reconstructed(
     task : Task
         Inputs, from `prepared`.
     model : ForwardModel, optional
-        Result of `known_model`; computed if omitted. "evidence", "wu2024" and "burst" do not use
-        it.
+        Result of `known_model`; computed if omitted. "evidence", "wu2024", "burst" and "shadows" do
+        not use it.
     start : mapping, optional
         Saved state of the solver, from which the fit resumes; see `inverse.Stop`.
     progress : callable(str, float), optional
@@ -222,6 +235,11 @@ def reconstructed(
     options: dict[str, Any] = {"seed": task.seed, "start": start, "progress": progress}
     if task.iterations is not None:
         options["max_iterations"] = task.iterations
+    if task.method == SHADOWS:
+        (image,) = task.images
+        light = np.where(image.masked | ~wall_pixels(task.scene), np.nan, image.values)
+        options = _accepted(task, inverse.shadow_fit, options)
+        return inverse.shadow_fit(light, shadow_operator(task.scene), **options)
     if task.method not in KNOWN:
         return _several(task, options)
     (image,) = task.images
@@ -389,6 +407,8 @@ def carry_out(
     except Stop:
         raise KeyboardInterrupt from None  # this solver ends without a result
     picture = np.asarray(result.object)
+    # as an image of the camera, mirrored by the wall
+    shown = picture[:, ::-1] if task.method == SHADOWS else picture
     report |= {
         "status": "interrupted" if keeper.stopped else "done",
         "finished": now(),
@@ -397,10 +417,10 @@ def carry_out(
     }
     if not keeper.stopped:
         gain = float(result.physical_parameters.get("gain", 1.0))
-        keeper.state = {"object": picture * gain}
+        keeper.state = {"object": shown * gain}
     with whole_folder(folder) as new:
         np.save(new / "object.npy", picture)
-        (new / "object.png").write_bytes(_png(picture))
+        (new / "object.png").write_bytes(_png(shown))
         np.savez(new / "reconstruction.npz", **arrays(result))
         for name, content in keeper.files().items():
             (new / name).write_bytes(content)

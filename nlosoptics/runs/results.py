@@ -15,8 +15,9 @@ from .._checks import path_of, reason
 from .._nouns import Noun
 from .._whole_files import RECORD, check_folder, sweep, whole_folder
 from ..errors import SceneError
+from ..imaging.objects import resampled
 from ..psf.pupil.exit_pupil import ExitPupil
-from ..scene import Scene
+from ..scene import PlanarObject, Scene
 from .plan import Plan
 from .record import now, peak_memory, scene_hash, versions, write_record
 
@@ -36,11 +37,12 @@ class Result(Noun):
         Scene that was simulated.
     plan : Plan
         Stages that were run, with their predicted times and errors.
-    exit_pupil : ExitPupil
-        Exit pupil of the system of lens and wall.
-    wavefront : Wavefront
+    exit_pupil : ExitPupil or None
+        Exit pupil of the system of lens and wall. This and the next two are None for a wall without
+        a mirror-like lobe, which forms no image.
+    wavefront : Wavefront or None
         Wave aberration for the object's reference point, ``scene.object_point``.
-    point_spread : PointSpread
+    point_spread : PointSpread or None
         Point spread function (PSF) of the same point.
     field : PointSpreadField or None
         PSFs of points over the whole object; None if a single PSF is accurate enough.
@@ -53,7 +55,9 @@ class Result(Noun):
         Readings of all exposures of ``scene.burst``, electrons, read-only; ``image`` is the first.
         All other parts of the result are those of the first exposure. None without a burst.
     reconstruction : Reconstruction or None
-        Reconstructed object; None if not requested or not possible.
+        Reconstructed object; None if not requested or not possible. It has the pixels of the image,
+        or, from the shadows on a wall without a mirror-like lobe, cells of the hidden plane, with
+        row 0 on top as in the picture.
     errors : dict of str to float
         Estimated relative errors: ``point spread``, max |dI|/max I, with I the intensity;
         ``field of point spreads``, rms error of the image over its rms value.
@@ -72,9 +76,9 @@ class Result(Noun):
 
     scene: Scene
     plan: Plan
-    exit_pupil: ExitPupil
-    wavefront: Wavefront
-    point_spread: PointSpread
+    exit_pupil: ExitPupil | None
+    wavefront: Wavefront | None
+    point_spread: PointSpread | None
     field: PointSpreadField | None
     image: SpeckleImage
     reconstruction: Reconstruction | None
@@ -244,31 +248,31 @@ def _figures(result: Result) -> dict[str, Any]:
     """Key figures of a run, SI units."""
     from .. import psf
 
-    pupil, wave, spread, image = (
-        result.exit_pupil,
-        result.wavefront,
-        result.point_spread,
-        result.image,
-    )
-    rms = psf.rms_aberration(wave)
-    found: dict[str, Any] = {
-        "exit_pupil_radius": pupil.radius,
-        "image_distance": pupil.image_distance,
-        "f_number": pupil.f_number,
-        "stop": pupil.stop,
-        "vignetting": pupil.vignetting,
-        "aberration_rms": rms,
-        "aberration_rms_waves": rms / wave.wavelength,
-        "point_spread_method": spread.method,
-        "point_spread_error": spread.error_estimate,
-        "point_spread_model": spread.model,
-        "point_spread_model_error": spread.model_error,
-        "point_spread_reason": spread.reason,
-        "point_spread_regime": {
-            **asdict(spread.regime),
-            "coherent_fraction": spread.regime.coherent_fraction,
-        },
-        "wavelength": spread.wavelength,
+    image = result.image
+    found: dict[str, Any] = {}
+    pupil, wave, spread = result.exit_pupil, result.wavefront, result.point_spread
+    if pupil is not None and wave is not None and spread is not None:
+        rms = psf.rms_aberration(wave)
+        found = {
+            "exit_pupil_radius": pupil.radius,
+            "image_distance": pupil.image_distance,
+            "f_number": pupil.f_number,
+            "stop": pupil.stop,
+            "vignetting": pupil.vignetting,
+            "aberration_rms": rms,
+            "aberration_rms_waves": rms / wave.wavelength,
+            "point_spread_method": spread.method,
+            "point_spread_error": spread.error_estimate,
+            "point_spread_model": spread.model,
+            "point_spread_model_error": spread.model_error,
+            "point_spread_reason": spread.reason,
+            "point_spread_regime": {
+                **asdict(spread.regime),
+                "coherent_fraction": spread.regime.coherent_fraction,
+            },
+            "wavelength": spread.wavelength,
+        }
+    found |= {
         "errors": dict(result.errors),
         "field_nodes": 1 if result.field is None else result.field.weights[0].size,
         "field_modes": 1 if result.field is None else len(result.field.modes),
@@ -288,8 +292,22 @@ def _figures(result: Result) -> dict[str, Any]:
         found["reconstruction_status"] = result.reconstruction.status
         found["reconstruction_score"] = result.reconstruction.score
         found["reconstruction_reasons"] = list(result.reconstruction.reasons)
-        if image.ideal.any():
-            correlation = registered_correlation(result.reconstruction, image.ideal)
+        truth = ground_truth(result)
+        if truth is not None:
+            correlation = registered_correlation(result.reconstruction, truth)
             found["correlation_with_truth"] = correlation
     found["peak_memory_bytes"] = peak_memory()
     return found
+
+
+def ground_truth(result: Result) -> NDArray[np.float64] | None:
+    """Return what the reconstruction should show; None if that is dark or unknown.
+
+    It is the image without blur and noise or, where the wall forms none, the picture on the cells
+    of the reconstruction.
+    """
+    truth, hidden, fit = result.image.ideal, result.scene.hidden, result.reconstruction
+    if result.point_spread is None and fit is not None and isinstance(hidden, PlanarObject):
+        rows, columns = fit.object.shape
+        truth = resampled(hidden.reflectance, (rows, columns))
+    return truth if truth.any() else None

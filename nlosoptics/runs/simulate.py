@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from .._checks import within
 from .._progress import Progress
 from .._random import checked_seed, generator
-from ..errors import NotWaveGradeError
+from ..errors import NotWaveGradeError, SceneError
 from ..imaging.detector import full_reading
 from ..scene import MeshWall, PlanarObject, Scene
 from .noise import electron_noise
@@ -20,7 +21,7 @@ from .patterns import BURST, CHECKS, mean_optics, uses_mean
 from .plan import MOST_SECONDS, Plan, looked_at
 from .refusals import wave_refusal
 from .results import Result
-from .stages import FIELD, MEAN, MOST_NODES
+from .stages import BINS, CELLS, FIELD, MEAN, MOST_NODES
 from .veil import fitted_veil
 
 if TYPE_CHECKING:
@@ -86,24 +87,28 @@ def simulate(
     ((32, 32), 2.077)
     """
     seed = checked_seed(seed)
-    return carried_out(*looked_at(scene, tol, reconstruct, memory, max_seconds), seed, progress)
+    todo, optics = looked_at(scene, tol, reconstruct, memory, max_seconds)
+    return carried_out(todo, scene, optics, seed, progress)
 
 
 def carried_out(
     todo: Plan,
-    optics: SceneOptics,
+    scene: Scene,
+    optics: SceneOptics | None,
     seed: int,
     progress: Progress | None = None,
 ) -> Result:
     """Run a plan within its budget; ``optics`` are the waves computed for it by `looked_at`."""
     with within(todo.budget):
-        return _stages(todo, optics, seed, progress)
+        return _stages(todo, scene, optics, seed, progress)
 
 
-def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | None) -> Result:
+def _stages(
+    todo: Plan, scene: Scene, optics: SceneOptics | None, seed: int, progress: Progress | None
+) -> Result:
     """Run the stages of a plan in order."""
-    scene, tol = optics.scene, todo.tol
-    if not todo.runs("wave aberration"):
+    tol = todo.tol
+    if optics is not None and not todo.runs("wave aberration"):
         raise NotWaveGradeError(wave_refusal(scene))
     from .. import imaging, inverse, psf
 
@@ -122,16 +127,21 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
         begun[name] = time.perf_counter()
         tell(name, share)
 
-    if isinstance(scene.wall, MeshWall):
-        begin("mesh surface")
-        scene.wall.fit_residual  # noqa: B018  (fits and caches the surface)
-    begin("exit pupil")
-    formed = psf.scene_point_spread(optics, tol, progress=begin)
-    spread = formed.point_spread
-    errors = {"point spread": spread.error_estimate}
-    spreads, field_errors = image_spreads(todo, optics, spread, seed, begin, tell)
-    errors |= field_errors
-    shadows = None
+    formed: psf.ScenePointSpread | None = None
+    spread: PointSpread | None = None
+    spreads: PointSpreadField | PointSpread | None = None
+    shadows: Shadows | None = None
+    errors: dict[str, float] = {}
+    if optics is not None:
+        if isinstance(scene.wall, MeshWall):
+            begin("mesh surface")
+            scene.wall.fit_residual  # noqa: B018  (fits and caches the surface)
+        begin("exit pupil")
+        formed = psf.scene_point_spread(optics, tol, progress=begin)
+        spread = formed.point_spread
+        errors = {"point spread": spread.error_estimate}
+        spreads, field_errors = image_spreads(todo, optics, spread, seed, begin, tell)
+        errors |= field_errors
     if todo.runs("shadow rays"):
         begin("shadow rays")
         shadows = imaging.cast_shadows(scene)
@@ -144,9 +154,11 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
     reconstruction = None
     if todo.runs("reconstruction"):
         begin("reconstruction")
-        if burst is None:
+        if spreads is None:
+            reconstruction = _from_shadows(scene, image)
+        elif burst is None:
             reconstruction = _reconstruct(scene, image, spreads, shadows)
-        else:
+        elif spread is not None:
             reconstruction = inverse.burst_fit(burst, spread, seed=seed)
     ends = [*list(begun.values())[1:], time.perf_counter()]
     if progress is not None:
@@ -155,11 +167,11 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
     return Result(
         scene=scene,
         plan=todo,
-        exit_pupil=formed.exit_pupil,
-        wavefront=formed.wavefront,
+        exit_pupil=None if formed is None else formed.exit_pupil,
+        wavefront=None if formed is None else formed.wavefront,
         point_spread=spread,
         field=spreads if isinstance(spreads, psf.PointSpreadField) else None,
-        pupil_field=formed.pupil_field,
+        pupil_field=None if formed is None else formed.pupil_field,
         image=image,
         burst=burst,
         reconstruction=reconstruction,
@@ -172,13 +184,15 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
 def _image(
     todo: Plan,
     scene: Scene,
-    spreads: PointSpreadField | PointSpread,
+    spreads: PointSpreadField | PointSpread | None,
     seed: int,
     shadows: Shadows | None = None,
 ) -> SpeckleImage:
-    """Return the camera image by the point spreads of `image_spreads`."""
+    """Return the camera image by the point spreads of `image_spreads`, None for a matt wall."""
     from .. import imaging, psf
 
+    if spreads is None:
+        return imaging.form_image(scene, None, seed=seed, shadows=shadows)
     wide = psf.widened(spreads, tol=todo.tol * OUTSIDE, shape=scene.camera.shape)
     return imaging.form_image(scene, wide, seed=seed, shadows=shadows)
 
@@ -307,3 +321,57 @@ def _reconstruct(
         background_shape=veil,
     )
     return inverse.tv_deconvolve(measured, model)
+
+
+class ShadowOperator(NamedTuple):
+    """Light in the pixels of an image due to cells of the object, as `inverse.shadow_fit` takes it.
+
+    ``matrix`` is (pixels, cells); the shapes are rows and columns.
+    """
+
+    matrix: Array
+    pixel_shape: tuple[int, int]
+    cell_shape: tuple[int, int]
+
+
+def shadow_operator(scene: Scene) -> ShadowOperator:
+    """Return the light in bins of the image due to cells of the object, for all light of a scene.
+
+    An object is a multiple of the reflectance, or of the radiance, of a white picture. The longer
+    side has `CELLS` cells, and at most `BINS` bins of a whole number of pixels.
+    """
+    from ..imaging.lit_walls import lit_transports
+    from ..imaging.objects import plate
+
+    size, shape = plate(scene)[2], scene.camera.shape
+    columns, rows = (max(1, round(CELLS * side / max(size))) for side in size)
+    joined = next(
+        k for k in range(max(1, -(-max(shape) // BINS)), 0, -1) if math.gcd(k, *shape) == k
+    )
+    pixels = shape[0] // joined, shape[1] // joined
+    sources = lit_transports(scene, cells=(rows, columns), pixels=pixels)
+    if not sources:
+        raise SceneError(
+            "the scene has no light: laser.power = 0 W, no hidden.luminous and no [ambient]; "
+            "add one of them"
+        )
+    matrix = np.sum([scale * one.matrix for one, scale in sources], axis=0)
+    return ShadowOperator(matrix, pixels, (rows, columns))
+
+
+def wall_pixels(scene: Scene) -> NDArray[np.bool_]:
+    """Return which pixels see the wall with their whole cone of light; no others are compared."""
+    from ..imaging.geometry import chief_rays, pixel_centres, wall_visibility
+
+    return wall_visibility(scene, chief_rays(scene, *pixel_centres(scene.camera))) > 0.999
+
+
+def _from_shadows(scene: Scene, image: SpeckleImage) -> Reconstruction:
+    """Reconstruct the object from its shadows; the occluders are known."""
+    from .. import inverse
+
+    dark = image.ledger["dark"] / image.electrons.size
+    light = np.where(image.electrons < full_reading(scene.camera), image.electrons - dark, np.nan)
+    light[~wall_pixels(scene)] = np.nan
+    noise = electron_noise(scene, image.electrons - dark)
+    return inverse.shadow_fit(light, shadow_operator(scene), noise=noise)

@@ -45,7 +45,9 @@ def outline(scene: Scene) -> Array:
     """Return points (n, 3), world, m, whose bounding box contains the scene without the wall."""
     hidden = scene.hidden
     shape = hidden.corners if isinstance(hidden, PlanarObject) else hidden.surface.bounds
-    places = [shape, [scene.laser.position, scene.laser.aim, scene.camera.position]]
+    places = [shape, [scene.camera.position]]
+    if scene.laser.power > 0.0:
+        places.append([scene.laser.position, scene.laser.aim])
     places += [surface(o).bounds for o in scene.occluders]
     return np.concatenate([np.asarray(p, dtype=np.float64) for p in places])
 

@@ -78,7 +78,8 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
     low, high = around.min(axis=0), around.max(axis=0)
     extent = float((high - low).max())
     legend = _draw_wall(plotter, scene, size)
-    legend |= _draw_light(plotter, scene, extent)
+    if scene.laser.power > 0.0:
+        legend |= _draw_light(plotter, scene, extent)
     legend |= _draw_hidden(plotter, scene)
     legend |= _draw_camera(plotter, scene, extent)
     if scene.occluding_mesh is not None:
@@ -87,7 +88,8 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
         plotter.add_mesh(mesh, color=BROWN, name="occluders", opacity=0.4, **MATT)
         legend["occluders"] = BROWN
     apart: list[tuple[Any, float]]
-    apart = [(place, 0.0) for place in (scene.laser.position, scene.laser.aim)]
+    lit = (scene.laser.position, scene.laser.aim) if scene.laser.power > 0.0 else ()
+    apart = [(place, 0.0) for place in lit]
     apart += [(scene.camera.position, 0.0), (scene.object_point, parts.object_radius(scene))]
     legend |= add_floor(plotter, around, low, high, apart)
     add_legend(plotter, legend)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,7 @@ from .sketch import room_from_above
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from ..inverse import Reconstruction
     from ..runs.results import Result
 
 
@@ -31,7 +33,8 @@ def overview(result: Result) -> tuple[Axes, ...]:
         Axes in two rows. The upper row shows the room from above, the wave aberration (or, if the
         result has a ``pupil_field``, the phase in the exit pupil) and the point spread function.
         The lower row shows the camera image (of a burst the first one) and, where there is one, the
-        reconstruction and the true object.
+        reconstruction and the true object. A wall without a mirror-like lobe has no wave and no
+        point spread function.
 
     Raises
     ------
@@ -51,25 +54,41 @@ def overview(result: Result) -> tuple[Axes, ...]:
     """
     from ..limits import object_scale  # loads scipy; views alone is light
 
-    fit, truth = result.reconstruction, ground_truth(result)
-    count = 4 if fit is None else 5 if truth is None else 6
-    axes = new_axes(count, width=16.5, height=9.6, columns=3)
+    fit, truth, pitch = shown_fit(result)
+    waves = 0 if result.point_spread is None else 2
+    count = waves + (2 if fit is None else 3 if truth is None else 4)
+    axes = new_axes(count, width=16.5 if waves else 11.0, height=9.6, columns=3 if waves else 2)
     room_from_above(result.scene, axes[0])
     axes[0].legend(fontsize="small", loc="best")
-    wavefront(result.pupil_field or result.wavefront, axes=axes[1])
-    point_spread(result.point_spread, scale="linear", axes=axes[2])
-    scale = object_scale(result.scene)
-    image(result.image, object_scale=scale, axes=axes[3])
+    if result.point_spread is not None and result.wavefront is not None:
+        wavefront(result.pupil_field or result.wavefront, axes=axes[1])
+        point_spread(result.point_spread, scale="linear", axes=axes[2])
+    at = axes[1 + waves]
+    image(result.image, object_scale=object_scale(result.scene) if waves else None, axes=at)
     if result.burst is not None:
-        axes[3].set_title(f"camera image, 1 of {len(result.burst)}")
+        at.set_title(f"camera image, 1 of {len(result.burst)}")
     if fit is not None:
         # the truth comes first in `reconstruction`, and is drawn on the right here
-        reconstruction(fit, truth, pitch=scale * result.image.pitch, axes=axes[:3:-1])
+        reconstruction(fit, truth, pitch=pitch, axes=axes[: 1 + waves : -1])
     return axes
 
 
-def ground_truth(result: Result) -> NDArray[np.float64] | None:
-    """Return the image without blur and noise, largest value 1; None if it is dark."""
-    ideal = result.image.ideal
-    brightest = float(ideal.max())
-    return ideal / brightest if brightest > 0 else None
+def shown_fit(
+    result: Result,
+) -> tuple[Reconstruction | None, NDArray[np.float64] | None, float]:
+    """Return the reconstruction and the true object as images of the camera, and a pixel's side, m.
+
+    An object from shadows is on cells of its plane, which the wall has not mirrored.
+    """
+    from ..imaging.objects import plate
+    from ..limits import object_scale
+    from ..runs.results import ground_truth
+
+    fit, truth = result.reconstruction, ground_truth(result)
+    if truth is not None:
+        truth = truth / float(truth.max())
+    if result.point_spread is not None or fit is None:
+        return fit, truth, object_scale(result.scene) * result.image.pitch
+    turned = np.ascontiguousarray(np.asarray(fit.object)[:, ::-1])
+    pitch = plate(result.scene)[2][0] / turned.shape[1]
+    return replace(fit, object=turned), None if truth is None else truth[:, ::-1], pitch

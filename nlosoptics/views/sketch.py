@@ -111,13 +111,13 @@ def _outlines(scene: Scene) -> list[tuple[str, Any, dict[str, Any]]]:
     lens = scene.camera.frame[:2] * scene.camera.stop_diameter / 2
     shape = _object_outline(scene)
     dot = {"marker": "o", "markersize": 3, "linewidth": 2.5}
+    path, beam = [hidden, crossing, camera], []
+    if scene.laser.power > 0.0:
+        path = [spot, *path]
+        beam = [("laser beam", np.stack([laser, spot]), {"color": VERMILION, "linewidth": 1.5})]
     return [
-        ("laser beam", np.stack([laser, spot]), {"color": VERMILION, "linewidth": 1.5}),
-        (
-            "chief path",
-            np.stack([spot, hidden, crossing, camera]),
-            {"color": ORANGE, "linewidth": 1, "linestyle": "--"},
-        ),
+        *beam,
+        ("chief path", np.stack(path), {"color": ORANGE, "linewidth": 1, "linestyle": "--"}),
         ("hidden object", shape, {"color": GREEN, **dot}),
         ("mirrored object", shape * (1, 1, -1), {"color": "#8FCFBA", **dot}),
         (

@@ -72,9 +72,10 @@ def test_an_occluder_before_the_whole_object_leaves_no_light_of_it(flat_scene):
     image = form_image(scene, spread(scene))
     bare = form_image(flat_scene, spread(flat_scene))
     assert bare.ledger["ideal"] > 1000
-    assert image.ledger["ideal"] == image.ledger["diffuse"] == 0.0
+    assert image.ledger["ideal"] == 0.0
+    assert image.ledger["diffuse"] < 1e-9 * bare.ledger["diffuse"]
     assert image.ledger["spot"] == bare.ledger["spot"]
-    assert not diffuse_background(scene).any()
+    assert diffuse_background(scene).max() < 1e-9 * diffuse_background(flat_scene).max()
 
 
 @pytest.mark.thorough
@@ -162,8 +163,9 @@ def test_a_scene_turned_over_casts_its_shadows_turned_over(flat_scene):
     one, two = cast_shadows(over), cast_shadows(under)
     assert one.veil.min() < 0.5
     assert one.image.min() < one.image.max()
-    # neither the points of the object nor the sample paths of a pixel are mirror images
+    # the sample paths of a pixel are no mirror images
     assert abs(one.veil - two.veil[::-1]).max() < 0.02
+    assert (one.veil - two.veil[::-1]).std() < 2e-3
     assert abs(one.image - two.image[::-1]).max() < 0.2
     assert abs(one.view - two.view[::-1]).max() < 0.2
     assert one.view.mean() == pytest.approx(two.view.mean(), abs=1e-3)
@@ -240,10 +242,10 @@ def test_veil_is_the_sum_over_the_pictures_texels(flat_scene, binning):
         free &= ~hits_rectangle(texels, rays.points[i, j], *second)
         errors.append(veil[i, j] - (light * free).sum() / light.sum())
     assert np.ptp(veil) > 0.3
-    # 1024 points in place of texels, some thousandths; between nodes the veil is bilinear, and bent
-    # where a shadow begins
-    assert abs(np.array(errors)).max() < (0.01 if binning == 64 else 0.04)
-    assert np.sqrt(np.mean(np.square(errors))) < 0.004
+    # the brute force looks from the centre of a pixel, and takes texels as points: a column of them
+    # appears at once
+    assert abs(np.array(errors)).max() < 0.02
+    assert np.sqrt(np.mean(np.square(errors))) < 0.003
 
 
 @pytest.mark.thorough

@@ -202,6 +202,22 @@ def test_image_is_that_of_ray_tracing(sharp, n_rays):
     assert math.sqrt(((image - expected) ** 2).mean()) < 1.25 * noise + 5e-4 * expected.mean()
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "sharp",
+    [scene(DISC), scene(CHAIR), scene(DISC, wall=ConvexWall(radius=4.0, size=(1.6, 1.2)))],
+    ids=["disc", "chair", "curved wall"],
+)
+def test_diffuse_light_of_an_image_is_that_of_ray_tracing(sharp):
+    """Shares of 32 x 32 pixels, most of them interpolated."""
+    sharp = replace(sharp, camera=replace(CAMERA, binning=128))
+    expected, _, error = traced(sharp, 1 << 20)
+    image = imaging.diffuse_background(sharp)
+    assert image.mean() == approx(expected.mean(), rel=1e-3)
+    noise = math.sqrt((error**2).mean())
+    assert math.sqrt(((image - expected) ** 2).mean()) < 1.1 * noise + 1e-3 * expected.mean()
+
+
 def test_shadow_of_a_disc_is_that_of_ray_tracing():
     sharp = scene(DISC, camera=replace(CAMERA, binning=1024))
     expected, image, error = traced(sharp, 1 << 16)

@@ -1,0 +1,114 @@
+"""Matt walls with shadows through all doors: simulate, plan, run, reconstruct, feasibility."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pytest import approx
+from scipy import constants
+
+import nlosoptics as nlos
+from nlosoptics import cli, imaging, inverse, limits
+from nlosoptics.errors import SceneError
+from nlosoptics.imaging import WallTransport
+from nlosoptics.scene import FlatWall, Lambert, Scene
+
+SCENES = Path(__file__).parents[2] / "examples" / "scenes"
+
+
+def call(capsys, *arguments: object) -> dict:
+    """Run the program and return the JSON that it prints, if any."""
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    assert (ended.value.code or 0) == 0, err
+    return json.loads(out) if out.startswith("{") else {}
+
+
+def test_a_letter_is_read_off_the_shadows_of_a_disc(tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene = SCENES / "letter_disc.toml"
+    call(capsys, "run", scene, "--size", 32, "--out", "letter")
+    result = nlos.load_result("letter")
+    assert (result.exit_pupil, result.wavefront, result.point_spread) == (None, None, None)
+    assert (tmp_path / "letter" / "overview.png").is_file()
+    truth = result.scene.hidden.reflectance.reshape(32, 16, 32, 16).mean(axis=(1, 3))
+    fit = result.reconstruction
+    assert fit.status == "converged"
+    assert np.corrcoef(fit.object.ravel(), truth.ravel())[0, 1] > 0.85
+    figures = json.loads(Path("letter/result.json").read_text())["figures"]
+    assert figures["correlation_with_truth"] == approx(inverse.registered_correlation(fit, truth))
+    # the same image as a file, whose noise is estimated
+    np.save("photo.npy", result.image.electrons)
+    usual = ("reconstruct", "photo.npy", "--scene", "letter/scene.toml", "--json")
+    report = call(capsys, *usual)
+    assert report["figures"]["method"] == "shadows"
+    again = np.load("photo/object.npy")
+    assert np.corrcoef(again.ravel(), truth.ravel())[0, 1] > 0.8
+    forecast = limits.feasibility(result.scene)
+    assert forecast.diffuse_modes > 20
+    assert forecast.score == 0.0 < forecast.relay_score
+
+
+def screen(**parts) -> Scene:
+    """A luminous screen past a chair, 16 x 16 pixels."""
+    scene = Scene.load(SCENES / "screen_chair.toml")
+    return replace(scene, **({"camera": replace(scene.camera, binning=256)} | parts))
+
+
+def test_light_of_screen_and_room_is_that_of_the_operator() -> None:
+    disc = Scene.load(SCENES / "letter_disc.toml").occluders
+    scene = screen(ambient_irradiance=1e-3, occluders=disc)
+    camera = replace(scene.camera, field_stop=None)
+    scene = replace(scene, camera=camera, wall=FlatWall(size=4.0))
+    hidden = scene.hidden
+    options = {"cells": (32, 32), "samples": 8}
+    picture = hidden.reflectance.reshape(32, 16, 32, 16).mean(axis=(1, 3))
+    lobe = hidden.luminous_lobe
+    emitted = WallTransport(scene, source="luminous", lobe=lobe, **options).forward(picture)
+    lit = WallTransport(scene, source="ambient", **options).forward(picture)
+    expected = hidden.luminous * emitted + 1e-3 * lit
+    image = imaging.form_image(scene, None)
+    ambient = image.ledger["ambient"] / 256
+    diffuse = image.background - image.ledger["dark"] / 256
+    assert image.ledger["diffuse"] == approx(expected.sum(), rel=1.5e-3)
+    # a matt wall in uniform light has the radiance albedo E / pi; the image falls as cos^4
+    lens = camera.stop_diameter / (2 * scene.image_distance)
+    rate = camera.quantum_efficiency * scene.laser.wavelength / (constants.h * constants.c)
+    gain = math.pi * camera.transmission * lens**2
+    gain *= (256 * camera.pixel_pitch) ** 2 * camera.exposure * rate
+    side = (np.arange(16) - 7.5) * 256 * camera.pixel_pitch / scene.image_distance
+    cos4 = (1 + side**2 + side[:, None] ** 2) ** -2.0
+    assert ambient == approx(0.6 * 1e-3 / math.pi * gain * cos4.mean(), rel=1e-3)
+    rest = diffuse - 0.6 * 1e-3 / math.pi * gain * cos4
+    assert rest == approx(expected, abs=0.01 * expected.mean())
+
+
+def test_light_that_is_not_described_is_refused() -> None:
+    dark = screen(ambient_irradiance=0.0)
+    dark = replace(dark, hidden=replace(dark.hidden, luminous=None))
+    with pytest.raises(SceneError, match=r"the scene has no light: .*; add one"):
+        nlos.simulate(dark, reconstruct=True)
+    flat = Scene.load(SCENES / "letter_flat.toml").resized(8)
+    with pytest.raises(SceneError, match=r"point_spread is None, but .*; compute it with psf"):
+        imaging.form_image(flat, None)
+    speckled = replace(flat, wall_material=Lambert(0.7), ambient_irradiance=1.0)
+    speckled = replace(speckled, laser=replace(speckled.laser, independent_patterns=1))
+    with pytest.raises(SceneError, match="room is lit"):
+        imaging.form_image(speckled, None)
+
+
+def test_no_wave_is_planned_and_no_laser_drawn() -> None:
+    plan = nlos.plan(screen(), reconstruct=True)
+    assert [stage.name for stage in plan.stages] == ["shadow rays", "image", "reconstruction"]
+    assert {s.reason for s in plan.skipped} == {
+        "the wall has no mirror-like lobe and forms no image"
+    }
+    assert math.isnan(plan.waves)
+    (axes, *_) = nlos.views.scene_sketch(screen())
+    assert "laser beam" not in [line.get_label() for line in axes.get_lines()]
