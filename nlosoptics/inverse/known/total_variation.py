@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..._checks import positive
 from ..._progress import Progress
+from ...psf import PointSpread
 from ..data.arrays import irfft2, rfft2
 from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
 from ..data.models import AnyModel, mean_transfer, numpy_model
@@ -20,6 +21,7 @@ from ..data.reconstruction import Reconstruction
 from ..data.status import Ending
 from ._splitting_kernels import RELAXATION, mix, pull
 from .field_step import FieldStep
+from .photographs import is_kernel, photograph
 from .splitting_steps import Steps, gradient
 
 Array = NDArray[Any]
@@ -50,7 +52,7 @@ _TUNING = _Tuning()
 
 def tv_deconvolve(
     image: Any,
-    model: AnyModel,
+    model: AnyModel | PointSpread | NDArray[Any],
     *,
     tv_weight: float | None = None,
     max_iterations: int = _RULE[0],
@@ -66,10 +68,13 @@ def tv_deconvolve(
     Parameters
     ----------
     image : Measurement, ndarray or Tensor
-        Camera image, (H, W), with its noise and background.
-    model : ForwardModel or TorchForwardModel
+        Camera image, (H, W), with its noise and background. With a point spread alone, a
+        `nlosoptics.imaging.CameraImage` too.
+    model : ForwardModel, TorchForwardModel, PointSpread or ndarray
         Image model of shape (H, W): the convolution of an object with the known point spread
-        function, which may vary over the object.
+        function, which may vary over the object. Or the point spread alone, on the pixels of the
+        image, centre at ``[ky//2, kx//2]``, in any unit: then the image is a photograph, part of a
+        larger view, see Notes.
     tv_weight : float or None
         Weight of the total variation, dimensionless; larger values give a smoother object. None:
         the weight at which the residual equals the noise (discrepancy principle).
@@ -124,6 +129,13 @@ def tv_deconvolve(
 
     Saturated pixels count only where the fitted image is below their level.
 
+    With a point spread alone the fit continues beyond the frame by half the point spread's width,
+    where no pixel was measured [3]_, so that light from there does no harm, for any size of image.
+    No background is fitted: it is part of the object. If a smooth veil, a polynomial of order 4,
+    explains more than 1 % of the total variation of the answer, it is taken from the object into
+    ``physical_parameters["veil"]``, (H, W), image units. Photographs without a veil have less than
+    0.3 %.
+
     The computation runs on one thread in single precision, or in double precision if the noise is
     below 1e-4 of the image's range. ``objective`` in
     the history is evaluated at the final weight, so it may rise while the weight is adjusted.
@@ -132,6 +144,7 @@ def tv_deconvolve(
     ----------
     .. [1] Almeida and Figueiredo, IEEE Trans. Image Process. 22 (2013) 3074.
     .. [2] Wen and Chan, IEEE Trans. Image Process. 21 (2012) 1770.
+    .. [3] Almeida and Figueiredo, IEEE Trans. Image Process. 22 (2013) 3074, section IV.
 
     Examples
     --------
@@ -146,6 +159,9 @@ def tv_deconvolve(
     >>> found.status, registered_correlation(found, truth) > 0.99
     ('converged', True)
     """
+    if is_kernel(model):
+        options = {"tv_weight": tv_weight, "max_iterations": max_iterations, "tolerance": tolerance}
+        return photograph(partial(tv_deconvolve, **options, progress=progress), image, model, start)
     rule = stop_rule(max_iterations, tolerance)
     tv_weight = None if tv_weight is None else positive("tv_weight", tv_weight)
 
