@@ -16,6 +16,7 @@ from .. import __version__
 from . import (  # imported to register their commands, in the order of the help
     captures,  # noqa: F401
     forward,  # noqa: F401
+    photographs,  # noqa: F401
     pictures,  # noqa: F401
     reconstructions,  # noqa: F401
     reports,  # noqa: F401

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,14 @@ from numpy.typing import NDArray
 
 from ...errors import SamplingError
 from ...imaging import CameraImage, ForwardModel
-from ..data.arrays import as_numpy, check_finite, real_array, shape_of
+from ..data.arrays import check_finite, real_array
+from ..data.driver import reconstructed
 from ..data.measurement import Measurement, measured
+from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 
 Array = NDArray[np.float64]
+Fit = Callable[[NoisyImage, ForwardModel], dict[str, Any]]
 
 
 def is_kernel(model: Any) -> bool:
@@ -24,61 +28,79 @@ def is_kernel(model: Any) -> bool:
     return hasattr(model, "intensity") or isinstance(model, (np.ndarray, list))
 
 
-def photograph(
-    solver: Callable[..., Reconstruction], image: Any, point_spread: Any, start: Any
-) -> Reconstruction:
-    """Return what a solver finds in a photograph, and separate a veil from it.
+def photograph(fit: Fit, image: Any, point_spread: Any) -> Reconstruction:
+    """Return what a fit finds in a photograph, grey or in colour, with its veil apart.
 
-    The solver gets a larger, periodic frame whose margins, half as wide as the point spread, are
-    masked.
+    ``fit`` gets a larger, periodic frame with margins half as wide as the point spread, whose
+    pixels do not count, and returns the arguments of `concluded`. Noise and bad pixels are those of
+    the photograph alone.
     """
     if isinstance(image, CameraImage):
         image = Measurement(image.values, masked=image.masked, saturated=image.saturated)
-    given = measured(image)
-    values = real_array("image", given.image)
-    if values.ndim != 2:
-        raise SamplingError(f"image has shape {values.shape}, must be (H, W); give one channel")
-    rows, columns = values.shape
+    given = replace(measured(image), image=real_array("image", measured(image).image))
+    shape = given.image.shape
+    if len(shape) == 2:
+        return _sharpened(fit, given, point_spread)
+    if len(shape) != 3 or shape[2] != 3:
+        raise SamplingError(f"image has shape {shape}, must be (H, W) or (H, W, 3); give one image")
+    colours = []
+    for k in range(3):
+        parts = {f.name: getattr(given, f.name) for f in fields(given)}
+        parts = {name: v[..., k] for name, v in parts.items() if np.ndim(v) == 3}
+        colours.append(_sharpened(fit, replace(given, **parts), point_spread))
+    return _joined(colours, given.gain)
+
+
+def _joined(colours: list[Reconstruction], gain: float | None) -> Reconstruction:
+    """Return one answer for three colours: the numbers are those of the one that fits worst."""
+    gains = [colour.physical_parameters["gain"] for colour in colours]
+    gain = gain or max(gains)
+    worst = max(colours, key=lambda colour: (colour.status != "converged", colour.score))
+    parameters = {**worst.physical_parameters, "gain": gain}
+    for name in {name for colour in colours for name in colour.physical_parameters}:
+        maps = [np.asarray(colour.physical_parameters.get(name, 0)) for colour in colours]
+        if any(values.ndim == 2 for values in maps):
+            if name == "object_error":
+                maps = [values * (own / gain) for values, own in zip(maps, gains, strict=True)]
+            parameters[name] = np.stack(np.broadcast_arrays(*maps), axis=-1)
+    objects = [colour.object * (own / gain) for colour, own in zip(colours, gains, strict=True)]
+    seconds = sum(colour.seconds for colour in colours)
+    return replace(
+        worst, object=np.stack(objects, -1), physical_parameters=parameters, seconds=seconds
+    )
+
+
+def _sharpened(fit: Fit, given: Measurement, point_spread: Any) -> Reconstruction:
+    """Return what a fit finds in one colour (H, W)."""
+    values = given.image
     kernel = _trimmed(getattr(point_spread, "intensity", point_spread))
-    if kernel.shape[0] > rows or kernel.shape[1] > columns:
+    if kernel.shape[0] > values.shape[0] or kernel.shape[1] > values.shape[1]:
         raise SamplingError(
             f"the point spread has {kernel.shape[1]} x {kernel.shape[0]} pixels, the image "
-            f"{columns} x {rows}; crop the point spread, or use a larger image"
+            f"{values.shape[1]} x {values.shape[0]}; crop the point spread, or use a larger image"
         )
-    shape: list[int] = []
-    widths = []  # of the margins along each axis, before and after
+    shape, widths = [], []  # widths of the margins along each axis, before and after
     for side, length in zip(values.shape, kernel.shape, strict=True):
-        shape.append(scipy.fft.next_fast_len(side + 2 * (length // 2), real=True))
-        widths.append((length // 2, shape[-1] - side - length // 2))
-    frame = tuple(
-        slice(before, side - after) for side, (before, after) in zip(shape, widths, strict=True)
+        arm = length // 2
+        shape.append(scipy.fft.next_fast_len(side + 2 * arm, real=True))
+        widths.append((arm, shape[-1] - side - arm))
+    inside = tuple(
+        np.s_[before : before + n] for n, (before, _) in zip(values.shape, widths, strict=True)
     )
+    wide = ForwardModel(kernel, shape=(shape[0], shape[1]), boundary="circular")
 
-    def padded(name: str, value: Any, **how: Any) -> Any:
-        is_picture = len(shape_of(name, value)) == 2
-        return np.pad(as_numpy(value), widths, **how) if is_picture else value
+    def solve(data: NoisyImage) -> dict[str, Any]:
+        data = replace(_continued(data, widths), fit_background=given.background_shape is not None)
+        return {"data": data, "model": wide, **fit(data, wide)}
 
-    masked = np.zeros(values.shape, dtype=bool) if given.masked is None else as_numpy(given.masked)
-    result = solver(
-        replace(
-            given,
-            image=padded("image", values, mode="edge"),
-            masked=padded("masked", masked, constant_values=True),
-            noise_sigma=padded("noise_sigma", given.noise_sigma, mode="edge"),
-            saturated=padded("saturated", given.saturated, constant_values=False),
-            background=padded("background", given.background, mode="edge"),
-            background_shape=padded("background_shape", given.background_shape, mode="edge"),
-            fit_background=given.background_shape is not None,
-            gain=1.0,
-        ),
-        ForwardModel(kernel, shape=(shape[0], shape[1]), boundary="circular"),
-        start=padded("start", start, mode="edge") if isinstance(start, np.ndarray) else start,
-    )
-    level = result.object[frame]
-    parameters = {
-        name: value[frame] if np.shape(value) == tuple(shape) else value
-        for name, value in result.physical_parameters.items()
-    }
+    known = replace(given, gain=1.0)
+    result = reconstructed(solve, known, ForwardModel(kernel, shape=values.shape), in_numpy=True)
+    level, parameters = result.object, dict(result.physical_parameters)
+    if level.shape == wide.shape:  # an object was detected
+        level = level[inside]
+        maps = {name: v[inside] for name, v in parameters.items() if np.shape(v) == wide.shape}
+        sigma = parameters["noise_sigma"] * math.sqrt(values.size / math.prod(wide.shape))
+        parameters |= {**maps, "noise_sigma": sigma}
     veil = _veil(level) if given.background_shape is None else None
     if veil is not None:
         level, parameters["veil"] = np.maximum(level - veil, 0.0), veil
@@ -87,6 +109,27 @@ def photograph(
         parameters["object_error"] = parameters["object_error"] / gain
     parameters["gain"] = gain
     return replace(result, object=level / gain, physical_parameters=parameters)
+
+
+def _continued(data: NoisyImage, widths: list[tuple[int, int]]) -> NoisyImage:
+    """Return an image with margins that do not count; those around the others get more weight."""
+
+    def padded(values: Any, **how: Any) -> Any:
+        return None if values is None else np.pad(values, widths, **how)
+
+    weights = np.ones(data.data.shape) if data.weights is None else data.weights
+    weights = padded(weights)
+    more = weights.size / data.data.size
+    return replace(
+        data,
+        data=padded(data.data, constant_values=data.weighted_mean(data.data)),
+        sigma=data.sigma * math.sqrt(more),
+        weights=weights * more,
+        background_shape=padded(data.background_shape, mode="edge"),
+        bad_pixels=padded(data.bad_pixels),
+        saturated=padded(data.saturated),
+        least=padded(data.least, constant_values=-np.inf),
+    )
 
 
 def _trimmed(point_spread: Any) -> Array:

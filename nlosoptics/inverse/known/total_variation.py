@@ -68,8 +68,8 @@ def tv_deconvolve(
     Parameters
     ----------
     image : Measurement, ndarray or Tensor
-        Camera image, (H, W), with its noise and background. With a point spread alone, a
-        `nlosoptics.imaging.CameraImage` too.
+        Camera image, (H, W), with its noise and background. With a point spread alone, also
+        (H, W, 3), or a `nlosoptics.imaging.CameraImage`.
     model : ForwardModel, TorchForwardModel, PointSpread or ndarray
         Image model of shape (H, W): the convolution of an object with the known point spread
         function, which may vary over the object. Or the point spread alone, on the pixels of the
@@ -133,8 +133,8 @@ def tv_deconvolve(
     where no pixel was measured [3]_, so that light from there does no harm, for any size of image.
     No background is fitted: it is part of the object. If a smooth veil, a polynomial of order 4,
     explains more than 1 % of the total variation of the answer, it is taken from the object into
-    ``physical_parameters["veil"]``, (H, W), image units. Photographs without a veil have less than
-    0.3 %.
+    ``physical_parameters["veil"]``, of the image's shape, image units. Colours are fitted one by
+    one, and the numbers of the answer are those of the colour that fits worst.
 
     The computation runs on one thread in single precision, or in double precision if the noise is
     below 1e-4 of the image's range. ``objective`` in
@@ -159,16 +159,15 @@ def tv_deconvolve(
     >>> found.status, registered_correlation(found, truth) > 0.99
     ('converged', True)
     """
-    if is_kernel(model):
-        options = {"tv_weight": tv_weight, "max_iterations": max_iterations, "tolerance": tolerance}
-        return photograph(partial(tv_deconvolve, **options, progress=progress), image, model, start)
     rule = stop_rule(max_iterations, tolerance)
     tv_weight = None if tv_weight is None else positive("tv_weight", tv_weight)
 
-    def solve(data: NoisyImage) -> dict[str, Any]:
+    def fit(data: NoisyImage, model: AnyModel) -> dict[str, Any]:
         return solved(_Splitting(data, model, rule, tv_weight), start, progress)
 
-    return reconstructed(solve, image, model, in_numpy=True)
+    if is_kernel(model):
+        return photograph(fit, image, model)
+    return reconstructed(partial(fit, model=model), image, model, in_numpy=True)
 
 
 def sharpest(
