@@ -18,6 +18,13 @@ from ..data.driver import reconstructed
 from ..data.measurement import Measurement, measured
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
+from ..data.spectra import (
+    beyond_optics,
+    expected_signal,
+    passed_power,
+    periodic_power,
+    power,
+)
 
 Array = NDArray[np.float64]
 Fit = Callable[[NoisyImage, ForwardModel], dict[str, Any]]
@@ -89,12 +96,14 @@ def _sharpened(fit: Fit, given: Measurement, point_spread: Any) -> Reconstructio
     )
     wide = ForwardModel(kernel, shape=(shape[0], shape[1]), boundary="circular")
 
+    narrow = ForwardModel(kernel, shape=values.shape)
+
     def solve(data: NoisyImage) -> dict[str, Any]:
-        data = replace(_continued(data, widths), fit_background=given.background_shape is not None)
+        data = _continued(_with_white_noise(data, passed_power(narrow)), widths)
+        data = replace(data, fit_background=given.background_shape is not None)
         return {"data": data, "model": wide, **fit(data, wide)}
 
-    known = replace(given, gain=1.0)
-    result = reconstructed(solve, known, ForwardModel(kernel, shape=values.shape), in_numpy=True)
+    result = reconstructed(solve, replace(given, gain=1.0), narrow, in_numpy=True)
     level, parameters = result.object, dict(result.physical_parameters)
     if level.shape == wide.shape:  # an object was detected
         level = level[inside]
@@ -109,6 +118,34 @@ def _sharpened(fit: Fit, given: Measurement, point_spread: Any) -> Reconstructio
         parameters["object_error"] = parameters["object_error"] / gain
     parameters["gain"] = gain
     return replace(result, object=level / gain, physical_parameters=parameters)
+
+
+def _with_white_noise(data: NoisyImage, passed: Array) -> NoisyImage:
+    """Return an image whose noise is white, with random numbers where it has hardly any.
+
+    Demosaicing and JPEG remove the noise of high frequencies, beyond the optics' cut-off, where it
+    is measured. The lowest quarter of those frequencies has the noise of the detail; the others are
+    filled up to it, which hides nothing, if they have less by a third.
+    """
+    image, shape, variance = data.data, data.data.shape, data.sigma**2
+    signal = expected_signal(periodic_power(image), passed, variance, shape)
+    beyond = beyond_optics(signal, variance)
+    if np.count_nonzero(beyond) < 500:  # as many as an estimate of the noise needs
+        return data
+    window = np.multiply.outer(*(np.hanning(length + 2)[1:-1] for length in shape))
+    middle = (image - np.average(image, weights=window)) * window
+    spectrum = power(middle) / np.mean(window**2)
+    radius = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
+    order = np.argsort(radius[beyond])
+    bands = np.array_split(order, 8)
+    levels = np.array([spectrum[beyond][band].mean() for band in bands])
+    centres = np.array([radius[beyond][band].mean() for band in bands])
+    level = float(levels[:2].mean())
+    if level < 1.5 * levels.min():
+        return data
+    lack = np.where(beyond, np.maximum(level - np.interp(radius, centres, levels), 0.0), 0.0)
+    noise = scipy.fft.rfft2(np.random.default_rng(0).normal(size=shape)) * np.sqrt(lack)
+    return replace(data, data=image + scipy.fft.irfft2(noise, shape), sigma=math.sqrt(level))
 
 
 def _continued(data: NoisyImage, widths: list[tuple[int, int]]) -> NoisyImage:
