@@ -218,14 +218,15 @@ def _kernel(psf: Path | None, disc: float | None, gaussian: float | None) -> Any
     if psf is not None:
         return read_camera_file(psf, "grey")[0]
     if disc is not None:
-        in_range("--disc", disc, 0.1, 500.0, unit="pixels")
-        arm, parts = math.ceil(disc - 0.5), 32  # of a pixel along each side
+        in_range("--disc", disc, 0.1, 100.0, unit="pixels")
+        arm = math.ceil(disc - 0.5)
+        parts = math.ceil(64.0 / (1.0 + disc))  # of a pixel along each side
         at = (np.arange((2 * arm + 1) * parts) + 0.5) / parts - arm - 0.5
         inside = np.hypot(at[:, None], at) <= disc
         kernel = inside.reshape(2 * arm + 1, parts, 2 * arm + 1, parts).mean(axis=(1, 3))
     else:
         assert gaussian is not None
-        in_range("--gaussian", gaussian, 0.1, 200.0, unit="pixels")
+        in_range("--gaussian", gaussian, 0.1, 100.0, unit="pixels")
         arm = math.ceil(4.0 * gaussian)
         line = np.diff(special.ndtr((np.arange(2 * arm + 2) - arm - 0.5) / gaussian))
         kernel = np.multiply.outer(line, line)

@@ -128,24 +128,27 @@ def _with_white_noise(data: NoisyImage, passed: Array) -> NoisyImage:
     filled up to it, which hides nothing, if they have less by a third.
     """
     image, shape, variance = data.data, data.data.shape, data.sigma**2
-    signal = expected_signal(periodic_power(image), passed, variance, shape)
-    beyond = beyond_optics(signal, variance)
-    if np.count_nonzero(beyond) < 500:  # as many as an estimate of the noise needs
-        return data
     window = np.multiply.outer(*(np.hanning(length + 2)[1:-1] for length in shape))
     middle = (image - np.average(image, weights=window)) * window
-    spectrum = power(middle) / np.mean(window**2)
+    spectrum, whole = power(middle) / np.mean(window**2), periodic_power(image)
     radius = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
-    order = np.argsort(radius[beyond])
-    bands = np.array_split(order, 8)
-    levels = np.array([spectrum[beyond][band].mean() for band in bands])
-    centres = np.array([radius[beyond][band].mean() for band in bands])
-    level = float(levels[:2].mean())
-    if level < 1.5 * levels.min():
-        return data
-    lack = np.where(beyond, np.maximum(level - np.interp(radius, centres, levels), 0.0), 0.0)
+    lack = np.zeros_like(spectrum)
+    for _ in range(2):  # more noise hides more frequencies
+        beyond = beyond_optics(expected_signal(whole, passed, variance, shape), variance)
+        order = np.argsort(radius[beyond])
+        if len(order) < 64:  # 8 a band: 35 %
+            break
+        bands = np.array_split(order, 8)
+        levels = np.array([spectrum[beyond][band].mean() for band in bands])
+        centres = np.array([radius[beyond][band].mean() for band in bands])
+        level = float(levels[:2].mean())
+        if level < max(1.5 * levels.min(), variance):
+            break
+        variance = level
+        rest = level - np.interp(radius, centres, levels)
+        lack = np.where(beyond, np.maximum(rest, 0.0), 0.0)
     noise = scipy.fft.rfft2(np.random.default_rng(0).normal(size=shape)) * np.sqrt(lack)
-    return replace(data, data=image + scipy.fft.irfft2(noise, shape), sigma=math.sqrt(level))
+    return replace(data, data=image + scipy.fft.irfft2(noise, shape), sigma=math.sqrt(variance))
 
 
 def _continued(data: NoisyImage, widths: list[tuple[int, int]]) -> NoisyImage:
