@@ -198,10 +198,10 @@ def camera_image(
         columns, with one integer k for both. The counts of k x k pixels are then added up, and a
         group with a saturated or dead pixel is masked. With ``corners`` any shape is possible.
         None: no binning.
-    dark : path or ndarray, optional
+    dark : path or ndarray like the images, optional
         Dark frame: an image with the same exposure time but without light. It is subtracted from
         the images and from the flat field. None: nothing is subtracted.
-    flat : path or ndarray, optional
+    flat : path or ndarray like the images, optional
         Flat field: an image of an evenly lit surface. The images are divided by the flat field
         scaled to a mean of 1, so that they remain counts. Pixels in which it is below 5 % of its
         mean are dead. None: no division.
