@@ -206,7 +206,7 @@ class Camera:
             columns, rows = self.pixels
             common = math.gcd(columns, rows)
             fit = [columns // n for n in range(common, 0, -1) if common % n == 0]
-            near = sorted(sorted(fit, key=lambda n: abs(n - size))[:8])
+            near = sorted(sorted(fit, key=lambda n: abs(math.log(n / size)))[:6])
             raise SceneError(
                 f"size = {size} does not divide camera.pixels = {self.pixels} into squares; "
                 f"sizes that do: {', '.join(map(str, near))}"
