@@ -15,6 +15,7 @@ from .errors import SceneError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+    from PIL.ImageFile import ImageFile
 
 #: Largest number of pixels of a compressed picture. A file of less than a megabyte can hold a
 #: hundred times as many, which would fill the memory when they are decoded.
@@ -22,7 +23,7 @@ MOST_PIXELS = 8192 * 8192
 
 
 @contextmanager
-def opened_picture(file: Path | IO[bytes], name: str) -> Iterator[Image]:
+def opened_picture(file: Path | IO[bytes], name: str) -> Iterator[ImageFile]:
     """Yield Pillow's picture of a file, whose pixels are decoded at the first access.
 
     ``name`` stands for the picture in the `SceneError` that refuses more than `MOST_PIXELS` pixels.

@@ -25,7 +25,6 @@ Source = str | Path | NDArray[Any]
 Channel = Literal["red", "green", "blue", "grey", "rgb"]
 
 FORMATS = "PNG or TIFF of 8 or 16 bits, .npy, JPEG, or a raw file"
-RAW = (".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".pef", ".raf", ".rw2")  # of cameras
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -123,6 +122,7 @@ def read_camera_file(
 def _raw_values(source: Source) -> tuple[NDArray[Any], str, bool]:
     """Return values (ny, nx) or (ny, nx, 3), a name for errors, and whether it is a JPEG."""
     jpeg = False
+    of_cameras = (".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".pef", ".raf", ".rw2")
     if isinstance(source, np.ndarray):
         raw, name = source, "the image"
     else:
@@ -131,7 +131,7 @@ def _raw_values(source: Source) -> tuple[NDArray[Any], str, bool]:
         if not path.is_file():
             raise SceneError(f"there is no file {path}; give the path of an image")
         try:
-            if path.suffix.lower() in RAW:
+            if path.suffix.lower() in of_cameras:
                 raw = _developed(path)
             elif path.suffix == ".npy":
                 raw = np.load(path, allow_pickle=False)
