@@ -74,7 +74,8 @@ def picture_values(file: Path, name: str) -> tuple[NDArray[Any], bool]:
     from PIL.TiffImagePlugin import TiffImageFile
 
     with opened_picture(file, name) as picture:
-        raw = [tile.args if isinstance(tile.args, str) else tile.args[0] for tile in picture.tile]
+        args: list[Any] = [tile.args for tile in picture.tile]
+        raw = [mode if isinstance(mode, str) else mode[0] for mode in args]
         kind, _, depth = raw[0].partition(";") if raw else ("", "", "")
         jpeg = picture.format in ("JPEG", "MPO")
         bits = max(picture.tag_v2.get(258, (8,))) if isinstance(picture, TiffImageFile) else 8
@@ -94,9 +95,10 @@ def picture_values(file: Path, name: str) -> tuple[NDArray[Any], bool]:
     for order in "BL" if depth == "16B" else "LB":
         with opened_picture(file, name) as picture:
             mode = f"{kind};16{order}"
+            args = [tile.args for tile in picture.tile]
+            args = [mode if isinstance(old, str) else (mode, *old[1:]) for old in args]
             picture.tile = [
-                tile._replace(args=mode if isinstance(tile.args, str) else (mode, *tile.args[1:]))
-                for tile in picture.tile
+                tile._replace(args=new) for tile, new in zip(picture.tile, args, strict=True)
             ]
             halves.append(np.asarray(upright_picture(picture, name))[..., :3].astype(np.uint16))
     high, low = halves
