@@ -354,7 +354,8 @@ Parts = tuple[Array, Mask, Mask]  # values, saturated and dead pixels
 def _turned(parts: Parts, angle: float) -> Parts:
     """Turn an image and its masks counter-clockwise by an angle in degrees."""
     quarters = round(angle / 90.0)
-    values, saturated, dead = (np.rot90(part, quarters) for part in parts)
+    values, saturated = np.rot90(parts[0], quarters), np.rot90(parts[1], quarters)
+    dead = np.rot90(parts[2], quarters)
     rest = math.radians(angle - 90.0 * quarters)
     if rest == 0.0:
         return values, saturated, dead
@@ -376,8 +377,8 @@ def _cropped(name: str, parts: Parts, crop: tuple[int, int, int, int]) -> Parts:
             f"crop = {x},{y},{width},{height} reaches column {x + width} and row {y + height}, "
             f"{name} has {columns} x {rows} pixels; give a part inside it"
         )
-    values, saturated, dead = (part[y : y + height, x : x + width] for part in parts)
-    return values, saturated, dead
+    inside = np.s_[y : y + height, x : x + width]
+    return parts[0][inside], parts[1][inside], parts[2][inside]
 
 
 def _homography(corners: ArrayLike, shape: tuple[int, int]) -> Array:
