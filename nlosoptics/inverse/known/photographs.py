@@ -188,7 +188,7 @@ def _trimmed(point_spread: Any) -> Array:
         if inside.sum() >= 0.999 * light.sum():
             kernel = kernel[rim : len(kernel) - rim, rim : kernel.shape[1] - rim]
             break
-    return kernel / kernel.sum()
+    return np.asarray(kernel / kernel.sum())
 
 
 def _veil(level: Array) -> Array | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,7 +167,8 @@ def tv_deconvolve(
 
     if is_kernel(model):
         return photograph(fit, image, model)
-    return reconstructed(partial(fit, model=model), image, model, in_numpy=True)
+    known = cast("AnyModel", model)
+    return reconstructed(partial(fit, model=known), image, known, in_numpy=True)
 
 
 def sharpest(
