@@ -1,7 +1,8 @@
 """Command line: parses arguments, calls the library and writes the results.
 
-Exit codes: 0 done, 1 failed, 2 bad input, 130 interrupted by Ctrl-C or SIGTERM. An error is printed
-as one line on stderr; ``--debug`` adds the traceback. A failed run leaves no partial output folder.
+Exit codes: 0 done, 1 failed, 2 bad input, 3 (with ``--strict``) the image contradicts the model,
+130 interrupted by Ctrl-C or SIGTERM. An error is one line on stderr; ``--debug`` adds the
+traceback. A failed run leaves no partial output folder.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,3 +48,39 @@ def _figures(result: Result) -> Iterator[tuple[str, Any]]:
     fit, truth, pitch = shown_fit(result)
     if fit is not None:
         yield "reconstruction", views.reconstruction(fit, truth, pitch=pitch)
+
+
+def write_photograph(image: Any, kernel: Any, answer: Any, gamma: str, folder: Path) -> None:
+    """Write one figure of a photograph, its point spread and what a solver found in it."""
+    from .. import views
+    from ..views.canvas import new_axes
+
+    status = answer.status.replace("_", " ")
+    axes = new_axes(3, width=14.0, height=4.8)
+    pictures = (image / image.max(), kernel / kernel.max(), answer.object)
+    titles = ("photograph", "point spread", f"sharpened, {status}")
+    for where, picture, title in zip(axes, pictures, titles, strict=True):
+        shown = picture if where is axes[1] else _tones(picture, gamma)
+        where.imshow(shown, cmap="gray", interpolation="nearest")
+        where.set(title=title, xlabel="column (pixels)", ylabel="row (pixels)")
+    views.save(axes, folder / OVERVIEW)
+
+
+def displayed(picture: Any, gamma: str) -> bytes:
+    """Return an 8-bit PNG of a picture, grey or in colour, as it is stored: linear or as sRGB."""
+    import numpy as np
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(np.rint(255.0 * _tones(picture, gamma)).astype(np.uint8)).save(stream, "PNG")
+    return stream.getvalue()
+
+
+def _tones(picture: Any, gamma: str) -> Any:
+    """Return a picture between 0 and 1; one pixel in a thousand may be brighter."""
+    import numpy as np
+
+    light = np.clip(picture / (np.quantile(picture, 0.999) or 1.0), 0.0, 1.0)
+    if gamma == "linear":
+        return light
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)

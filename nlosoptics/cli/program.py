@@ -17,6 +17,7 @@ from . import (  # imported to register their commands, in the order of the help
     analyses,  # noqa: F401
     captures,  # noqa: F401
     forward,  # noqa: F401
+    photographs,  # noqa: F401
     pictures,  # noqa: F401
     reconstructions,  # noqa: F401
     reports,  # noqa: F401

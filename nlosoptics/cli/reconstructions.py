@@ -10,7 +10,21 @@ from typing import Annotated, Any
 import typer
 
 from .._checks import counted
+from .photographs import (
+    Channel,
+    Corners,
+    Crop,
+    Dark,
+    Flat,
+    Full,
+    Gamma,
+    Rotate,
+    Strict,
+    reading,
+    warnings_told,
+)
 from .shell import (
+    DOES_NOT_FIT,
     INTERRUPTED,
     Changes,
     Debug,
@@ -69,24 +83,18 @@ def reconstruct_command(
     context: typer.Context,
     images: Annotated[
         list[Path],
-        typer.Argument(metavar="IMAGE...", help="Camera images: grey PNG, TIFF or .npy files."),
+        typer.Argument(metavar="IMAGE...", help="Camera images: PNG, TIFF, JPEG, .npy or raw."),
     ],
     scene_file: Annotated[Path, typer.Option("--scene", help="Scene file (TOML) of the set-up.")],
     changes: Changes = None,
-    dark: Annotated[
-        Path | None,
-        typer.Option(help="Dark frame: image with the same exposure time and the laser off."),
-    ] = None,
-    flat: Annotated[
-        Path | None, typer.Option(help="Flat field: image of an evenly lit white surface.")
-    ] = None,
-    full: Annotated[
-        float | None,
-        typer.Option(
-            help="Pixel value at which a pixel is saturated; by default the largest that the "
-            "file's number format can hold."
-        ),
-    ] = None,
+    dark: Dark = None,
+    flat: Flat = None,
+    full: Full = None,
+    channel: Channel = None,
+    gamma: Gamma = "linear",
+    rotate: Rotate = 0.0,
+    crop: Crop = "",
+    corners: Corners = "",
     method: Annotated[
         str | None,
         typer.Option(
@@ -115,6 +123,7 @@ def reconstruct_command(
     resume: Annotated[
         bool, typer.Option("--resume", help="Resume from the state saved in the output folder.")
     ] = False,
+    strict: Strict = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the contents of result.json.")
     ] = False,
@@ -133,18 +142,20 @@ def reconstruct_command(
         folder = Path(images[0].stem) if out is None else out
         scene = load(scene_file, size, changes)
         check_target(folder)
-        task = reconstructing.prepared(
-            scene,
-            images,
-            method=method,
-            dark=dark,
-            flat=flat,
-            full=full,
-            defocus=numbers("--defocus", defocus),
-            iterations=iterations,
-            seed=seed,
-            tol=tol,
-        )
+        with warnings_told():
+            task = reconstructing.prepared(
+                scene,
+                images,
+                method=method,
+                dark=dark,
+                flat=flat,
+                full=full,
+                reading=reading(channel, gamma, rotate, crop, corners),
+                defocus=numbers("--defocus", defocus),
+                iterations=iterations,
+                seed=seed,
+                tol=tol,
+            )
         with progress_bar(width=60) as progress, interruptible() as interrupted:
             report = reconstructing.carry_out(
                 task,
@@ -165,6 +176,8 @@ def reconstruct_command(
                 err=True,
             )
             raise typer.Exit(INTERRUPTED)
+        if strict and report["figures"]["reconstruction_status"] == "does_not_fit":
+            raise typer.Exit(DOES_NOT_FIT)
 
 
 def _reconstruction_rows(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:

@@ -23,7 +23,7 @@ from ..errors import MissingExtraError, NlosError, SceneError
 if TYPE_CHECKING:
     from ..scene import Scene
 
-DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DONE, FAILED, BAD_INPUT, DOES_NOT_FIT, INTERRUPTED = 0, 1, 2, 3, 130
 # typer exports no name for UsageError: old versions use click's class, new ones a copy
 _UsageError: Any = typer.BadParameter.__base__
 

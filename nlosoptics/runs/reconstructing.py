@@ -109,6 +109,7 @@ def prepared(
     dark: Path | None = None,
     flat: Path | None = None,
     full: float | None = None,
+    reading: Mapping[str, Any] | None = None,
     defocus: Sequence[float] = (),
     iterations: int | None = None,
     seed: int = 0,
@@ -131,6 +132,8 @@ def prepared(
         Files of the dark frame and the flat field, see `imaging.camera_image`.
     full : float, optional
         Count at which a pixel is saturated; by default the largest of the file's type.
+    reading : mapping, optional
+        Further options of `imaging.camera_image`, such as ``channel`` and ``corners``.
 
     Returns
     -------
@@ -187,14 +190,18 @@ def prepared(
             f"{len(paths)} exposures of a burst show different speckle, and {method} would average "
             "them; use the method burst, or remove [burst]"
         )
+    options: dict[str, Any] = {
+        "shape": scene.camera.shape,
+        "dark": dark,
+        "flat": flat,
+        "full": full,
+    }
+    options |= reading or {}
     averaged = method in KNOWN or method == SHADOWS
     groups: list[Sequence[Path]] = [paths] if averaged else [[path] for path in paths]
     return Task(
         scene=scene,
-        images=tuple(
-            camera_image(group, shape=scene.camera.shape, dark=dark, flat=flat, full=full)
-            for group in groups
-        ),
+        images=tuple(camera_image(group, **options) for group in groups),
         method=method,
         defocus=tuple(defocus),
         iterations=iterations,

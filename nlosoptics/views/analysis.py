@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,4 +105,4 @@ def analysis(optics: ScenePointSpread, *, samples: int = 41) -> tuple[Figure, Ta
         ),
         "zernikes": ("noll,coefficient (nm)", np.array([[k, 1e9 * c] for k, c in terms.items()])),
     }
-    return axes[0].figure, tables
+    return cast("Figure", axes[0].figure), tables

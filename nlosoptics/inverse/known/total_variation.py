@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from scipy import fft
 from ..._checks import positive
 from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
+from ...psf import PointSpread
 from ..data.checkpoints import started_from
 from ..data.driver import History, Solver, reconstructed, run, solved, stop_rule
 from ..data.models import mean_transfer
@@ -21,6 +23,7 @@ from ..data.reconstruction import Reconstruction
 from ..data.status import Ending
 from ._splitting_kernels import RELAXATION, mix, pull
 from .field_step import FieldStep
+from .photographs import is_kernel, photograph
 from .splitting_steps import Steps, gradient
 
 Array = NDArray[Any]
@@ -51,7 +54,7 @@ _TUNING = _Tuning()
 
 def tv_deconvolve(
     image: Any,
-    model: ForwardModel,
+    model: ForwardModel | PointSpread | NDArray[Any],
     *,
     tv_weight: float | None = None,
     max_iterations: int = _RULE[0],
@@ -67,10 +70,13 @@ def tv_deconvolve(
     Parameters
     ----------
     image : Measurement, ndarray or Tensor
-        Camera image, (H, W), with its noise and background.
-    model : ForwardModel
+        Camera image, (H, W), with its noise and background. With a point spread alone, also
+        (H, W, 3), or a `nlosoptics.imaging.CameraImage`.
+    model : ForwardModel, PointSpread or ndarray
         Image model of shape (H, W): the convolution of an object with the known point spread
-        function, which may vary over the object.
+        function, which may vary over the object. Or the point spread alone, on the pixels of the
+        image, centre at ``[ky//2, kx//2]``, in any unit: then the image is a photograph, part of a
+        larger view, see Notes.
     tv_weight : float or None
         Weight of the total variation, dimensionless; larger values give a smoother object. None:
         the weight at which the residual equals the noise (discrepancy principle).
@@ -125,6 +131,13 @@ def tv_deconvolve(
 
     Saturated pixels count only where the fitted image is below their level.
 
+    With a point spread alone the fit continues beyond the frame by half the point spread's width,
+    where no pixel was measured [3]_, so that light from there does no harm, for any size of image.
+    No background is fitted: it is part of the object. If a smooth veil, a polynomial of order 4,
+    explains more than 1 % of the total variation of the answer, it is taken from the object into
+    ``physical_parameters["veil"]``, of the image's shape, image units. Colours are fitted one by
+    one, and the numbers of the answer are those of the colour that fits worst.
+
     The computation runs on one thread in single precision, or in double precision if the noise is
     below 1e-4 of the image's range. ``objective`` in
     the history is evaluated at the final weight, so it may rise while the weight is adjusted.
@@ -133,6 +146,7 @@ def tv_deconvolve(
     ----------
     .. [1] Almeida and Figueiredo, IEEE Trans. Image Process. 22 (2013) 3074.
     .. [2] Wen and Chan, IEEE Trans. Image Process. 21 (2012) 1770.
+    .. [3] Almeida and Figueiredo, IEEE Trans. Image Process. 22 (2013) 3074, section IV.
 
     Examples
     --------
@@ -150,10 +164,13 @@ def tv_deconvolve(
     rule = stop_rule(max_iterations, tolerance)
     tv_weight = None if tv_weight is None else positive("tv_weight", tv_weight)
 
-    def solve(data: NoisyImage) -> dict[str, Any]:
+    def fit(data: NoisyImage, model: ForwardModel) -> dict[str, Any]:
         return solved(_Splitting(data, model, rule, tv_weight, start), progress)
 
-    return reconstructed(solve, image, model)
+    if is_kernel(model):
+        return photograph(fit, image, model)
+    known = cast("ForwardModel", model)
+    return reconstructed(partial(fit, model=known), image, known)
 
 
 def sharpest(

@@ -203,10 +203,13 @@ class Camera:
         """
         whole("size", size)
         if self.pixels[0] % size or self.pixels[1] % (self.pixels[0] // size):
-            divisors = [n for n in range(16, self.pixels[0] + 1) if self.pixels[0] % n == 0]
-            nearest = min(divisors, key=lambda n: abs(n - size), default=self.pixels[0])
+            columns, rows = self.pixels
+            common = math.gcd(columns, rows)
+            fit = [columns // n for n in range(common, 0, -1) if common % n == 0]
+            near = sorted(sorted(fit, key=lambda n: abs(math.log(n / size)))[:6])
             raise SceneError(
-                f"size = {size} does not divide camera.pixels = {self.pixels}; nearest is {nearest}"
+                f"size = {size} does not divide camera.pixels = {self.pixels} into squares; "
+                f"sizes that do: {', '.join(map(str, near))}"
             )
         return replace(self, binning=self.pixels[0] // size)
 

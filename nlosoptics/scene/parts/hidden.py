@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import in_range, is_single, pair, real
-from ..._pictures import opened_picture
+from ..._pictures import opened_picture, upright_picture
 from ...errors import SceneError
 from ._posed import Posed, PosedMesh
 from ._quantities import Radiance
@@ -214,8 +214,7 @@ def read_picture(path: Path) -> Array:
     # Pillow raises SyntaxError for broken files
     except Exception as error:
         raise SceneError(
-            f"hidden.image: {path} is not an image ({type(error).__name__}); give PNG, TIFF, JPEG "
-            "or .npy"
+            f"hidden.image: {path} is no readable image ({error}); give PNG, TIFF, JPEG or .npy"
         ) from None
     if not isinstance(raw, np.ndarray):
         raise SceneError(f"hidden.image: {path} holds several arrays; give a .npy file of one")
@@ -229,9 +228,10 @@ def _decoded(suffix: str, content: bytes, name: str) -> NDArray[Any]:
         held: NDArray[Any] = np.load(file, allow_pickle=False)
         return held
     with opened_picture(file, name) as picture:
+        upright = upright_picture(picture, name)
         if picture.mode not in ("1", "L", "I", "F") and not picture.mode.startswith("I;16"):
-            return np.asarray(picture.convert("L"))
-        return np.asarray(picture)
+            return np.asarray(upright.convert("L"))
+        return np.asarray(upright)
 
 
 @dataclass(frozen=True, eq=False)

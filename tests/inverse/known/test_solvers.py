@@ -112,7 +112,7 @@ def test_uniform_image_is_too_few_photons(solver, small, level, noise_sigma):
         ({"image": np.full((32, 40), np.nan)}, SceneError, "image has 1280 of 1280 values"),
         ({"image": np.zeros((40, 32))}, SamplingError, r"image has shape \(40, 32\), must be"),
         ({"image": "F.png"}, SceneError, "image of type str is not an array"),
-        ({"model": np.ones((5, 5))}, SceneError, "model of type ndarray is not an image model"),
+        ({"model": "disc"}, SceneError, "model of type str is not an image model"),
         ({"noise_sigma": -1.0}, SceneError, "noise_sigma = -1 is out of range"),
         ({"noise_sigma": 0.0}, SceneError, "noise_sigma = 0 is out of range"),
         ({"noise_sigma": np.zeros((32, 40))}, SceneError, "noise_sigma = 0 is out of range"),

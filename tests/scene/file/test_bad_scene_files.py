@@ -147,7 +147,7 @@ def test_image_that_is_no_image(folder: Path, cut: int) -> None:
     picture.write_bytes(picture.read_bytes()[:cut])
     line = refusal(folder / "letter_flat.toml")
     assert "hidden.image" in line
-    assert "F.png is not an image" in line
+    assert "F.png is no readable image" in line
 
 
 def test_object_mesh_behind_the_wall(folder: Path) -> None:

@@ -119,7 +119,9 @@ def test_bad_arrays(raw, message: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", [b"", b"no picture", b"\x89PNG\r\n\x1a\n", b"\x93NUMPY\x01"])
 def test_bad_picture_files(name: str, content: bytes, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(SceneError, match=rf"hidden.image: .*{name} is not an image .*; give PNG"):
+    with pytest.raises(
+        SceneError, match=rf"hidden.image: .*{name} is no readable image .*; give PNG"
+    ):
         _ = planar(tmp_path / name).reflectance
 
 
