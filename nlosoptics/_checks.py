@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -30,7 +31,7 @@ _MOST_SQUARABLE = 1e60
 
 def reason(error: Exception) -> str:
     """Return kind and text of another library's exception, printable and short, for one line."""
-    text = "".join(c if c.isprintable() else " " for c in str(error))
+    text = "".join(c if c.isprintable() else " " for c in re.sub(r" <_io.*?>", "", str(error)))
     return f"{type(error).__name__}: {' '.join(text.split())[:120]}".removesuffix(": ")
 
 

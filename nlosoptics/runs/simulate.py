@@ -18,7 +18,7 @@ from ..scene import MeshWall, PlanarObject, Scene
 from .noise import electron_noise
 from .patterns import BURST, CHECKS, mean_optics, uses_mean
 from .plan import MOST_SECONDS, Plan, looked_at
-from .refusals import wave_refusal
+from .refusals import check_errors, fillable, wave_refusal
 from .results import Result
 from .stages import FIELD, MEAN, MOST_NODES
 from .veil import fitted_veil
@@ -131,6 +131,7 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
     errors = {"point spread": spread.error_estimate}
     spreads, field_errors = image_spreads(todo, optics, spread, seed, begin, tell)
     errors |= field_errors
+    check_errors(errors, tol)
     shadows = None
     if todo.runs("shadow rays"):
         begin("shadow rays")
@@ -142,7 +143,7 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
         begin(BURST)
         burst = _burst(todo, scene, image, seed, lambda share: tell(BURST, share))
     reconstruction = None
-    if todo.runs("reconstruction"):
+    if todo.runs("reconstruction") and fillable(scene, image.electrons):
         begin("reconstruction")
         if burst is None:
             reconstruction = _reconstruct(scene, image, spreads, shadows)

@@ -33,7 +33,7 @@ from ..psf.walls.scene_psf import point_window
 from ..raytrace import ray_plan
 from ..raytrace.intersection.meshes import threads
 from ..scene import MeshWall, PlanarObject, Scene
-from .refusals import check_cones
+from .refusals import check_cones, overexposure
 
 FIELD = "field of point spreads"  # name of the stage
 MEAN = "mean point spread"  # name of the stage
@@ -322,6 +322,8 @@ def reconstruction_stage(scene: Scene, wanted: bool, nodes: int = 0) -> Stage:
         return skipped("reconstruction", "not requested")
     if scene.wall_material.specular_reflectance == 0:
         return skipped("reconstruction", "a diffuse wall without a mirror-like lobe forms no image")
+    if full := overexposure(scene):
+        return skipped("reconstruction", full)
     ny, nx = scene.camera.shape
     if scene.burst is not None:
         return Stage(

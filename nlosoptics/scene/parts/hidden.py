@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import in_range, is_single, pair, real
+from ..._checks import in_range, is_single, pair, real, reason
 from ..._pictures import opened_picture
 from ...errors import SceneError
 from ._posed import Posed, PosedMesh
@@ -214,8 +214,7 @@ def read_picture(path: Path) -> Array:
     # Pillow raises SyntaxError for broken files
     except Exception as error:
         raise SceneError(
-            f"hidden.image: {path} is not an image ({type(error).__name__}); give PNG, TIFF, JPEG "
-            "or .npy"
+            f"hidden.image: {path} cannot be read ({reason(error)}); give PNG, TIFF, JPEG or .npy"
         ) from None
     if not isinstance(raw, np.ndarray):
         raise SceneError(f"hidden.image: {path} holds several arrays; give a .npy file of one")
@@ -228,7 +227,15 @@ def _decoded(suffix: str, content: bytes, name: str) -> NDArray[Any]:
     if suffix == ".npy":
         held: NDArray[Any] = np.load(file, allow_pickle=False)
         return held
+    from PIL import ImageOps
+
     with opened_picture(file, name) as picture:
+        # a phone's MPO file holds previews besides its picture
+        if (frames := getattr(picture, "n_frames", 1)) > 1 and picture.format != "MPO":
+            raise SceneError(f"{name} has {frames} frames; save the one that is meant")
+        if picture.has_transparency_data and picture.convert("RGBA").getextrema()[3][0] < 255:
+            raise SceneError(f"{name} is transparent in places; save it on black or white")
+        ImageOps.exif_transpose(picture, in_place=True)
         if picture.mode not in ("1", "L", "I", "F") and not picture.mode.startswith("I;16"):
             return np.asarray(picture.convert("L"))
         return np.asarray(picture)
