@@ -115,6 +115,12 @@ def test_points_share_their_point_spread(tmp_path: Path, monkeypatch) -> None:
     }
 
 
+def test_a_figure_that_ends_python_is_a_failure_that_says_so(tmp_path: Path) -> None:
+    data = run_study(made(own("ends"), own("power")), tmp_path / "store", workers=0).dataset
+    assert set(data["message"].values) == {"ends: SystemExit: no licence"}
+    assert np.array_equal(data["power"], data["laser.power"])
+
+
 def test_a_point_that_fails_says_why(tmp_path: Path) -> None:
     study = made(own("fragile"), own("not_finite"), own("power"))
     results = run_study(study, tmp_path / "store", workers=0)
