@@ -35,6 +35,31 @@ def reason(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(text.split())[:120]}".removesuffix(": ")
 
 
+#: How the arguments of public functions are made.
+_MAKERS = {
+    "Scene": "Scene.load(path)",
+    "Wavefront": "psf.wavefront(scene)",
+    "PointSpread": "psf.scene_point_spread(scene).point_spread",
+    "TransientCapture": "transient.load_capture(path)",
+    "VolumeImage": "transient.phasor_image(capture, wl_mean=...)",
+    "Study": "Study.load(path)",
+    "Results": "run_study(study, path)",
+    "Result": "simulate(scene)",
+    "Feasibility": "limits.feasibility(scene)",
+}
+
+
+def expect(name: str, value: Any, *kinds: str) -> None:
+    """Raise `SceneError` if ``value`` is of none of the classes of these names.
+
+    Classes are named, so that no module must be imported for a check.
+    """
+    if not {kind.__name__ for kind in type(value).__mro__}.intersection(kinds):
+        makers = [_MAKERS[kind] for kind in kinds if kind in _MAKERS][:1]
+        such = "".join(f", such as {maker}" for maker in makers)
+        raise SceneError(f"{name} is a {type(value).__name__}; give a {' or '.join(kinds)}{such}")
+
+
 def real(name: str, value: Any) -> float:
     """Return ``value`` as a finite float, or raise `SceneError` naming ``name``."""
     kind = getattr(getattr(value, "dtype", None), "kind", "f")

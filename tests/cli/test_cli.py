@@ -435,3 +435,14 @@ def test_a_plan_that_no_run_can_follow_is_refused(run: Run, scene_file: Path) ->
     answer = run("plan", scene_file)
     assert (answer.code, answer.err.count("\n")) == (2, 1)
     assert "no geometric method" in answer.err
+
+
+def test_what_no_system_can_do_is_refused_in_one_line(run: Run, scene_file: Path) -> None:
+    """A folder in /proc, whose permissions say yes, and an integer that Python does not read."""
+    answer = run("run", scene_file, "--out", "/proc/x")
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert "/proc/x is in /proc, which takes no folder" in answer.err
+    scene_file.write_text(scene_file.read_text().replace("[laser]", "[laser]\nx = " + 5000 * "9"))
+    answer = run("plan", scene_file)
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert "thousands of digits; give fewer" in answer.err

@@ -10,7 +10,7 @@ import numpy as np
 import scipy  # loads its parts on first use
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import counted, fits_memory, one_of, whole
+from ..._checks import counted, expect, fits_memory, one_of, whole
 from ...errors import SamplingError, SceneError
 from ..aperture.quadrature_nodes import circle_shares, gauss_legendre
 from ..transform import quadrature
@@ -70,6 +70,7 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     >>> print(f"{psf.strehl(wave):.4f}, {focused:.4f}")
     0.6626, 1.0000
     """
+    expect("wavefront", wavefront, "Wavefront")
     residual = split(_without(wavefront, remove))
     if residual.wavefront.is_spectral:
         centre = Window.centred(residual.airy_unit, (1, 1))
@@ -119,6 +120,7 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     >>> print(f"{1e9 * psf.rms_aberration(wave):.1f} nm")
     50.0 nm
     """
+    expect("wavefront", wavefront, "Wavefront")
     rest = _without(wavefront, remove)
     weights = rest.amplitude * rest.weights
     return math.sqrt(float(np.sum(weights * rest.aberration**2) / np.sum(weights)))
@@ -156,6 +158,7 @@ def fit_zernike(
     --------
     zernike : Zernike polynomial.
     """
+    expect("wavefront", wavefront, "Wavefront")
     one_of("ordering", ordering, ORDERINGS)
     whole("n_terms", n_terms)
     weights = np.sqrt(wavefront.amplitude * wavefront.weights)
@@ -229,6 +232,7 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     >>> print(f"{psf.encircled_energy(wave, 6.0983e-6):.4f}")
     0.8378
     """
+    expect("source", source, "Wavefront", "PointSpread")
     radii = np.asarray(radius, dtype=np.float64)
     if not np.all(np.isfinite(radii)) or np.any(radii < 0):
         raise SceneError(f"radius = {radius!r} m; give finite radii of at least 0")
@@ -283,6 +287,7 @@ def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
     --------
     encircled_energy : Energy within circles.
     """
+    expect("point_spread", point_spread, "PointSpread")
     sides = np.asarray(side, dtype=np.float64)
     if not np.all(np.isfinite(sides)) or np.any(sides < 0):
         raise SceneError(f"side = {side!r} m; give finite sides of at least 0")
@@ -347,6 +352,7 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     >>> print(f"{psf.mtf(wave, 100e3):.4f}")
     0.3910
     """
+    expect("source", source, "Wavefront", "PointSpread")
     return np.abs(_transfer(source, frequency, azimuth))
 
 
@@ -375,6 +381,7 @@ def ptf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     --------
     mtf : Modulus of the optical transfer function.
     """
+    expect("source", source, "Wavefront", "PointSpread")
     return np.asarray(np.angle(_transfer(source, frequency, azimuth)))
 
 
@@ -451,6 +458,7 @@ def fwhm(point_spread: PointSpread) -> tuple[float, float]:
     >>> print(f"{1e6 * x:.2f} um, {1e6 * y:.2f} um")
     5.14 um, 5.14 um
     """
+    expect("point_spread", point_spread, "PointSpread")
     row, column = np.unravel_index(
         int(np.argmax(point_spread.intensity)), point_spread.intensity.shape
     )
