@@ -10,7 +10,7 @@ import numpy as np
 import scipy  # loads its parts on first use
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import counted, expect, fits_memory, one_of, whole
+from ..._checks import counted, expect, fits_memory, one_of, shown, whole
 from ...errors import SamplingError, SceneError
 from ..aperture.quadrature_nodes import circle_shares, gauss_legendre
 from ..transform import quadrature
@@ -235,7 +235,7 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     expect("source", source, "Wavefront", "PointSpread")
     radii = np.asarray(radius, dtype=np.float64)
     if not np.all(np.isfinite(radii)) or np.any(radii < 0):
-        raise SceneError(f"radius = {radius!r} m; give finite radii of at least 0")
+        raise SceneError(f"radius = {shown(radius)} m; give finite radii of at least 0")
     if isinstance(source, Wavefront):
         residual = split(source)
         if source.layout != "polar":
@@ -290,7 +290,7 @@ def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
     expect("point_spread", point_spread, "PointSpread")
     sides = np.asarray(side, dtype=np.float64)
     if not np.all(np.isfinite(sides)) or np.any(sides < 0):
-        raise SceneError(f"side = {side!r} m; give finite sides of at least 0")
+        raise SceneError(f"side = {shown(side)} m; give finite sides of at least 0")
     x, y, pitch = point_spread.x, point_spread.y, point_spread.pitch
     edge = 2 * min(-x[0], x[-1], -y[0], y[-1]) + pitch
     if sides.size and sides.max() > edge * (1 + 1e-12):

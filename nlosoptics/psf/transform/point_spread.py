@@ -422,7 +422,7 @@ def _sampling(
 ) -> tuple[float, tuple[int, int]]:
     """Return the pitch, m, and the shape (ny, nx), checked if given, by default otherwise."""
     if pitch is not None:
-        pitch = positive("pitch", pitch, unit="m")
+        pitch = in_range("pitch", pitch, 1e-100, 1e100, unit="m")
     elif method == "fft" and residual.wavefront.layout == "grid" and not pixel_integrated:
         size = fft.default_size(residual)
         pitch = fft.image_pitch(residual, size)

@@ -101,6 +101,7 @@ def backprojection(
        non-line-of-sight laser-gated viewing, J. Electron. Imaging 23, 063003 (2014).
     """
     expect("capture", capture, "TransientCapture")
+    expect("volume", volume, "Volume")
     begun = time.perf_counter()
     one_of("filter", filter, ("none", "second_derivative", "laplacian"))
     one_of("falloff", falloff, POWERS)

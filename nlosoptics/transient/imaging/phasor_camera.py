@@ -165,6 +165,7 @@ def phasor_image(
     [0.1 0.  0.6]
     """
     expect("capture", capture, "TransientCapture")
+    expect("volume", volume, "Volume")
     started = time.perf_counter()
     one_of("camera", camera, get_args(Camera))
     one_of("method", method, ("auto", "fft", "direct"))
