@@ -214,7 +214,8 @@ def read_picture(path: Path) -> Array:
     # Pillow raises SyntaxError for broken files
     except Exception as error:
         raise SceneError(
-            f"hidden.image: {path} cannot be read ({reason(error)}); give PNG, TIFF, JPEG or .npy"
+            f"hidden.image: {path} is not an image that can be read ({reason(error)}); give "
+            "PNG, TIFF, JPEG or .npy"
         ) from None
     if not isinstance(raw, np.ndarray):
         raise SceneError(f"hidden.image: {path} holds several arrays; give a .npy file of one")
@@ -233,7 +234,8 @@ def _decoded(suffix: str, content: bytes, name: str) -> NDArray[Any]:
         # a phone's MPO file holds previews besides its picture
         if (frames := getattr(picture, "n_frames", 1)) > 1 and picture.format != "MPO":
             raise SceneError(f"{name} has {frames} frames; save the one that is meant")
-        if picture.has_transparency_data and picture.convert("RGBA").getextrema()[3][0] < 255:
+        alpha = picture.convert("RGBA").getchannel("A") if picture.has_transparency_data else None
+        if alpha is not None and np.asarray(alpha).min() < 255:
             raise SceneError(f"{name} is transparent in places; save it on black or white")
         ImageOps.exif_transpose(picture, in_place=True)
         if picture.mode not in ("1", "L", "I", "F") and not picture.mode.startswith("I;16"):

@@ -37,7 +37,8 @@ def load_mesh(name: str, given: Any) -> trimesh.Trimesh:
             mesh = trimesh.load(file, file_type=path.suffix[1:], force="mesh", process=False)
         except Exception as error:  # the loaders of trimesh raise arbitrary exception types
             raise SceneError(
-                f"{name}: {path} cannot be read ({reason(error)}); give STL, OBJ or PLY"
+                f"{name}: {path} is not a mesh that can be read ({reason(error)}); give STL, "
+                "OBJ or PLY"
             ) from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise SceneError(f"{name}: {given} holds no triangles; give a surface mesh")
