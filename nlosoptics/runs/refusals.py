@@ -84,6 +84,13 @@ def overexposure(scene: Scene) -> str:
     """
     if scene.occluders:
         return ""
+    # bound of the light: the spot's radiance, were all walls Lambertian, seen by way of the object
+    near = math.dist(scene.laser.aim, tuple(scene.object_point)) - _half_extent(scene)
+    bound = electrons_per_radiance(scene, np.ones(1), scene.camera.exposure)[0] * (
+        scene.laser.power / (math.pi * max(near, 1e-6)) ** 2
+    )
+    if bound < full_reading(scene.camera):
+        return ""
     y, x = (np.array([-0.45, 0.0, 0.45]) * n * scene.camera.image_pitch for n in scene.camera.shape)
     spot, rays = laser_spot(scene), chief_rays(scene, x, y)
     visible = wall_visibility(scene, rays)
