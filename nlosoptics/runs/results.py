@@ -204,8 +204,8 @@ def load_result(folder: str | Path) -> Result:
         if other or not isinstance(value, kind):
             raise SceneError(f"{path}: {key} = {str(value)[:40]!r} is wrong; {result_files.REMEDY}")
     result = Result(scene=scene, **nouns)
-    image = (result.image.electrons, result.image.expected, result.image.signal, result.image.ideal)
-    image += (result.image.background, result.image.noise_sigma)
+    names = ("electrons", "expected", "signal", "ideal", "background", "noise_sigma")
+    image = [getattr(result.image, name) for name in names]
     others = [result.point_spread.intensity]
     others += [] if result.reconstruction is None else [result.reconstruction.object]
     if any(values.shape != scene.camera.shape for values in image) or not all(
