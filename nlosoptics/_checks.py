@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -30,8 +31,40 @@ _MOST_SQUARABLE = 1e60
 
 def reason(error: Exception) -> str:
     """Return kind and text of another library's exception, printable and short, for one line."""
-    text = "".join(c if c.isprintable() else " " for c in str(error))
+    text = "".join(c if c.isprintable() else " " for c in re.sub(r" <_io.*?>", "", str(error)))
     return f"{type(error).__name__}: {' '.join(text.split())[:120]}".removesuffix(": ")
+
+
+#: How the arguments of public functions are made.
+_MAKERS = {
+    "Scene": "Scene.load(path)",
+    "Wavefront": "psf.wavefront(scene)",
+    "PointSpread": "psf.scene_point_spread(scene).point_spread",
+    "TransientCapture": "transient.load_capture(path)",
+    "VolumeImage": "transient.phasor_image(capture, wl_mean=...)",
+    "Study": "Study.load(path)",
+    "Volume": "Volume.facing(points, (near, far, step))",
+    "Results": "run_study(study, path)",
+    "Result": "simulate(scene)",
+    "Feasibility": "limits.feasibility(scene)",
+}
+
+
+def expect(name: str, value: Any, *kinds: str) -> None:
+    """Raise `SceneError` if ``value`` is of none of the classes of these names.
+
+    Classes are named, so that no module must be imported for a check.
+    """
+    if not {kind.__name__ for kind in type(value).__mro__}.intersection(kinds):
+        makers = [_MAKERS[kind] for kind in kinds if kind in _MAKERS][:1]
+        such = "".join(f", such as {maker}" for maker in makers)
+        raise SceneError(f"{name} is a {type(value).__name__}; give a {' or '.join(kinds)}{such}")
+
+
+def shown(value: Any) -> str:
+    """Return the representation of a value in one line of at most 80 characters."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else f"{text[:50]} ... {text[-20:]}"
 
 
 def real(name: str, value: Any) -> float:
@@ -42,7 +75,9 @@ def real(name: str, value: Any) -> float:
             raise TypeError
         number = float(value)
     except (TypeError, ValueError):
-        raise SceneError(f"{name} = {value!r} is not a number; give a float in SI units") from None
+        raise SceneError(
+            f"{name} = {shown(value)} is not a number; give a float in SI units"
+        ) from None
     except OverflowError:
         raise SceneError(f"{name} is beyond the range of a float; give a smaller number") from None
     if not math.isfinite(number):
@@ -92,13 +127,13 @@ def whole(name: str, value: Any, low: int = 1, high: int | None = None) -> int:
     wrong = isinstance(value, (str, bytes, bytearray, bool))
     # integers may have more digits than a float
     if wrong or (not isinstance(value, Integral) and not real(name, value).is_integer()):
-        raise SceneError(f"{name} = {value!r} is not a whole number; give an integer")
+        raise SceneError(f"{name} = {shown(value)} is not a whole number; give an integer")
     number = int(value)
     if number < low or (high is not None and number > high):
         limit = f"at least {low}" if high is None else f"from {low} to {high}"
         # Python does not convert ints of thousands of digits to text
-        shown = number if number.bit_length() < 128 else f"an int of {number.bit_length()} bits"
-        raise SceneError(f"{name} = {shown} is out of range, must be {limit}")
+        told = number if number.bit_length() < 128 else f"an int of {number.bit_length()} bits"
+        raise SceneError(f"{name} = {told} is out of range, must be {limit}")
     return number
 
 
@@ -107,7 +142,9 @@ def whole_pair(name: str, value: Any, most: tuple[int, int] | None = None) -> tu
     try:
         rows, columns = value
     except (TypeError, ValueError):
-        raise SceneError(f"{name} = {value!r} is not (rows, columns); give two integers") from None
+        raise SceneError(
+            f"{name} = {shown(value)} is not (rows, columns); give two integers"
+        ) from None
     high = most or (None, None)
     return whole(f"{name}[0]", rows, 1, high[0]), whole(f"{name}[1]", columns, 1, high[1])
 
@@ -116,7 +153,7 @@ def one_of(name: str, value: Any, choices: Iterable[str]) -> str:
     """Return ``value`` if it is one of ``choices``, otherwise raise `SceneError`."""
     choices = tuple(choices)
     if value not in choices:
-        raise SceneError(f"{name} = {value!r} is unknown, must be one of {', '.join(choices)}")
+        raise SceneError(f"{name} = {shown(value)} is unknown, must be one of {', '.join(choices)}")
     return str(value)
 
 
@@ -124,7 +161,7 @@ def path_of(name: str, value: Any) -> Path:
     """Return ``value`` as a path that the system takes, or raise `SceneError` naming ``name``."""
     if not isinstance(value, (str, os.PathLike)):
         raise SceneError(
-            f"{name} = {value!r} is not the path of a file or folder; give a str or Path"
+            f"{name} = {shown(value)} is not the path of a file or folder; give a str or Path"
         )
     path = Path(value)
     try:
@@ -142,7 +179,7 @@ def path_of(name: str, value: Any) -> Path:
 def vector(name: str, value: Any) -> Vector:
     """Return ``value`` as three finite floats."""
     if is_single(value) or not (isinstance(value, Sequence) or hasattr(value, "__array__")):
-        raise SceneError(f"{name} = {value!r} is not a vector; give three numbers in m")
+        raise SceneError(f"{name} = {shown(value)} is not a vector; give three numbers in m")
     if len(value) != 3:
         raise SceneError(
             f"{name} has {counted(len(value), 'component')}; give three, x, y and z in m"
@@ -163,7 +200,7 @@ def pair(name: str, value: Any, *, unit: str = "m") -> tuple[float, float]:
     if is_single(value):
         value = (value, value)
     if not isinstance(value, Sequence) and not hasattr(value, "__array__"):
-        raise SceneError(f"{name} = {value!r} is not a size; give one number or two")
+        raise SceneError(f"{name} = {shown(value)} is not a size; give one number or two")
     if len(value) != 2:
         raise SceneError(
             f"{name} has {counted(len(value), 'component')}; give one number or (x, y)"

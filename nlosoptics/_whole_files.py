@@ -83,6 +83,13 @@ def check_folder(folder: Path) -> None:
         raise SceneError(f"{folder} is in {parent}, which is no folder; create it first")
     if not os.access(parent, os.W_OK):
         raise SceneError(f"{folder} is in {parent}, which cannot be written; name another place")
+    try:  # a file system such as /proc denies what the permissions allow
+        with beside(Path(os.path.realpath(folder))):
+            pass
+    except OSError as error:
+        raise SceneError(
+            f"{folder} is in {parent}, which takes no folder ({error.strerror}); name another place"
+        ) from None
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from .shell import (
+    FAILED,
     INTERRUPTED,
     Debug,
     app,
@@ -132,6 +133,10 @@ def run_command(
         if not results.complete:
             typer.echo("nlosoptics: interrupted; the same command continues", err=True)
             raise typer.Exit(INTERRUPTED)
+        names = [figure.name for figure in results.study.figures]
+        if not results.dataset[names].notnull().to_dataarray().any():
+            typer.echo("nlosoptics: every figure of every point failed, see above", err=True)
+            raise typer.Exit(FAILED)
 
 
 @studies.command("status", short_help="Show the state and the results of a study.")

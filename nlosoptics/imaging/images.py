@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import fits_memory, positive
+from .._checks import expect, fits_memory, positive
 from .._html import Figures, Shown
 from .._nouns import Noun
 from .._random import checked_seed
@@ -289,6 +289,7 @@ def form_image(
     >>> image.electrons.shape, image.saturated_fraction
     ((32, 32), 0.0)
     """
+    expect("scene", scene, "Scene")
     seed = checked_seed(seed)
     camera = scene.camera
     exposure = positive("exposure", camera.exposure if exposure is None else exposure, unit="s")
@@ -383,6 +384,7 @@ def diffuse_background(
     >>> imaging.diffuse_background(scene).shape
     (16, 16)
     """
+    expect("scene", scene, "Scene")
     exposure = positive("exposure", scene.camera.exposure if exposure is None else exposure)
     if object_image is not None:
         scene = _with_picture(scene, object_image)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import fits_memory
+from .._checks import expect, fits_memory
 from .._nouns import Noun
 from .._vectors import dot
 from ..raytrace import intersect_mesh, occluded
@@ -130,6 +130,7 @@ def cast_shadows(scene: Scene) -> Shadows:
 
     The laser spot is treated as a point, and its image is dimmed uniformly.
     """
+    expect("scene", scene, "Scene")
     ny, nx = scene.camera.shape
     fits_memory(
         f"the shadows of {nx} x {ny} pixels (camera.pixels, camera.binning)",

@@ -9,6 +9,7 @@ import numpy as np
 import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 
+from .._checks import expect
 from ..imaging.geometry import chief_rays, plane_coordinates
 from ..scene import PlanarObject, Scene
 from .relay import CELLS, CONTRAST
@@ -173,6 +174,7 @@ def object_scale(scene: Scene) -> float:
     >>> round(1e3 * limits.object_scale(scene) * scene.camera.image_pitch, 2)
     2.84
     """
+    expect("scene", scene, "Scene")
     depth = float(
         (scene.mirrored_object_point - np.array(scene.camera.position)) @ scene.camera.axis
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..psf import PointSpread, SceneOptics, Wavefront
+from ..psf import PointSpread, SceneOptics, Wavefront, mtf
 from ..psf.rough.view import RoughView
 from ..psf.walls.lobe_psf import MirrorLobes, lobes_of
 from ..psf.walls.scene_psf import scene_point_spread
@@ -80,6 +80,33 @@ def scene_transfer(optics: SceneOptics) -> Transfer:
         lobes=tuple(zip(shares, views, strict=True)),
         wave=aimed.wave,
     )
+
+
+def image_modulation(optics: SceneOptics, frequency: float, azimuth: float, tol: float) -> float:
+    """Return the modulation of a sinusoid in the image, by lens, wall and pixels, without aliases.
+
+    The frequency is in cycles per m on the detector along the azimuth, rad from x toward y, up to
+    the Nyquist frequency. It is the product of transfer functions of wave, lobes and pixel. A wave
+    that has no closed transfer function (roughness, a cut cone) is sampled by a point spread whose
+    pixels resolve it, or are 16 times finer than the image's, with an error below 0.002.
+    """
+    scene, seen = optics.scene, optics.at()
+    pitch, wave = scene.camera.image_pitch, seen.first.wave
+    u, v = frequency * math.cos(azimuth), frequency * math.sin(azimuth)
+    pixel = float(np.sinc(pitch * u) * np.sinc(pitch * v))
+    if scene.wall_roughness is not None or wave.layout != "polar" or wave.obscuration > 0:
+        core = scene.laser.wavelength * optics.exit_pupil.f_number
+        finer = pitch / min(16, math.ceil(2 * pitch / core))
+        fine = scene_point_spread(optics, tol, pitch=finer).point_spread
+        pixel /= float(np.sinc(finer * u) * np.sinc(finer * v))
+        return pixel * float(mtf(fine, frequency, azimuth=azimuth))
+    lobes = lobes_of(scene, lambda: seen.view)
+    shift, total = wave.wavelength * wave.image_distance, scene.wall_material.specular_reflectance
+    blur = lobes.smooth
+    for lobe, view in zip(lobes.rough, lobes.views(seen.first.residual), strict=True):
+        passed = view.scattered_transfer(np.array(shift * u), np.array(shift * v))
+        blur += lobe.specular_reflectance * float(passed)
+    return pixel * float(mtf(wave, frequency, azimuth=azimuth)) * (blur / total if total else 1.0)
 
 
 def _modulus(spread: PointSpread, u: Array, v: Array) -> Array:

@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Mapping
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..errors import NotWaveGradeError, SceneError
+from ..errors import NotWaveGradeError, SceneError, ValidityWarning
+from ..imaging.detector import full_reading
+from ..imaging.geometry import chief_rays, wall_visibility
 from ..imaging.image_fields import checked_places, picture_frame
+from ..imaging.radiometry import (
+    background_radiance,
+    electrons_per_radiance,
+    laser_spot,
+    lit_patches,
+)
 from ..psf.pupil.exit_pupil import ExitPupil
 from ..psf.pupil.obstruction import check_cone
 from ..psf.pupil.wall_wavefront import check_wave_grade
@@ -64,6 +75,58 @@ def check_sight(scene: Scene, pupil: ExitPupil) -> None:
             f"{1e3 * image[1]:.3g}) mm from the axis, off the detector of "
             f"+-({1e3 * reach[0]:.3g}, {1e3 * reach[1]:.3g}) mm; change camera.aim"
         )
+
+
+def overexposure(scene: Scene) -> str:
+    """Return why no pixel will count, or an empty string: diffuse light alone fills all.
+
+    The light is computed at nine places of the detector, without the shadows of occluders.
+    """
+    if scene.occluders:
+        return ""
+    # bound of the light: the spot's radiance, were all walls Lambertian, seen by way of the object
+    near = math.dist(scene.laser.aim, tuple(scene.object_point)) - _half_extent(scene)
+    bound = electrons_per_radiance(scene, np.ones(1), scene.camera.exposure)[0] * (
+        scene.laser.power / (math.pi * max(near, 1e-6)) ** 2
+    )
+    if bound < full_reading(scene.camera):
+        return ""
+    y, x = (np.array([-0.45, 0.0, 0.45]) * n * scene.camera.image_pitch for n in scene.camera.shape)
+    spot, rays = laser_spot(scene), chief_rays(scene, x, y)
+    visible = wall_visibility(scene, rays)
+    gain = electrons_per_radiance(scene, rays.cos_axis, scene.camera.exposure) * visible
+    light = gain * background_radiance(scene, spot, lit_patches(scene, spot), rays, visible > 0)
+    full = light[visible > 0] / full_reading(scene.camera)
+    return _shorter(scene, float(full.max())) if full.size and full.min() > 1.0 else ""
+
+
+def _shorter(scene: Scene, full: float) -> str:
+    """Return the text on an exposure that fills pixels ``full`` times."""
+    return (
+        f"every pixel that sees the wall is saturated, the fullest {max(full, 1.0):.2g} times; use "
+        f"camera.exposure = {0.5 * scene.camera.exposure / max(full, 1.0):.2g} s"
+    )
+
+
+def fillable(scene: Scene, electrons: NDArray[np.float64]) -> bool:
+    """Return whether any pixel of an image counts; warn if none does."""
+    if (electrons < full_reading(scene.camera)).any():
+        return True
+    text = f"no object is reconstructed: {_shorter(scene, 1.0)} or less"
+    warnings.warn(text, ValidityWarning, stacklevel=4)
+    return False
+
+
+def check_errors(errors: Mapping[str, float], tol: float) -> None:
+    """Warn of each estimated error of a run that exceeds the planned one."""
+    for name, error in errors.items():
+        if error > tol:
+            warnings.warn(
+                f"the error of the {name} is {error:.2g}, planned was tol = {tol:g}; use a smaller "
+                "tol, and compare",
+                ValidityWarning,
+                stacklevel=4,
+            )
 
 
 def check_cones(scene: Scene, counts: list[int]) -> None:

@@ -200,7 +200,26 @@ def load_result(folder: str | Path) -> Result:
         raise SceneError(
             f"{path}: the entry {min(missing)} is missing or unknown; {result_files.REMEDY}"
         )
-    return Result(scene=scene, **nouns)
+    for key, kind in (("command", str), ("figures", dict), ("seconds", dict), ("versions", dict)):
+        value = record.get(key, "run" if key == "command" else {})
+        other = value != "run" if key == "command" else False
+        if key == "seconds" and isinstance(value, dict):
+            other = not all(isinstance(took, int | float) for took in value.values())
+        if other or not isinstance(value, kind):
+            raise SceneError(f"{path}: {key} = {str(value)[:40]!r} is wrong; {result_files.REMEDY}")
+    result = Result(scene=scene, **nouns)
+    names = ("electrons", "expected", "signal", "ideal", "background", "noise_sigma")
+    image = [getattr(result.image, name) for name in names]
+    others = [result.point_spread.intensity]
+    others += [] if result.reconstruction is None else [result.reconstruction.object]
+    if any(values.shape != scene.camera.shape for values in image) or not all(
+        values.size and np.isfinite(values).all() for values in (*image, *others)
+    ):
+        raise SceneError(
+            f"{place}: arrays of image, point spread or reconstruction are not finite or not of "
+            f"the camera's {scene.camera.shape} pixels; {result_files.REMEDY}"
+        )
+    return result
 
 
 def write_result(result: Result, folder: Path) -> dict[str, Any]:

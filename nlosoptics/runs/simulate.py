@@ -19,7 +19,7 @@ from ..scene import MeshWall, PlanarObject, Scene
 from .noise import electron_noise
 from .patterns import BURST, CHECKS, mean_optics, uses_mean
 from .plan import MOST_SECONDS, Plan, looked_at
-from .refusals import wave_refusal
+from .refusals import check_errors, fillable, wave_refusal
 from .results import Result
 from .stages import BINS, CELLS, FIELD, MEAN, MOST_NODES
 from .veil import fitted_veil
@@ -142,6 +142,7 @@ def _stages(
         errors = {"point spread": spread.error_estimate}
         spreads, field_errors = image_spreads(todo, optics, spread, seed, begin, tell)
         errors |= field_errors
+        check_errors(errors, tol)
     if todo.runs("shadow rays"):
         begin("shadow rays")
         shadows = imaging.cast_shadows(scene)
@@ -152,7 +153,7 @@ def _stages(
         begin(BURST)
         burst = _burst(todo, scene, image, seed, lambda share: tell(BURST, share))
     reconstruction = None
-    if todo.runs("reconstruction"):
+    if todo.runs("reconstruction") and fillable(scene, image.electrons):
         begin("reconstruction")
         if spreads is None:
             reconstruction = _from_shadows(scene, image)

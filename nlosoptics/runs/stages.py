@@ -33,7 +33,7 @@ from ..psf.walls.scene_psf import point_window
 from ..raytrace import ray_plan
 from ..raytrace.intersection.meshes import threads
 from ..scene import MeshWall, PlanarObject, Scene
-from .refusals import check_cones
+from .refusals import check_cones, overexposure
 
 FIELD = "field of point spreads"  # name of the stage
 MEAN = "mean point spread"  # name of the stage
@@ -328,6 +328,8 @@ def reconstruction_stage(scene: Scene, wanted: bool, nodes: int = 0) -> Stage:
     """Return the stage of the reconstruction, with ``nodes`` of patterns along the object."""
     if not wanted:
         return skipped("reconstruction", "not requested")
+    if full := overexposure(scene):
+        return skipped("reconstruction", full)
     ny, nx = scene.camera.shape
     if is_matt(scene):
         if not scene.occluders:

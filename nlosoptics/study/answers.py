@@ -10,7 +10,7 @@ import numpy as np
 import scipy  # its parts are loaded lazily, on first use
 from numpy.typing import NDArray
 
-from .._checks import in_range, real
+from .._checks import expect, in_range, real
 from ..errors import SceneError
 from .design.figures import Figure
 from .results import Results
@@ -84,6 +84,7 @@ def sensitivities(
     --------
     nlosoptics.views.tornado : Bars of the changes, sorted by size.
     """
+    expect("results", results, "Results")
     names = [d.name for d in results.study.dimensions]
     if names != ["case"]:
         raise SceneError(
@@ -199,6 +200,7 @@ def fraction_within(
     enough for any figure of merit. If fewer than 80 draws meet the specification, or fail it, or
     the study is incomplete, it is that of independent draws.
     """
+    expect("results", results, "Results")
     _check_draws(results, "a yield", ("random", "latin", "sobol"))
     if at_least is None and at_most is None:
         raise SceneError("at_least and at_most are both missing; give one or both")
@@ -303,6 +305,7 @@ def sobol_indices(results: Results, figure: str, *, confidence: float = 0.95) ->
     The estimators are those of Saltelli et al., Comput. Phys. Commun. 181, 259 (2010), as in
     `scipy.stats.sobol_indices`. The confidence intervals are bootstrap intervals.
     """
+    expect("results", results, "Results")
     _check_draws(results, "Sobol indices", ("saltelli",))
     confidence = in_range("confidence", confidence, 0.01, 0.9999)
     values = results.values(figure)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import counted, whole
+from .._checks import counted, expect, whole
 from .._nouns import Noun
 from ..errors import SceneError
 from .design.figures import Figure
@@ -185,6 +185,7 @@ def optimum(results: Results, *, incomplete: bool = False) -> Optimum:
     >>> round(found.scene().camera.focus_distance, 3)
     2.049
     """
+    expect("results", results, "Results")
     table = search_table(results.study)
     outcomes = _outcomes(results, incomplete)
     signs = np.array([1.0 if one.goal == "minimise" else -1.0 for one in table.objectives])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from .._checks import counted
+from .._checks import counted, expect
 from ..errors import NlosError
 from ..runs.plan import plan
 from .design.point import point_spread_key
@@ -90,6 +90,7 @@ def plan_study(study: Study) -> StudyPlan:
     --------
     run_study : Run a study, or continue it.
     """
+    expect("study", study, "Study")
     if study.variables:
         return _plan_search(study)
     count = len(study)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from .._checks import path_of, whole
+from .._checks import expect, path_of, whole
 from .._progress import Progress
 from ..errors import SceneError
 from .blocks import open_blocks, prepared
@@ -95,6 +95,7 @@ def run_study(
     >>> results.dataset["aberration_rms"].values.round(3)
     array([0.429, 1.367])
     """
+    expect("study", study, "Study")
     given = path_of("path", path)
     path = Path(os.path.realpath(given))  # zarr replaces no folder behind a link
     tell, stop = progress or (lambda text, share: None), interrupted or (lambda: False)

@@ -132,14 +132,14 @@ def _point(
         point.warnings.clear()
         try:
             value, error_of_value = figure.value(point, study.folder)
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # an own function may call sys.exit
             rows.append(_failed(error))
         else:
             rows.append((value, error_of_value, DONE, "; ".join(point.warnings)))
     return rows
 
 
-def _failed(error: Exception) -> tuple[float, float, int, str]:
+def _failed(error: BaseException) -> tuple[float, float, int, str]:
     """Return the entries of a figure that raised an exception."""
     text = " ".join(str(error).split())
     return float("nan"), float("nan"), FAILED, f"{type(error).__name__}: {text}"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._checks import expect
 from ..errors import SceneError
 from .canvas import BLACK, BLUE, GREY, VERMILION, new_axes
 
@@ -191,6 +192,7 @@ def search(found: Optimum, *, first: int = 0, second: int = 1, axes: Axes | None
     --------
     nlosoptics.study.optimum : Best trials of an optimisation.
     """
+    expect("found", found, "Optimum")
     count, values = len(found.labels), found.objectives
     if found.failed.all():
         raise SceneError(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._checks import counted, whole
+from .._checks import counted, expect, whole
 from ..errors import SceneError
 from .canvas import BLUE, GREY, SERIES, VERMILION, few_ticks, new_axes
 
@@ -53,6 +53,7 @@ def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
     >>> axes.get_xlabel(), axes.get_ylabel()
     ('shift of the image plane (mm)', 'strehl')
     """
+    expect("found", found, "ThroughFocus")
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.0, height=4.2)
     length = found.criterion in ("rms", "spot")
     shifts, values = 1e3 * found.shifts, (1e6 if length else 1.0) * found.values
@@ -98,6 +99,7 @@ def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = 
     nlosoptics.psf.spot_diagram : Points at which rays meet the image plane.
     point_spread : Map of a PSF.
     """
+    expect("spots", spots, "SpotDiagram")
     whole("most", most)
     (axes,) = (axes,) if axes is not None else new_axes(1, width=5.4, height=5.4)
     from matplotlib.patches import Circle
@@ -169,6 +171,7 @@ def path_lengths(histogram: PathHistogram, *, axes: Axes | None = None) -> Axes:
     >>> views.path_lengths(found.histogram).get_xlabel()
     'path length, laser to lens (m)'
     """
+    expect("histogram", histogram, "PathHistogram")
     parts = [
         (f"{k} reflection{'s' if k > 1 else ''}", power, histogram.by_bounce_error[k])
         for k, power in enumerate(histogram.by_bounce)
@@ -230,6 +233,7 @@ def feasibility(found: Feasibility, *, axes: Axes | None = None) -> Axes:
     nlosoptics.limits.feasibility : Predict what an image can show.
     image : Map of a camera image.
     """
+    expect("found", found, "Feasibility")
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.4, height=4.2)
     parts: list[tuple[str, str, Any, Any]] = [
         ("specular image", BLUE, found.modulation, found.signal_to_noise),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import expect
 from .canvas import new_axes
 from .maps import image, point_spread, reconstruction, wavefront
 from .sketch import room_from_above
@@ -52,6 +53,7 @@ def overview(result: Result) -> tuple[Axes, ...]:
     >>> [axes.get_title().split(",")[0] for axes in views.overview(result)]
     ['top view', 'wave aberration', 'point spread function', 'camera image']
     """
+    expect("result", result, "Result")
     from ..limits import object_scale  # loads scipy; views alone is light
 
     fit, truth, pitch = shown_fit(result)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._checks import expect
 from ..errors import SceneError
 from .answers import tornado, yield_curve
 from .canvas import BLACK, BLUE, PALE_GREY, VERMILION, few_ticks, new_axes
@@ -70,6 +71,7 @@ def study_map(
     study_slices : Curves along each dimension.
     tornado : Change of a figure of merit with each value.
     """
+    expect("results", results, "Results")
     figure, dataset = results.study.figure(figure).name, results.dataset
     shown = _wide(dataset, figure, at)[-2:]
     fixed = _fixed(dataset, figure, shown, at)
@@ -121,6 +123,7 @@ def study_panels(
     study_map : Figure of merit over two dimensions.
     study_slices : Curves along each dimension.
     """
+    expect("results", results, "Results")
     figure, dataset = results.study.figure(figure).name, results.dataset
     shown = _wide(dataset, figure, at)[-3:]
     if len(shown) < 3:
@@ -189,6 +192,7 @@ def study_slices(
     study_map : Figure of merit over two dimensions.
     tornado : Change of a figure of merit with each value.
     """
+    expect("results", results, "Results")
     figure, dataset = results.study.figure(figure).name, results.dataset
     names = _wide(dataset, "status", None)
     drawn = names == ["draw"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import in_range, whole
+from .._checks import expect, in_range, whole
 from ..errors import SamplingError, SceneError
 from .canvas import BLUE, SKY, few_ticks, new_axes
 from .maps import colour_bar
@@ -90,6 +90,7 @@ def transient(
     >>> frame.get_title()
     'optical path 2.01 m'
     """
+    expect("capture", capture, "TransientCapture")
     light = _light(capture, laser)
     frames = _frames(capture, light, at)
     lit = np.flatnonzero((light > 0.0).reshape(len(light), -1).any(axis=1))

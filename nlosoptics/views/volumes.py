@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._checks import in_range, one_of
+from .._checks import expect, in_range, one_of
 from ..errors import SamplingError
 from .canvas import GREY, few_ticks, new_axes, pyvista
 from .maps import colour_bar
@@ -55,6 +55,7 @@ def volume(image: VolumeImage, *, axis: str = "z", axes: Axes | None = None) -> 
     >>> views.volume(image, axis="y").get_ylabel()
     'z (m)'
     """
+    expect("image", image, "VolumeImage")
     # horizontal axis, vertical axis and title
     views = {
         "z": ("x", "y", "view from the wall"),
@@ -179,6 +180,7 @@ def phasor_volume(
     volume : Projections of a volume.
     nlosoptics.transient.phasor_image : Image by virtual waves, for any capture.
     """
+    expect("image", image, "VolumeImage")
     in_range("threshold", threshold, 1e-3, 0.999)
     volume = image.volume
     if min(volume.shape) < 2:

@@ -20,7 +20,7 @@ import nlosoptics
 from nlosoptics import cli
 from nlosoptics.cli import figures, forward, shell
 from nlosoptics.runs import record, results
-from nlosoptics.scene import Scene, material_library
+from nlosoptics.scene import Scene, WavyWall, material_library
 
 
 class Answer(NamedTuple):
@@ -428,3 +428,24 @@ def test_materials_are_listed_with_their_sources(run: Run) -> None:
     assert (code, out) == (2, "")
     assert 'did you mean "white ceramic tile"?' in err
     assert err.count("\n") == 1
+
+
+def test_a_plan_that_no_run_can_follow_is_refused(run: Run, scene_file: Path) -> None:
+    """A mesh too coarse for waves, whose stages the plan lists as skipped."""
+    WavyWall(2e-3, 0.2, size=2.0).to_mesh(max_sag_error=1e-4).export("wall.stl")
+    text = scene_file.read_text()
+    scene_file.write_text(text.replace('shape = "flat"', 'shape = "mesh"\nmesh = "wall.stl"'))
+    answer = run("plan", scene_file)
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert "no geometric method" in answer.err
+
+
+def test_what_no_system_can_do_is_refused_in_one_line(run: Run, scene_file: Path) -> None:
+    """A folder in /proc, whose permissions say yes, and an integer that Python does not read."""
+    answer = run("run", scene_file, "--out", "/proc/x")
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert "/proc/x is in /proc, which takes no folder" in answer.err
+    scene_file.write_text(scene_file.read_text().replace("[laser]", "[laser]\nx = " + 5000 * "9"))
+    answer = run("plan", scene_file)
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert "thousands of digits; give fewer" in answer.err

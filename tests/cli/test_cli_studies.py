@@ -95,6 +95,13 @@ def test_failed_points_are_counted(study: Path, capsys) -> None:
     assert "6 x fails: ValueError: never" in out
 
 
+def test_a_study_without_any_value_is_a_failure(study: Path, capsys) -> None:
+    study.write_text(study.read_text().replace("powers:power", "powers:fails"))
+    code, _, err = call(capsys, "study", study, "--workers", 0)
+    assert code == 1
+    assert "every figure of every point failed" in err
+
+
 def test_interrupt_keeps_what_is_done(study: Path, capsys) -> None:
     (study.parent / "powers.py").write_text(
         "import time\ndef power(point):\n    time.sleep(0.2)\n    return point.scene.laser.power\n"

@@ -7,6 +7,7 @@ import json
 import re
 import shlex
 import shutil
+from functools import partial
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +18,7 @@ import pytest
 
 from nlosoptics import cli, load_result, report
 from nlosoptics._html import tag
+from nlosoptics.errors import SceneError
 from nlosoptics.report.elements import number, quantity
 from nlosoptics.scene import Scene
 
@@ -259,6 +261,37 @@ def test_folder_of_phasor(examples, tmp_path, monkeypatch):
     assert all(note in words for note in record["notes"])
 
 
+def array_edited(folder: Path, file: str, name: str, change) -> None:
+    with np.load(folder / file) as held:
+        values = dict(held)
+    values[name] = change(values[name])
+    np.savez(folder / file, **values)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda folder: (folder / "image.npz").unlink(),
+        lambda folder: edited(folder, format=99),
+        lambda folder: edited(folder, command="phasor"),
+        lambda folder: edited(folder, versions=[1]),
+        lambda folder: edited(folder, figures=[1]),
+        lambda folder: edited(folder, seconds=[1]),
+        lambda folder: edited(folder, seconds={"total": "long"}),
+        lambda folder: array_edited(folder, "image.npz", "signal", lambda a: a * np.nan),
+        lambda folder: array_edited(folder, "image.npz", "signal", lambda a: a[:-3]),
+        lambda folder: array_edited(folder, "point_spread.npz", "intensity", lambda a: a * np.nan),
+        lambda folder: array_edited(folder, "point_spread.npz", "intensity", lambda a: a[:0]),
+        lambda folder: array_edited(folder, "reconstruction.npz", "object", lambda a: a + np.inf),
+    ],
+)
+def test_report_and_load_result_agree_on_edited_folders(edit, copy):
+    edit(copy)
+    for read in (load_result, partial(report.page, computed=False)):
+        with pytest.raises(SceneError):
+            read(copy)
+
+
 @pytest.mark.parametrize(
     ("change", "named"),
     [
@@ -266,7 +299,7 @@ def test_folder_of_phasor(examples, tmp_path, monkeypatch):
         ("empty", ["holds no result.json"]),
         ("not JSON", ["result.json", "JSON"]),
         ("no command", ["result.json", "command"]),
-        ("no number", ["result.json", "does not have the form"]),
+        ("no number", ["result.json", "seconds"]),
         ("not an array", ["image.npz", "damaged"]),
         ("other suffix", ["scene.toml", ".html"]),
     ],

@@ -12,7 +12,8 @@ import pytest
 from pytest import approx
 
 import nlosoptics as nlos
-from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
+from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError, ValidityWarning
+from nlosoptics.runs.refusals import check_errors
 from nlosoptics.scene import (
     ConcaveWall,
     ConvexWall,
@@ -248,3 +249,28 @@ def test_a_picture_seen_by_too_many_periods_of_the_wall_is_refused_by_the_plan()
     case = random_case(301393, wild=True)
     with pytest.raises(SamplingError, match="27 x 27 point spreads .* use tol = 4"):
         nlos.plan(case.scene, tol=2e-5)
+
+
+def test_an_overexposed_run_keeps_its_image_and_names_the_exposure():
+    scene = nlos.Scene.load("examples/scenes/letter_flat.toml").resized(16)
+    bright = replace(
+        scene,
+        camera=replace(scene.camera, exposure=1e4),
+        wall=FlatWall(),
+        laser=replace(scene.laser, power=1e3),
+    )
+    planned = nlos.plan(bright, 1e-2, reconstruct=True)
+    (stage,) = (s for s in planned.skipped if s.name == "reconstruction")
+    result = nlos.simulate(bright, 1e-2, reconstruct=True)
+    assert "camera.exposure = " in stage.reason
+    assert result.reconstruction is None
+    assert result.image.saturated_fraction > 0.8  # the rest sees no lit wall
+    # the remedy that is named is one
+    right = float(stage.reason.rsplit("=", 1)[1].removesuffix("s"))
+    again = replace(bright, camera=replace(bright.camera, exposure=right))
+    assert nlos.simulate(again, 1e-2, reconstruct=True).image.saturated_fraction < 0.2
+
+
+def test_an_error_above_the_planned_one_is_told():
+    with pytest.warns(ValidityWarning, match="error of the image is 0.01, planned was tol = 0.001"):
+        check_errors({"image": 0.01, "point spread": 1e-4}, 1e-3)

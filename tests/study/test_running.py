@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import zarr
 
-from nlosoptics import limits, psf
+from nlosoptics import imaging, limits, psf
 from nlosoptics.errors import SceneError, ValidityWarning
 from nlosoptics.study import Results, Study, plan_study, run_study
 from nlosoptics.study.design.point import NOT_IN_POINT_SPREAD
@@ -113,6 +113,12 @@ def test_points_share_their_point_spread(tmp_path: Path, monkeypatch) -> None:
         "strehl: of scene_point_spread; of strehl; "
         "aberration_rms: of scene_point_spread; of rms_aberration"
     }
+
+
+def test_a_figure_that_ends_python_is_a_failure_that_says_so(tmp_path: Path) -> None:
+    data = run_study(made(own("ends"), own("power")), tmp_path / "store", workers=0).dataset
+    assert set(data["message"].values) == {"ends: SystemExit: no licence"}
+    assert np.array_equal(data["power"], data["laser.power"])
 
 
 def test_a_point_that_fails_says_why(tmp_path: Path) -> None:
@@ -417,3 +423,43 @@ def test_workers_load_only_what_points_need() -> None:
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert answer.stdout == "set()\n", answer.stderr
+
+
+def stripes_in_the_image(scene, frequency: float) -> float:
+    """Contrast of horizontal stripes at the image's centre, from stripes at three phases."""
+    spread = psf.scene_point_spread(scene).point_spread
+    y = (np.arange(4096) + 0.5) / 4096 * scene.hidden.size[1]
+    n = len(imaging.form_image(scene, spread).signal) // 2
+    light = []
+    for phase in (0.0, 0.5, 1.0):
+        stripes = 0.5 + 0.5 * np.sin(2 * np.pi * frequency * y + np.pi * phase)
+        image = imaging.form_image(scene, spread, object_image=np.repeat(stripes[:, None], 2, 1))
+        light.append(image.signal[n, n])
+    mean = (light[0] + light[2]) / 2
+    return float(np.hypot(light[0] - mean, light[1] - mean) / mean)
+
+
+ROUGH = {"model": "gaussian", "height_rms": "1 pm", "correlation_length": "1 mm"}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        # of no height, but computed from a finely sampled point spread
+        {"wall.roughness": ROUGH | {"realisation": "mean"}},
+    ],
+)
+def test_mtf_is_the_contrast_of_stripes(changes: dict, tmp_path: Path) -> None:
+    """Coarse pixels alias in a sampled point spread, whose Fourier sum says 0.999."""
+    study = made(
+        {"figure": "mtf", "frequency": 37.0, "azimuth": np.pi / 2, "name": "near"},
+        {"figure": "mtf", "frequency": 100.0, "name": "far"},
+        scene=str(EXAMPLES / "scenes" / "letter_flat.toml"),
+        axes={"camera.binning": [32]},
+        set=changes,
+    )
+    data = run_study(study, tmp_path / "store", workers=0).dataset
+    # the point spread is computed to 0.001 of its peak
+    assert data["near"][0] == pytest.approx(stripes_in_the_image(study.scene(0), 37.0), abs=3e-3)
+    assert "pixels show at most 43.99" in str(data["message"].values[0])

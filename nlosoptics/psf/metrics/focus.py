@@ -11,7 +11,7 @@ import numpy as np
 import scipy  # loads scipy.optimize on first use
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import one_of, positive, real
+from ..._checks import expect, one_of, positive, real
 from ..._html import Figures, Shown
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
@@ -121,6 +121,7 @@ def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
     >>> print(f"{1e9 * beyond.aberration.min():.0f} nm, Strehl ratio {psf.strehl(beyond):.3f}")
     -497 nm, Strehl ratio 0.000
     """
+    expect("wavefront", wavefront, "Wavefront")
     d = wavefront.image_distance
     moved = d + real("shift", shift)
     if moved * d <= 0:
@@ -200,6 +201,7 @@ def through_focus(
     >>> print(" ".join(f"{value:.2f}" for value in found.values))
     0.40 1.00 0.41
     """
+    expect("wavefront", wavefront, "Wavefront")
     name, measure, _ = _metric(criterion, frequency, azimuth)
     planes = np.array(shifts, dtype=np.float64)
     if planes.ndim != 1 or planes.size == 0:
@@ -280,6 +282,7 @@ def best_focus(
     >>> print(f"{1e3 * shift:.2f} mm, {psf.strehl(wave):.2f} to {psf.strehl(focused):.2f}")
     0.40 mm, 0.09 to 0.80
     """
+    expect("wavefront", wavefront, "Wavefront")
     name, measure, score = _metric(criterion, frequency, azimuth)
     d, unit = wavefront.image_distance, wavefront.wavelength
     weights = wavefront.amplitude * wavefront.weights

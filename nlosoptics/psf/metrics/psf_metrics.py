@@ -10,7 +10,7 @@ import numpy as np
 import scipy  # loads its parts on first use
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import counted, fits_memory, one_of, whole
+from ..._checks import counted, expect, fits_memory, one_of, shown, whole
 from ...errors import SamplingError, SceneError
 from ..aperture.quadrature_nodes import circle_shares, gauss_legendre
 from ..transform import quadrature
@@ -70,6 +70,7 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     >>> print(f"{psf.strehl(wave):.4f}, {focused:.4f}")
     0.6626, 1.0000
     """
+    expect("wavefront", wavefront, "Wavefront")
     residual = split(_without(wavefront, remove))
     if residual.wavefront.is_spectral:
         centre = Window.centred(residual.airy_unit, (1, 1))
@@ -119,6 +120,7 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     >>> print(f"{1e9 * psf.rms_aberration(wave):.1f} nm")
     50.0 nm
     """
+    expect("wavefront", wavefront, "Wavefront")
     rest = _without(wavefront, remove)
     weights = rest.amplitude * rest.weights
     return math.sqrt(float(np.sum(weights * rest.aberration**2) / np.sum(weights)))
@@ -156,6 +158,7 @@ def fit_zernike(
     --------
     zernike : Zernike polynomial.
     """
+    expect("wavefront", wavefront, "Wavefront")
     one_of("ordering", ordering, ORDERINGS)
     whole("n_terms", n_terms)
     weights = np.sqrt(wavefront.amplitude * wavefront.weights)
@@ -212,6 +215,12 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     --------
     ensquared_energy : Energy within squares.
 
+    Notes
+    -----
+    For a wave, one Legendre series of the radial intensity serves all radii: 60 radii cost as much
+    as the largest alone, 0.03 CPU s to 12 lambda N of an unaberrated lens and 6 to 16 CPU s to some
+    hundred lambda N, where the energy of a point spread takes milliseconds.
+
     Examples
     --------
     Energy within the first dark ring of the Airy pattern, at 1.22 lambda N:
@@ -223,9 +232,10 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     >>> print(f"{psf.encircled_energy(wave, 6.0983e-6):.4f}")
     0.8378
     """
+    expect("source", source, "Wavefront", "PointSpread")
     radii = np.asarray(radius, dtype=np.float64)
     if not np.all(np.isfinite(radii)) or np.any(radii < 0):
-        raise SceneError(f"radius = {radius!r} m; give finite radii of at least 0")
+        raise SceneError(f"radius = {shown(radius)} m; give finite radii of at least 0")
     if isinstance(source, Wavefront):
         residual = split(source)
         if source.layout != "polar":
@@ -233,8 +243,7 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
                 f"encircled energy needs a wavefront of layout 'polar', not '{source.layout}'; "
                 "give psf.point_spread(wavefront)"
             )
-        values = [_energy_within(residual, float(r)) for r in radii.ravel()]
-        return np.array(values).reshape(radii.shape)
+        return _energies_within(residual, radii.ravel()).reshape(radii.shape)
     edge = min(-source.x[0], source.x[-1], -source.y[0], source.y[-1]) + source.pitch / 2
     if radii.size and radii.max() > edge:
         raise SamplingError(
@@ -278,9 +287,10 @@ def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
     --------
     encircled_energy : Energy within circles.
     """
+    expect("point_spread", point_spread, "PointSpread")
     sides = np.asarray(side, dtype=np.float64)
     if not np.all(np.isfinite(sides)) or np.any(sides < 0):
-        raise SceneError(f"side = {side!r} m; give finite sides of at least 0")
+        raise SceneError(f"side = {shown(side)} m; give finite sides of at least 0")
     x, y, pitch = point_spread.x, point_spread.y, point_spread.pitch
     edge = 2 * min(-x[0], x[-1], -y[0], y[-1]) + pitch
     if sides.size and sides.max() > edge * (1 + 1e-12):
@@ -342,6 +352,7 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     >>> print(f"{psf.mtf(wave, 100e3):.4f}")
     0.3910
     """
+    expect("source", source, "Wavefront", "PointSpread")
     return np.abs(_transfer(source, frequency, azimuth))
 
 
@@ -370,6 +381,7 @@ def ptf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     --------
     mtf : Modulus of the optical transfer function.
     """
+    expect("source", source, "Wavefront", "PointSpread")
     return np.asarray(np.angle(_transfer(source, frequency, azimuth)))
 
 
@@ -446,6 +458,7 @@ def fwhm(point_spread: PointSpread) -> tuple[float, float]:
     >>> print(f"{1e6 * x:.2f} um, {1e6 * y:.2f} um")
     5.14 um, 5.14 um
     """
+    expect("point_spread", point_spread, "PointSpread")
     row, column = np.unravel_index(
         int(np.argmax(point_spread.intensity)), point_spread.intensity.shape
     )
@@ -485,34 +498,48 @@ def pupil_function(residual: Residual, *counts: int) -> tuple[ComplexArray, Arra
     return amplitude * np.exp(1j * residual.wavenumber * path), weights
 
 
-def _energy_within(residual: Residual, radius: float) -> float:
-    """Return the fraction of the energy of a polar wave within a radius, m."""
-    if radius == 0:
-        return 0.0
-    wave = residual.wavefront
+def _energies_within(residual: Residual, radii: Array) -> Array:
+    """Return the fractions of the energy of a polar wave within radii (n,), m.
+
+    The energy of each circle of the image is computed at Gauss-Legendre nodes of the squared
+    radius, up to the largest, and its Legendre series is integrated. For the Fourier transform over
+    the angle of ``exp(-i x cos angle)``, which are Bessel functions J_m(x) but for factors i^m, one
+    real FFT of ``cos(x c) + sin(x c)``, c = cos angle, serves all orders m.
+    """
+    wave, radius = residual.wavefront, float(radii.max(initial=0.0))
+    if radius == 0.0:
+        return np.zeros(radii.shape)
     # A square window with the circle's radius as half its diagonal, to count the nodes.
     half = radius / math.sqrt(2)
     window = Window(2 * half, (2, 2), (-half, -half))
     pupil, weights = pupil_function(residual, *quadrature.node_counts(residual, window))
+    n_rho, n_theta = pupil.shape
     inner = wave.obscuration**2
-    fraction, _ = gauss_legendre(pupil.shape[0])
-    rho = wave.pupil_radius * np.sqrt(inner + (1 - inner) * fraction)
-    v = math.pi * radius / residual.airy_unit
-    share, image_weights = gauss_legendre(math.ceil(0.58 * v + 12))
-    r = radius * np.sqrt(share)
-    waves = np.fft.fft(pupil, axis=1)  # sums over the angles
-    waves *= weights[:, :1]
-    strength = np.sum(np.abs(waves) ** 2, axis=0)
-    argument = np.outer(r, rho) * (2 * math.pi / (wave.wavelength * abs(wave.image_distance)))
-    total = 0.0
-    n_theta = pupil.shape[1]
-    for m in np.nonzero(strength > 1e-32 * strength.max())[0]:
-        order = min(int(m), n_theta - int(m))
-        field = np.einsum("ri,i->r", scipy.special.jv(order, argument), waves[:, m])
-        total += float(np.sum(image_weights * np.abs(field) ** 2))
+    rho = wave.pupil_radius * np.sqrt(inner + (1 - inner) * gauss_legendre(n_rho)[0])
+    # twice the nodes that the integral over the whole disc needs, for the series
+    n = 2 * math.ceil(0.58 * math.pi * radius / residual.airy_unit + 12)
+    share, image_weights = gauss_legendre(n)
+    waves = np.fft.fft(pupil, axis=1) * weights[:, :1]  # sums over the angles
+    orders = np.arange(n_theta // 2 + 1)
+    pairs = np.stack([waves[:, orders], waves[:, -orders]])  # orders m and -m share J_m
+    pairs[1, :, orders == (-orders) % n_theta] = 0.0
+    folded = np.concatenate([pairs.real, pairs.imag]).transpose(2, 1, 0)  # (order, rho, 4)
+    argument = np.outer(radius * np.sqrt(share), rho)
+    argument *= 2 * math.pi / (wave.wavelength * abs(wave.image_distance))
+    turn = np.cos(2 * math.pi * np.arange(n_theta) / n_theta)
+    light = []
+    for block in np.array_split(argument, math.ceil(argument.size * n_theta / 2e6)):
+        wave_at = math.sqrt(2) * np.cos(block[:, :, None] * turn - math.pi / 4)  # cos + sin
+        bessel = scipy.fft.rfft(wave_at, axis=2).real / n_theta
+        field = np.ascontiguousarray(bessel.transpose(2, 0, 1)) @ folded
+        light.append(np.sum(field**2, axis=(0, 2)))
+    legendre = np.polynomial.legendre
+    degrees = legendre.legvander(2 * share - 1, n - 1)
+    series = (2 * np.arange(n) + 1) * ((image_weights * np.concatenate(light)) @ degrees)
+    within = legendre.legval(2 * (radii / radius) ** 2 - 1, legendre.legint(series, lbnd=-1)) / 2
     energy = float(np.sum(np.abs(pupil) ** 2 * weights))
     disc = math.pi * radius**2
-    return total * disc / (energy * (wave.wavelength * wave.image_distance) ** 2)
+    return np.asarray(within * disc / (energy * (wave.wavelength * wave.image_distance) ** 2))
 
 
 def _width(cut: Array, pitch: float) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import whole
+from ..._checks import expect, whole
 from ..._nouns import Noun
 from ..transform.point_spread import PointSpread
 from ..wave.detilted import split
@@ -90,6 +90,7 @@ def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
     >>> print(f"rms radius {1e6 * spots.radius:.1f} um, Airy {1e6 * spots.airy_radius:.1f} um")
     rms radius 49.0 um, Airy 6.1 um
     """
+    expect("wavefront", wavefront, "Wavefront")
     rings = whole("rings", rings)
     residual = split(wavefront)
     polar = wavefront.layout == "polar"
@@ -136,6 +137,7 @@ def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:
     ----------
     .. [1] Goodman, Introduction to Fourier Optics, 3rd ed., sec. 6.4.
     """
+    expect("source", source, "Wavefront", "PointSpread")
     if isinstance(source, PointSpread):
         total = float(source.intensity.sum())
         x = float((source.intensity.sum(axis=0) * source.x).sum()) / total
@@ -167,6 +169,7 @@ def spot_radius(wavefront: Wavefront) -> float:
     --------
     spot_diagram : Points at which rays meet the image plane.
     """
+    expect("wavefront", wavefront, "Wavefront")
     rays = split(wavefront).rays
     x, y = (float((rays.energy * v).sum()) for v in (rays.x, rays.y))
     square = rays.energy * ((rays.x - x) ** 2 + (rays.y - y) ** 2)

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._checks import expect
 from ..._nouns import Noun
 from ...errors import SceneError
 from ...scene import Scene
@@ -114,6 +115,7 @@ def exit_pupil(scene: Scene) -> ExitPupil:
     >>> print(f"{pupil.stop}, {1e3 * pupil.radius:.1f} mm, F/{pupil.f_number:.2f}")
     lens, 12.5 mm, F/2.08
     """
+    expect("scene", scene, "Scene")
     camera, image_distance = scene.camera, scene.image_distance
     position, axis = np.array(camera.position), camera.axis
     d2 = -float(position[2] / axis[2])

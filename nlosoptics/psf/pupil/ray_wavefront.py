@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import counted, positive
+from ..._checks import counted, expect, positive
 from ...errors import CausticError, SamplingError, SceneError
 from ...raytrace import RayPaths
 from ...raytrace.fans.paths import DETECTED, ESCAPED
@@ -72,6 +72,7 @@ def wavefront_from_rays(paths: RayPaths, exit_pupil: ExitPupil, wavelength: floa
     The area that a ray represents (``weights``) is that of its Voronoi cell inside the pupil. The
     defocus of a camera that is focused on another plane than the mirrored object is not included.
     """
+    expect("paths", paths, "RayPaths")
     positive("wavelength", wavelength, unit="m")
     start, bounce, ends, share, n_inside = _checked(paths, exit_pupil)
     places, axes = _pupil_places(ends, bounce, exit_pupil)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import vector
+from ..._checks import expect, vector
 from ..._nouns import Noun
 from ...scene import Scene, Wall
 from .aiming import aim, pupil_points
@@ -99,6 +99,7 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
     stop, the exit pupil is the image of the wall by the lens. The light to the image's centre
     crosses the pupil and the lens in discs, whose radii have a ratio m; then ``footprint`` is M/m.
     """
+    expect("scene", scene, "Scene")
     o = (
         scene.object_point
         if object_point is None

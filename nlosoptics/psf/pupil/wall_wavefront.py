@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import one_of, vector
+from ..._checks import expect, one_of, vector
 from ...errors import NotWaveGradeError, SamplingError, SceneError
 from ...scene import MeshWall, Scene, Wall
 from ..aperture.aperture import Aperture
@@ -189,6 +189,7 @@ def wavefront(
     >>> print(wave.layout, wave.u.shape, f"{1e9 * psf.rms_aberration(wave):.1f} nm")
     polar (24, 96) 0.0 nm
     """
+    expect("scene", scene, "Scene")
     if object_point is None:
         o = scene.object_point
     else:

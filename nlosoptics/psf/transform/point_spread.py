@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import fits_memory, in_range, one_of, positive, seconds_limit
+from ..._checks import expect, fits_memory, in_range, one_of, positive, seconds_limit
 from ..._html import Figures, Shown
 from ..._nouns import Noun
 from ...errors import SamplingError
@@ -298,6 +298,7 @@ def point_spread(
     >>> print(f"{spread.model}: {row[34]:.2f} along x, {column[34]:.2f} along y")
     high-aperture: 0.58 along x, 0.51 along y
     """
+    expect("wavefront", wavefront, "Wavefront")
     one_of("method", method, METHODS)
     one_of("normalisation", normalisation, NORMALISATIONS)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
@@ -421,7 +422,7 @@ def _sampling(
 ) -> tuple[float, tuple[int, int]]:
     """Return the pitch, m, and the shape (ny, nx), checked if given, by default otherwise."""
     if pitch is not None:
-        pitch = positive("pitch", pitch, unit="m")
+        pitch = in_range("pitch", pitch, 1e-100, 1e100, unit="m")
     elif method == "fft" and residual.wavefront.layout == "grid" and not pixel_integrated:
         size = fft.default_size(residual)
         pitch = fft.image_pitch(residual, size)

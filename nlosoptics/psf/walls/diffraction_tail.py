@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import fits_memory, in_range, whole
+from ..._checks import expect, fits_memory, in_range, whole
 from ...errors import SamplingError, SceneError
 from ..rough.mean import RoughPointSpread
 from ..transform.point_spread import PointSpread
@@ -59,6 +59,7 @@ def widened(
     scene_point_spread : Wave and PSF of a scene.
     nlosoptics.imaging.form_image : Image in electrons, with noise.
     """
+    expect("point_spreads", point_spreads, "PointSpread", "PointSpreadField")
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     if isinstance(point_spreads, PointSpreadField):
         spread = point_spreads.mean()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import in_range, is_single, positive, whole
+from ..._checks import expect, in_range, is_single, whole
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
 from ..wave.detilted import Residual, split
@@ -218,7 +218,8 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
     >>> psf.window_shape(wave, pitch=9e-6, tol=1e-3)
     5
     """
-    positive("pitch", pitch, unit="m")
+    expect("wavefront", wavefront, "Wavefront")
+    in_range("pitch", pitch, 1e-100, 1e100, unit="m")
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     return window_side(split(wavefront), pitch, tol)
 

@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import fits_memory, vector, whole
+from ..._checks import expect, fits_memory, vector, whole
 from ..._random import checked_seed, philox
 from ...scene import Scene
 from ...scene.parts.camera import pupil_frame
@@ -80,6 +80,7 @@ def pupil_rays(
     >>> round(rays.mean_path_length, 2)
     2.05
     """
+    expect("scene", scene, "Scene")
     o = scene.object_point
     if object_point is not None:
         o = np.array(vector("object_point", object_point))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import fits_memory, one_of, pair, whole
+from ..._checks import expect, fits_memory, one_of, pair, whole
 from ..._nouns import Noun
 from ...errors import SceneError
 from ...kernels.codes import GROUPS
@@ -128,6 +128,7 @@ def wall_irradiance(
     >>> light.irradiance.shape, light.x.round(3).tolist()
     ((4, 6), [-0.583, -0.35, -0.117, 0.117, 0.35, 0.583])
     """
+    expect("scene", scene, "Scene")
     one_of("source", source, ("laser", "object"))
     ny, nx = (whole("shape", n) for n in shape)
     whole("n_rays", n_rays, 1, MOST)

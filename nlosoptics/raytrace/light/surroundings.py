@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import Vector
+from ..._checks import Vector, expect
 from ...kernels.codes import BECKMANN
 from ...scene import CallableWall, ConcaveWall, ConvexWall, Laser, PlanarObject, Scene
 from ..intersection.intersections import Hits as WallHits
@@ -144,6 +144,7 @@ def ray_plan(scene: Scene) -> RayPlan:
     >>> plan.wall_hits, plan.embree, plan.wall_to_wall
     ('closed form', False, False)
     """
+    expect("scene", scene, "Scene")
     scene = scene.with_relief()
     wall = scene.wall
     convex = wall.is_flat or isinstance(wall, ConvexWall)

@@ -38,7 +38,7 @@ def parsed(changes: list[str]) -> dict[str, Any]:
             raise SceneError(f"--set {address} is given twice; give one value")
         try:
             values[address] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
+        except ValueError:  # no TOML, or an integer of too many digits for Python
             values[address] = text.strip()
     return values
 

@@ -150,6 +150,10 @@ def _read(path: Path) -> dict[str, Any]:
         raise SceneError(f"{path}: tables are nested too deeply; give a scene file") from None
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"{path}: not TOML: {error}; correct that line") from None
+    except SceneError:
+        raise
+    except ValueError:  # of Python, for an integer of more than 4300 digits
+        raise SceneError(f"{path}: an integer has thousands of digits; give fewer") from None
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror}); check the file") from None
 

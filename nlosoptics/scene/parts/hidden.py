@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import in_range, is_single, pair, real
+from ..._checks import in_range, is_single, pair, real, reason
 from ..._pictures import opened_picture, upright_picture
 from ...errors import SceneError
 from ._posed import Posed, PosedMesh
@@ -214,7 +214,8 @@ def read_picture(path: Path) -> Array:
     # Pillow raises SyntaxError for broken files
     except Exception as error:
         raise SceneError(
-            f"hidden.image: {path} is no readable image ({error}); give PNG, TIFF, JPEG or .npy"
+            f"hidden.image: {path} is not an image that can be read ({reason(error)}); give "
+            "PNG, TIFF, JPEG or .npy"
         ) from None
     if not isinstance(raw, np.ndarray):
         raise SceneError(f"hidden.image: {path} holds several arrays; give a .npy file of one")

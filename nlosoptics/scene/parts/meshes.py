@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..._checks import MOST, reason
 from ...errors import SceneError
 from ._sources import SourceFile
 
@@ -36,7 +37,8 @@ def load_mesh(name: str, given: Any) -> trimesh.Trimesh:
             mesh = trimesh.load(file, file_type=path.suffix[1:], force="mesh", process=False)
         except Exception as error:  # the loaders of trimesh raise arbitrary exception types
             raise SceneError(
-                f"{name}: {path} is not a mesh ({type(error).__name__}); give STL, OBJ or PLY"
+                f"{name}: {path} is not a mesh that can be read ({reason(error)}); give STL, "
+                "OBJ or PLY"
             ) from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise SceneError(f"{name}: {given} holds no triangles; give a surface mesh")
@@ -50,6 +52,11 @@ def load_mesh(name: str, given: Any) -> trimesh.Trimesh:
         )
     if not np.isfinite(mesh.vertices).all():
         raise SceneError(f"{name}: {given} has NaN or infinite vertices; repair the mesh")
+    most = float(np.abs(mesh.vertices).max())
+    if most > MOST:
+        raise SceneError(
+            f"{name}: {given} has a vertex at {most:.3g} m, limit {MOST:g}; repair the mesh"
+        )
     if not mesh.area > 0:
         raise SceneError(f"{name}: {given} has no area; give a surface mesh")
     return mesh

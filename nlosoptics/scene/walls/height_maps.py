@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..._checks import counted, in_range, one_of, pair, positive, whole
+from ..._checks import counted, in_range, one_of, pair, positive, reason, whole
 from ..._nouns import check_pickles
 from ..._random import generator
 from ...errors import SamplingError, SceneError
@@ -271,7 +271,7 @@ def _read(path: SourceFile) -> Array:
         return np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
     except Exception as error:  # numpy lets through what its parser of headers raises
         raise SceneError(
-            f"wall.heights: {path} holds no array of numbers ({type(error).__name__}); "
+            f"wall.heights: {path} holds no array of numbers ({reason(error)}); "
             "write one with numpy.save"
         ) from None
 

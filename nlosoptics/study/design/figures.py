@@ -17,7 +17,9 @@ import scipy  # its parts are loaded lazily, on first use
 
 from ... import limits, psf
 from ..._checks import in_range, positive, real
-from ...errors import SceneError
+from ...errors import SamplingError, SceneError
+from ...limits.transfer import image_modulation
+from ...psf import SceneOptics
 from .compensation import adjusted
 from .values import number
 
@@ -145,10 +147,16 @@ def encircled_energy_radius(point: StudyPoint, fraction: float = 0.8) -> Answer:
 
 @_figure("point spread")
 def mtf(point: StudyPoint, frequency: float, azimuth: float = 0.0) -> Answer:
-    """Modulation of the point spread with pixels at a frequency on the object, cycles/m."""
+    """Modulation of stripes in the image by lens, wall and pixels, at cycles/m on the object."""
     frequency = positive("frequency", frequency, unit="cycles/m")
-    on_detector = frequency * limits.object_scale(point.scene)
-    return float(psf.mtf(point.point_spread.point_spread, on_detector, azimuth=azimuth))
+    scale = limits.object_scale(point.scene)
+    nyquist = 0.5 / (point.scene.camera.image_pitch * scale)
+    if frequency > nyquist:
+        raise SamplingError(
+            f"frequency = {frequency:g} cycles/m on the object, but pixels show at most "
+            f"{nyquist:.4g}; use a lower frequency, or bin fewer pixels (camera.binning)"
+        )
+    return image_modulation(SceneOptics(point.scene), frequency * scale, azimuth, point.tol)
 
 
 @_figure("forecast")

@@ -165,7 +165,7 @@ class Study(Noun):
         path = path_of("path", path)
         try:
             tables = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        except (OSError, ValueError) as error:
             why = getattr(error, "strerror", None) or error
             raise SceneError(
                 f"{path}: the study file cannot be read ({why}); give the path of a TOML file"

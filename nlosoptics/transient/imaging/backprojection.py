@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import fits_memory, one_of, positive
+from ..._checks import expect, fits_memory, one_of, positive
 from ..._progress import Progress
 from ...errors import SamplingError, SceneError
 from ..capture.capture import TransientCapture
@@ -100,6 +100,8 @@ def backprojection(
     .. [2] Laurenzis, Velten, Feature selection and back-projection algorithms for
        non-line-of-sight laser-gated viewing, J. Electron. Imaging 23, 063003 (2014).
     """
+    expect("capture", capture, "TransientCapture")
+    expect("volume", volume, "Volume")
     begun = time.perf_counter()
     one_of("filter", filter, ("none", "second_derivative", "laplacian"))
     one_of("falloff", falloff, POWERS)

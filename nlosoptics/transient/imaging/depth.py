@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import in_range, whole
+from ..._checks import expect, in_range, whole
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
 from ..capture.wall_points import real_array
@@ -141,6 +141,7 @@ def depth_map(
     >>> print(depth_map(image, threshold=0.5).depth.round(3))
     [[0.53  nan]]
     """
+    expect("image", image, "VolumeImage")
     share = 0.0 if threshold is None else in_range("threshold", threshold, 0.0, 1.0)
     values, z = image.intensity, image.volume.z
     brightest = float(values.max())
@@ -218,6 +219,7 @@ def depth_error(
     >>> round(depth_error(image, [[0.55, 0.54]]).mae, 3)
     0.015
     """
+    expect("found", found, "DepthMap", "VolumeImage")
     if isinstance(found, VolumeImage):
         found = depth_map(found)
     true = real_array("true depths", truth)

@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import fits_memory, one_of
+from ..._checks import expect, fits_memory, one_of
 from ..._progress import Progress
 from ..capture.capture import TransientCapture
 from .confocal_grids import (
@@ -128,6 +128,7 @@ def fk_migration(
     >>> print(volume.points[z, y, x].round(3) + 0.0)
     [0.1 0.  0.6]
     """
+    expect("capture", capture, "TransientCapture")
     begun = time.perf_counter()
     one_of("target", target, FALLOFF)
     one_of("amplitude", amplitude, ("root", "light"))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import fits_memory, one_of, positive
+from ..._checks import expect, fits_memory, one_of, positive
 from ..._progress import Progress
 from ..capture.capture import TransientCapture
 from .confocal_grids import (
@@ -83,6 +83,7 @@ def lct(
     .. [1] O'Toole, Lindell, Wetzstein, Confocal non-line-of-sight imaging based on the light-cone
        transform, Nature 555, 338 (2018).
     """
+    expect("capture", capture, "TransientCapture")
     begun = time.perf_counter()
     one_of("target", target, FALLOFF)
     snr = positive("snr", snr)

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import counted, fits_memory, in_range, one_of, positive, real
+from ..._checks import counted, expect, fits_memory, in_range, one_of, positive, real
 from ..._progress import Progress
 from ...errors import PerformanceWarning, SamplingError, SceneError, ValidityWarning
 from ..capture.capture import TransientCapture
@@ -164,6 +164,8 @@ def phasor_image(
     >>> print(volume.points[z, y, x].round(3) + 0.0)
     [0.1 0.  0.6]
     """
+    expect("capture", capture, "TransientCapture")
+    expect("volume", volume, "Volume")
     started = time.perf_counter()
     one_of("camera", camera, get_args(Camera))
     one_of("method", method, ("auto", "fft", "direct"))

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import counted, is_single, one_of, pair, positive, vector, whole
+from ..._checks import counted, fits_memory, is_single, one_of, pair, positive, vector, whole
 from ..._html import Figures, Shown
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
@@ -152,8 +152,10 @@ class Volume(Noun):
         )
         if far < near:
             raise SceneError(f"far = {far:g} m is before near = {near:g} m; swap them")
-        count = int((far - near) / step * (1 + 1e-12) + 1e-9) + 1
-        return cls(x, y, near + step * np.arange(count))
+        count = (far - near) / step * (1 + 1e-12) + 1 + 1e-9
+        voxels = f"a volume of {len(x)} x {len(y)} x {count:.3g} voxels"
+        fits_memory(voxels, 8.0 * count * len(x) * len(y), "use a larger step")
+        return cls(x, y, near + step * np.arange(int(count)))
 
     def check_before_wall(self) -> None:
         """Raise `SceneError` if voxels lie in the wall, z = 0, or behind it."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._checks import expect
 from ..._progress import Progress
 from ...errors import SceneError
 from ...scene import Lambert, MeshObject, PlanarObject, Scene, SumMaterial, TransientScan
@@ -94,6 +95,7 @@ def render_scene(
     >>> capture.H.shape
     (20, 3, 3)
     """
+    expect("scene", scene, "Scene")
     scene.check_laser_light()
     scan = scene.transient
     if scan is None:

@@ -156,3 +156,37 @@ def test_a_picture_close_to_the_wall_but_in_front() -> None:
     ok = planar(size=(0.2, 0.2), position=(0, 0, 0.0501), pitch=math.pi / 6)
     with pytest.raises(SceneError, match="behind the wall"):
         replace(ok, position=(0, 0, 0.0499))
+
+
+# Picture files
+
+
+def test_a_phones_rotation_is_applied(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[0x112] = 6  # the camera was turned: show it 90 degrees clockwise
+    picture = Image.fromarray(np.uint8(255 * F))
+    picture.save(tmp_path / "turned.png", exif=exif)
+    assert_array_equal(planar(tmp_path / "turned.png").reflectance, np.rot90(F, -1))
+
+
+def test_what_a_picture_would_lose_is_named(tmp_path: Path) -> None:
+    grey = np.uint8(255 * F)
+    picture = Image.fromarray(grey)
+    picture.save(tmp_path / "two.tif", save_all=True, append_images=[picture])
+    Image.fromarray(np.dstack([grey] * 4)).save(tmp_path / "clear.png")
+    opaque = np.dstack([grey] * 3 + [np.full_like(grey, 255)])
+    Image.fromarray(opaque).save(tmp_path / "opaque.png")
+    noise = np.random.default_rng(1).integers(0, 255, (99, 99)).astype(np.uint8)
+    Image.fromarray(noise).save(tmp_path / "half.png")
+    (tmp_path / "half.png").write_bytes((tmp_path / "half.png").read_bytes()[:3000])
+    assert_array_equal(planar(tmp_path / "opaque.png").reflectance, F)
+    for name, text in (("two.tif", "2 frames"), ("clear.png", "transp"), ("half.png", "truncat")):
+        with pytest.raises(SceneError, match=text):
+            planar(tmp_path / name)
+
+
+def test_vertices_whose_squares_overflow_are_refused() -> None:
+    mesh = trimesh.creation.box()
+    mesh.vertices *= 1e200
+    with pytest.raises(SceneError, match=r"vertex at .*e\+19.* m, limit 1e\+150"):
+        _ = MeshObject(mesh, position=PLACE).surface
