@@ -210,7 +210,7 @@ def load_result(folder: str | Path) -> Result:
     result = Result(scene=scene, **nouns)
     names = ("electrons", "expected", "signal", "ideal", "background", "noise_sigma")
     image = [getattr(result.image, name) for name in names]
-    others = [result.point_spread.intensity]
+    others = [] if result.point_spread is None else [result.point_spread.intensity]
     others += [] if result.reconstruction is None else [result.reconstruction.object]
     if any(values.shape != scene.camera.shape for values in image) or not all(
         values.size and np.isfinite(values).all() for values in (*image, *others)
