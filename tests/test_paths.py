@@ -64,7 +64,7 @@ def test_paths_that_no_system_takes_are_one_short_line(function: str, path: str)
         "plan PATH",
         "run SCENE --out PATH",
         "reconstruct SCENE --scene PATH",
-        "phasor PATH",
+        "image PATH",
         "report PATH",
         "view SCENE --out PATH.html",
     ],

@@ -232,7 +232,6 @@ def image(
     >>> axes.texts[0].get_text()
     '0.2 m on the object'
     """
-    expect("speckle_image", speckle_image, "SpeckleImage")
     if object_scale is not None:
         object_scale = positive("object_scale", object_scale)
     (axes,) = (axes,) if axes is not None else new_axes(width=5.6, height=4.6)
@@ -381,7 +380,6 @@ def reconstruction(
     >>> axes.get_xlabel(), axes.get_ylabel()
     ('column (pixels)', 'row (pixels)')
     """
-    expect("reconstruction", reconstruction, "Reconstruction")
     if pitch is not None:
         pitch = positive("pitch", pitch, unit="m")
     shown = [] if truth is None else [("ground truth", np.asarray(truth))]

@@ -118,6 +118,7 @@ def depth_map(depths: DepthMap, *, axes: Axes | None = None) -> Axes:
     >>> views.depth_map(transient.depth_map(image)).get_title()
     'depth from the wall'
     """
+    expect("depths", depths, "DepthMap")
     if axes is None:
         (axes,) = new_axes(1, width=5.8, height=4.6)
     seen = depths.depth[np.isfinite(depths.depth)]

@@ -10,7 +10,10 @@ from nlosoptics.cli import main
 pytest.importorskip("matplotlib")
 
 
-@pytest.mark.parametrize(("scene", "perfect"), [("letter_flat", True), ("letter_wavy", False)])
+@pytest.mark.parametrize(
+    ("scene", "perfect"),
+    [pytest.param("letter_flat", True, marks=pytest.mark.thorough), ("letter_wavy", False)],
+)
 def test_tables_of_a_scene(scene, perfect, examples, tmp_path, capsys):
     """A flat wall has the MTF of its pupil; the aberration of a wavy one is that of its terms."""
     with pytest.raises(SystemExit) as ended:

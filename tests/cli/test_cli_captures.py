@@ -121,7 +121,14 @@ def test_options_stand_for_what_a_capture_lacks(run):
     assert Path("x/front.png").is_file()
 
 
-@pytest.mark.parametrize("method", ["phasor", "fk", "lct", "backprojection"])
+@pytest.mark.parametrize(
+    "method",
+    [
+        "phasor",
+        "lct",
+        *(pytest.param(m, marks=pytest.mark.thorough) for m in ("fk", "backprojection")),
+    ],
+)
 def test_any_array_is_read_and_shown_without_hints(run, method):
     """Rows run downward in it, time comes last; the object is where it was put."""
     wall = wall_grid(1.0, 16)

@@ -75,6 +75,7 @@ def test_lobe_modulation_is_the_closed_form(scene: Scene, slope: float) -> None:
     assert np.log(found.modulation[low]) == approx(np.log(expected), rel=0.04)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("slope", [0.0005, 0.002, 0.01, 0.05])
 def test_resolution_is_the_closed_form_of_the_lobe(scene: Scene, slope: float) -> None:
     """At normal incidence, the frequency at which strength times exp(-8 (pi s d f)^2) is 1."""

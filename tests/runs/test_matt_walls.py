@@ -33,7 +33,8 @@ def call(capsys, *arguments: object) -> dict:
 def test_a_letter_is_read_off_the_shadows_of_a_disc(tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     scene = SCENES / "letter_disc.toml"
-    call(capsys, "run", scene, "--size", 32, "--out", "letter")
+    exposure = ("--set", "camera.exposure=60 ms")
+    call(capsys, "run", scene, "--size", 32, *exposure, "--out", "letter")
     result = nlos.load_result("letter")
     assert (result.exit_pupil, result.wavefront, result.point_spread) == (None, None, None)
     assert (tmp_path / "letter" / "overview.png").is_file()

@@ -210,5 +210,5 @@ def test_a_blur_wider_than_the_picture_is_refused(frames: np.ndarray, capsys) ->
 
 
 def test_every_method_is_tried_here() -> None:
-    tried = {"evidence", "wu2024", "burst", *reconstructing.KNOWN}
+    tried = {"evidence", "wu2024", "burst", "shadows", *reconstructing.KNOWN}
     assert set(reconstructing.METHODS) == tried

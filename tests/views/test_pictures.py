@@ -39,12 +39,18 @@ def one_wave_of_tilt(nodes: Literal["polar", "grid"]) -> Wavefront:
 
 def spread(intensity: Any) -> Any:
     """A stand-in with the fields that the picture reads."""
-    return SimpleNamespace(
+    return psf.PointSpread(
         intensity=np.asarray(intensity),
         pitch=2e-6,
         method="mdft",
         normalisation="unit-sum",
         error_estimate=1e-4,
+        wavelength=5e-7,
+        f_number=4.0,
+        pixel_integrated=False,
+        enclosed_energy=1.0,
+        regime="wave",
+        reason="",
     )
 
 

@@ -214,8 +214,8 @@ def read_picture(path: Path) -> Array:
     # Pillow raises SyntaxError for broken files
     except Exception as error:
         raise SceneError(
-            f"hidden.image: {path} is not an image that can be read ({reason(error)}); give "
-            "PNG, TIFF, JPEG or .npy"
+            f"hidden.image: {path} is no readable image ({reason(error)}); give PNG, TIFF, JPEG or "
+            ".npy"
         ) from None
     if not isinstance(raw, np.ndarray):
         raise SceneError(f"hidden.image: {path} holds several arrays; give a .npy file of one")

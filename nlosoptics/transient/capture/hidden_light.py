@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import real
+from ..._checks import expect, real
 from ...errors import SamplingError
 from .capture import TransientCapture
 from .preprocessing import outer_legs
@@ -71,6 +71,7 @@ def hidden_light(capture: TransientCapture, *, start: float | None = None) -> Tr
     >>> print(light.H[[0, 50, 60, 64]])
     [ 0.  0. 88. 88.]
     """
+    expect("capture", capture, "TransientCapture")
     lags = _lags(capture)
     origin = float(lags.max())  # bins before path 0 of the latest pair
     signal, spread, near = _mean_signal(capture, lags)

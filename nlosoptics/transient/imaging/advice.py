@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._checks import expect
 from ..._nouns import Noun
 from ..._progress import Progress
 from ..._random import checked_seed
@@ -119,6 +120,7 @@ def advise(capture: TransientCapture, *, seed: int = 0, progress: Progress | Non
     """
     from scipy.ndimage import gaussian_filter1d
 
+    expect("capture", capture, "TransientCapture")
     seed = checked_seed(seed)
     try:
         light = hidden_light(capture)

@@ -83,6 +83,7 @@ def test_a_start_rules_no_blur_out_where_free_energies_are_alike(cases):
     assert found.status == "converged"
 
 
+@pytest.mark.thorough
 def test_score_and_background_are_those_of_the_answer(near):
     data, _, found = near
     wave = Wavefront.from_zernike(

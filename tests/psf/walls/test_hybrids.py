@@ -232,6 +232,7 @@ def test_field_stop_takes_all_or_nothing():
         psf.hybrid_point_spread(away, normalisation="flux", check=False, **WINDOW)
 
 
+@pytest.mark.thorough
 def test_threads_change_no_bit(on_threads):
     options = {"pitch": 36e-6, "shape": 21, "n_rays": 20000}
     one, two = (

@@ -212,6 +212,7 @@ def test_connections_agree_with_a_plain_walk(scene):
         assert found.ledger[name] == approx(power, abs=5 * error + 1e-12)
 
 
+@pytest.mark.thorough
 def test_flux_is_what_the_radiance_chain_says(examples):
     """Three reflections by quadrature and chief rays, as `form_image` does; flat wall, a mirror."""
     scene = nlos.Scene.load(examples / "scenes" / "letter_flat.toml").resized(64)
@@ -384,6 +385,7 @@ for scene in (scene, replace(scene, hidden=MESH), mirrors):
 """
 
 
+@pytest.mark.thorough
 def test_threads_change_no_bit():
     folder = os.path.dirname(__file__)  # noqa: PTH120  (handed to another process)
     texts = [

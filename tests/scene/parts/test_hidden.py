@@ -180,7 +180,7 @@ def test_what_a_picture_would_lose_is_named(tmp_path: Path) -> None:
     Image.fromarray(noise).save(tmp_path / "half.png")
     (tmp_path / "half.png").write_bytes((tmp_path / "half.png").read_bytes()[:3000])
     assert_array_equal(planar(tmp_path / "opaque.png").reflectance, F)
-    for name, text in (("two.tif", "2 frames"), ("clear.png", "transp"), ("half.png", "truncat")):
+    for name, text in (("two.tif", "2 images"), ("clear.png", "transp"), ("half.png", "truncat")):
         with pytest.raises(SceneError, match=text):
             planar(tmp_path / name)
 

@@ -104,6 +104,7 @@ def test_a_scene_is_rendered_as_its_parts_are():
     assert all_of_them.H == pytest.approx(np.moveaxis(all_of_them.H, (3, 4), (1, 2)), rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_the_wall_takes_part_from_five_bounces_on():
     """Light that goes back to the wall on its way adds to the letter's own four and five."""
     many = replace(SCAN, count=2, n_bins=300, max_bounces=5)
