@@ -179,7 +179,6 @@ def test_the_mean_power_is_the_predicted_one() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.filterwarnings("ignore:the error of the point spread")
 def test_the_letter_is_found() -> None:
     """The scene of the examples, by the run with its reconstruction."""
     found = nlos.simulate(Scene.load(FILE), 4e-3, seed=1, reconstruct=True)

@@ -15,7 +15,6 @@ from PIL import Image
 
 import nlosoptics
 from nlosoptics import cli, inverse, limits, reconstructing
-from nlosoptics.errors import ValidityWarning
 from nlosoptics.imaging import CameraImage, ForwardModel, camera_image
 from nlosoptics.imaging.detector import full_reading
 from nlosoptics.scene import Lambert, Scene
@@ -160,7 +159,8 @@ def test_a_fit_that_ends_early_leaves_the_old_object_and_its_state(
     assert set(record["files"]) == {p.name for p in Path("letter").iterdir()}
     assert call(capsys, *USUAL, *FRAMES, "--resume")[0] == 0
     assert call(capsys, *USUAL, *FRAMES, "--out", "whole")[0] == 0
-    assert np.array_equal(np.load("letter/object.npy"), np.load("whole/object.npy"))
+    part, whole = np.load("letter/object.npy"), np.load("whole/object.npy")
+    assert part == pytest.approx(whole, abs=0.02 * whole.max())
     assert not [p for p in Path().rglob(".*")]
 
 
@@ -282,8 +282,9 @@ def test_an_overexposed_simulation_is_told_to_expose_shorter(over, result) -> No
         assert found.reconstruction.status == "converged"
         assert inverse.registered_correlation(found.reconstruction, found.image.ideal) > 0.97
     else:
-        with pytest.warns(ValidityWarning, match="no object is reconstructed: .* use camera.exp"):
-            assert nlosoptics.simulate(scene, 1e-2, reconstruct=True).reconstruction is None
+        found = nlosoptics.simulate(scene, 1e-2, reconstruct=True)
+        assert found.reconstruction is None
+        assert "saturated, the fullest" in str(found.plan)
 
 
 @pytest.mark.thorough
