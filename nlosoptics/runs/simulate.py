@@ -142,8 +142,7 @@ def _stages(
         errors = {"point spread": spread.error_estimate}
         spreads, field_errors = image_spreads(todo, optics, spread, seed, begin, tell)
         errors |= field_errors
-        if scene.wall_roughness is None:  # the plan states other errors for rough walls
-            check_errors(errors, tol)
+        check_errors({} if scene.wall_roughness else errors, tol)  # rough walls plan other errors
     if todo.runs("shadow rays"):
         begin("shadow rays")
         shadows = imaging.cast_shadows(scene)
