@@ -323,8 +323,8 @@ def _formed(
         advice = transient.advise(capture, seed=seed, progress=progress)
         if advice.image is None:
             return None, None
-        chosen = not wanted and options == {**options, "wl_sigma": None, "aperture": None}
-        if method == "phasor" and chosen and options["camera"] == "confocal_time_gated":
+        usual = {"camera": "confocal_time_gated", "wl_sigma": None, "aperture": None}
+        if method == "phasor" and not wanted and options == usual:
             return advice.image, advice.depths
         z = advice.image.volume.z
         wl_mean = advice.image.wl_mean

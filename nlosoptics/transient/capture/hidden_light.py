@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from ..._checks import expect, real
 from ...errors import SamplingError
 from .capture import TransientCapture
-from .preprocessing import outer_legs
+from .preprocessing import straight_paths
+from .wall_points import point_steps
 
 Array = NDArray[np.floating]
 
@@ -72,7 +73,8 @@ def hidden_light(capture: TransientCapture, *, start: float | None = None) -> Tr
     [ 0.  0. 88. 88.]
     """
     expect("capture", capture, "TransientCapture")
-    lags = _lags(capture)
+    # bin, with fraction, at which direct light arrives at each pair
+    lags = (straight_paths(capture) - capture.t_start) / capture.delta_t
     origin = float(lags.max())  # bins before path 0 of the latest pair
     signal, spread, near = _mean_signal(capture, lags)
     if start is None:
@@ -115,31 +117,14 @@ def hidden_light(capture: TransientCapture, *, start: float | None = None) -> Tr
 
 def pitch(capture: TransientCapture) -> float:
     """Return the largest distance of neighbouring points of the finer grid of a capture, m."""
-    sides = []
-    for points in (capture.sensor_points, capture.laser_points):
-        steps = [
-            float(np.linalg.norm(np.diff(points, axis=axis), axis=-1).max())
-            for axis in range(points.ndim - 1)
-            if points.shape[axis] > 1
-        ]
-        sides += [max(steps)] if points.ndim == 3 and steps else []
+    grids = (p for p in (capture.sensor_points, capture.laser_points) if p.ndim == 3)
+    sides = [max(float(step.max()) for step in steps) for p in grids if (steps := point_steps(p))]
     return min(sides, default=0.0)
 
 
 def counts_photons(capture: TransientCapture) -> bool:
     """Return whether all values are whole numbers of at least 0, as counts are."""
     return bool((capture.H >= 0.0).all() and (np.rint(capture.H) == capture.H).all())
-
-
-def _lags(capture: TransientCapture) -> Array:
-    """Return the bin, with fraction, at which direct light arrives at each pair."""
-    if capture.pairing == "confocal":
-        apart = np.linalg.norm(capture.laser_points - capture.sensor_points, axis=-1)
-    else:
-        lasers = capture.laser_points.reshape(-1, 1, 3)
-        apart = np.linalg.norm(lasers - capture.sensor_points.reshape(1, -1, 3), axis=-1)
-        apart = apart.reshape(capture.H.shape[1:])
-    return np.asarray((apart + outer_legs(capture) - capture.t_start) / capture.delta_t)
 
 
 def _mean_signal(capture: TransientCapture, lags: Array) -> tuple[Array, Array, int]:

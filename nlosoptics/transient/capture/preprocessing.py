@@ -245,6 +245,16 @@ def outer_legs(capture: TransientCapture) -> Array:
     return np.asarray(np.add.outer(first, last))
 
 
+def straight_paths(capture: TransientCapture) -> Array:
+    """Return the path of direct light for every pair, m: along the wall, and the outer legs."""
+    if capture.pairing == "confocal":
+        apart = np.linalg.norm(capture.laser_points - capture.sensor_points, axis=-1)
+    else:
+        lasers = capture.laser_points.reshape(-1, 1, 3)
+        apart = np.linalg.norm(lasers - capture.sensor_points.reshape(1, -1, 3), axis=-1)
+    return np.asarray(apart.reshape(capture.H.shape[1:]) + outer_legs(capture))
+
+
 def _means(array: Array, first: int, last: int, count: int) -> Array:
     """Average blocks of ``count`` along axes ``first`` to ``last`` - 1, except axes of length 1."""
     for axis in range(first, last):

@@ -131,3 +131,12 @@ def even_axes(points: Array) -> tuple[Array, Array, float]:
     steps = [abs(axis[1] - axis[0]) for axis in (x, y) if len(axis) > 1]
     pitch = float(min(steps, default=1.0))
     return x, y, off / pitch if pitch > 0.0 else math.inf
+
+
+def point_steps(points: Array) -> list[Array]:
+    """Return the distances of neighbouring points along each axis of a grid with several, m."""
+    return [
+        np.linalg.norm(np.diff(points, axis=axis), axis=-1).ravel()
+        for axis in range(points.ndim - 1)
+        if points.shape[axis] > 1
+    ]

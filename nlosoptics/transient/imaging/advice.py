@@ -134,8 +134,10 @@ def advise(capture: TransientCapture, *, seed: int = 0, progress: Progress | Non
     for k, wl_mean in enumerate(shortest * np.array(WAVELENGTHS)):
         if progress is not None:
             progress(f"wavelength {wl_mean:.3g} m", k / len(WAVELENGTHS))
-        planes = (max(0.5 * facts["start"], 0.25 * wl_mean), 0.5 * facts["stop"], 0.25 * wl_mean)
-        volume = Volume.facing(grid_of(capture), (planes[0], max(planes[:2]), planes[2]))
+        step = 0.25 * wl_mean
+        near = max(0.5 * facts["start"], step)
+        far = max(0.5 * facts["stop"], near)
+        volume = Volume.facing(grid_of(capture), (near, far, step))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ValidityWarning)  # far planes are darker at the rim
             images = [phasor_image(h, volume, wl_mean=wl_mean, dtype="float32") for h in halves]

@@ -12,7 +12,7 @@ from ..._checks import is_single, positive, whole
 from ...errors import SamplingError, SceneError
 from ..capture.capture import TransientCapture
 from ..capture.preprocessing import outer_legs
-from ..capture.wall_points import UNEVEN
+from ..capture.wall_points import UNEVEN, point_steps
 from .rayleigh_sommerfeld import Legs
 from .volume import Volume
 
@@ -21,11 +21,7 @@ Array = NDArray[np.floating]
 
 def grid_note(name: str, points: Array, wavelength: float, ways: int) -> str | None:
     """Return a note if wall points are too coarse for the wavelength or uneven, or None."""
-    steps = [
-        np.linalg.norm(np.diff(points, axis=axis), axis=-1).ravel()
-        for axis in range(points.ndim - 1)
-        if points.shape[axis] > 1
-    ]
+    steps = point_steps(points)
     if not steps or points.ndim != 3:
         return None
     largest = max(float(step.max()) for step in steps)

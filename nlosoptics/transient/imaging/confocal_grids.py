@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..._checks import one_of
 from ...errors import SamplingError, SceneError
 from ..capture.capture import TransientCapture
-from ..capture.preprocessing import outer_legs
+from ..capture.preprocessing import straight_paths
 from ..capture.wall_points import UNEVEN, even_axes
 from .volume import Volume
 
@@ -84,13 +84,7 @@ def refuse_direct_light(capture: TransientCapture, method: str) -> None:
     its noise is allowed for.
     """
     n_bins, n_paths = capture.n_bins, max(1, capture.H[0].size)
-    if capture.pairing == "confocal":
-        apart = np.linalg.norm(capture.laser_points - capture.sensor_points, axis=-1)
-    else:
-        lasers = capture.laser_points.reshape(-1, 1, 3)
-        sensors = capture.sensor_points.reshape(1, -1, 3)
-        apart = np.linalg.norm(lasers - sensors, axis=-1)
-    shortest = (apart.ravel() + outer_legs(capture).ravel() - capture.t_start) / capture.delta_t
+    shortest = (straight_paths(capture).ravel() - capture.t_start) / capture.delta_t
     ends = np.clip(np.floor(shortest) + 2, 0, n_bins).astype(np.int64)
     if not ends.any():
         return
