@@ -6,7 +6,7 @@ reconstruct a `VolumeImage`, and `depth_map` returns its depths.
 """
 
 from .capture.capture import TransientCapture
-from .capture.detector import Detector
+from .capture.detector import Detector, without_pile_up
 from .capture.hidden_light import hidden_light
 from .capture.preprocessing import downsampled, gated, without_outer_legs
 from .capture.wall_points import wall_grid
@@ -41,4 +41,5 @@ __all__ = [
     "true_depths",
     "wall_grid",
     "without_outer_legs",
+    "without_pile_up",
 ]

@@ -1,16 +1,17 @@
-"""Detector of a time-resolved capture: gate, jitter, dark counts and photon noise."""
+"""Detector of a time-resolved capture: gate, dead time, jitter, dark counts and photon noise."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import fits_memory, in_range, positive, real
+from ..._checks import expect, fits_memory, in_range, positive, real, whole
 from ..._random import checked_seed
-from ...errors import SceneError
+from ...errors import SamplingError, SceneError
 from .capture import TransientCapture
 
 Array = NDArray[np.floating]
@@ -27,8 +28,9 @@ class Detector:
     """Model of a photon counter with time stamps, such as a single-photon avalanche diode (SPAD).
 
     It turns the bins of a capture into photon counts, with the errors of a real detector. Times are
-    given as optical path, m: 50 ps are 0.015 m. Pile-up and dead time are neglected, which is valid
-    if fewer than about 5 % of the pulses lead to a detection.
+    given as optical path, m: 50 ps are 0.015 m. After a count the detector is blind for its dead
+    time, so that early photons hide later ones (pile-up). That is modelled if the number of laser
+    ``pulses`` is given; without it, fewer than about 5 % of the pulses should lead to a count.
 
     Parameters
     ----------
@@ -51,6 +53,12 @@ class Detector:
     gate : (float, float), optional
         Opening and closing time of the gate, m of optical path. Photons that arrive outside are
         lost. Recorded time stamps have an error and may lie outside. None: always open.
+    pulses : int, optional
+        Laser pulses per point over which photons and dark counts are distributed. None: no pile-up.
+    dead_time : float
+        Time after a count during which there is no other, m of optical path, at least the width of
+        a bin. The detector is ready again at the next pulse. By default a pulse has one count at
+        most.
 
     Raises
     ------
@@ -61,6 +69,17 @@ class Detector:
     --------
     render : Simulated capture of hidden meshes.
     TransientCapture : Time-resolved capture.
+    without_pile_up : Correct measured counts.
+
+    Notes
+    -----
+    A pulse that finds the detector ready in bin k leads to a count there with the probability
+    ``1 - exp(-r)``, with r the mean number of photons and dark counts of a pulse in this bin. It is
+    ready unless there was a count within the dead time before, on average over both bins [1]_.
+
+    References
+    ----------
+    .. [1] Coates, J. Phys. E 1 (1968) 878, for one count per pulse.
 
     Examples
     --------
@@ -73,6 +92,11 @@ class Detector:
     ... )
     >>> print(Detector(photons=1000.0, jitter=0.01).expected(capture).round(1))
     [  7.7  66.7 240.8 368.7 240.8  66.7   7.7]
+
+    Two photons in each of 100 pulses lead to at most 100 counts:
+
+    >>> print(Detector(photons=200.0, pulses=100).expected(capture).round(1))
+    [ 0.   0.   0.  86.5  0.   0.   0. ]
     """
 
     photons: float | None = None
@@ -82,6 +106,8 @@ class Detector:
     tail_share: float = 0.0
     dark_counts: float = 0.0
     gate: tuple[float, float] | None = None
+    pulses: int | None = None
+    dead_time: float = math.inf
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -115,6 +141,13 @@ class Detector:
                     "give (opens, closes) in m"
                 )
             put(self, "gate", (opens, closes))
+        if self.pulses is not None:
+            put(self, "pulses", whole("detector.pulses", self.pulses, 1, 1 << 50))
+        elif self.dead_time != math.inf:
+            raise SceneError(
+                f"detector.dead_time = {self.dead_time:g} m without detector.pulses has no effect; "
+                "give the number of laser pulses per point"
+            )
 
     def expected(self, capture: TransientCapture) -> Array:
         """Return the expected counts in every bin, without photon noise.
@@ -134,8 +167,22 @@ class Detector:
         Raises
         ------
         SceneError
-            If a bin is below 0, or all are 0 while ``photons`` is given.
+            If a bin is below 0, all are 0 while ``photons`` is given, or the dead time is shorter
+            than a bin.
         """
+        light, dark = self._rates(capture)
+        if self.pulses is not None:
+            rate = (light + dark) / self.pulses
+            counts = np.zeros_like(rate)
+            ready = _Ready(self.pulses, self.dead_time, capture)
+            for k, mean in enumerate(rate):
+                counts[k] = ready.expected(counts, k) * -np.expm1(-mean)
+            kept = np.divide(counts, light + dark, out=np.zeros_like(counts), where=counts > 0)
+            light, dark = light * kept, dark * kept
+        return np.asarray(self._stamped(light, capture.delta_t) + dark)
+
+    def _rates(self, capture: TransientCapture) -> tuple[Array, Array]:
+        """Return the mean numbers of photons and of dark counts that a ready detector counts."""
         H = capture.H
         lowest = float(H.min())
         if lowest < 0.0:
@@ -154,10 +201,7 @@ class Detector:
                 )
             share *= self.photons / total
         open_share = self._open_share(capture).reshape(-1, *[1] * (H.ndim - 1))
-        means = H * (share * open_share)
-        if self.jitter or self.tail:
-            means = self._stamped(means, capture.delta_t)
-        return np.asarray(means + self.dark_counts * open_share)
+        return H * (share * open_share), np.broadcast_to(self.dark_counts * open_share, H.shape)
 
     def measure(self, capture: TransientCapture, seed: int = 0) -> TransientCapture:
         """Draw the photon counts of one measurement.
@@ -173,14 +217,14 @@ class Detector:
         Returns
         -------
         TransientCapture
-            Poisson counts, ``quantity="counts"``. ``standard_error`` is the square root of the
-            expected count of each bin; ``by_bounce`` is empty.
+            Poisson counts, or with ``pulses`` those of as many independent pulses;
+            ``quantity="counts"``. ``standard_error`` is the square root of the expected count of
+            each bin; ``by_bounce`` is empty.
 
         Raises
         ------
         SceneError
-            If a bin is below 0, all are 0 while ``photons`` is given, or an expected count exceeds
-            2^50.
+            As `expected`, or if an expected count exceeds 2^50.
 
         See Also
         --------
@@ -193,9 +237,14 @@ class Detector:
         most = float(means.max())
         if most > 2.0**50:  # rounding of doubles would lose whole counts
             raise SceneError(f"a bin expects {most:g} counts, limit 2^50; give fewer photons")
-        values = {name: value for name, value in asdict(self).items() if value is not None}
-        counts = np.empty(means.size)
-        _detector_kernels.poisson(means.ravel(), np.uint64(key), counts)
+        values = {
+            name: value for name, value in asdict(self).items() if value not in (None, math.inf)
+        }
+        if self.pulses is None:
+            counts = np.empty(means.size)
+            _detector_kernels.poisson(means.ravel(), np.uint64(key), counts)
+        else:
+            counts = self._drawn(capture, self.pulses, key)
         return replace(
             capture,
             H=counts.reshape(means.shape),
@@ -204,6 +253,28 @@ class Detector:
             standard_error=np.sqrt(means),
             details={**capture.details, "detector": values, "detector_seed": key},
         )
+
+    def _drawn(self, capture: TransientCapture, pulses: int, key: int) -> Array:
+        """Return random counts of all pulses, shaped like ``capture.H``."""
+        light, dark = (part.reshape(capture.n_bins, -1) for part in self._rates(capture))
+        share = np.divide(light, light + dark, out=np.ones_like(light), where=light + dark > 0)
+        hits, stamps = np.zeros(light.shape, dtype=np.int64), np.zeros(light.shape)
+        ready = _Ready(pulses, self.dead_time, capture)
+        for k, mean in enumerate(light + dark):
+            random = np.random.Generator(np.random.Philox(key=[key, k]))
+            free, before = ready.pulses(hits, k)
+            free = free - random.binomial(before, ready.part)
+            hits[k] = random.binomial(free, -np.expm1(-mean / pulses))
+            seen = random.binomial(hits[k], share[k])
+            stamps[k] += hits[k] - seen
+            point = np.repeat(np.arange(seen.size), seen)
+            late = self.tail * random.exponential(size=point.size)
+            late *= random.uniform(size=point.size) < self.tail_share
+            late += self.jitter * random.standard_normal(point.size)
+            bins = k + np.floor(random.uniform(size=point.size) + late / capture.delta_t)
+            inside = (bins >= 0) & (bins < capture.n_bins)
+            np.add.at(stamps, (bins[inside].astype(np.int64), point[inside]), 1.0)
+        return stamps.reshape(capture.H.shape)
 
     def _open_share(self, capture: TransientCapture) -> Array:
         """Return the fraction of each bin during which the gate is open, (n_bins,)."""
@@ -214,6 +285,8 @@ class Detector:
 
     def _stamped(self, means: Array, step: float) -> Array:
         """Return counts by recorded time: ``means`` convolved with the response along axis 0."""
+        if not (self.jitter or self.tail):
+            return means
         from scipy.ndimage import convolve1d
         from scipy.signal import lfilter
 
@@ -272,3 +345,111 @@ class Detector:
         elif tail:
             late = -np.expm1(-np.maximum(x, 0.0) / tail)
         return np.asarray(surplus - self.tail_share * tail * late)
+
+
+class _Ready:
+    """Number of pulses that find a detector ready, after each bin's counts."""
+
+    def __init__(self, pulses: int, dead_time: float, capture: TransientCapture) -> None:
+        bins = positive("dead_time", min(dead_time, 1e300), unit="m") / capture.delta_t
+        if bins < 1.0:
+            raise SceneError(
+                f"dead_time = {dead_time:g} m is out of range, must be at least the width of a "
+                f"bin, {capture.delta_t:g} m; give a longer dead time or narrower bins"
+            )
+        self.all = pulses
+        # a count comes in the middle of its bin on average
+        self.part, whole_bins = math.modf(min(bins - 0.5, capture.n_bins))
+        self.blind = int(whole_bins)
+        self.busy: Any = 0
+
+    def pulses(self, counts: Array, k: int) -> tuple[Array, Array]:
+        """Return the pulses without a count in the blind bins before bin ``k``, in order of k.
+
+        The second array has the counts in the bin before them: of these, the fraction ``part`` is
+        blind still.
+        """
+        if k > 0:
+            self.busy = self.busy + counts[k - 1]
+        before = np.zeros_like(counts[0])
+        if k > self.blind:
+            before = counts[k - 1 - self.blind]
+            self.busy = self.busy - before
+        return np.asarray(self.all - self.busy), before
+
+    def expected(self, counts: Array, k: int) -> Array:
+        """Return the mean number of pulses that find the detector ready in bin ``k``."""
+        ready, before = self.pulses(counts, k)
+        return ready - self.part * before
+
+
+def without_pile_up(
+    capture: TransientCapture, *, pulses: int, dead_time: float = math.inf
+) -> TransientCapture:
+    """Correct photon counts for pile-up: what a detector without dead time would have counted.
+
+    Parameters
+    ----------
+    capture : TransientCapture
+        Measured counts, all bins since the laser pulse included: earlier counts hide later ones.
+    pulses : int
+        Laser pulses per point.
+    dead_time : float
+        Time after a count during which there is no other, m of optical path, as in `Detector`. By
+        default a pulse has one count at most.
+
+    Returns
+    -------
+    TransientCapture
+        Corrected counts, with their ``standard_error`` by photon noise.
+
+    Raises
+    ------
+    SceneError
+        If ``pulses`` or ``dead_time`` is out of range, or a bin is below 0.
+    SamplingError
+        If some bin has as many counts as there are pulses ready.
+
+    See Also
+    --------
+    Detector : Model of pile-up.
+
+    Notes
+    -----
+    In a bin with n counts of N ready pulses, the corrected count is ``-pulses log(1 - n/N)``
+    (Coates, J. Phys. E 1 (1968) 878).
+
+    Examples
+    --------
+    >>> from nlosoptics.transient import TransientCapture, without_pile_up
+    >>> counts = TransientCapture(
+    ...     H=[300.0, 300.0, 0.0, 100.0],
+    ...     laser_points=(0.0, 0.0, 0.0),
+    ...     sensor_points=(0.0, 0.0, 0.0),
+    ...     delta_t=0.01,
+    ... )
+    >>> print(without_pile_up(counts, pulses=1000).H.round(0))
+    [357. 560.   0. 288.]
+    """
+    expect("capture", capture, "TransientCapture")
+    counts = capture.H.astype(np.float64)
+    if counts.min() < 0.0:
+        raise SceneError(
+            f"the capture has a bin of {counts.min():g}, must be at least 0 to be a count; give "
+            "counts before any background is subtracted"
+        )
+    ready = _Ready(whole("pulses", pulses, 1, 1 << 50), dead_time, capture)
+    number = np.stack([ready.expected(counts, k) for k in range(capture.n_bins)])
+    full = np.argwhere(counts >= number)
+    if full.size:
+        at = tuple(full[0])
+        raise SamplingError(
+            f"bin {at[0]} has {counts[at]:g} counts, but only {max(number[at], 0):g} of {pulses} "
+            "pulses find the detector ready; check pulses and dead_time, or measure with less light"
+        )
+    return replace(
+        capture,
+        H=-pulses * np.log1p(-counts / number),
+        by_bounce={},
+        standard_error=pulses * np.sqrt(counts / (number * (number - counts))),
+    )

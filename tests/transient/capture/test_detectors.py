@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
-from nlosoptics.errors import SceneError
-from nlosoptics.transient import Detector, TransientCapture, wall_grid
+from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.transient import Detector, TransientCapture, wall_grid, without_pile_up
 
 STEP = 0.01
 
@@ -99,6 +101,60 @@ def test_gate_cuts_bins_and_keeps_dark_counts_out():
     assert not closed.H.any()
 
 
+def two_peaks(pulses):
+    """Light of 1.9 photons per pulse in two peaks and a background, in 60 bins."""
+    t = STEP * (np.arange(60) + 0.5)
+    rate = (
+        0.004 + 0.2 * np.exp(-(((t - 0.2) / 0.03) ** 2)) + 0.1 * np.exp(-(((t - 0.4) / 0.04) ** 2))
+    )
+    return TransientCapture(
+        H=pulses * rate, laser_points=np.zeros(3), sensor_points=np.zeros(3), delta_t=STEP
+    )
+
+
+def photon_by_photon(light, pulses, dead_time):
+    """Counts of a detector that meets one photon after the other, at continuous times."""
+    draw = np.random.default_rng(8)
+    photons = draw.poisson(light.H.sum() / pulses, pulses)
+    share = np.concatenate([[0.0], np.cumsum(light.H)]) / light.H.sum()
+    at = np.full((pulses, photons.max()), np.inf)
+    inside = np.arange(photons.max()) < photons[:, None]
+    at[inside] = np.interp(draw.random(photons.sum()), share, light.edges)
+    ready, counted = np.zeros(pulses), []
+    for t in np.sort(at, axis=1).T:
+        seen = (t >= ready) & np.isfinite(t)
+        counted.append(t[seen])
+        ready[seen] = t[seen] + dead_time
+    return np.histogram(np.concatenate(counted), light.edges)[0].astype(float)
+
+
+@pytest.mark.parametrize("dead_time", [np.inf, 0.1, 0.0733])
+def test_pile_up_is_that_of_single_photons(dead_time):
+    """Of 300,000 pulses, 1 % of groups of six bins and five standard errors of each bin."""
+    pulses = 300_000
+    light = two_peaks(pulses)
+    counted = photon_by_photon(light, pulses, dead_time)
+    detector = Detector(pulses=pulses, dead_time=dead_time)
+    groups = counted.reshape(10, 6).sum(axis=1)
+    for counts in (detector.expected(light), detector.measure(light, seed=2).H):
+        assert np.abs(counts - counted).max() < 5 * np.sqrt(2 * counted.max())
+        assert counts.reshape(10, 6).sum(axis=1) == pytest.approx(groups, rel=0.01, abs=500)
+    assert counted.sum() < 0.9 * light.H.sum()
+    back = without_pile_up(replace(light, H=counted), pulses=pulses, dead_time=dead_time)
+    assert 0.7 < np.std((back.H - light.H) / back.standard_error) < 1.3  # of 60, four spreads
+
+
+def test_few_photons_do_not_pile_up_and_time_stamps_come_after():
+    light = two_peaks(1000)
+    plain, many = Detector(jitter=0.02, dark_counts=0.1), 10**9
+    piled = Detector(jitter=0.02, dark_counts=0.1, pulses=many)
+    assert piled.expected(light) == pytest.approx(plain.expected(light), rel=3e-6)
+    piled = Detector(jitter=0.02, tail=0.03, tail_share=0.4, dark_counts=50.0, pulses=2000)
+    counts = sum(piled.measure(light, seed=k).H for k in range(40))
+    expected = 40 * piled.expected(light)
+    assert (counts - expected) / np.sqrt(expected) == pytest.approx(0.0, abs=4.5)
+
+
 @pytest.mark.parametrize("mean", [0.01, 0.7, 9.99, 10.0, 37.5, 1e4])
 def test_counts_are_poissons(mean):
     """Chi-square of the counts against Poisson's chances, bins of 10 or more."""
@@ -159,6 +215,8 @@ def test_draws_have_their_own_addresses(on_threads):
         ({"gate": (1.0, 1.0)}, "closes at 1 m"),
         ({"gate": 1.0}, "must be .opens, closes."),
         ({"jitter": float("nan")}, "not finite"),
+        ({"pulses": 0}, "detector.pulses = 0 is out of range"),
+        ({"dead_time": 1.0}, "without detector.pulses has no effect"),
     ],
 )
 def test_bad_detectors(given, words):
@@ -173,3 +231,9 @@ def test_captures_that_cannot_be_counted():
         Detector(photons=100).expected(spike(height=0.0))
     with pytest.raises(SceneError, match="limit 2.50"):
         Detector().measure(spike(height=1e18))
+    with pytest.raises(SceneError, match="at least the width of a bin, 0.01 m"):
+        Detector(pulses=9, dead_time=0.005).expected(spike())
+    with pytest.raises(SceneError, match="a bin of -1"):
+        without_pile_up(spike(height=-1.0), pulses=9)
+    with pytest.raises(SamplingError, match="bin 200 has 9 counts, but only 9 of 9 pulses"):
+        without_pile_up(spike(height=9.0), pulses=9)
