@@ -331,6 +331,10 @@ def _formed(
         step = wl_mean / (4 if method == "phasor" else 16)  # the others have sharper edges
         wanted = {"near": z[0], "far": z[-1], "step": step, "wl_mean": wl_mean} | wanted
         capture = advice.light
+    if method in ("fk", "lct"):
+        capture = transient.without_outer_legs(capture)
+        if not capture.is_confocal:
+            capture = transient.normal_moveout(capture)
     volume = transient.Volume.facing(
         grid_of(capture), (wanted["near"], wanted["far"], wanted["step"])
     )
@@ -340,15 +344,14 @@ def _formed(
         )
     elif method == "backprojection":
         image = transient.backprojection(capture, volume, progress=progress)
+    elif method == "fk":  # the root of noise would be brighter than the noise
+        image = transient.fk_migration(capture, volume, amplitude="light", progress=progress)
     else:
-        light = transient.without_outer_legs(capture)
-        if method == "fk":  # the root of noise would be brighter than the noise
-            image = transient.fk_migration(light, volume, amplitude="light", progress=progress)
-        else:
-            image = transient.lct(light, volume, progress=progress)
-    # intensities of waves are squares of amplitudes
-    share = AMPLITUDE ** (2 if method in ("phasor", "fk") else 1)
-    return image, transient.depth_map(image, threshold=share)
+        image = transient.lct(capture, volume, progress=progress)
+    # the rim of an even surface lies at half its light; intensities of waves are squares
+    share = AMPLITUDE if method == "phasor" else 0.5
+    power = 2 if method in ("phasor", "fk") else 1
+    return image, transient.depth_map(image, threshold=share**power)
 
 
 def _report(image: VolumeImage | None, capture: TransientCapture, path: Path) -> dict[str, Any]:

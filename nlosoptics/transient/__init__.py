@@ -8,7 +8,7 @@ reconstruct a `VolumeImage`, and `depth_map` returns its depths.
 from .capture.capture import TransientCapture
 from .capture.detector import Detector, without_pile_up
 from .capture.hidden_light import hidden_light
-from .capture.preprocessing import downsampled, gated, without_outer_legs
+from .capture.preprocessing import downsampled, gated, normal_moveout, without_outer_legs
 from .capture.wall_points import wall_grid
 from .imaging.advice import advise
 from .imaging.backprojection import backprojection
@@ -35,6 +35,7 @@ __all__ = [
     "gated",
     "hidden_light",
     "lct",
+    "normal_moveout",
     "phasor_image",
     "render",
     "render_scene",

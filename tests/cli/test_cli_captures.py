@@ -122,21 +122,26 @@ def test_options_stand_for_what_a_capture_lacks(run):
 
 
 @pytest.mark.parametrize(
-    "method",
+    ("method", "laser"),
     [
-        "phasor",
-        "lct",
-        *(pytest.param(m, marks=pytest.mark.thorough) for m in ("fk", "backprojection")),
+        ("phasor", None),
+        ("lct", None),
+        ("lct", (0.1, 0.1, 0.0)),
+        *(pytest.param(m, None, marks=pytest.mark.thorough) for m in ("fk", "backprojection")),
     ],
 )
-def test_any_array_is_read_and_shown_without_hints(run, method):
+def test_any_array_is_read_and_shown_without_hints(run, method, laser):
     """Rows run downward in it, time comes last; the object is where it was put."""
     wall = wall_grid(1.0, 16)
     path = 2.0 * np.linalg.norm(wall - (0.2, -0.1, 0.6), axis=-1)
+    if laser is not None:
+        path = 0.5 * path + np.linalg.norm(np.subtract(laser, (0.2, -0.1, 0.6)))
     counts = 60.0 * (np.arange(40)[:, None, None] == (path - 0.8) // 0.06)
     counts += np.random.default_rng(1).poisson(0.5, counts.shape)
     np.save("scan.npy", counts[:, ::-1].transpose(1, 2, 0))
-    layout = ("--array", "array", "--axes=-y,x,t", "--side", "1 m", "--t-start", "80 cm")
+    layout = ["--array", "array", "--axes=-y,x,t", "--side", "1 m", "--t-start", "80 cm"]
+    if laser is not None:
+        layout += ["--pairing", "all", "--laser-points", ", ".join(map(str, laser))]
     code, _, err = run("image", "scan.npy", *layout, "--bin", "200.1 ps", "--method", method)
     assert code == 0, err
     report = json.loads(Path("scan/result.json").read_text())

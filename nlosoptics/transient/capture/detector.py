@@ -241,7 +241,7 @@ class Detector:
             name: value for name, value in asdict(self).items() if value not in (None, math.inf)
         }
         if self.pulses is None:
-            counts = np.empty(means.size)
+            counts: Array = np.empty(means.size)
             _detector_kernels.poisson(means.ravel(), np.uint64(key), counts)
         else:
             counts = self._drawn(capture, self.pulses, key)
@@ -363,7 +363,7 @@ class _Ready:
         self.blind = int(whole_bins)
         self.busy: Any = 0
 
-    def pulses(self, counts: Array, k: int) -> tuple[Array, Array]:
+    def pulses(self, counts: NDArray[Any], k: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the pulses without a count in the blind bins before bin ``k``, in order of k.
 
         The second array has the counts in the bin before them: of these, the fraction ``part`` is

@@ -1,7 +1,8 @@
-"""Preprocessing of captures: gating, binning, outer legs."""
+"""Preprocessing of captures: gating, binning, outer legs, moveout."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -218,6 +219,89 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
 
     moved = _mapped(capture, shifted, t_start=capture.t_start - float(legs.min()))
     return replace(moved, outer_legs=False)
+
+
+def normal_moveout(capture: TransientCapture) -> TransientCapture:
+    """Convert a capture of a single laser point to an approximately confocal one.
+
+    Light of a path t between two wall points at a distance s arrives at the midpoint of both as by
+    a confocal path of ``sqrt(t^2 - s^2)``. Thus `fk_migration` and `lct` can image the capture.
+
+    Parameters
+    ----------
+    capture : TransientCapture
+        Capture with a single laser point, or a single sensor point. Outer legs are subtracted.
+
+    Returns
+    -------
+    TransientCapture
+        Confocal capture at the midpoints, which span half the side of the grid, with bins of the
+        same width. The light of each pair is kept, apart from bins before path 0; ``by_bounce`` and
+        ``standard_error`` are not.
+
+    Raises
+    ------
+    SamplingError
+        If there are several laser points and several sensor points.
+
+    See Also
+    --------
+    phasor_image : Image without this approximation.
+
+    Notes
+    -----
+    The points of equal path are an ellipsoid with the two wall points as foci; they are replaced by
+    the sphere that touches it in front of the midpoint, the normal moveout of seismics (Lindell,
+    Wetzstein, O'Toole, ACM Trans. Graph. 38, 116 (2019), sec. 5). A point at a depth z, a distance
+    x from the midpoint along the line of both, appears nearer by about ``x^2 s^2/(2 z t^2)``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.transient import TransientCapture, normal_moveout, wall_grid
+    >>> capture = TransientCapture(
+    ...     H=np.ones((50, 8, 8)),
+    ...     laser_points=(0.0, 0.0, 0.0),
+    ...     sensor_points=wall_grid(side=1.0, count=8),
+    ...     delta_t=0.02,
+    ...     t_start=1.0,
+    ... )
+    >>> confocal = normal_moveout(capture)
+    >>> confocal.pairing, round(float(np.ptp(confocal.sensor_points[..., 0])), 4)
+    ('confocal', 0.4375)
+    """
+    expect("capture", capture, "TransientCapture")
+    capture = without_outer_legs(capture)
+    lasers, sensors = capture.laser_points, capture.sensor_points
+    if capture.pairing != "all" or min(lasers.size, sensors.size) > 3:
+        raise SamplingError(
+            f"normal_moveout needs a single laser point or a single sensor point, the capture has "
+            f"{lasers.size // 3} and {sensors.size // 3} with pairing = {capture.pairing!r}; give "
+            "the part of one laser point, or use phasor_image"
+        )
+    alone, grid = (sensors, lasers) if sensors.size == 3 else (lasers, sensors)
+    points = 0.5 * (alone.reshape(3) + grid)
+    apart = np.linalg.norm(alone.reshape(3) - grid, axis=-1).ravel()
+    first = math.sqrt(max(float(capture.edges[0]) ** 2 - float(apart.max()) ** 2, 0.0))
+    n_bins = math.ceil((capture.edges[-1] - first) / capture.delta_t - 1e-9)
+    edges = first + capture.delta_t * np.arange(n_bins + 1)
+    light = np.zeros((capture.n_bins + 1, apart.size))
+    np.cumsum(capture.H.reshape(capture.n_bins, -1), axis=0, out=light[1:])
+    moved = np.empty((n_bins, apart.size))
+    for j, distance in enumerate(apart):
+        moved[:, j] = np.diff(np.interp(np.hypot(edges, distance), capture.edges, light[:, j]))
+    return replace(
+        capture,
+        H=moved.reshape(n_bins, *grid.shape[:-1]),
+        laser_points=points,
+        sensor_points=points,
+        laser_normals=None,
+        sensor_normals=None,
+        t_start=first,
+        pairing="confocal",
+        by_bounce={},
+        standard_error=None,
+    )
 
 
 def outer_legs(capture: TransientCapture) -> Array:

@@ -10,8 +10,11 @@ import pytest
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.transient import (
     TransientCapture,
+    Volume,
     downsampled,
+    fk_migration,
     gated,
+    normal_moveout,
     wall_grid,
     without_outer_legs,
 )
@@ -105,9 +108,42 @@ def test_outer_legs_are_taken_away_path_by_path(pairing):
     assert without_outer_legs(plain) is plain
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+def test_moveout_makes_a_capture_confocal(swapped):
+    """An echo in front of the midpoint moves exactly, others as the ellipsoid says."""
+    lone, grid, step = np.array([0.1, -0.2, 0.0]), wall_grid(1.0, 16), 0.004
+    at = np.array([0.12, 0.03, 0.7])
+    path = np.linalg.norm(grid - at, axis=-1) + np.linalg.norm(lone - at)
+    H = np.stack([(path // step == k).astype(float) for k in range(250, 700)])
+    points = (grid, lone) if swapped else (lone, grid)
+    moved = normal_moveout(
+        TransientCapture(
+            H=H, laser_points=points[0], sensor_points=points[1], delta_t=step, t_start=250 * step
+        )
+    )
+    assert moved.is_confocal
+    assert moved.sensor_points == pytest.approx(0.5 * (lone + grid), abs=1e-15)
+    assert moved.H.sum(axis=0) == pytest.approx(1.0, rel=1e-12)
+    mean = np.tensordot(moved.times, moved.H, axes=(0, 0))
+    apart = np.linalg.norm(grid - lone, axis=-1)
+    assert mean == pytest.approx(np.sqrt(path**2 - apart**2), abs=1.2 * step)
+    depth = np.sqrt(mean**2 / 4 - ((moved.sensor_points - at)[..., :2] ** 2).sum(axis=-1))
+    x = ((at - moved.sensor_points) * (grid - lone)).sum(axis=-1) / apart
+    assert depth == pytest.approx(np.sqrt(0.7**2 - (x * apart / path) ** 2), abs=0.004)
+    volume = Volume.box(centre=at, size=(0.3, 0.3, 0.2), pitch=0.02)
+    image = fk_migration(moved, volume, amplitude="light")
+    z, y, x = np.unravel_index(image.intensity.argmax(), volume.shape)
+    assert volume.points[z, y, x] == pytest.approx(at, abs=0.021)
+
+
 @pytest.mark.parametrize(
     ("call", "kind", "words"),
     [
+        (
+            lambda: normal_moveout(capture(H=np.ones((12, 4, 4, 4, 4)), pairing="all")),
+            SamplingError,
+            "the capture has 16 and 16 with pairing = 'all'",
+        ),
         (lambda: gated(capture(), start=2.15), SamplingError, "holds no bin"),
         (lambda: gated(capture(), start=float("nan")), SceneError, "start"),
         (
