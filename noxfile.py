@@ -4,6 +4,7 @@
 # ///
 """Sessions for `nox`: tests with the newest and the oldest supported packages, lint, types."""
 
+import os
 import tomllib
 from pathlib import Path
 
@@ -76,6 +77,18 @@ def extras(session: nox.Session, extra: str) -> None:
     """Run the tests of one extra in an environment without the others."""
     session.install("-e", f".[{extra}]", *TESTING)
     session.run("pytest", *(session.posargs or EXTRAS[extra]))
+
+
+@nox.session(default=False)
+def ytal(session: nox.Session) -> None:
+    """Let y-tal, in an environment of its own, read our captures and make pictures of them."""
+    session.install("-c", "constraints.txt", "-e", ".[all,test]")
+    peer = Path(session.create_tmp()) / "ytal"
+    session.run("python", "-m", "venv", str(peer))
+    python = peer / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    session.run(str(python), "-m", "pip", "install", "-q", "y-tal==0.20.0", external=True)
+    where = {"NLOSOPTICS_YTAL_PYTHON": str(python.absolute())}
+    session.run("pytest", "-m", "", "tests/transient/capture/test_ytal.py", env=where)
 
 
 @nox.session(default=False)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import frames_figure
+import layouts_figure
 import materials_page
 import performance
 import validation_page
@@ -16,7 +17,7 @@ def make(app: Sphinx) -> None:
     """Write everything into ``_generated``, which pages include."""
     target = Path(app.srcdir) / "_generated"
     target.mkdir(exist_ok=True)
-    for part in (frames_figure, materials_page, validation_page, performance):
+    for part in (frames_figure, layouts_figure, materials_page, validation_page, performance):
         part.pages(target)
     gather_scripts(target / "scripts")
 

@@ -1,4 +1,4 @@
-"""Commands transient and image, for time-resolved captures."""
+"""Commands transient, image and capture check, for time-resolved captures."""
 
 from __future__ import annotations
 
@@ -39,6 +39,54 @@ if TYPE_CHECKING:
 
 PICOSECOND = 299792458e-12  # m of optical path
 _LENGTHS = ("wl_mean", "wl_sigma", "aperture")
+
+
+CaptureFile = Annotated[
+    Path, typer.Argument(metavar="CAPTURE", help="Capture file: HDF5, .mat, .npy or .npz.")
+]
+ArrayName = Annotated[
+    str, typer.Option(help="Name of the array with the counts in a file of another layout.")
+]
+Axes = Annotated[
+    str, typer.Option(help="Order of its axes, such as y,x,t; -y is an axis that runs downward.")
+]
+Side = Annotated[str, typer.Option(help="Side of the scanned wall in such a file, such as 0.7m.")]
+BinWidth = Annotated[
+    str,
+    typer.Option(help="Width of a time bin, as time (16ps) or path (4.8mm), if not in the file."),
+]
+Start = Annotated[
+    str, typer.Option(help="Start of bin 0, as time or path, if the file does not state it.")
+]
+Pairs = Annotated[
+    str | None,
+    typer.Option(
+        help="Which laser and sensor points belong together, if the file does not state it: "
+        "all (every pair) or confocal (the same point for both)."
+    ),
+]
+LaserPoint = Annotated[
+    str,
+    typer.Option(
+        help="Position of the only laser point, 'x, y, z' in m, if the file does not state it."
+    ),
+]
+OuterLegs = Annotated[
+    bool | None,
+    typer.Option(
+        "--outer-legs/--no-outer-legs",
+        help="Whether times include the paths from laser to wall and from wall to sensor, if "
+        "the file does not state it.",
+    ),
+]
+GateStart = Annotated[
+    str, typer.Option(help="Drop all earlier bins, to remove direct light; time or optical path.")
+]
+
+captures = typer.Typer(
+    help="Check a file with a time-resolved capture.", no_args_is_help=True, rich_markup_mode=None
+)
+app.add_typer(captures, name="capture")
 
 
 @app.command("transient", short_help="Simulate a time-resolved capture of a scene.")
@@ -129,15 +177,14 @@ def transient_command(
                 }
             )
             capture.save(path, compression=compression)
-        print_table(_capture_rows(capture, path, time.perf_counter() - start))
+        seconds = ("seconds", f"{time.perf_counter() - start:.2f}")
+        print_table([*_capture_rows(capture), seconds, ("written to", str(path))])
 
 
 @app.command("image", short_help="Form an image of the hidden scene from a time-resolved capture.")
 def image_command(
     context: typer.Context,
-    capture_file: Annotated[
-        Path, typer.Argument(metavar="CAPTURE", help="Capture file: HDF5, .mat, .npy or .npz.")
-    ],
+    capture_file: CaptureFile,
     out: Out = None,
     method: Annotated[
         str, typer.Option(help="Method: phasor, fk, lct or backprojection.")
@@ -171,51 +218,15 @@ def image_command(
             help="Use only wall points in a central square with this side; by default all."
         ),
     ] = "",
-    array: Annotated[
-        str, typer.Option(help="Name of the array with the counts in a file of another layout.")
-    ] = "",
-    axes: Annotated[
-        str,
-        typer.Option(help="Order of its axes, such as y,x,t; -y is an axis that runs downward."),
-    ] = "t,y,x",
-    side: Annotated[
-        str, typer.Option(help="Side of the scanned wall in such a file, such as 0.7m.")
-    ] = "",
-    bin: Annotated[
-        str,
-        typer.Option(
-            help="Width of a time bin, as time (16ps) or path (4.8mm), if not in the file."
-        ),
-    ] = "",
-    t_start: Annotated[
-        str,
-        typer.Option(help="Start of bin 0, as time or path, if the file does not state it."),
-    ] = "",
-    pairing: Annotated[
-        str | None,
-        typer.Option(
-            help="Which laser and sensor points belong together, if the file does not state it: "
-            "all (every pair) or confocal (the same point for both)."
-        ),
-    ] = None,
-    laser_points: Annotated[
-        str,
-        typer.Option(
-            help="Position of the only laser point, 'x, y, z' in m, if the file does not state it."
-        ),
-    ] = "",
-    outer_legs: Annotated[
-        bool | None,
-        typer.Option(
-            "--outer-legs/--no-outer-legs",
-            help="Whether times include the paths from laser to wall and from wall to sensor, if "
-            "the file does not state it.",
-        ),
-    ] = None,
-    gate_start: Annotated[
-        str,
-        typer.Option(help="Drop all earlier bins, to remove direct light; time or optical path."),
-    ] = "",
+    array: ArrayName = "",
+    axes: Axes = "t,y,x",
+    side: Side = "",
+    bin: BinWidth = "",
+    t_start: Start = "",
+    pairing: Pairs = None,
+    laser_points: LaserPoint = "",
+    outer_legs: OuterLegs = None,
+    gate_start: GateStart = "",
     seed: Seed = 0,
     debug: Debug = False,
 ) -> None:
@@ -229,7 +240,6 @@ def image_command(
     with errors_told(debug):
         start = time.perf_counter()
         folder = Path(capture_file.stem) if out is None else out
-        from .. import transient
 
         check_target(folder)
         drawn = can_draw()
@@ -242,25 +252,20 @@ def image_command(
                 ("step", step),
                 ("wl_sigma", wl_sigma),
                 ("aperture", aperture),
-                ("side", side),
-                ("bin", bin),
-                ("t_start", t_start),
-                ("gate_start", gate_start),
             )
         }
-        capture = transient.TransientCapture.load(
+        capture = _read(
             capture_file,
-            array=array or None,
-            axes=axes,
-            side=lengths["side"],
-            delta_t=lengths["bin"],
-            t_start=lengths["t_start"],
-            pairing=pairing,
-            laser_points=numbers("--laser-points", laser_points) or None,
-            outer_legs=outer_legs,
+            array,
+            axes,
+            side,
+            bin,
+            t_start,
+            pairing,
+            laser_points,
+            outer_legs,
+            gate_start,
         )
-        if lengths["gate_start"] is not None:
-            capture = transient.gated(capture, start=lengths["gate_start"])
         picture = {name: lengths[name] for name in ("wl_mean", "near", "far", "step")}
         with progress_bar(width=32) as progress, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the image's notes repeat the warnings
@@ -284,6 +289,70 @@ def image_command(
         for note in report["notes"]:
             typer.echo(f"nlosoptics: {note}", err=True)
         print_table(_picture_rows(report, folder))
+
+
+@captures.command("check", short_help="Say what a capture file holds, and what can image it.")
+def check_command(
+    capture_file: CaptureFile,
+    array: ArrayName = "",
+    axes: Axes = "t,y,x",
+    side: Side = "",
+    bin: BinWidth = "",
+    t_start: Start = "",
+    pairing: Pairs = None,
+    laser_points: LaserPoint = "",
+    outer_legs: OuterLegs = None,
+    gate_start: GateStart = "",
+    debug: Debug = False,
+) -> None:
+    """Say what a capture file holds: points, bins, light of the hidden scene, fitting methods.
+
+    A file that cannot be read, or that lacks a value, is refused with the option that supplies it.
+    """
+    with errors_told(debug):
+        capture = _read(
+            capture_file,
+            array,
+            axes,
+            side,
+            bin,
+            t_start,
+            pairing,
+            laser_points,
+            outer_legs,
+            gate_start,
+        )
+        print_table([*_capture_rows(capture), *_light_rows(capture)])
+
+
+def _read(
+    path: Path,
+    array: str,
+    axes: str,
+    side: str,
+    bin: str,
+    t_start: str,
+    pairing: str | None,
+    laser_points: str,
+    outer_legs: bool | None,
+    gate_start: str,
+) -> TransientCapture:
+    """Read a capture file, with what the options state, and drop the bins before the gate."""
+    from .. import transient
+
+    capture = transient.TransientCapture.load(
+        path,
+        array=array or None,
+        axes=axes,
+        side=_path("--side", side),
+        delta_t=_path("--bin", bin),
+        t_start=_path("--t-start", t_start),
+        pairing=pairing,
+        laser_points=numbers("--laser-points", laser_points) or None,
+        outer_legs=outer_legs,
+    )
+    gate = _path("--gate-start", gate_start)
+    return capture if gate is None else transient.gated(capture, start=gate)
 
 
 def _path(option: str, text: str) -> float | None:
@@ -417,10 +486,10 @@ def _write_picture(image: VolumeImage, depths: DepthMap, folder: Path, drawn: bo
     views.save(views.depth_map(depths), folder / "depth.png")
 
 
-def _capture_rows(
-    capture: TransientCapture, path: Path, seconds: float
-) -> Iterator[tuple[str, str]]:
-    yield ("bins", f"{capture.n_bins} of {1e3 * capture.delta_t:g} mm")
+def _capture_rows(capture: TransientCapture) -> Iterator[tuple[str, str]]:
+    """Rows of a table on points, bins and light of a capture."""
+    low, high = capture.edges[[0, -1]]
+    yield ("bins", f"{capture.n_bins} of {1e3 * capture.delta_t:g} mm, {low:.4g} to {high:.4g} m")
     lasers, sensors = (
         " x ".join(map(str, shape)) or "1" for shape in (capture.laser_shape, capture.sensor_shape)
     )
@@ -429,8 +498,37 @@ def _capture_rows(
     yield ("light in all bins", f"{total:.4g} ({capture.quantity})")
     for bounces, part in capture.by_bounce.items():
         yield (f"  of {bounces} reflections", f"{float(part.sum()):.4g}")
-    yield ("seconds", f"{seconds:.2f}")
-    yield ("written to", str(path))
+
+
+def _light_rows(capture: TransientCapture) -> Iterator[tuple[str, str]]:
+    """Rows on the light of the hidden scene, and on the methods that can image it."""
+    from .. import transient
+    from ..errors import NlosError
+    from ..transient.imaging.advice import shortest_wavelength
+    from ..transient.imaging.confocal_grids import confocal_grid
+
+    yield ("outer legs", "included in times" if capture.outer_legs else "not included")
+    try:
+        light = transient.hidden_light(capture)
+    except NlosError as error:
+        yield ("light of the scene", str(error).split(";")[0])
+        return
+    facts: Any = light.details["hidden_light"]
+    yield (
+        "light of the scene",
+        f"{facts['start']:.4g} to {facts['stop']:.4g} m of path beyond the straight one",
+    )
+    yield ("background", f"{facts['background']:.3g} in each bin and pair")
+    yield ("shortest wavelength", f"{shortest_wavelength(capture):.3g} m")
+    methods = "phasor, backprojection"
+    try:
+        light = transient.without_outer_legs(light)
+        whole = light if light.is_confocal else transient.normal_moveout(light)
+        confocal_grid(whole, "fk")
+        methods += ", fk, lct" if whole is light else ", fk, lct (after normal moveout)"
+    except NlosError as error:
+        methods += f"; not fk, lct: {str(error).split(';')[0]}"
+    yield ("methods", methods)
 
 
 def _picture_rows(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:

@@ -149,6 +149,25 @@ def test_any_array_is_read_and_shown_without_hints(run, method, laser):
     assert place == pytest.approx([0.2, -0.1, 0.6], abs=0.07)  # one pitch
 
 
+def test_a_check_says_what_a_file_holds(run):
+    wall = wall_grid(1.0, 16)
+    path = np.linalg.norm(wall - (0.2, -0.1, 0.6), axis=-1) + 0.65
+    counts = 60.0 * (np.arange(40)[:, None, None] == (path - 0.8) // 0.06) + 1.0
+    np.savez("scan.npz", counts=counts)
+    given = ["--array", "counts", "--side", 1, "--bin", "6cm", "--t-start", "80 cm"]
+    code, out, _ = run("capture", "check", "scan.npz", *given)
+    assert code == 0
+    assert "16 x 16 laser, 16 x 16 sensor, confocal" in out
+    assert "40 of 60 mm, 0.8 to 3.2 m" in out
+    assert "1 in each bin and pair" in out
+    assert "phasor, backprojection, fk, lct\n" in out
+    code, out, _ = run("capture", "check", "scan.npz", *given, "--laser-points", "0, 0, 0")
+    assert (code, "fk, lct (after normal moveout)" in out) == (0, True)
+    np.savez("scan.npz", counts=np.ones((40, 8, 8)))
+    code, out, _ = run("capture", "check", "scan.npz", *given)
+    assert (code, "has no light of 5 standard deviations" in out) == (0, True)
+
+
 def test_an_empty_room_is_told(run):
     counts = np.random.default_rng(2).poisson(2.0, (40, 8, 8))
     np.savez("dark.npz", counts=counts)

@@ -127,8 +127,7 @@ def advise(capture: TransientCapture, *, seed: int = 0, progress: Progress | Non
     except SamplingError:
         return Advice(light=capture, agreement={}, image=None, depths=None)
     facts: Any = light.details["hidden_light"]
-    ways = 4.0 if capture.pairing == "confocal" else 2.0
-    shortest = max(ways * pitch(capture), 4.0 * capture.delta_t)
+    shortest = shortest_wavelength(capture)
     halves = _halves(capture, light, seed)
     agreement: dict[float, float] = {}
     for k, wl_mean in enumerate(shortest * np.array(WAVELENGTHS)):
@@ -150,6 +149,12 @@ def advise(capture: TransientCapture, *, seed: int = 0, progress: Progress | Non
             depths = _depths(image, images)
             return Advice(light=light, agreement=agreement, image=image, depths=depths)
     return Advice(light=light, agreement=agreement, image=None, depths=None)
+
+
+def shortest_wavelength(capture: TransientCapture) -> float:
+    """Return the shortest wavelength that wall points and bins of a capture can sample, m."""
+    ways = 4.0 if capture.pairing == "confocal" else 2.0
+    return max(ways * pitch(capture), 4.0 * capture.delta_t)
 
 
 def grid_of(capture: TransientCapture) -> Array:
