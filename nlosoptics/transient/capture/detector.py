@@ -141,6 +141,7 @@ class Detector:
                     "give (opens, closes) in m"
                 )
             put(self, "gate", (opens, closes))
+        put(self, "dead_time", _checked_dead_time("detector.dead_time", self.dead_time))
         if self.pulses is not None:
             put(self, "pulses", whole("detector.pulses", self.pulses, 1, 1 << 50))
         elif self.dead_time != math.inf:
@@ -172,12 +173,12 @@ class Detector:
         """
         light, dark = self._rates(capture)
         if self.pulses is not None:
-            rate = (light + dark) / self.pulses
-            counts = np.zeros_like(rate)
+            both = light + dark
+            counts = np.zeros_like(both)
             ready = _Ready(self.pulses, self.dead_time, capture)
-            for k, mean in enumerate(rate):
-                counts[k] = ready.expected(counts, k) * -np.expm1(-mean)
-            kept = np.divide(counts, light + dark, out=np.zeros_like(counts), where=counts > 0)
+            for k, mean in enumerate(both):
+                counts[k] = ready.expected(counts, k) * -np.expm1(-mean / self.pulses)
+            kept = np.divide(counts, both, out=np.zeros_like(counts), where=counts > 0)
             light, dark = light * kept, dark * kept
         return np.asarray(self._stamped(light, capture.delta_t) + dark)
 
@@ -190,7 +191,8 @@ class Detector:
                 f"the capture has a bin of {lowest:g}, must be at least 0 to be an expected count; "
                 "remove negative values"
             )
-        fits_memory("detector", 3 * 8.0 * H.size, "split the capture")
+        arrays = 3 if self.pulses is None else 8
+        fits_memory("detector", arrays * 8.0 * H.size, "split the capture")
         share = self.efficiency
         if self.photons is not None:
             total = float(H.sum(dtype=np.float64))
@@ -257,23 +259,29 @@ class Detector:
     def _drawn(self, capture: TransientCapture, pulses: int, key: int) -> Array:
         """Return random counts of all pulses, shaped like ``capture.H``."""
         light, dark = (part.reshape(capture.n_bins, -1) for part in self._rates(capture))
-        share = np.divide(light, light + dark, out=np.ones_like(light), where=light + dark > 0)
-        hits, stamps = np.zeros(light.shape, dtype=np.int64), np.zeros(light.shape)
+        both = light + dark
+        hits = np.zeros(both.shape, dtype=np.int64)
         ready = _Ready(pulses, self.dead_time, capture)
-        for k, mean in enumerate(light + dark):
-            random = np.random.Generator(np.random.Philox(key=[key, k]))
+        draws = [np.random.Generator(np.random.Philox(key=[key, k])) for k in range(len(both))]
+        for k, (mean, random) in enumerate(zip(both, draws, strict=True)):
             free, before = ready.pulses(hits, k)
             free = free - random.binomial(before, ready.part)
             hits[k] = random.binomial(free, -np.expm1(-mean / pulses))
-            seen = random.binomial(hits[k], share[k])
-            stamps[k] += hits[k] - seen
-            point = np.repeat(np.arange(seen.size), seen)
-            late = self.tail * random.exponential(size=point.size)
-            late *= random.uniform(size=point.size) < self.tail_share
-            late += self.jitter * random.standard_normal(point.size)
-            bins = k + np.floor(random.uniform(size=point.size) + late / capture.delta_t)
-            inside = (bins >= 0) & (bins < capture.n_bins)
-            np.add.at(stamps, (bins[inside].astype(np.int64), point[inside]), 1.0)
+        stamps = hits.astype(np.float64)
+        if self.jitter or self.tail:
+            share = np.divide(light, both, out=np.ones_like(light), where=both > 0)
+            most = float(hits.sum(axis=1).max())
+            fits_memory("a draw of time stamps", 64.0 * most, "give fewer photons or pulses")
+            for k, random in enumerate(draws):
+                seen = random.binomial(hits[k], share[k])
+                stamps[k] -= seen
+                point = np.repeat(np.arange(seen.size), seen)
+                late = self.tail * random.exponential(size=point.size)
+                late *= random.uniform(size=point.size) < self.tail_share
+                late += self.jitter * random.standard_normal(point.size)
+                bins = k + np.floor(random.uniform(size=point.size) + late / capture.delta_t)
+                inside = (bins >= 0) & (bins < capture.n_bins)
+                np.add.at(stamps, (bins[inside].astype(np.int64), point[inside]), 1.0)
         return stamps.reshape(capture.H.shape)
 
     def _open_share(self, capture: TransientCapture) -> Array:
@@ -347,11 +355,16 @@ class Detector:
         return np.asarray(surplus - self.tail_share * tail * late)
 
 
+def _checked_dead_time(name: str, value: Any) -> float:
+    """Return a dead time, m, above 0; it may be infinite."""
+    return math.inf if value == math.inf else positive(name, value, unit="m")
+
+
 class _Ready:
     """Number of pulses that find a detector ready, after each bin's counts."""
 
     def __init__(self, pulses: int, dead_time: float, capture: TransientCapture) -> None:
-        bins = positive("dead_time", min(dead_time, 1e300), unit="m") / capture.delta_t
+        bins = dead_time / capture.delta_t
         if bins < 1.0:
             raise SceneError(
                 f"dead_time = {dead_time:g} m is out of range, must be at least the width of a "
@@ -438,6 +451,7 @@ def without_pile_up(
             f"the capture has a bin of {counts.min():g}, must be at least 0 to be a count; give "
             "counts before any background is subtracted"
         )
+    dead_time = _checked_dead_time("dead_time", dead_time)
     ready = _Ready(whole("pulses", pulses, 1, 1 << 50), dead_time, capture)
     number = np.stack([ready.expected(counts, k) for k in range(capture.n_bins)])
     full = np.argwhere(counts >= number)

@@ -252,7 +252,7 @@ def normal_moveout(capture: TransientCapture) -> TransientCapture:
     -----
     The points of equal path are an ellipsoid with the two wall points as foci; they are replaced by
     the sphere that touches it in front of the midpoint, the normal moveout of seismics (Lindell,
-    Wetzstein, O'Toole, ACM Trans. Graph. 38, 116 (2019), sec. 5). A point at a depth z, a distance
+    Wetzstein, O'Toole, ACM Trans. Graph. 38, 116 (2019)). A point at a depth z, a distance
     x from the midpoint along the line of both, appears nearer by about ``x^2 s^2/(2 z t^2)``.
 
     Examples
@@ -281,7 +281,7 @@ def normal_moveout(capture: TransientCapture) -> TransientCapture:
         )
     alone, grid = (sensors, lasers) if sensors.size == 3 else (lasers, sensors)
     points = 0.5 * (alone.reshape(3) + grid)
-    apart = np.linalg.norm(alone.reshape(3) - grid, axis=-1).ravel()
+    apart = straight_paths(capture).ravel()
     first = math.sqrt(max(float(capture.edges[0]) ** 2 - float(apart.max()) ** 2, 0.0))
     n_bins = math.ceil((capture.edges[-1] - first) / capture.delta_t - 1e-9)
     edges = first + capture.delta_t * np.arange(n_bins + 1)

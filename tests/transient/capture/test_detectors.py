@@ -217,6 +217,8 @@ def test_draws_have_their_own_addresses(on_threads):
         ({"jitter": float("nan")}, "not finite"),
         ({"pulses": 0}, "detector.pulses = 0 is out of range"),
         ({"dead_time": 1.0}, "without detector.pulses has no effect"),
+        ({"dead_time": "long", "pulses": 5}, "detector.dead_time = 'long'"),
+        ({"dead_time": float("nan"), "pulses": 5}, "detector.dead_time = nan is not finite"),
     ],
 )
 def test_bad_detectors(given, words):
