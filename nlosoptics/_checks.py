@@ -40,7 +40,7 @@ _MAKERS = {
     "Scene": "Scene.load(path)",
     "Wavefront": "psf.wavefront(scene)",
     "PointSpread": "psf.scene_point_spread(scene).point_spread",
-    "TransientCapture": "transient.load_capture(path)",
+    "TransientCapture": "transient.TransientCapture.load(path)",
     "VolumeImage": "transient.phasor_image(capture, wl_mean=...)",
     "Study": "Study.load(path)",
     "Volume": "Volume.facing(points, (near, far, step))",
