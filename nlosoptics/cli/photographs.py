@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
+from .._checks import lasting
 from .._whole_files import whole_folder
 from .shell import (
     DOES_NOT_FIT,
@@ -109,7 +110,7 @@ def deblur_command(
     images: Annotated[
         list[Path],
         typer.Argument(
-            metavar="IMAGE...",
+            metavar="IMAGE",
             help="Photographs (PNG, TIFF, JPEG, .npy or raw); several of one view are averaged.",
         ),
     ],
@@ -246,5 +247,5 @@ def _rows(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
         yield ("smooth veil, taken off", f"{100 * f['veil_fraction']:.2g} % of the light")
     if f["masked_fraction"]:
         yield ("saturated or dead pixels", f"{100 * f['masked_fraction']:.2g} %")
-    yield ("seconds", f"{report['seconds']['total']:.2f} s")
+    yield ("run time", lasting(report["seconds"]["total"]))
     yield ("written to", str(folder))
