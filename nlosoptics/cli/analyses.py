@@ -10,6 +10,7 @@ import typer
 
 from .._checks import lasting
 from .._whole_files import whole_folder
+from ..errors import SceneError
 from .shell import (
     Changes,
     Debug,
@@ -53,6 +54,11 @@ def analyse_command(
         folder = Path(f"{scene_file.stem}_analysis") if out is None else out
         check_target(folder)
         scene = load(scene_file, None, changes)
+        if not scene.wall_material.mirror_lobes:
+            raise SceneError(
+                "wall.material has no mirror-like lobe, so that the wall forms no image; add a "
+                'table [[wall.material]] with lobe = "specular", or use nlosoptics feasibility'
+            )
         with progress_bar(width=20) as progress:
             optics = psf.scene_point_spread(
                 scene, tol, object_point=numbers("--point", point) or None, progress=progress

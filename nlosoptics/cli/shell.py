@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import importlib.util
 import os
+import re
 import shlex
 import signal
 import sys
@@ -175,7 +176,10 @@ def tell(error: BaseException) -> int:
     if isinstance(error, (KeyboardInterrupt, typer.Abort)):
         code, message = INTERRUPTED, "interrupted; no partial result was written"
     elif isinstance(error, _UsageError):
-        message = f"{error.format_message().rstrip('.')}; nlosoptics --help shows how"
+        message = error.format_message().rstrip(".").replace("Value error, ", "")
+        if not re.search(r"; |\?$", message):  # without a remedy of its own
+            context = getattr(error, "ctx", None)
+            message += f"; {context.command_path if context else 'nlosoptics'} --help shows how"
     elif isinstance(error, NlosError):
         message = str(error)
         code = FAILED if isinstance(error, MissingExtraError) else BAD_INPUT
