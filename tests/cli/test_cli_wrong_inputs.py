@@ -34,11 +34,14 @@ plan design --set wall.radius | no value; write for example wall.radius=2m
 plan design --set wall.material=whitebord | not in the library; did you mean "whiteboard"
 plan design --size 100 | 100 does not divide; sizes that do: 16, 32, 64
 plan design --tol 2 | tol = 2; from 1e-12 to 0.1
+plan design --tol tight | --tol; tight
 run design --siz 64 | No such option: --siz; --size
 run design --seed -1 | --seed; greater than or equal to 0
+run design --seed 18446744073709551616 | --seed; 18446744073709551615
 run design --size 64 --max-seconds 0.01 | limit max_seconds = 0.01; leave the reconstruction out
 run design --memory 0.001 | limit 0.001 GiB; camera.binning
 run design --out room.toml | is a file; name a folder
+run design --out . | did not write; name another folder
 run design --out folder/a/b | no folder; create it first
 run corner_room --size 64 | occluder[1].material reflects light; remove the material
 view design --out room.jpg | does not end in .png; give a name that does
