@@ -37,7 +37,7 @@ Image.fromarray(np.rint(255 * code).astype(np.uint8)).save("phone.jpg", quality=
 #: Three axes: 3 x 3 x 2 points.
 STUDY = """
 scene = "room.toml"
-figures = ["spot_radius", "predicted_correlation"]
+figures = ["spot_rms", "predicted_correlation"]
 set = { "camera.binning" = 64 }
 [axes]
 "camera.f_number" = [2, 4, 8]
@@ -58,7 +58,7 @@ WAYS = {
         "nlosoptics analyse design/room.toml",
         "cp study.toml design/sweep.toml",
         "nlosoptics study design/sweep.toml --workers 0",
-        "nlosoptics study plot sweep.zarr spot_radius --out map.png",
+        "nlosoptics study plot sweep.zarr spot_rms --out map.png",
     ),
     "shadows": ("nlosoptics new matt.toml --kind shadows", "nlosoptics run matt.toml"),
     "time-resolved": (
@@ -82,7 +82,7 @@ class Walk:
 
     def __call__(self, step: str, command: str) -> None:
         """Run a shell command in the folder and print its seconds."""
-        start = time.perf_counter()
+        start, before = time.perf_counter(), os.times()
         done = subprocess.run(
             ["/bin/bash", "-c", command],
             cwd=self.folder,
@@ -93,8 +93,10 @@ class Walk:
             text=True,
             check=False,
         )
-        self.total += time.perf_counter() - start
-        print(f"{time.perf_counter() - start:7.1f} s  {step}: {command}", flush=True)
+        seconds, after = time.perf_counter() - start, os.times()
+        self.total += seconds
+        cpu = sum(after[2:4]) - sum(before[2:4])  # of children, user and system
+        print(f"{seconds:7.1f} s, CPU {cpu:5.1f} s  {step}: {command}", flush=True)
         if done.returncode:
             self.failed = True
             print(f"failed with {done.returncode}:\n{done.stdout[-3000:]}", flush=True)
@@ -123,7 +125,7 @@ def walked(work: Path, installed: bool) -> bool:
         before = walk.total
         for command in commands:
             walk(name, command)
-        print(f"{walk.total - before:7.1f} s  {name}, in all", flush=True)
+        print(f"{walk.total - before:7.1f} s {name:>14s}, in all", flush=True)
         walk.failed |= name == "first picture" and walk.total - before > 60.0
     return not walk.failed
 

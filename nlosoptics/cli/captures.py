@@ -145,7 +145,8 @@ def image_command(
     camera: Annotated[
         str | None,
         typer.Option(
-            help="Virtual camera of phasor: confocal_time_gated (by default) or direct_light."
+            help="Virtual camera of phasor: confocal_time_gated (pulse and camera are focused on "
+            "the same point; by default) or direct_light (light that the scene reflected once)."
         ),
     ] = None,
     wl_mean: Annotated[

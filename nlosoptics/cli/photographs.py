@@ -45,7 +45,9 @@ Full = Annotated[
 ]
 Channel = Annotated[
     str | None,
-    typer.Option(help="What to use of a picture in colour: red, green, blue, grey (mean) or rgb."),
+    typer.Option(
+        help="Channel of a picture in colour: red, green, blue, grey (their mean) or rgb (all)."
+    ),
 ]
 Gamma = Annotated[
     str,
@@ -141,10 +143,11 @@ def deblur_command(
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Sharpen a photograph whose blur is known, by the picture of least total variation.
+    """Sharpen a photograph whose blur is known, by total-variation deconvolution.
 
-    Colours are sharpened one by one. The output folder gets the picture (object.png), its values
-    (object.npz), an overview and result.json.
+    Of all pictures whose blurred image agrees with the photograph, the result is the one with the
+    fewest and weakest edges. Colours are sharpened one by one. The output folder gets the picture
+    (object.png), its values (object.npz), an overview and result.json.
     """
     with errors_told(debug):
         started = time.perf_counter()

@@ -108,8 +108,8 @@ def reconstruct_command(
         str | None,
         typer.Option(
             help="Solver. If the scene file describes the wall: tv (total variation), wiener, "
-            "inverse_filter, richardson_lucy, phase_retrieval. If the wall is "
-            "unknown and fitted too: evidence, wu2024. For a rough wall seen from several camera "
+            "inverse_filter, richardson_lucy, phase_retrieval. If the wall is unknown and fitted "
+            "too: evidence (Bayesian), wu2024 (network). For a rough wall seen from several camera "
             "positions, one image each: burst. For a matt wall with occluders: shadows. By default "
             "shadows for such a wall, else tv."
         ),

@@ -161,7 +161,12 @@ def plot_command(
     ),
     kind: Annotated[
         Kind,
-        typer.Option(help="Kind of picture; by default the one that fits the tables of the study."),
+        typer.Option(
+            help="Kind of picture: map of two axes, panels of maps or slices of curves for more "
+            "axes, tornado (effect of each value alone), yield (share of the draws within a "
+            "limit), sobol (share of each value in the variance), gallery of point spreads. By "
+            "default (auto) the one that fits the tables of the study."
+        ),
     ] = Kind.AUTO,
     boundary: Annotated[
         float | None, typer.Option(help="Limit of the figure of merit; a line is drawn there.")
