@@ -16,6 +16,8 @@ import nlosoptics as nlos
 from nlosoptics.cli import main
 from nlosoptics.errors import SceneError
 
+pytest.importorskip("matplotlib")
+
 ROOT = Path(__file__).parents[2]
 KINDS = ("corner", "design", "photo", "shadows", "transient")
 Call = Callable[[str], tuple[int, str, str]]
@@ -63,7 +65,7 @@ def test_each_value_of_a_new_scene_has_a_comment(kind: str) -> None:
     "kind", [pytest.param(kind, marks=pytest.mark.thorough) for kind in KINDS if kind != "design"]
 )
 def test_the_next_steps_of_a_new_scene_run(call: Call, kind: str) -> None:
-    """The commands that `new` prints, as they are; the pages written beside the file suffice."""
+    """The commands that `new` prints, as they are; the files written beside it suffice."""
     _, out, _ = call(f"nlosoptics new room.toml --kind {kind}")
     for step in out.splitlines()[1:]:
         code, _, err = call(step.strip())

@@ -84,6 +84,13 @@ study export folder table.txt | does not end in .csv; give a name that does
 """
 
 
+for part in ("matplotlib", "torch", "xarray", "zarr"):  # without which they say what to install
+    pytest.importorskip(part)
+CASES = [
+    case for case in WRONG.strip().splitlines() if "/proc" not in case or Path("/proc").is_dir()
+]
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Work in a folder with files of several kinds."""
@@ -107,7 +114,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     os.chdir(before)
 
 
-@pytest.mark.parametrize("case", WRONG.strip().splitlines())
+@pytest.mark.parametrize("case", CASES)
 def test_wrong_input_is_one_line_with_the_cure(case: str, folder: Path, capsys) -> None:
     command, _, expected = case.partition(" | ")
     before = sorted(folder.rglob("*"))
