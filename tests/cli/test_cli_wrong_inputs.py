@@ -34,7 +34,7 @@ plan design --set wall.radius | no value; write for example wall.radius=2m
 plan design --set wall.material=whitebord | not in the library; did you mean "whiteboard"
 plan design --size 100 | 100 does not divide; sizes that do: 16, 32, 64
 plan design --tol 2 | tol = 2; from 1e-12 to 0.1
-plan design --tol tight | --tol; tight
+plan design --tol tight | --tol; valid number; nlosoptics plan --help shows how
 run design --siz 64 | No such option: --siz; --size
 run design --seed -1 | --seed; greater than or equal to 0
 run design --seed 18446744073709551616 | --seed; 18446744073709551615
