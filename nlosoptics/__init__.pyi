@@ -32,3 +32,4 @@ from .scene import Scene as Scene
 from .scene import SpecularMicrofacet as SpecularMicrofacet
 from .scene import SumMaterial as SumMaterial
 from .scene import WavyWall as WavyWall
+from .scene.examples import example as example

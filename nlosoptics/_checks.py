@@ -279,6 +279,14 @@ def counted(count: int, noun: str, plural: str = "") -> str:
     return f"{count} {noun if count == 1 else plural or f'{noun}s'}"
 
 
+def lasting(seconds: float) -> str:
+    """Return a time as text, such as "3.2 ms", "0.52 s", "17.3 min" or "2.5 h"."""
+    for limit, size, unit in ((0.1, 1e-3, "ms"), (120, 1, "s"), (7200, 60, "min")):
+        if seconds < limit:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 3600:.3g} h"
+
+
 def fits_memory(what: str, n_bytes: float, remedy: str) -> None:
     """Raise `MemoryLimitError` before an allocation that exceeds the memory limit."""
     limit = memory_limit()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nlosoptics._checks import counted, reason, vector
+from nlosoptics._checks import counted, lasting, reason, vector
 from nlosoptics.errors import SceneError
 
 
@@ -20,6 +20,14 @@ from nlosoptics.errors import SceneError
 )
 def test_counts_agree_with_their_nouns(count: int, words: tuple[str, ...], text: str) -> None:
     assert counted(count, *words) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(7.88e-6, "0.00788 ms"), (0.52, "0.52 s"), (119, "119 s"), (1040, "17.3 min"), (9e3, "2.5 h")],
+)
+def test_times_are_in_readable_units(seconds: float, text: str) -> None:
+    assert lasting(seconds) == text
 
 
 def test_vectors_whose_square_overflows_are_refused() -> None:

@@ -8,7 +8,9 @@ from typing import Annotated
 
 import typer
 
+from .._checks import lasting
 from .._whole_files import whole_folder
+from ..errors import SceneError
 from .shell import (
     Changes,
     Debug,
@@ -52,6 +54,11 @@ def analyse_command(
         folder = Path(f"{scene_file.stem}_analysis") if out is None else out
         check_target(folder)
         scene = load(scene_file, None, changes)
+        if not scene.wall_material.mirror_lobes:
+            raise SceneError(
+                "wall.material has no mirror-like lobe, so that the wall forms no image; add a "
+                'table [[wall.material]] with lobe = "specular", or use nlosoptics feasibility'
+            )
         with progress_bar(width=20) as progress:
             optics = psf.scene_point_spread(
                 scene, tol, object_point=numbers("--point", point) or None, progress=progress
@@ -65,14 +72,15 @@ def analyse_command(
                     new / f"{name}.csv", values, "%.9g", delimiter=",", header=header, comments=""
                 )
         wave = optics.wavefront
+        focus = tables["through_focus"][1][:, 0].mean()  # the shifts are centred on it
         print_table(
             [
                 ("F-number", f"{wave.f_number:.4g}"),
                 ("wave aberration", f"{psf.rms_aberration(wave) / wave.wavelength:.3g} waves rms"),
                 ("Strehl ratio", f"{psf.strehl(wave):.4g}"),
                 ("rms spot radius", f"{1e6 * psf.spot_radius(wave):.4g} um"),
-                ("best focus", f"{1e3 * psf.best_focus(wave):.4g} mm"),
-                ("seconds", f"{time.perf_counter() - start:.2f}"),
+                ("best focus", f"{focus:.4g} mm"),
+                ("run time", lasting(time.perf_counter() - start)),
                 ("written to", str(folder)),
             ]
         )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .._checks import one_of
+from .._checks import lasting, one_of
 from .._whole_files import whole_folder
 from ..runs.record import arrays, now, peak_memory, scene_hash, versions, write_record
 from .shell import (
@@ -177,7 +177,7 @@ def transient_command(
                 }
             )
             capture.save(path, compression=compression)
-        seconds = ("seconds", f"{time.perf_counter() - start:.2f}")
+        seconds = ("run time", lasting(time.perf_counter() - start))
         print_table([*_capture_rows(capture), seconds, ("written to", str(path))])
 
 
@@ -190,18 +190,22 @@ def image_command(
         str, typer.Option(help="Method: phasor, fk, lct or backprojection.")
     ] = "phasor",
     camera: Annotated[
-        str, typer.Option(help="Virtual camera of phasor: confocal_time_gated or direct_light.")
-    ] = "confocal_time_gated",
+        str | None,
+        typer.Option(
+            help="Virtual camera of phasor: confocal_time_gated (pulse and camera are focused on "
+            "the same point; by default) or direct_light (light that the scene reflected once)."
+        ),
+    ] = None,
     wl_mean: Annotated[
         str,
         typer.Option(
-            help="Central wavelength of the virtual pulse, such as 6cm; by default from the file's "
-            "scene or chosen from the photons."
+            help="Central wavelength of phasor's virtual pulse, such as 6cm; by default from the "
+            "file's scene or chosen from the photons."
         ),
     ] = "",
     wl_sigma: Annotated[
         str,
-        typer.Option(help="Length (sigma) of the virtual pulse; by default wl-mean/sqrt(2)."),
+        typer.Option(help="Length (sigma) of phasor's virtual pulse; by default wl-mean/sqrt(2)."),
     ] = "",
     near: Annotated[
         str, typer.Option(help="Distance of the first image plane from the wall, such as 0.4m.")
@@ -215,7 +219,8 @@ def image_command(
     aperture: Annotated[
         str,
         typer.Option(
-            help="Use only wall points in a central square with this side; by default all."
+            help="Use only wall points in a central square with this side, such as 1m; by default "
+            "all. For phasor."
         ),
     ] = "",
     array: ArrayName = "",
@@ -242,6 +247,18 @@ def image_command(
         folder = Path(capture_file.stem) if out is None else out
 
         check_target(folder)
+        one_of("--method", method, ("phasor", "fk", "lct", "backprojection"))
+        for name, value in (
+            ("--camera", camera),
+            ("--wl-mean", wl_mean),
+            ("--wl-sigma", wl_sigma),
+            ("--aperture", aperture),
+        ):
+            if value and method != "phasor":
+                raise typer.BadParameter(
+                    f"{value!r} is for --method phasor only; with {method}, leave it out",
+                    param_hint=name,
+                )
         drawn = can_draw()
         lengths = {
             name: _path(f"--{name.replace('_', '-')}", text)
@@ -267,17 +284,17 @@ def image_command(
             gate_start,
         )
         picture = {name: lengths[name] for name in ("wl_mean", "near", "far", "step")}
+        options = {"camera": camera} | {name: lengths[name] for name in ("wl_sigma", "aperture")}
+        options = {name: value for name, value in options.items() if value is not None}
         with progress_bar(width=32) as progress, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the image's notes repeat the warnings
             image, depths = _formed(
                 capture,
                 picture,
-                one_of("--method", method, ("phasor", "fk", "lct", "backprojection")),
+                method,
                 seed,
                 progress,
-                camera=camera,
-                wl_sigma=lengths["wl_sigma"],
-                aperture=lengths["aperture"],
+                **options,
             )
             progress("writing", 1.0)
             report = _report(image, capture, capture_file) | {"command_line": typed(context)}
@@ -392,8 +409,7 @@ def _formed(
         advice = transient.advise(capture, seed=seed, progress=progress)
         if advice.image is None:
             return None, None
-        usual = {"camera": "confocal_time_gated", "wl_sigma": None, "aperture": None}
-        if method == "phasor" and not wanted and options == usual:
+        if method == "phasor" and not wanted and not options:
             return advice.image, advice.depths
         z = advice.image.volume.z
         wl_mean = advice.image.wl_mean

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .._checks import counted
+from .._checks import counted, lasting
 from .._whole_files import whole_folder
 from .shell import (
     Changes,
@@ -198,15 +198,18 @@ def materials_command(
     [hidden].
     """
     with errors_told(debug):
-        from ..scene.parts.library import entry, material_library
+        from ..scene.parts.library import entry, lobe_tables, material_library
 
         if name is not None:
             typer.echo(str(entry(name)))
             return
         for material in material_library().values():
-            values = ", ".join(f"{v.key} {v.value:.3g}" for v in material.values)
-            told = " (estimates)" if material.is_estimate else ""
-            typer.echo(f"{material.name:26s} {values}{told}")
+            lobes = [
+                f"{lobe['lobe']} ({', '.join(f'{k} {v}' for k, v in lobe.items() if k != 'lobe')})"
+                for lobe in lobe_tables(material.name)
+            ]
+            note = ", estimates" if material.is_estimate else ""
+            typer.echo(f"{material.name:26s} {' + '.join(lobes)}{note}")
 
 
 @app.command("warmup", short_help="Compile in advance, for a fast first run.")
@@ -214,8 +217,9 @@ def warmup_command(
     scene_files: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[SCENE...]",
-            help="Scene files for whose runs to compile; by default walls of all kinds.",
+            metavar="SCENE",
+            help="Scene files for whose runs to compile, or names of examples; by default walls "
+            "of all kinds.",
         ),
     ] = None,
     debug: Debug = False,
@@ -231,4 +235,4 @@ def warmup_command(
         scenes = [load(path, None, None) for path in scene_files or ()]
         with progress_bar() as progress:
             warm_up(scenes, progress)
-        typer.echo(f"compiled functions are ready, {time.perf_counter() - start:.1f} s")
+        typer.echo(f"compiled functions are ready, {lasting(time.perf_counter() - start)}")

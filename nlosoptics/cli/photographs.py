@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
+from .._checks import lasting
 from .._whole_files import whole_folder
 from .shell import (
     DOES_NOT_FIT,
@@ -44,7 +45,9 @@ Full = Annotated[
 ]
 Channel = Annotated[
     str | None,
-    typer.Option(help="What to use of a picture in colour: red, green, blue, grey (mean) or rgb."),
+    typer.Option(
+        help="Channel of a picture in colour: red, green, blue, grey (their mean) or rgb (all)."
+    ),
 ]
 Gamma = Annotated[
     str,
@@ -109,7 +112,7 @@ def deblur_command(
     images: Annotated[
         list[Path],
         typer.Argument(
-            metavar="IMAGE...",
+            metavar="IMAGE",
             help="Photographs (PNG, TIFF, JPEG, .npy or raw); several of one view are averaged.",
         ),
     ],
@@ -140,10 +143,11 @@ def deblur_command(
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Sharpen a photograph whose blur is known, by the picture of least total variation.
+    """Sharpen a photograph whose blur is known, by total-variation deconvolution.
 
-    Colours are sharpened one by one. The output folder gets the picture (object.png), its values
-    (object.npz), an overview and result.json.
+    Of all pictures whose blurred image agrees with the photograph, the result is the one with the
+    fewest and weakest edges. Colours are sharpened one by one. The output folder gets the picture
+    (object.png), its values (object.npz), an overview and result.json.
     """
     with errors_told(debug):
         started = time.perf_counter()
@@ -246,5 +250,5 @@ def _rows(report: dict[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
         yield ("smooth veil, taken off", f"{100 * f['veil_fraction']:.2g} % of the light")
     if f["masked_fraction"]:
         yield ("saturated or dead pixels", f"{100 * f['masked_fraction']:.2g} %")
-    yield ("seconds", f"{report['seconds']['total']:.2f} s")
+    yield ("run time", lasting(report["seconds"]["total"]))
     yield ("written to", str(folder))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .._checks import lasting
 from .._progress import Progress
 from .shell import (
     Changes,
@@ -100,8 +101,8 @@ def view_command(
         if out is None:
             plotter.show()
         else:
-            size, spent = out.stat().st_size / 1e6, time.perf_counter() - start
-            typer.echo(f"written to {out}, {size:.2f} MB, in {spent:.1f} s")
+            size, spent = out.stat().st_size / 1e6, lasting(time.perf_counter() - start)
+            typer.echo(f"written to {out}, {size:.2f} MB, in {spent}")
 
 
 def _drawn(

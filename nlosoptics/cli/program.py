@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from .. import __version__
-from . import (  # imported to register their commands, in the order of the help
+from . import (  # imported to register their commands
     analyses,  # noqa: F401
     captures,  # noqa: F401
     forward,  # noqa: F401
@@ -21,6 +21,7 @@ from . import (  # imported to register their commands, in the order of the help
     pictures,  # noqa: F401
     reconstructions,  # noqa: F401
     reports,  # noqa: F401
+    starts,  # noqa: F401
     studies,  # noqa: F401
     traces,  # noqa: F401
 )

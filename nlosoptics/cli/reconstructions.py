@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .._checks import counted
+from .._checks import counted, lasting
 from .photographs import (
     Channel,
     Corners,
@@ -34,6 +34,7 @@ from .shell import (
     Size,
     Tol,
     app,
+    check_file,
     check_target,
     errors_told,
     interruptible,
@@ -53,7 +54,7 @@ def feasibility_command(
     size: Size = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the forecast as JSON.")] = False,
     out: Annotated[
-        Path | None, typer.Option(help="Also draw the forecast to this file: .png or .pdf.")
+        Path | None, typer.Option(help="Also draw the forecast to this file: .png, .pdf or .svg.")
     ] = None,
     debug: Debug = False,
 ) -> None:
@@ -68,6 +69,7 @@ def feasibility_command(
         scene = load(scene_file, size, changes)
         if out is not None:
             require("matplotlib", "views")
+            check_file(out, ".png", ".pdf", ".svg")
         with progress_bar() as progress:
             progress("feasibility", 0.0)
             found = feasibility(scene)
@@ -83,9 +85,16 @@ def reconstruct_command(
     context: typer.Context,
     images: Annotated[
         list[Path],
-        typer.Argument(metavar="IMAGE...", help="Camera images: PNG, TIFF, JPEG, .npy or raw."),
+        typer.Argument(metavar="IMAGE", help="Camera images: PNG, TIFF, JPEG, .npy or raw."),
     ],
-    scene_file: Annotated[Path, typer.Option("--scene", help="Scene file (TOML) of the set-up.")],
+    scene_file: Annotated[
+        Path,
+        typer.Option(
+            "--scene",
+            metavar="SCENE",
+            help="Scene file (TOML) of the set-up, or the name of an example.",
+        ),
+    ],
     changes: Changes = None,
     dark: Dark = None,
     flat: Flat = None,
@@ -99,8 +108,8 @@ def reconstruct_command(
         str | None,
         typer.Option(
             help="Solver. If the scene file describes the wall: tv (total variation), wiener, "
-            "inverse_filter, richardson_lucy, phase_retrieval. If the wall is "
-            "unknown and fitted too: evidence, wu2024. For a rough wall seen from several camera "
+            "inverse_filter, richardson_lucy, phase_retrieval. If the wall is unknown and fitted "
+            "too: evidence (Bayesian), wu2024 (network). For a rough wall seen from several camera "
             "positions, one image each: burst. For a matt wall with occluders: shadows. By default "
             "shadows for such a wall, else tv."
         ),
@@ -199,5 +208,5 @@ def _reconstruction_rows(report: dict[str, Any], folder: Path) -> Iterator[tuple
     yield ("saturated pixels", f"{100 * f['saturated_fraction']:.2g} %")
     if "bad_pixels" in f["physical_parameters"]:
         yield ("dead, hot or saturated pixels found", str(f["physical_parameters"]["bad_pixels"]))
-    yield ("seconds", f"{report['seconds']['total']:.2f} s")
+    yield ("run time", lasting(report["seconds"]["total"]))
     yield ("written to", str(folder))

@@ -17,7 +17,7 @@ from .shell import Debug, app, check_file, errors_told, progress_bar
 def report_command(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="RESULT_DIR", help="Folder written by run, reconstruct or phasor."),
+        typer.Argument(metavar="RESULT_DIR", help="Folder written by run, reconstruct or image."),
     ],
     out: Annotated[
         Path | None, typer.Option(help=f"HTML file to write; by default RESULT_DIR/{PAGE}.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import importlib.util
 import os
+import re
 import shlex
 import signal
 import sys
@@ -15,9 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
-from .._checks import path_of
-from .._whole_files import check_folder
+from .._checks import lasting, path_of
+from .._whole_files import beside, check_folder
 from ..errors import MissingExtraError, NlosError, SceneError
 
 if TYPE_CHECKING:
@@ -27,16 +29,49 @@ DONE, FAILED, BAD_INPUT, DOES_NOT_FIT, INTERRUPTED = 0, 1, 2, 3, 130
 # typer exports no name for UsageError: old versions use click's class, new ones a copy
 _UsageError: Any = typer.BadParameter.__base__
 
+
+class Group(TyperGroup):
+    """Group of commands that prints its help when it is called without arguments."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments; without any, show the help."""
+        return list(super().parse_args(ctx, args or ["--help"]))
+
+
+class _Program(Group):
+    """The program, whose help lists the commands in the order in which one works."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list of commands in groups."""
+        for heading, names in {
+            "Simulate": "new plan run view trace",
+            "Design": "analyse study",
+            "Reconstruct": "feasibility reconstruct deblur",
+            "Time-resolved": "transient image",
+            "Tools": "report materials schema warmup",
+        }.items():
+            with formatter.section(heading):
+                formatter.write_dl(
+                    [(f"{name:11}", self.commands[name].short_help) for name in names.split()]
+                )
+
+
 app = typer.Typer(
     name="nlosoptics",
+    cls=_Program,
     help="Simulate what a camera sees of an object around a corner, by way of a visible wall, and "
-    "reconstruct the object.",
-    add_completion=False,
+    "reconstruct the object. A first picture: nlosoptics run corner --size 64. A scene of your "
+    "own: nlosoptics new room.toml. More about a command: nlosoptics COMMAND --help.",
     rich_markup_mode=None,  # plain help: rich would take longer to load than all else
 )
 
 SceneFile = Annotated[
-    Path, typer.Argument(metavar="SCENE", help="Scene file (TOML): laser, wall, object and camera.")
+    Path,
+    typer.Argument(
+        metavar="SCENE",
+        help="Scene file (TOML) of laser, wall, object and camera, or the name of an example, such "
+        "as corner. nlosoptics new FILE writes a scene file to start from.",
+    ),
 ]
 Out = Annotated[
     Path | None, typer.Option(help="Output folder; by default named after the input file.")
@@ -85,8 +120,16 @@ def load(path: Path, size: int | None, changes: list[str] | None) -> Scene:
     from ..scene import Scene
     from ..scene.file.addresses import parsed
 
-    scene = Scene.load(path, parsed(changes or []))
+    scene = Scene.load(file_or_example(path, "scenes"), parsed(changes or []))
     return scene if size is None else scene.resized(size)
+
+
+def file_or_example(path: Path, kind: str) -> Path:
+    """Return an input file, or the example of this name if there is no such file."""
+    from ..scene.examples import example_file
+
+    bare = path.name == str(path) and not path.suffix and not path_of("file", path).is_file()
+    return example_file(path.name, kind) if bare else path
 
 
 def in_bytes(memory: float | None) -> float | None:
@@ -128,10 +171,15 @@ def tell(error: BaseException) -> int:
     code = BAD_INPUT
     if isinstance(error, typer.Exit):
         return int(error.exit_code)
+    if isinstance(error, BrokenPipeError):  # the reader of the output has ended, such as head
+        return FAILED
     if isinstance(error, (KeyboardInterrupt, typer.Abort)):
         code, message = INTERRUPTED, "interrupted; no partial result was written"
     elif isinstance(error, _UsageError):
-        message = f"{error.format_message().rstrip('.')}; nlosoptics --help shows how"
+        message = error.format_message().rstrip(".").replace("Value error, ", "")
+        if not re.search(r"; |\?$", message):  # without a remedy of its own
+            context = getattr(error, "ctx", None)
+            message += f"; {context.command_path if context else 'nlosoptics'} --help shows how"
     elif isinstance(error, NlosError):
         message = str(error)
         code = FAILED if isinstance(error, MissingExtraError) else BAD_INPUT
@@ -195,7 +243,7 @@ def print_table(rows: Iterable[tuple[str, str]]) -> None:
 def stage_rows(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the run time of each stage of a record."""
     for stage, seconds in report["seconds"].items():
-        yield f"  {stage}", f"{seconds:.2f} s"
+        yield f"  {stage}", lasting(seconds)
 
 
 @contextmanager
@@ -213,9 +261,10 @@ def progress_bar(width: int = 17) -> Iterator[Callable[[str, float], None]]:
         yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
 
 
-def check_file(path: Path, *suffixes: str) -> None:
+def check_file(path: Path, *suffixes: str, option: str = "--out") -> None:
     """Raise `typer.BadParameter` if the output file has another suffix or could not be written."""
-    parent = Path(os.path.realpath(path_of("path", path))).parent
+    target = Path(os.path.realpath(path_of("path", path)))
+    parent = target.parent
     for wrong, what in (
         (
             suffixes and path.suffix.lower() not in suffixes,
@@ -226,7 +275,15 @@ def check_file(path: Path, *suffixes: str) -> None:
         (not os.access(parent, os.W_OK), f"is in {parent}, which cannot be written; use another"),
     ):
         if wrong:
-            raise typer.BadParameter(f"{path} {what}", param_hint="--out")
+            raise typer.BadParameter(f"{path} {what}", param_hint=option)
+    try:  # a file system such as /proc denies what the permissions allow
+        with beside(target):
+            pass
+    except OSError as error:
+        raise typer.BadParameter(
+            f"{path} is in {parent}, which takes no file ({error.strerror}); use another",
+            param_hint=option,
+        ) from None
 
 
 def check_target(folder: Path) -> None:

@@ -7,15 +7,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
 from .shell import (
     FAILED,
     INTERRUPTED,
     Debug,
+    Group,
     app,
     check_file,
     errors_told,
+    file_or_example,
     interruptible,
     numbers,
     progress_bar,
@@ -36,7 +37,7 @@ class Kind(StrEnum):
     GALLERY = "gallery"
 
 
-class _RunByDefault(TyperGroup):
+class _RunByDefault(Group):
     """Group of commands whose name ``run`` may be left out."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -49,14 +50,16 @@ studies = typer.Typer(
     cls=_RunByDefault,
     help="Compute many variants of a scene: design studies. They are sweeps, tolerances, yields "
     "and searches for the best design. `nlosoptics study FILE` runs or resumes a study.",
-    no_args_is_help=True,
+    short_help="Compute many variants of a scene: design studies.",
 )
 app.add_typer(studies, name="study")
 
 StudyFile = Annotated[
     Path,
     typer.Argument(
-        metavar="FILE", help="Study file (TOML): scene, values that change, figures of merit."
+        metavar="FILE",
+        help="Study file (TOML) of scene, values that change and figures of merit, or the name of "
+        "an example, such as read_a_letter.",
     ),
 ]
 StoreFolder = Annotated[
@@ -110,7 +113,7 @@ def run_command(
             require("distributed", "study")
         from .. import study
 
-        found = study.Study.load(study_file)
+        found = study.Study.load(file_or_example(study_file, "studies"))
         if only_plan:
             typer.echo(str(study.plan_study(found)))
             return
@@ -158,7 +161,12 @@ def plot_command(
     ),
     kind: Annotated[
         Kind,
-        typer.Option(help="Kind of picture; by default the one that fits the tables of the study."),
+        typer.Option(
+            help="Kind of picture: map of two axes, panels of maps or slices of curves for more "
+            "axes, tornado (effect of each value alone), yield (share of the draws within a "
+            "limit), sobol (share of each value in the variance), gallery of point spreads. By "
+            "default (auto) the one that fits the tables of the study."
+        ),
     ] = Kind.AUTO,
     boundary: Annotated[
         float | None, typer.Option(help="Limit of the figure of merit; a line is drawn there.")

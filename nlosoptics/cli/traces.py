@@ -69,8 +69,10 @@ def trace_command(
             "--n-bins too."
         ),
     ] = None,
-    delta_t: Annotated[float | None, typer.Option(help="Width of a bin, m.")] = None,
-    n_bins: Annotated[int | None, typer.Option(help="Number of bins.")] = None,
+    delta_t: Annotated[
+        float | None, typer.Option(help="Width of a bin of this histogram, m.")
+    ] = None,
+    n_bins: Annotated[int | None, typer.Option(help="Number of bins of this histogram.")] = None,
     outer_legs: Annotated[
         bool,
         typer.Option(
@@ -91,10 +93,10 @@ def trace_command(
     """Compute the camera image of a scene by ray tracing, with the standard error of every pixel.
 
     The light takes any number of reflections between wall, object and room, without diffraction.
-    Rooms that scatter light and walls that fold back, which waves cannot model, can be traced. The
-    output folder gets pictures (PNG), all pixels (image.npz) and result.json with the power
-    balance. With --wavelengths-nm, there are such files for each wavelength, 450nm_image.npz for
-    example. An existing folder is replaced only if an earlier command wrote it.
+    Rooms that scatter light and walls on which rays cross (caustics) can be traced; waves cannot
+    model them. The output folder gets pictures (PNG), all pixels (image.npz) and result.json with
+    the power balance. With --wavelengths-nm, there are such files for each wavelength,
+    450nm_image.npz for example. An existing folder is replaced only if an earlier command wrote it.
     """
     with errors_told(debug):
         start = time.perf_counter()

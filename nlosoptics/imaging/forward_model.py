@@ -10,7 +10,7 @@ import numpy as np
 import scipy  # its parts are loaded on first use
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import fits_memory, one_of, positive, whole
+from .._checks import fits_memory, one_of, positive, shown, whole
 from .._nouns import Noun
 from ..errors import SamplingError
 from ..psf import PointSpreadField
@@ -246,7 +246,7 @@ def _weights(
 
 def _frame_shape(shape: Any) -> tuple[int, int]:
     if not hasattr(shape, "__len__") or len(shape) != 2:
-        raise SamplingError(f"shape = {shape!r} is not an image size; give (rows, columns)")
+        raise SamplingError(f"shape = {shown(shape)} is not an image size; give (rows, columns)")
     return (whole("shape[0]", shape[0]), whole("shape[1]", shape[1]))
 
 

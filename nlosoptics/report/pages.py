@@ -20,7 +20,7 @@ def page(folder: str | Path, *, computed: bool = True) -> str:
     Parameters
     ----------
     folder : str or Path
-        Folder written by ``nlosoptics run``, ``reconstruct`` or ``phasor``, or with the results of
+        Folder written by ``nlosoptics run``, ``reconstruct`` or ``image``, or with the results of
         a study (the store), complete or not.
     computed : bool
         Whether to add what is computed for the page: for a run, a 3-D view that can be rotated,
@@ -92,9 +92,9 @@ def read_record(folder: Path) -> dict[str, object]:
     ------
     SceneError
         If there is none, or it was not written by ``nlosoptics run``, ``reconstruct`` or
-        ``phasor``.
+        ``image``.
     """
-    remedy = "name the output folder of nlosoptics run, reconstruct or phasor"
+    remedy = "name the output folder of nlosoptics run, reconstruct or image"
     if not folder.is_dir():
         raise SceneError(f"{folder} is {'no folder' if folder.exists() else 'missing'}; {remedy}")
     path = folder / "result.json"

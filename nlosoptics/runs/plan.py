@@ -6,7 +6,16 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from .._checks import SHARE, Budget, available_memory, fits_memory, in_range, positive, within
+from .._checks import (
+    SHARE,
+    Budget,
+    available_memory,
+    fits_memory,
+    in_range,
+    lasting,
+    positive,
+    within,
+)
 from .._html import Column, table
 from ..errors import SamplingError, SceneError
 from ..imaging.radiometry import check_beam, laser_spot, lit_spot
@@ -122,7 +131,7 @@ class Plan:
         runs = [(s.name, f"{s.seconds:.2f}", s.error, s.reason) for s in self.stages]
         skipped = [(s.name, "skipped", "", s.reason) for s in self.skipped]
         return table(
-            f"Plan: {self.seconds:.2g} s predicted, to {self.tol:g} of the peak",
+            f"Plan: {lasting(self.seconds)} predicted, to {self.tol:g} of the peak",
             [Column(head) for head in ("stage", "seconds", "error", "why")],
             [*runs, *skipped],
             styled=True,
@@ -320,7 +329,7 @@ def _check_budget(found: Plan) -> None:
         longest = max(found.stages, key=lambda s: s.seconds)
         remedy = "leave the reconstruction out" if longest.name == "reconstruction" else LARGER
         raise SamplingError(
-            f"the run would take about {found.seconds:.3g} s, {longest.seconds:.3g} s of them for "
+            f"the run would take about {lasting(found.seconds)}, {lasting(longest.seconds)} for "
             f"'{longest.name}' ({longest.reason}), limit max_seconds = {limit:g}; {remedy}, or "
             f"max_seconds = {rounded_up(found.seconds)}"
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from .._checks import counted, expect
+from .._checks import counted, expect, lasting
 from ..errors import NlosError
 from ..runs.plan import plan
 from .design.point import point_spread_key
@@ -63,7 +63,7 @@ class StudyPlan:
                 f"point spreads  {self.point_spreads}",
                 f"forecasts      {self.forecasts}",
                 f"blocks         {blocks} of at most {self.block} points",
-                f"CPU time       about {self.seconds:.3g} s",
+                f"CPU time       about {lasting(self.seconds)}",
                 f"store          at most {self.n_bytes / 1e6:.3g} MB",
             )
         )

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from .._checks import expect, path_of, whole
+from .._checks import expect, lasting, path_of, whole
 from .._progress import Progress
 from ..errors import SceneError
 from .blocks import open_blocks, prepared
@@ -126,5 +126,5 @@ def run_study(
                 done += len(block.ids)
                 rate = done / (time.perf_counter() - start)
                 left = (total - done) / rate
-                tell(f"{done} of {total} points, {rate:.3g}/s, {left:.0f} s left", done / total)
+                tell(f"{done} of {total} points, {rate:.3g}/s, {lasting(left)} left", done / total)
     return results_at(given, study)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import expect, one_of, positive
+from .._checks import expect, in_range, one_of, positive
 from .canvas import SKY, few_ticks, new_axes, round_step
 
 if TYPE_CHECKING:
@@ -246,6 +246,7 @@ def traced_image(
     traced_image: TracedImage,
     *,
     quantity: Literal["expected", "power", "stray"] = "expected",
+    percentile: float = 99.5,
     axes: Sequence[Axes] | None = None,
 ) -> tuple[Axes, ...]:
     """Draw a ray-traced camera image and the relative standard error of its pixels.
@@ -258,6 +259,9 @@ def traced_image(
         What to draw: the expected electrons of all light; the power of light that met the hidden
         object; or the power of light that never met it. Choose "power" if the laser spot is
         brighter than the object.
+    percentile : float
+        Percentage of the pixels that the grey scale covers, above 0 to 100. Brighter pixels, such
+        as the few that rare paths happen to meet, are white; the label states this.
     axes : sequence of two matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
@@ -291,7 +295,14 @@ def traced_image(
     relative = np.full(values.shape, np.nan)
     known = np.isfinite(errors) & (values > 0.0)
     np.divide(100.0 * errors, values, out=relative, where=known)
+    in_range("percentile", percentile, 0.0, 100.0, open_low=True)
+    top = float(np.percentile(values, percentile))
+    if not 0.0 < top < values.max():  # few pixels have light, or none is brighter
+        top = float(values.max())
+    else:
+        unit += f", white above percentile {percentile:g}"
     _pixel_map(left, values, traced_image.pitch, unit)
+    left.images[0].set_clim(min(0.0, values.min()), top)
     _pixel_map(right, relative, traced_image.pitch, "standard error (%)", "viridis")
     kinds = {"expected": "", "power": ", hidden object's light", "stray": ", stray light"}
     left.set_title(f"traced image{kinds[quantity]}")

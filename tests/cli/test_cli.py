@@ -106,40 +106,6 @@ def test_bad_scene_is_one_line_and_writes_nothing(case: str, scene_file: Path, r
     assert contents(scene_file.parent) == before
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        ([], ["command"]),
-        (["run"], ["SCENE"]),
-        (["run", "nowhere.toml"], ["nowhere.toml", "missing"]),
-        (["run", "letter.toml", "--tol", "tight"], ["--tol"]),
-        (["run", "letter.toml", "--tol", "2"], ["tol = 2", "0.1"]),
-        (["run", "letter.toml", "--seed", str(2**64)], ["--seed", str(2**64 - 1)]),
-        (
-            ["run", "letter.toml", "--size", "100"],
-            ["size = 100", "sizes that do: ", " 64, 128, 256,"],
-        ),
-        (["run", "letter.toml", "--sise", "64"], ["--sise"]),
-        (["run", "letter.toml", "--out", "letter.png"], ["letter.png", "is a file"]),
-        (["run", "letter.toml", "--out", "a/b"], ["a, which is no folder"]),
-        (["run", "letter.toml", "--out", "."], ["letter.", "did not write"]),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
-)
-def test_bad_argument_is_one_line_and_writes_nothing(
-    arguments: list[str], named: list[str], scene_file: Path, run: Run
-) -> None:
-    """Exit code 2 and a line that names the option and its value or limit."""
-    before = contents(scene_file.parent)
-    answer = run(*arguments)
-    assert answer.code == 2
-    assert answer.out == ""
-    assert answer.err.count("\n") == 1
-    for word in named:
-        assert word in answer.err
-    assert contents(scene_file.parent) == before
-
-
 def test_version(run: Run) -> None:
     """The package's own."""
     assert run("--version") == (0, f"nlosoptics {nlosoptics.__version__}\n", "")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import nlosoptics as nlos
+from nlosoptics import psf
 from nlosoptics.cli import main
 
 pytest.importorskip("matplotlib")
@@ -30,5 +32,12 @@ def test_tables_of_a_scene(scene, perfect, examples, tmp_path, capsys):
     assert np.all(np.diff(tables["encircled_energy"][:, 1]) > 0.0)
     noll, terms = tables["zernikes"].T
     waves = np.linalg.norm(terms[noll > 3]) / 632.8
-    printed = float(capsys.readouterr().out.split("wave aberration")[1].split()[0])
-    assert waves == pytest.approx(printed, rel=0.02, abs=1e-9)
+    out = capsys.readouterr().out
+    assert waves == pytest.approx(_printed(out, "wave aberration"), rel=0.02, abs=1e-9)
+    focus = psf.best_focus(psf.wavefront(nlos.example(scene)))
+    assert 1e-3 * _printed(out, "best focus") == pytest.approx(focus, rel=1e-3, abs=1e-9)
+
+
+def _printed(out: str, quantity: str) -> float:
+    """The number that the table of a command has for a quantity."""
+    return float(out.split(quantity)[1].split()[0])

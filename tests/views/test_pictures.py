@@ -400,3 +400,20 @@ def test_pyplot_is_never_loaded(tmp_path: Path) -> None:
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_one_firefly_does_not_blacken_a_traced_image() -> None:
+    """The grey scale covers 99.5 % of the pixels and says so; the drawn values are unchanged."""
+    scene = nlos.example("letter_flat").resized(16)
+    image = nlos.raytrace.trace_image(scene, n_rays=4096, max_bounces=3, seed=0)
+    values = image.expected.copy()
+    values[3, 4] = 1e6 * values.max()
+    drawn = views.traced_image(replace(image, expected=values))[0]
+    assert drawn.images[0].get_clim()[1] <= 2.0 * np.sort(values, axis=None)[-2]
+    np.testing.assert_array_equal(drawn.images[0].get_array(), values)
+    labels = [axes.get_ylabel() for axes in drawn.figure.axes + drawn.child_axes]
+    assert "electrons per pixel, white above percentile 99.5" in labels
+    whole = views.traced_image(replace(image, expected=values), percentile=100.0)[0]
+    assert whole.images[0].get_clim()[1] == values.max()
+    with pytest.raises(SceneError, match="percentile = 0 is out of range"):
+        views.traced_image(image, percentile=0.0)

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import counted, positive, real
+from ..._checks import counted, positive, real, shown
 from ...errors import SceneError
 from .curves import Curve
 from .polygons import Sides
@@ -25,7 +25,7 @@ def place(name: str, value: Any) -> Array:
     try:
         x, y = value
     except (TypeError, ValueError):
-        raise SceneError(f"{name} = {value!r} is not a point; give (u, v) in m") from None
+        raise SceneError(f"{name} = {shown(value)} is not a point; give (u, v) in m") from None
     return np.array([real(f"{name}[0]", x), real(f"{name}[1]", y)])
 
 

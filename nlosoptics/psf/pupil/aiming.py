@@ -61,16 +61,17 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
         loop(terms, tables_for(terms, tables), o, nodes, starts, axis, out)
     lost = out[:, 7] != _aiming_kernels.FOUND
     if lost.any():
+        where = _caustic(wall, o, nodes[0], mirror_hits[0] * (1, 1, 0))
         raise CausticError(
             f"no stationary path by the wall was found to {int(lost.sum())} of {len(nodes)} pupil "
-            f"nodes, first node {int(np.argmax(lost))}; use a flatter wall or other distances"
+            f"nodes, first node {int(np.argmax(lost))}: {where}"
         )
     curvature = out[:, 6]
     if out[:, 5].min() < 0 < out[:, 5].max() or curvature.min() < 0 < curvature.max():
         raise CausticError(
             f"rays to the pupil cross on a caustic (over the pupil the path's smaller curvature "
-            f"runs from {curvature.min():.3g} to {curvature.max():.3g} 1/m); use a flatter wall, a "
-            "smaller stop, or distances away from the wall's focus"
+            f"runs from {curvature.min():.3g} to {curvature.max():.3g} 1/m): "
+            f"{_caustic(wall, o, nodes[0], out[0, :3])}"
         )
     _refuse_several_paths(wall, o, nodes, out)
     return AimedRays(points=out[:, :3], excess=out[:, 3], spreading=out[:, 4])
@@ -103,8 +104,20 @@ def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, aimed: Array) -> N
                 raise CausticError(
                     f"the wall shows the object more than once: pupil node {node} receives light "
                     f"from x = {x:.4g} m, y = {y:.4g} m and from x = {centre[0]:.4g} m, "
-                    f"y = {centre[1]:.4g} m; use a flatter wall or rays instead of waves"
+                    f"y = {centre[1]:.4g} m: {_caustic(wall, o, nodes[node], first[:3])}"
                 )
+
+
+def _caustic(wall: Wall, o: Array, node: Array, hit: Array) -> str:
+    """Return the radii of wall and caustic, by Coddington's equations, for light from o to node."""
+    d1, d2 = (float(np.linalg.norm(hit - end)) for end in (o, node))
+    c1, c2 = float(o[2]) / d1, float(node[2]) / d2
+    sagittal, tangential = (c1 + c2) / (1 / d1 + 1 / d2), (c1 + c2) / (c1**2 / d1 + c2**2 / d2)
+    return (
+        f"a caustic, since rays cross near radii of curvature of {sagittal:.3g} m to "
+        f"{tangential:.3g} m and the wall's comes down to {1 / wall.max_curvature:.3g} m; use a "
+        "flatter wall, a smaller stop, other distances, or rays instead of waves"
+    )
 
 
 def stationary_points(

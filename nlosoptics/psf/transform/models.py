@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, Literal
 
-from ..._checks import one_of
+from ..._checks import lasting, one_of
 from ...errors import SamplingError, SceneError
 from ..wave.detilted import Residual
 from ..wave.regime import Regime
@@ -144,7 +144,7 @@ def _high_aperture(
     ny, nx = task.samples.shape
     if seconds > max_seconds:
         raise SamplingError(
-            f"the high-aperture model to {ny} x {nx} samples would take about {seconds:.2g} s, "
+            f"the high-aperture model to {ny} x {nx} samples would take about {lasting(seconds)}, "
             f"limit max_seconds = {max_seconds:g}; use max_seconds = {rounded_up(seconds)}, a "
             "smaller shape, or model='scalar'"
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ..._checks import fits_memory
+from ..._checks import fits_memory, lasting
 from ...errors import MemoryLimitError, NlosError, SamplingError
 from ..wave.regime import Regime
 from ..window import error_bounds
@@ -198,10 +198,10 @@ def _reason(taken: Candidate, tol: float, notes: list[str], rest: list[Candidate
     later = [
         f"{c.method} ruled out: {c.ruled_out}"
         if c.ruled_out
-        else f"{c.method} would take about {c.seconds:.2g} s"
+        else f"{c.method} would take about {lasting(c.seconds)}"
         for c in rest
     ]
-    head = f"{taken.method} is the cheapest within tol = {tol:g}, about {taken.seconds:.2g} s"
+    head = f"{taken.method} is the cheapest within tol = {tol:g}, about {lasting(taken.seconds)}"
     return "; ".join([head, *notes, *later])
 
 
@@ -260,7 +260,7 @@ def _too_long(
         remedies.append("a smaller shape")
     return SamplingError(
         f"{cheapest.method} of {regime.peak_to_valley:.3g} waves to {ny} x {nx} samples would take "
-        f"about {cheapest.seconds:.2g} s, limit max_seconds = {max_seconds:g}; use "
+        f"about {lasting(cheapest.seconds)}, limit max_seconds = {max_seconds:g}; use "
         + ", or ".join(remedies)
     )
 

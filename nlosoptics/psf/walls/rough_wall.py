@@ -9,7 +9,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import memory_limit
+from ..._checks import lasting, memory_limit
 from ..._html import Figures, Shown
 from ..._nouns import Noun
 from ...errors import CausticError, SamplingError
@@ -204,7 +204,7 @@ def _rays(residual: Residual, view: ReliefView, pitch: float, screen: RoughChoic
         2e8,
         neglected_diffraction(view, wave, pitch),
         f"rays on this wall without diffraction: {_steepness(view)} would need a phase screen of "
-        f"{screen.cells} x {screen.cells} points, {screen.seconds:.3g} s and "
+        f"{screen.cells} x {screen.cells} points, {lasting(screen.seconds)} and "
         f"{screen.n_bytes / 2**30:.3g} GiB",
     )
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import expect, in_range, is_single, whole
+from ..._checks import expect, in_range, is_single, shown, whole
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
 from ..wave.detilted import Residual, split
@@ -80,7 +80,7 @@ def shape_of(shape: int | tuple[int, int]) -> tuple[int, int]:
     if isinstance(shape, int) or is_single(shape):
         return (whole("shape", shape, 1, MOST_SIDE),) * 2
     if isinstance(shape, str) or not hasattr(shape, "__len__") or len(shape) != 2:
-        raise SceneError(f"shape = {shape!r}; give one whole number or (ny, nx)")
+        raise SceneError(f"shape = {shown(shape)}; give one whole number or (ny, nx)")
     ny, nx = (whole("shape", n, 1, MOST_SIDE) for n in shape)
     return ny, nx
 

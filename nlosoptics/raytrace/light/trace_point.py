@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import fits_memory, one_of, positive, vector, whole
+from ..._checks import fits_memory, one_of, positive, shown, vector, whole
 from ..._nouns import Noun
 from ..._progress import Progress
 from ...errors import SceneError
@@ -336,7 +336,7 @@ def _window(
     pitch = camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     given = camera.shape if shape is None else shape
     if not isinstance(given, (tuple, list)) or len(given) != 2:
-        raise SceneError(f"shape = {shape!r}; give pixels (ny, nx)")
+        raise SceneError(f"shape = {shown(shape)}; give pixels (ny, nx)")
     ny, nx = (whole("shape", n) for n in given)
     fits_memory(f"{ny} x {nx} pixels (shape)", 8.0 * (GROUPS + 8) * ny * nx, "use fewer pixels")
     if first is None:

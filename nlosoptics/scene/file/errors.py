@@ -72,7 +72,8 @@ def _unknown_key(name: str, key: str, value: str, owner: Any) -> str:
     near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
     hint = f"did you mean {near[0]}?" if near else f"the keys here are {', '.join(known)}"
     if key in known:  # of the whole file
-        hint = f"write it at the top of the file, before [{name.rpartition('.')[0]}]"
+        section = name.rpartition(".")[0]
+        hint = f"did you mean {key}? Write it at the top of the file, before [{section}]"
     return f"{name} = {value} is an unknown key; {hint}"
 
 

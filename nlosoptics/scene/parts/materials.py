@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..._checks import in_range, one_of
+from ..._checks import in_range, one_of, shown
 from ...errors import SceneError
 from ...kernels.codes import (
     BECKMANN,
@@ -54,7 +54,7 @@ def _largest_albedo(rho: float, slope_rms: float, model: str) -> float:
 def _index(value: complex) -> complex:
     """Return a checked refractive index n + ik."""
     if not isinstance(value, int | float | complex | np.number) or isinstance(value, bool):
-        raise SceneError(f"index is {value!r}; give a refractive index n + ik, such as 1.5")
+        raise SceneError(f"index is {shown(value)}; give a refractive index n + ik, such as 1.5")
     index = complex(value)
     n = in_range("index, its real part,", index.real, 0.01, 100.0)
     k = in_range("index, its imaginary part,", index.imag, 0.0, 100.0)

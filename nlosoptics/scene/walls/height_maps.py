@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..._checks import counted, in_range, one_of, pair, positive, reason, whole
+from ..._checks import counted, in_range, one_of, pair, positive, reason, shown, whole
 from ..._nouns import check_pickles
 from ..._random import generator
 from ...errors import SamplingError, SceneError
@@ -364,7 +364,7 @@ class CallableWall(Wall):
             value = getattr(self, name)
             if not callable(value) and not (name == "hessian" and value is None):
                 raise SceneError(
-                    f"wall.{name} = {value!r} is not callable; give a function of x, y"
+                    f"wall.{name} = {shown(value)} is not callable; give a function of x, y"
                 )
         for name in ("max_height", "max_curvature"):
             value = in_range(f"wall.{name}", getattr(self, name), 0.0)
