@@ -326,8 +326,7 @@ class Scene(Noun, Shown):
             "wall material": type(self.wall_material).__name__,
             "hidden": type(self.hidden).__name__,
             "occluders": f"{len(self.occluders)}",
-            "camera": f"{1e3 * camera.focal_length:.3g} mm at "
-            f"F/{camera.focal_length / camera.stop_diameter:.3g}",
+            "camera": f"{1e3 * camera.focal_length:.3g} mm at F/{camera.f_number:.3g}",
             "image": f"{nx} x {ny} pixels of {1e6 * camera.image_pitch:.3g} µm",
             "exposure": f"{1e3 * camera.exposure:.3g} ms",
         }

@@ -119,13 +119,18 @@ def scene_from_tables(
 
 def changed_scene(scene: T, changes: Mapping[str, Any]) -> T:
     """Return a scene with other values by address, numbers in SI units or texts with a unit."""
-    files = scene_files(scene)
-    raw = changed(tomllib.loads(files.pop("scene.toml").decode()), {})
+    raw, files = own_tables(scene)
 
     def opened(name: str) -> Path:
         return SourceFile.held(name, files[name]) if name in files else _resolved(Path(), name)
 
     return scene_from_tables(raw, Path("scene"), opened, type(scene), with_units(raw, changes))
+
+
+def own_tables(scene: Any) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Return the tables of a scene, and the contents of the files that they name."""
+    files = scene_files(scene)
+    return tomllib.loads(files.pop("scene.toml").decode()), files
 
 
 def with_units(raw: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
