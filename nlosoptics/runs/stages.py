@@ -33,7 +33,7 @@ from ..psf.walls.scene_psf import point_window
 from ..raytrace import ray_plan
 from ..raytrace.intersection.meshes import threads
 from ..scene import MeshWall, PlanarObject, Scene
-from .refusals import check_cones, overexposure
+from .refusals import check_cones, overexposure, wall_pixels
 
 FIELD = "field of point spreads"  # name of the stage
 MEAN = "mean point spread"  # name of the stage
@@ -250,14 +250,17 @@ def field_stage(scene: Scene, pupil: ExitPupil, look: Look, tol: float) -> Stage
     one = spread_cost(scene, look, look.field_side, tol / 2)
     each = one.seconds + 0.9 * look.cut  # s of a wave on a grid and its point spread
     aimed = _aiming_seconds(scene, look.seen.first.wave.u.size)
-    held = 40.0 * counts[-1] ** 2 * look.field_side**2
-    compared = 80.0 * picture_frame(scene).size  # for the picture's autocorrelation
+    area = look.field_side**2
+    held = (40.0 * counts[-1] ** 2 + 24.0 * CHECKED**2) * area
+    # the picture's autocorrelation, and a point spread's
+    compared = 80.0 * picture_frame(scene).size + 200.0 * area
+    powers = 1.5e-7 * area * CHECKED**2 * (1 + len(ends[1]))
     return Stage(
         name=FIELD,
         runs=True,
         reason=f"point spreads change over the object; about {ends[1][-1]} x {ends[1][-1]} of "
         f"them, {look.field_side} x {look.field_side} pixels",
-        seconds=spreads * each + waves * aimed + 5e-10 * held * counts[-1] ** 2,
+        seconds=spreads * each + waves * aimed + powers + 2e-8 * area * counts[-1] ** 4,
         error=f"{tol:g} of the image, rms",
         memory=held + compared + one.n_bytes * threads(),
     )
@@ -324,6 +327,13 @@ def _image_seconds(scene: Scene) -> float:
     return 0.02 + 5e-4 * groups + 2.2e-7 * pairs + 4.2e-7 * groups * pixels + 1.6e-6 * pixels
 
 
+def joined_pixels(scene: Scene) -> int:
+    """Return how many pixels along each side are added up for a picture from shadows."""
+    shape = scene.camera.shape
+    most = max(1, -(-max(shape) // BINS))
+    return next(k for k in range(most, 0, -1) if math.gcd(k, *shape) == k)
+
+
 def reconstruction_stage(scene: Scene, wanted: bool, nodes: int = 0) -> Stage:
     """Return the stage of the reconstruction, with ``nodes`` of patterns along the object."""
     if not wanted:
@@ -336,6 +346,14 @@ def reconstruction_stage(scene: Scene, wanted: bool, nodes: int = 0) -> Stage:
             return skipped(
                 "reconstruction",
                 "a wall without a mirror-like lobe shows detail by shadows only",
+            )
+        k = joined_pixels(scene)
+        seen = wall_pixels(scene).reshape(ny // k, k, nx // k, k).all(axis=(1, 3))
+        if (count := np.count_nonzero(seen)) < 64:  # those that `shadow_fit` needs
+            return skipped(
+                "reconstruction",
+                f"{count} squares of {k} x {k} pixels see the wall with their whole cone of light, "
+                "limit 64; aim the camera at the wall, or enlarge the wall",
             )
         return Stage(
             name="reconstruction",

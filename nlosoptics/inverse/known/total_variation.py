@@ -341,6 +341,8 @@ class _Splitting(Solver):
 
         It begins at the state of this fit, whose arrays it changes.
         """
+        if data.is_background(model):  # the wider point spread has taken all detail
+            return 0.0 * data.data
         rule = self.max_iterations, _TUNING.coarser * self._tolerance
         again = _Splitting(data, model, rule, None)
         for name in self.changing:
