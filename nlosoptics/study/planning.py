@@ -90,7 +90,7 @@ def plan_study(study: Study) -> StudyPlan:
     --------
     run_study : Run a study, or continue it.
     """
-    expect("study", study, "Study")
+    study = expect("study", study, "Study")
     if study.variables:
         return _plan_search(study)
     count = len(study)

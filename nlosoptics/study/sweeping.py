@@ -73,7 +73,7 @@ def sweep(
     >>> table.to_xarray()["aberration_rms"].values.round(2)
     array([0.31, 0.  , 0.31])
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     if not isinstance(axes, Mapping) or not axes:
         raise SceneError(f"axes is {axes!r}; give values by address, such as camera.stop_diameter")
     listed = {address: _listed(f"axes: {address}", values) for address, values in axes.items()}

@@ -42,3 +42,9 @@ __all__ = [
     "wall_grid",
     "without_outer_legs",
 ]
+
+
+def __getattr__(name: str) -> object:
+    """Name the right call for one that other libraries have."""
+    instead = "; use TransientCapture.load(path)" if name == "load_capture" else ""
+    raise AttributeError(f"nlosoptics.transient has no {name}{instead}")
