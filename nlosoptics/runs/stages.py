@@ -180,6 +180,13 @@ def spread_cost(scene: Scene, look: Look, side: int, tol: float) -> Cost:
     return Cost(sum(c.seconds for c in found), found[-1].n_bytes)
 
 
+def point_seconds(scene: Scene, tol: float) -> float:
+    """Predicted seconds of the wave and the point spread of the object's reference point."""
+    look = Look.at(SceneOptics(scene), tol)
+    aiming = _aiming_seconds(scene, look.seen.first.wave.u.size)
+    return aiming + spread_cost(scene, look, look.side, tol).seconds
+
+
 def model_error(scene: Scene, look: Look) -> float:
     """Predict the error of scalar diffraction, relative to the peak of the point spread."""
     residual = look.seen.first.residual
