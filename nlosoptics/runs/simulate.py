@@ -21,7 +21,7 @@ from .patterns import BURST, CHECKS, mean_optics, uses_mean
 from .plan import MOST_SECONDS, Plan, looked_at
 from .refusals import check_errors, fillable, wall_pixels, wave_refusal
 from .results import Result
-from .stages import CELLS, FIELD, MEAN, MOST_NODES, joined_pixels
+from .stages import FIELD, MEAN, MOST_NODES, joined_pixels, shadow_cells
 from .veil import fitted_veil
 
 if TYPE_CHECKING:
@@ -346,10 +346,8 @@ def shadow_operator(scene: Scene) -> ShadowOperator:
     side has `CELLS` cells, and at most `BINS` bins of a whole number of pixels.
     """
     from ..imaging.lit_walls import lit_transports
-    from ..imaging.objects import plate
 
-    size, shape = plate(scene)[2], scene.camera.shape
-    columns, rows = (max(1, round(CELLS * side / max(size))) for side in size)
+    (rows, columns), shape = shadow_cells(scene), scene.camera.shape
     joined = joined_pixels(scene)
     pixels = shape[0] // joined, shape[1] // joined
     sources = lit_transports(scene, cells=(rows, columns), pixels=pixels)

@@ -18,7 +18,7 @@ from ..imaging.image_fields import (
     picture_frame,
 )
 from ..imaging.images import BYTES_PER_PIXEL as IMAGE_BYTES
-from ..imaging.objects import object_patches
+from ..imaging.objects import object_patches, plate
 from ..imaging.radiometry import background_work
 from ..imaging.shadows import SHADOW_BYTES
 from ..psf.pupil.exit_pupil import ExitPupil
@@ -341,6 +341,13 @@ def joined_pixels(scene: Scene) -> int:
     return next(k for k in range(most, 0, -1) if math.gcd(k, *shape) == k)
 
 
+def shadow_cells(scene: Scene) -> tuple[int, int]:
+    """Return rows and columns of the object's cells in a picture from shadows."""
+    size = plate(scene)[2]
+    columns, rows = (max(1, round(CELLS * side / max(size))) for side in size)
+    return rows, columns
+
+
 def reconstruction_stage(scene: Scene, wanted: bool, nodes: int = 0) -> Stage:
     """Return the stage of the reconstruction, with ``nodes`` of patterns along the object."""
     if not wanted:
@@ -362,11 +369,18 @@ def reconstruction_stage(scene: Scene, wanted: bool, nodes: int = 0) -> Stage:
                 f"{count} squares of {k} x {k} pixels see the wall with their whole cone of light, "
                 "limit 64; aim the camera at the wall, or enlarge the wall",
             )
+        cells, bins = shadow_cells(scene), ny // k * (nx // k)
+        unknowns, faces = math.prod(cells), 0
+        if scene.occluding_mesh is not None:
+            faces = len(scene.occluding_mesh.faces)
+        # eigenvectors of the cells and products with the operator; its lattice is finer at edges
         return Stage(
             name="reconstruction",
             runs=True,
             reason="total-variation fit of the shadows, with known occluders",
-            seconds=12.0,
+            seconds=4.2e-10 * unknowns**3
+            + 7e-8 * unknowns * bins
+            + (0.4 + 7e-3 * faces + 1.5e-4 * bins),
             memory=8.0 * 6 * CELLS**2 * max(CELLS**2, BINS**2),
             error="status and score are reported",
         )

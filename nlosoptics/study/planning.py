@@ -144,8 +144,8 @@ def _plan_search(study: Study) -> StudyPlan:
 def _stage_seconds(study: Study) -> tuple[float, float]:
     """Return the predicted seconds of a point spread with its wave, and of a forecast.
 
-    They are means over a few points of the design. A forecast is some transforms of the image, and
-    more for a lobe that blurs.
+    They are means over a few points of the design. A forecast takes the point spread, diffuse light
+    of the object, and transforms of the image, more for a lobe that blurs.
     """
     spreads, forecasts = [], []
     for index in sorted({round(k * (len(study) - 1) / 4) for k in range(5)}):
@@ -156,7 +156,8 @@ def _stage_seconds(study: Study) -> tuple[float, float]:
             continue
         pixels = math.prod(scene.camera.shape)
         blurred = max(scene.mirror_slopes, default=0.0) > 0.0
-        forecasts.append(0.2 + 1e-6 * pixels + (0.3 + 3e-6 * pixels if blurred else 0.0))
+        seconds = 0.6 + 1.2 * spreads[-1] + 1e-6 * pixels
+        forecasts.append(seconds + (0.3 + 3e-6 * pixels if blurred else 0.0))
     if not spreads:
         return UNKNOWN, UNKNOWN
     return sum(spreads) / len(spreads), sum(forecasts) / len(forecasts)
