@@ -27,13 +27,14 @@ from ..psf.walls.field import picture_nodes, picture_point
 from ..scene import PlanarObject, Scene
 
 
-def wave_refusal(scene: Scene) -> str:
-    """Return the reason why this wall admits no wave computation, or an empty string."""
+def check_wave(scene: Scene) -> None:
+    """Raise `NotWaveGradeError` if this wall admits no wave computation."""
     try:
         check_wave_grade(scene.wall, scene.laser.wavelength)
     except NotWaveGradeError as refusal:
-        return f"{refusal}; nlosoptics has no geometric method that works without the wave"
-    return ""
+        raise NotWaveGradeError(
+            f"{refusal}; nlosoptics has no geometric method that works without the wave"
+        ) from None
 
 
 def check_laser(scene: Scene) -> None:

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from .._checks import within
 from .._progress import Progress
 from .._random import checked_seed, generator
-from ..errors import NlosError, NotWaveGradeError, SceneError, ValidityWarning
+from ..errors import NlosError, SceneError, ValidityWarning
 from ..imaging.detector import full_reading
 from ..scene import MeshWall, PlanarObject, Scene
 from .noise import electron_noise
 from .patterns import BURST, CHECKS, mean_optics, uses_mean
 from .plan import MOST_SECONDS, Plan, looked_at
-from .refusals import check_errors, fillable, wall_pixels, wave_refusal
+from .refusals import check_errors, fillable, wall_pixels
 from .results import Result
 from .stages import FIELD, MEAN, MOST_NODES, joined_pixels, shadow_cells
 from .veil import fitted_veil
@@ -108,8 +108,6 @@ def _stages(
 ) -> Result:
     """Run the stages of a plan in order."""
     tol = todo.tol
-    if optics is not None and not todo.runs("wave aberration"):
-        raise NotWaveGradeError(wave_refusal(scene))
     from .. import imaging, inverse, psf
 
     begun: dict[str, float] = {}  # start of each stage, s
