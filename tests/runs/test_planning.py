@@ -272,3 +272,22 @@ def test_an_overexposed_run_keeps_its_image_and_names_the_exposure():
 def test_an_error_above_the_planned_one_is_told():
     with pytest.warns(ValidityWarning, match="error of the image is 0.01, planned was tol = 0.001"):
         check_errors({"image": 0.01, "point spread": 1e-4}, 1e-3)
+
+
+def test_a_fit_that_refuses_leaves_the_run_its_image(flat_scene, monkeypatch):
+    def refuses(*_, **__):
+        raise SceneError("no light; expose longer")
+
+    monkeypatch.setattr(nlos.inverse, "tv_deconvolve", refuses)
+    with pytest.warns(ValidityWarning, match="no object is reconstructed: no light"):
+        result = nlos.simulate(flat_scene, 1e-2, reconstruct=True)
+    assert result.reconstruction is None
+    assert result.image.electrons.max() > 0
+
+
+def test_shadows_on_too_small_a_part_of_the_wall_are_left_out_by_the_plan():
+    scene = nlos.Scene.load("examples/scenes/letter_disc.toml").resized(16)
+    assert nlos.plan(scene, reconstruct=True).runs("reconstruction")
+    small = replace(scene.resized(8), wall=FlatWall(size=(1.6, 0.25)))
+    (stage,) = (s for s in nlos.plan(small, reconstruct=True).skipped if "squares" in s.reason)
+    assert "limit 64" in stage.reason
