@@ -44,7 +44,7 @@ def _taking(
     def taking(*arguments: Any, **options: Any) -> R:
         if arguments:
             return function(of(arguments[0]), *arguments[1:], **options)
-        return function(**options | {name: of(options.get(name))})
+        return function(of(options.pop(name, None)), **options)
 
     taking.__module__ = __name__  # where pickle finds it
     return taking

@@ -232,7 +232,7 @@ def image(
     >>> axes.texts[0].get_text()
     '0.2 m on the object'
     """
-    speckle_image = expect("speckle_image", speckle_image, "SpeckleImage")
+    speckle_image = getattr(speckle_image, "image", speckle_image)  # of a result
     if object_scale is not None:
         object_scale = positive("object_scale", object_scale)
     (axes,) = (axes,) if axes is not None else new_axes(width=5.6, height=4.6)

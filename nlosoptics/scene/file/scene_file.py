@@ -136,7 +136,8 @@ def own_tables(scene: Any) -> tuple[dict[str, Any], dict[str, bytes]]:
 def with_units(raw: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return values by address, numbers as texts with their SI units as a file writes them."""
     values = {a: np.asarray(v).tolist() if _is_number(v) else v for a, v in changes.items()}
-    if _is_number(bent := values.get(CURVATURE)):
+    bent: Any = values.get(CURVATURE)
+    if _is_number(bent):
         values[CURVATURE] = written(bent, Kind.CURVATURE)
     with located("scene: "):
         table = validated(_file_tables.SceneFile, changed(raw, values), si=True)
