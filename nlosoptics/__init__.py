@@ -22,4 +22,11 @@ import lazy_loader as _lazy
 
 __version__ = "0.2.0"
 
-__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
+_attribute, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    """Return a part, loaded at first use; name the right call for one that others have."""
+    if name == "load_scene":
+        raise AttributeError("nlosoptics has no load_scene; use nlosoptics.Scene.load(path)")
+    return _attribute(name)

@@ -47,18 +47,38 @@ _MAKERS = {
     "Results": "run_study(study, path)",
     "Result": "simulate(scene)",
     "Feasibility": "limits.feasibility(scene)",
+    "SpotDiagram": "psf.spot_diagram(scene)",
+    "ThroughFocus": "psf.through_focus(scene, shifts)",
+    "SpeckleImage": "simulate(scene).image",
+    "TracedImage": "raytrace.trace_image(scene)",
+    "RayPaths": "raytrace.trace(scene)",
+    "DepthMap": "transient.depth_map(image)",
+    "Optimum": "study.optimum(results)",
 }
 
 
-def expect(name: str, value: Any, *kinds: str) -> None:
-    """Raise `SceneError` if ``value`` is of none of the classes of these names.
+#: Attributes with which results hold such arguments.
+_PARTS = {
+    "Scene": "scene",
+    "Wavefront": "wavefront",
+    "PointSpread": "point_spread",
+    "SpeckleImage": "image",
+}
 
-    Classes are named, so that no module must be imported for a check.
+
+def expect(name: str, value: Any, *kinds: str) -> Any:
+    """Return ``value`` if it is of one of the classes of these names, or the part of it that is.
+
+    Classes are named, so that no module must be imported for a check. A result is taken for its
+    wavefront, for example. Raises `SceneError` for all else.
     """
-    if not {kind.__name__ for kind in type(value).__mro__}.intersection(kinds):
-        makers = [_MAKERS[kind] for kind in kinds if kind in _MAKERS][:1]
-        such = "".join(f", such as {maker}" for maker in makers)
-        raise SceneError(f"{name} is a {type(value).__name__}; give a {' or '.join(kinds)}{such}")
+    parts = (getattr(value, _PARTS[kind], None) for kind in kinds if kind in _PARTS)
+    for one in (value, *parts):
+        if {kind.__name__ for kind in type(one).__mro__}.intersection(kinds):
+            return one
+    makers = [_MAKERS[kind] for kind in kinds if kind in _MAKERS][:1]
+    such = "".join(f", such as {maker}" for maker in makers)
+    raise SceneError(f"{name} is a {type(value).__name__}; give a {' or '.join(kinds)}{such}")
 
 
 def shown(value: Any) -> str:

@@ -118,6 +118,19 @@ class Shown:
     def _repr_html_(self) -> str:
         return card(self)
 
+    def plot(self) -> Any:
+        """Draw the object, as its notebook card does; returns the axes of matplotlib.
+
+        `nlosoptics.views` has functions with options.
+        """
+        return importlib.import_module(CARDS).axes(self)
+
+    def summary(self) -> str:
+        """Return the key figures of the object as lines of text."""
+        title, rows, _ = self._figures()
+        width = max(map(len, rows), default=0)
+        return "\n".join([title, *(f"{name:<{width}}  {text}" for name, text in rows.items())])
+
 
 def card(noun: Shown) -> Html:
     """Return an object's picture and figures; text only if drawing fails, as without matplotlib."""
@@ -125,9 +138,7 @@ def card(noun: Shown) -> Html:
     try:
         source = png(_picture(importlib.import_module(CARDS).axes(noun)))
     except NlosError as error:
-        width = max(map(len, rows), default=0)
-        lines = [title, *(f"{name:<{width}}  {value}" for name, value in rows.items())]
-        return tag("pre", "\n".join([*lines, str(error)]))
+        return tag("pre", f"{noun.summary()}\n{error}")
     told = table(title, (Column(""), Column("")), rows.items(), styled=True)
     return tag(
         "div",

@@ -47,17 +47,13 @@ def plan_command(
 ) -> None:
     """List what a run will compute and skip, with reasons, predicted times and errors."""
     with errors_told(debug):
-        from ..errors import NotWaveGradeError
         from ..runs.plan import plan
-        from ..runs.refusals import wave_refusal
 
         scene = load(scene_file, size, changes)
         planned = plan(
             scene, tol, reconstruct=True, memory=in_bytes(memory), max_seconds=max_seconds
         )
         typer.echo(str(planned))
-        if not planned.runs("wave aberration"):
-            raise NotWaveGradeError(wave_refusal(scene))
 
 
 @app.command("run", short_help="Simulate a scene and write the results to a folder.")

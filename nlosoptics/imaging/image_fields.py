@@ -152,13 +152,16 @@ def checked_places(picture: Array) -> list[Place]:
 def autocorrelation(picture: Array, side: int) -> Array:
     """Return a picture's sums of products with itself, displaced by less than ``side`` pixels.
 
-    Negative displacements are at the end of each axis, as in a discrete Fourier transform.
+    Negative displacements are at the end of each axis, as in a discrete Fourier transform; zeros
+    between fill the axes to a length of fast transforms.
     """
     grid = tuple(scipy.fft.next_fast_len(n + side, real=True) for n in picture.shape)
     spectrum = scipy.fft.rfft2(picture, grid)
     products = scipy.fft.irfft2(spectrum.real**2 + spectrum.imag**2, grid)
-    lags = np.concatenate([np.arange(side), np.arange(1 - side, 0)])
-    return np.ascontiguousarray(products[np.ix_(lags, lags)])
+    lags = np.arange(1 - side, side)
+    echo = np.zeros(2 * (scipy.fft.next_fast_len(2 * side - 1, real=True),))
+    echo[np.ix_(lags, lags)] = products[np.ix_(lags, lags)]
+    return echo
 
 
 def blurred_power(kernels: Array, echo: Array) -> Array:
@@ -167,9 +170,13 @@ def blurred_power(kernels: Array, echo: Array) -> Array:
     ``echo`` is the picture's `autocorrelation`. By Parseval's theorem the sum is that of its
     products with the autocorrelation of the kernel.
     """
-    spectra = scipy.fft.rfft2(kernels, echo.shape)
-    products = scipy.fft.irfft2(spectra.real**2 + spectra.imag**2, echo.shape)
-    return np.asarray(np.maximum((products * echo).sum(axis=(1, 2)), 0.0))
+    powers = np.empty(len(kernels))
+    for i, kernel in enumerate(kernels):  # one by one, which takes little memory
+        spectrum = scipy.fft.rfft2(kernel, echo.shape)
+        products = scipy.fft.irfft2(spectrum.real**2 + spectrum.imag**2, echo.shape)
+        products *= echo
+        powers[i] = products.sum()
+    return np.maximum(powers, 0.0)
 
 
 def expected_counts(

@@ -15,7 +15,7 @@ from .._html import Figures, Shown
 from .._nouns import Noun
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
-from ..psf import PointSpreadField
+from ..psf import PointSpreadField, scene_point_spread
 from ..psf.pupil.exit_pupil import working_f_number
 from ..scene import MeshObject, PlanarObject, Scene
 from ..scene.parts.hidden import checked_picture
@@ -209,7 +209,7 @@ def mirror_image(scene: Scene) -> tuple[ChiefRays, Array]:
 
 def form_image(
     scene: Scene,
-    point_spread: PointSpread | PointSpreadField | None,
+    point_spread: PointSpread | PointSpreadField | None = None,
     object_image: ArrayLike | None = None,
     *,
     exposure: float | None = None,
@@ -222,11 +222,12 @@ def form_image(
     ----------
     scene : Scene
         Scene to image.
-    point_spread : PointSpread or PointSpreadField
+    point_spread : PointSpread or PointSpreadField, optional
         Point spread function from the same scene, with ``normalisation="unit-sum"`` and the pitch
         of the camera's image pixels. Its values are fractions of the energy, so that their sum is 1
         minus the fraction outside the window on which it was computed. A field gives the function
-        for every point of a planar object. None for a wall without a mirror-like lobe.
+        for every point of a planar object. By default that of the object's reference point, or
+        none for a wall without a mirror-like lobe.
     object_image : array_like, (rows, columns), optional
         Reflectances, 0 to 1, that replace the image on a planar object, row 0 on top. The object's
         size is unchanged. None: the scene's own.
@@ -289,19 +290,16 @@ def form_image(
     >>> image.electrons.shape, image.saturated_fraction
     ((32, 32), 0.0)
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     seed = checked_seed(seed)
     camera = scene.camera
     exposure = positive("exposure", camera.exposure if exposure is None else exposure, unit="s")
+    if point_spread is None and scene.wall_material.specular_reflectance > 0.0:
+        point_spread = scene_point_spread(scene).point_spread
     if point_spread is not None:
         _check_pitch(point_spread, camera.image_pitch)
         if not isinstance(point_spread, PointSpreadField):
             _check_energy(scene, point_spread)
-    elif scene.wall_material.specular_reflectance > 0.0:
-        raise SceneError(
-            "point_spread is None, but the wall has a mirror-like lobe, which forms an image; "
-            "compute it with psf.scene_point_spread"
-        )
     if object_image is not None:
         scene = _with_picture(scene, object_image)
     levels = light_levels(scene, exposure=exposure, shadows=shadows)
@@ -384,7 +382,7 @@ def diffuse_background(
     >>> imaging.diffuse_background(scene).shape
     (16, 16)
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     exposure = positive("exposure", scene.camera.exposure if exposure is None else exposure)
     if object_image is not None:
         scene = _with_picture(scene, object_image)

@@ -130,7 +130,7 @@ def cast_shadows(scene: Scene) -> Shadows:
 
     The laser spot is treated as a point, and its image is dimmed uniformly.
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     ny, nx = scene.camera.shape
     fits_memory(
         f"the shadows of {nx} x {ny} pixels (camera.pixels, camera.binning)",

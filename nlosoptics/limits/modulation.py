@@ -174,7 +174,7 @@ def object_scale(scene: Scene) -> float:
     >>> round(1e3 * limits.object_scale(scene) * scene.camera.image_pitch, 2)
     2.84
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     depth = float(
         (scene.mirrored_object_point - np.array(scene.camera.position)) @ scene.camera.axis
     )

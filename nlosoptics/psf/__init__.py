@@ -3,11 +3,10 @@
 `scene_point_spread` computes the wave and the PSF of a scene. Without a scene, make a `Wavefront`
 (`Wavefront.from_zernike`, `from_function`, `from_map`) and pass it to `point_spread`.
 
-Sub-folders: ``aperture`` (pupil outlines and nodes), ``wave`` (sampled waves), ``pupil`` (exit
-pupil and wave of a scene), ``window`` (image windows, pixels, error bounds), ``transform`` (from
-wave to PSF), ``batch`` (many waves on one pupil), ``propagation`` (fields between parallel planes),
-``walls`` (PSFs of scenes and fields), ``rough`` (rough walls), ``metrics`` (Strehl ratio, MTF, best
-focus and others), ``exchange`` (other programs). Import everything from ``nlosoptics.psf``.
+Functions of a wave or a point spread also take a `Scene` or a result of `nlosoptics.simulate`. The
+wave is that of the object's reference point and of the smooth wall. The point spread, which
+energies and widths use, includes the wall's lobes and the pixels. `point_spread` of a scene has the
+options of `scene_point_spread`.
 
 Arguments out of range raise `SceneError`, and arrays that would not fit into memory
 `MemoryLimitError`.

@@ -24,7 +24,7 @@ from ..psf.pupil.scene_optics import SceneOptics
 from ..psf.window.error_bounds import rounded_up
 from ..scene import Scene
 from .patterns import Pattern, burst_stages, image_spread_stages, mean_optics, own_pattern
-from .refusals import check_laser, check_sight, wave_refusal
+from .refusals import check_laser, check_sight, check_wave
 from .stages import (
     FIELD,
     Look,
@@ -67,8 +67,7 @@ class Plan:
         over rms value). Other stages state their own errors.
     waves : float
         Peak-to-valley wave aberration at the object's centre with tilt removed, waves; NaN for a
-        mesh wall that is too coarse for waves (`MeshWall.wave_grade`) and for a wall without a
-        mirror-like lobe.
+        wall without a mirror-like lobe.
     exit_pupil : ExitPupil or None
         Exit pupil of the scene, reused by `simulate`; None for a wall without a mirror-like lobe,
         which forms no image.
@@ -174,6 +173,8 @@ def plan(
         If the laser misses the wall, the camera cannot see the object in the wall, an occluder
         cuts the laser beam or part of the cone of light from the object's reference point, or an
         argument is out of range.
+    NotWaveGradeError
+        If a mesh wall is too coarse for waves (`MeshWall.wave_grade`).
     CausticError
         If the wave aberration is not single-valued at the object's centre, corners or edges.
     SamplingError
@@ -263,7 +264,7 @@ def _plan(
     scene.check_laser_light()
     pupil = exit_pupil(scene)
     check_sight(scene, pupil)
-    optics, refusal = SceneOptics(scene, pupil), wave_refusal(scene)
+    optics = SceneOptics(scene, pupil)
     stages = [
         mesh_stage(scene),
         Stage(
@@ -275,35 +276,30 @@ def _plan(
             error="exact for a thin lens",
         ),
     ]
-    waves, pattern = math.nan, None
-    if refusal:
-        runs = ("wave aberration", "point spread", FIELD, "shadow rays", "image", "reconstruction")
-        stages += [skipped(name, refusal) for name in runs]
-        stages += left_out(scene)
-    else:
-        scene.check_in_front()
-        spot = laser_spot(scene)
-        if scene.occluding_mesh is not None:
-            check_beam(scene, scene.occluding_mesh, spot)
-        look = Look.at(optics, tol)
-        pattern = Pattern.at(look, tol, budget.seconds) if own_pattern(scene) else None
-        # over a large picture the image uses the mean over walls, whose field may vary as well
-        imaged = look
-        if pattern is not None and not pattern.nodes:
-            imaged = Look.at(mean_optics(optics), tol)
-        heights = look.seen.first.residual.heights
-        waves = (heights.high - heights.low) / scene.laser.wavelength
-        shadows = shadow_stage(scene)
-        stages += [
-            *wave_stages(scene, pupil, look, waves),
-            point_spread_stage(scene, pupil, look, tol),
-            *image_spread_stages(pupil, look, imaged, pattern, tol),
-            *left_out(scene),
-            shadows,
-            image,
-            *burst_stages(scene, look, pattern, tol, shadows.seconds + image.seconds),
-            reconstruction_stage(scene, reconstruct, pattern.nodes if pattern is not None else 0),
-        ]
+    check_wave(scene)
+    scene.check_in_front()
+    spot = laser_spot(scene)
+    if scene.occluding_mesh is not None:
+        check_beam(scene, scene.occluding_mesh, spot)
+    look = Look.at(optics, tol)
+    pattern = Pattern.at(look, tol, budget.seconds) if own_pattern(scene) else None
+    # over a large picture the image uses the mean over walls, whose field may vary as well
+    imaged = look
+    if pattern is not None and not pattern.nodes:
+        imaged = Look.at(mean_optics(optics), tol)
+    heights = look.seen.first.residual.heights
+    waves = (heights.high - heights.low) / scene.laser.wavelength
+    shadows = shadow_stage(scene)
+    stages += [
+        *wave_stages(scene, pupil, look, waves),
+        point_spread_stage(scene, pupil, look, tol),
+        *image_spread_stages(pupil, look, imaged, pattern, tol),
+        *left_out(scene),
+        shadows,
+        image,
+        *burst_stages(scene, look, pattern, tol, shadows.seconds + image.seconds),
+        reconstruction_stage(scene, reconstruct, pattern.nodes if pattern is not None else 0),
+    ]
     found = Plan(
         stages=tuple(s for s in stages if s.runs),
         skipped=tuple(s for s in stages if not s.runs),

@@ -31,7 +31,8 @@ from .noise import camera_noise
 from .patterns import BURST
 from .plan import plan
 from .record import arrays, now, record_text, scene_hash, versions, write_record
-from .simulate import image_model, image_spreads, shadow_operator, wall_pixels
+from .refusals import wall_pixels
+from .simulate import image_model, image_spreads, shadow_operator
 from .stages import is_matt
 from .veil import fitted_veil
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import NotWaveGradeError, SceneError, ValidityWarning
 from ..imaging.detector import full_reading
-from ..imaging.geometry import chief_rays, wall_visibility
+from ..imaging.geometry import chief_rays, pixel_centres, wall_visibility
 from ..imaging.image_fields import checked_places, picture_frame
 from ..imaging.radiometry import (
     background_radiance,
@@ -27,13 +27,14 @@ from ..psf.walls.field import picture_nodes, picture_point
 from ..scene import PlanarObject, Scene
 
 
-def wave_refusal(scene: Scene) -> str:
-    """Return the reason why this wall admits no wave computation, or an empty string."""
+def check_wave(scene: Scene) -> None:
+    """Raise `NotWaveGradeError` if this wall admits no wave computation."""
     try:
         check_wave_grade(scene.wall, scene.laser.wavelength)
     except NotWaveGradeError as refusal:
-        return f"{refusal}; nlosoptics has no geometric method that works without the wave"
-    return ""
+        raise NotWaveGradeError(
+            f"{refusal}; nlosoptics has no geometric method that works without the wave"
+        ) from None
 
 
 def check_laser(scene: Scene) -> None:
@@ -75,6 +76,11 @@ def check_sight(scene: Scene, pupil: ExitPupil) -> None:
             f"{1e3 * image[1]:.3g}) mm from the axis, off the detector of "
             f"+-({1e3 * reach[0]:.3g}, {1e3 * reach[1]:.3g}) mm; change camera.aim"
         )
+
+
+def wall_pixels(scene: Scene) -> NDArray[np.bool_]:
+    """Return which pixels see the wall with their whole cone of light; no others are compared."""
+    return wall_visibility(scene, chief_rays(scene, *pixel_centres(scene.camera))) > 0.999
 
 
 def overexposure(scene: Scene) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import path_of, reason
+from .._html import Figures, Shown
 from .._nouns import Noun
 from .._whole_files import RECORD, check_folder, sweep, whole_folder
 from ..errors import SceneError
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Result(Noun):
+class Result(Noun, Shown):
     """All results of a simulation, from the function `simulate`.
 
     Parameters
@@ -91,6 +92,19 @@ class Result(Noun):
     def __post_init__(self) -> None:
         if self.burst is not None:
             self.burst.flags.writeable = False
+
+    def _figures(self) -> Figures:
+        """Return the key figures of the run, for display in notebooks."""
+        image, wave, fit = self.image, self.wavefront, self.reconstruction
+        peak, full = float(image.electrons.max()), 100 * image.saturated_fraction
+        figures = {
+            "scene": f"{type(self.scene.wall).__name__}, {type(self.scene.hidden).__name__}",
+            "wave": "none" if wave is None else wave._figures().rows["aberration"],
+            "image": f"{peak:.3g} electrons at most, {full:.2g} % of the pixels saturated",
+            "reconstruction": "none" if fit is None else f"{fit.status}, score {fit.score:.3g}",
+            "run": f"{sum(self.timings.values()):.2g} s, seed {self.seed}",
+        }
+        return Figures("Result", figures, "Overview of a simulation: room, image, reconstruction")
 
     def save(self, folder: str | Path) -> None:
         """Save the result to a folder, from which `load_result` restores it bit for bit.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import time
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from .._checks import within
 from .._progress import Progress
 from .._random import checked_seed, generator
-from ..errors import NotWaveGradeError, SceneError
+from ..errors import NlosError, SceneError, ValidityWarning
 from ..imaging.detector import full_reading
 from ..scene import MeshWall, PlanarObject, Scene
 from .noise import electron_noise
 from .patterns import BURST, CHECKS, mean_optics, uses_mean
 from .plan import MOST_SECONDS, Plan, looked_at
-from .refusals import check_errors, fillable, wave_refusal
+from .refusals import check_errors, fillable, wall_pixels
 from .results import Result
-from .stages import BINS, CELLS, FIELD, MEAN, MOST_NODES
+from .stages import FIELD, MEAN, MOST_NODES, joined_pixels, shadow_cells
 from .veil import fitted_veil
 
 if TYPE_CHECKING:
@@ -108,8 +108,6 @@ def _stages(
 ) -> Result:
     """Run the stages of a plan in order."""
     tol = todo.tol
-    if optics is not None and not todo.runs("wave aberration"):
-        raise NotWaveGradeError(wave_refusal(scene))
     from .. import imaging, inverse, psf
 
     begun: dict[str, float] = {}  # start of each stage, s
@@ -155,12 +153,16 @@ def _stages(
     reconstruction = None
     if todo.runs("reconstruction") and fillable(scene, image.electrons):
         begin("reconstruction")
-        if spreads is None:
-            reconstruction = _from_shadows(scene, image)
-        elif burst is None:
-            reconstruction = _reconstruct(scene, image, spreads, shadows)
-        elif spread is not None:
-            reconstruction = inverse.burst_fit(burst, spread, seed=seed)
+        try:
+            if spreads is None:
+                reconstruction = _from_shadows(scene, image)
+            elif burst is None:
+                reconstruction = _reconstruct(scene, image, spreads, shadows)
+            elif spread is not None:
+                reconstruction = inverse.burst_fit(burst, spread, seed=seed)
+        except NlosError as refusal:  # the run keeps its image
+            text = f"no object is reconstructed: {refusal}"
+            warnings.warn(text, ValidityWarning, stacklevel=4)
     ends = [*list(begun.values())[1:], time.perf_counter()]
     if progress is not None:
         progress("done", 1.0)
@@ -342,13 +344,9 @@ def shadow_operator(scene: Scene) -> ShadowOperator:
     side has `CELLS` cells, and at most `BINS` bins of a whole number of pixels.
     """
     from ..imaging.lit_walls import lit_transports
-    from ..imaging.objects import plate
 
-    size, shape = plate(scene)[2], scene.camera.shape
-    columns, rows = (max(1, round(CELLS * side / max(size))) for side in size)
-    joined = next(
-        k for k in range(max(1, -(-max(shape) // BINS)), 0, -1) if math.gcd(k, *shape) == k
-    )
+    (rows, columns), shape = shadow_cells(scene), scene.camera.shape
+    joined = joined_pixels(scene)
     pixels = shape[0] // joined, shape[1] // joined
     sources = lit_transports(scene, cells=(rows, columns), pixels=pixels)
     if not sources:
@@ -358,13 +356,6 @@ def shadow_operator(scene: Scene) -> ShadowOperator:
         )
     matrix = np.sum([scale * one.matrix for one, scale in sources], axis=0)
     return ShadowOperator(matrix, pixels, (rows, columns))
-
-
-def wall_pixels(scene: Scene) -> NDArray[np.bool_]:
-    """Return which pixels see the wall with their whole cone of light; no others are compared."""
-    from ..imaging.geometry import chief_rays, pixel_centres, wall_visibility
-
-    return wall_visibility(scene, chief_rays(scene, *pixel_centres(scene.camera))) > 0.999
 
 
 def _from_shadows(scene: Scene, image: SpeckleImage) -> Reconstruction:

@@ -18,8 +18,8 @@ from ..imaging.image_fields import (
     picture_frame,
 )
 from ..imaging.images import BYTES_PER_PIXEL as IMAGE_BYTES
-from ..imaging.objects import object_patches
-from ..imaging.radiometry import background_work
+from ..imaging.objects import object_patches, plate
+from ..imaging.radiometry import background_work, has_highlight
 from ..imaging.shadows import SHADOW_BYTES
 from ..psf.pupil.exit_pupil import ExitPupil
 from ..psf.pupil.obstruction import check_cone
@@ -33,7 +33,7 @@ from ..psf.walls.scene_psf import point_window
 from ..raytrace import ray_plan
 from ..raytrace.intersection.meshes import threads
 from ..scene import MeshWall, PlanarObject, Scene
-from .refusals import check_cones, overexposure
+from .refusals import check_cones, overexposure, wall_pixels
 
 FIELD = "field of point spreads"  # name of the stage
 MEAN = "mean point spread"  # name of the stage
@@ -180,6 +180,13 @@ def spread_cost(scene: Scene, look: Look, side: int, tol: float) -> Cost:
     return Cost(sum(c.seconds for c in found), found[-1].n_bytes)
 
 
+def point_seconds(scene: Scene, tol: float) -> float:
+    """Predicted seconds of the wave and the point spread of the object's reference point."""
+    look = Look.at(SceneOptics(scene), tol)
+    aiming = _aiming_seconds(scene, look.seen.first.wave.u.size)
+    return aiming + spread_cost(scene, look, look.side, tol).seconds
+
+
 def model_error(scene: Scene, look: Look) -> float:
     """Predict the error of scalar diffraction, relative to the peak of the point spread."""
     residual = look.seen.first.residual
@@ -250,14 +257,17 @@ def field_stage(scene: Scene, pupil: ExitPupil, look: Look, tol: float) -> Stage
     one = spread_cost(scene, look, look.field_side, tol / 2)
     each = one.seconds + 0.9 * look.cut  # s of a wave on a grid and its point spread
     aimed = _aiming_seconds(scene, look.seen.first.wave.u.size)
-    held = 40.0 * counts[-1] ** 2 * look.field_side**2
-    compared = 80.0 * picture_frame(scene).size  # for the picture's autocorrelation
+    area = look.field_side**2
+    held = (40.0 * counts[-1] ** 2 + 24.0 * CHECKED**2) * area
+    # the picture's autocorrelation, and a point spread's
+    compared = 80.0 * picture_frame(scene).size + 200.0 * area
+    powers = 1.5e-7 * area * CHECKED**2 * (1 + len(ends[1]))
     return Stage(
         name=FIELD,
         runs=True,
         reason=f"point spreads change over the object; about {ends[1][-1]} x {ends[1][-1]} of "
         f"them, {look.field_side} x {look.field_side} pixels",
-        seconds=spreads * each + waves * aimed + 5e-10 * held * counts[-1] ** 2,
+        seconds=spreads * each + waves * aimed + powers + 2e-8 * area * counts[-1] ** 4,
         error=f"{tol:g} of the image, rms",
         memory=held + compared + one.n_bytes * threads(),
     )
@@ -324,6 +334,32 @@ def _image_seconds(scene: Scene) -> float:
     return 0.02 + 5e-4 * groups + 2.2e-7 * pairs + 4.2e-7 * groups * pixels + 1.6e-6 * pixels
 
 
+def _deconvolution_seconds(scene: Scene) -> float:
+    """Predicted seconds of a fit that detects an object; one that detects none ends sooner.
+
+    The number of iterations is not known before: it is 40 to 700, fewer for large images.
+    """
+    pixels = float(math.prod(scene.camera.shape))
+    fit = 4e-5 * pixels / (1.0 + pixels / 2e4) + 4e-6 * pixels
+    # the veil of many parts of the object
+    lit = not isinstance(scene.hidden, PlanarObject) or has_highlight(scene)
+    return 0.15 + fit + (0.2 if lit else 0.0)
+
+
+def joined_pixels(scene: Scene) -> int:
+    """Return how many pixels along each side are added up for a picture from shadows."""
+    shape = scene.camera.shape
+    most = max(1, -(-max(shape) // BINS))
+    return next(k for k in range(most, 0, -1) if math.gcd(k, *shape) == k)
+
+
+def shadow_cells(scene: Scene) -> tuple[int, int]:
+    """Return rows and columns of the object's cells in a picture from shadows."""
+    size = plate(scene)[2]
+    columns, rows = (max(1, round(CELLS * side / max(size))) for side in size)
+    return rows, columns
+
+
 def reconstruction_stage(scene: Scene, wanted: bool, nodes: int = 0) -> Stage:
     """Return the stage of the reconstruction, with ``nodes`` of patterns along the object."""
     if not wanted:
@@ -337,11 +373,26 @@ def reconstruction_stage(scene: Scene, wanted: bool, nodes: int = 0) -> Stage:
                 "reconstruction",
                 "a wall without a mirror-like lobe shows detail by shadows only",
             )
+        k = joined_pixels(scene)
+        seen = wall_pixels(scene).reshape(ny // k, k, nx // k, k).all(axis=(1, 3))
+        if (count := np.count_nonzero(seen)) < 64:  # those that `shadow_fit` needs
+            return skipped(
+                "reconstruction",
+                f"{count} squares of {k} x {k} pixels see the wall with their whole cone of light, "
+                "limit 64; aim the camera at the wall, or enlarge the wall",
+            )
+        cells, bins = shadow_cells(scene), ny // k * (nx // k)
+        unknowns, faces = math.prod(cells), 0
+        if scene.occluding_mesh is not None:
+            faces = len(scene.occluding_mesh.faces)
+        # eigenvectors of the cells and products with the operator; its lattice is finer at edges
         return Stage(
             name="reconstruction",
             runs=True,
             reason="total-variation fit of the shadows, with known occluders",
-            seconds=12.0,
+            seconds=4.2e-10 * unknowns**3
+            + 7e-8 * unknowns * bins
+            + (0.4 + 7e-3 * faces + 1.5e-4 * bins),
             memory=8.0 * 6 * CELLS**2 * max(CELLS**2, BINS**2),
             error="status and score are reported",
         )
@@ -358,8 +409,7 @@ def reconstruction_stage(scene: Scene, wanted: bool, nodes: int = 0) -> Stage:
         name="reconstruction",
         runs=True,
         reason="total-variation deconvolution with known pose and point spread",
-        # with a field of point spreads 1.3 to 2.5 times as long
-        seconds=(1.3 + 6e-6 * nx * ny) * (2.5 if nodes > 1 else 1.0),
+        seconds=_deconvolution_seconds(scene) * (2.5 if nodes > 1 else 1.0),
         memory=2000.0 * nx * ny,
         error="status and score are reported",
     )

@@ -265,6 +265,36 @@ class Scene(Noun, Shown):
 
         return read_scene(path_of("path", path), cls, changes)
 
+    def with_values(self, changes: Mapping[str, Any]) -> Scene:
+        """Return a copy of the scene with some of its values replaced.
+
+        Parameters
+        ----------
+        changes : mapping of str to value
+            New values by address, as for `load`: numbers in SI units, or texts with a unit. Paths
+            are relative to the current folder. ``wall.curvature``, 1/m, is positive for a concave
+            wall and negative for a convex one; it replaces the curvature of a flat, spherical or
+            cylindrical wall, and adds a sphere to all others.
+
+        Raises
+        ------
+        SceneError
+            If an address or value is wrong, or a part cannot be written in a scene file, such as a
+            `CallableWall`.
+
+        Examples
+        --------
+        >>> from nlosoptics import Scene
+        >>> scene = Scene.load("examples/scenes/letter_concave.toml")
+        >>> scene.with_values({"wall.radius": 4.0, "camera.exposure": "10 ms"}).wall.radius
+        4.0
+        >>> type(scene.with_values({"wall.curvature": -0.25}).wall).__name__
+        'ConvexWall'
+        """
+        from .file.scene_file import changed_scene
+
+        return changed_scene(self, changes)
+
     def save(self, path: str | Path) -> None:
         """Write a scene file from which `load` restores exactly the same values.
 
@@ -296,8 +326,7 @@ class Scene(Noun, Shown):
             "wall material": type(self.wall_material).__name__,
             "hidden": type(self.hidden).__name__,
             "occluders": f"{len(self.occluders)}",
-            "camera": f"{1e3 * camera.focal_length:.3g} mm at "
-            f"F/{camera.focal_length / camera.stop_diameter:.3g}",
+            "camera": f"{1e3 * camera.focal_length:.3g} mm at F/{camera.f_number:.3g}",
             "image": f"{nx} x {ny} pixels of {1e6 * camera.image_pitch:.3g} µm",
             "exposure": f"{1e3 * camera.exposure:.3g} ms",
         }

@@ -11,3 +11,4 @@ from .optima import optimum as optimum
 from .planning import plan_study as plan_study
 from .results import Results as Results
 from .running import run_study as run_study
+from .sweeping import sweep as sweep

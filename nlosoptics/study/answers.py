@@ -84,7 +84,7 @@ def sensitivities(
     --------
     nlosoptics.views.tornado : Bars of the changes, sorted by size.
     """
-    expect("results", results, "Results")
+    results = expect("results", results, "Results")
     names = [d.name for d in results.study.dimensions]
     if names != ["case"]:
         raise SceneError(
@@ -200,7 +200,7 @@ def fraction_within(
     enough for any figure of merit. If fewer than 80 draws meet the specification, or fail it, or
     the study is incomplete, it is that of independent draws.
     """
-    expect("results", results, "Results")
+    results = expect("results", results, "Results")
     _check_draws(results, "a yield", ("random", "latin", "sobol"))
     if at_least is None and at_most is None:
         raise SceneError("at_least and at_most are both missing; give one or both")
@@ -305,7 +305,7 @@ def sobol_indices(results: Results, figure: str, *, confidence: float = 0.95) ->
     The estimators are those of Saltelli et al., Comput. Phys. Commun. 181, 259 (2010), as in
     `scipy.stats.sobol_indices`. The confidence intervals are bootstrap intervals.
     """
-    expect("results", results, "Results")
+    results = expect("results", results, "Results")
     _check_draws(results, "Sobol indices", ("saltelli",))
     confidence = in_range("confidence", confidence, 0.01, 0.9999)
     values = results.values(figure)

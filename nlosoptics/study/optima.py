@@ -185,7 +185,7 @@ def optimum(results: Results, *, incomplete: bool = False) -> Optimum:
     >>> round(found.scene().camera.focus_distance, 3)
     2.049
     """
-    expect("results", results, "Results")
+    results = expect("results", results, "Results")
     table = search_table(results.study)
     outcomes = _outcomes(results, incomplete)
     signs = np.array([1.0 if one.goal == "minimise" else -1.0 for one in table.objectives])

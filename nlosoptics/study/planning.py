@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from .._checks import counted, expect, lasting
 from ..errors import NlosError
-from ..runs.plan import plan
+from ..runs.stages import is_matt, point_seconds
 from .design.point import point_spread_key
 from .design.variables import delta_of
 from .search.methods import search_table
@@ -90,7 +91,7 @@ def plan_study(study: Study) -> StudyPlan:
     --------
     run_study : Run a study, or continue it.
     """
-    expect("study", study, "Study")
+    study = expect("study", study, "Study")
     if study.variables:
         return _plan_search(study)
     count = len(study)
@@ -98,13 +99,13 @@ def plan_study(study: Study) -> StudyPlan:
     needs_spread = "point spread" in stages
     deltas = map(study.delta, range(count))
     keys = set(map(point_spread_key, deltas)) if needs_spread else set()
-    one = _point_spread_seconds(study)
+    one, forecast = _stage_seconds(study)
     forecasts = count if "forecast" in stages else 0
     scene = 5e-4  # s to build and check a scene
     seconds = (
         count * (scene + UNKNOWN * stages.count("own function"))
-        + len(keys) * one
-        + forecasts * (0.1 + 2.0 * one)
+        + len(keys) * (one + 5e-3 * stages.count("point spread"))
+        + forecasts * forecast
     )
     if study.table.compensate is not None:
         seconds += 30 * count * (scene + one)  # evaluations of a compensation
@@ -140,10 +141,23 @@ def _plan_search(study: Study) -> StudyPlan:
     )
 
 
-def _point_spread_seconds(study: Study) -> float:
-    """Return the predicted seconds of a wave and its point spread for the first point."""
-    try:
-        stages = plan(study.scene(0), study.tol).stages
-    except NlosError:
-        return UNKNOWN
-    return sum(s.seconds for s in stages if s.name in ("wave aberration", "point spread"))
+def _stage_seconds(study: Study) -> tuple[float, float]:
+    """Return the predicted seconds of a point spread with its wave, and of a forecast.
+
+    They are means over a few points of the design. A forecast takes the point spread, diffuse light
+    of the object, and transforms of the image, more for a lobe that blurs.
+    """
+    spreads, forecasts = [], []
+    for index in sorted({round(k * (len(study) - 1) / 4) for k in range(5)}):
+        try:
+            scene = study.scene(index)
+            spreads.append(0.0 if is_matt(scene) else point_seconds(scene, study.tol))
+        except NlosError:
+            continue
+        pixels = math.prod(scene.camera.shape)
+        blurred = max(scene.mirror_slopes, default=0.0) > 0.0
+        seconds = 0.6 + 1.2 * spreads[-1] + 1e-6 * pixels
+        forecasts.append(seconds + (0.3 + 3e-6 * pixels if blurred else 0.0))
+    if not spreads:
+        return UNKNOWN, UNKNOWN
+    return sum(spreads) / len(spreads), sum(forecasts) / len(forecasts)

@@ -23,6 +23,7 @@ from .design.file import StudyTable
 from .design.study import Study, search_variables
 from .design.values import label, number
 from .store import STATUSES, Store, reading
+from .worker import Answers
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -66,7 +67,8 @@ class Results(Noun):
     - ``status``: "done", "failed" (an error was raised), "lost" (the process that computed
       it crashed, and crashed again at a second try) or "pending" (not computed yet). Each point has
       one status for all its figures of merit: "pending" if one of them is pending, else "lost" if
-      one is lost, else "failed" if one failed;
+      one is lost, else "done" if one of them is done, else "failed". A figure of merit that failed
+      at a point that is "done" is NaN there, and ``message`` has its reason;
     - ``message``: errors and warnings; ``seconds``: computing time, s.
 
     Coordinates have the name of the value that varies, by table and key of the scene file, such as
@@ -168,9 +170,19 @@ class Results(Noun):
         return {status: int((values == status).sum()) for status in STATUSES}
 
     def failures(self) -> dict[str, int]:
-        """Return each error message of failed points with the number of points that have it."""
+        """Return each message of points that lack a figure with the number of those points."""
         status, texts = (self.dataset[name].values.ravel() for name in ("status", "message"))
-        return dict(Counter(texts[np.isin(status, ("failed", "lost"))]))
+        figures = [self.dataset[figure.name].values.ravel() for figure in self.study.figures]
+        lacking = np.isnan(figures).any(axis=0) & (status != "pending")
+        return dict(Counter(texts[lacking]))
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return `dataset`: figures of merit over the values that vary."""
+        return self.dataset
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas.DataFrame with a row for each point: its values and figures."""
+        return self.dataset.to_dataframe().reset_index()
 
     def __str__(self) -> str:
         """Return status and range of every figure as text."""
@@ -241,37 +253,46 @@ def _dataset(study: Study, store: Store) -> xr.Dataset:
     """Return the rows of a store in the order of the design."""
     rows = {name: row for row, name in enumerate(store.ids)}
     at = np.array([rows.get(name, -1) for name in study.ids], dtype=int)
-    dims, shape = [d.name for d in study.dimensions], study.shape
     names = [figure.name for figure in study.figures]
 
-    def columns(name: str, empty: Any, figures: list[str] = names) -> Any:
-        """Return the columns of figures at all points, (figures, points)."""
-        values = store.column(name, figures)
+    def columns(name: str, empty: Any) -> Any:
+        """Return the columns of figures at all points, (points, figures)."""
+        values = store.column(name, names)
         blank = np.full((1, *values.shape[1:]), empty, dtype=values.dtype)
-        return np.concatenate([values, blank])[at].T
+        return np.concatenate([values, blank])[at]
 
+    answers = Answers(
+        values=columns("value", np.nan),
+        errors=columns("error", np.nan),
+        statuses=columns("status", 0),
+        messages=columns("message", ""),
+        seconds=columns("seconds", np.nan),
+    )
+    return answered(study, answers, {"search": store.ended or RUNNING} if study.variables else {})
+
+
+def answered(study: Study, answers: Answers, attributes: dict[str, str]) -> xr.Dataset:
+    """Return the answers of all points, in the order of the design, over its dimensions."""
+    dims, shape = [d.name for d in study.dimensions], study.shape
+    names = [figure.name for figure in study.figures]
     arrays: dict[str, Any] = {}
-    for figure, value, error in zip(
-        study.figures, columns("value", np.nan), columns("error", np.nan), strict=True
-    ):
+    for figure, value, error in zip(study.figures, answers.values.T, answers.errors.T, strict=True):
         told = {"long_name": figure.meaning} | ({"units": figure.unit} if figure.unit else {})
         arrays[figure.name] = (dims, value.reshape(shape), told)
         if figure.has_error:
             arrays[f"{figure.name}_error"] = (dims, error.reshape(shape), told)
-    # of all figures: pending before lost, failed and done
-    ranks = np.array([3, 0, 1, 2])[columns("status", 0)].max(axis=0)
-    arrays["status"] = (dims, np.array(STATUSES)[np.array([1, 2, 3, 0])[ranks]].reshape(shape))
-    texts = [_joined(names, point) for point in columns("message", "").T]
+    # of all figures: pending before lost, done and failed
+    ranks = np.array([3, 1, 0, 2])[answers.statuses].max(axis=1)
+    arrays["status"] = (dims, np.array(STATUSES)[np.array([2, 1, 3, 0])[ranks]].reshape(shape))
+    texts = [_joined(names, point) for point in answers.messages]
     arrays["message"] = (dims, np.array(texts, dtype=object).reshape(shape))
-    arrays["seconds"] = (dims, columns("seconds", np.nan).reshape(shape), {"units": "s"})
+    arrays["seconds"] = (dims, answers.seconds.reshape(shape), {"units": "s"})
     coordinates: dict[str, Any] = {}
     for dimension in study.dimensions:
         coordinates |= _coordinates(dimension)
     import xarray as xr  # here, so that a script's workers load without
 
-    return xr.Dataset(
-        arrays, coordinates, {"search": store.ended or RUNNING} if study.variables else {}
-    )
+    return xr.Dataset(arrays, coordinates, attributes)
 
 
 def _joined(names: list[str], texts: NDArray[Any]) -> str:

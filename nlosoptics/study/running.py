@@ -95,7 +95,7 @@ def run_study(
     >>> results.dataset["aberration_rms"].values.round(3)
     array([0.429, 1.367])
     """
-    expect("study", study, "Study")
+    study = expect("study", study, "Study")
     given = path_of("path", path)
     path = Path(os.path.realpath(given))  # zarr replaces no folder behind a link
     tell, stop = progress or (lambda text, share: None), interrupted or (lambda: False)

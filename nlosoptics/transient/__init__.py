@@ -44,3 +44,9 @@ __all__ = [
     "without_outer_legs",
     "without_pile_up",
 ]
+
+
+def __getattr__(name: str) -> object:
+    """Name the right call for one that other libraries have."""
+    instead = "; use TransientCapture.load(path)" if name == "load_capture" else ""
+    raise AttributeError(f"nlosoptics.transient has no {name}{instead}")

@@ -192,7 +192,7 @@ def search(found: Optimum, *, first: int = 0, second: int = 1, axes: Axes | None
     --------
     nlosoptics.study.optimum : Best trials of an optimisation.
     """
-    expect("found", found, "Optimum")
+    found = expect("found", found, "Optimum")
     count, values = len(found.labels), found.objectives
     if found.failed.all():
         raise SceneError(

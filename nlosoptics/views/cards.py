@@ -8,6 +8,7 @@ from .. import views
 
 #: Drawing function by class name, so that no class is imported before an object of it exists.
 PICTURES = {
+    "Result": "overview",
     "Scene": "scene_sketch",
     "Wavefront": "wavefront",
     "PupilField": "wavefront",

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ..limits import Feasibility
-    from ..psf import SpotDiagram, ThroughFocus
+    from ..psf import ThroughFocus
     from ..raytrace.images.trace_image import PathHistogram
 
 
@@ -53,7 +53,7 @@ def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
     >>> axes.get_xlabel(), axes.get_ylabel()
     ('shift of the image plane (mm)', 'strehl')
     """
-    expect("found", found, "ThroughFocus")
+    found = expect("found", found, "ThroughFocus")
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.0, height=4.2)
     length = found.criterion in ("rms", "spot")
     shifts, values = 1e3 * found.shifts, (1e6 if length else 1.0) * found.values
@@ -75,13 +75,13 @@ def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
     return axes
 
 
-def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = None) -> Axes:
+def spot_diagram(spots: Any, *, most: int = 20_000, axes: Axes | None = None) -> Axes:
     """Draw a spot diagram: the points at which rays meet the image plane, with the Airy disc.
 
     Parameters
     ----------
-    spots : SpotDiagram
-        Result of `nlosoptics.psf.spot_diagram`.
+    spots : SpotDiagram, or Wavefront, Scene or Result
+        Result of `nlosoptics.psf.spot_diagram`, or what that takes.
     most : int
         Largest number of rays drawn. If there are more, every second, third, ... ray is drawn.
     axes : matplotlib Axes, optional
@@ -99,7 +99,10 @@ def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = 
     nlosoptics.psf.spot_diagram : Points at which rays meet the image plane.
     point_spread : Map of a PSF.
     """
-    expect("spots", spots, "SpotDiagram")
+    from .. import psf
+
+    if not isinstance(spots, psf.SpotDiagram):
+        spots = psf.spot_diagram(spots)
     whole("most", most)
     (axes,) = (axes,) if axes is not None else new_axes(1, width=5.4, height=5.4)
     from matplotlib.patches import Circle
@@ -171,7 +174,7 @@ def path_lengths(histogram: PathHistogram, *, axes: Axes | None = None) -> Axes:
     >>> views.path_lengths(found.histogram).get_xlabel()
     'path length, laser to lens (m)'
     """
-    expect("histogram", histogram, "PathHistogram")
+    histogram = expect("histogram", histogram, "PathHistogram")
     parts = [
         (f"{k} reflection{'s' if k > 1 else ''}", power, histogram.by_bounce_error[k])
         for k, power in enumerate(histogram.by_bounce)
@@ -233,7 +236,7 @@ def feasibility(found: Feasibility, *, axes: Axes | None = None) -> Axes:
     nlosoptics.limits.feasibility : Predict what an image can show.
     image : Map of a camera image.
     """
-    expect("found", found, "Feasibility")
+    found = expect("found", found, "Feasibility")
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.4, height=4.2)
     parts: list[tuple[str, str, Any, Any]] = [
         ("specular image", BLUE, found.modulation, found.signal_to_noise),

@@ -61,7 +61,7 @@ def wavefront(
     >>> axes.get_xlabel(), axes.get_title()
     ('u (mm)', 'wave aberration')
     """
-    expect("wavefront", wavefront, "Wavefront", "PupilField")
+    wavefront = expect("wavefront", wavefront, "Wavefront", "PupilField")
     one_of("unit", unit, ("waves", "nm"))
     (axes,) = (axes,) if axes is not None else new_axes(width=5.6, height=4.6)
     wave: Any = wavefront
@@ -158,7 +158,7 @@ def point_spread(
     >>> axes.get_xlabel(), axes.get_ylabel()
     ('x (µm)', '−y, up (µm)')
     """
-    expect("point_spread", point_spread, "PointSpread")
+    point_spread = expect("point_spread", point_spread, "PointSpread")
     one_of("scale", scale, ("log", "linear"))
     positive("decades", decades)
     if half_width is not None:
@@ -232,6 +232,7 @@ def image(
     >>> axes.texts[0].get_text()
     '0.2 m on the object'
     """
+    speckle_image = getattr(speckle_image, "image", speckle_image)  # of a result
     if object_scale is not None:
         object_scale = positive("object_scale", object_scale)
     (axes,) = (axes,) if axes is not None else new_axes(width=5.6, height=4.6)
@@ -287,7 +288,7 @@ def traced_image(
     >>> axes[0].get_title(), axes[0].get_xlabel()
     ('traced image', 'x (mm)')
     """
-    expect("traced_image", traced_image, "TracedImage")
+    traced_image = expect("traced_image", traced_image, "TracedImage")
     one_of("quantity", quantity, ("expected", "power", "stray"))
     left, right = axes if axes is not None else new_axes(2, width=10.6, height=4.6)
     values, errors = (getattr(traced_image, quantity + end) for end in ("", "_error"))

@@ -70,7 +70,7 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
     >>> "relay wall" in plotter.actors
     True
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     if plotter is None:
         plotter = new_plotter("Scene with relay wall, laser, hidden object and camera")
     size = parts.room_size(scene)
@@ -171,7 +171,7 @@ def ray_paths(
     >>> list(plotter.scalar_bars.keys())
     ['path length from the source (m)']
     """
-    expect("paths", paths, "RayPaths")
+    paths = expect("paths", paths, "RayPaths")
     chosen = chosen_paths(paths, n_bounces=n_bounces, only_detected=only_detected, most=most)
     lines = path_lines(paths, chosen, colour=colour, wavefront=wavefront)
     if plotter is None:

@@ -53,7 +53,7 @@ def overview(result: Result) -> tuple[Axes, ...]:
     >>> [axes.get_title().split(",")[0] for axes in views.overview(result)]
     ['top view', 'wave aberration', 'point spread function', 'camera image']
     """
-    expect("result", result, "Result")
+    result = expect("result", result, "Result")
     from ..limits import object_scale  # loads scipy; views alone is light
 
     fit, truth, pitch = shown_fit(result)

@@ -47,7 +47,7 @@ def scene_sketch(scene: Scene, *, axes: Sequence[Axes] | None = None) -> tuple[A
     >>> top.get_xlabel(), side.get_ylabel()
     ('x (m)', 'y, up (m)')
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     top, side = axes if axes is not None else new_axes(2, width=10.5, height=5.4)
     room_from_above(scene, top)
     _draw(scene, side, across=2, up=1)

@@ -71,7 +71,7 @@ def study_map(
     study_slices : Curves along each dimension.
     tornado : Change of a figure of merit with each value.
     """
-    expect("results", results, "Results")
+    results = expect("results", results, "Results")
     figure, dataset = results.study.figure(figure).name, results.dataset
     shown = _wide(dataset, figure, at)[-2:]
     fixed = _fixed(dataset, figure, shown, at)
@@ -123,7 +123,7 @@ def study_panels(
     study_map : Figure of merit over two dimensions.
     study_slices : Curves along each dimension.
     """
-    expect("results", results, "Results")
+    results = expect("results", results, "Results")
     figure, dataset = results.study.figure(figure).name, results.dataset
     shown = _wide(dataset, figure, at)[-3:]
     if len(shown) < 3:
@@ -192,7 +192,7 @@ def study_slices(
     study_map : Figure of merit over two dimensions.
     tornado : Change of a figure of merit with each value.
     """
-    expect("results", results, "Results")
+    results = expect("results", results, "Results")
     figure, dataset = results.study.figure(figure).name, results.dataset
     names = _wide(dataset, "status", None)
     drawn = names == ["draw"]

@@ -90,7 +90,7 @@ def transient(
     >>> frame.get_title()
     'optical path 2.01 m'
     """
-    expect("capture", capture, "TransientCapture")
+    capture = expect("capture", capture, "TransientCapture")
     light = _light(capture, laser)
     frames = _frames(capture, light, at)
     lit = np.flatnonzero((light > 0.0).reshape(len(light), -1).any(axis=1))

@@ -55,7 +55,7 @@ def volume(image: VolumeImage, *, axis: str = "z", axes: Axes | None = None) -> 
     >>> views.volume(image, axis="y").get_ylabel()
     'z (m)'
     """
-    expect("image", image, "VolumeImage")
+    image = expect("image", image, "VolumeImage")
     # horizontal axis, vertical axis and title
     views = {
         "z": ("x", "y", "view from the wall"),
@@ -118,7 +118,7 @@ def depth_map(depths: DepthMap, *, axes: Axes | None = None) -> Axes:
     >>> views.depth_map(transient.depth_map(image)).get_title()
     'depth from the wall'
     """
-    expect("depths", depths, "DepthMap")
+    depths = expect("depths", depths, "DepthMap")
     if axes is None:
         (axes,) = new_axes(1, width=5.8, height=4.6)
     seen = depths.depth[np.isfinite(depths.depth)]
@@ -181,7 +181,7 @@ def phasor_volume(
     volume : Projections of a volume.
     nlosoptics.transient.phasor_image : Image by virtual waves, for any capture.
     """
-    expect("image", image, "VolumeImage")
+    image = expect("image", image, "VolumeImage")
     in_range("threshold", threshold, 1e-3, 0.999)
     volume = image.volume
     if min(volume.shape) < 2:

@@ -231,16 +231,14 @@ def test_an_object_that_cannot_be_seen_is_found_by_the_plan(flat_scene):
 
 
 @pytest.mark.thorough
-def test_a_coarse_mesh_leaves_the_waves_out(flat_scene):
+def test_a_mesh_too_coarse_for_waves_is_refused_by_the_plan(flat_scene):
     from nlosoptics.errors import NotWaveGradeError
 
     wall = MeshWall(WavyWall(2e-3, 0.2, size=2.0).to_mesh(max_sag_error=1e-4))
     scene = replace(flat_scene, wall=wall)
-    plan = nlos.plan(scene)
-    assert [s.name for s in plan.stages] == ["mesh surface", "exit pupil"]
-    assert "no geometric method" in str(plan)
-    with pytest.raises(NotWaveGradeError, match="lambda/20"):
-        nlos.simulate(scene)
+    for refusing in (nlos.plan, nlos.simulate):
+        with pytest.raises(NotWaveGradeError, match="lambda/20.*no geometric method"):
+            refusing(scene)
 
 
 @pytest.mark.thorough
@@ -274,3 +272,22 @@ def test_an_overexposed_run_keeps_its_image_and_names_the_exposure():
 def test_an_error_above_the_planned_one_is_told():
     with pytest.warns(ValidityWarning, match="error of the image is 0.01, planned was tol = 0.001"):
         check_errors({"image": 0.01, "point spread": 1e-4}, 1e-3)
+
+
+def test_a_fit_that_refuses_leaves_the_run_its_image(flat_scene, monkeypatch):
+    def refuses(*_, **__):
+        raise SceneError("no light; expose longer")
+
+    monkeypatch.setattr(nlos.inverse, "tv_deconvolve", refuses)
+    with pytest.warns(ValidityWarning, match="no object is reconstructed: no light"):
+        result = nlos.simulate(flat_scene, 1e-2, reconstruct=True)
+    assert result.reconstruction is None
+    assert result.image.electrons.max() > 0
+
+
+def test_shadows_on_too_small_a_part_of_the_wall_are_left_out_by_the_plan():
+    scene = nlos.Scene.load("examples/scenes/letter_disc.toml").resized(16)
+    assert nlos.plan(scene, reconstruct=True).runs("reconstruction")
+    small = replace(scene.resized(8), wall=FlatWall(size=(1.6, 0.25)))
+    (stage,) = (s for s in nlos.plan(small, reconstruct=True).skipped if "squares" in s.reason)
+    assert "limit 64" in stage.reason

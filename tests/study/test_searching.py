@@ -240,3 +240,9 @@ def test_trials_are_read_by_any_json_reader(tmp_path: Path) -> None:
     results = run(made([OFF], ["off"], evaluations=4, variables=POWER), tmp_path)
     kept = Store.open(tmp_path / "store").trials()
     assert kept == json.loads(json.dumps(results.study.dimensions[0].deltas))
+
+
+def test_a_search_computes_the_figures_that_it_limits() -> None:
+    limit = {"figure": "photons", "at_least": 1.0}
+    study = made([OFF], ["off"], constraints=[limit], variables=POWER)
+    assert [figure.name for figure in study.figures] == ["off", "photons"]

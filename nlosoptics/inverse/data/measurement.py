@@ -116,8 +116,13 @@ class Measurement(Noun):
 
 
 def measured(image: Any) -> Measurement:
-    """Return a measurement as it is, and an image as a measurement with the defaults."""
-    return image if isinstance(image, Measurement) else Measurement(image)
+    """Return a measurement as it is, and an image as a measurement with the defaults.
+
+    Of a `nlosoptics.imaging.SpeckleImage` the image is its electrons.
+    """
+    return (
+        image if isinstance(image, Measurement) else Measurement(getattr(image, "electrons", image))
+    )
 
 
 def _stack(images: Any) -> Any:

@@ -19,7 +19,7 @@ def model_shape(model: Any) -> tuple[int, int]:
     if not isinstance(model, ForwardModel):
         raise SceneError(
             f"model of type {type(model).__name__} is not an image model; "
-            "give an imaging.ForwardModel"
+            "give an imaging.ForwardModel(point_spread, shape=image.shape)"
         )
     return model.shape
 

@@ -138,10 +138,11 @@ def predicted(image: Array, bad: Mask, spectrum: NDArray[np.complex128], share: 
     rest = np.where(bad, scipy.fft.irfft2(spectrum * share, image.shape), 0.0)
     way, square = rest, float((rest**2).sum())
     for _ in range(15):
-        if square == 0.0:
-            break
         changed = np.where(bad, scipy.fft.irfft2(scipy.fft.rfft2(way) * share, image.shape), 0.0)
-        step = square / float((way * changed).sum())
+        curvature = float((way * changed).sum())
+        if curvature <= 0.0:  # nothing is left, or it is so faint that its square is zero
+            break
+        step = square / curvature
         errors += step * way
         rest = rest - step * changed
         before, square = square, float((rest**2).sum())

@@ -30,9 +30,15 @@ Array = NDArray[np.float64]
 Fit = Callable[[NoisyImage, ForwardModel], dict[str, Any]]
 
 
-def is_kernel(model: Any) -> bool:
-    """Return whether a model is a point spread alone: a `PointSpread` or an array."""
-    return hasattr(model, "intensity") or isinstance(model, (np.ndarray, list))
+def fitted(fit: Fit, image: Any, model: Any) -> Reconstruction:
+    """Return what a fit finds in an image: a photograph, if the model is a point spread alone.
+
+    A point spread is a `PointSpread`, an object that holds one, or an array.
+    """
+    point_spread = getattr(model, "point_spread", model)
+    if hasattr(point_spread, "intensity") or isinstance(model, (np.ndarray, list)):
+        return photograph(fit, image, point_spread)
+    return reconstructed(lambda data: fit(data, model), image, model)
 
 
 def photograph(fit: Fit, image: Any, point_spread: Any) -> Reconstruction:

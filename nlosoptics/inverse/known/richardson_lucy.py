@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from ..._progress import Progress
 from ...errors import SceneError
 from ...imaging.forward_model import ForwardModel
+from ...psf import PointSpread
 from ..data.arrays import norm, total
 from ..data.checkpoints import started_from
-from ..data.driver import History, Solver, reconstructed, solved, stop_rule
+from ..data.driver import History, Solver, solved, stop_rule
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 from ..data.status import Ending
+from .photographs import fitted
 from .wiener import background_estimate
 
 Array = NDArray[np.float64]
@@ -24,7 +26,7 @@ Array = NDArray[np.float64]
 
 def richardson_lucy(
     image: Any,
-    model: ForwardModel,
+    model: ForwardModel | PointSpread | Array,
     *,
     accelerated: bool = True,
     max_iterations: int = 1000,
@@ -83,10 +85,10 @@ def richardson_lucy(
     """
     rule = stop_rule(max_iterations, tolerance)
 
-    def solve(data: NoisyImage) -> dict[str, Any]:
+    def fit(data: NoisyImage, model: ForwardModel) -> dict[str, Any]:
         return solved(_Maximisation(data, model, rule, accelerated, start), progress)
 
-    return reconstructed(solve, image, model)
+    return fitted(fit, image, model)
 
 
 class _Maximisation(Solver):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +15,14 @@ from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
 from ...psf import PointSpread
 from ..data.checkpoints import started_from
-from ..data.driver import History, Solver, reconstructed, run, solved, stop_rule
+from ..data.driver import History, Solver, run, solved, stop_rule
 from ..data.models import mean_transfer
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 from ..data.status import Ending
 from ._splitting_kernels import RELAXATION, mix, pull
 from .field_step import FieldStep
-from .photographs import is_kernel, photograph
+from .photographs import fitted
 from .splitting_steps import Steps, gradient
 
 Array = NDArray[Any]
@@ -167,10 +166,7 @@ def tv_deconvolve(
     def fit(data: NoisyImage, model: ForwardModel) -> dict[str, Any]:
         return solved(_Splitting(data, model, rule, tv_weight, start), progress)
 
-    if is_kernel(model):
-        return photograph(fit, image, model)
-    known = cast("ForwardModel", model)
-    return reconstructed(partial(fit, model=known), image, known)
+    return fitted(fit, image, model)
 
 
 def sharpest(
@@ -341,6 +337,8 @@ class _Splitting(Solver):
 
         It begins at the state of this fit, whose arrays it changes.
         """
+        if data.is_background(model):  # the wider point spread has taken all detail
+            return 0.0 * data.data
         rule = self.max_iterations, _TUNING.coarser * self._tolerance
         again = _Splitting(data, model, rule, None)
         for name in self.changing:

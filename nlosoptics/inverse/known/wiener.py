@@ -11,20 +11,22 @@ from numpy.typing import NDArray
 
 from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
+from ...psf import PointSpread
 from ..data.arrays import half_spectrum_weights, norm, total
 from ..data.checkpoints import started_from
-from ..data.driver import History, Solver, reconstructed, run, solved, stop_rule
+from ..data.driver import History, Solver, run, solved, stop_rule
 from ..data.models import mean_transfer
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
 from .conjugate_gradients import conjugate_direction
+from .photographs import fitted
 
 Array = NDArray[np.float64]
 
 
 def wiener(
     image: Any,
-    model: ForwardModel,
+    model: ForwardModel | PointSpread | Array,
     *,
     max_iterations: int = 300,
     tolerance: float = 1e-6,
@@ -74,10 +76,10 @@ def wiener(
     """
     rule = stop_rule(max_iterations, tolerance)
 
-    def solve(data: NoisyImage) -> dict[str, Any]:
+    def fit(data: NoisyImage, model: ForwardModel) -> dict[str, Any]:
         return solved(_NormalEquations(data, model, rule, start), progress)
 
-    return reconstructed(solve, image, model)
+    return fitted(fit, image, model)
 
 
 def background_estimate(data: NoisyImage, model: ForwardModel) -> float:

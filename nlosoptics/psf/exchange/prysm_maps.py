@@ -96,7 +96,7 @@ def to_prysm(wavefront: Wavefront) -> PrysmPupil:
     >>> print(pupil.phase.shape, f"{pupil.wavelength:.4f} um, {pupil.dx:.4f} mm")
     (65, 65) 0.6328 um, 0.3846 mm
     """
-    expect("wavefront", wavefront, "Wavefront")
+    wavefront = expect("wavefront", wavefront, "Wavefront")
     if wavefront.layout != "grid":
         raise SamplingError(
             f"wavefront.layout = '{wavefront.layout}' is not a pixel map of the pupil; sample it "

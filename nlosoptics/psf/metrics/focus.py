@@ -121,7 +121,7 @@ def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
     >>> print(f"{1e9 * beyond.aberration.min():.0f} nm, Strehl ratio {psf.strehl(beyond):.3f}")
     -497 nm, Strehl ratio 0.000
     """
-    expect("wavefront", wavefront, "Wavefront")
+    wavefront = expect("wavefront", wavefront, "Wavefront")
     d = wavefront.image_distance
     moved = d + real("shift", shift)
     if moved * d <= 0:
@@ -141,7 +141,7 @@ def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
 
 def through_focus(
     wavefront: Wavefront,
-    shifts: ArrayLike,
+    shifts: ArrayLike | None = None,
     *,
     criterion: Criterion = "strehl",
     frequency: float | None = None,
@@ -153,9 +153,10 @@ def through_focus(
     ----------
     wavefront : Wavefront
         Wave in the exit pupil, of any ``layout``.
-    shifts : array_like, (n,)
+    shifts : array_like, (n,), optional
         Displacements of the image plane along the direction of the light, m; positive away from the
-        lens.
+        lens. By default 33 from -4 to 4 ``wavelength f_number^2``: half a wave at the rim either
+        way.
     criterion : {"strehl", "rms", "spot", "mtf"} or callable
         Measure of image quality:
 
@@ -201,8 +202,10 @@ def through_focus(
     >>> print(" ".join(f"{value:.2f}" for value in found.values))
     0.40 1.00 0.41
     """
-    expect("wavefront", wavefront, "Wavefront")
+    wavefront = expect("wavefront", wavefront, "Wavefront")
     name, measure, _ = _metric(criterion, frequency, azimuth)
+    if shifts is None:
+        shifts = np.linspace(-4.0, 4.0, 33) * wavefront.wavelength * wavefront.f_number**2
     planes = np.array(shifts, dtype=np.float64)
     if planes.ndim != 1 or planes.size == 0:
         raise SceneError(f"shifts have shape {planes.shape}; give (n,), m")
@@ -282,7 +285,7 @@ def best_focus(
     >>> print(f"{1e3 * shift:.2f} mm, {psf.strehl(wave):.2f} to {psf.strehl(focused):.2f}")
     0.40 mm, 0.09 to 0.80
     """
-    expect("wavefront", wavefront, "Wavefront")
+    wavefront = expect("wavefront", wavefront, "Wavefront")
     name, measure, score = _metric(criterion, frequency, azimuth)
     d, unit = wavefront.image_distance, wavefront.wavelength
     weights = wavefront.amplitude * wavefront.weights

@@ -70,7 +70,7 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     >>> print(f"{psf.strehl(wave):.4f}, {focused:.4f}")
     0.6626, 1.0000
     """
-    expect("wavefront", wavefront, "Wavefront")
+    wavefront = expect("wavefront", wavefront, "Wavefront")
     residual = split(_without(wavefront, remove))
     if residual.wavefront.is_spectral:
         centre = Window.centred(residual.airy_unit, (1, 1))
@@ -120,14 +120,14 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     >>> print(f"{1e9 * psf.rms_aberration(wave):.1f} nm")
     50.0 nm
     """
-    expect("wavefront", wavefront, "Wavefront")
+    wavefront = expect("wavefront", wavefront, "Wavefront")
     rest = _without(wavefront, remove)
     weights = rest.amplitude * rest.weights
     return math.sqrt(float(np.sum(weights * rest.aberration**2) / np.sum(weights)))
 
 
 def fit_zernike(
-    wavefront: Wavefront, n_terms: int, *, ordering: Ordering = "noll"
+    wavefront: Wavefront, n_terms: int = 15, *, ordering: Ordering = "noll"
 ) -> dict[int, float]:
     """Fit Zernike polynomials to the aberration of a wave.
 
@@ -138,7 +138,7 @@ def fit_zernike(
     wavefront : Wavefront
         Wave in the exit pupil, of any ``layout``. A pupil with a hole is fitted with the
         polynomials of the full disc.
-    n_terms : int
+    n_terms : int, default 15
         Number of polynomials: the first ``n_terms`` of the index scheme.
     ordering : {"noll", "osa", "fringe"}
         Index scheme and normalisation of the polynomials, see `zernike`.
@@ -158,7 +158,7 @@ def fit_zernike(
     --------
     zernike : Zernike polynomial.
     """
-    expect("wavefront", wavefront, "Wavefront")
+    wavefront = expect("wavefront", wavefront, "Wavefront")
     one_of("ordering", ordering, ORDERINGS)
     whole("n_terms", n_terms)
     weights = np.sqrt(wavefront.amplitude * wavefront.weights)
@@ -232,7 +232,7 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     >>> print(f"{psf.encircled_energy(wave, 6.0983e-6):.4f}")
     0.8378
     """
-    expect("source", source, "Wavefront", "PointSpread")
+    source = expect("source", source, "PointSpread", "Wavefront")
     radii = np.asarray(radius, dtype=np.float64)
     if not np.all(np.isfinite(radii)) or np.any(radii < 0):
         raise SceneError(f"radius = {shown(radius)} m; give finite radii of at least 0")
@@ -287,7 +287,7 @@ def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
     --------
     encircled_energy : Energy within circles.
     """
-    expect("point_spread", point_spread, "PointSpread")
+    point_spread = expect("point_spread", point_spread, "PointSpread")
     sides = np.asarray(side, dtype=np.float64)
     if not np.all(np.isfinite(sides)) or np.any(sides < 0):
         raise SceneError(f"side = {shown(side)} m; give finite sides of at least 0")
@@ -352,7 +352,7 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     >>> print(f"{psf.mtf(wave, 100e3):.4f}")
     0.3910
     """
-    expect("source", source, "Wavefront", "PointSpread")
+    source = expect("source", source, "Wavefront", "PointSpread")
     return np.abs(_transfer(source, frequency, azimuth))
 
 
@@ -381,7 +381,7 @@ def ptf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     --------
     mtf : Modulus of the optical transfer function.
     """
-    expect("source", source, "Wavefront", "PointSpread")
+    source = expect("source", source, "Wavefront", "PointSpread")
     return np.asarray(np.angle(_transfer(source, frequency, azimuth)))
 
 
@@ -458,7 +458,7 @@ def fwhm(point_spread: PointSpread) -> tuple[float, float]:
     >>> print(f"{1e6 * x:.2f} um, {1e6 * y:.2f} um")
     5.14 um, 5.14 um
     """
-    expect("point_spread", point_spread, "PointSpread")
+    point_spread = expect("point_spread", point_spread, "PointSpread")
     row, column = np.unravel_index(
         int(np.argmax(point_spread.intensity)), point_spread.intensity.shape
     )
@@ -544,6 +544,8 @@ def _energies_within(residual: Residual, radii: Array) -> Array:
 
 def _width(cut: Array, pitch: float) -> float:
     """Return the distance, m, between the half-maximum crossings around the largest sample."""
+    if cut.size < 3:
+        raise SamplingError(f"the window has {cut.size} samples, must have 3; use a larger shape")
     top = int(np.argmax(cut))
     # The true peak lies within half a sample of the largest sample. Its height is that of a
     # parabola through fine samples of the interpolant.

@@ -90,7 +90,7 @@ def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
     >>> print(f"rms radius {1e6 * spots.radius:.1f} um, Airy {1e6 * spots.airy_radius:.1f} um")
     rms radius 49.0 um, Airy 6.1 um
     """
-    expect("wavefront", wavefront, "Wavefront")
+    wavefront = expect("wavefront", wavefront, "Wavefront")
     rings = whole("rings", rings)
     residual = split(wavefront)
     polar = wavefront.layout == "polar"
@@ -137,7 +137,7 @@ def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:
     ----------
     .. [1] Goodman, Introduction to Fourier Optics, 3rd ed., sec. 6.4.
     """
-    expect("source", source, "Wavefront", "PointSpread")
+    source = expect("source", source, "PointSpread", "Wavefront")
     if isinstance(source, PointSpread):
         total = float(source.intensity.sum())
         x = float((source.intensity.sum(axis=0) * source.x).sum()) / total
@@ -169,7 +169,7 @@ def spot_radius(wavefront: Wavefront) -> float:
     --------
     spot_diagram : Points at which rays meet the image plane.
     """
-    expect("wavefront", wavefront, "Wavefront")
+    wavefront = expect("wavefront", wavefront, "Wavefront")
     rays = split(wavefront).rays
     x, y = (float((rays.energy * v).sum()) for v in (rays.x, rays.y))
     square = rays.energy * ((rays.x - x) ** 2 + (rays.y - y) ** 2)

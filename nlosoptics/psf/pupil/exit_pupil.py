@@ -115,7 +115,7 @@ def exit_pupil(scene: Scene) -> ExitPupil:
     >>> print(f"{pupil.stop}, {1e3 * pupil.radius:.1f} mm, F/{pupil.f_number:.2f}")
     lens, 12.5 mm, F/2.08
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     camera, image_distance = scene.camera, scene.image_distance
     position, axis = np.array(camera.position), camera.axis
     d2 = -float(position[2] / axis[2])

@@ -72,7 +72,7 @@ def wavefront_from_rays(paths: RayPaths, exit_pupil: ExitPupil, wavelength: floa
     The area that a ray represents (``weights``) is that of its Voronoi cell inside the pupil. The
     defocus of a camera that is focused on another plane than the mirrored object is not included.
     """
-    expect("paths", paths, "RayPaths")
+    paths = expect("paths", paths, "RayPaths")
     positive("wavelength", wavelength, unit="m")
     start, bounce, ends, share, n_inside = _checked(paths, exit_pupil)
     places, axes = _pupil_places(ends, bounce, exit_pupil)

@@ -99,7 +99,7 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
     stop, the exit pupil is the image of the wall by the lens. The light to the image's centre
     crosses the pupil and the lens in discs, whose radii have a ratio m; then ``footprint`` is M/m.
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     o = (
         scene.object_point
         if object_point is None

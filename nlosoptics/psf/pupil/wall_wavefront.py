@@ -189,7 +189,7 @@ def wavefront(
     >>> print(wave.layout, wave.u.shape, f"{1e9 * psf.rms_aberration(wave):.1f} nm")
     polar (24, 96) 0.0 nm
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     if object_point is None:
         o = scene.object_point
     else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,6 +125,9 @@ class PointSpread(Noun, Shown):
     def y(self) -> Array:
         """Coordinate y of each row in the image plane, (ny,), m."""
         return Window.centred(self.pitch, self.shape).y
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.intensity, dtype=dtype, copy=copy is not False)
 
     def _figures(self) -> Figures:
         ny, nx = self.shape
@@ -298,7 +301,7 @@ def point_spread(
     >>> print(f"{spread.model}: {row[34]:.2f} along x, {column[34]:.2f} along y")
     high-aperture: 0.58 along x, 0.51 along y
     """
-    expect("wavefront", wavefront, "Wavefront")
+    wavefront = expect("wavefront", wavefront, "Wavefront")
     one_of("method", method, METHODS)
     one_of("normalisation", normalisation, NORMALISATIONS)
     in_range("tol", tol, 0.0, 1.0, open_low=True)

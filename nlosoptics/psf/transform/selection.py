@@ -219,9 +219,12 @@ def _refusal(
         return _too_long(task, regime, too_long[0], reached, max_seconds)
     counts = " x ".join(map(str, task.residual.wavefront.u.shape))
     if math.isfinite(reached):
+        # a factor, since callers split their own tolerance; half as much again, since transforms
+        # sample more coarsely for a larger one
+        factor = rounded_up(1.5 * reached / task.tol)
         return SamplingError(
-            f"no transform reaches tol = {task.tol:g}, the best estimate is {reached:.2g}; use "
-            f"tol = {rounded_up(reached)}, or more pupil nodes (now {counts})"
+            f"no transform reaches tol = {task.tol:g}, the best estimate is {reached:.2g}; use a "
+            f"tol {factor} times as large, or more pupil nodes (now {counts})"
         )
     if refusals:
         return refusals[-1]

@@ -59,7 +59,7 @@ def widened(
     scene_point_spread : Wave and PSF of a scene.
     nlosoptics.imaging.form_image : Image in electrons, with noise.
     """
-    expect("point_spreads", point_spreads, "PointSpread", "PointSpreadField")
+    point_spreads = expect("point_spreads", point_spreads, "PointSpread", "PointSpreadField")
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     if isinstance(point_spreads, PointSpreadField):
         spread = point_spreads.mean()

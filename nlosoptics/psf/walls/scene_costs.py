@@ -145,7 +145,7 @@ def _scattered_cost(
     seconds += view.term_seconds * sum(nodes)
     n_bytes = max(CELL_BYTES * across**2, NODE_BYTES * nodes[1] + PIXEL_BYTES * points)
     # then the transfer function usually has to be refined once
-    if tol < 2e-5:
+    if tol < 1e-4:
         seconds, n_bytes = 2.5 * seconds, 2.5 * n_bytes
     return Cost(seconds, n_bytes + PIXEL_BYTES * math.prod(window.shape))
 

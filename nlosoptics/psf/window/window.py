@@ -218,7 +218,7 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
     >>> psf.window_shape(wave, pitch=9e-6, tol=1e-3)
     5
     """
-    expect("wavefront", wavefront, "Wavefront")
+    wavefront = expect("wavefront", wavefront, "Wavefront")
     in_range("pitch", pitch, 1e-100, 1e100, unit="m")
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     return window_side(split(wavefront), pitch, tol)

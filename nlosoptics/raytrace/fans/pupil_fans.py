@@ -80,7 +80,7 @@ def pupil_rays(
     >>> round(rays.mean_path_length, 2)
     2.05
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     o = scene.object_point
     if object_point is not None:
         o = np.array(vector("object_point", object_point))

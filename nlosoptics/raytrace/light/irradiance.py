@@ -128,7 +128,7 @@ def wall_irradiance(
     >>> light.irradiance.shape, light.x.round(3).tolist()
     ((4, 6), [-0.583, -0.35, -0.117, 0.117, 0.35, 0.583])
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     one_of("source", source, ("laser", "object"))
     ny, nx = (whole("shape", n) for n in shape)
     whole("n_rays", n_rays, 1, MOST)

@@ -144,7 +144,7 @@ def ray_plan(scene: Scene) -> RayPlan:
     >>> plan.wall_hits, plan.embree, plan.wall_to_wall
     ('closed form', False, False)
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     scene = scene.with_relief()
     wall = scene.wall
     convex = wall.is_flat or isinstance(wall, ConvexWall)

@@ -10,10 +10,14 @@ from typing import Any
 
 from ..._checks import counted
 from ...errors import SceneError
+from ..parts._quantities import Kind
 from ..parts.library import lobe_tables
+from .units import parse, written
 
 _ADDRESS = re.compile(r"[A-Za-z_]\w*(\[\d+\])*(\.[A-Za-z_]\w*(\[\d+\])*)+")
 _KEYS = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
+#: Address of a signed number that stands for the shape and radius of a wall.
+CURVATURE = "wall.curvature"
 #: Keys of a camera of which either determines the other; an override replaces both.
 CAMERA_PAIRS = (("focal_length", "field_of_view"), ("stop_diameter", "f_number"))
 #: Keys that say the same thing in two ways, by table. Setting one side removes the other.
@@ -45,6 +49,8 @@ def parsed(changes: list[str]) -> dict[str, Any]:
 
 def value_at(raw: Mapping[str, Any], address: str) -> Any:
     """Return the value at an address, as the file writes it; None where the file has none."""
+    if address == CURVATURE:
+        return written(_curvature(raw["wall"]), Kind.CURVATURE)
     place: Any = raw
     for name, index in _KEYS.findall(address):
         try:
@@ -75,7 +81,51 @@ def changed(raw: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
                     tables.get(table, {}).pop(key, None)
     for address, value in changes.items():
         _set(tables, address, value)
+    wall = tables.get("wall")
+    if isinstance(wall, dict) and "curvature" in wall:
+        if "radius" in wall and (CURVATURE not in changes or "wall.radius" in changes):
+            raise SceneError("wall.radius and wall.curvature are both given; remove one of them")
+        tables["wall"] = _bent(wall)
     return tables
+
+
+def _curvature(wall: Mapping[str, Any]) -> float:
+    """Return the signed curvature of a wall's spheres and cylinders, 1/m, positive if concave."""
+    if wall.get("shape") == "sum":
+        return sum(map(_curvature, wall.get("terms", ())))
+    bend = str(wall.get("shape")).partition("_")[0]
+    sign = {"concave": 1.0, "convex": -1.0}.get(bend, 0.0)
+    return sign / parse(wall["radius"], Kind.LENGTH) if sign else 0.0
+
+
+def _bent(wall: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table of a wall whose key ``curvature`` is written as shape and radius.
+
+    It replaces the curvature of a flat or curved wall; to all others a sphere is added.
+    """
+    try:
+        curvature = parse(wall["curvature"], Kind.CURVATURE)
+    except ValueError as error:
+        raise SceneError(f"{CURVATURE} = {wall['curvature']!r} {error}") from None
+    surface = {key: wall[key] for key in ("size", "material", "roughness") if key in wall}
+    own = {key: value for key, value in wall.items() if key not in (*surface, "curvature")}
+    shape = str(own.get("shape"))
+    flat, cylinder = {"shape": "flat"}, shape.endswith("cylinder")
+    curved = flat
+    if curvature:
+        bend, kind = "concave" if curvature > 0 else "convex", "cylinder" if cylinder else "sphere"
+        curved = {"shape": f"{bend}_{kind}", "radius": written(1 / abs(curvature), Kind.LENGTH)}
+        curved |= {"axis": own["axis"]} if cylinder and "axis" in own else {}
+    if shape == "flat" or shape.startswith(("concave", "convex")):
+        return curved | surface
+    if shape != "sum":
+        if not curvature:
+            return own | surface
+        size = {"size": surface["size"]} if "size" in surface else {}
+        terms = [own | size]
+    else:
+        terms = [term for term in own["terms"] if not _curvature(term)]
+    return {"shape": "sum", "terms": [*terms, curved]} | surface
 
 
 def _set(tables: dict[str, Any], address: str, value: Any) -> None:

@@ -23,10 +23,10 @@ def located(place: str, inner: str = "") -> Iterator[None]:
         raise type(error)(place + str(error).removeprefix(inner)) from None
 
 
-def validated(model: Any, raw: dict[str, Any]) -> Any:
-    """Return ``raw`` validated as the pydantic class ``model``."""
+def validated(model: Any, raw: dict[str, Any], *, si: bool = False) -> Any:
+    """Return ``raw`` validated as the pydantic class ``model``; ``si`` allows bare numbers."""
     try:
-        return model.model_validate(raw)
+        return model.model_validate(raw, context={"si": si})
     except ValidationError as error:
         raise SceneError(_first_problem(error, model)) from None
 

@@ -13,12 +13,17 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
+from numbers import Real
 from pathlib import Path
 from typing import Any, TypeVar
+
+import numpy as np
 
 from ..._checks import in_range, positive
 from ..._whole_files import write_whole
 from ...errors import SceneError
+from ..parts._quantities import Kind
+from ..parts._sources import SourceFile
 from ..parts.camera import Camera
 from ..parts.hidden import MeshObject, PlanarObject
 from ..parts.laser import NO_LASER, Laser
@@ -29,10 +34,11 @@ from ..walls.analytic import SumWall, Wall
 from ..walls.mesh_walls import MeshWall
 from ..walls.roughness import WallRoughness
 from . import tables as _file_tables
-from .addresses import CAMERA_PAIRS, changed
+from .addresses import CAMERA_PAIRS, CURVATURE, changed, value_at
 from .errors import located, validated
 from .schema import scene_schema
 from .text import saved_files, scene_files
+from .units import written
 
 __all__ = ["read_scene", "save_scene", "scene_files", "scene_schema"]
 
@@ -56,6 +62,7 @@ def scene_tables(path: Path, changes: Mapping[str, Any] | None = None) -> dict[s
     """Return the tables of a scene file as the file writes them, without a file for the camera."""
     raw = _read(path)
     with located(f"{path}: "):
+        raw = changed(raw, {})
         validated(_file_tables.SceneFile, raw)
     raw["camera"] = _whole_camera(path, raw["camera"], (path.resolve(),))
     with located(f"{path}: "):
@@ -108,6 +115,41 @@ def scene_from_tables(
         )
         _open_files(made)
     return made
+
+
+def changed_scene(scene: T, changes: Mapping[str, Any]) -> T:
+    """Return a scene with other values by address, numbers in SI units or texts with a unit."""
+    raw, files = own_tables(scene)
+
+    def opened(name: str) -> Path:
+        return SourceFile.held(name, files[name]) if name in files else _resolved(Path(), name)
+
+    return scene_from_tables(raw, Path("scene"), opened, type(scene), with_units(raw, changes))
+
+
+def own_tables(scene: Any) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Return the tables of a scene, and the contents of the files that they name."""
+    files = scene_files(scene)
+    return tomllib.loads(files.pop("scene.toml").decode()), files
+
+
+def with_units(raw: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values by address, numbers as texts with their SI units as a file writes them."""
+    values = {a: np.asarray(v).tolist() if _is_number(v) else v for a, v in changes.items()}
+    bent: Any = values.get(CURVATURE)
+    if _is_number(bent):
+        values[CURVATURE] = written(bent, Kind.CURVATURE)
+    with located("scene: "):
+        table = validated(_file_tables.SceneFile, changed(raw, values), si=True)
+    whole = table.model_dump(exclude_none=True)
+    return {a: value_at(whole, a) if _is_number(v) else v for a, v in values.items()}
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is a number, or a list or array of numbers."""
+    if isinstance(value, list | tuple):
+        return all(map(_is_number, value))
+    return isinstance(value, np.ndarray | Real) and not isinstance(value, bool)
 
 
 def save_scene(scene: Any, path: str | Path) -> None:

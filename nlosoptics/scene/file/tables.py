@@ -22,6 +22,7 @@ from pydantic import (
     PlainValidator,
     Tag,
     TypeAdapter,
+    ValidationInfo,
     WithJsonSchema,
     create_model,
 )
@@ -61,14 +62,18 @@ class Table(BaseModel):
 def _quantity(kind: Kind, count: int | None = None) -> Any:
     """Return the annotation of a quantity, or of a list of ``count`` quantities."""
 
-    def read(text: object) -> Any:
+    def one(text: object, info: ValidationInfo) -> float:
+        si = (info.context or {}).get("si") and isinstance(text, int | float)
+        return parse(written(text, kind) if si else text, kind)  # type: ignore[arg-type]
+
+    def read(text: object, info: ValidationInfo) -> Any:
         if count is None:
-            return parse(text, kind)
+            return one(text, info)
         if not isinstance(text, list):
             raise ValueError("is not a list")
         if len(text) != count:
             raise ValueError(f"has {counted(len(text), 'component')}, must have {count}")
-        return tuple(parse(component, kind) for component in text)
+        return tuple(one(component, info) for component in text)
 
     def write(value: Any) -> Any:
         several = isinstance(value, tuple | list)

@@ -84,7 +84,7 @@ def _text(scene: Any, named: Naming) -> str:
             scene.hidden,
             named,
         ),
-        "camera": _table(_tables.CameraTable, "camera", scene.camera, named),
+        "camera": _table(_tables.CameraTable, "camera", scene.camera, named, f_number=None),
     }
     if scene.occluders:
         values["occluder"] = [

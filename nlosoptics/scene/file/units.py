@@ -25,6 +25,7 @@ _PREFIXES |= {"n": "1e-9", "p": "1e-12"}
 #: Kind and value in SI units by the text of a unit.
 _USUAL: dict[str, tuple[Kind, Decimal]] = {
     "in": (Kind.LENGTH, Decimal("0.0254")),
+    "1/m": (Kind.CURVATURE, Decimal(1)),
 }
 _USUAL["deg"] = _USUAL["°"] = (
     Kind.ANGLE,

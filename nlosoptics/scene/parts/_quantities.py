@@ -14,6 +14,7 @@ class Kind(Enum):
     RATE = ("a rate", "1/s", "0.1 / s")
     POWER = ("a power", "W", "5 mW")
     ANGLE = ("an angle", "rad", "15 deg")
+    CURVATURE = ("a curvature", "1/m", "0.2 1/m")
     IRRADIANCE = ("an irradiance", "W/m^2", "0.5 W/m^2")
     RADIANCE = ("a radiance", "W/(m^2 sr)", "2 W/(m^2 sr)")
 

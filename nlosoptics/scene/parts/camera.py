@@ -183,6 +183,11 @@ class Camera:
         return (self.pixels[1] // self.binning, self.pixels[0] // self.binning)
 
     @property
+    def f_number(self) -> float:
+        """F-number of the lens, ``focal_length/stop_diameter``."""
+        return self.focal_length / self.stop_diameter
+
+    @property
     def image_pitch(self) -> float:
         """Side of an image pixel after binning, m."""
         return self.pixel_pitch * self.binning

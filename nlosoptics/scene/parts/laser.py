@@ -20,7 +20,7 @@ class Laser:
     power : float
         Power of the continuous beam on the wall, W, up to 1e18. 0 is a scene without laser light,
         whose object is luminous or in ambient light; ``wavelength`` then applies to this light.
-    beam_diameter : float
+    beam_diameter : float, default 1e-3
         Diameter of the beam, m; the irradiance is uniform across it.
     position : (float, float, float)
         Start of the beam, world frame, m.
@@ -53,7 +53,7 @@ class Laser:
 
     wavelength: Length
     power: Power
-    beam_diameter: Length
+    beam_diameter: Length = 1e-3
     position: Vector
     aim: Vector = (0.0, 0.0, 0.0)
     independent_patterns: int | None = None

@@ -310,7 +310,10 @@ class _CurvedWall(Wall):
     _sign = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", positive("wall.radius", self.radius, unit="m"))
+        bend = "convex" if self._sign > 0 else "concave"
+        remedy = f"a {bend} wall has a shape of its own, or give the signed wall.curvature"
+        radius = positive("wall.radius", self.radius, unit="m", remedy=remedy)
+        object.__setattr__(self, "radius", radius)
         one_of("wall.shape", self.shape, ("sphere", "cylinder"))
         one_of("wall.axis", self.axis, ("x", "y"))
         self._check_size()

@@ -15,7 +15,7 @@ from ...errors import SceneError
 from ...scene import Scene
 from ...scene.file.addresses import changed
 from ...scene.file.errors import validated
-from ...scene.file.scene_file import scene_from_tables, scene_tables
+from ...scene.file.scene_file import own_tables, scene_from_tables, scene_tables, with_units
 from ...scene.file.tables import SceneFile
 from ...scene.parts._sources import SourceFile
 from .values import canonical
@@ -53,6 +53,17 @@ class Base(Noun):
         base.tables.update(base._packed(scene_tables(path, changes)))
         return base
 
+    @classmethod
+    def of(cls, scene: Scene, changes: Mapping[str, Any]) -> Base:
+        """Return the base of a scene in memory, with changes by address."""
+        tables, files = own_tables(scene)
+        base = cls(source="scene", tables={}, files={}, names={})
+        for name, content in files.items():
+            base._keep(name, content)
+        base.tables.update(base._packed(changed(tables, with_units(tables, changes))))
+        base.scene({})
+        return base
+
     def packed(self, delta: Mapping[str, Any]) -> dict[str, Any]:
         """Return values by address in SI units; files that they name become part of the base."""
         return {a: self._packed(value, a.rpartition(".")[2]) for a, value in delta.items()}
@@ -78,6 +89,10 @@ class Base(Noun):
                 f"{path}: the file cannot be read ({error.strerror}); correct its path, which is "
                 f"relative to {self.source}"
             ) from None
+        return self._keep(name, content)
+
+    def _keep(self, name: str, content: bytes) -> str:
+        path = Path(name)
         stored = f"{path.stem}_{hashlib.sha256(content).hexdigest()[:12]}{path.suffix}"
         self.files[stored], self.names[name] = content, stored
         return stored

@@ -10,25 +10,28 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..._checks import in_range, path_of, whole
 from ..._nouns import Noun
 from ...errors import SceneError
+from ...scene import Scene
 from ...scene.file.addresses import value_at
 from ...scene.file.errors import located, validated
 from .base import Base
 from .designs import Delta, Dimension, dimensions, named_materials
-from .figures import Figure, figure, with_compensation
+from .figures import FIGURES, Figure, figure, with_compensation
 from .file import StudyTable
 from .searches import check_search
 from .values import number
 from .variables import Variable, check_variable, variable
 
-if TYPE_CHECKING:
-    from ...scene import Scene
+
+def _plain(value: Any) -> Any:
+    """Return a number or array of numpy as JSON holds it; anything else as text."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def _figures_and_variables(
@@ -48,6 +51,10 @@ def _figures_and_variables(
     figures = tuple(_with_unit(one, base, units) for one in figures)
     if table.compensate is not None:
         figures = with_compensation(figures, table.compensate, folder, compensators)
+    if table.optimise is not None:  # figures that it limits are computed as well
+        sought = {e.figure: 0 for e in (*table.optimise.objectives, *table.optimise.constraints)}
+        lacking = sought.keys() & FIGURES.keys() - {f.name for f in figures}
+        figures += tuple(figure(name, folder) for name in sought if name in lacking)
     names = [f.name for f in figures]
     for name in names:
         if names.count(name) > 1:
@@ -180,7 +187,7 @@ class Study(Noun):
         Parameters
         ----------
         tables : mapping
-            Tables, keys and values as in a study file.
+            Tables, keys and values as in a study file; ``scene`` may also be a `Scene`.
         folder : str or Path
             Folder to which paths in ``tables`` are relative.
 
@@ -190,10 +197,15 @@ class Study(Noun):
             If a key, a value, the name of a scene's value (such as "camera.f_number") or a figure
             of merit is wrong.
         """
-        folder = path_of("folder", folder).absolute()
-        definition = json.loads(json.dumps(dict(tables), default=str))
+        folder, scene = path_of("folder", folder).absolute(), tables.get("scene")
+        tables = {**tables, "scene": "scene"} if isinstance(scene, Scene) else dict(tables)
+        definition = json.loads(json.dumps(tables, default=_plain))
         table: StudyTable = validated(StudyTable, definition)
-        base = Base.read(folder / table.scene, table.set | named_materials(table))
+        changes = table.set | named_materials(table)
+        if isinstance(scene, Scene):
+            base = Base.of(scene, changes)
+        else:
+            base = Base.read(folder / table.scene, changes)
         found = dimensions(table, lambda address: value_at(base.tables, address))
         packed = tuple(
             Dimension(name=d.name, deltas=tuple(base.packed(delta) for delta in d.deltas))

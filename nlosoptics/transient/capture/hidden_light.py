@@ -72,7 +72,7 @@ def hidden_light(capture: TransientCapture, *, start: float | None = None) -> Tr
     >>> print(light.H[[0, 50, 60, 64]])
     [ 0.  0. 88. 88.]
     """
-    expect("capture", capture, "TransientCapture")
+    capture = expect("capture", capture, "TransientCapture")
     # bin, with fraction, at which direct light arrives at each pair
     lags = (straight_paths(capture) - capture.t_start) / capture.delta_t
     origin = float(lags.max())  # bins before path 0 of the latest pair

@@ -58,7 +58,7 @@ def gated(
     >>> late.n_bins, round(late.t_start, 3)
     (75, 0.5)
     """
-    expect("capture", capture, "TransientCapture")
+    capture = expect("capture", capture, "TransientCapture")
     edges = capture.edges
     low = edges[0] if start is None else real("start", start)
     high = edges[-1] if stop is None else real("stop", stop)
@@ -117,7 +117,7 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
     >>> downsampled(capture, bins=5, grid=2).H.shape
     (20, 2, 2)
     """
-    expect("capture", capture, "TransientCapture")
+    capture = expect("capture", capture, "TransientCapture")
     bins, grid = whole("bins", bins), whole("grid", grid)
     if capture.n_bins % bins:
         raise SamplingError(
@@ -193,7 +193,7 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
     -----
     Standard errors are interpolated like the values, which gives an upper bound.
     """
-    expect("capture", capture, "TransientCapture")
+    capture = expect("capture", capture, "TransientCapture")
     if not capture.outer_legs:
         return capture
     legs = outer_legs(capture)

@@ -120,7 +120,7 @@ def advise(capture: TransientCapture, *, seed: int = 0, progress: Progress | Non
     """
     from scipy.ndimage import gaussian_filter1d
 
-    expect("capture", capture, "TransientCapture")
+    capture = expect("capture", capture, "TransientCapture")
     seed = checked_seed(seed)
     try:
         light = hidden_light(capture)

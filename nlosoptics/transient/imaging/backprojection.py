@@ -100,8 +100,8 @@ def backprojection(
     .. [2] Laurenzis, Velten, Feature selection and back-projection algorithms for
        non-line-of-sight laser-gated viewing, J. Electron. Imaging 23, 063003 (2014).
     """
-    expect("capture", capture, "TransientCapture")
-    expect("volume", volume, "Volume")
+    capture = expect("capture", capture, "TransientCapture")
+    volume = expect("volume", volume, "Volume")
     begun = time.perf_counter()
     one_of("filter", filter, ("none", "second_derivative", "laplacian"))
     one_of("falloff", falloff, POWERS)

@@ -141,7 +141,7 @@ def depth_map(
     >>> print(depth_map(image, threshold=0.5).depth.round(3))
     [[0.53  nan]]
     """
-    expect("image", image, "VolumeImage")
+    image = expect("image", image, "VolumeImage")
     share = 0.0 if threshold is None else in_range("threshold", threshold, 0.0, 1.0)
     values, z = image.intensity, image.volume.z
     brightest = float(values.max())
@@ -219,7 +219,7 @@ def depth_error(
     >>> round(depth_error(image, [[0.55, 0.54]]).mae, 3)
     0.015
     """
-    expect("found", found, "DepthMap", "VolumeImage")
+    found = expect("found", found, "DepthMap", "VolumeImage")
     if isinstance(found, VolumeImage):
         found = depth_map(found)
     true = real_array("true depths", truth)

@@ -128,7 +128,7 @@ def fk_migration(
     >>> print(volume.points[z, y, x].round(3) + 0.0)
     [0.1 0.  0.6]
     """
-    expect("capture", capture, "TransientCapture")
+    capture = expect("capture", capture, "TransientCapture")
     begun = time.perf_counter()
     one_of("target", target, FALLOFF)
     one_of("amplitude", amplitude, ("root", "light"))

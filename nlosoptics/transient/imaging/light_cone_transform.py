@@ -83,7 +83,7 @@ def lct(
     .. [1] O'Toole, Lindell, Wetzstein, Confocal non-line-of-sight imaging based on the light-cone
        transform, Nature 555, 338 (2018).
     """
-    expect("capture", capture, "TransientCapture")
+    capture = expect("capture", capture, "TransientCapture")
     begun = time.perf_counter()
     one_of("target", target, FALLOFF)
     snr = positive("snr", snr)

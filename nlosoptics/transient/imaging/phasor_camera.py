@@ -164,8 +164,8 @@ def phasor_image(
     >>> print(volume.points[z, y, x].round(3) + 0.0)
     [0.1 0.  0.6]
     """
-    expect("capture", capture, "TransientCapture")
-    expect("volume", volume, "Volume")
+    capture = expect("capture", capture, "TransientCapture")
+    volume = expect("volume", volume, "Volume")
     started = time.perf_counter()
     one_of("camera", camera, get_args(Camera))
     one_of("method", method, ("auto", "fft", "direct"))

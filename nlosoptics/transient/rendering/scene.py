@@ -95,7 +95,7 @@ def render_scene(
     >>> capture.H.shape
     (20, 3, 3)
     """
-    expect("scene", scene, "Scene")
+    scene = expect("scene", scene, "Scene")
     scene.check_laser_light()
     scan = scene.transient
     if scan is None:

@@ -9,7 +9,7 @@ import torch
 from nlosoptics import inverse
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement, estimate_noise, registered_correlation, tv_deconvolve
-from nlosoptics.inverse.data.outliers import lone_pixels, noise_of_neighbours
+from nlosoptics.inverse.data.outliers import lone_pixels, noise_of_neighbours, predicted
 from nlosoptics.inverse.data.spectra import passed_power
 
 SIDE, NOISE = 64, 0.01
@@ -122,3 +122,9 @@ def test_the_stated_noise_of_a_pixel_counts():
         "bad_pixels"
         not in tv_deconvolve(Measurement(image, noise_sigma=noise), model).physical_parameters
     )
+
+
+def test_an_image_whose_squares_underflow_is_left_as_it_is():
+    faint = 1e-170 * np.random.default_rng(0).random((8, 8))
+    bad = np.eye(8, dtype=bool)
+    assert np.array_equal(predicted(faint, bad, np.fft.rfft2(faint), np.ones((8, 5))), faint)
