@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 
 CELLS = 24  # cells of the object along its longer side
 DRAWS = 3  # images with noise of which a forecast takes the mean
-LEAST_BINS = 64  # pixels that a fit needs
+LEAST_BINS = 64  # that a fit needs
+MOST_BINS = 64  # along the longer side
 CONTRAST = 0.3  # assumed rms variation of a cell's reflectance about the mean
 
 
@@ -199,9 +200,9 @@ def relay_light(
     """Return the light of the wall's wide lobes from every object cell; None without a wide lobe.
 
     ``light`` (ny, nx) are the expected electrons of all light in each pixel, by default of an
-    object of reflectance 0.35; ``freedom`` the degrees of freedom of a pixel's speckle. The number
-    of bins along the longer side is doubled, by default, until the degrees of freedom change by
-    less than 3 %.
+    object of reflectance 0.35; ``freedom`` the degrees of freedom of a pixel's speckle. Shadows are
+    seen by 64 bins along the longer side, by default. Without them, this number is doubled until
+    the degrees of freedom change by less than 3 %.
 
     Wide lobes are the diffuse ones, and mirror-like ones that blur over two cells or more. Narrower
     lobes form an image; `picture_modes` counts its modes.
@@ -227,11 +228,11 @@ def relay_light(
         variance = pixels * noise_variance(camera, arriving / pixels, dark, freedom)
         return RelayLight(response.reshape(*bins, -1), np.sqrt(variance).reshape(bins))
 
-    if bins is not None:
-        return binned(whole("bins", bins, 2, 128))
+    if bins is not None or scene.occluders:
+        return binned(whole("bins", bins or MOST_BINS, 2, 128))
     count, result = 6, binned(6)
     freedoms = _freedom_of(result.signal)
-    while count < min(max(camera.shape), 96):
+    while count < min(max(camera.shape), MOST_BINS):
         before, count = freedoms, 2 * count
         result = binned(count)
         freedoms = _freedom_of(result.signal)
