@@ -185,12 +185,12 @@ def brute_force(scene, drawn):
 
 def compared(index):
     """Both counts of one scene, as a line of JSON."""
-    from nlosoptics.limits.relay import count_modes, relay_signal
+    from nlosoptics.limits.relay import count_modes, relay_light
 
     scene, drawn = drawn_scene(index)
-    relay_signal(scene, bins=6)
+    relay_light(scene, bins=6)
     started = time.process_time()
-    found = count_modes(relay_signal(scene))
+    found = count_modes(relay_light(scene).signal)
     seconds = time.process_time() - started
     expected = brute_force(scene, drawn)
     return {

@@ -94,7 +94,7 @@ def scene_of(index, kind, pixels):
     scene = replace(
         base,
         hidden=PlanarObject(
-            cells(truth, CELLS), size, position=position, material=base.hidden.material
+            cells(truth, FINE), size, position=position, material=base.hidden.material
         ),
         camera=replace(base.camera, focus_distance=0.911, exposure=exposure),  # focus on the wall
         wall_material=Lambert(0.8),

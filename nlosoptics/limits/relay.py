@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import scipy  # loads scipy.special and scipy.optimize on first use
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, positive, whole
+from .._random import generator
 from ..errors import SceneError
 from ..imaging.detector import noise_variance
+from ..imaging.images import LightLevels
 from ..imaging.lit_walls import lit_transports
 from ..imaging.objects import plate
+from ..inverse.shadows.shadow_fit import shadow_fit
 from ..scene import Material, PlanarObject, Scene, SumMaterial
 
 Array = NDArray[np.float64]
 
 CELLS = 24  # cells of the object along its longer side
-REWEIGHTED = 3  # times that a forecast of a sharp fit renews its penalty
+DRAWS = 3  # images with noise of which a forecast takes the mean
+LEAST_BINS = 64  # that a fit needs
+MOST_BINS = 64  # along the longer side
 CONTRAST = 0.3  # assumed rms variation of a cell's reflectance about the mean
 
 
@@ -161,7 +167,28 @@ def lambert_relay_limit(electrons: float, distance: float) -> float:
     return float(scipy.optimize.brentq(excess, 1e-9, 700.0, xtol=1e-14)) / (2 * math.pi * distance)
 
 
-def relay_signal(
+class RelayLight(NamedTuple):
+    """Light of the wall's wide lobes in bins of pixels, from each cell of the object.
+
+    ``response`` (rows, columns, n_cells) are the electrons due to a white cell, and ``noise``
+    (rows, columns) is the rms noise.
+    """
+
+    response: Array
+    noise: Array
+
+    @property
+    def signal(self) -> Array:
+        """Signal-to-noise ratio A (n_bins, n_cells) of cells of the contrast `CONTRAST`.
+
+        The Fisher information on the cells' reflectances is ``A^T A/CONTRAST^2``. The singular
+        values are the signal-to-noise ratios of independent patterns of this contrast.
+        """
+        signal = CONTRAST * self.response / self.noise[..., None]
+        return np.asarray(signal.reshape(self.noise.size, -1))
+
+
+def relay_light(
     scene: Scene,
     *,
     exposure: float | None = None,
@@ -169,18 +196,16 @@ def relay_signal(
     freedom: float | None = None,
     cells: int = CELLS,
     bins: int | None = None,
-) -> Array | None:
-    """Return the signal-to-noise ratio of every object cell in the light of the wall's wide lobes.
+) -> RelayLight | None:
+    """Return the light of the wall's wide lobes from every object cell; None without a wide lobe.
 
-    Returns A (n_bins, n_cells), `CONTRAST` times response over rms noise; None without a wide lobe.
-    The Fisher information on the cells' reflectances is ``A^T A/CONTRAST^2``. ``light`` (ny, nx)
-    are the expected electrons of all light in each pixel, by default of an object of reflectance
-    0.35; ``freedom`` the degrees of freedom of a pixel's speckle. The number of bins along the
-    longer side is doubled, by default, until the degrees of freedom change by less than 3 %.
+    ``light`` (ny, nx) are the expected electrons of all light in each pixel, by default of an
+    object of reflectance 0.35; ``freedom`` the degrees of freedom of a pixel's speckle. Shadows are
+    seen by 64 bins along the longer side, by default. Without them, this number is doubled until
+    the degrees of freedom change by less than 3 %.
 
-    The singular values are the signal-to-noise ratios of independent patterns of contrast
-    `CONTRAST`. Wide lobes are the diffuse ones, and mirror-like ones that blur over two cells or
-    more. Narrower lobes form an image; `picture_modes` counts its modes.
+    Wide lobes are the diffuse ones, and mirror-like ones that blur over two cells or more. Narrower
+    lobes form an image; `picture_modes` counts its modes.
     """
     material = wide_lobes(scene, cells=cells)
     if material is None:
@@ -191,7 +216,7 @@ def relay_signal(
     freedom = None if freedom is None else positive("freedom", freedom)
     dark = camera.dark_current * exposure * camera.binning**2
 
-    def signal(count: int) -> Array:
+    def binned(count: int) -> RelayLight:
         bins = _bin_counts(camera.shape, count)
         pixels = math.prod(camera.shape) / math.prod(bins)
         options = {"pixels": bins, "exposure": exposure, "material": material}
@@ -201,68 +226,55 @@ def relay_signal(
         # without ``light``, that of an object of this mean reflectance
         arriving = 0.35 * response.sum(axis=1) if light is None else _binned(light, bins).ravel()
         variance = pixels * noise_variance(camera, arriving / pixels, dark, freedom)
-        response *= (CONTRAST / np.sqrt(variance))[:, None]
-        return response
+        return RelayLight(response.reshape(*bins, -1), np.sqrt(variance).reshape(bins))
 
-    if bins is not None:
-        return signal(whole("bins", bins, 2, 128))
-    count, result = 6, signal(6)
-    while count < min(max(camera.shape), 96):
-        before, count = _freedom_of(result), 2 * count
-        result = signal(count)
-        if abs(_freedom_of(result) - before) <= 0.03 * before:
+    if bins is not None or scene.occluders:
+        return binned(whole("bins", bins or MOST_BINS, 2, 128))
+    count, result = 6, binned(6)
+    freedoms = _freedom_of(result.signal)
+    while count < min(max(camera.shape), MOST_BINS):
+        before, count = freedoms, 2 * count
+        result = binned(count)
+        freedoms = _freedom_of(result.signal)
+        if abs(freedoms - before) <= 0.03 * before:
             break
     return result
 
 
-def relay_score(scene: Scene, signal: Array | None) -> float:
-    """Return the predicted correlation of a sharp fit to the diffuse light with the object.
+def relay_score(scene: Scene, relay: RelayLight | None, levels: LightLevels) -> float:
+    """Return the expected correlation of `inverse.shadow_fit` with the object, over its cells.
 
-    Returns the correlation over the cells, 0 to 1; 0 without light or for a uniform object.
+    Returns a correlation, 0 to 1; 0 without light or for a uniform object. ``levels`` are those of
+    the scene.
 
-    The fit knows the response of every cell and minimises squared residual and total variation, as
-    `inverse.shadow_fit` does. About its solution it is nearly linear: a quadratic penalty of the
-    differences between cells, divided by their size. This size follows from the picture's expected
-    fit and its noise, starting from that with a uniform penalty, of the picture's rms difference,
-    and is renewed three times. The weight is that of the fit: its exponent is the number of modes.
-    The correlation of the expected fit and its noise follows. A mesh has no picture; its cells are
-    taken as independent, of contrast `CONTRAST`, and the fit as linear.
+    No closed form describes this fit: that nothing is darker than black tells more about most
+    objects than the modes. So it is applied to the expected image with noise, `DRAWS` times, and
+    the mean correlation is returned. A mesh has no picture; its cells are taken as independent, of
+    contrast `CONTRAST`, and the fit as linear.
     """
-    if signal is None or not signal.any():
+    if relay is None or not relay.response.any():
         return 0.0
-    picture = _cell_picture(scene)
-    if picture is None:
-        return math.sqrt(_freedom_of(signal) / signal.shape[1])
-    down, across = (_differences(n) for n in picture.shape)
-    rows, columns = (scipy.sparse.eye(n) for n in picture.shape)
-    ahead = scipy.sparse.vstack(
-        [scipy.sparse.kron(down, columns), scipy.sparse.kron(rows, across)], format="csr"
-    )
-    truth, gram = picture.ravel() - picture.mean(), signal.T @ signal / CONTRAST**2
-    steps = float(((ahead @ truth) ** 2).sum())
-    if steps == 0.0:
+    picture, bins = _cell_picture(scene), relay.noise.shape
+    if picture is None or relay.noise.size < LEAST_BINS:
+        return math.sqrt(_freedom_of(relay.signal) / relay.response.shape[-1])
+    if np.ptp(picture) == 0.0:
         return 0.0
-    stiffness, modes = np.full(truth.size, 2.0 * truth.size / steps), 0.0
-    for _ in range(1 + REWEIGHTED):
-        penalty = ahead.T @ scipy.sparse.diags(np.tile(stiffness, 2)) @ ahead
-        inverse = np.linalg.inv(gram + penalty.toarray())
-        share = inverse @ gram
-        modes = modes or float(np.trace(share))
-        errors, shown = share @ inverse, share @ picture.ravel()
-        square = (ahead @ shown) ** 2 + ahead.multiply(ahead @ errors).sum(1).A1
-        size = np.sqrt(np.maximum(square.reshape(2, -1).sum(0), 1e-18))
-        stiffness = modes / float(size.sum()) / size
-    shown -= shown.mean()
-    noise = float(np.trace(errors) - errors.sum() / truth.size)
-    power = float(truth @ truth) * (float(shown @ shown) + noise)
-    return max(float(truth @ shown), 0.0) / math.sqrt(power) if power > 0.0 else 0.0
-
-
-def _differences(count: int) -> Array:
-    """Return the matrix of forward differences of a row, (count, count); its last row is 0."""
-    matrix = np.eye(count, k=1) - np.eye(count)
-    matrix[-1] = 0.0
-    return matrix
+    image = _binned(levels.diffuse + levels.ambient, bins)
+    whole_bins = _binned(levels.visible, bins) * relay.noise.size > 0.999 * levels.visible.size
+    image[~whole_bins] = np.nan
+    operator, draw = relay.response.reshape(-1, picture.size), generator(0, 1707)
+    total = 0.0
+    for _ in range(DRAWS):
+        fit = shadow_fit(
+            image + relay.noise * draw.standard_normal(bins),
+            operator,
+            cells=picture.shape,
+            noise=relay.noise,
+            ambient=None if scene.ambient_irradiance > 0.0 else -1,
+        )
+        if np.ptp(fit.object) > 0.0:
+            total += float(np.corrcoef(fit.object.ravel(), picture.ravel())[0, 1])
+    return max(total / DRAWS, 0.0)
 
 
 def _frequencies(values: ArrayLike) -> Array:
@@ -278,7 +290,7 @@ def _frequencies(values: ArrayLike) -> Array:
 
 
 def count_modes(signal: Array) -> int:
-    """Count the singular values above 1 of a matrix (n_bins, n_cells), see `relay_signal`."""
+    """Count the singular values above 1 of a matrix (n_bins, n_cells), see `RelayLight`."""
     return int(np.count_nonzero(_squares(signal) > 1.0))
 
 

@@ -27,7 +27,7 @@ from ..scene import PlanarObject, Scene
 from . import frequency_table
 from .blind import BlindForecast, blind_forecast
 from .modulation import Noise, object_scale, padded, picture_modes, spectra, stroke_width
-from .relay import count_modes, lambert_relay_transfer, relay_score, relay_signal
+from .relay import count_modes, lambert_relay_transfer, relay_light, relay_score
 from .transfer import scene_transfer
 from .verdicts import Case, verdict
 from .wave_bounds import wave_bounds
@@ -285,9 +285,9 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     view = _View(scene)
     modulation, strength = view.modulation(view.frequency), view.strength()
     relay, diffuse = view.relay_modulation(view.frequency), view.diffuse_strength()
-    signal = relay_signal(view.coarse, light=view.light, freedom=view.levels.freedom)
-    by_diffuse = 0 if signal is None else count_modes(signal)
-    case = view.case(by_diffuse, relay_score(scene, signal))
+    relay_cells = relay_light(view.coarse, light=view.light, freedom=view.levels.freedom)
+    by_diffuse = 0 if relay_cells is None else count_modes(relay_cells.signal)
+    case = view.case(by_diffuse, relay_score(scene, relay_cells, view.levels))
     recoverable, words = verdict(case)
     electrons = view.electrons
     stray = sum(electrons[name] for name in ("diffuse", "spot", "ambient", "glare"))

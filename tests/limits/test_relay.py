@@ -18,7 +18,7 @@ from nlosoptics import limits
 from nlosoptics.errors import NlosError
 from nlosoptics.imaging.objects import Patches
 from nlosoptics.imaging.radiometry import arrivals, laser_spot
-from nlosoptics.limits.relay import CONTRAST, count_modes, relay_signal
+from nlosoptics.limits.relay import CONTRAST, count_modes, relay_light
 from nlosoptics.scene import (
     Camera,
     FlatWall,
@@ -79,8 +79,8 @@ def test_lobe_transfer_is_that_of_its_blur() -> None:
 
 
 def relay_modes(scene: Scene, **options) -> int:
-    signal = relay_signal(scene, **options)
-    return 0 if signal is None else count_modes(signal)
+    light = relay_light(scene, **options)
+    return 0 if light is None else count_modes(light.signal)
 
 
 def truth_scene(exposure: float = 40e-3, **changes) -> Scene:

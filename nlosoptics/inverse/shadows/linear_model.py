@@ -218,8 +218,7 @@ class Evidence(NamedTuple):
     def log_positive(self, shape: tuple[int, int]) -> float:
         """Return the log evidence of an object that is nowhere negative, by Laplace's method.
 
-        The most probable object with this constraint is less probable than the estimate. It needs
-        as many modes as cells.
+        The most probable object with this constraint is less probable than the estimate.
         """
         inverse, log = self._inverse(shape), self.log
         for estimate, variance in zip(self.estimate.T, self.variance.T, strict=True):
@@ -230,7 +229,7 @@ class Evidence(NamedTuple):
 
     def _inverse(self, shape: tuple[int, int]) -> Array:
         """Return the matrix (K, N) from an object to the coefficients of its patterns."""
-        modes, prior = cosines(shape, self.patterns.shape[1])
+        modes, prior = cosines(shape)
         return np.asarray(((self.patterns.T @ modes) / prior) @ modes.T)
 
 
@@ -258,8 +257,8 @@ def _not_negative(matrix: Array, right: Array, tries: int = 3) -> Array:
             free[last] = not free[last]
 
 
-def cosines(shape: tuple[int, int], most: int) -> tuple[Array, Array]:
-    """Return the lowest cosine modes (N, n) of a grid of cells, and their prior variances (n,).
+def cosines(shape: tuple[int, int]) -> tuple[Array, Array]:
+    """Return the cosine modes (N, N) of a grid of cells, and their prior variances (N,).
 
     The variance is ``1/(f^2 + f_0^2)`` at the spatial frequency f, for f_0 of half a cycle per
     longer side, relative to that of the mean.
@@ -267,37 +266,38 @@ def cosines(shape: tuple[int, int], most: int) -> tuple[Array, Array]:
     rows, columns = (scipy.fft.idct(np.eye(n), axis=0, norm="ortho") for n in shape)
     v, u = (np.arange(n) / n for n in shape)
     frequency = np.add.outer(v**2, u**2).ravel() * max(shape) ** 2
-    lowest = np.argsort(frequency, kind="stable")[:most]
-    modes = np.einsum("ai,bj->ijab", rows, columns).reshape(len(frequency), -1)[lowest].T
-    return np.ascontiguousarray(modes), 1.0 / (1.0 + frequency[lowest])
+    return np.kron(rows, columns), 1.0 / (1.0 + frequency)
 
 
-def evidence(
-    data: WallImage, matrix: Array, shape: tuple[int, int], *, most: int = 600
-) -> Evidence:
+def evidence(data: WallImage, matrix: Array, shape: tuple[int, int]) -> Evidence:
     """Return the best linear model of an image for the operator ``matrix`` (P, N).
 
-    ``shape`` is that of the grid of cells, and ``most`` limits the number of its cosine modes.
+    ``shape`` is that of the grid of cells. Orders of the polynomial are tried until the evidence
+    has fallen twice.
     """
-    basis, prior = cosines(shape, most)
+    basis, prior = cosines(shape)
     basis = basis * np.sqrt(prior)
     response = data.over_noise(matrix) @ basis
     gram, moment = response.T @ response, response.T @ data.values
     power = (data.values**2).sum(0)
-    models, nothing = [], []
+    models: list[Any] = []
+    nothing, fallen = [], 0
     for order in data.orders:
         smooth = data.ambient(order)
         seen, light = smooth.T @ response, smooth.T @ data.values
-        values, vectors = np.linalg.eigh(gram - seen.T @ seen)
-        # modes that ambient light explains are rounding
-        values[values < values.size * np.finfo(float).eps * np.trace(gram)] = 0.0
-        projected = (vectors.T @ (moment - seen.T @ light)) * (values > 0.0)[:, None]
         left = power - (light**2).sum(0)
         count = (len(data.values) - smooth.shape[1]) / data.correlated
         price = smooth.shape[1] * np.log(power).sum()
         nothing.append(-0.5 * (sum(_misfit(part, count)[0] for part in left) + price))
+        if fallen == 2:
+            continue
+        values, vectors = np.linalg.eigh(gram - seen.T @ seen)
+        # modes that ambient light explains are rounding
+        values[values < values.size * np.finfo(float).eps * np.trace(gram)] = 0.0
+        projected = (vectors.T @ (moment - seen.T @ light)) * (values > 0.0)[:, None]
         fits = [_strongest(values, projected[:, c], left[c], count) for c in range(len(left))]
         log = sum(fit[0] for fit in fits) - 0.5 * price
+        fallen = fallen + 1 if models and log < models[-1][0] else 0
         models.append((log, order, values, vectors, projected, fits))
     log, order, values, vectors, projected, fits = max(models, key=lambda model: model[0])
     strength, scale = (np.array(part) for part in zip(*(fit[1:] for fit in fits), strict=True))

@@ -138,7 +138,7 @@ def occluder_fit(
         nonlocal evaluations
         evaluations += 1
         known = operator(first + reach * steps)
-        linear = evidence(data, known.matrix, known.cells, most=math.prod(known.cells))
+        linear = evidence(data, known.matrix, known.cells)
         orders.add(linear.order)
         return -linear.log_positive(known.cells)
 
