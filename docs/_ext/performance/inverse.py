@@ -103,7 +103,7 @@ SECTIONS = (
         "on the right sort the results by their correlation with the true object. Each states how "
         'many of these results have the status "converged": below 0.85 few should have it, above '
         "0.93 most. Images have 64 x 64 pixels and 0.5 to 10 % noise.",
-        "python benchmarks/inverse/mismatches.py --json {file} --first 91000 --cases 80 --group "
+        "python benchmarks/inverse/mismatches.py --json {file} --first 92000 --cases 200 --group "
         "mismatch; the same with --first 81000 --cases 120 --group foreign, and with --first 93000 "
         "--cases 60 --kinds none",
         table={

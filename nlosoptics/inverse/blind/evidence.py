@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from ..._checks import counted, in_range, positive, whole
+from ..._checks import counted, in_range, one_of, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed
 from ...errors import SamplingError
 from ...imaging.forward_model import ForwardModel
-from ..data._threads import gradients, single_thread
-from ..data.checkpoints import State, goes_on, state_of
+from ..data.driver import State, goes_on, state_of
 from ..data.measurement import measured
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, frozen
 from ..data.status import Status
 from ..known.total_variation import sharpest
-from ..wave.frames import Frames, frames_of
+from ..published.wu2024 import wu2024_fit
+from ..wave.frames import Frames, fitting, frames_of
 from ..wave.pupil_psf import PupilPSF
 from .evidence_search import Search
 from .free_energy import Floats, FreeEnergy, Starts
@@ -31,8 +31,7 @@ from .verdict import Verdict
 from .wall_proposals import wall_proposals
 
 
-@single_thread()
-@gradients()
+@fitting()
 def evidence_fit(
     images: Any,
     pupil_psf: PupilPSF,
@@ -321,4 +320,63 @@ def _answer(
         score=score,
         history=history,
         seconds=seconds,
+    )
+
+
+#: Solver of each recipe.
+RECIPES: dict[str, Callable[..., Reconstruction]] = {"evidence": evidence_fit, "wu2024": wu2024_fit}
+
+
+def pcin(
+    images: Any,
+    pupil_psf: PupilPSF,
+    *,
+    defocus: Any = None,
+    recipe: str = "evidence",
+    max_iterations: int | None = None,
+    seed: int = 0,
+    start: Any = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Reconstruction:
+    """Reconstruct the hidden object via an unknown wall, by a fit of both object and wall.
+
+    The default solver, `evidence_fit`, is the recommended one. The other, `wu2024_fit`, is the
+    published physics-constrained inverse network (PCIN), which gave this function its name.
+
+    Parameters
+    ----------
+    images, pupil_psf, defocus, max_iterations, seed, start, progress
+        See `evidence_fit`.
+    recipe : {"evidence", "wu2024"}
+        Solver. "evidence": `evidence_fit`, which makes many fits from random starts and returns the
+        one with the largest Bayesian evidence (marginal likelihood: the probability of the images
+        for a wall, averaged over all objects). "wu2024": `wu2024_fit`, which fits a neural network
+        (U-net) and the coefficients in turn to one image. It is included for comparison.
+    **options
+        Further options of the solver, see `evidence_fit` and `wu2024_fit`.
+
+    Returns
+    -------
+    Reconstruction
+        Object, status and score. ``physical_parameters`` contains the fitted ``coefficients``.
+
+    Raises
+    ------
+    SceneError
+        If ``recipe`` is unknown, or a value is out of range.
+    SamplingError
+        If array shapes do not match.
+    TypeError
+        If the solver does not have one of the options.
+
+    See Also
+    --------
+    evidence_fit, wu2024_fit : The two solvers with all their options.
+    """
+    solver = RECIPES[one_of("recipe", recipe, RECIPES)]
+    if max_iterations is not None:
+        options["max_iterations"] = max_iterations
+    return solver(
+        images, pupil_psf, defocus=defocus, seed=seed, start=start, progress=progress, **options
     )

@@ -17,9 +17,8 @@ from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
 from ..data.arrays import check_finite, real_array
-from ..data.checkpoints import goes_on, state_of
-from ..data.reconstruction import Reconstruction, frozen
-from ..data.scores import registered_correlation
+from ..data.driver import goes_on, state_of
+from ..data.reconstruction import Reconstruction, frozen, registered_correlation
 from ..data.status import Status
 from .speckle_likelihood import BurstLikelihood, speckle_power
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from ..data.arrays import half_spectrum_weights
-from ..data.spectra import squared
+from ..data.models import squared
 
 Array = NDArray[np.float64]
 

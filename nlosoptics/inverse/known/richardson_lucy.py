@@ -12,8 +12,7 @@ from ..._progress import Progress
 from ...errors import SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data.arrays import norm, total
-from ..data.checkpoints import started_from
-from ..data.driver import History, Solver, reconstructed, solved, stop_rule
+from ..data.driver import History, Solver, reconstructed, solved, started_from, stop_rule
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 from ..data.status import Ending

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
 from ..data.arrays import half_spectrum_weights, norm, total
-from ..data.checkpoints import started_from
-from ..data.driver import History, Solver, reconstructed, run, solved, stop_rule
+from ..data.driver import History, Solver, reconstructed, run, solved, started_from, stop_rule
 from ..data.models import mean_transfer
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
-from .conjugate_gradients import conjugate_direction
+from .field_step import conjugate_direction
 
 Array = NDArray[np.float64]
 
