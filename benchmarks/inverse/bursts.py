@@ -1,6 +1,6 @@
 """Bursts behind rough walls: correlation with the truth for each object, wall and number of images.
 
-python benchmarks/inverse/bursts.py [--images 16 32] [--walls 5] [--objects letter cartoon hanzi]
+python benchmarks/inverse/bursts.py [--images 16 32] [--first 0] [--walls 5] [--objects letter ...]
 
 The scenes are those of examples/pcin_study at its scale "rough" (flat wall with facets), simulated
 with pixels half as wide and the camera's noise; each image has a wall of its own. The numbers of
@@ -44,12 +44,13 @@ def main():
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--images", type=int, nargs="+", default=[16, 32])
+    parser.add_argument("--first", type=int, default=0, help="number of the first wall")
     parser.add_argument("--walls", type=int, default=5)
     parser.add_argument("--objects", nargs="+", default=["letter", "cartoon", "hanzi"])
     options = parser.parse_args()
     for name in options.objects:
         scores, spread = {count: [] for count in options.images}, lens(name)
-        for wall in range(options.walls):
+        for wall in range(options.first, options.first + options.walls):
             images, truth = burst(name, wall, max(options.images))
             for count in options.images:
                 began = time.process_time()

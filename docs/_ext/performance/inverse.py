@@ -141,10 +141,10 @@ SECTIONS = (
     Section(
         "evidence_one_frame.jsonl",
         "Wall unknown, one frame",
-        "`evidence_fit` for a single image (frame), otherwise as for two; six walls and three "
+        "`evidence_fit` for a single image (frame), otherwise as for two; eight walls and three "
         "objects for each rms aberration.",
         "python benchmarks/inverse/evidence.py --frames 1 --rms 0.25 0.5 1.0 --walls 721 726 "
-        "--json {file}",
+        "--json {file}, and again with --walls 741 742",
         table={"rms aberration, waves": "{rms}"} | FITS_CPU,
         rows=by_strength,
     ),
