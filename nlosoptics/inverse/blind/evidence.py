@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -25,7 +25,7 @@ from ..known.total_variation import sharpest
 from ..published.wu2024 import wu2024_fit
 from ..wave.frames import Frames, fitting, frames_of
 from ..wave.pupil_psf import PupilPSF
-from .evidence_search import Search
+from .evidence_search import HISTORY, Search
 from .free_energy import Floats, FreeEnergy, Starts
 from .verdict import Verdict
 from .wall_proposals import wall_proposals
@@ -114,8 +114,8 @@ def evidence_fit(
           is the object. NaN if ``margin`` is NaN, or with ``start_error``.
         - ``model_error``: rms residual in excess of the noise, as a fraction of the images' range.
 
-        ``background`` is (K,) for several images. ``history`` has one entry for each wall that was
-        fitted to the end, with the values of the best wall so far.
+        For several images ``background`` is (K,) and ``bad_pixel_map`` (K, H, W). ``history`` has
+        one entry for each wall that was fitted to the end, with the values of the best wall so far.
 
     See Also
     --------
@@ -187,18 +187,17 @@ def evidence_fit(
     if all(one.is_background() for one in frames.measured):
         strengths = np.array([one.background_strength(one.data) for one in frames.measured])
         pairs = zip(frames.measured, strengths, strict=True)
+        score = float(np.mean([one.score(one.background(b)) ** 2 for one, b in pairs])) ** 0.5
         reason = "no object was detected above the noise, so the object is zero; expose longer"
         return _answer(
             frames,
             np.zeros(frames.shape),
             strengths,
             gain,
+            started,
+            dict.fromkeys(HISTORY, ()),
+            ("too_few_photons", (reason,), score),
             coefficients=np.zeros(len(pupil_psf.modes)),
-            status="too_few_photons",
-            reasons=(reason,),
-            score=float(np.mean([one.score(one.background(b)) ** 2 for one, b in pairs])) ** 0.5,
-            history=frozen({"objective": [], "residual": [], "change": []}),
-            seconds=time.perf_counter() - started,
         )
     searched = not several and start_error is None
     search = Search(
@@ -243,11 +242,15 @@ def evidence_fit(
     if energy.known:  # its brightness
         level, gains = level * gains.mean(), gains / gains.mean()
     wall, given = best.coefficients[0].astype(np.float64), len(pupil_psf.modes)
+    score = math.sqrt(float(np.average(best.chi_square[0], weights=frames.counted)))
     return _answer(
         frames,
         level,
         levels[0] * frames.scale,
         gain,
+        started,
+        search.place.history,
+        (status, reasons, score),
         coefficients=wall[:given],
         more_modes=np.array(energy.modes[given:]),
         more_coefficients=wall[given:],
@@ -256,11 +259,6 @@ def evidence_fit(
         margin=margin,
         sharp_margin=sharp_margin,
         model_error=error,
-        status=status,
-        reasons=reasons,
-        score=math.sqrt(float(np.average(best.chi_square[0], weights=frames.counted))),
-        history=frozen(search.place.history),
-        seconds=time.perf_counter() - started,
     )
 
 
@@ -296,12 +294,9 @@ def _answer(
     level: Floats,
     backgrounds: Floats,
     gain: float | None,
-    *,
-    status: Status,
-    reasons: tuple[str, ...],
-    score: float,
-    history: Mapping[str, Floats],
-    seconds: float,
+    started: float,
+    history: Mapping[str, Sequence[float]],
+    verdict: tuple[Status, tuple[str, ...], float],
     **parameters: Any,
 ) -> Reconstruction:
     """Return the result for an object in image units; numbers for one image, else arrays."""
@@ -312,14 +307,19 @@ def _answer(
         "background": float(backgrounds[0]) if one else backgrounds,
         "noise_sigma": float(sigmas[0]) if one else sigmas,
     }
+    none = np.zeros(frames.shape, dtype=bool)
+    bad = np.stack([none if (b := each.bad_pixels) is None else b for each in frames.measured])
+    if bad.any():
+        levels |= {"bad_pixels": int(bad.sum()), "bad_pixel_map": bad[0] if one else bad}
+    status, reasons, score = verdict
     return Reconstruction(
         object=frames.measured[0].like_input(level / gain),
         physical_parameters=levels | parameters,
         status=status,
         reasons=reasons,
         score=score,
-        history=history,
-        seconds=seconds,
+        history=frozen(history),
+        seconds=time.perf_counter() - started,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.random import Generator
@@ -24,20 +24,6 @@ Watch = Callable[[str, float], bool]
 #: Free energy on an FFT grid wider than the images by the given factor, for given Noll indices.
 Energies = Callable[[float, tuple[int, ...]], FreeEnergy]
 
-#: Texts of all steps, in their order.
-TEXTS = {
-    "reference": "no blur",
-    "near": "about the given wall",
-    "given": "about the given wall",
-    "gather": "random walls",
-    "settle": "best walls",
-    "neighbours": "near the best walls",
-    "finish": "best walls",
-    "widen": "more modes",
-    "propose": "proposed walls",
-    "end": "done",
-}
-STEPS = tuple(TEXTS)
 HISTORY = ("objective", "residual", "change")
 NUMBERS = ("turn", "count", "met", "floor", "sharp", "held", "rival")
 
@@ -128,10 +114,6 @@ class Place:
         )
 
 
-#: Number of each step's stream of random numbers among the 13 of a round.
-_STREAM = {name: i if i < 4 else i + 4 for i, name in enumerate(STEPS[:9])}
-
-
 class Search:
     """Search of one fit, step by step; each step draws from its own stream of random numbers.
 
@@ -215,11 +197,13 @@ class Search:
         """Make steps until the search ends or ``watch`` asks it to."""
         while self.place.step != "end":
             now, count = self.place.step, self.place.count
+            phase, text, stream = self.phases[now]
             part = (STEPS.index(now) + count / 10.0) / len(STEPS)
             whole = self.place.turn + part if self.place.turn >= 0 else 0.1 * part - 0.1
-            if watch(TEXTS[now], (whole + 0.1) / (self._rounds + 0.1)):
+            if watch(text, (whole + 0.1) / (self._rounds + 0.1)):
                 return
-            step = getattr(self, f"_{now}")(self._random(now, count))
+            stream = 100 * (13 * (self.place.turn + 1) + stream) + count
+            step = phase(self, generator(self._seed, stream))
             self.place.count = count + 1 if step == now else 0
             self.place.step = step
 
@@ -232,10 +216,6 @@ class Search:
             pool = self._energy.starts(self._first[None], last.first)
         free = replace(pool.best(1), radius=np.array([np.inf]))
         self._offer(self._energy.descend(free, last))
-
-    def _random(self, step: str, count: int) -> Generator:
-        stream = 13 * (self.place.turn + 1) + _STREAM[step]
-        return generator(self._seed, 100 * stream + count)
 
     def _reference(self, random: Generator) -> str:
         """Fit without blur, which an answer for one image has to beat."""
@@ -480,6 +460,22 @@ class Search:
             known = self._strength
             return tuple(known * factor for factor in SETTINGS.around) if self._frames else (known,)
         return SETTINGS.strengths
+
+    #: Steps in their order: method, text, and the stream of random numbers, of 13 in a round.
+    phases: ClassVar[dict[str, tuple[Callable[[Search, Generator], str], str, int]]] = {
+        "reference": (_reference, "no blur", 0),
+        "near": (_near, "about the given wall", 1),
+        "given": (_given, "about the given wall", 2),
+        "gather": (_gather, "random walls", 3),
+        "settle": (_settle, "best walls", 8),
+        "neighbours": (_neighbours, "near the best walls", 9),
+        "finish": (_finish, "best walls", 10),
+        "widen": (_widen, "more modes", 11),
+        "propose": (_propose, "proposed walls", 12),
+    }
+
+
+STEPS = (*Search.phases, "end")
 
 
 def _settled(energy: FreeEnergy, starts: Starts, frames: bool = False) -> Starts:
