@@ -28,7 +28,6 @@ CASES = {
     "near": (("F", 747, 0.5, 0.01),),
 }
 CHANGES = (
-    ("two", {"growth": (1.0, 1.0)}),
     ("two", {"finish": S.settle}),
     ("two", {"gather_slowly": S.gather}),
     ("two", {"tops": ()}),
@@ -36,9 +35,7 @@ CHANGES = (
     ("near", {"near": (*S.near[:2], replace(S.near[2], iterations=1))}),
     ("near", {"near": (replace(S.near[0], iterations=1), *S.near[1:])}),
     ("near", {"near_starts": 1}),
-    ("one", {"growth": (1.0, 1.0)}),
     ("one", {"proposed": S.proposed[1:]}),
-    ("one", {"ahead": -1e9}),
     ("one", {"too_sharp": 0.0}),
     ("one", {"trivial": S.compare}),
     ("one", {"free": S.compare}),

@@ -354,20 +354,11 @@ class Search:
             return "finish"
         twin = np.ones(len(energy.modes)) if frames else energy.twin
         walls = children(pool[: near.litter // 3], near.litter, twin, near, random)
-        walls *= random.uniform(*SETTINGS.growth, size=(len(walls), 1))
         stage = SETTINGS.settle if frames else SETTINGS.compare
         both = joined([pool, energy.descend(energy.starts(walls, stage.first), stage)])
         self.place.pool = self._ranked(both, SETTINGS.pool)
         before, now = (float(self._scores(one[:1])[0]) for one in (pool, self.place.pool))
-        if before - now >= SETTINGS.standstill:
-            return "neighbours"
-        if frames:
-            return "finish"
-        # on the narrow grid the best answer so far has another energy
-        best, found = energy.descend(self.place.best, SETTINGS.free), self.place.pool[:1]
-        ahead = found.energy[0] < best.energy[0] - SETTINGS.ahead
-        same = energy.apart(found, best.coefficients)[0] < SETTINGS.other
-        return "finish" if ahead or same else "neighbours"
+        return "neighbours" if before - now >= SETTINGS.standstill else "finish"
 
     def _finish(self, _: Generator) -> str:
         place, before = self.place, self.place.best
