@@ -1,15 +1,15 @@
 """Status of known-PSF fits to other pictures in the example scenes, and the pictures.
 
-    python benchmarks/inverse/pictures.py [--sizes 64 128 256] [--pictures 12] [--first 0] [--tune]
+    python benchmarks/inverse/pictures.py [--sizes 64 128 256] [--pictures 12] [--first 0]
         [--json FILE]
 
 Each picture takes the place of the object in six example scenes, which are simulated and
 reconstructed with the default settings. The table counts, for each kind of picture, the answers
-with a correlation above 0.93 and those of them that are not called "converged". By default the
-pictures are soft drawings, text in four fonts, photographs (of scikit-image, which must be
-installed) and dots; no constant of the status was chosen on these kinds. With --tune they are
-those of `fine_picture`: glyphs, characters, script, strokes, shapes, dots, clouds, leaves. With
---json each finished case is a line of the file, and cases that it holds are not done again.
+with a correlation above 0.93 and those of them that are not called "converged". The pictures are
+soft drawings, text in four fonts, photographs (of scikit-image, which must be installed) and dots;
+no constant of the status was chosen on these kinds. With --json each finished case is a line of the
+file, and cases that it holds are not done again. Other benchmarks use the pictures of
+`fine_picture`: glyphs, characters, script, strokes, shapes, dots, clouds, leaves.
 
     from pictures import fine_picture
     kind, picture = fine_picture(0, 17)
@@ -325,12 +325,9 @@ def solved(key: dict[str, Any]) -> dict[str, Any]:
     """Simulate and reconstruct a picture in a scene; return one row of the table."""
     from nlosoptics import Scene, inverse, simulate
 
-    number, tuning = key["picture"], key["tune"]
-    if tuning:
-        kind, picture = fine_picture(1, number)
-    else:
-        make = OUTSIDE[number % len(OUTSIDE)]
-        kind, picture = make.__name__, make(np.random.default_rng([3, number]))
+    number = key["picture"]
+    make = OUTSIDE[number % len(OUTSIDE)]
+    picture = make(np.random.default_rng([3, number]))
     path = Path(__file__).parents[2] / "examples" / "scenes" / f"{key['scene']}.toml"
     scene = Scene.load(path).resized(key["size"])
     scene = replace(scene, hidden=replace(scene.hidden, image=picture.clip(0.0, 1.0)))
@@ -339,7 +336,7 @@ def solved(key: dict[str, Any]) -> dict[str, Any]:
     expected = answer.physical_parameters.get("expected_correlation")
     return {
         **key,
-        "kind": kind,
+        "kind": make.__name__,
         "status": answer.status,
         "reasons": answer.reasons,
         "correlation": inverse.registered_correlation(answer, result.image.ideal),
@@ -356,19 +353,18 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=SCENES)
     parser.add_argument("--pictures", type=int, default=12, help="in each scene and size")
     parser.add_argument("--first", type=int, default=0, help="number of the first picture")
-    parser.add_argument("--tune", action="store_true", help="kinds that constants were chosen on")
     parser.add_argument("--json", type=Path, help="finished cases, a line each")
     options = parser.parse_args()
     rows = []
     if options.json and options.json.exists():
         rows = [json.loads(line) for line in options.json.read_text().splitlines()]
-    names = ("scene", "size", "picture", "tune")
+    names = ("scene", "size", "picture")
     done = [[row[name] for name in names] for row in rows]
     numbers = range(options.first, options.first + options.pictures)
     for size in options.sizes:
         for scene in options.scenes:
             for number in numbers:
-                key = dict(zip(names, (scene, size, number, options.tune), strict=True))
+                key = dict(zip(names, (scene, size, number), strict=True))
                 if list(key.values()) in done:
                     continue
                 rows.append(solved(key))

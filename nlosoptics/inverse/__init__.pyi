@@ -1,12 +1,12 @@
 from .blind.evidence import evidence_fit as evidence_fit
-from .blind.pcin import pcin as pcin
+from .blind.evidence import pcin as pcin
 from .burst.burst_fit import burst_fit as burst_fit
-from .data.checkpoints import Stop as Stop
+from .data.driver import Stop as Stop
 from .data.forward import TorchForwardModel as TorchForwardModel
 from .data.measurement import Measurement as Measurement
 from .data.noise import estimate_noise as estimate_noise
 from .data.reconstruction import Reconstruction as Reconstruction
-from .data.scores import registered_correlation as registered_correlation
+from .data.reconstruction import registered_correlation as registered_correlation
 from .known.inverse_filter import inverse_filter as inverse_filter
 from .known.richardson_lucy import richardson_lucy as richardson_lucy
 from .known.total_variation import tv_deconvolve as tv_deconvolve

@@ -38,7 +38,7 @@ from .veil import fitted_veil
 
 if TYPE_CHECKING:
     from ..inverse import Reconstruction
-    from ..inverse.data.checkpoints import Snapshot
+    from ..inverse.data.driver import Snapshot
 
 Array = NDArray[np.float64]
 

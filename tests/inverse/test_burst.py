@@ -46,7 +46,7 @@ def speckled(picture, count, seed=0, light=2e3, still=True):
 
 def likelihood(images):
     power = speckle_power(images.shape[1:], 0.5, pixel_integrated=False, patterns=1)
-    return BurstLikelihood.of(images, power, 0.5, edge=0.125, low=4.0, smooth=0.05, dark=0.1)
+    return BurstLikelihood.of(images, power, 0.5)
 
 
 def test_mean_power_and_third_cumulant_are_those_of_speckle_through_the_object():

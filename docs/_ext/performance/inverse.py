@@ -103,7 +103,7 @@ SECTIONS = (
         "on the right sort the results by their correlation with the true object. Each states how "
         'many of these results have the status "converged": below 0.85 few should have it, above '
         "0.93 most. Images have 64 x 64 pixels and 0.5 to 10 % noise.",
-        "python benchmarks/inverse/mismatches.py --json {file} --first 91000 --cases 80 --group "
+        "python benchmarks/inverse/mismatches.py --json {file} --first 92000 --cases 200 --group "
         "mismatch; the same with --first 81000 --cases 120 --group foreign, and with --first 93000 "
         "--cases 60 --kinds none",
         table={
@@ -141,10 +141,10 @@ SECTIONS = (
     Section(
         "evidence_one_frame.jsonl",
         "Wall unknown, one frame",
-        "`evidence_fit` for a single image (frame), otherwise as for two; six walls and three "
+        "`evidence_fit` for a single image (frame), otherwise as for two; eight walls and three "
         "objects for each rms aberration.",
         "python benchmarks/inverse/evidence.py --frames 1 --rms 0.25 0.5 1.0 --walls 721 726 "
-        "--json {file}",
+        "--json {file}, and again with --walls 741 742",
         table={"rms aberration, waves": "{rms}"} | FITS_CPU,
         rows=by_strength,
     ),

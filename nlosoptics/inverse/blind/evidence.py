@@ -4,35 +4,34 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from ..._checks import counted, in_range, positive, whole
+from ..._checks import counted, in_range, one_of, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed
 from ...errors import SamplingError
 from ...imaging.forward_model import ForwardModel
-from ..data._threads import gradients, single_thread
-from ..data.checkpoints import State, goes_on, state_of
+from ..data.driver import State, goes_on, state_of
 from ..data.measurement import measured
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, frozen
 from ..data.status import Status
 from ..known.total_variation import sharpest
-from ..wave.frames import Frames, frames_of
+from ..published.wu2024 import wu2024_fit
+from ..wave.frames import Frames, fitting, frames_of
 from ..wave.pupil_psf import PupilPSF
-from .evidence_search import Search
+from .evidence_search import HISTORY, Search
 from .free_energy import Floats, FreeEnergy, Starts
 from .verdict import Verdict
 from .wall_proposals import wall_proposals
 
 
-@single_thread()
-@gradients()
+@fitting()
 def evidence_fit(
     images: Any,
     pupil_psf: PupilPSF,
@@ -115,8 +114,8 @@ def evidence_fit(
           is the object. NaN if ``margin`` is NaN, or with ``start_error``.
         - ``model_error``: rms residual in excess of the noise, as a fraction of the images' range.
 
-        ``background`` is (K,) for several images. ``history`` has one entry for each wall that was
-        fitted to the end, with the values of the best wall so far.
+        For several images ``background`` is (K,) and ``bad_pixel_map`` (K, H, W). ``history`` has
+        one entry for each wall that was fitted to the end, with the values of the best wall so far.
 
     See Also
     --------
@@ -188,18 +187,17 @@ def evidence_fit(
     if all(one.is_background() for one in frames.measured):
         strengths = np.array([one.background_strength(one.data) for one in frames.measured])
         pairs = zip(frames.measured, strengths, strict=True)
+        score = float(np.mean([one.score(one.background(b)) ** 2 for one, b in pairs])) ** 0.5
         reason = "no object was detected above the noise, so the object is zero; expose longer"
         return _answer(
             frames,
             np.zeros(frames.shape),
             strengths,
             gain,
+            started,
+            dict.fromkeys(HISTORY, ()),
+            ("too_few_photons", (reason,), score),
             coefficients=np.zeros(len(pupil_psf.modes)),
-            status="too_few_photons",
-            reasons=(reason,),
-            score=float(np.mean([one.score(one.background(b)) ** 2 for one, b in pairs])) ** 0.5,
-            history=frozen({"objective": [], "residual": [], "change": []}),
-            seconds=time.perf_counter() - started,
         )
     searched = not several and start_error is None
     search = Search(
@@ -244,11 +242,15 @@ def evidence_fit(
     if energy.known:  # its brightness
         level, gains = level * gains.mean(), gains / gains.mean()
     wall, given = best.coefficients[0].astype(np.float64), len(pupil_psf.modes)
+    score = math.sqrt(float(np.average(best.chi_square[0], weights=frames.counted)))
     return _answer(
         frames,
         level,
         levels[0] * frames.scale,
         gain,
+        started,
+        search.place.history,
+        (status, reasons, score),
         coefficients=wall[:given],
         more_modes=np.array(energy.modes[given:]),
         more_coefficients=wall[given:],
@@ -257,11 +259,6 @@ def evidence_fit(
         margin=margin,
         sharp_margin=sharp_margin,
         model_error=error,
-        status=status,
-        reasons=reasons,
-        score=math.sqrt(float(np.average(best.chi_square[0], weights=frames.counted))),
-        history=frozen(search.place.history),
-        seconds=time.perf_counter() - started,
     )
 
 
@@ -297,12 +294,9 @@ def _answer(
     level: Floats,
     backgrounds: Floats,
     gain: float | None,
-    *,
-    status: Status,
-    reasons: tuple[str, ...],
-    score: float,
-    history: Mapping[str, Floats],
-    seconds: float,
+    started: float,
+    history: Mapping[str, Sequence[float]],
+    verdict: tuple[Status, tuple[str, ...], float],
     **parameters: Any,
 ) -> Reconstruction:
     """Return the result for an object in image units; numbers for one image, else arrays."""
@@ -313,12 +307,76 @@ def _answer(
         "background": float(backgrounds[0]) if one else backgrounds,
         "noise_sigma": float(sigmas[0]) if one else sigmas,
     }
+    none = np.zeros(frames.shape, dtype=bool)
+    bad = np.stack([none if (b := each.bad_pixels) is None else b for each in frames.measured])
+    if bad.any():
+        levels |= {"bad_pixels": int(bad.sum()), "bad_pixel_map": bad[0] if one else bad}
+    status, reasons, score = verdict
     return Reconstruction(
         object=frames.measured[0].like_input(level / gain),
         physical_parameters=levels | parameters,
         status=status,
         reasons=reasons,
         score=score,
-        history=history,
-        seconds=seconds,
+        history=frozen(history),
+        seconds=time.perf_counter() - started,
+    )
+
+
+#: Solver of each recipe.
+RECIPES: dict[str, Callable[..., Reconstruction]] = {"evidence": evidence_fit, "wu2024": wu2024_fit}
+
+
+def pcin(
+    images: Any,
+    pupil_psf: PupilPSF,
+    *,
+    defocus: Any = None,
+    recipe: str = "evidence",
+    max_iterations: int | None = None,
+    seed: int = 0,
+    start: Any = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Reconstruction:
+    """Reconstruct the hidden object via an unknown wall, by a fit of both object and wall.
+
+    The default solver, `evidence_fit`, is the recommended one. The other, `wu2024_fit`, is the
+    published physics-constrained inverse network (PCIN), which gave this function its name.
+
+    Parameters
+    ----------
+    images, pupil_psf, defocus, max_iterations, seed, start, progress
+        See `evidence_fit`.
+    recipe : {"evidence", "wu2024"}
+        Solver. "evidence": `evidence_fit`, which makes many fits from random starts and returns the
+        one with the largest Bayesian evidence (marginal likelihood: the probability of the images
+        for a wall, averaged over all objects). "wu2024": `wu2024_fit`, which fits a neural network
+        (U-net) and the coefficients in turn to one image. It is included for comparison.
+    **options
+        Further options of the solver, see `evidence_fit` and `wu2024_fit`.
+
+    Returns
+    -------
+    Reconstruction
+        Object, status and score. ``physical_parameters`` contains the fitted ``coefficients``.
+
+    Raises
+    ------
+    SceneError
+        If ``recipe`` is unknown, or a value is out of range.
+    SamplingError
+        If array shapes do not match.
+    TypeError
+        If the solver does not have one of the options.
+
+    See Also
+    --------
+    evidence_fit, wu2024_fit : The two solvers with all their options.
+    """
+    solver = RECIPES[one_of("recipe", recipe, RECIPES)]
+    if max_iterations is not None:
+        options["max_iterations"] = max_iterations
+    return solver(
+        images, pupil_psf, defocus=defocus, seed=seed, start=start, progress=progress, **options
     )

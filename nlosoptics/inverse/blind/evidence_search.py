@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.random import Generator
 
 from ..._random import generator
-from ..data.scores import registered_correlation
+from ...errors import SamplingError, SceneError
+from ..data.arrays import check_shape
+from ..data.reconstruction import registered_correlation
 from .free_energy import Floats, FreeEnergy, Starts, joined
-from .random_walls import children, random_walls
-from .search_place import STEPS, TEXTS, Place
-from .search_settings import SETTINGS
+from .search_settings import SETTINGS, Neighbourhood
 from .verdict import Verdict
 from .wall_proposals import Proposals
 
@@ -24,9 +24,94 @@ Watch = Callable[[str, float], bool]
 #: Free energy on an FFT grid wider than the images by the given factor, for given Noll indices.
 Energies = Callable[[float, tuple[int, ...]], FreeEnergy]
 
+HISTORY = ("objective", "residual", "change")
+NUMBERS = ("turn", "count", "met", "floor", "sharp", "held", "rival")
 
-#: Number of each step's stream of random numbers among the 13 of a round.
-_STREAM = {name: i if i < 4 else i + 4 for i, name in enumerate(STEPS[:9])}
+
+@dataclass(eq=False, kw_only=True)
+class Place:
+    """Position and results of a search after a step.
+
+    ``turn``, ``count``, ``met``: number of the round, -1 before the first one, of repetitions of
+    the step, and of rounds that found the best answer; the last one for several images with much
+    noise. ``step``: name of the next step. ``floor``, ``sharp``: free energies of the fits that
+    start without blur and that have no blur; NaN if not needed. ``held``: energy that the prior of
+    the coefficients would add to the former. ``rival``: for one image the least free energy of
+    walls of another point spread, minus that of the best answer; NaN before the end of the first
+    round. ``modes``: Noll indices of ``best``. ``pool``: starts of the current round; empty before
+    its first step. ``best``: best answer so far, one start; empty before the first one.
+    ``history``: energy, residual and change after each improvement or round.
+    """
+
+    turn: int = -1
+    count: int = 0
+    met: int = 0
+    step: str = "reference"
+    floor: float = math.nan
+    sharp: float = math.nan
+    held: float = math.nan
+    rival: float = math.nan
+    modes: tuple[int, ...]
+    pool: Starts
+    best: Starts
+    history: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in HISTORY})
+
+    def saved(self) -> dict[str, Any]:
+        """Return all that a resumed search needs, as arrays."""
+        arrays: dict[str, Any] = {
+            "place": [STEPS.index(self.step), *(getattr(self, name) for name in NUMBERS)],
+            "modes": self.modes,
+            "history": np.array([self.history[name] for name in HISTORY]),
+        }
+        for name, starts in (("pool", self.pool), ("best", self.best)):
+            arrays |= {f"{name}_{key}": values for key, values in vars(starts).items()}
+        return arrays
+
+    @classmethod
+    def of(cls, state: Any, like: Starts, modes: int) -> Place:
+        """Return the place of a saved state.
+
+        ``like`` are starts of the resumed fit, with ``modes`` coefficients.
+        """
+        if not isinstance(state, Mapping):
+            raise SceneError(
+                f"start of type {type(state).__name__} is no saved state; give a state of "
+                "evidence_fit, or leave it out"
+            )
+        names = [f"{part}_{entry.name}" for part in ("pool", "best") for entry in fields(Starts)]
+        names += ["place", "modes", "history"]
+        missing = [name for name in names if name not in state]
+        if missing:
+            raise SceneError(
+                f"start holds no {missing[0]}; give a state of evidence_fit, or leave it out"
+            )
+
+        def kept(part: str, count: int) -> Starts:
+            arrays: dict[str, Floats] = {}
+            for name, mine in vars(like).items():
+                arrays[name] = np.array(state[f"{part}_{name}"], dtype=mine.dtype)
+                given, wanted = arrays[name].shape[1:], mine.shape[1:]
+                if name == "coefficients":
+                    wanted = (count,)
+                if given != wanted:
+                    raise SamplingError(
+                        f"start's {name} have shape {given} for each start, this fit's {wanted}; "
+                        "it belongs to other images or modes, leave it out"
+                    )
+            return Starts(**arrays)
+
+        wide = tuple(np.asarray(state["modes"], dtype=int).tolist())
+        numbers = np.asarray(state["place"], dtype=float)
+        check_shape("start's place", numbers, (8,), "in this version; leave it out")
+        step, turn, count, met, *energies = numbers.tolist()
+        return cls(
+            step=STEPS[int(step)],
+            **dict(zip(NUMBERS, [int(turn), int(count), int(met), *energies], strict=True)),
+            modes=wide,
+            pool=kept("pool", modes),
+            best=kept("best", len(wide)),
+            history=dict(zip(HISTORY, np.asarray(state["history"]).tolist(), strict=True)),
+        )
 
 
 class Search:
@@ -112,11 +197,13 @@ class Search:
         """Make steps until the search ends or ``watch`` asks it to."""
         while self.place.step != "end":
             now, count = self.place.step, self.place.count
+            phase, text, stream = self.phases[now]
             part = (STEPS.index(now) + count / 10.0) / len(STEPS)
             whole = self.place.turn + part if self.place.turn >= 0 else 0.1 * part - 0.1
-            if watch(TEXTS[now], (whole + 0.1) / (self._rounds + 0.1)):
+            if watch(text, (whole + 0.1) / (self._rounds + 0.1)):
                 return
-            step = getattr(self, f"_{now}")(self._random(now, count))
+            stream = 100 * (13 * (self.place.turn + 1) + stream) + count
+            step = phase(self, generator(self._seed, stream))
             self.place.count = count + 1 if step == now else 0
             self.place.step = step
 
@@ -129,10 +216,6 @@ class Search:
             pool = self._energy.starts(self._first[None], last.first)
         free = replace(pool.best(1), radius=np.array([np.inf]))
         self._offer(self._energy.descend(free, last))
-
-    def _random(self, step: str, count: int) -> Generator:
-        stream = 13 * (self.place.turn + 1) + _STREAM[step]
-        return generator(self._seed, 100 * stream + count)
 
     def _reference(self, random: Generator) -> str:
         """Fit without blur, which an answer for one image has to beat."""
@@ -271,20 +354,11 @@ class Search:
             return "finish"
         twin = np.ones(len(energy.modes)) if frames else energy.twin
         walls = children(pool[: near.litter // 3], near.litter, twin, near, random)
-        walls *= random.uniform(*SETTINGS.growth, size=(len(walls), 1))
         stage = SETTINGS.settle if frames else SETTINGS.compare
         both = joined([pool, energy.descend(energy.starts(walls, stage.first), stage)])
         self.place.pool = self._ranked(both, SETTINGS.pool)
         before, now = (float(self._scores(one[:1])[0]) for one in (pool, self.place.pool))
-        if before - now >= SETTINGS.standstill:
-            return "neighbours"
-        if frames:
-            return "finish"
-        # on the narrow grid the best answer so far has another energy
-        best, found = energy.descend(self.place.best, SETTINGS.free), self.place.pool[:1]
-        ahead = found.energy[0] < best.energy[0] - SETTINGS.ahead
-        same = energy.apart(found, best.coefficients)[0] < SETTINGS.other
-        return "finish" if ahead or same else "neighbours"
+        return "neighbours" if before - now >= SETTINGS.standstill else "finish"
 
     def _finish(self, _: Generator) -> str:
         place, before = self.place, self.place.best
@@ -378,6 +452,22 @@ class Search:
             return tuple(known * factor for factor in SETTINGS.around) if self._frames else (known,)
         return SETTINGS.strengths
 
+    #: Steps in their order: method, text, and the stream of random numbers, of 13 in a round.
+    phases: ClassVar[dict[str, tuple[Callable[[Search, Generator], str], str, int]]] = {
+        "reference": (_reference, "no blur", 0),
+        "near": (_near, "about the given wall", 1),
+        "given": (_given, "about the given wall", 2),
+        "gather": (_gather, "random walls", 3),
+        "settle": (_settle, "best walls", 8),
+        "neighbours": (_neighbours, "near the best walls", 9),
+        "finish": (_finish, "best walls", 10),
+        "widen": (_widen, "more modes", 11),
+        "propose": (_propose, "proposed walls", 12),
+    }
+
+
+STEPS = (*Search.phases, "end")
+
 
 def _settled(energy: FreeEnergy, starts: Starts, frames: bool = False) -> Starts:
     """Fit answers a last time; those for one image until no energy decreases much."""
@@ -387,3 +477,58 @@ def _settled(energy: FreeEnergy, starts: Starts, frames: bool = False) -> Starts
         if (before - found.energy).max() < SETTINGS.standstill:
             break
     return found
+
+
+def random_walls(count: int, modes: int, lengths: Floats, random: Generator) -> Floats:
+    """Return coefficients (count, modes) with random directions and given norms.
+
+    The norms ``lengths``, waves rms, are used in turn.
+    """
+    walls = random.normal(size=(count, modes))
+    walls *= np.resize(lengths, count)[:, None] / np.linalg.norm(walls, axis=1, keepdims=True)
+    return walls
+
+
+def children(
+    parents: Starts, count: int, twin: Floats, near: Neighbourhood, random: Generator
+) -> Floats:
+    """Return coefficients (count, M) that vary those of the best parents.
+
+    ``parents``: parents by increasing energy; a better one is chosen with higher probability.
+    ``count``: number of children. ``twin`` (M,): signs that convert a wall to the one with the same
+    point spread, W(x) -> -W(-x). ``near``: size of the changes. ``random``: source of random
+    numbers.
+
+    A third of the children takes each coefficient from one of two parents, of which the second is
+    replaced by its twin if that is closer. A third changes signs. Most others move in a random
+    direction. A few change all signs, which mirrors the point spread.
+    """
+    walls = parents.coefficients.astype(np.float64)
+    chances = np.linspace(1.0, 0.2, len(walls))
+    chances /= chances.sum()
+    found = []
+    for kind in random.random(count):
+        wall = walls[random.choice(len(walls), p=chances)].copy()
+        length = float(np.linalg.norm(wall))
+        if kind < 0.35:
+            other = walls[random.choice(len(walls), p=chances)]
+            if np.linalg.norm(wall - twin * other) < np.linalg.norm(wall - other):
+                other = twin * other
+            wall = np.where(random.random(wall.size) < 0.5, wall, other)
+            wall += 0.15 * length * _direction(wall.size, random)
+        elif kind < 0.65:
+            flipped = random.random(wall.size) < near.flips
+            flipped[random.integers(wall.size)] = True
+            wall = np.where(flipped, -wall, wall)
+        elif kind < 0.95:
+            size = near.noise * length * random.uniform(0.5, 1.5)
+            wall += size * _direction(wall.size, random)
+        else:
+            wall = -wall
+        found.append(wall)
+    return np.array(found)
+
+
+def _direction(size: int, random: Generator) -> Floats:
+    vector = random.normal(size=size)
+    return vector / np.linalg.norm(vector)

@@ -108,16 +108,12 @@ class Settings:
     near_several: Neighbourhood = Neighbourhood(4, 12, 0.03, 0.25)
     near_noisy: Neighbourhood = Neighbourhood(12, 12, 0.03, 0.25)
     near_one: Neighbourhood = Neighbourhood(12, 24, 0.06, 0.3)
-    growth: tuple[float, float] = (0.95, 1.05)  # of the norm of children's coefficients
     # Relative distance of point spreads beyond which walls are different answers: in tests below
     # 0.2 for equal ones, above 0.34 for different ones. Correlation of the objects of two rounds
     # that found the same: right ones had 0.94 to 0.98 with each other at 5 % noise, others 0.3.
     other: float = 0.3
     same_object: float = 0.93
-    # decrease of the score per generation below which these end; those of one image go on unless
-    # they have the point spread of the best answer so far, or are better by the second number
-    standstill: float = 5.0
-    ahead: float = 50.0
+    standstill: float = 5.0  # decrease of the score per generation below which these end
     # Repetitions of the last fit for one image. Answers, different walls and fits without blur are
     # repeated alike, since the status compares their energies.
     repeats: int = 5

@@ -17,9 +17,8 @@ from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
 from ..data.arrays import check_finite, real_array
-from ..data.checkpoints import goes_on, state_of
-from ..data.reconstruction import Reconstruction, frozen
-from ..data.scores import registered_correlation
+from ..data.driver import goes_on, state_of
+from ..data.reconstruction import Reconstruction, frozen, registered_correlation
 from ..data.status import Status
 from .speckle_likelihood import BurstLikelihood, speckle_power
 
@@ -30,24 +29,16 @@ Array = NDArray[np.float64]
 class Settings:
     """Numbers of the fit and of its tests.
 
-    ``edge``: width of the window's edges over the frame's side. ``low``: frequency, cycles per
-    frame, up to which facets of a wall add to the power of speckle; it is not used. ``smoothing``:
-    width of the Gaussian that makes the envelope from the mean image, over the frame's side.
-    ``dark``: envelope over its maximum below which pixels have little weight. ``flux``: error of
-    the object's sum, which the mean image determines. ``rounds``, ``steps``: the model of the power
-    in the third cumulant is renewed at most so often, after so many steps. ``rounding``: part of
-    the object's maximum below which differences are no edges. ``settled``: largest distance from 1
-    of the correlation of the last two rounds' objects. ``information``: least information about the
-    phases, nats for each frequency above the noise; 0.25 leaves errors of about 1 rad.
-    ``skewness``: least third cumulant over the model's. ``margin``: least logarithm of the odds
-    against the object turned by half a turn, unless object and turned object correlate by more than
-    ``symmetric``. ``expected``: least expected correlation with the truth.
+    ``flux``: error of the object's sum, which the mean image determines. ``rounds``, ``steps``: the
+    model of the power in the third cumulant is renewed at most so often, after so many steps.
+    ``rounding``: part of the object's maximum below which differences are no edges. ``settled``:
+    largest distance from 1 of the correlation of the last two rounds' objects. ``information``:
+    least information about the phases, nats for each frequency above the noise; 0.25 leaves errors
+    of about 1 rad. ``skewness``: least third cumulant over the model's. ``margin``: least logarithm
+    of the odds against the object turned by half a turn, unless object and turned object correlate
+    by more than ``symmetric``. ``expected``: least expected correlation with the truth.
     """
 
-    edge: float = 1.0 / 8.0
-    low: float = 4.0
-    smoothing: float = 1.0 / 20.0
-    dark: float = 0.1
     flux: float = 0.03
     rounds: int = 10
     steps: int = 60
@@ -172,16 +163,7 @@ def burst_fit(
     )
     half = len(values) // 2
     whole_burst, *halves = (
-        BurstLikelihood.of(
-            part,
-            speckle,
-            cutoff,
-            edge=SETTINGS.edge,
-            low=SETTINGS.low,
-            smooth=SETTINGS.smoothing,
-            dark=SETTINGS.dark,
-        )
-        for part in (values, values[:half], values[half:])
+        BurstLikelihood.of(part, speckle, cutoff) for part in (values, values[:half], values[half:])
     )
     level = search.run(whole_burst, search.start())
     if search.change > SETTINGS.settled:  # once more, from another start

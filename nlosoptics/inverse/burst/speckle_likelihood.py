@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from ..data.arrays import half_spectrum_weights
-from ..data.spectra import squared
+from ..data.models import squared
 
 Array = NDArray[np.float64]
 
@@ -64,17 +64,18 @@ class BurstLikelihood:
         speckle: Array,
         cutoff: float,
         *,
-        edge: float,
-        low: float,
-        smooth: float,
-        dark: float,
+        edge: float = 1.0 / 8.0,
+        low: float = 4.0,
+        smooth: float = 1.0 / 20.0,
+        dark: float = 0.1,
     ) -> BurstLikelihood:
         """Reduce images (K, H, W) to their fluctuations.
 
         ``speckle``, ``cutoff``: as of `speckle_power`. ``edge``, ``smooth``: widths of the window's
         edges and of the Gaussian that makes the envelope from the mean image, over the frame's
-        side. ``low``: frequency, cycles per frame, from which the model holds. ``dark``: envelope
-        over its maximum at which the window falls to a half.
+        side. ``low``: frequency, cycles per frame, from which the model holds; facets of a wall add
+        to the power of speckle below it. ``dark``: envelope over its maximum at which the window
+        falls to a half.
         """
         count, rows, columns = images.shape
         mean = images.mean(axis=0)

@@ -13,17 +13,17 @@ from ..._checks import squarable
 from ...errors import SamplingError
 from ...imaging.forward_model import ForwardModel
 from .arrays import check_finite, check_shape, real_array
-from .models import model_shape
-from .outliers import lone_pixels, noise_of_neighbours, predicted
-from .spectra import (
+from .models import (
     beyond_optics,
     expected_signal,
     half_weights,
+    model_shape,
     noise_share,
     passed_power,
     periodic_spectrum,
     squared,
 )
+from .outliers import lone_pixels, noise_of_neighbours, predicted
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

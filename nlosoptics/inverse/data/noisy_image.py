@@ -15,9 +15,8 @@ from ...errors import SceneError
 from ...imaging.forward_model import ForwardModel
 from .arrays import as_numpy, check_finite, check_shape, is_tensor, real_array, shape_of, total
 from .measurement import measured
-from .models import model_shape
+from .models import half_weights, model_shape, object_power, passed_power, power
 from .noise import clipped_pixels, lit_pixels, pixel_noise, surrounded
-from .spectra import half_weights, object_power, passed_power, power
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -9,7 +9,7 @@ import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 
 from .arrays import MEDIAN_OVER_SIGMA
-from .spectra import expected_signal, half_weights, periodic_spectrum, squared
+from .models import expected_signal, half_weights, periodic_spectrum, squared
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

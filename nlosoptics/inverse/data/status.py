@@ -19,9 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...imaging.forward_model import ForwardModel
-from .models import widened
-from .noisy_image import NoisyImage
-from .spectra import (
+from .models import (
     beyond_optics,
     expected_signal,
     half_weights,
@@ -29,7 +27,9 @@ from .spectra import (
     passed_power,
     periodic_power,
     power,
+    widened,
 )
+from .noisy_image import NoisyImage
 
 Array = NDArray[np.float64]
 

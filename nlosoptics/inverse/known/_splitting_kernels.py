@@ -1,12 +1,25 @@
 """Steps of total variation's splitting on numpy arrays, each in one pass over memory.
 
-`splitting_steps` describes them and does the same with tensors. Sums are formed per column in
-double precision, since the sum of a column's terms depends on the order of rows alone, and columns
-can be summed side by side. Numbers are brought to the arrays' precision first. No divisor is zero;
-a check for it, which numba's own error model makes, would take three times as long as the rest.
+An iteration of the method of multipliers (ADMM) consists of Fourier transforms and of these steps.
+Arrays are changed in place. ``free`` and ``seen`` are the object and its image that solve the
+quadratic part, on the FFT grid (rows, columns), whose first corner is the frame (H, W). New values
+are over-relaxed: moved `RELAXATION` times as far from the old ones. ``level`` is the background's
+strength and ``ratio`` the multiplier over the data penalty: a pixel keeps 1/(1 + ratio weight) of
+its misfit.
+
+``sums`` (3, columns) receive sums of columns in double precision, since the sum of a column's terms
+depends on the order of rows alone, and columns can be summed side by side: `shrink_edges`, the
+total variation; `keep_positive`, the squares of the object, of its change and of ``free`` minus the
+object; `relax_image`, the squares of the misfit before, and the two sums whose ratio is the best
+strength of the background; `weigh_misfit`, the squares of what is kept of the misfit, and minus
+half the derivative with respect to ``ratio``. Numbers are brought to the arrays' precision first.
+No divisor is zero; a check for it, which numba's own error model makes, would take three times as
+long as the rest.
 """
 
 import math
+
+import numpy as np
 
 from ...kernels.compiling import njit
 
@@ -45,10 +58,11 @@ def mix(image, pull, filtered, inverse, transfer):
 
 
 @njit(cache=True, error_model="numpy")
-def shrink_edges(free, edges, edge_dual, most, right, sums):
+def shrink_edges(free, edges, edge_dual, most, sums):
     kind = free.dtype.type
     relaxation, limit, zero, tiny = kind(RELAXATION), kind(most), kind(0.0), kind(TINY)
     rows, columns = free.shape
+    right = np.empty(columns, free.dtype)
     for row in range(rows):
         below = row + 1 if row + 1 < rows else 0
         for column in range(columns - 1):

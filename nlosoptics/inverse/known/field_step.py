@@ -1,4 +1,4 @@
-"""Object step of total variation for a point spread that varies over the field."""
+"""Object step of total variation for point spreads over a field, by conjugate gradients."""
 
 from __future__ import annotations
 
@@ -10,9 +10,20 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from ..data.arrays import total
-from .conjugate_gradients import conjugate_direction
 
 Array = NDArray[Any]
+
+
+def conjugate_direction(
+    residual: Array, step: Array, direction: Array, last: float
+) -> tuple[Array, float]:
+    """Return the next direction of preconditioned conjugate gradients, and its product.
+
+    ``step`` is the preconditioned residual, and the product that of residual and ``step``. Before
+    the first step ``direction`` is zero and ``last``, the product of the last step, is infinite.
+    """
+    product = total(residual * step)
+    return step + (product / last) * direction, product
 
 
 class FieldStep:

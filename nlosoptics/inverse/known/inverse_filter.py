@@ -13,10 +13,9 @@ from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
 from ..data.arrays import half_spectrum_weights
 from ..data.driver import reconstructed
-from ..data.models import one_kernel_shape
+from ..data.models import one_kernel_shape, squared
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
-from ..data.spectra import squared
 from ..data.status import Ending
 
 Array = NDArray[np.float64]

@@ -16,15 +16,15 @@ from ...imaging import CameraImage, ForwardModel
 from ..data.arrays import check_finite, real_array
 from ..data.driver import reconstructed
 from ..data.measurement import Measurement, measured
-from ..data.noisy_image import NoisyImage
-from ..data.reconstruction import Reconstruction
-from ..data.spectra import (
+from ..data.models import (
     beyond_optics,
     expected_signal,
     passed_power,
     periodic_power,
     power,
 )
+from ..data.noisy_image import NoisyImage
+from ..data.reconstruction import Reconstruction
 
 Array = NDArray[np.float64]
 Fit = Callable[[NoisyImage, ForwardModel], dict[str, Any]]

@@ -13,8 +13,7 @@ from ...errors import SceneError
 from ...imaging.forward_model import ForwardModel
 from ...psf import PointSpread
 from ..data.arrays import norm, total
-from ..data.checkpoints import started_from
-from ..data.driver import History, Solver, solved, stop_rule
+from ..data.driver import History, Solver, solved, started_from, stop_rule
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 from ..data.status import Ending

@@ -14,16 +14,14 @@ from ..._checks import positive
 from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
 from ...psf import PointSpread
-from ..data.checkpoints import started_from
-from ..data.driver import History, Solver, run, solved, stop_rule
+from ..data.driver import History, Solver, run, solved, started_from, stop_rule
 from ..data.models import mean_transfer
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 from ..data.status import Ending
-from ._splitting_kernels import RELAXATION, mix, pull
+from . import _splitting_kernels as kernels
 from .field_step import FieldStep
 from .photographs import fitted
-from .splitting_steps import Steps, gradient
 
 Array = NDArray[Any]
 
@@ -223,7 +221,8 @@ class _Splitting(Solver):
             saturated = np.isfinite(least)
             self._saturated = np.where(saturated)
             self._image = np.where(saturated, least.astype(kind), self._image)
-        self._steps = Steps(self._image, self._shape, self._weights, model.grid[1])
+        self._measured = self._image, self._shape, self._weights
+        self._sums = np.empty((3, model.grid[1]))
         transfer = mean_transfer(model)
         self._response = float(abs(transfer).max())
         transfer = transfer / self._response
@@ -270,7 +269,7 @@ class _Splitting(Solver):
         else:
             self.multiplier = self._given
             self.data_penalty = _TUNING.data * self.multiplier
-        self.edges = gradient(self.signed)
+        self.edges = np.stack([np.roll(self.signed, -1, axis) - self.signed for axis in (0, 1)])
         self.data_dual, self.sign_dual = 0.0 * self._image, self._dark + 0.0
         self.edge_dual = 0.0 * self.edges
         self.edge_penalty, self.sign_penalty = _TUNING.edge / brightness, _TUNING.sign / brightness
@@ -279,14 +278,18 @@ class _Splitting(Solver):
 
     def step(self) -> tuple[float, float, float]:
         """Make one iteration; return total variation, residual and change of the object."""
-        steps, wanted, pulled = self._steps, self.predicted.copy(), np.empty_like(self._dark)
+        wanted, pulled = self.predicted.copy(), np.empty_like(self._dark)
         wanted[self._frame] -= self.data_dual
         edges = self.edges, self.edge_dual, self.edge_penalty
-        pull(*edges, self.signed, self.sign_dual, self.sign_penalty, pulled)
+        kernels.pull(*edges, self.signed, self.sign_dual, self.sign_penalty, pulled)
         free, seen = self._object_step(wanted, pulled)
         residual = self._data_step(seen)
-        variation = steps.shrink_edges(free, self.edges, self.edge_dual, 1 / self.edge_penalty)
-        sums = steps.keep_positive(free, self.signed, self.sign_dual)
+        variation, *_ = self._summed(
+            kernels.shrink_edges, free, self.edges, self.edge_dual, 1 / self.edge_penalty
+        )
+        sums = self._summed(
+            kernels.keep_positive, free, self.signed, self.sign_dual, *self._image.shape
+        )
         size, change, distance = map(math.sqrt, sums)
         change, distance = (length / max(size, 1e-30) for length in (change, distance))
         self.measure = max(change, distance)
@@ -372,7 +375,7 @@ class _Splitting(Solver):
             )
             return self.last
         free, seen = fft.rfft2(wanted), fft.rfft2(pulled)
-        mix(free, seen, filtered, inverse, self._transfer)
+        kernels.mix(free, seen, filtered, inverse, self._transfer)
         return fft.irfft2(free, self._dark.shape), fft.irfft2(seen, self._dark.shape)
 
     def _data_step(self, seen: Array) -> float:
@@ -381,21 +384,32 @@ class _Splitting(Solver):
         The background and, if searched for, the multiplier are updated too. Returns the rms
         residual before, over the noise.
         """
-        steps, predicted, dual = self._steps, self.predicted, self.data_dual
+        predicted, dual = self.predicted, self.data_dual
         ratio, level = self.multiplier / self.data_penalty, self.background
         if self._saturated is not None:  # these pixels count only below their least values
             here = self._saturated
-            moved = predicted[here] + RELAXATION * (seen[here] - predicted[here]) + dual[here]
+            moved = (
+                predicted[here] + kernels.RELAXATION * (seen[here] - predicted[here]) + dual[here]
+            )
             below = moved + level * self._shape[here] < self._image[here]
             self._weights[here] = 1.0 * below
-        square, best = steps.relax_image(seen, predicted, dual, level, ratio)
+        square, product, norm = self._summed(
+            kernels.relax_image, seen, predicted, dual, *self._measured, level, ratio
+        )
         if self.data.fit_background:
-            self.background = best
+            self.background = product / (norm or 1.0)  # a veil can be dark in all pixels that count
         if self._given is None:
             self._seek_multiplier()
         ratio = self.multiplier / self.data_penalty
-        steps.split_misfit(predicted, dual, self.background, ratio)
+        kernels.split_misfit(predicted, dual, *self._measured, self.background, ratio)
         return math.sqrt(square / self._counted) / self._sigma
+
+    def _summed(self, kernel: Any, *arguments: Any) -> list[float]:
+        """Call a kernel; return the sums of what it adds up for each column."""
+        self._sums[...] = 0.0
+        kernel(*arguments, self._sums)
+        sums: list[float] = self._sums.sum(axis=1).tolist()
+        return sums
 
     def _seek_multiplier(self) -> None:
         """Set the multiplier for which the residual after the data step equals the noise, rms.
@@ -405,7 +419,9 @@ class _Splitting(Solver):
         """
         for _ in range(2):
             ratio = self.multiplier / self.data_penalty
-            square, slope = self._steps.weigh_misfit(self.predicted, self.background, ratio)
+            square, slope, _ = self._summed(
+                kernels.weigh_misfit, self.predicted, *self._measured, self.background, ratio
+            )
             if slope <= 0.0:
                 return
             step = (1.0 / self._target - square**-0.5) * square**1.5 / slope

@@ -13,12 +13,11 @@ from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
 from ...psf import PointSpread
 from ..data.arrays import half_spectrum_weights, norm, total
-from ..data.checkpoints import started_from
-from ..data.driver import History, Solver, run, solved, stop_rule
+from ..data.driver import History, Solver, run, solved, started_from, stop_rule
 from ..data.models import mean_transfer
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction, beside
-from .conjugate_gradients import conjugate_direction
+from .field_step import conjugate_direction
 from .photographs import fitted
 
 Array = NDArray[np.float64]

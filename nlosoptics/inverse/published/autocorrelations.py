@@ -12,8 +12,8 @@ from scipy import fft, ndimage
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data.arrays import real_array
+from ..data.models import squared
 from ..data.noisy_image import NoisyImage
-from ..data.spectra import squared
 
 Array = NDArray[np.float64]
 

@@ -16,12 +16,11 @@ from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data.arrays import half_spectrum_weights, shape_of
-from ..data.checkpoints import goes_on, state_of
+from ..data.driver import goes_on, state_of
 from ..data.measurement import measured
 from ..data.models import one_kernel_shape
 from ..data.noisy_image import noisy_image
-from ..data.reconstruction import Reconstruction, frozen
-from ..data.scores import registered_correlation
+from ..data.reconstruction import Reconstruction, frozen, registered_correlation
 from .autocorrelations import SpectrumModulus, checked_lags, image_lags, spectrum_modulus
 
 Method = Literal["alternating", "hio", "raar"]

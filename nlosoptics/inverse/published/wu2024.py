@@ -16,14 +16,12 @@ from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
-from ..data._threads import gradients, single_thread
 from ..data.arrays import real_array
 from ..data.driver import History, Solver, reconstructed, solved
 from ..data.measurement import measured
 from ..data.noisy_image import NoisyImage
-from ..data.reconstruction import Reconstruction, beside
-from ..data.scores import registered_correlation
-from ..wave.frames import known_defoci
+from ..data.reconstruction import Reconstruction, beside, registered_correlation
+from ..wave.frames import fitting, known_defoci
 from ..wave.pupil_psf import PupilPSF
 from .unet import UNetObject
 
@@ -32,8 +30,7 @@ NetworkInput = Literal["image", "reconstruction", "noise"]
 GUIDE, ANGLES = 602, 603  # streams of the random network input and of the random angles
 
 
-@single_thread()
-@gradients()
+@fitting()
 def wu2024_fit(
     images: Any,
     pupil_psf: PupilPSF,

@@ -12,9 +12,8 @@ import torch
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement, PupilPSF, evidence_fit, pcin, registered_correlation
-from nlosoptics.inverse.blind.evidence_search import Search
+from nlosoptics.inverse.blind.evidence_search import Search, children, random_walls
 from nlosoptics.inverse.blind.free_energy import FreeEnergy
-from nlosoptics.inverse.blind.random_walls import children, random_walls
 from nlosoptics.inverse.blind.search_settings import Neighbourhood, Stage
 from nlosoptics.inverse.blind.verdict import Verdict
 from nlosoptics.inverse.wave.frames import frames_of

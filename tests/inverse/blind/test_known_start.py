@@ -225,6 +225,18 @@ def test_pixels_of_infinite_noise_have_no_say():
 
 
 @pytest.mark.thorough
+def test_hot_pixels_are_found_and_named():
+    images, spread, defocus, truth = made(gains=(1.0, 1.0))
+    hot = np.zeros(images.shape, dtype=bool)
+    hot[0, 5, 7] = hot[1, 20, 9] = hot[1, 12, 30] = True
+    spoilt = np.where(hot, 4.0 * images.max(), images)
+    found = evidence_fit(spoilt, spread, defocus=defocus, **NEAR)
+    assert np.array_equal(found.physical_parameters["bad_pixel_map"], hot)
+    assert found.physical_parameters["bad_pixels"] == 3
+    assert registered_correlation(found, truth) > 0.98
+
+
+@pytest.mark.thorough
 def test_a_given_wall_of_unknown_error_is_one_more_start():
     """It is right, so that no other wall is tried; without it the first answer takes a search."""
     images, spread, defocus, truth = made(gains=(1.0, 1.0))

@@ -9,8 +9,8 @@ import torch
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import PupilPSF
 from nlosoptics.inverse.blind import wall_proposals as proposals
-from nlosoptics.inverse.blind.random_walls import random_walls
-from nlosoptics.inverse.blind.wall_network import MODES, SIDE, WallNetwork, channels, twin_signs
+from nlosoptics.inverse.blind.evidence_search import random_walls
+from nlosoptics.inverse.blind.wall_proposals import MODES, SIDE, WallNetwork, channels, twin_signs
 from nlosoptics.inverse.wave.frames import frames_of
 
 from ..by_name import called

@@ -9,8 +9,8 @@ import torch
 from nlosoptics import inverse
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement, estimate_noise, registered_correlation, tv_deconvolve
+from nlosoptics.inverse.data.models import passed_power
 from nlosoptics.inverse.data.outliers import lone_pixels, noise_of_neighbours, predicted
-from nlosoptics.inverse.data.spectra import passed_power
 
 SIDE, NOISE = 64, 0.01
 

@@ -13,7 +13,7 @@ from nlosoptics import inverse
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import Measurement
-from nlosoptics.inverse.data.checkpoints import goes_on, started_from, state_of
+from nlosoptics.inverse.data.driver import goes_on, started_from, state_of
 
 SIGMA = 0.02
 SOLVERS = [inverse.tv_deconvolve, inverse.wiener]

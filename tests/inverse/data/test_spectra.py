@@ -8,7 +8,7 @@ import pytest
 from nlosoptics.errors import SamplingError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import estimate_noise
-from nlosoptics.inverse.data.spectra import (
+from nlosoptics.inverse.data.models import (
     frame_transfer,
     half_weights,
     noise_share,
