@@ -14,7 +14,7 @@ from scipy import constants
 
 import nlosoptics as nlos
 from nlosoptics import cli, imaging, inverse, limits
-from nlosoptics.errors import SceneError
+from nlosoptics.errors import SceneError, ValidityWarning
 from nlosoptics.imaging import WallTransport
 from nlosoptics.scene import FlatWall, Lambert, Scene
 
@@ -33,7 +33,7 @@ def call(capsys, *arguments: object) -> dict:
 def test_a_letter_is_read_off_the_shadows_of_a_disc(tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     scene = SCENES / "letter_disc.toml"
-    exposure = ("--set", "camera.exposure=60 ms")
+    exposure = ("--set", "camera.exposure=100 ms")
     call(capsys, "run", scene, "--size", 32, *exposure, "--out", "letter")
     result = nlos.load_result("letter")
     assert (result.exit_pupil, result.wavefront, result.point_spread) == (None, None, None)
@@ -93,11 +93,9 @@ def test_light_of_screen_and_room_is_that_of_the_operator() -> None:
 def test_light_that_is_not_described_is_refused() -> None:
     dark = screen(ambient_irradiance=0.0)
     dark = replace(dark, hidden=replace(dark.hidden, luminous=None))
-    with pytest.raises(SceneError, match=r"the scene has no light: .*; add one"):
-        nlos.simulate(dark, reconstruct=True)
+    with pytest.warns(ValidityWarning, match=r"no object .* the scene has no light: .*; add one"):
+        assert nlos.simulate(dark, reconstruct=True).reconstruction is None
     flat = Scene.load(SCENES / "letter_flat.toml").resized(8)
-    with pytest.raises(SceneError, match=r"point_spread is None, but .*; compute it with psf"):
-        imaging.form_image(flat, None)
     speckled = replace(flat, wall_material=Lambert(0.7), ambient_irradiance=1.0)
     speckled = replace(speckled, laser=replace(speckled.laser, independent_patterns=1))
     with pytest.raises(SceneError, match="room is lit"):
