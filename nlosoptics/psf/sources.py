@@ -39,12 +39,16 @@ def _taking(
 ) -> Callable[Concatenate[Any, P], R]:
     """Return a function whose first argument is what ``of`` makes of that given."""
     name = next(iter(inspect.signature(function).parameters))
+    call: Any = function
 
     @functools.wraps(function)
     def taking(*arguments: Any, **options: Any) -> R:
         if arguments:
-            return function(of(arguments[0]), *arguments[1:], **options)
-        return function(of(options.pop(name, None)), **options)
+            arguments = of(arguments[0]), *arguments[1:]
+        else:
+            arguments = (of(options.pop(name, None)),)
+        result: R = call(*arguments, **options)
+        return result
 
     taking.__module__ = __name__  # where pickle finds it
     return taking

@@ -266,7 +266,8 @@ def cosines(shape: tuple[int, int]) -> tuple[Array, Array]:
     rows, columns = (scipy.fft.idct(np.eye(n), axis=0, norm="ortho") for n in shape)
     v, u = (np.arange(n) / n for n in shape)
     frequency = np.add.outer(v**2, u**2).ravel() * max(shape) ** 2
-    return np.kron(rows, columns), 1.0 / (1.0 + frequency)
+    modes: Array = np.kron(rows, columns).astype(np.float64, copy=False)
+    return modes, 1.0 / (1.0 + frequency)
 
 
 def evidence(data: WallImage, matrix: Array, shape: tuple[int, int]) -> Evidence:
