@@ -71,7 +71,7 @@ def sweep(
     >>> scene = Scene.load("examples/scenes/letter_flat.toml")
     >>> table = sweep(scene, {"wall.curvature": [-0.01, 0.0, 0.01]}, figures="aberration_rms")
     >>> table.to_xarray()["aberration_rms"].values.round(2)
-    array([0.31, 0.  , 0.31])
+    array([0.22, 0.  , 0.23])
     """
     scene = expect("scene", scene, "Scene")
     if not isinstance(axes, Mapping) or not axes:
