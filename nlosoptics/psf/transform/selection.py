@@ -135,7 +135,7 @@ def _quadrature(task: Task) -> Candidate:
 def _cells(task: Task) -> Candidate:
     """Return the sum over as few nodes of cells as suffice."""
     # lower bound of the relative error, since the peak is at most 1
-    field = task.residual.truncation + quadrature.SAFETY * task.coarse.core
+    field = task.residual.truncation + task.coarse.core
     least = 2 * error_bounds.beat(task.pixel) * field
     ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
     return Candidate(costs.coarse_sum(task.coarse, task.samples), "fft", ruled_out)
