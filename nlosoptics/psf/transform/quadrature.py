@@ -15,10 +15,10 @@ from . import nufft
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-#: Range of the accuracies of `coarse_counts`.
-LEAST, MOST = 1e-12, 1e-2
-#: Bound of the field's error over the accuracy of the nodes.
-SAFETY = 4.0
+#: Semi-axis sums of the ellipses on which `Coarse` bounds a wave.
+RHO = 1 + np.geomspace(0.02, 20.0, 48)
+#: Largest error of nodes that is wanted: coarser nodes save no time.
+MOST = 1e-2
 #: Airy units about the rays within which an image may be as bright as its peak.
 BRIGHT = 2.0
 
@@ -91,88 +91,83 @@ class Coarse(NamedTuple):
     ----------
     counts : (int, int, int)
         Shape of the nodes.
-    degrees : (int, int)
-        Degrees of the aberration along both sides of a patch that matter at this accuracy.
+    growth : ndarray, (2, n)
+        Along both sides of a patch, result of `growth`.
     core : float
         Error of their sum where the image is bright, relative to the ideal peak of the field.
-    edge : float
-        Error at the farthest point of the window, at least ``core``.
     epsilon : float
         Requested error of the transform, relative in the rms sense.
     """
 
     counts: tuple[int, int, int]
-    degrees: tuple[int, int]
+    growth: Array
     core: float
-    edge: float
     epsilon: float
 
     def field_errors(self, residual: Residual, distance: Array) -> Array:
-        """Bound the field's error by the nodes at distances, m, from the tilt's image point.
-
-        Measured errors reach 0.6 of it. It is not claimed to be below that of the core, so that the
-        law of `coarse_counts` is not extrapolated.
-        """
-        k, digits = residual.wavenumber, np.full(distance.shape, np.inf)
-        slope = residual.rays.slope + distance / abs(residual.wavefront.image_distance)
-        for size, count, degree in zip(
-            residual.aperture.patch_size, self.counts[1:], self.degrees, strict=True
-        ):
-            v = np.maximum(k * slope * size, 1e-3)
-            spare = np.maximum(count - degree / 2 - v / 4, 0.0)
-            digits = np.minimum(digits, (spare / (0.67 * np.cbrt(v))) ** 1.5)
-        return np.asarray(SAFETY * np.maximum(10.0**-digits, self.core))
+        """Bound the field's error by the nodes at distances, m, from the tilt's image point."""
+        rings = np.linspace(0.0, float(distance.max()), 17)
+        count = np.array(self.counts[1:])[:, None, None]
+        largest = _image_growth(residual, rings) + self.growth[:, None]
+        error = np.exp(np.min(largest - 2 * count * np.log(RHO), axis=2)).sum(axis=0)
+        return np.asarray(error[np.minimum(np.searchsorted(rings, distance), rings.size - 1)])
 
 
-def coarse_counts(
-    residual: Residual, distance: float, accuracy: float, degrees: tuple[int, int]
-) -> tuple[int, int, int]:
-    """Return the shape of the nodes of cells whose sum has a given accuracy, 1e-12 to 0.1.
+def growth(residual: Residual) -> Array:
+    """Return the logarithm of the error of Gauss-Legendre nodes without image point and count.
 
-    It is the error of the field relative to its ideal peak, up to a ``distance``, m, from the
-    tilt's image point. With L = -log10(accuracy) and v as in `cell_counts`,
-    ``v/4 + 0.67 L^(2/3) v^(1/3)`` nodes integrate exp(i v s) to that accuracy: an error falls as
-    an Airy function once there are more than v/4. Half of ``degrees``, those of the aberration, is
-    added. The counts may be below those of the wavefront's own nodes.
+    With n nodes along a side, s = -1 to 1, the error of the mean of an analytic function is at most
+    ``(32/15) M rho^(-2n)/(1 - rho^(-2))`` for every ellipse with the foci -1 and 1 and semi-axes of
+    sum rho in which its modulus is below M [1]_. For the phase ``sum A_k P_k(s)``, ln M is at most
+    ``sum A_k (rho^k - rho^(-k))/2``; the amplitude and the Jacobian, of degree 1, are factors.
+
+    Returns
+    -------
+    ndarray, (2, n)
+        ln (M/(1 - rho^(-2))) with its factors along both sides of a patch, for each of `RHO`.
+
+    References
+    ----------
+    .. [1] Trefethen, Approximation Theory and Approximation Practice (2013), theorem 19.3.
     """
-    slope = distance / abs(residual.wavefront.image_distance) + residual.rays.slope
-    digits = -math.log10(accuracy)
-    counts = [
-        math.ceil(v / 4 + 0.67 * digits ** (2 / 3) * v ** (1 / 3) + degree / 2)
-        for degree, v in zip(
-            degrees,
-            (residual.wavenumber * slope * size for size in residual.aperture.patch_size),
-            strict=True,
-        )
-    ]
-    return len(residual.aberration), counts[0], counts[1]
+    found = np.log(32 / 15 * RHO / (1 - RHO**-2.0)) + np.zeros((2, 1))
+    for axis in (0, 1):
+        terms = residual.wavenumber * residual.series.sizes.sum(axis=1 - axis)[1:, None]
+        degree = np.arange(1.0, len(terms) + 1)[:, None]
+        found[axis] += np.sum(terms * (RHO**degree - RHO**-degree) / 2, axis=0)
+        if not residual.is_uniform:
+            terms = residual.amplitude_series.sizes.sum(axis=1 - axis)[:, None]
+            degree = np.arange(len(terms))[:, None]
+            mean = residual.amplitude_sum / residual.aperture.area
+            found[axis] += np.log(np.sum(terms / mean * RHO**degree, axis=0))
+    return found
+
+
+def _image_growth(residual: Residual, distance: Array) -> Array:
+    """Return what image points at distances (m,), m, add to `growth`, (2, m, n)."""
+    slope = residual.wavenumber * distance / abs(residual.wavefront.image_distance)
+    sides = np.array(residual.aperture.patch_size)
+    return np.asarray(np.multiply.outer(np.outer(sides, slope / 2), (RHO - 1 / RHO) / 2))
 
 
 def coarse(residual: Residual, window: Window, tol: float, peak: float, dark: float) -> Coarse:
-    """Return the nodes of cells for an intensity error of a sixth to a third of ``tol``.
+    """Return the nodes of cells for an intensity error of about half of ``tol``.
 
     ``peak`` is the predicted largest intensity, and ``dark`` the predicted modulus of the field at
-    the window's edge: where the image is dark, an error of the field matters less. Terms of the
-    aberration below core^(1/4) rad are ignored; they change a small error only.
+    the window's edge: where the image is dark, an error of the field matters less.
     """
     peak = min(peak, 1.0)
-    core = min(max(tol * math.sqrt(peak) / 48, LEAST), MOST)
+    core = min(tol * math.sqrt(peak) / 8, MOST)
     # the square of the error is a sixteenth of tol, or less
-    edge = min(tol * peak / (24 * dark), math.sqrt(tol * peak) / (4 * SAFETY), MOST)
-    edge = max(edge, core)
-    epsilon = min(max(tol / 8, nufft.BEST), nufft.COARSEST)
-    small = core**0.25
-    degrees = residual.degrees(small / residual.wavenumber)
-    if not residual.is_uniform:
-        more = residual.amplitude_series.degrees(small)
-        degrees = degrees[0] + more[0], degrees[1] + more[1]
+    edge = max(min(tol * peak / (8 * dark), math.sqrt(tol * peak) / 4, MOST), core)
     farthest = math.hypot(*window.reach_from(residual.shift))
     bright = min(residual.rays.reach + BRIGHT * residual.airy_unit, farthest)
-    wanted = (
-        coarse_counts(residual, *place, degrees) for place in ((bright, core), (farthest, edge))
-    )
-    n_patches, *counts = map(max, zip(*wanted, strict=True))
-    return Coarse((n_patches, counts[0], counts[1]), degrees, core, edge, epsilon)
+    own = growth(residual)
+    largest = _image_growth(residual, np.array([bright, farthest])) + own[:, None]
+    largest -= np.log([[core / 2], [edge / 2]])
+    along_s, along_t = np.ceil(np.min(largest / (2 * np.log(RHO)), axis=2).max(axis=1))
+    epsilon = min(max(tol / 4, nufft.BEST), nufft.COARSEST)
+    return Coarse((len(residual.aberration), int(along_s), int(along_t)), own, core, epsilon)
 
 
 def epsilon(residual: Residual, window: Window, tol: float) -> float:

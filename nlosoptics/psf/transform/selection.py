@@ -10,7 +10,7 @@ from ...errors import MemoryLimitError, NlosError, SamplingError
 from ..wave.regime import Regime
 from ..window import error_bounds
 from ..window.error_bounds import rounded_up
-from . import airy, costs, geometric, quadrature
+from . import airy, costs, geometric
 from .runners import Result, Task, grid_period_pitch, polar_size, transform
 
 #: Aberration, waves peak to valley, up to which the geometric method is not tried.
@@ -135,7 +135,7 @@ def _quadrature(task: Task) -> Candidate:
 def _cells(task: Task) -> Candidate:
     """Return the sum over as few nodes of cells as suffice."""
     # lower bound of the relative error, since the peak is at most 1
-    field = task.residual.truncation + quadrature.SAFETY * task.coarse.core
+    field = task.residual.truncation + task.coarse.core
     least = 2 * error_bounds.beat(task.pixel) * field
     ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
     return Candidate(costs.coarse_sum(task.coarse, task.samples), "fft", ruled_out)

@@ -64,6 +64,11 @@ class CellSpectrum:
         along_s, along_t = np.nonzero(above.any(axis=1))[0], np.nonzero(above.any(axis=0))[0]
         return int(along_s.max(initial=0)), int(along_t.max(initial=0))
 
+    @property
+    def sizes(self) -> Array:
+        """Largest modulus of each coefficient over all patches, (n_s, n_t), unit of the values."""
+        return self._terms[0]
+
     @cached_property
     def _terms(self) -> tuple[Array, Array]:
         """Largest modulus of each coefficient over all patches; rms of each patch's high terms."""

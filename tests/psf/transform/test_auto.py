@@ -295,3 +295,15 @@ def test_errors_of_random_waves_stay_within_estimates(study, kind):
     for row in rows:
         if "refusal" in row:
             assert "; use " in row["refusal"], row
+
+
+@pytest.mark.parametrize(("term", "tol"), [(55, 1e-10), (105, 1e-7), (35, 1e-3)])
+def test_estimate_bounds_the_error_of_waves_of_high_degree(term, tol):
+    """A quarter of a wave of one high term has small slopes, and needs many nodes."""
+    spider = psf.Aperture.round(RADIUS, 0.2, vanes=4, vane_width=0.02 * RADIUS)
+    wave = zernike_wave({term: 0.25}, aperture=spider)
+    options = {"pitch": 0.3 * UNIT, "shape": 260, "model": "scalar"}
+    exact = psf.point_spread(wave, method="quadrature", tol=1e-13, **options).intensity
+    found = psf.point_spread(wave, tol=tol, **options)
+    error = np.abs(found.intensity - exact).max() / exact.max()
+    assert error <= found.error_estimate <= tol
