@@ -53,6 +53,7 @@ def docs(session: nox.Session) -> None:
     session.install("-c", "constraints.txt", "-e", ".[docs]")
     session.run("sphinx-build", "-W", "-n", "--keep-going", "docs", "out/docs")
     session.run("python", "docs/check_site.py", "out/docs")
+    session.run("python", "docs/check_widths.py", "out/docs")
 
 
 @nox.session(python="3.11", default=False)

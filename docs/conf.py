@@ -58,7 +58,7 @@ sphinx_gallery_conf = {
 }
 
 html_theme = "pydata_sphinx_theme"
-html_title = "nlosoptics"
+html_title = f"nlosoptics {version}"
 html_math_renderer = "mathml"
 html_static_path = ["_static"]
 html_css_files = ["nlosoptics.css"]
@@ -67,7 +67,8 @@ html_context = {"default_mode": "auto"}
 html_copy_source = False
 html_show_sourcelink = False
 html_theme_options = {
-    "show_prev_next": False,
+    "header_links_before_dropdown": 6,
+    "show_prev_next": True,
     "navigation_with_keys": False,
     # pages of the gallery are short, and their figures need the width
     "secondary_sidebar_items": {"gallery/*": [], "[!g]**": ["page-toc"]},
@@ -79,4 +80,4 @@ html_theme_options = {
 }
 # pages without pages below them
 alone = ("index", "tutorial", "validation", "performance", "limits", "changelog")
-html_sidebars: dict[str, list[str]] = {page: [] for page in alone}
+html_sidebars: dict[str, list[str]] = {page: [] for page in (*alone, "gallery/plot_*")}
