@@ -139,8 +139,8 @@ SECTIONS = (
         "the second has a known defocus? The fits start from random walls; images have 64 x 64 "
         "pixels. The columns count the fits, those whose object has a correlation above 0.9 with "
         "the true object, and those with a lower correlation that wrongly have the status "
-        '"converged". None of the walls was used to tune the fit. Walls 101 to 112 were fitted with '
-        "an earlier state of the search, 171 to 173 with the present one.",
+        '"converged". None of the walls was used to tune the fit. Walls 101 to 112 are fits of '
+        "an earlier state of the search, 171 to 173 of the present one.",
         "python benchmarks/inverse/evidence.py --frames 2 --rms 0.25 0.5 1.0 --json {file}, and "
         "again with --walls 171 173",
         table={"rms aberration, waves": "{rms}"} | FITS_CPU,
