@@ -16,10 +16,10 @@ import json
 from pathlib import Path
 
 import numpy as np
+from known_psf import OBJECTS
 from scipy import fft, signal
 
 FINE = 2  # samples per pixel
-OBJECTS = Path(__file__).parents[2] / "examples" / "objects"
 METHODS = ("alternating", "hio", "raar")
 
 
@@ -58,7 +58,7 @@ def main():
     parser.add_argument("--boxes", type=int, nargs="+", default=[48, 96])
     parser.add_argument("--walls", type=int, default=3)
     parser.add_argument("--noise", type=float, default=0.01, help="sigma over the maximum")
-    parser.add_argument("--objects", nargs="+", type=Path, default=sorted(OBJECTS.glob("*.png")))
+    parser.add_argument("--objects", nargs="+", type=Path, default=OBJECTS)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     done = {}

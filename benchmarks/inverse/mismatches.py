@@ -144,7 +144,7 @@ def picture(subject, rng):
     pen = ImageDraw.Draw(drawn)
     if subject == "glyph":
         if rng.random() < 0.4:
-            return known_psf.picture(rng.choice(sorted(OBJECTS.glob("*.png"))), PIXELS)
+            return known_psf.picture(rng.choice(OBJECTS), PIXELS)
         font = ImageFont.load_default(int(side * rng.uniform(0.4, 0.7)))
         text = "".join(rng.choice(list("ABCDEFGHJKLMNPRSTUXYZ2345679"), 1))
         pen.text((side / 2, side / 2), text, fill=255, font=font, anchor="mm")

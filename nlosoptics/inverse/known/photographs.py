@@ -16,13 +16,7 @@ from ...imaging import CameraImage, ForwardModel
 from ..data.arrays import check_finite, real_array
 from ..data.driver import reconstructed
 from ..data.measurement import Measurement, measured
-from ..data.models import (
-    beyond_optics,
-    expected_signal,
-    passed_power,
-    periodic_power,
-    power,
-)
+from ..data.models import beyond_optics, expected_signal, passed_power, periodic_power, power
 from ..data.noisy_image import NoisyImage
 from ..data.reconstruction import Reconstruction
 
@@ -101,7 +95,6 @@ def _sharpened(fit: Fit, given: Measurement, point_spread: Any) -> Reconstructio
         np.s_[before : before + n] for n, (before, _) in zip(values.shape, widths, strict=True)
     )
     wide = ForwardModel(kernel, shape=(shape[0], shape[1]), boundary="circular")
-
     narrow = ForwardModel(kernel, shape=values.shape)
 
     def solve(data: NoisyImage) -> dict[str, Any]:
@@ -163,8 +156,7 @@ def _continued(data: NoisyImage, widths: list[tuple[int, int]]) -> NoisyImage:
     def padded(values: Any, **how: Any) -> Any:
         return None if values is None else np.pad(values, widths, **how)
 
-    weights = np.ones(data.data.shape) if data.weights is None else data.weights
-    weights = padded(weights)
+    weights = padded(data.weights)
     more = weights.size / data.data.size
     return replace(
         data,

@@ -168,12 +168,12 @@ def tv_deconvolve(
 
 
 def sharpest(
-    data: NoisyImage, model: ForwardModel, rule: tuple[int, float] = _RULE, tv_weight: Any = None
+    data: NoisyImage, model: ForwardModel, rule: tuple[int, float] = _RULE
 ) -> tuple[Array, float, float]:
     """Return object, background and weight of `tv_deconvolve`, not judged; 0 if none is seen."""
     if data.is_background(model):
         return 0.0 * data.data, float(data.background_strength(data.data)), 0.0
-    answer = solved(_Splitting(data, model, rule, tv_weight), None)
+    answer = solved(_Splitting(data, model, rule, None), None)
     return answer["level"], answer["background"], answer["tv_weight"]
 
 

@@ -26,8 +26,8 @@ class UNet(nn.Module):
         depth 4 the network has 0.44, 1.77 or 7.06 million weights.
     depth : int
         Number of times that the resolution is halved, 1 to 8.
-    in_channels, out_channels : int
-        Number of channels of the input and output images.
+    in_channels : int
+        Number of channels of the input images; the output images have one.
     seed : int
         Seed of the initial weights.
 
@@ -49,19 +49,12 @@ class UNet(nn.Module):
     """
 
     def __init__(
-        self,
-        base: int = 8,
-        depth: int = 4,
-        *,
-        in_channels: int = 1,
-        out_channels: int = 1,
-        seed: int = 0,
+        self, base: int = 8, depth: int = 4, *, in_channels: int = 1, seed: int = 0
     ) -> None:
         super().__init__()
         self.base = int(one_of("base", str(whole("base", base)), ("8", "16", "32")))
         self.depth = whole("depth", depth, 1, 8)
         self.in_channels = whole("in_channels", in_channels)
-        self.out_channels = whole("out_channels", out_channels)
         draw = generator(seed, WEIGHTS)
         # Torch draws weights from its global generator, whose state is restored afterwards.
         # torch.manual_seed would also change the generators of accelerators.
@@ -79,10 +72,10 @@ class UNet(nn.Module):
         self.decoder = nn.ModuleList(
             _stage(coarse + fine, fine, 1) for fine, coarse in pairwise(widths)
         )
-        self.head = nn.Conv2d(self.base, self.out_channels, 1, dtype=torch.float32)
+        self.head = nn.Conv2d(self.base, 1, 1, dtype=torch.float32)
 
     def forward(self, picture: Tensor) -> Tensor:
-        """Map a batch of images (B, in_channels, H, W) to images (B, out_channels, H, W)."""
+        """Map a batch of images (B, in_channels, H, W) to images (B, 1, H, W)."""
         if picture.ndim != 4 or picture.shape[1] != self.in_channels:
             raise SamplingError(
                 f"picture has shape {tuple(picture.shape)}, must be (B, {self.in_channels}, H, W); "
