@@ -21,7 +21,7 @@ from nlosoptics import psf, study, transient
 SCENES = Path(__file__).parents[1] / "examples" / "scenes"
 
 #: Beginnings of lines that take a second and more at their first call.
-SLOW = ("study.sweep(scene, {'laser", "views.study_map")
+SLOW = ("study.sweep(scene, {'laser", "transient.render_scene", "views.study_map")
 #: Lines by task, each with the right call that its error names; empty if the line works.
 LINES = {
     "load a scene": {

@@ -137,6 +137,8 @@ def test_plot_has_a_picture_for_each_kind(study: Path, capsys) -> None:
         assert Path(f"{more[1]}.png").read_bytes()[1:4] == b"PNG"
     for more, told in (
         (("--kind", "slices", "--contours", "1"), "contours belong to a map"),
+        (("--kind", "slices", "--x", "a"), "--x and --y belong to a map"),
+        (("--at", "laser.power=9 W"), "laser.power has no step '9 W'; give one of"),
         (("--contours", "a,b"), "'a,b' is not a list of numbers; give for example"),
         (("--kind", "sobol"), "Sobol indices needs a study with .draws. alone"),
         (("--kind", "tornado"), "sensitivities need a study with one_at_a_time alone"),
