@@ -45,6 +45,16 @@ set = { "camera.binning" = 64 }
 "laser.power" = ["1 mW", "5 mW"]
 """
 
+#: The same sweep in Python, with its map.
+SWEEP = """
+import nlosoptics as nlos
+from nlosoptics import study, views
+
+scene = nlos.Scene.load("design/room.toml").with_values({"camera.binning": 64})
+axes = {"camera.f_number": [2, 4, 8], "wall.radius": [3, 5, 10], "laser.power": ["1 mW", "5 mW"]}
+views.save(views.study_map(study.sweep(scene, axes, ["spot_rms"]), "spot_rms"), "sweep.png")
+"""
+
 WAYS = {
     "first picture": ("nlosoptics new room.toml", "nlosoptics run room.toml --size 64"),
     "example by name": ("nlosoptics plan corner", "nlosoptics report room"),
@@ -57,8 +67,10 @@ WAYS = {
         "nlosoptics new design/room.toml --kind design",
         "nlosoptics analyse design/room.toml",
         "cp study.toml design/sweep.toml",
-        "nlosoptics study design/sweep.toml --workers 0",
-        "nlosoptics study plot sweep.zarr spot_rms --out map.png",
+        "nlosoptics study design/sweep.toml --workers 0 --picture spot_rms",
+        "nlosoptics study plot sweep.zarr spot_rms --x camera.f_number --y wall.radius "
+        "--at 'laser.power=5 mW' --out map.png",
+        "python sweep.py",
     ),
     "shadows": ("nlosoptics new matt.toml --kind shadows", "nlosoptics run matt.toml"),
     "time-resolved": (
@@ -107,6 +119,7 @@ def walked(work: Path, installed: bool) -> bool:
     folder = work / "empty"
     (folder / "design").mkdir(parents=True)
     (folder / "study.toml").write_text(STUDY)
+    (folder / "sweep.py").write_text(SWEEP)
     (folder / "photograph.py").write_text(PHOTOGRAPH)
     walk = Walk(folder, None if installed else work / "env")
     if installed:

@@ -16,6 +16,18 @@ too few. `PerformanceWarning` marks a computation that takes much longer than an
 
 from __future__ import annotations
 
+__all__ = [
+    "CausticError",
+    "MemoryLimitError",
+    "MissingExtraError",
+    "NlosError",
+    "NotWaveGradeError",
+    "PerformanceWarning",
+    "SamplingError",
+    "SceneError",
+    "ValidityWarning",
+]
+
 
 class NlosError(Exception):
     """Base class of all errors that nlosoptics raises deliberately."""
@@ -51,3 +63,8 @@ class ValidityWarning(UserWarning):
 
 class PerformanceWarning(UserWarning):
     """A computation takes much longer than one with slightly different input would."""
+
+
+def __dir__() -> list[str]:
+    """Return the public names, for completion."""
+    return __all__

@@ -20,6 +20,8 @@ from nlosoptics import psf, study, transient
 
 SCENES = Path(__file__).parents[1] / "examples" / "scenes"
 
+#: Beginnings of lines that take a second and more at their first call.
+SLOW = ("study.sweep(scene, {'laser", "transient.render_scene", "views.study_map")
 #: Lines by task, each with the right call that its error names; empty if the line works.
 LINES = {
     "load a scene": {
@@ -148,7 +150,12 @@ def nouns(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("line", "answer"), [pair for lines in LINES.values() for pair in lines.items()]
+    ("line", "answer"),
+    [
+        pytest.param(*pair, marks=pytest.mark.thorough if pair[0].startswith(SLOW) else ())
+        for lines in LINES.values()
+        for pair in lines.items()
+    ],
 )
 def test_a_natural_line_works_or_names_the_right_call(nouns, line, answer, monkeypatch):
     monkeypatch.chdir(nouns["folder"])

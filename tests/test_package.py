@@ -173,3 +173,18 @@ def test_public_name_points_to_related_ones(thing: Any) -> None:
             assert not part.startswith("_")
             found = getattr(found, part)
         assert found is not thing
+
+
+def test_completion_shows_public_names_only() -> None:
+    rooms = [getattr(nlosoptics, name) for name in SUBPACKAGES if name != "cli"]
+    for module in (nlosoptics.errors, nlosoptics.reconstructing, *rooms):
+        shown = {name for name in dir(module) if not name.startswith("_")}
+        assert shown == set(module.__all__), module.__name__
+
+
+def test_the_logger_tells_the_seconds_of_each_stage(flat_scene, caplog) -> None:
+    with caplog.at_level("DEBUG", logger="nlosoptics"):
+        nlosoptics.simulate(flat_scene, tol=1e-2)
+    told = [re.sub(r"\d+\.\d\d", "0", record.getMessage()) for record in caplog.records]
+    stages = ("exit pupil", "wave aberration", "point spread", "image")
+    assert told == [f"{name}: 0 s" for name in stages]

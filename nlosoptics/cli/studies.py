@@ -99,6 +99,14 @@ def run_command(
         bool,
         typer.Option("--again", help="Also compute again the points that failed or were lost."),
     ] = False,
+    picture: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FIGURE",
+            help="Also draw this figure of merit, as nlosoptics study plot does, next to the "
+            "store, with .png.",
+        ),
+    ] = None,
     debug: Debug = False,
 ) -> None:
     """Run a study, or resume it.
@@ -114,6 +122,9 @@ def run_command(
         from .. import study
 
         found = study.Study.load(file_or_example(study_file, "studies"))
+        if picture is not None:
+            require("matplotlib", "views")
+            found.figure(picture)  # refuses an unknown name before the study runs
         if only_plan:
             typer.echo(str(study.plan_study(found)))
             return
@@ -140,6 +151,13 @@ def run_command(
         if not results.dataset[names].notnull().to_dataarray().any():
             typer.echo("nlosoptics: every figure of every point failed, see above", err=True)
             raise typer.Exit(FAILED)
+        if picture is not None:
+            from .. import views
+            from ..views.studies import study_picture
+
+            drawing = folder.with_suffix(".png")
+            views.save(study_picture(results, picture), drawing)
+            typer.echo(f"{drawing}: {picture}")
 
 
 @studies.command("status", short_help="Show the state and the results of a study.")
@@ -168,6 +186,19 @@ def plot_command(
             "default (auto) the one that fits the tables of the study."
         ),
     ] = Kind.AUTO,
+    x: Annotated[
+        str | None, typer.Option("--x", help="Value across a map, such as camera.f_number.")
+    ] = None,
+    y: Annotated[str | None, typer.Option("--y", help="Value up a map.")] = None,
+    at: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--at",
+            metavar="NAME=VALUE",
+            help='Where to cut through the other values, such as "wall.radius=5 m"; by default in '
+            "the middle of their steps. May be given several times.",
+        ),
+    ] = None,
     boundary: Annotated[
         float | None, typer.Option(help="Limit of the figure of merit; a line is drawn there.")
     ] = None,
@@ -188,7 +219,7 @@ def plot_command(
     with errors_told(debug):
         require("matplotlib", "views")
         from .. import views
-        from ..views.studies import default_kind, study_picture
+        from ..views.studies import default_kind, step_of, study_picture
 
         results = _results(store)
         check_file(out)
@@ -198,8 +229,19 @@ def plot_command(
         chosen = default_kind(results) if kind is Kind.AUTO else kind.value
         if contours is not None and chosen not in ("map", "panels"):
             raise typer.BadParameter("contours belong to a map; use --kind map or panels")
-        levels = list(numbers("--contours", contours))
-        axes = study_picture(results, figure, chosen, boundary=boundary, contours=levels)
+        if (x or y) and chosen != "map":
+            raise typer.BadParameter("--x and --y belong to a map; use --kind map")
+        if at and chosen not in ("map", "panels", "slices"):
+            raise typer.BadParameter("--at belongs to maps and slices; use --kind map")
+        pairs = [text.partition("=")[::2] for text in at or ()]
+        options: dict[str, Any] = {
+            "x": x,
+            "y": y,
+            "at": {name.strip(): step_of(results, name.strip(), step) for name, step in pairs},
+            "boundary": boundary,
+            "contours": list(numbers("--contours", contours)),
+        }
+        axes = study_picture(results, figure, chosen, **options)
         views.save(axes, out)
         typer.echo(f"{out}: {figure} of {results.path}")
 

@@ -6,3 +6,8 @@ All text from files is escaped, and the page's content security policy forbids n
 from .pages import page
 
 __all__ = ["page"]
+
+
+def __dir__() -> list[str]:
+    """Return the public names, for completion."""
+    return __all__

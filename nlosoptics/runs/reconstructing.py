@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from ..inverse import Reconstruction
     from ..inverse.data.driver import Snapshot
 
+__all__ = ["Task", "carry_out", "known_model", "prepared", "reconstructed"]
+
 Array = NDArray[np.float64]
 
 #: Methods that take the point spread from the scene, and their functions in `inverse`.
@@ -560,3 +562,8 @@ def _png(values: Array) -> bytes:
     grey = np.clip(values / largest if largest > 0.0 else values, 0.0, 1.0)
     Image.fromarray(np.rint(255.0 * grey[:, ::-1]).astype(np.uint8)).save(stream, format="PNG")
     return stream.getvalue()
+
+
+def __dir__() -> list[str]:
+    """Return the public names, for completion."""
+    return __all__

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 import warnings
 from collections.abc import Callable
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from ..psf import PointSpread, PointSpreadField, SceneOptics
 
 Array = NDArray[np.float64]
+_log = logging.getLogger(__name__)
 
 OUTSIDE: Final = 0.25  # energy of a point spread outside its window, relative to the tolerance
 #: Deviation of the point spreads from their mean up to which a reconstruction uses the mean.
@@ -48,7 +50,8 @@ def simulate(
 ) -> Result:
     """Simulate the camera image of a scene: exit pupil, wave aberration, PSF and image with noise.
 
-    It runs the stages that `plan` selects.
+    It runs the stages that `plan` selects. The logger "nlosoptics" tells the seconds of each at the
+    level DEBUG.
 
     Parameters
     ----------
@@ -122,8 +125,14 @@ def _stages(
 
     def begin(name: str, share: float = 0.0) -> None:
         """Record the start of a stage, which is also the end of the previous one."""
+        log()
         begun[name] = time.perf_counter()
         tell(name, share)
+
+    def log() -> None:
+        """Log the seconds of the stage that ends."""
+        for name, start in list(begun.items())[-1:]:
+            _log.debug("%s: %.2f s", name, time.perf_counter() - start)
 
     formed: psf.ScenePointSpread | None = None
     spread: PointSpread | None = None
@@ -163,6 +172,7 @@ def _stages(
         except NlosError as refusal:  # the run keeps its image
             text = f"no object is reconstructed: {refusal}"
             warnings.warn(text, ValidityWarning, stacklevel=4)
+    log()
     ends = [*list(begun.values())[1:], time.perf_counter()]
     if progress is not None:
         progress("done", 1.0)

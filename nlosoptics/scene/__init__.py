@@ -47,3 +47,8 @@ __all__ = [
     "material_library",
     "named_material",
 ]
+
+
+def __dir__() -> list[str]:
+    """Return the public names, for completion."""
+    return __all__

@@ -50,3 +50,8 @@ def __getattr__(name: str) -> object:
     """Name the right call for one that other libraries have."""
     instead = "; use TransientCapture.load(path)" if name == "load_capture" else ""
     raise AttributeError(f"nlosoptics.transient has no {name}{instead}")
+
+
+def __dir__() -> list[str]:
+    """Return the public names, for completion."""
+    return __all__

@@ -24,6 +24,8 @@ def study_map(
     results: Results,
     figure: str,
     *,
+    x: str | None = None,
+    y: str | None = None,
     at: Mapping[str, int] | None = None,
     boundary: float | None = None,
     contours: Sequence[float] | None = None,
@@ -32,8 +34,8 @@ def study_map(
     """Draw a figure of merit of a design study: a map over two dimensions, or a curve over one.
 
     A dimension is a value of the scene that the study varies, such as ``wall.radius``, and its
-    steps are the values that it takes. The map shows the last two dimensions that have more than
-    one step and no entry in ``at``.
+    steps are the values that it takes. By default the map shows the last two dimensions that have
+    more than one step and no entry in ``at``.
 
     Parameters
     ----------
@@ -41,6 +43,9 @@ def study_map(
         Results of a study, complete or not.
     figure : str
         Name of the figure of merit, as in the study file, for example ``"strehl"``.
+    x, y : str, optional
+        Dimensions across and up, for example ``"camera.f_number"``. With ``x`` alone a curve over
+        it is drawn; with ``y`` alone, the last other dimension is across.
     at : mapping of str to int, optional
         Steps to show along the other dimensions: a mapping from the name of a dimension to the
         index of its step, from 0. A dimension without entry is shown at its middle step.
@@ -73,7 +78,18 @@ def study_map(
     """
     results = expect("results", results, "Results")
     figure, dataset = results.study.figure(figure).name, results.dataset
-    shown = _wide(dataset, figure, at)[-2:]
+    wide = _wide(dataset, figure, at)
+    for name in filter(None, (x, y)):
+        if name not in wide or x == y:
+            raise SceneError(
+                f"{name} is not one of two dimensions of several steps; give x and y out of "
+                f"{', '.join(wide) or 'none'}"
+            )
+    shown = wide[-2:]
+    if x is not None:
+        shown = [x] if y is None else [y, x]
+    elif y is not None:
+        shown = [y, *[name for name in wide if name != y][-1:]]
     fixed = _fixed(dataset, figure, shown, at)
     chosen = dataset.isel(fixed)
     if axes is None:
@@ -116,7 +132,7 @@ def study_panels(
     ------
     SceneError
         If the study has no such figure of merit or step, if fewer than three dimensions have more
-        than one step, or if there would be more than 6 panels.
+        than one step, or if there would be more than 12 panels.
 
     See Also
     --------
@@ -132,9 +148,9 @@ def study_panels(
             "draw a map"
         )
     count = dataset.sizes[shown[0]]
-    if count > 6:
+    if count > 12:
         raise SceneError(
-            f"{shown[0]} has {count} steps, limit 6 panels; put another dimension first"
+            f"{shown[0]} has {count} steps, limit 12 panels; put another dimension first"
         )
     chosen = dataset.isel(_fixed(dataset, figure, shown, at))
     values = np.asarray(chosen[figure].values, dtype=np.float64)
@@ -347,7 +363,10 @@ def _draw_curve(axes: Axes, dataset: Any, figure: str, name: str, boundary: floa
     errors = None
     if f"{figure}_error" in dataset:
         errors = np.nan_to_num(np.atleast_1d(dataset[f"{figure}_error"].values))
-    axes.errorbar(places, values, yerr=errors, fmt="o-", color=BLUE, capsize=3, ms=4)
+    if numeric or not name:
+        axes.errorbar(places, values, yerr=errors, fmt="o-", color=BLUE, capsize=3, ms=4)
+    else:  # no order, and nothing between
+        axes.bar(places, values, 0.6, yerr=errors, color=BLUE, capsize=3)
     axes.set(xlabel=_label(dataset, name) if numeric else name)
     _finish(axes, dataset, figure, boundary)
     if numeric:
@@ -393,12 +412,15 @@ def study_picture(
     figure: str,
     kind: str = "auto",
     *,
+    x: str | None = None,
+    y: str | None = None,
+    at: Mapping[str, int] | None = None,
     boundary: float | None = None,
     contours: Sequence[float] = (),
 ) -> Any:
     """Draw a picture of a study: "map", "panels", "slices", "tornado", "yield", "sobol", "gallery".
 
-    The kind "auto" is the one that fits the tables of the study.
+    The kind "auto" is the one that fits the tables of the study. ``x`` and ``y`` are for a map.
     """
     from .. import study
     from ..study import answers
@@ -414,13 +436,25 @@ def study_picture(
         limits, fractions = answers.yields(results, figure)
         return yield_curve(limits, fractions, label=label)
     if kind == "panels":
-        return study_panels(results, figure, boundary=boundary, contours=contours)
+        return study_panels(results, figure, at=at, boundary=boundary, contours=contours)
     if kind == "slices":
-        return study_slices(results, figure, boundary=boundary)
+        return study_slices(results, figure, at=at, boundary=boundary)
     if kind == "gallery":
         smallest = answers.smallest_is_best(merit)
         return study_gallery(results, figure, smallest_is_best=smallest)
-    return study_map(results, figure, boundary=boundary, contours=contours)
+    return study_map(results, figure, x=x, y=y, at=at, boundary=boundary, contours=contours)
+
+
+def step_of(results: Results, name: str, value: str) -> int:
+    """Return the step of a dimension that has a value, written as on the axis of a map."""
+    dataset = results.dataset
+    if name not in dataset.sizes:
+        raise SceneError(f"{name} is no dimension of the study; give one of {[*dataset.sizes]}")
+    texts = [_tick(dataset, name, step) for step in range(dataset.sizes[name])]
+    for step, text in enumerate(texts):
+        if text.replace(" ", "") == value.replace(" ", ""):
+            return step
+    raise SceneError(f"{name} has no step {value!r}; give one of: {', '.join(texts)}")
 
 
 def default_kind(results: Results) -> str:

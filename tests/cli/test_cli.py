@@ -371,6 +371,7 @@ def test_a_process_ends_with_its_code_and_all_that_it_registered(word: str, code
     assert answer.stderr.startswith("nlosoptics: No such option") == (code == 2)
 
 
+@pytest.mark.thorough
 def test_set_changes_values_of_the_scene(run, scene_file):
     plain = run("feasibility", scene_file, "--json")
     stronger = run("feasibility", scene_file, "--json", "--set", "laser.power=10mW")

@@ -137,6 +137,8 @@ def test_plot_has_a_picture_for_each_kind(study: Path, capsys) -> None:
         assert Path(f"{more[1]}.png").read_bytes()[1:4] == b"PNG"
     for more, told in (
         (("--kind", "slices", "--contours", "1"), "contours belong to a map"),
+        (("--kind", "slices", "--x", "a"), "--x and --y belong to a map"),
+        (("--at", "laser.power=9 W"), "laser.power has no step '9 W'; give one of"),
         (("--contours", "a,b"), "'a,b' is not a list of numbers; give for example"),
         (("--kind", "sobol"), "Sobol indices needs a study with .draws. alone"),
         (("--kind", "tornado"), "sensitivities need a study with one_at_a_time alone"),
@@ -147,6 +149,7 @@ def test_plot_has_a_picture_for_each_kind(study: Path, capsys) -> None:
         assert err.count("\n") == 1
 
 
+@pytest.mark.thorough
 def test_saltelli_draws_are_plotted_as_sobol_indices(study: Path, capsys, monkeypatch) -> None:
     drawn = [f'"{a}" = {{ from = {v}, to = {w} }}' for a, v, w in (
         ("laser.power", '"1 mW"', '"2 mW"'), ("camera.f_number", 2, 4))]  # fmt: skip
@@ -166,6 +169,7 @@ def test_saltelli_draws_are_plotted_as_sobol_indices(study: Path, capsys, monkey
     assert found["total"].values == pytest.approx([1.0, 0.0], abs=0.3)
 
 
+@pytest.mark.thorough
 def test_report_is_written_next_to_the_caller(study: Path, capsys) -> None:
     assert call(capsys, "study", study, "--workers", 0)[0] == 0
     code, out, err = call(capsys, "study", "report", "powers.zarr", "--no-gallery")

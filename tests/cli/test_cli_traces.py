@@ -80,6 +80,7 @@ def test_bad_options_are_one_line(run, words, message):
     assert not list(Path().iterdir())
 
 
+@pytest.mark.thorough
 def test_light_left_to_chance_is_told(run):
     mirror = "occluder[1].material=polished aluminium"
     code, _, err = run("trace", ROOM, "--n-rays", 100, "--size", 16, "--set", mirror)

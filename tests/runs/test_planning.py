@@ -200,6 +200,7 @@ def test_a_laser_off_the_wall_is_found_before_anything_is_computed(flat_scene):
         nlos.plan(replace(flat_scene, wall=FlatWall(size=1.2), laser=laser))
 
 
+@pytest.mark.thorough
 def test_a_wall_whose_edge_cuts_the_pupil_is_put_on_a_grid(flat_scene):
     beside = replace(flat_scene.camera, aim=(-0.1, 0.0, 0.0))
     narrow = replace(flat_scene, wall=FlatWall(size=(0.34, 1.0)), camera=beside)

@@ -118,6 +118,7 @@ def test_methods_that_know_the_point_spread(
     assert inverse.registered_correlation(found, letter) > least
 
 
+@pytest.mark.thorough
 def test_frames_of_known_defocus(frames: np.ndarray, capsys) -> None:
     """A saturated pixel has no say."""
     hot = np.load("a.npy")

@@ -24,6 +24,7 @@ def si(value: str) -> float:
     return float(value.split()[0])
 
 
+@pytest.mark.thorough
 def test_stop_is_as_wide_as_defocus_allows(tmp_path: Path) -> None:
     """The best diffraction-limited resolution: rms of defocus, D^2 / (16 sqrt 3) (1/s - 1/z)."""
     stop = {"figure": "value", "address": "camera.stop_diameter"}
@@ -99,6 +100,7 @@ def test_wall_is_half_way_to_the_plane_in_focus(tmp_path: Path) -> None:
     assert scene.hidden.position[2] == approx(depth, abs=1e-2)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["differential-evolution", "tpe", "nsga-ii"])
 def test_lists_are_searched_as_by_brute_force(method: str, tmp_path: Path) -> None:
     lists = {
@@ -145,6 +147,7 @@ def test_front_of_two_objectives_is_the_line_between_their_minima(tmp_path: Path
         ({"goal": "maximise", "at_most": 0.3}, 1.05),  # two draws of three
     ],
 )
+@pytest.mark.thorough
 def test_robust_objectives_over_draws(objective, power: float, tmp_path: Path) -> None:
     draws = {"count": 3, "method": "latin", "of": {"camera.exposure": ["1 s", "1.1 s", "3 s"]}}
     study = made(
@@ -184,6 +187,7 @@ def test_share_of_a_constraint(tmp_path: Path) -> None:
         assert power - 2e-9 <= found.objectives[found.best, 0] < 1.03 * power
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", METHODS)
 def test_points_that_fail_are_infeasible(method: str, tmp_path: Path) -> None:
     """The figure raises above 6 mW and the laser refuses 0 W: the best is just below 6 mW."""
@@ -205,6 +209,7 @@ def test_search_without_a_feasible_point_says_why(tmp_path: Path) -> None:
         found.values()
 
 
+@pytest.mark.thorough
 def test_compensation_keeps_the_figure_before_and_after(tmp_path: Path) -> None:
     """Refocus of a flat wall to the mirrored object: the thin-lens plane of each drawn distance."""
     tables = {
@@ -245,6 +250,7 @@ def test_compensation_keeps_the_figure_before_and_after(tmp_path: Path) -> None:
         run(Study.from_tables(changed, HERE), tmp_path)
 
 
+@pytest.mark.thorough
 def test_optimum_of_a_compensated_figure(tmp_path: Path) -> None:
     """The power off 3 mW is made up for by nothing, the exposure off 1 s by the compensator."""
     study = made(

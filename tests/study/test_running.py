@@ -136,6 +136,7 @@ def test_a_point_that_fails_says_why(tmp_path: Path) -> None:
     assert "6 x fragile" in str(results)
 
 
+@pytest.mark.thorough
 def test_failed_points_are_computed_again_if_asked_for(tmp_path: Path) -> None:
     (tmp_path / "mended.py").write_text("def ratio(point):\n    return 1 / 0\n")
     tables = {"scene": SCENE, "figures": ["mended:ratio"], "axes": POWERS}
@@ -235,6 +236,7 @@ def test_a_point_is_reopened_without_the_files_of_its_scene(tmp_path: Path) -> N
         ({"axes": {**POWERS, "camera.f_number": [2]}}, "dimension camera.f_number is new"),
     ],
 )
+@pytest.mark.thorough
 def test_another_study_is_refused_with_the_difference(changes, told, tmp_path: Path) -> None:
     study = made(own("power"))
     before = run_study(study, tmp_path / "store", workers=0)
@@ -360,6 +362,7 @@ def test_a_store_has_few_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("steps", [0, 1, 4])
+@pytest.mark.thorough
 def test_a_growth_that_ends_between_its_steps_is_read_and_goes_on(
     steps: int, tmp_path: Path, monkeypatch
 ) -> None:

@@ -189,6 +189,7 @@ def test_sketch_shows_each_part(flat_scene: Scene) -> None:
     assert before[0] / before[1] == pytest.approx(-after[0] / after[1], rel=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("suffix", "begins"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")]
 )
@@ -277,6 +278,7 @@ def test_the_style_sheet_has_the_colours_of_the_views():
     assert [to_hex(colour).upper() for colour in cycle] == list(SERIES)
 
 
+@pytest.mark.thorough
 def test_rays_land_where_they_do_about_the_dark_ring(assert_drawn):
     wave = psf.Wavefront.from_zernike(
         {2: 2e-6, 8: 3e-7}, wavelength=6e-7, pupil_radius=5e-3, image_distance=0.05

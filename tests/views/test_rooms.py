@@ -103,6 +103,7 @@ def test_filters_keep_what_they_say(flat_scene):
     assert drawn(most=1) == [1]  # it carries four fifths of the power
 
 
+@pytest.mark.thorough
 def test_of_many_paths_lines_are_as_dense_as_the_light(flat_scene):
     """Paths are drawn in proportion to their power; one that has half of all power is drawn."""
     one = made_paths()
@@ -161,6 +162,7 @@ def test_colours_are_the_quantity_that_the_bar_names(flat_scene, colour):
         assert 0 < low <= 1e-12
 
 
+@pytest.mark.thorough
 def test_aberration_is_that_of_the_ray(flat_scene):
     """Nodes of the wavefront are the detected rays in their order; waves, zero in the middle."""
     paths = pupil_rays(flat_scene, n_rays=64)

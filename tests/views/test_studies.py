@@ -13,7 +13,7 @@ from nlosoptics.errors import SceneError
 xr = pytest.importorskip("xarray")  # of the extra "study"
 from nlosoptics.study import Fraction, Optimum, Results, Study  # noqa: E402
 from nlosoptics.study.answers import Sensitivity  # noqa: E402
-from nlosoptics.views.studies import study_gallery  # noqa: E402
+from nlosoptics.views.studies import step_of, study_gallery  # noqa: E402
 
 SCENE = Path(__file__).parents[2] / "examples" / "scenes" / "letter_concave.toml"
 
@@ -86,6 +86,21 @@ def test_curve_shows_errors_and_chosen_steps() -> None:
         views.study_map(results(), "mtf")
 
 
+def test_axes_of_a_map_are_chosen_and_categories_are_bars() -> None:
+    stored = results()
+    axes = views.study_map(stored, "strehl", x="wall.radius", y="laser.power")
+    assert axes.get_images()[0].get_array().tolist()[2] == [5.0, 11.0, 17.0, 23.0]
+    assert (axes.get_xlabel(), axes.get_title()) == ("wall.radius", "hidden.image = R.png")
+    at = {"laser.power": step_of(stored, "laser.power", "20mW"), "wall.radius": 0}
+    bars = views.study_map(stored, "strehl", x="hidden.image", at=at)
+    assert [bar.get_height() for bar in bars.patches] == [2.0, 5.0]
+    assert labels(bars.xaxis) == ["F.png", "R.png"]
+    with pytest.raises(SceneError, match="give one of: 1 mW, 5 mW, 20 mW"):
+        step_of(stored, "laser.power", "2 mW")
+    with pytest.raises(SceneError, match="camera.f_number is not one of two .* out of wall.radius"):
+        views.study_map(stored, "strehl", x="camera.f_number")
+
+
 def test_tornado_has_a_row_for_each_address() -> None:
     bars = [
         Sensitivity(case="wall.radius = 4 m", value=0.5, change=-0.3, resolved=True),
@@ -141,11 +156,11 @@ def test_panels_share_their_colours() -> None:
 
 def test_slices_hold_the_others_and_share_a_scale() -> None:
     panels = views.study_slices(results(), "strehl", at={"wall.radius": 1, "laser.power": 0})
-    assert [panel.lines[0].get_ydata().tolist() for panel in panels] == [
-        pytest.approx([3.0, 9.0, np.nan, 21.0], nan_ok=True),
-        [6.0, 9.0],
-        [9.0, 10.0, 11.0],
-    ]
+    radius, image, power = panels
+    found = pytest.approx([3.0, 9.0, np.nan, 21.0], nan_ok=True)
+    assert radius.lines[0].get_ydata().tolist() == found
+    assert [bar.get_height() for bar in image.patches] == [6.0, 9.0]
+    assert power.lines[0].get_ydata().tolist() == [9.0, 10.0, 11.0]
     assert [p.get_title() for p in panels][1] == "wall.radius = 2 m\nlaser.power = 1 mW"
     assert len({panel.get_ylim() for panel in panels}) == 1
 

@@ -158,6 +158,7 @@ def test_gaussian_derivatives_match_differences():
         assert slope(parent, dx, dy) == pytest.approx(exact[:, column], abs=1e-7 * scale)
 
 
+@pytest.mark.thorough
 def test_bounds_hold_and_zero_roughness_is_flat():
     x, y = _points(1.0, 20_000)
     for wall in (FacetWall(1e-2, 0.1), GaussianWall(1e-4, 1e-2)):
