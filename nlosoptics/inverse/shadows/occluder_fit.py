@@ -189,7 +189,7 @@ def occluder_fit(
             worst = int(np.argmax(unlike / falls))
             apart = reach * axes[:, worst] / math.sqrt(2.0 * falls[worst])
             reasons.append(
-                f"the place is known to {np.round(abs(apart), 4).tolist()} (rms) only, and pictures "
+                f"the place is known to {np.round(abs(apart), 4).tolist()} (rms) only; pictures "
                 f"of places as probable have a correlation of {max(least, 0.0):.2f}, limit "
                 f"{LIMITS.correlation:g}; expose longer, or measure the place"
             )

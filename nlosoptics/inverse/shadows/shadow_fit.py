@@ -26,9 +26,10 @@ class Limits:
 
     ``detection``: least gain in log evidence over a wall without an object, odds of 1000 to 1.
     ``misfit``: largest power of the residual beyond the noise, over the power that the object
-    explains; ``errors``: as many standard errors of residual and noise are not counted. ``correlation``:
-    least expected correlation of the linear estimate. ``disagreement``: largest power of what the
-    residual adds to the linear estimate, beyond that of the noise, over the power of the estimate.
+    explains; ``errors``: as many standard errors of residual and noise are not counted.
+    ``correlation``: least expected correlation of the linear estimate. ``disagreement``: largest
+    power of what the residual adds to the linear estimate, beyond that of the noise, over the power
+    of the estimate.
     """
 
     detection: float = math.log(1000.0)
