@@ -106,10 +106,11 @@ def scene_of(index, kind, pixels):
     return scene, truth, middle, rng
 
 
-def recorded(scene, light, seed):
-    """Electrons in each pixel, with all noise, for the light of the object."""
+def recorded(scene, light, seed, room=0.0):
+    """Electrons in each pixel, with all noise, for the light of the object and of the room."""
     levels = light_levels(replace(scene, occluders=()))
-    return read_out(scene.camera, light, levels.dark, freedom=levels.freedom, seed=seed)[0]
+    dark = levels.dark + room  # without speckle
+    return read_out(scene.camera, light, dark, freedom=levels.freedom, seed=seed)[0]
 
 
 def case(index, kind, pixels=64):
@@ -121,15 +122,14 @@ def case(index, kind, pixels=64):
     seen_by_camera, signal = light > 0.0, light.mean()  # not hidden by the field stop
     tilt = rng.uniform(-0.3, 0.3, 5)
     room = 1.0 + tilt[0] * x + tilt[1] * y + tilt[2] * x * y + tilt[3] * x**2 + tilt[4] * y**2
-    if kind == "ambient":
-        light = light + 10.0 * signal * room
-    elif kind == "empty":
-        light = signal * room
+    room = signal * room * {"ambient": 10.0, "empty": 1.0}.get(kind, 0.0)
+    if kind == "empty":
+        light = 0.0 * light
     elif kind == "gains":
         light = light * (1.0 + 0.01 * rng.standard_normal(shape))
     elif kind == "stripes":
         light = light + 0.01 * signal * (1.0 + np.cos(4.0 * np.pi * x))
-    image = np.where(seen_by_camera, recorded(scene, light, index), np.nan)
+    image = np.where(seen_by_camera, recorded(scene, light, index, room), np.nan)
     seen, started = cells(truth, CELLS), time.process_time()
     if kind in ("size", "oval"):
         scale = (0.95, 0.95) if kind == "size" else (1.0, 1.0)

@@ -65,7 +65,9 @@ def _quarter_turn(s: Array) -> Array:
     return np.asarray(last - first - s * edge + s**2 / 2 * (np.sin(last) ** 2 - np.sin(first) ** 2))
 
 
-def noise_variance(camera: Camera, light: Array, dark: float, freedom: float | None) -> Array:
+def noise_variance(
+    camera: Camera, light: Array, dark: float | Array, freedom: float | None
+) -> Array:
     """Expected noise variance of image pixels, electrons^2, if no pixel is saturated.
 
     It is the sum of shot noise (light and dark current), speckle, and binning^2 times the variances
@@ -103,7 +105,12 @@ def _counts(mean: Array, seed: int) -> Array:
 
 
 def read_out(
-    camera: Camera, light: Array, dark: float, *, freedom: float | None = None, seed: int = 0
+    camera: Camera,
+    light: Array,
+    dark: float | Array,
+    *,
+    freedom: float | None = None,
+    seed: int = 0,
 ) -> tuple[Array, float]:
     """Simulate one exposure of the detector with all noise.
 

@@ -310,7 +310,9 @@ def form_image(
         # the FFT leaves rounding errors of either sign in dark regions
         signal = np.maximum(model.forward(ideal), 0.0)
     light = signal + stray
-    electrons, saturated = read_out(camera, light, dark, freedom=freedom, seed=seed)
+    # only the laser's light has speckle
+    laser, other = light - levels.ambient, dark + levels.ambient
+    electrons, saturated = read_out(camera, laser, other, freedom=freedom, seed=seed)
     total = float(ideal.sum())
     return SpeckleImage(
         electrons=electrons,
@@ -318,7 +320,7 @@ def form_image(
         signal=signal,
         ideal=ideal,
         background=stray + dark,
-        noise_sigma=np.sqrt(noise_variance(camera, light, dark, freedom)),
+        noise_sigma=np.sqrt(noise_variance(camera, laser, other, freedom)),
         saturated_fraction=saturated,
         pitch=camera.image_pitch,
         exposure=exposure,

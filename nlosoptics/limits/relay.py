@@ -194,15 +194,17 @@ def relay_light(
     exposure: float | None = None,
     light: Array | None = None,
     freedom: float | None = None,
+    ambient: Array | None = None,
     cells: int = CELLS,
     bins: int | None = None,
 ) -> RelayLight | None:
     """Return the light of the wall's wide lobes from every object cell; None without a wide lobe.
 
     ``light`` (ny, nx) are the expected electrons of all light in each pixel, by default of an
-    object of reflectance 0.35; ``freedom`` the degrees of freedom of a pixel's speckle. Shadows are
-    seen by 64 bins along the longer side, by default. Without them, this number is doubled until
-    the degrees of freedom change by less than 3 %.
+    object of reflectance 0.35; ``freedom`` the degrees of freedom of a pixel's speckle, which the
+    part ``ambient`` (ny, nx) of the light has not. Shadows are seen by 64 bins along the longer
+    side, by default. Without them, this number is doubled until the degrees of freedom change by
+    less than 3 %.
 
     Wide lobes are the diffuse ones, and mirror-like ones that blur over two cells or more. Narrower
     lobes form an image; `picture_modes` counts its modes.
@@ -225,7 +227,8 @@ def relay_light(
             response += brightness * one.matrix
         # without ``light``, that of an object of this mean reflectance
         arriving = 0.35 * response.sum(axis=1) if light is None else _binned(light, bins).ravel()
-        variance = pixels * noise_variance(camera, arriving / pixels, dark, freedom)
+        room = 0.0 if ambient is None else _binned(ambient, bins).ravel() / pixels
+        variance = pixels * noise_variance(camera, arriving / pixels - room, dark + room, freedom)
         return RelayLight(response.reshape(*bins, -1), np.sqrt(variance).reshape(bins))
 
     if bins is not None or scene.occluders:

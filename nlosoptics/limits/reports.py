@@ -285,7 +285,9 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     view = _View(scene)
     modulation, strength = view.modulation(view.frequency), view.strength()
     relay, diffuse = view.relay_modulation(view.frequency), view.diffuse_strength()
-    relay_cells = relay_light(view.coarse, light=view.light, freedom=view.levels.freedom)
+    relay_cells = relay_light(
+        view.coarse, light=view.light, freedom=view.levels.freedom, ambient=view.levels.ambient
+    )
     by_diffuse = 0 if relay_cells is None else count_modes(relay_cells.signal)
     case = view.case(by_diffuse, relay_score(scene, relay_cells, view.levels))
     recoverable, words = verdict(case)
@@ -371,8 +373,9 @@ class _View:
         self.blurred = signal = np.maximum(blurred, 0.0)
         self.light = light = signal + levels.stray
         dark = levels.dark
-        self._variance = noise_variance(camera, light, dark, levels.freedom)
-        bright = 0.0 if levels.freedom is None else float((light**2).mean()) / levels.freedom
+        laser = light - levels.ambient  # the room's light has no speckle
+        self._variance = noise_variance(camera, laser, dark + levels.ambient, levels.freedom)
+        bright = 0.0 if levels.freedom is None else float((laser**2).mean()) / levels.freedom
         self.noise = Noise(
             photons=float(light.mean()) + dark,
             readout=float(noise_variance(camera, np.zeros(1), 0.0, None)[0]),

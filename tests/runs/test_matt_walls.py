@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from pytest import approx
 from scipy import constants
 
@@ -100,6 +101,44 @@ def test_light_that_is_not_described_is_refused() -> None:
     speckled = replace(speckled, laser=replace(speckled.laser, independent_patterns=1))
     with pytest.raises(SceneError, match="room is lit"):
         imaging.form_image(speckled, None)
+
+
+@pytest.mark.thorough
+def test_a_photograph_of_a_wall_becomes_a_picture_by_one_command(tmp_path, capsys) -> None:
+    """An 8-bit JPEG of sRGB values, turned, in perspective, with a margin around the wall."""
+    discs = Scene.load(SCENES / "letter_discs.toml").occluders
+    scene = screen(occluders=discs).resized(64)
+    scene = replace(scene, camera=replace(scene.camera, field_stop=None))
+    scene.save(tmp_path / "scene.toml")
+    lobe, truth = scene.hidden.luminous_lobe, scene.hidden.reflectance
+    fine = WallTransport(scene.resized(128), cells=(64, 64), source="luminous", lobe=lobe)
+    light = fine.forward(truth.reshape(64, 8, 64, 8).mean(axis=(1, 3)))
+    light = np.pad(0.1 + 0.7 * light / light.max(), 16, mode="edge")
+    # from the photograph's positions to those in the wall's image
+    mapping = np.array([[0.24, 0.015, -40.0], [-0.01, 0.25, -30.0], [1e-4, -5e-5, 1.0]])
+    photo = Image.fromarray(light.astype(np.float32)).transform(
+        (800, 800), Image.Transform.PERSPECTIVE, list(mapping.ravel()[:8]), Image.Resampling.BICUBIC
+    )
+    photo = np.maximum(photo.rotate(-6.0, Image.Resampling.BICUBIC), 0.0)
+    seen = np.random.default_rng(0).poisson(5e3 * photo[..., None].repeat(3, axis=-1)) / 5e3
+    stored = np.where(seen < 0.0031308, 12.92 * seen, 1.055 * seen ** (1 / 2.4) - 0.055)
+    jpeg = tmp_path / "photo.jpg"
+    Image.fromarray(np.uint8(255.5 * stored.clip(0.0, 1.0))).save(jpeg, quality=92)
+    ends = np.array([(16, 16, 1), (144, 16, 1), (144, 144, 1), (16, 144, 1)])
+    corners = np.linalg.solve(mapping, ends.T)
+    corners = (corners[:2] / corners[2]).T - (20.0, 10.0)
+    options = ("--method", "shadows", "--gamma", "srgb", "--channel", "grey", "--rotate", 6)
+    options += ("--crop", "20,10,760,770", "--out", tmp_path / "out", "--json")
+    marked = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+    with pytest.raises(SystemExit) as ended:
+        command = ("reconstruct", jpeg, "--scene", tmp_path / "scene.toml", "--corners", marked)
+        cli.main([str(part) for part in command + options])
+    out, err = capsys.readouterr()
+    assert not ended.value.code, err
+    assert "JPEG artefacts and 8 bits" in err
+    assert json.loads(out)["figures"]["reconstruction_status"] == "converged"
+    picture, cells = np.load(tmp_path / "out" / "object.npy"), truth.reshape(32, 16, 32, 16)
+    assert np.corrcoef(picture.ravel(), cells.mean(axis=(1, 3)).ravel())[0, 1] > 0.9
 
 
 def test_no_wave_is_planned_and_no_laser_drawn() -> None:

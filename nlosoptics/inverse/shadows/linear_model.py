@@ -33,7 +33,7 @@ class WallImage:
     the orthonormal ``polynomials`` are divided by the ``noise`` (P,) that all colours share, and
     the values also by the rms noise ``sigma`` (C,) of each colour. ``correlated`` is the number of
     pixels that err together; the noise is multiplied by its root, so that sums of squares count
-    independent pixels.
+    independent pixels. ``doubt`` is the relative standard error of the noise's variance.
     """
 
     values: Array
@@ -44,6 +44,7 @@ class WallImage:
     orders: Sequence[int]
     shape: tuple[int, int]
     correlated: float = 1.0
+    doubt: float = 0.0
 
     def over_noise(self, matrix: Array) -> Array:
         """Return the rows (P, N) of an operator that count, over the noise."""
@@ -85,11 +86,14 @@ def wall_image(
 ) -> WallImage:
     """Check an image and sum it over the operator's ``pixels``; see `shadow_fit`."""
     light = seen = _colours("image", image)
+    doubt = 0.0
     if reference is not None:
         dark = _colours("reference", reference, light.shape)
         light, seen = light - dark, light + dark
     if noise is None:
         variance = _variance_by_neighbours(light, seen)
+        # of normal noise; the median's efficiency, and squares that share pixels
+        doubt = math.sqrt(13.0 / max(int(np.count_nonzero(np.isfinite(light))), 1))
     else:
         rms = _colours("noise", noise, light.shape)
         variance = np.where(rms > 0.0, rms**2, 0.0)
@@ -130,6 +134,7 @@ def wall_image(
         polynomials=np.linalg.qr(smooth)[0],
         orders=orders,
         shape=pixels,
+        doubt=doubt,
     )
 
 
@@ -177,8 +182,11 @@ def _variance_by_neighbours(light: Array, seen: Array, groups: int = 16) -> Arra
         parts = np.array_split(good[np.argsort(near[good], kind="stable")], groups)
         squares = np.array([np.median(rough[part]) / MEDIAN_OVER_SIGMA**2 for part in parts])
         columns = np.stack([np.ones(groups), [near[part].mean() for part in parts]], 1)
-        weight = 1.0 / np.maximum(squares, 0.1 * squares.mean() + 1e-300)
-        constant, slope = scipy.optimize.nnls(columns * weight[:, None], squares * weight)[0]
+        fit = np.full(groups, squares.mean())
+        for _ in range(3):  # weights by the squares themselves would favour the low ones
+            weight = 1.0 / np.maximum(fit, 1e-3 * squares.mean() + 1e-300)
+            constant, slope = scipy.optimize.nnls(columns * weight[:, None], squares * weight)[0]
+            fit = columns @ [constant, slope]
         result[..., colour] = constant + slope * level[..., colour]
     return np.where(np.isnan(result), np.inf, result)
 

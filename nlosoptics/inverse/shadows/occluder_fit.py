@@ -86,12 +86,15 @@ def occluder_fit(
     ambient light and the noise are integrated out or take their best values, for an object that is
     nowhere negative: objects at wrong places would have to be. The constraint changes the logarithm
     by that of the probability of the most probable object (Laplace's method). The search starts at
-    the two best of 2 d + 1 points, the start and its neighbours at ``reach``, uses quadratic models
-    [1]_, and is repeated from the better end with the number of independent pixels that the
-    residual shows there. The covariance is the inverse of the curvature there.
+    the two best of 10 d + 1 points, the start, its neighbours at ``reach`` and a low-discrepancy
+    sequence, uses quadratic models [1]_, and is repeated from the better end with the number of
+    independent pixels that the residual shows there. The covariance follows from the fall of the
+    evidence along the axes of its curvature, at the distance at which it should have fallen by the
+    odds of a detection.
 
     The status is "ambiguous" if the two searches end at different places of similar evidence, or at
-    the edge of the region, or if the curvature leaves a standard deviation above ``reach``.
+    the edge of the region, if the curvature leaves a standard deviation above ``reach``, or if the
+    linear estimates of places that are as probable have a correlation below 0.8 with the best one.
 
     A shift of occluder and object together changes the shadows little: the place along the wall is
     less certain than the picture, which may be shifted.
@@ -134,13 +137,17 @@ def occluder_fit(
     data = wall_image(image, operator(first).pixels, noise, reference, ambient)
     evaluations, orders = 0, set[int]()
 
-    def cost(steps: Array) -> float:
+    def picture(steps: Array) -> tuple[float, Array]:
+        """Return the log evidence of a place, and the linear estimate of the object there."""
         nonlocal evaluations
         evaluations += 1
         known = operator(first + reach * steps)
         linear = evidence(data, known.matrix, known.cells)
         orders.add(linear.order)
-        return -linear.log_positive(known.cells)
+        return linear.log_positive(known.cells), linear.estimate
+
+    def cost(steps: Array) -> float:
+        return -picture(steps)[0]
 
     def searched(steps: Array, radius: float, least: float) -> Any:
         return scipy.optimize.minimize(
@@ -152,6 +159,8 @@ def occluder_fit(
         )
 
     around = np.vstack([np.zeros(len(first)), np.eye(len(first)), -np.eye(len(first))])
+    between = scipy.stats.qmc.Halton(len(first), scramble=False).random(8 * len(first) + 1)[1:]
+    around = np.vstack([around, 2.0 * between - 1.0])
     nearest = np.argsort([cost(steps) for steps in around], kind="stable")
     data = replace(data, orders=sorted(orders))
     ends = [searched(steps, 0.5, 0.05) for steps in around[nearest[:2]]]
@@ -160,14 +169,32 @@ def occluder_fit(
     final = searched(ends[0].x, 0.1, 0.01)
     best = np.array(final.x)
     curvature = _curvature(cost, best)
+    falls, vectors = np.linalg.eigh(curvature)
     reasons = []
     covariance = np.full(curvature.shape, math.inf)
-    if np.linalg.eigvalsh(curvature)[0] <= 1.0 or (abs(best) > 1.98).any():
+    if falls[0] <= 1.0 or (abs(best) > 1.98).any():
         reasons.append("the evidence has no maximum within reach; start elsewhere or enlarge reach")
     else:
-        covariance = reach**2 * np.linalg.inv(curvature)
+        # to where the evidence should have fallen by the odds of a detection; it may fall less
+        axes = vectors * np.sqrt(2.0 * LIMITS.detection / falls)
+        log, estimate = picture(best)
+        ends_of_axes = [[picture(best + side * axis) for side in (-1, 1)] for axis in axes.T]
+        falls = np.array([max(log - 0.5 * (a[0] + b[0]), 1.0) for a, b in ends_of_axes])
+        covariance = reach**2 * (axes / (2.0 * falls)) @ axes.T
+        unlike = np.array(
+            [max(1.0 - _correlation(estimate, end[1]) for end in pair) for pair in ends_of_axes]
+        )
+        least = 1.0 - float((unlike * LIMITS.detection / falls).max())
+        if least < LIMITS.correlation:
+            worst = int(np.argmax(unlike / falls))
+            apart = reach * axes[:, worst] / math.sqrt(2.0 * falls[worst])
+            reasons.append(
+                f"the place is known to {np.round(abs(apart), 4).tolist()} (rms) only; pictures "
+                f"of places as probable have a correlation of {max(least, 0.0):.2f}, limit "
+                f"{LIMITS.correlation:g}; expose longer, or measure the place"
+            )
         other = np.array(ends[1].x)
-        apart, margin = other - best, cost(other) - float(final.fun)
+        apart, margin = other - best, cost(other) + log
         if margin < LIMITS.detection and apart @ curvature @ apart > LIMITS.errors**2:
             reasons.append(
                 f"another place, {np.round(first + reach * other, 4).tolist()}, has a log "
@@ -188,6 +215,12 @@ def occluder_fit(
         place_covariance=covariance,
         evaluations=evaluations,
     )
+
+
+def _correlation(first: Array, second: Array) -> float:
+    """Return the correlation of two objects (N, C), of which each colour has its own mean."""
+    first, second = (values - values.mean(0) for values in (first, second))
+    return float((first * second).sum() / math.sqrt((first**2).sum() * (second**2).sum()))
 
 
 def _curvature(cost: Callable[[Array], float], centre: Array, step: float = 0.1) -> Array:
