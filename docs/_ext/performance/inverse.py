@@ -142,7 +142,7 @@ SECTIONS = (
         '"converged". None of the walls was used to tune the fit. Walls 101 to 112 are fits of '
         "an earlier state of the search, 171 and 172 of the present one.",
         "python benchmarks/inverse/evidence.py --frames 2 --rms 0.25 0.5 1.0 --json {file}, and "
-        "again with --walls 171 171 and, for 0.25 waves, 172",
+        "again with --rms 0.25 1.0 --walls 171 171 and --rms 0.25 --walls 172 172",
         table={"rms aberration, waves": "{rms}"} | FITS_CPU,
         rows=by_strength,
     ),
