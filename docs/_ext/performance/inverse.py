@@ -140,9 +140,9 @@ SECTIONS = (
         "pixels. The columns count the fits, those whose object has a correlation above 0.9 with "
         "the true object, and those with a lower correlation that wrongly have the status "
         '"converged". None of the walls was used to tune the fit. Walls 101 to 112 are fits of '
-        "an earlier state of the search, 171 to 173 of the present one.",
+        "an earlier state of the search, 171 and 172 of the present one.",
         "python benchmarks/inverse/evidence.py --frames 2 --rms 0.25 0.5 1.0 --json {file}, and "
-        "again with --walls 171 173",
+        "again with --rms 0.25 1.0 --walls 171 171 and --rms 0.25 --walls 172 172",
         table={"rms aberration, waves": "{rms}"} | FITS_CPU,
         rows=by_strength,
     ),
@@ -201,8 +201,8 @@ SECTIONS = (
         "`burst_fit` for images of one object through different parts of a rough wall, 128 x 128 "
         "pixels, in the scenes of `examples/pcin_study`. In the last rows the object turns by a "
         "quarter after half of the images.",
-        "python benchmarks/inverse/bursts.py --images 6 8 16 32 --turned 16 --first 10 --json "
-        "{file}",
+        "python benchmarks/inverse/bursts.py --images 6 8 16 32 --turned 16 --first 10 --walls 2 "
+        "--json {file}, and with --images 16 32 --first 12 for the other walls",
         table={
             "object": lambda fits: fits["object"] + (", turned" if fits["turned"] else ""),
             "images": "{images}",
