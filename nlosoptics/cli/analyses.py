@@ -42,8 +42,8 @@ def analyse_command(
     """Analyse the optics of a scene for one object point, by way of the wall's mirror-like part.
 
     The output folder gets one page (analysis.png) with wave aberration, point spread, spot diagram,
-    MTF, encircled energy and quality through focus, and its numbers as CSV files, with the Zernike
-    coefficients.
+    MTF (contrast of fine stripes), encircled energy and quality through focus, and its numbers as
+    CSV files, with the Zernike coefficients (shape of the aberration).
     """
     with errors_told(debug):
         start = time.perf_counter()

@@ -63,6 +63,9 @@ def test_study_runs_resumes_and_answers(study: Path, capsys) -> None:
     code, out, err = call(capsys, "study", "plot", "powers.zarr", "power", "--boundary", 3e-3)
     assert (code, err) == (0, "")
     assert Path("study.png").read_bytes()[1:4] == b"PNG"
+    code, out, err = call(capsys, "study", study, "--workers", 0, "--picture", "power")
+    assert (code, out.splitlines()[-1], err) == (0, "powers.png: power", "")
+    assert Path("powers.png").read_bytes()[1:4] == b"PNG"
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ def test_one_screen() -> None:
 def test_commands_are_whole_lines() -> None:
     """Each command is one line that can be pasted; CI reads the second from here."""
     lines = README.splitlines()
-    run = "pip install -c constraints.txt '.[all]' && nlosoptics run examples/scenes/corner.toml"
+    run = "pip install -c constraints.txt '.[all]' && nlosoptics run corner"
     develop = "pip install -c constraints.txt -e '.[all,test]' && pytest"
     assert lines.count(run) == 1
     assert lines.count(develop) == 1

@@ -135,18 +135,21 @@ def _scattered_cost(
     half = next(inner_halves(residual, view, window, tol), None)
     inner = window if half is None else inner_window(window, half)[0]
     halo = Halo(residual, view, inner, True, edge)
-    nodes = [sum(runs) * n for runs, n in (halo.counts(f) for f in (0.7 * FIRST, FIRST))]
+    # 2.25: two more steps, which small errors may take
+    steps = (0.7 * FIRST, FIRST, 2.25 * FIRST)
+    nodes = [sum(runs) * n for runs, n in map(halo.counts, steps)]
     points = math.prod(inner.shape)
     lattices = across**2 * (1.25 if polar else 2.0)
     again = nodes[0] + nodes[1] * (2.0 if polar else 1.0)
     seconds = costs.scattered(
         lattices, again, points, 0 if half is None else math.prod(window.shape)
     )
-    seconds += view.term_seconds * sum(nodes)
-    n_bytes = max(CELL_BYTES * across**2, NODE_BYTES * nodes[1] + PIXEL_BYTES * points)
+    seconds += view.term_seconds * (nodes[0] + nodes[1])
     # then the transfer function usually has to be refined once
-    if tol < 1e-4:
-        seconds, n_bytes = 2.5 * seconds, 2.5 * n_bytes
+    seconds *= 2.5 if tol < 1e-4 else 1.0
+    most = nodes[2] if tol < 6e-4 else nodes[1]
+    wide = 2.0 * across if tol < 3e-4 and polar else across
+    n_bytes = max(CELL_BYTES * wide**2, NODE_BYTES * most + PIXEL_BYTES * points)
     return Cost(seconds, n_bytes + PIXEL_BYTES * math.prod(window.shape))
 
 
