@@ -130,8 +130,8 @@ def test_a_photograph_of_a_wall_becomes_a_picture_by_one_command(tmp_path, capsy
     options = ("--method", "shadows", "--gamma", "srgb", "--channel", "grey", "--rotate", 6)
     options += ("--crop", "20,10,760,770", "--out", tmp_path / "out", "--json")
     marked = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+    command = ("reconstruct", jpeg, "--scene", tmp_path / "scene.toml", "--corners", marked)
     with pytest.raises(SystemExit) as ended:
-        command = ("reconstruct", jpeg, "--scene", tmp_path / "scene.toml", "--corners", marked)
         cli.main([str(part) for part in command + options])
     out, err = capsys.readouterr()
     assert not ended.value.code, err
