@@ -33,7 +33,7 @@ class WallImage:
     the orthonormal ``polynomials`` are divided by the ``noise`` (P,) that all colours share, and
     the values also by the rms noise ``sigma`` (C,) of each colour. ``correlated`` is the number of
     pixels that err together; the noise is multiplied by its root, so that sums of squares count
-    independent pixels. ``doubt`` is the relative standard error of the noise's variance.
+    independent pixels.
     """
 
     values: Array
@@ -44,7 +44,6 @@ class WallImage:
     orders: Sequence[int]
     shape: tuple[int, int]
     correlated: float = 1.0
-    doubt: float = 0.0
 
     def over_noise(self, matrix: Array) -> Array:
         """Return the rows (P, N) of an operator that count, over the noise."""
@@ -86,14 +85,11 @@ def wall_image(
 ) -> WallImage:
     """Check an image and sum it over the operator's ``pixels``; see `shadow_fit`."""
     light = seen = _colours("image", image)
-    doubt = 0.0
     if reference is not None:
         dark = _colours("reference", reference, light.shape)
         light, seen = light - dark, light + dark
     if noise is None:
         variance = _variance_by_neighbours(light, seen)
-        # of normal noise; the median's efficiency, and squares that share pixels
-        doubt = math.sqrt(13.0 / max(int(np.count_nonzero(np.isfinite(light))), 1))
     else:
         rms = _colours("noise", noise, light.shape)
         variance = np.where(rms > 0.0, rms**2, 0.0)
@@ -134,7 +130,6 @@ def wall_image(
         polynomials=np.linalg.qr(smooth)[0],
         orders=orders,
         shape=pixels,
-        doubt=doubt,
     )
 
 
@@ -172,7 +167,9 @@ def _variance_by_neighbours(light: Array, seen: Array, groups: int = 16) -> Arra
     result = np.empty_like(light)
     for colour in range(light.shape[2]):
         rough = scipy.signal.convolve2d(light[..., colour], kernel, mode="valid").ravel() ** 2
-        near = level[1:-1, 1:-1, colour].ravel()
+        # their mean does not depend on the differences: a pixel's own noise would
+        near = scipy.signal.convolve2d(level[..., colour], np.ones((3, 3)) / 9.0, mode="valid")
+        near = near.ravel()
         good = np.flatnonzero(np.isfinite(rough + near))
         if len(good) < 4 * groups:
             raise SamplingError(

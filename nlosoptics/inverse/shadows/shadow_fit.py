@@ -26,10 +26,9 @@ class Limits:
 
     ``detection``: least gain in log evidence over a wall without an object, odds of 1000 to 1.
     ``misfit``: largest power of the residual beyond the noise, over the power that the object
-    explains; ``errors``: as many standard errors of residual and noise are not counted.
-    ``correlation``: least expected correlation of the linear estimate. ``disagreement``: largest
-    power of what the residual adds to the linear estimate, beyond that of the noise, over the power
-    of the estimate.
+    explains; ``errors``: as many standard errors of the residual are not counted. ``correlation``:
+    least expected correlation of the linear estimate. ``disagreement``: largest power of what the
+    residual adds to the linear estimate, beyond that of the noise, over the power of the estimate.
     """
 
     detection: float = math.log(1000.0)
@@ -226,8 +225,7 @@ def fitted(
         values, changes = sharpened(data, known, linear, settings)
         left = float((unexplained(data, known.matrix, linear, values) ** 2).sum())
     count = data.values.size / data.correlated
-    doubt = LIMITS.errors * math.hypot(math.sqrt(2.0 * count), data.doubt * count)
-    misfit = (left - count - doubt) / max(before - left, 1e-300)
+    misfit = (left - count - LIMITS.errors * math.sqrt(2.0 * count)) / max(before - left, 1e-300)
     seen = linear.resolved(values, known.cells)
     power = float(((linear.estimate - linear.estimate.mean(0)) ** 2).sum())
     noise = float(linear.noise.sum())
