@@ -168,8 +168,8 @@ def _variance_by_neighbours(light: Array, seen: Array, groups: int = 16) -> Arra
     for colour in range(light.shape[2]):
         rough = scipy.signal.convolve2d(light[..., colour], kernel, mode="valid").ravel() ** 2
         # their mean does not depend on the differences: a pixel's own noise would
-        near = scipy.signal.convolve2d(level[..., colour], np.ones((3, 3)) / 9.0, mode="valid")
-        near = near.ravel()
+        around = scipy.signal.convolve2d(level[..., colour], np.ones((3, 3)) / 9.0, mode="valid")
+        near = around.ravel()
         good = np.flatnonzero(np.isfinite(rough + near))
         if len(good) < 4 * groups:
             raise SamplingError(

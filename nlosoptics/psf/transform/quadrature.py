@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from ..._checks import fits_memory
 from ..wave.detilted import Residual
 from ..window.window import Window
 from . import nufft
+
+if TYPE_CHECKING:
+    from ..wave.cell_series import CellSpectrum
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -131,12 +134,14 @@ def growth(residual: Residual) -> Array:
     .. [1] Trefethen, Approximation Theory and Approximation Practice (2013), theorem 19.3.
     """
     found = np.log(32 / 15 * RHO / (1 - RHO**-2.0)) + np.zeros((2, 1))
+    phase = cast("CellSpectrum", residual.series)
     for axis in (0, 1):
-        terms = residual.wavenumber * residual.series.sizes.sum(axis=1 - axis)[1:, None]
+        terms = residual.wavenumber * phase.sizes.sum(axis=1 - axis)[1:, None]
         degree = np.arange(1.0, len(terms) + 1)[:, None]
         found[axis] += np.sum(terms * (RHO**degree - RHO**-degree) / 2, axis=0)
         if not residual.is_uniform:
-            terms = residual.amplitude_series.sizes.sum(axis=1 - axis)[:, None]
+            amplitude = cast("CellSpectrum", residual.amplitude_series)
+            terms = amplitude.sizes.sum(axis=1 - axis)[:, None]
             degree = np.arange(len(terms))[:, None]
             mean = residual.amplitude_sum / residual.aperture.area
             found[axis] += np.log(np.sum(terms / mean * RHO**degree, axis=0))
