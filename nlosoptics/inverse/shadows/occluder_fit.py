@@ -218,9 +218,10 @@ def occluder_fit(
 
 
 def _correlation(first: Array, second: Array) -> float:
-    """Return the correlation of two objects (N, C), of which each colour has its own mean."""
+    """Return the correlation of objects (N, C), whose colours have their own means; 0 if constant."""
     first, second = (values - values.mean(0) for values in (first, second))
-    return float((first * second).sum() / math.sqrt((first**2).sum() * (second**2).sum()))
+    norm = math.sqrt((first**2).sum() * (second**2).sum())
+    return float((first * second).sum()) / norm if norm > 0.0 else 0.0
 
 
 def _curvature(cost: Callable[[Array], float], centre: Array, step: float = 0.1) -> Array:
