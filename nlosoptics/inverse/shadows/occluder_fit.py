@@ -218,7 +218,7 @@ def occluder_fit(
 
 
 def _correlation(first: Array, second: Array) -> float:
-    """Return the correlation of objects (N, C), whose colours have their own means; 0 if constant."""
+    """Return the correlation of objects (N, C) but for the mean of each colour; 0 if constant."""
     first, second = (values - values.mean(0) for values in (first, second))
     norm = math.sqrt((first**2).sum() * (second**2).sum())
     return float((first * second).sum()) / norm if norm > 0.0 else 0.0
