@@ -158,6 +158,7 @@ def test_wide_lobe_is_told_with_the_slope_that_would_do(scene: Scene) -> None:
     assert not limits.feasibility(walled(scene, 1.2 * needed)).recoverable
 
 
+@pytest.mark.thorough
 def test_weak_light_is_told_with_the_exposure_that_would_do(scene: Scene) -> None:
     dark = walled(scene, 0.0, exposure=1e-4)
     found = limits.feasibility(dark)

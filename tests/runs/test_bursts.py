@@ -28,6 +28,7 @@ def result() -> nlos.Result:
     return nlos.simulate(Scene.load(FILE, SMALL), 1e-2, seed=3)
 
 
+@pytest.mark.thorough
 def test_each_exposure_is_the_image_from_its_place_with_its_own_noise(result) -> None:
     """The third one is that of its scene alone but for the noise, and unlike the first."""
     moved = nlos.simulate(result.scene.exposures[2], 1e-2, seed=3)

@@ -23,8 +23,8 @@ PAGES = sorted(
     for path in DOCS.rglob("*.md")
     if not {"_generated", "gallery"} & {*path.relative_to(DOCS).parts}
 )
-#: Pages whose code runs by default: the tutorial, and the first steps with a camera.
-DEFAULT: dict[str, Any] = dict.fromkeys(("tutorial.md", "camera.md"), ())
+#: Page whose code runs by default.
+DEFAULT: dict[str, Any] = {"tutorial.md": ()}
 THOROUGH = pytest.mark.thorough
 #: A block of code with its language.
 FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)

@@ -48,6 +48,7 @@ def test_stop_is_as_wide_as_defocus_allows(tmp_path: Path) -> None:
     assert not found.feasible.all()
 
 
+@pytest.mark.thorough
 def test_focus_is_at_the_mirrored_object(tmp_path: Path) -> None:
     study = made(
         ["aberration_rms"],

@@ -187,6 +187,7 @@ def test_processes_give_the_same_bits_and_a_killed_one_costs_one_point(tmp_path:
     assert "worker process ended twice" in str(lost["message"].values[bad])
 
 
+@pytest.mark.thorough
 def test_a_store_grows_to_that_of_a_study_at_once(tmp_path: Path) -> None:
     """More values in any order, more figures, more draws; nothing finished is computed again."""
     few = made(own("drawn"), axes={"laser.power": ["3 mW", "1 mW"], "camera.f_number": [4]})
@@ -246,6 +247,7 @@ def test_another_study_is_refused_with_the_difference(changes, told, tmp_path: P
     assert run_study(study, tmp_path / "store", workers=0).dataset.identical(before.dataset)
 
 
+@pytest.mark.thorough
 def test_interrupted_run_keeps_its_blocks_and_goes_on(tmp_path: Path) -> None:
     study = made(own("drawn"))
     asked = iter([False] * 4 + [True] * 99)

@@ -177,6 +177,7 @@ def test_frames_of_other_sizes(shape):
     assert np.isfinite(found).all()
 
 
+@pytest.mark.thorough
 def test_other_modes_known_defocus_and_negative_distance(cases):
     data = cases[2][0]
     plain = proposed(data, pupil())

@@ -91,6 +91,7 @@ def test_stops_at_the_noise_before_it_is_fitted(case, wall, noise):
     assert len(over.history["residual"]) == len(residual)
 
 
+@pytest.mark.thorough
 def test_acceleration_takes_fewer_steps_to_the_same_residual(case):
     data, model = case("F", "smooth")
     steps = {

@@ -123,6 +123,7 @@ def test_unknown_noise_costs_little(case, wall, limit):
     assert inverse.registered_correlation(found, data.truth) > limit
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("wall", "limit"), [("smooth", 0.98), ("speckle", 0.95)])
 def test_five_per_cent_noise_beats_the_linear_filter(case, wall, limit):
     data, model = case("R", wall, 1, 0.05)
@@ -190,6 +191,7 @@ def test_background_far_above_the_noise_costs_nothing(case):
     np.testing.assert_allclose(found.object, plain.object, atol=2e-3)
 
 
+@pytest.mark.thorough
 def test_known_background_is_not_fitted_twice(case):
     data, model = case("R", "smooth")
     found = inverse.tv_deconvolve(

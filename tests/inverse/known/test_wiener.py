@@ -81,6 +81,7 @@ def test_one_per_cent_noise(case, wall, name):
     assert inverse.registered_correlation(found, data.truth) > 0.94
 
 
+@pytest.mark.thorough
 def test_units_background_and_gain_change_nothing_but_their_parameters(case):
     data, model = case("R", "smooth")
     plain = inverse.wiener(
@@ -108,6 +109,7 @@ def test_units_background_and_gain_change_nothing_but_their_parameters(case):
     assert known.score == pytest.approx(residual, rel=1e-9)  # the same sum
 
 
+@pytest.mark.thorough
 def test_noisy_half_counts_less_with_a_noise_map(case):
     data, model = case("R", "smooth")
     sigma = data.noise_sigma * np.where(np.arange(128) < 64, 0.5, 10.0) * np.ones((128, 1))

@@ -341,6 +341,7 @@ def test_any_function_of_a_wave_is_a_criterion():
     assert psf.through_focus(wave, [found], criterion=within).criterion == "within"
 
 
+@pytest.mark.thorough
 def test_line_foci_of_astigmatism_are_equal_until_limits_choose():
     """x^2 - y^2: turned by a right angle, one side of focus is the other."""
     wave = psf.Wavefront.from_function(

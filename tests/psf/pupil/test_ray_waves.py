@@ -57,6 +57,7 @@ def test_rays_carry_the_aimed_wave(flat_scene, wall):
     assert wave.weights.sum() == approx(math.pi * wave.pupil_radius**2, rel=1e-12)
 
 
+@pytest.mark.thorough
 def test_height_maps_converge_to_the_aimed_wave(flat_scene):
     """A rough wall of 100 nm, whose W has no closed form."""
     wall = HeightMapWall.random(

@@ -229,6 +229,7 @@ def test_aberration_refuses_a_caustic():
         rough_wave(wave_of(), view_of(bumps(30.0, 1e-3)))
 
 
+@pytest.mark.thorough
 def test_memory_effect():
     """A displaced object point sees the same field, shifted by (d2/d1) times its displacement."""
     relief, pitch, steps = bumps(3.0, 4e-3, 2), 1e-4, 40

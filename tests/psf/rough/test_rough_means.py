@@ -135,6 +135,7 @@ def test_rough_limit_is_the_distribution_of_slopes(view):
     assert mean.diffuse == approx(mean.intensity, abs=0)
 
 
+@pytest.mark.thorough
 def test_light_adds_up_and_its_shares_are_told():
     wave = wave_of(obscuration=0.3)
     mean = psf.mean_point_spread(wave, wall(0.8, 4e-3), shape=1024, pitch=UNIT / 2.2, **NORMAL)
@@ -178,6 +179,7 @@ def test_grid_agrees_with_polar_nodes_within_its_estimate(s, length):
     assert grid.error_estimate < 8e-3
 
 
+@pytest.mark.thorough
 def test_exponential_and_given_correlations():
     """A function of the Gaussian C give its mean; the exponential has wider tails."""
     wave, kwargs = wave_of(), {"pitch": UNIT / 2, "shape": 201, **NORMAL}
@@ -229,6 +231,7 @@ def drawn_coherence(source, centre, e1, curvature, roughness, seed):
     return steps, total / power[:, None] / power.conj(), cosines
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("angle", "curvature"), [(0.0, 0.0), (45.0, 0.0), (45.0, 1 / 3.0)], ids=["0", "45", "hollow"]
 )

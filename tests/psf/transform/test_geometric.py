@@ -192,6 +192,7 @@ def test_estimates_bound_the_error(waves, obscuration, pitch):
     assert error(spread, truth) <= spread.error_estimate
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("layout", "waves"), [("grid", {11: 4.0, 8: 2.0}), ("scattered", {4: 20.0})]
 )

@@ -222,6 +222,7 @@ def test_occluded_image_leaves_the_rest():
         psf.hybrid_point_spread(replace(scene, occluders=(half,)), **WINDOW)
 
 
+@pytest.mark.thorough
 def test_field_stop_takes_all_or_nothing():
     scene = wall_scene(PAINT, field_stop=0.6)
     assert psf.hybrid_point_spread(scene, **WINDOW).coherent_flux > 0.0

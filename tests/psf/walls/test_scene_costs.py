@@ -12,6 +12,7 @@ SYSTEM = {"wavelength": 632.8e-9, "pupil_radius": 12.5e-3, "image_distance": 50e
 PITCH = 632.8e-9 * 2 / 4  # a quarter of lambda N at F/2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("cells", "side"), [(700, 60), (300, 400), (130, 600)])
 def test_memory_of_a_wave_on_a_grid(cells, side, memory_of):
     """The largest part is the grid, the sums over its rows, or the window."""

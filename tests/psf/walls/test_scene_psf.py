@@ -93,6 +93,7 @@ def rough_images(scene, roughness, **options):
     return {"mean": mean, "sample": one, "hybrid": both}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", SCENES)
 def test_rough_walls_agree_in_the_smooth_limit(name):
     scene, height = SCENES[name], 1e-12

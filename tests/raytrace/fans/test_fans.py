@@ -166,6 +166,7 @@ def test_fan_is_wider_than_the_lens_by_its_margin(flat_scene):
     assert few / many == approx(expected, rel=1e-13)
 
 
+@pytest.mark.thorough
 def test_light_that_meets_the_wall_again_does_not_arrive(flat_scene):
     """Deep grooves, against small steps along every reflected ray."""
     wall = WavyWall(0.02, 0.08, size=2.0)

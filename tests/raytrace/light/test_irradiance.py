@@ -112,6 +112,7 @@ def test_picture_is_what_glows():
     assert none.power == 0.0
 
 
+@pytest.mark.thorough
 def test_laser_light_returns_as_the_ledger_says():
     """On a hollow wall with no object to speak of: what returns from wall to wall."""
     scene = replace(

@@ -255,6 +255,7 @@ def test_floor_absorbs_its_view_factor(flipped):
     )
 
 
+@pytest.mark.thorough
 def test_floor_lights_the_wall_by_quadrature():
     """The irradiance of the wall by way of the floor, in cells some of which touch the floor."""
     scene = above_floor(Lambert(0.6))
@@ -307,6 +308,7 @@ def test_glint_on_the_floor_is_seen_in_the_mirror(slope):
     assert found.flux == 0.0
 
 
+@pytest.mark.thorough
 def test_light_there_and_back():
     """The light from one spot of the wall to a patch around another, and the reverse."""
     scene = above_floor(Lambert(0.6))

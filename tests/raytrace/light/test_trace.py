@@ -227,6 +227,7 @@ def test_flux_is_what_the_radiance_chain_says(examples):
     )
 
 
+@pytest.mark.thorough
 def test_background_is_what_the_radiance_chain_says(examples):
     scene = nlos.Scene.load(examples / "scenes" / "letter_flat.toml").resized(64)
     scene = replace(scene, wall_material=scene.wall_material.diffuse)
@@ -256,6 +257,7 @@ def test_analog_ledger_closes(scene):
     assert found.ledger["unresolved"] == 0.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("wall_material", [Lambert(0.7), GLOSS])
 def test_ledger_closes_within_its_error(wall_material):
     found = trace(wide_scene(wall_material=wall_material), n_rays=1 << 16, max_bounces=5)

@@ -148,6 +148,7 @@ def test_mean_weight_is_the_albedo(material, theta: float) -> None:
     assert weight.mean() == approx(float(material.albedo(theta)), abs=limit)
 
 
+@pytest.mark.thorough
 def test_mirrors_are_drawn_as_they_are() -> None:
     incident = direction(0.7)
     mirror = SpecularMicrofacet(0.3, 0.0)
