@@ -45,7 +45,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from feasibility import KINDS, drawn_picture
 
 SCENE = Path(__file__).parents[2] / "examples" / "scenes" / "letter_flat.toml"
-FINE, CELLS, SEARCH = 41, 24, (32, 24)  # cells of data and fit; pixels and cells of the search
+FINE, CELLS, SEARCH = 41, 24, (16, 12)  # cells of data and fit; pixels and cells of the search
 RADIUS, REACH = 0.06, 0.05  # of a disc and of the search, m
 OFFSETS = ((0.0, 0.0, 0.0), (0.16, -0.1, -0.05), (-0.08, 0.15, 0.05))  # of up to three discs, m
 
