@@ -44,7 +44,7 @@ def faults(site: Path) -> list[str]:
     """Return a line for everything that is wrong with a site, none where all is well."""
     files = (path for path in sorted(site.rglob("*.html")) if "_static" not in path.parts)
     pages = {path: Page(path.read_text()) for path in files}
-    found = []
+    found = [] if pages else [f"{site} has no page; build the site first"]
     for path, page in pages.items():
         name = path.relative_to(site)
         found += [f"{name}: picture {source} has no alt text" for source in page.unnamed]

@@ -24,6 +24,7 @@ error of the place, mm; CPU seconds of fit and operators; and the status, of the
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import sys
 import time
@@ -186,6 +187,7 @@ def main():
     parser.add_argument("--first", type=int, default=0, help="number of the first scene")
     parser.add_argument("--scenes", type=int, default=5, help="scenes of each kind")
     parser.add_argument("--pixels", type=int, default=64, help="image pixels along a side")
+    parser.add_argument("--json", type=Path, help="file to which a line per scene is added")
     options = parser.parse_args()
     numbers = range(options.first, options.first + options.scenes)
     for kind in options.kinds:
@@ -194,6 +196,9 @@ def main():
             lines.append(case(index, kind, options.pixels))
             figures = [f"{k} {v:.3g}" for k, v in lines[-1].items() if k != "status" and v == v]
             print(kind, index, ", ".join(figures), lines[-1]["status"], flush=True)
+            if options.json:
+                with options.json.open("a") as file:
+                    file.write(json.dumps({"kind": kind, "scene": index} | lines[-1]) + "\n")
         median = {k: np.median([line[k] for line in lines]) for k in ("raw", "registered")}
         ended = [line for line in lines if set(line["status"].split()) == {"converged"}]
         low = sum(line["registered"] < 0.8 for line in ended)

@@ -1,5 +1,7 @@
 """Forecasts of `limits.feasibility`: verdicts, correlations and modes of diffuse light."""
 
+from statistics import median
+
 from .cells import Row, by
 from .page import Section
 
@@ -27,6 +29,15 @@ def verdicts(file: str, title: str, text: str, options: str = "") -> Section:
         table=VERDICTS,
         rows=by("predicted", order=lambda g: not g["predicted"]),
     )
+
+
+#: Kinds of scenes of `benchmarks/inverse/shadows.py`.
+SHADOWS = {
+    "one": "one disc",
+    "three": "three discs",
+    "ambient": "three discs, light of the room",
+    "unknown": "one disc, place unknown",
+}
 
 
 SECTIONS = (
@@ -63,5 +74,31 @@ SECTIONS = (
             "of brute force": "{brute_force_cpu_seconds:median time}",
         },
         rows=by("kind"),
+    ),
+    Section(
+        "shadows.jsonl",
+        "Pictures from shadows",
+        "Letters and drawings 1 m from a matt wall of 64 x 64 pixels, past one disc of 12 cm, past "
+        "three discs, past three discs in light of the room that is ten times the signal, and past "
+        "a disc whose place is known to 5 cm. A registered correlation allows for a shift.",
+        "python benchmarks/inverse/shadows.py one three ambient --first 700 --scenes 10 --json "
+        "{file}, and unknown --first 500 --scenes 16",
+        table={
+            "light and occluders": lambda g: SHADOWS[g["kind"]],
+            "scenes": "{count}",
+            "median correlation": lambda g: f"{median(g['raw']):.3f}",
+            "registered": lambda g: f"{median(g['registered']):.3f}",
+            "converged": lambda g: sum(set(s.split()) == {"converged"} for s in g["status"]),
+            "of these below 0.8, registered": lambda g: sum(
+                set(row["status"].split()) == {"converged"} and row["registered"] < 0.8
+                for row in g["rows"]
+            ),
+            "median error of the place": lambda g: (
+                f"{median(row['mm off'] for row in g['rows']):.1f} mm"
+                if g["kind"] == "unknown"
+                else ""
+            ),
+        },
+        rows=by("kind", order=lambda g: list(SHADOWS).index(g["kind"])),
     ),
 )
