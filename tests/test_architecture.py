@@ -282,7 +282,7 @@ def test_no_room_grows() -> None:
 WEIGHTS = {
     "the library after its pruning": (70_000, 45_000, 6_500, 42_000, 200, 650),
     "bursts": (1_000, 400, 70, 600, 2, 5),
-    "pictures from shadows": (3_000, 800, 450, 1_800, 5, 20),
+    "pictures from shadows": (3_000, 800, 550, 1_800, 5, 20),
     "captures that read by themselves": (600, 250, 0, 350, 3, 5),
     "the way in: photographs, analysis, nouns at the top": (1_500, 500, 0, 1_500, 20, 10),
     "status on pictures of users, ablation of the search": (0, 0, 335, 0, 0, 0),
