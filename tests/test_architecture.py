@@ -212,7 +212,7 @@ def remedies_lacking(source: str) -> list[str]:
             continue  # made by a function
         words = "".join(
             part.value
-            for part in ast.walk(text)
+            for part in getattr(text, "values", [text])  # without the formats of values
             if isinstance(part, ast.Constant) and isinstance(part.value, str)
         )
         is_wrapped = words.endswith(": ") or not re.search("[a-z]{3,}.*[a-z]{3,}", words)

@@ -15,6 +15,7 @@ import trimesh
 from pytest import approx
 
 import nlosoptics
+import nlosoptics as nlos
 from nlosoptics import limits
 from nlosoptics.errors import SceneError
 from nlosoptics.imaging.images import light_levels
@@ -135,17 +136,20 @@ def test_occluder_raises_the_modes_and_is_not_advised_again(scene: Scene) -> Non
 
 @pytest.mark.thorough
 def test_diffuse_light_past_one_disc_is_limited_by_the_full_well(scene: Scene) -> None:
-    """Even areas of a letter are known from those whose light passes the disc on some way."""
+    """A well without limit ends the saturation; the forecast is then what the fit reaches."""
     matt = replace(scene, wall_material=Lambert(0.8))
     shadowed = replace(matt, occluders=(disc(0.06, np.array([0.45, 0.0, 0.8])),))
     found = limits.feasibility(shadowed, exposure=4e3)
     assert found.saturated > 0.01  # the same light by a stronger laser would fill the pixels
     assert not found.recoverable
     camera = replace(shadowed.camera, full_well=1e12, bit_depth=32, exposure=4e3)
-    found = limits.feasibility(replace(shadowed, camera=camera))
-    assert found.relay_score > 0.95
-    assert found.recoverable
-    assert found.score == 0.0
+    shadowed = replace(shadowed, camera=camera)
+    found = limits.feasibility(shadowed)
+    assert (found.saturated, found.score) == (0.0, 0.0)
+    fit = nlos.simulate(shadowed, reconstruct=True).reconstruction
+    truth = shadowed.hidden.reflectance.reshape(32, 16, 32, 16).mean(axis=(1, 3))
+    obtained = np.corrcoef(fit.object.ravel(), truth.ravel())[0, 1]
+    assert found.relay_score == approx(obtained, abs=0.07)
 
 
 @pytest.mark.thorough
