@@ -15,7 +15,6 @@ import trimesh
 from pytest import approx
 
 import nlosoptics
-import nlosoptics as nlos
 from nlosoptics import limits
 from nlosoptics.errors import SceneError
 from nlosoptics.imaging.images import light_levels
@@ -146,7 +145,7 @@ def test_diffuse_light_past_one_disc_is_limited_by_the_full_well(scene: Scene) -
     shadowed = replace(shadowed, camera=camera)
     found = limits.feasibility(shadowed)
     assert (found.saturated, found.score) == (0.0, 0.0)
-    fit = nlos.simulate(shadowed, reconstruct=True).reconstruction
+    fit = nlosoptics.simulate(shadowed, reconstruct=True).reconstruction
     truth = shadowed.hidden.reflectance.reshape(32, 16, 32, 16).mean(axis=(1, 3))
     obtained = np.corrcoef(fit.object.ravel(), truth.ravel())[0, 1]
     assert found.relay_score == approx(obtained, abs=0.07)
