@@ -131,8 +131,8 @@ def _stages(
 
     def log() -> None:
         """Log the seconds of the stage that ends."""
-        for name, start in list(begun.items())[-1:]:
-            _log.debug("%s: %.2f s", name, time.perf_counter() - start)
+        if name := next(reversed(begun), ""):
+            _log.debug("%s: %.2f s", name, time.perf_counter() - begun[name])
 
     formed: psf.ScenePointSpread | None = None
     spread: PointSpread | None = None
