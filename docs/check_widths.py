@@ -2,8 +2,8 @@
 
 At the widths of a phone, a laptop and two screens no page may be wider than its window, and no code
 may be cut. Figures may not be cut from 1200 pixels on; a phone scrolls them sideways, so that their
-text stays readable. Of the API's pages, which are alike, every tenth is looked at. Without Chromium
-nothing is checked, which is said.
+text stays readable, and tables that programs print. Of the API's pages, which are alike, every
+tenth is looked at. Without Chromium nothing is checked, which is said.
 """
 
 import shutil
@@ -11,7 +11,12 @@ import sys
 from pathlib import Path
 
 #: Widths of windows, pixels, and what must not be cut there.
-WIDTHS = {390: "pre", 1200: "pre, .figure-frame", 1440: "pre, .figure-frame", 1920: "pre"}
+WIDTHS = {
+    390: "pre:not(.output pre)",
+    1200: "pre, .figure-frame",
+    1440: "pre, .figure-frame",
+    1920: "pre",
+}
 CUT = """
 const cut = [...document.querySelectorAll(arguments[0])].filter(
   element => element.scrollWidth > element.clientWidth + 1 && element.clientWidth > 0)

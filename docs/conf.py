@@ -19,12 +19,14 @@ version = release = nlosoptics.__version__
 extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
+    "sphinx.ext.viewcode",
     "numpydoc",
     "myst_parser",
     "sphinx_gallery.gen_gallery",
     "mathml",
     "references",
     "generated",
+    "outputs",
 ]
 exclude_patterns = ["_generated", "_templates", "figures"]
 templates_path = ["_templates"]
@@ -48,6 +50,8 @@ pyvista.OFF_SCREEN = True
 sphinx_gallery_conf = {
     "examples_dirs": "_generated/scripts",
     "gallery_dirs": "gallery",
+    "backreferences_dir": "_generated/uses",  # which script uses which function
+    "doc_module": ("nlosoptics",),
     "reset_modules": ("matplotlib", "generated.name_script"),
     "image_scrapers": ("matplotlib", Scraper()),
     "download_all_examples": False,

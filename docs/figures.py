@@ -1,7 +1,7 @@
-"""Draw the pictures of the README and of docs/doors: ``python docs/figures.py``.
+"""Draw the pictures of the README: ``python docs/figures.py``.
 
-They show what the commands and the Python of these pages make; run it again when those change. The
-picture of peers is drawn from the stored results of ``benchmarks/psf_peers.py``.
+The first shows what its commands make; run it again when those change. The picture
+of peers is drawn from the stored results of ``benchmarks/psf_peers.py``.
 """
 
 import sys
@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 import nlosoptics as nlos
-from nlosoptics import limits, transient, views
+from nlosoptics import limits, views
 from nlosoptics.scene import Scene
 from nlosoptics.views.canvas import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, VERMILION, new_axes
 
@@ -85,28 +85,6 @@ def peers() -> None:
     views.save(draw_psf_peers(rows("psf_peers.json")), FIGURES / "psf_peers.png")
 
 
-def doors() -> None:
-    """Draw the room, the camera image with its reconstruction, and the capture of the doors."""
-    scene = Scene.load(SCENES / "letter_concave.toml")
-    views.save(views.scene_sketch(scene), FIGURES / "door_instrument.png")
-    scene = scene.resized(64)
-    result = nlos.simulate(scene, seed=1, reconstruct=True)
-    left, right = new_axes(2, width=9.5, height=3.6)
-    scale = limits.object_scale(scene)
-    views.image(result.image, object_scale=scale, axes=left)
-    pitch = scale * result.image.pitch
-    views.reconstruction(result.reconstruction, pitch=pitch, axes=(right,))
-    right.set_title("reconstruction, mirror undone")
-    views.save(left, FIGURES / "door_camera.png")
-    capture = transient.render_scene(Scene.load(SCENES / "transient_letter.toml"), tol=0.02)
-    volume = transient.Volume.facing(capture.sensor_points, (0.8, 1.2, 0.02))
-    axes = new_axes(3, width=11, height=3.4)
-    views.transient(capture, at=(2.1,), axes=axes[:2])
-    views.volume(transient.phasor_image(capture, volume, wl_mean=0.125), axes=axes[2])
-    views.save(axes, FIGURES / "door_transient.png")
-
-
 if __name__ == "__main__":
     lead()
     peers()
-    doors()

@@ -55,7 +55,7 @@ FLOORS: tuple[dict[str, tuple[str, ...]], ...] = (
     {"limits": ()},
     {"runs": ()},
     {"study": ("design", "search")},
-    {"views": ()},
+    {"views": (), "verification": ()},
     {"report": ()},
     {"cli": ()},
 )

@@ -13,6 +13,7 @@ ordinary camera looks at the wall. Subpackages:
 - `study`: design studies: sweeps, tolerances, yield, optimisation.
 - `views`: plots and 3-D views.
 - `report`: HTML report of a run or a study.
+- `verification`: checks of the library on this machine.
 
 `Scene.load` reads a scene file, `plan` predicts the stages of its simulation with time and error,
 and `simulate` runs them.

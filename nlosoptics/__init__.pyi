@@ -10,6 +10,7 @@ from . import report as report
 from . import scene as scene
 from . import study as study
 from . import transient as transient
+from . import verification as verification
 from . import views as views
 from .runs import reconstructing as reconstructing
 from .runs.plan import Plan as Plan

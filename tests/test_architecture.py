@@ -285,6 +285,7 @@ WEIGHTS = {
     "pictures from shadows": (3_000, 800, 550, 1_800, 5, 20),
     "captures that read by themselves": (600, 250, 0, 350, 3, 5),
     "the way in: photographs, analysis, nouns at the top": (1_500, 500, 0, 1_500, 20, 10),
+    "checks on the user's machine": (500, 80, 130, 330, 3, 5),
     "status on pictures of users, ablation of the search": (0, 0, 335, 0, 0, 0),
 }
 

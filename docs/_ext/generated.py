@@ -1,4 +1,4 @@
-"""Pages and figures made anew at each build: frames, materials, validation, performance."""
+"""Pages and figures made anew at each build: drawings, materials, validation, performance."""
 
 import builtins
 from pathlib import Path
@@ -7,6 +7,7 @@ from typing import Any
 import frames_figure
 import layouts_figure
 import materials_page
+import notions_figure
 import performance
 import validation_page
 from sphinx.application import Sphinx
@@ -17,7 +18,8 @@ def make(app: Sphinx) -> None:
     """Write everything into ``_generated``, which pages include."""
     target = Path(app.srcdir) / "_generated"
     target.mkdir(exist_ok=True)
-    for part in (frames_figure, layouts_figure, materials_page, validation_page, performance):
+    figures = (frames_figure, layouts_figure, notions_figure)
+    for part in (*figures, materials_page, validation_page, performance):
         part.pages(target)
     gather_scripts(target / "scripts")
 

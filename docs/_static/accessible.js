@@ -1,5 +1,6 @@
 // Labels for screen readers that the theme and docutils do not set, places at which long names may
-// break, and frames in which wide figures scroll.
+// break, frames in which wide figures scroll, and a button that copies a block of code, commands
+// without their prompt.
 document.addEventListener("DOMContentLoaded", () => {
   for (const summary of document.querySelectorAll(".bd-sidebar summary")) {
     const link = summary.parentElement.parentElement.querySelector("a");
@@ -19,6 +20,17 @@ document.addEventListener("DOMContentLoaded", () => {
     if (part.childNodes.length === 1 && text.nodeType === Node.TEXT_NODE) {
       part.innerHTML = part.innerHTML.replace(/(?<!&\w*)([_/.:]+)(?=\w)/g, "$1<wbr>");
     }
+  }
+  for (const block of document.querySelectorAll(".highlight-python pre, .highlight-console pre")) {
+    const button = document.createElement("button");
+    button.className = "copy";
+    button.textContent = "Copy";
+    button.addEventListener("click", async () => {
+      const lines = block.textContent.trimEnd().split("\n");
+      await navigator.clipboard.writeText(lines.map((line) => line.replace(/^\$ /, "")).join("\n"));
+      button.textContent = "Copied";
+    });
+    block.parentElement.append(button);
   }
   const watch = new ResizeObserver((entries) => {
     for (const { target } of entries) {

@@ -24,6 +24,7 @@ from . import (  # imported to register their commands
     starts,  # noqa: F401
     studies,  # noqa: F401
     traces,  # noqa: F401
+    verification,  # noqa: F401
 )
 from .shell import DONE, INTERRUPTED, app, tell
 

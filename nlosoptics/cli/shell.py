@@ -48,7 +48,7 @@ class _Program(Group):
             "Design": "analyse study",
             "Reconstruct": "feasibility reconstruct deblur",
             "Time-resolved": "transient image",
-            "Tools": "report materials schema warmup",
+            "Tools": "report materials schema warmup verify",
         }.items():
             with formatter.section(heading):
                 formatter.write_dl(

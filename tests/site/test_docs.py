@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import re
-import shlex
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from nlosoptics.cli import main
 from nlosoptics.scene import OrenNayar
 
 ROOT = Path(__file__).parents[2]
@@ -26,10 +24,6 @@ PAGES = sorted(
 #: Page whose code runs by default.
 DEFAULT: dict[str, Any] = {"tutorial.md": ()}
 THOROUGH = pytest.mark.thorough
-#: A block of code with its language.
-FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-#: Begins a block of Python and ends a command that cannot be run in seconds, with the reason.
-NOT_RUN = re.compile(r"# not run in the tests: \S")
 
 
 @pytest.fixture
@@ -51,21 +45,10 @@ def extension(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Modul
         for page in PAGES
     ],
 )
-def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands and Python in the order of the page, one namespace, beside the examples."""
-    (tmp_path / "examples").symlink_to(ROOT / "examples")
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {"__name__": "__main__"}
-    for language, code in FENCE.findall(page.read_text()):
-        if language == "console":
-            for command in commands(code):
-                with pytest.raises(SystemExit) as end:
-                    main(shlex.split(command, comments=True)[1:])
-                assert end.value.code == 0, command
-        elif language == "python":
-            compiled = compile(code, str(page), "exec")
-            if not NOT_RUN.match(code):
-                exec(compiled, names)
+def test_code_runs(page: Path, tmp_path: Path, extension: Callable[[str], ModuleType]) -> None:
+    """Commands and Python in the order of the page, as the site shows their outputs."""
+    for _ in extension("outputs").blocks(page.read_text(), tmp_path):
+        pass
 
 
 def test_study_of_the_page_gains_by_light(
@@ -81,13 +64,6 @@ def test_study_of_the_page_gains_by_light(
         for power in (0.5e-3, 5e-3)
     )
     assert min(bright) > max(dim) > 0.99
-
-
-def commands(block: str) -> Iterator[str]:
-    """Yield the program's own commands; those that install or measure are not run."""
-    for line in re.sub(r"\\\n>?", " ", block).splitlines():
-        if line.startswith("$ nlosoptics ") and not NOT_RUN.search(line):
-            yield line.removeprefix("$ ")
 
 
 def test_every_block_has_a_language_that_is_run_or_known() -> None:

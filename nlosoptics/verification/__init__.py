@@ -1,0 +1,8 @@
+"""Is it right, on this machine? Closed forms, published values and invariants, in a minute.
+
+`verify` runs all checks; ``nlosoptics verify`` prints them.
+"""
+
+import lazy_loader as _lazy
+
+__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
