@@ -62,6 +62,7 @@ def oldest(session: nox.Session) -> None:
     pins = [requirement.replace(">=", "==") for requirement in PROJECT["dependencies"]]
     session.install(*pins, *TESTING)
     session.install("--no-deps", "-e", ".")
+    session.run("nlosoptics", "verify")
     session.run("pytest", *(session.posargs or QUICK))
 
 
