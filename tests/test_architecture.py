@@ -263,6 +263,7 @@ def patches(source: str) -> list[str]:
     return out
 
 
+@pytest.mark.thorough
 def test_no_other_library_is_patched() -> None:
     """No machinery that forks, runs texts as code, or hangs on others' private names."""
     faults = {path: patches(text) for path, text in house.read().items()}

@@ -236,7 +236,14 @@ def blind_fit(_: Path) -> dict[str, Any]:
 
 
 #: Results that compile much, or take seconds.
-LONG = ("point_spreads_of_a_rough_wall", "rough_scene", "light_of_an_object_point", "blind_fit")
+LONG = (
+    "point_spreads_of_a_rough_wall",
+    "rough_scene",
+    "light_of_an_object_point",
+    "blind_fit",
+    "reconstruction_round_a_corner",
+    "feasibility",
+)
 
 
 @pytest.mark.parametrize(

@@ -85,6 +85,7 @@ def test_structure(name: str, pictures: int, pages: dict[str, str]) -> None:
     assert html.unescape(title) == f"{name}<b>&.zarr, nlosoptics study"
 
 
+@pytest.mark.thorough
 def test_tells_what_the_store_holds(stores: dict[str, Path], pages: dict[str, str]) -> None:
     results = Results.load(stores["axes"])
     words = told(pages["axes"])
