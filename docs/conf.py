@@ -83,5 +83,5 @@ html_theme_options = {
     "pygments_dark_style": "a11y-high-contrast-dark",
 }
 # pages without pages below them
-alone = ("index", "tutorial", "validation", "performance", "limits", "changelog")
+alone = ("index", "live", "tutorial", "validation", "performance", "limits", "changelog")
 html_sidebars: dict[str, list[str]] = {page: [] for page in (*alone, "gallery/plot_*")}
