@@ -12,7 +12,7 @@ from .._checks import lasting
 from .shell import DONE, FAILED, Debug, app, errors_told, progress_bar
 
 
-@app.command("verify", short_help="Check the library on this machine, in a minute.")
+@app.command("verify", short_help="Check the library on this machine.")
 def verify_command(
     wave: Annotated[
         Path | None,

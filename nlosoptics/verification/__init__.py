@@ -1,4 +1,4 @@
-"""Is it right, on this machine? Closed forms, published values and invariants, in a minute.
+"""Is it right, on this machine? Closed forms, published values and invariants, in seconds.
 
 `verify` runs all checks; ``nlosoptics verify`` prints them.
 """

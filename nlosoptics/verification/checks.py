@@ -64,7 +64,7 @@ def verify(
 ) -> list[Check]:
     """Run all checks of the library against what is known without it.
 
-    They need no network and no file, and take about a minute, most of it compilation at first use.
+    They need no network and no file, and take a quarter of a minute; the first run also compiles.
 
     Parameters
     ----------
