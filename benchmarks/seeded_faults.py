@@ -160,7 +160,7 @@ def failed_checks(package: Path) -> list[str]:
         text=True,
         check=True,
     )
-    return done.stdout.split("\n")[:-1]
+    return [name for name in done.stdout.splitlines() if name]
 
 
 def main() -> int:

@@ -27,6 +27,7 @@ extensions = [
     "references",
     "generated",
     "outputs",
+    "thumbnails",
 ]
 exclude_patterns = ["_generated", "_templates", "figures"]
 templates_path = ["_templates"]
@@ -53,7 +54,7 @@ sphinx_gallery_conf = {
     "backreferences_dir": "_generated/uses",  # which script uses which function
     "doc_module": ("nlosoptics",),
     "reset_modules": ("matplotlib", "generated.name_script"),
-    "image_scrapers": ("matplotlib", Scraper()),
+    "image_scrapers": ("thumbnails.scrape", Scraper()),
     "download_all_examples": False,
     "write_computation_times": False,
     "show_signature": False,
