@@ -145,8 +145,8 @@ def _scattered_cost(
         lattices, again, points, 0 if half is None else math.prod(window.shape)
     )
     seconds += view.term_seconds * (nodes[0] + nodes[1])
-    # then the transfer function usually has to be refined once
-    seconds *= 2.5 if tol < 1e-4 else 1.0
+    # then the transfer function has to be refined once in every fifth case
+    seconds *= 1.5 if tol < 1e-4 else 1.0
     most = nodes[2] if tol < 6e-4 else nodes[1]
     wide = 2.0 * across if tol < 3e-4 and polar else across
     n_bytes = max(CELL_BYTES * wide**2, NODE_BYTES * most + PIXEL_BYTES * points)
