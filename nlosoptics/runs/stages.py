@@ -171,7 +171,7 @@ def wave_stages(scene: Scene, pupil: ExitPupil, look: Look, waves: float) -> Ite
 
 def _aiming_seconds(scene: Scene, nodes: float) -> float:
     """Predicted seconds of aiming a wave at ``nodes`` pupil nodes."""
-    return 2e-3 + nodes * (2e-6 if scene.wall.is_flat else 7e-6 if scene.wall.is_compiled else 2e-5)
+    return 2e-3 + nodes * (1e-6 if scene.wall.is_flat else 3e-6 if scene.wall.is_compiled else 1e-5)
 
 
 def spread_cost(scene: Scene, look: Look, side: int, tol: float) -> Cost:
@@ -296,11 +296,12 @@ def shadow_stage(scene: Scene) -> Stage:
     if not is_matt(scene) and check_cone(scene):
         reason += "; the object's reference point is hidden"
     ny, nx = scene.camera.shape
+    plain = is_matt(scene) and scene.wall.is_flat
     return Stage(
         name="shadow rays",
         runs=True,
         reason=reason,
-        seconds=0.5 + 3e-5 * nx * ny,
+        seconds=0.02 + 1e-5 * nx * ny if plain else 0.1 + 4e-5 * nx * ny,
         error="1e-3 of the diffuse light; some hundredths at edges in the image",
         memory=SHADOW_BYTES * nx * ny,
     )

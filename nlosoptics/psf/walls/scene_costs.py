@@ -152,6 +152,8 @@ def _scattered_cost(
         lattices, again, points, 0 if half is None else math.prod(window.shape)
     )
     seconds += view.term_seconds * (nodes[0] + nodes[1])
+    # then some waves need finer cells, which take up to five times as long
+    seconds *= 1.4 if tol < 1e-4 else 1.0
     most = nodes[2] if tol < 6e-4 else nodes[1]
     wide = across * (3.0 if finer else 2.0 if tol < 3e-4 and polar else 1.0)
     n_bytes = max(CELL_BYTES * wide**2, NODE_BYTES * most + PIXEL_BYTES * points)
