@@ -6,16 +6,20 @@ import math
 import os
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import lru_cache
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from .errors import MemoryLimitError, SceneError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 Vector = tuple[float, float, float]
 
@@ -54,6 +58,14 @@ _MAKERS = {
     "RayPaths": "raytrace.trace(scene)",
     "DepthMap": "transient.depth_map(image)",
     "Optimum": "study.optimum(results)",
+    "Shadows": "imaging.cast_shadows(scene)",
+    "Roughness": "psf.Roughness(height_rms=50e-9, correlation_length=2e-3)",
+    "ScenePointSpread": "psf.scene_point_spread(scene)",
+    "Reconstruction": "simulate(scene, reconstruct=True).reconstruction",
+    "Wall": "scene.FlatWall()",
+    "Trimesh": "trimesh.load_mesh(path)",
+    "Sensitivity": "study.sensitivities(results, figure)",
+    "Fraction": "study.fraction_within(results, figure, at_most=limit)",
 }
 
 
@@ -63,6 +75,7 @@ _PARTS = {
     "Wavefront": "wavefront",
     "PointSpread": "point_spread",
     "SpeckleImage": "image",
+    "Reconstruction": "reconstruction",
 }
 
 
@@ -79,6 +92,34 @@ def expect(name: str, value: Any, *kinds: str) -> Any:
     makers = [_MAKERS[kind] for kind in kinds if kind in _MAKERS][:1]
     such = "".join(f", such as {maker}" for maker in makers)
     raise SceneError(f"{name} is a {type(value).__name__}; give a {' or '.join(kinds)}{such}")
+
+
+def each(name: str, values: Any, kind: str) -> list[Any]:
+    """Return a sequence as a list if all are of the class of this name, or raise `SceneError`."""
+    if isinstance(values, (str, bytes, Mapping)) or not isinstance(values, Iterable):
+        raise SceneError(f"{name} is a {type(values).__name__}; give a list of {kind}")
+    return [expect(f"{name}[{i}]", value, kind) for i, value in enumerate(values)]
+
+
+def mapping(name: str, value: Any, such: str) -> Mapping[Any, Any]:
+    """Return ``value`` if it is a mapping, otherwise raise `SceneError`; ``such`` is an example."""
+    if not isinstance(value, Mapping):
+        raise SceneError(f"{name} is a {type(value).__name__}, must be a mapping; give {such}")
+    return value
+
+
+def numbers(name: str, value: Any) -> NDArray[np.float64]:
+    """Return ``value`` as an array of float64, or raise `SceneError` naming ``name``."""
+    import numpy as np
+
+    try:
+        if value is None:  # which numpy takes for NaN
+            raise TypeError
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(
+            f"{name} = {shown(value)} is no array of numbers; give floats in rows of equal length"
+        ) from None
 
 
 def shown(value: Any) -> str:

@@ -44,6 +44,8 @@ def analyse_command(
     The output folder gets one page (analysis.png) with wave aberration, point spread, spot diagram,
     MTF (contrast of fine stripes), encircled energy and quality through focus, and its numbers as
     CSV files, with the Zernike coefficients (shape of the aberration).
+
+    Example: nlosoptics analyse design --out optics
     """
     with errors_told(debug):
         start = time.perf_counter()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +14,7 @@ import typer
 
 from .._checks import lasting, one_of
 from .._whole_files import whole_folder
+from ..errors import NlosError
 from ..runs.record import arrays, now, peak_memory, scene_hash, versions, write_record
 from .shell import (
     Changes,
@@ -84,7 +86,10 @@ GateStart = Annotated[
 ]
 
 captures = typer.Typer(
-    help="Check a file with a time-resolved capture.", no_args_is_help=True, rich_markup_mode=None
+    help="Check a file with a time-resolved capture.",
+    short_help="Check a file with a time-resolved capture.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
 )
 app.add_typer(captures, name="capture")
 
@@ -136,6 +141,8 @@ def transient_command(
     """Simulate a time-resolved capture: the light at points of the wall as a function of time.
 
     The scene needs a table [transient]. The HDF5 file can also be read by the program y-tal.
+
+    Example: nlosoptics transient transient --out flash.hdf5
     """
     with errors_told(debug):
         start = time.perf_counter()
@@ -241,6 +248,8 @@ def image_command(
     from the capture: two halves of its photons must agree on the front view. The output folder gets
     the volume with depths (volume.npz), views from the front, the top and the side, a map of
     depths, and result.json.
+
+    Example: nlosoptics image flash.hdf5 --out flash
     """
     with errors_told(debug):
         start = time.perf_counter()
@@ -261,7 +270,7 @@ def image_command(
                 )
         drawn = can_draw()
         lengths = {
-            name: _path(f"--{name.replace('_', '-')}", text)
+            name: _path(_option(name), text)
             for name, text in (
                 ("wl_mean", wl_mean),
                 ("near", near),
@@ -271,18 +280,7 @@ def image_command(
                 ("aperture", aperture),
             )
         }
-        capture = _read(
-            capture_file,
-            array,
-            axes,
-            side,
-            bin,
-            t_start,
-            pairing,
-            laser_points,
-            outer_legs,
-            gate_start,
-        )
+        capture = _read(context.params)
         picture = {name: lengths[name] for name in ("wl_mean", "near", "far", "step")}
         options = {"camera": camera} | {name: lengths[name] for name in ("wl_sigma", "aperture")}
         options = {name: value for name, value in options.items() if value is not None}
@@ -310,6 +308,7 @@ def image_command(
 
 @captures.command("check", short_help="Say what a capture file holds, and what can image it.")
 def check_command(
+    context: typer.Context,
     capture_file: CaptureFile,
     array: ArrayName = "",
     axes: Axes = "t,y,x",
@@ -325,51 +324,42 @@ def check_command(
     """Say what a capture file holds: points, bins, light of the hidden scene, fitting methods.
 
     A file that cannot be read, or that lacks a value, is refused with the option that supplies it.
+
+    Example: nlosoptics capture check flash.hdf5
     """
     with errors_told(debug):
-        capture = _read(
-            capture_file,
-            array,
-            axes,
-            side,
-            bin,
-            t_start,
-            pairing,
-            laser_points,
-            outer_legs,
-            gate_start,
-        )
+        capture = _read(context.params)
         print_table([*_capture_rows(capture), *_light_rows(capture)])
 
 
-def _read(
-    path: Path,
-    array: str,
-    axes: str,
-    side: str,
-    bin: str,
-    t_start: str,
-    pairing: str | None,
-    laser_points: str,
-    outer_legs: bool | None,
-    gate_start: str,
-) -> TransientCapture:
+def _read(options: Mapping[str, Any]) -> TransientCapture:
     """Read a capture file, with what the options state, and drop the bins before the gate."""
     from .. import transient
 
-    capture = transient.TransientCapture.load(
-        path,
-        array=array or None,
-        axes=axes,
-        side=_path("--side", side),
-        delta_t=_path("--bin", bin),
-        t_start=_path("--t-start", t_start),
-        pairing=pairing,
-        laser_points=numbers("--laser-points", laser_points) or None,
-        outer_legs=outer_legs,
-    )
-    gate = _path("--gate-start", gate_start)
+    lengths = {n: _path(_option(n), options[n]) for n in ("side", "bin", "t_start", "gate_start")}
+    try:
+        capture = transient.TransientCapture.load(
+            options["capture_file"],
+            array=options["array"] or None,
+            axes=options["axes"],
+            side=lengths["side"],
+            delta_t=lengths["bin"],
+            t_start=lengths["t_start"],
+            pairing=options["pairing"],
+            laser_points=numbers("--laser-points", options["laser_points"]) or None,
+            outer_legs=options["outer_legs"],
+        )
+    except NlosError as error:  # which names the arguments of the call
+        names = r"\b(delta_t|t_start|laser_points|outer_legs)\b"
+        text = re.sub(names, lambda match: _option(match[0].replace("delta_t", "bin")), str(error))
+        raise type(error)(text) from None
+    gate = lengths["gate_start"]
     return capture if gate is None else transient.gated(capture, start=gate)
+
+
+def _option(name: str) -> str:
+    """Return the option that gives an argument of this name."""
+    return f"--{name.replace('_', '-')}"
 
 
 def _path(option: str, text: str) -> float | None:
@@ -519,7 +509,6 @@ def _capture_rows(capture: TransientCapture) -> Iterator[tuple[str, str]]:
 def _light_rows(capture: TransientCapture) -> Iterator[tuple[str, str]]:
     """Rows on the light of the hidden scene, and on the methods that can image it."""
     from .. import transient
-    from ..errors import NlosError
     from ..transient.imaging.advice import shortest_wavelength
     from ..transient.imaging.confocal_grids import confocal_grid
 

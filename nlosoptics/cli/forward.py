@@ -45,7 +45,10 @@ def plan_command(
     max_seconds: MaxSeconds = 900.0,
     debug: Debug = False,
 ) -> None:
-    """List what a run will compute and skip, with reasons, predicted times and errors."""
+    """List what a run will compute and skip, with reasons, predicted times and errors.
+
+    Example: nlosoptics plan corner --size 64
+    """
     with errors_told(debug):
         from ..runs.plan import plan
 
@@ -80,6 +83,8 @@ def run_command(
 
     The output folder gets overview.png, which shows all results, arrays (.npz) and result.json with
     the most important numbers. An existing folder is replaced only if an earlier run wrote it.
+
+    Example: nlosoptics run corner --size 64 --set wall.curvature=0.1
     """
     with errors_told(debug):
         start = time.perf_counter()
@@ -128,6 +133,8 @@ def schema_command(debug: Debug = False) -> None:
     """Print all keys of scene files with their descriptions, as a JSON schema.
 
     Editors use the schema to complete and check scene files.
+
+    Example: nlosoptics schema > scene.json
     """
     with errors_told(debug):
         from ..scene.file.scene_file import scene_schema
@@ -192,6 +199,8 @@ def materials_command(
 
     A scene file names a material by a line such as material = "whiteboard" in the table [wall] or
     [hidden].
+
+    Example: nlosoptics materials whiteboard
     """
     with errors_told(debug):
         from ..scene.parts.library import entry, lobe_tables, material_library
@@ -223,6 +232,8 @@ def warmup_command(
     """Compile the functions that a run uses, so that the first run is as fast as later ones.
 
     The compiled code is kept on the disk. A run compiles by itself what is missing.
+
+    Example: nlosoptics warmup corner
     """
     with errors_told(debug):
         start = time.perf_counter()

@@ -148,6 +148,8 @@ def deblur_command(
     Of all pictures whose blurred image agrees with the photograph, the result is the one with the
     fewest and weakest edges. Colours are sharpened one by one. The output folder gets the picture
     (object.png), its values (object.npz), an overview and result.json.
+
+    Example: nlosoptics deblur photo.jpg --disc 3 --gamma srgb
     """
     with errors_told(debug):
         started = time.perf_counter()

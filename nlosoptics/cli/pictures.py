@@ -69,7 +69,10 @@ def view_command(
     seed: Seed = 0,
     debug: Debug = False,
 ) -> None:
-    """Show a scene and its light paths in 3-D, in a window or a file."""
+    """Show a scene and its light paths in 3-D, in a window or a file.
+
+    Example: nlosoptics view corner --out room.png
+    """
     with errors_told(debug):
         start = time.perf_counter()
         if out is not None:

@@ -62,6 +62,8 @@ def feasibility_command(
 
     The first line is the verdict, with what is missing if the object is not recoverable. No image
     and no reconstruction is needed.
+
+    Example: nlosoptics feasibility corner --out forecast.png
     """
     with errors_told(debug):
         from ..limits import feasibility
@@ -142,6 +144,8 @@ def reconstruct_command(
 
     Several images are averaged, or fitted together by methods evidence and burst. Ctrl-C ends the
     fit, writes the best object so far and exits with code 130; --resume continues.
+
+    Example: nlosoptics reconstruct photo.png --scene room.toml
     """
     with errors_told(debug):
         if method not in (None, "tv", "shadows"):

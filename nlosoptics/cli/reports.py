@@ -31,6 +31,8 @@ def report_command(
 
     The page contains all pictures and needs no network. Figures of a run that the folder lacks are
     drawn and added to it.
+
+    Example: nlosoptics report corner --out corner.html
     """
     with errors_told(debug):
         from .. import report

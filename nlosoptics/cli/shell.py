@@ -47,7 +47,7 @@ class _Program(Group):
             "Simulate": "new plan run view trace",
             "Design": "analyse study",
             "Reconstruct": "feasibility reconstruct deblur",
-            "Time-resolved": "transient image",
+            "Time-resolved": "transient capture image",
             "Tools": "report materials schema warmup verify",
         }.items():
             with formatter.section(heading):

@@ -41,6 +41,8 @@ def new_command(
     """Write a scene file in which every value has a comment, with the pictures that it names.
 
     The file can be used at once. Change its values to your own. Existing files are kept.
+
+    Example: nlosoptics new room.toml --kind design
     """
     with errors_told(debug):
         from .._whole_files import write_whole

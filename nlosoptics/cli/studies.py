@@ -73,7 +73,7 @@ def run_command(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for the results (store); by default the name of the study file with .zarr."
+            help="Folder for the results; by default the name of the study file with .zarr."
         ),
     ] = None,
     only_plan: Annotated[
@@ -97,23 +97,27 @@ def run_command(
     ] = None,
     again: Annotated[
         bool,
-        typer.Option("--again", help="Also compute again the points that failed or were lost."),
+        typer.Option(
+            "--again", help="Also compute again the points that failed, or whose process crashed."
+        ),
     ] = False,
     picture: Annotated[
         str | None,
         typer.Option(
             metavar="FIGURE",
             help="Also draw this figure of merit, as nlosoptics study plot does, next to the "
-            "store, with .png.",
+            "results, with .png.",
         ),
     ] = None,
     debug: Debug = False,
 ) -> None:
     """Run a study, or resume it.
 
-    Points that are already in the store are kept. Only missing points, and values or figures of
+    Points that are already in the folder are kept. Only missing points, and values or figures of
     merit that were added to the file, are computed. Ctrl-C ends the study after the points that are
     being computed, and exits with code 130; the same command continues.
+
+    Example: nlosoptics study tolerances --out tolerances.zarr
     """
     with errors_told(debug):
         _require_parts()
@@ -165,6 +169,8 @@ def status_command(store: StoreFolder, debug: Debug = False) -> None:
     """Show the state of a study: finished points, range of each figure of merit, and failures.
 
     For an optimisation, also show the best trials.
+
+    Example: nlosoptics study status tolerances.zarr
     """
     with errors_told(debug):
         typer.echo(_told(_results(store)))
@@ -200,10 +206,14 @@ def plot_command(
         ),
     ] = None,
     boundary: Annotated[
-        float | None, typer.Option(help="Limit of the figure of merit; a line is drawn there.")
+        float | None,
+        typer.Option(help="Limit of the figure of merit, in its unit; a line is drawn there."),
     ] = None,
     contours: Annotated[
-        str | None, typer.Option(help='Values of contour lines of a map, such as "0.2,0.5,0.8".')
+        str | None,
+        typer.Option(
+            help='Contour lines of a map, in the unit of the figure, such as "0.2,0.5,0.8".'
+        ),
     ] = None,
     incomplete: Annotated[
         bool, typer.Option("--incomplete", help="Draw although some points are not yet computed.")
@@ -215,6 +225,8 @@ def plot_command(
     By default the picture is a tornado diagram for a table [one_at_a_time], Sobol indices for
     [draws] with method "saltelli", the yield against the limit for other [draws], and otherwise a
     map or curve.
+
+    Example: nlosoptics study plot tolerances.zarr mtf --out mtf.png
     """
     with errors_told(debug):
         require("matplotlib", "views")
@@ -251,7 +263,7 @@ def report_command(
     store: StoreFolder,
     out: Annotated[
         Path | None,
-        typer.Option(help="HTML file to write; by default the name of the store with .html."),
+        typer.Option(help="HTML file to write; by default the name of the folder with .html."),
     ] = None,
     gallery: Annotated[
         bool,
@@ -262,7 +274,10 @@ def report_command(
     ] = True,
     debug: Debug = False,
 ) -> None:
-    """Write one HTML page about a study, complete or not. It needs no network."""
+    """Write one HTML page about a study, complete or not. It needs no network.
+
+    Example: nlosoptics study report tolerances.zarr
+    """
     with errors_told(debug):
         require("matplotlib", "views")
         _results(store)  # check the input before the output path
@@ -292,6 +307,8 @@ def optimum_command(
     """Print the best trials of an optimisation and draw it.
 
     The picture shows the Pareto front of several objectives, or one objective over the trials.
+
+    Example: nlosoptics study optimum search.zarr --out optimum.png
     """
     with errors_told(debug):
         require("matplotlib", "views")
@@ -310,7 +327,10 @@ def export_command(
     out: Annotated[Path, typer.Argument(metavar="CSV", help="Table to write (.csv).")],
     debug: Debug = False,
 ) -> None:
-    """Write all points to a CSV table: changed values, figures of merit, errors and status."""
+    """Write all points to a CSV table: changed values, figures of merit, errors and status.
+
+    Example: nlosoptics study export tolerances.zarr points.csv
+    """
     with errors_told(debug):
         check_file(out, ".csv")
         results = _results(store)

@@ -97,6 +97,8 @@ def trace_command(
     model them. The output folder gets pictures (PNG), all pixels (image.npz) and result.json with
     the power balance. With --wavelengths-nm, there are such files for each wavelength,
     450nm_image.npz for example. An existing folder is replaced only if an earlier command wrote it.
+
+    Example: nlosoptics trace corner --size 64 --n-rays 100000
     """
     with errors_told(debug):
         start = time.perf_counter()

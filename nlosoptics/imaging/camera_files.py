@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -259,7 +259,8 @@ def camera_image(
     >>> camera_image(exposure, shape=(2, 2), corners=marked).values.shape
     (2, 2)
     """
-    files = [paths] if isinstance(paths, (str, Path, np.ndarray)) else list(paths)
+    several = isinstance(paths, Iterable) and not isinstance(paths, (str, Mapping, np.ndarray))
+    files = list(paths) if several else [paths]
     if not files:
         raise SceneError("no image is given; name one file or more")
     full = None if full is None else positive("full", full, unit="counts")

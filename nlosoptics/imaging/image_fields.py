@@ -47,6 +47,7 @@ def image_field(
     *,
     tol: float = 1e-3,
     most_nodes: int = COUNTS[-1],
+    planned_nodes: int | None = None,
     anywhere: bool = False,
     progress: Progress | None = None,
 ) -> tuple[PointSpreadField, float]:
@@ -66,6 +67,10 @@ def image_field(
         error over rms image, and that of each PSF, max |dI| / max I with its intensity I.
     most_nodes : int
         Largest number of nodes along each side of the object.
+    planned_nodes : int, optional
+        Number of nodes along each side that a plan expects to suffice. Beyond it the grid is
+        refined only while each step halves the error, and the best field is returned even if its
+        error is above ``tol``. By default such an error is raised.
     anywhere : bool, default False
         Whether the PSFs are checked all over the object, as for photographs of an unknown object
         in the place of the scene's. By default they are checked where the picture is bright.
@@ -78,7 +83,8 @@ def image_field(
         PSFs on the coarsest grid of nodes that suffices. Its ``error_estimate`` includes the
         differences from exact PSFs at the random points.
     error : float
-        Estimated error of the object's image, rms error over rms image, at most ``tol``.
+        Estimated error of the object's image, rms error over rms image; at most ``tol`` unless
+        ``planned_nodes`` are given.
 
     Raises
     ------
@@ -107,7 +113,11 @@ def image_field(
     echo = autocorrelation(picture, spreads.side)
     bright = blurred_power(exact, echo)
     computed = len(places)
+    best: tuple[float, PointSpreadField | None] = (math.inf, None)
+    before = error = math.inf
     for step, count in enumerate(counts):
+        if planned_nodes is not None and count > planned_nodes and error > before / 2:
+            break  # the nodes do not resolve the wall's shape, and a few more would not
         begun = time.perf_counter()
         expected = (begun - start) * (1.0 + count**2 / computed)
         if expected > limit:
@@ -124,9 +134,13 @@ def image_field(
         field = spreads.field((count, count), places, told)
         computed += count**2
         off = np.tensordot(field.at(*np.transpose(places)), field.modes, (0, 0)) - exact
+        before = error
         error = SAFETY * math.sqrt(float((blurred_power(off, echo) / bright).max()))
+        best = min(best, (error, field), key=lambda pair: pair[0])
         if error <= tol:
             return field, error
+    if planned_nodes is not None and best[1] is not None:
+        return best[1], best[0]
     raise SamplingError(
         f"the picture's image still has an error of about {error:.2g} of its rms with {count} x "
         f"{count} point spreads, limit tol = {tol:g}; use tol = {1.1 * error:.2g}"

@@ -14,6 +14,7 @@ from .._checks import expect, fits_memory, positive
 from .._html import Figures, Shown
 from .._nouns import Noun
 from .._random import checked_seed
+from .._xarray import Labelled, Labels, pixels, variable
 from ..errors import SamplingError, SceneError
 from ..psf import PointSpreadField, scene_point_spread
 from ..psf.pupil.exit_pupil import working_f_number
@@ -58,7 +59,7 @@ BYTES_PER_PIXEL = 450  # peak memory, measured with a curved wall
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SpeckleImage(Noun, Shown):
+class SpeckleImage(Noun, Shown, Labelled):
     """Simulated camera image in electrons, with its components and noise.
 
     `form_image` computes it. The name refers to speckle, the granular noise of laser light, which
@@ -141,6 +142,19 @@ class SpeckleImage(Noun, Shown):
         }
         alt = f"Camera image, {nx} x {ny} pixels, brighter where there are more electrons"
         return Figures("Speckle image", figures, alt)
+
+    def _labels(self) -> Labels:
+        names = {
+            "electrons": "reading with all noise",
+            "expected": "mean over all noise",
+            "signal": "image of the object",
+            "ideal": "image of the object before the blur",
+            "background": "light and dark current beside the object's image",
+            "noise_sigma": "rms noise",
+        }
+        arrays = {n: variable("yx", getattr(self, n), "electrons", m) for n, m in names.items()}
+        values = {name: getattr(self, name) for name in ("pitch", "exposure", "seed")}
+        return Labels(arrays, pixels(self.electrons.shape, self.pitch), values)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -297,6 +311,7 @@ def form_image(
     if point_spread is None and scene.wall_material.specular_reflectance > 0.0:
         point_spread = scene_point_spread(scene).point_spread
     if point_spread is not None:
+        expect("point_spread", point_spread, "PointSpread", "PointSpreadField")
         _check_pitch(point_spread, camera.image_pitch)
         if not isinstance(point_spread, PointSpreadField):
             _check_energy(scene, point_spread)
@@ -412,7 +427,7 @@ def _shadows(scene: Scene, given: Shadows | None) -> Shadows | None:
     """Return checked or newly computed shadows; None without occluders."""
     if given is None:
         return cast_shadows(scene) if scene.occluders else None
-    if given.image.shape != scene.camera.shape:
+    if expect("shadows", given, "Shadows").image.shape != scene.camera.shape:
         raise SceneError(
             f"shadows are of {given.image.shape} pixels, the camera has {scene.camera.shape}; give "
             "the result of cast_shadows for this scene"

@@ -305,7 +305,10 @@ def _reflected(
 
     def band(first: int) -> Array:
         rows = slice(first, first + 64)  # few enough for the processor's cache
-        normal, view = normals[:, rows], views[:, rows]
+        # of one layout, so that numba compiles the kernel once
+        normal, view, heights = (
+            np.ascontiguousarray(array[:, rows]) for array in (normals, views, on_height)
+        )
         facing = dot(np.moveaxis(normal, 0, -1), np.moveaxis(view, 0, -1)).ravel()
         total = np.zeros(facing.size)
         strength, incidence, between = (np.empty(normal.shape[1:]) for _ in range(3))
@@ -313,7 +316,7 @@ def _reflected(
         cosines = incidence.ravel(), facing, between.ravel()  # views of these arrays
         for flux in fluxes:
             into = strength, incidence, between
-            arriving(flux, on_y[rows], on_x, on_height[:, rows], normal, view, *into)
+            arriving(flux, on_y[rows], on_x, heights, normal, view, *into)
             brdf.evaluate(lobes, *cosines, found)
             found *= np.maximum(cosines[0], 0.0)
             found *= strength.ravel()

@@ -446,8 +446,10 @@ class WallTransport(Noun):
             np.empty((most, speeds.shape[1], 4)),
         )
         if most:
+            # a copy, since numba would compile the kernel again for a read-only array
+            point = laser_spot(self.scene).point.copy()
             count = _penumbra_kernels.outline(
-                laser_spot(self.scene).point, frame, (n_rows, n_columns), arrays, speeds, *spot, 0
+                point, frame, (n_rows, n_columns), arrays, speeds, *spot, 0
             )
             spot = tuple(array[:count] for array in spot)
         return nodes, frame, plane, arrays, speeds, spot, self._wall_lobes, self._radiance

@@ -15,6 +15,7 @@ from .._checks import path_of, reason
 from .._html import Figures, Shown
 from .._nouns import Noun
 from .._whole_files import RECORD, check_folder, sweep, whole_folder
+from .._xarray import Labelled, Labels, variable
 from ..errors import SceneError
 from ..imaging.objects import resampled
 from ..psf.pupil.exit_pupil import ExitPupil
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Result(Noun, Shown):
+class Result(Noun, Shown, Labelled):
     """All results of a simulation, from the function `simulate`.
 
     Parameters
@@ -105,6 +106,17 @@ class Result(Noun, Shown):
             "run": f"{sum(self.timings.values()):.2g} s, seed {self.seed}",
         }
         return Figures("Result", figures, "Overview of a simulation: room, image, reconstruction")
+
+    def _labels(self) -> Labels:
+        """Return the image, the exposures of a burst and a reconstruction on the same pixels."""
+        arrays, axes, values = self.image._labels()
+        more = {}
+        if self.burst is not None:
+            more["burst"] = variable(["exposure", "y", "x"], self.burst, "electrons", "exposures")
+        fit = self.reconstruction
+        if fit is not None and fit.object.shape == self.image.electrons.shape:
+            more["object"] = variable("yx", np.asarray(fit.object), "1", "reconstructed object")
+        return Labels({**arrays, **more}, axes, values)
 
     def save(self, folder: str | Path) -> None:
         """Save the result to a folder, from which `load_result` restores it bit for bit.

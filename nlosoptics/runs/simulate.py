@@ -148,8 +148,8 @@ def _stages(
         spread = formed.point_spread
         errors = {"point spread": spread.error_estimate}
         spreads, field_errors = image_spreads(todo, optics, spread, seed, begin, tell)
-        errors |= field_errors
         check_errors({} if scene.wall_roughness else errors, tol)  # rough walls plan other errors
+        errors |= field_errors
     if todo.runs("shadow rays"):
         begin("shadow rays")
         shadows = imaging.cast_shadows(scene)
@@ -281,9 +281,11 @@ def image_spreads(
         optics,
         tol=todo.tol,
         most_nodes=MOST_NODES,
+        planned_nodes=next(stage.nodes for stage in todo.stages if stage.name == FIELD),
         anywhere=anywhere,
         progress=lambda _, share: tell(FIELD, share),
     )
+    check_errors({FIELD: error}, todo.tol)
     return field, {FIELD: error}
 
 

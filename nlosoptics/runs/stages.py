@@ -58,6 +58,7 @@ class Stage:
     seconds: float = 0.0  # predicted, on one core of a machine of 2024, without compilation, s
     error: str = ""  # predicted error and the quantity that it refers to
     memory: float = 0.0  # predicted peak that the stage itself allocates, bytes
+    nodes: int = 0  # most object points along each side of a field of point spreads
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +171,7 @@ def wave_stages(scene: Scene, pupil: ExitPupil, look: Look, waves: float) -> Ite
 
 def _aiming_seconds(scene: Scene, nodes: float) -> float:
     """Predicted seconds of aiming a wave at ``nodes`` pupil nodes."""
-    return 2e-3 + nodes * (2e-6 if scene.wall.is_flat else 7e-6 if scene.wall.is_compiled else 2e-5)
+    return 2e-3 + nodes * (1e-6 if scene.wall.is_flat else 3e-6 if scene.wall.is_compiled else 1e-5)
 
 
 def spread_cost(scene: Scene, look: Look, side: int, tol: float) -> Cost:
@@ -270,6 +271,7 @@ def field_stage(scene: Scene, pupil: ExitPupil, look: Look, tol: float) -> Stage
         seconds=spreads * each + waves * aimed + powers + 2e-8 * area * counts[-1] ** 4,
         error=f"{tol:g} of the image, rms",
         memory=held + compared + one.n_bytes * threads(),
+        nodes=counts[-1],
     )
 
 
@@ -294,11 +296,12 @@ def shadow_stage(scene: Scene) -> Stage:
     if not is_matt(scene) and check_cone(scene):
         reason += "; the object's reference point is hidden"
     ny, nx = scene.camera.shape
+    plain = is_matt(scene) and scene.wall.is_flat
     return Stage(
         name="shadow rays",
         runs=True,
         reason=reason,
-        seconds=0.5 + 3e-5 * nx * ny,
+        seconds=0.02 + 1e-5 * nx * ny if plain else 0.1 + 4e-5 * nx * ny,
         error="1e-3 of the diffuse light; some hundredths at edges in the image",
         memory=SHADOW_BYTES * nx * ny,
     )
@@ -330,8 +333,8 @@ def _image_seconds(scene: Scene) -> float:
     pixels = float(math.prod(scene.camera.shape))
     pairs, groups = background_work(scene, object_patches(scene.hidden))
     if scene.wall.is_flat:
-        return 0.018 + 4e-7 * pairs + 1.2e-6 * pixels
-    return 0.02 + 5e-4 * groups + 2.2e-7 * pairs + 4.2e-7 * groups * pixels + 1.6e-6 * pixels
+        return 0.004 + 2e-7 * pairs + 5e-7 * pixels
+    return 0.016 + 2.2e-4 * groups + 1.4e-7 * pairs + 2.4e-7 * groups * pixels + 1.6e-6 * pixels
 
 
 def _deconvolution_seconds(scene: Scene) -> float:

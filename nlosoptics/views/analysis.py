@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import whole
+from .._checks import expect, whole
 from .canvas import BLUE, GREY, VERMILION, few_ticks, new_axes
 from .curves import spot_diagram, through_focus
 from .maps import point_spread, wavefront
@@ -61,7 +61,7 @@ def analysis(optics: ScenePointSpread, *, samples: int = 41) -> tuple[Figure, Ta
     from .. import psf
 
     whole("samples", samples, 3)
-    wave = optics.wavefront
+    wave = expect("optics", optics, "ScenePointSpread").wavefront
     spots, fine = psf.spot_diagram(wave), psf.point_spread(wave)
     cutoff = 1.0 / (wave.wavelength * wave.f_number)
     share = np.linspace(0.0, 1.0, samples)

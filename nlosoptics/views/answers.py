@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import expect
+from .._checks import each, expect, numbers
 from ..errors import SceneError
 from .canvas import BLACK, BLUE, GREY, VERMILION, new_axes
 
@@ -51,11 +51,12 @@ def tornado(
     study_map : Figure of merit over two dimensions.
     """
     given: Any = bars
-    names = (
-        [str(name) for name in given["address"].values[np.argsort(-given["total"].values)]]
-        if hasattr(bars, "data_vars")
-        else list(dict.fromkeys(bar.case.partition(" = ")[0] for bar in bars))
-    )
+    if hasattr(bars, "data_vars"):
+        order = np.argsort(-given["total"].values)
+        names = [str(name) for name in given["address"].values[order]]
+    else:
+        bars = each("bars", bars, "Sensitivity")
+        names = list(dict.fromkeys(bar.case.partition(" = ")[0] for bar in bars))
     if axes is None:
         (axes,) = new_axes(width=7.4, height=1.4 + 0.55 * len(names))
     if hasattr(bars, "data_vars"):
@@ -142,7 +143,8 @@ def yield_curve(
     """
     if axes is None:
         (axes,) = new_axes(width=6.4, height=4.2)
-    x = np.asarray(limits, dtype=np.float64)
+    x = numbers("limits", limits)
+    fractions = each("fractions", fractions, "Fraction")
     value, low, high = (
         100 * np.array([getattr(fraction, name) for fraction in fractions])
         for name in ("value", "low", "high")

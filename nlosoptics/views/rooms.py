@@ -11,7 +11,7 @@ from ..scene import PlanarObject, Scene
 from . import room_parts as parts
 from .canvas import BLUE, BROWN, GREEN, GREY, VERMILION
 from .rays import COLOURS, chosen_paths, colour_style, path_lines
-from .stages import FLAT, add_floor, add_legend, bar_style, finish_bar, new_plotter
+from .stages import FLAT, add_floor, add_legend, bar_style, drawn_on, finish_bar
 
 if TYPE_CHECKING:
     from pyvista import Plotter
@@ -71,8 +71,7 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
     True
     """
     scene = expect("scene", scene, "Scene")
-    if plotter is None:
-        plotter = new_plotter("Scene with relay wall, laser, hidden object and camera")
+    plotter = drawn_on(plotter, "Scene with relay wall, laser, hidden object and camera")
     size = parts.room_size(scene)
     half = np.array([*size, 0.0]) / 2
     corners = half * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
@@ -174,8 +173,7 @@ def ray_paths(
     paths = expect("paths", paths, "RayPaths")
     chosen = chosen_paths(paths, n_bounces=n_bounces, only_detected=only_detected, most=most)
     lines = path_lines(paths, chosen, colour=colour, wavefront=wavefront)
-    if plotter is None:
-        plotter = new_plotter("Light paths from the laser via wall and object to the camera")
+    plotter = drawn_on(plotter, "Light paths from the laser via wall and object to the camera")
     if "ray paths" in plotter.actors:
         plotter.remove_actor("ray paths")
     for _, title in COLOURS.values():

@@ -7,7 +7,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .._checks import counted, path_of
+from .._checks import counted, expect, path_of
 from .._whole_files import write_whole
 from ..errors import SceneError
 
@@ -73,7 +73,10 @@ def figure_file(picture: Any, suffix: str = ".png") -> bytes:
     """Return the figure of axes as the bytes of a file."""
     from matplotlib import rc_context
 
-    parts = [picture] if hasattr(picture, "get_figure") else list(picture)
+    single = hasattr(picture, "get_figure") or not isinstance(picture, Iterable)
+    parts = [picture] if single else list(picture)
+    for part in parts:
+        expect("picture", part, "Figure", "Axes")
     figures = {part.get_figure(root=True) for part in parts}  # a figure is its own root
     if len(figures) != 1:
         raise SceneError(

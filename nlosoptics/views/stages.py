@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import expect
 from ..errors import MissingExtraError
 from . import room_parts
 from .canvas import GREY, INK, PALE_GREY, pyvista, round_step
@@ -115,6 +116,14 @@ def new_plotter(title: str, *, window: bool = False) -> Plotter:
     plotter.set_background("white")
     plotter.enable_anti_aliasing("msaa", multi_samples=4)
     return plotter
+
+
+def drawn_on(plotter: Plotter | None, title: str) -> Plotter:
+    """Return the given plotter, checked, or a new one."""
+    checked: Plotter = (
+        new_plotter(title) if plotter is None else expect("plotter", plotter, "Plotter")
+    )
+    return checked
 
 
 def add_legend(plotter: Plotter, entries: Mapping[str, str]) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._checks import expect
+from .._checks import expect, mapping, real
 from ..errors import SceneError
 from .answers import tornado, yield_curve
 from .canvas import BLACK, BLUE, PALE_GREY, VERMILION, few_ticks, new_axes
@@ -251,7 +251,7 @@ def _fixed(
         for name in dataset[figure].dims
         if name not in shown
     }
-    for name, step in (at or {}).items():
+    for name, step in mapping("at", at or {}, "{dimension: step}").items():
         if name not in dataset.sizes or not 0 <= step < dataset.sizes[name]:
             raise SceneError(f"at: {name} = {step} is no step of the study; give one from 0 on")
         if name not in shown:
@@ -312,7 +312,7 @@ def _draw_map(
         lines = axes.contour(values, levels=sorted(contours), colors="white", linewidths=1.2)
         axes.clabel(lines, fontsize=8)
     if boundary is not None:
-        _draw_boundary(axes, values >= boundary)
+        _draw_boundary(axes, values >= real("boundary", boundary))
     return drawn
 
 
@@ -402,7 +402,7 @@ def _draw_dots(axes: Axes, dataset: Any, figure: str, name: str, boundary: float
 def _finish(axes: Axes, dataset: Any, figure: str, boundary: float | None) -> None:
     """Draw the boundary, the grid and the vertical label of a curve or cloud."""
     if boundary is not None:
-        axes.axhline(boundary, color=VERMILION, lw=1)
+        axes.axhline(real("boundary", boundary), color=VERMILION, lw=1)
     axes.set(ylabel=_label(dataset, figure))
     axes.grid(alpha=0.25)
 

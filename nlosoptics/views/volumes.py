@@ -11,7 +11,7 @@ from ..errors import SamplingError
 from .canvas import GREY, few_ticks, new_axes, pyvista
 from .maps import colour_bar
 from .rays import dark_viridis
-from .stages import FLAT, add_floor, add_legend, bar_style, finish_bar, new_plotter
+from .stages import FLAT, add_floor, add_legend, bar_style, drawn_on, finish_bar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -215,8 +215,7 @@ def phasor_volume(
     surface.point_data["z"] = np.asarray(surface.points)[:, 2]
     surface = surface.compute_normals(cell_normals=False, auto_orient_normals=False)
     alone = plotter is None
-    if plotter is None:
-        plotter = new_plotter(f"Reconstructed volume, {image.method}")
+    plotter = drawn_on(plotter, f"Reconstructed volume, {image.method}")
     title = "distance from the wall (m)"
     if title in plotter.scalar_bars:
         plotter.remove_scalar_bar(title)

@@ -111,12 +111,26 @@ def test_version(run: Run) -> None:
     assert run("--version") == (0, f"nlosoptics {nlosoptics.__version__}\n", "")
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["study", "plot"]])
-def test_help(command: list[str], run: Run) -> None:
-    """Each command explains itself."""
-    answer = run(*command, "--help")
-    assert answer.code == 0
-    assert "Usage: nlosoptics" in answer.out
+def test_help_of_every_command_has_an_example_with_its_options() -> None:
+    """Names of command and options in the example are known."""
+    from typer.main import get_command
+
+    from nlosoptics.cli.shell import app
+
+    def each(command, words):
+        if hasattr(command, "commands"):
+            for name, part in command.commands.items():
+                yield from each(part, [*words, name])
+        else:
+            yield command, words
+
+    for command, words in each(get_command(app), ["nlosoptics"]):
+        example = command.help.partition("Example: ")[2].split()
+        # `run` may be left out after `study`
+        assert example[: len(words)] == words or words[1:] == ["study", "run"]
+        options = {name for parameter in command.params for name in parameter.opts}
+        assert {word for word in example if word.startswith("--")} <= options
+        assert all(getattr(p, "help", None) for p in command.params if p.name != "help"), words
 
 
 def test_schema_is_json(run: Run) -> None:

@@ -112,9 +112,10 @@ def test_options_stand_for_what_a_capture_lacks(run):
     with h5py.File("x.hdf5", "a") as file:
         del file["scene_info"], file["delta_t"]
         file["delta_t"] = 0.02 / 299792458
-    code, out, err = run("image", "x.hdf5")
-    assert (code, out) == (2, "")
-    assert "if it is in seconds, give delta_t = 0.02" in err
+    for command in (("image",), ("capture", "check")):
+        code, out, err = run(*command, "x.hdf5")
+        assert (code, out) == (2, "")
+        assert "if it is in seconds, give --bin = 0.02" in err
     planes = ("--near", 0.6, "--far", "1 m", "--step", "10cm")
     code, _, _ = run("image", "x.hdf5", "--bin", "2cm", "--wl-mean", 0.5, *planes)
     assert code == 0

@@ -133,7 +133,7 @@ def test_help_lists_every_command_in_the_order_of_work(call: Call) -> None:
     assert headings == [
         "Options", "Simulate", "Design", "Reconstruct", "Time-resolved", "Tools",
     ]  # fmt: skip
-    names = {command.name for command in app.registered_commands} | {"study"}
+    names = {command.name for command in app.registered_commands} | {"study", "capture"}
     listed = re.findall(r"^  ([a-z]+) +[A-Z]", out, re.MULTILINE)
     assert sorted(listed) == sorted(names)
     assert "--install-completion" in out

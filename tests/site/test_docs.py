@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -169,3 +170,19 @@ def test_site_is_whole(extension: Callable[[str], ModuleType], tmp_path: Path) -
     built = ROOT / "out" / "docs"
     if built.is_dir():
         assert check.faults(built) == []
+
+
+def test_notebooks_are_the_pages_whose_code_is_run(
+    extension: Callable[[str], ModuleType],
+) -> None:
+    """The notebooks hold the code of the doors; `python docs/notebooks.py` writes them."""
+    for path, text in extension("notebooks").texts().items():
+        assert path.read_text() == text, path
+        cells = json.loads(text)["cells"]
+        code = "".join(cell["source"] for cell in cells if cell["cell_type"] == "code")
+        page = (DOCS / "doors" / f"{path.stem}.md").read_text()
+        blocks = [code for language, code in FENCE.findall(page) if language != "toml"]
+        plain = re.sub(r"[\s\\>]|^\$ ", "", "".join(blocks), flags=re.MULTILINE)
+        assert re.sub(r"[\s\\>!]", "", code) == plain.replace("!", "")
+        links = re.findall(r"\]\((\.\./[^)#]*)", "".join(c["source"] for c in cells))
+        assert [link for link in links if not (path.parent / link).exists()] == []

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from ..._checks import in_range, one_of, path_of, real
+from ..._checks import in_range, mapping, one_of, path_of, real
 from ..._whole_files import write_whole
 from ...errors import SceneError
 from ..wave.zernikes import ORDERINGS, Ordering, zernike_order
@@ -114,7 +114,7 @@ def write_zernikes(
         lines.append(f"# wavelength: {_in_metres('wavelength', wavelength)!r}")
     scale = _metres(unit, wavelength) * (-1 if sign == "advance" else 1)
     lines.append("index,coefficient")
-    for index, height in coefficients.items():
+    for index, height in mapping("coefficients", coefficients, "{index: metres}").items():
         zernike_order(index, ordering)
         lines.append(f"{int(index)},{real(f'coefficients[{index}]', height) / scale:.15g}")
     write_whole({path_of("path", path): ("\n".join(lines) + "\n").encode()})

@@ -11,7 +11,7 @@ import numpy as np
 import scipy  # loads scipy.optimize on first use
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import expect, one_of, positive, real
+from ..._checks import expect, numbers, one_of, positive, real
 from ..._html import Figures, Shown
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
@@ -206,7 +206,7 @@ def through_focus(
     name, measure, _ = _metric(criterion, frequency, azimuth)
     if shifts is None:
         shifts = np.linspace(-4.0, 4.0, 33) * wavefront.wavelength * wavefront.f_number**2
-    planes = np.array(shifts, dtype=np.float64)
+    planes = numbers("shifts", shifts).copy()
     if planes.ndim != 1 or planes.size == 0:
         raise SceneError(f"shifts have shape {planes.shape}; give (n,), m")
     values = np.array([measure(focus_shifted(wavefront, float(s))) for s in planes])

@@ -10,7 +10,7 @@ import numpy as np
 import scipy  # loads its parts on first use
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import counted, expect, fits_memory, one_of, shown, whole
+from ..._checks import counted, expect, fits_memory, numbers, one_of, real, shown, whole
 from ...errors import SamplingError, SceneError
 from ..aperture.quadrature_nodes import circle_shares, gauss_legendre
 from ..transform import quadrature
@@ -233,7 +233,7 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     0.8378
     """
     source = expect("source", source, "PointSpread", "Wavefront")
-    radii = np.asarray(radius, dtype=np.float64)
+    radii = numbers("radius", radius)
     if not np.all(np.isfinite(radii)) or np.any(radii < 0):
         raise SceneError(f"radius = {shown(radius)} m; give finite radii of at least 0")
     if isinstance(source, Wavefront):
@@ -288,7 +288,7 @@ def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
     encircled_energy : Energy within circles.
     """
     point_spread = expect("point_spread", point_spread, "PointSpread")
-    sides = np.asarray(side, dtype=np.float64)
+    sides = numbers("side", side)
     if not np.all(np.isfinite(sides)) or np.any(sides < 0):
         raise SceneError(f"side = {shown(side)} m; give finite sides of at least 0")
     x, y, pitch = point_spread.x, point_spread.y, point_spread.pitch
@@ -389,9 +389,9 @@ def _transfer(
     source: Wavefront | PointSpread, frequency: ArrayLike, azimuth: float
 ) -> ComplexArray:
     """Return the optical transfer function, 1 at frequency 0, in the shape of ``frequency``."""
-    frequencies = np.asarray(frequency, dtype=np.float64)
-    if not np.all(np.isfinite(frequencies)) or not math.isfinite(azimuth):
-        raise SceneError("frequency or azimuth is NaN or infinite; give finite 1/m and rad")
+    frequencies, azimuth = numbers("frequency", frequency), real("azimuth", azimuth)
+    if not np.all(np.isfinite(frequencies)):
+        raise SceneError(f"frequency = {shown(frequency)} is not finite; give finite 1/m")
     if isinstance(source, PointSpread):
         values = spectrum_along(source, frequencies.ravel(), azimuth) / source.intensity.sum()
     elif source.layout == "polar" and source.obscuration == 0:
@@ -469,7 +469,7 @@ def fwhm(point_spread: PointSpread) -> tuple[float, float]:
 
 def _without(wavefront: Wavefront, remove: Iterable[str]) -> Wavefront:
     """Return the wavefront without the least-squares fit of the named terms and a piston."""
-    names = (remove,) if isinstance(remove, str) else tuple(remove)
+    names = (remove,) if isinstance(remove, str) or remove is None else tuple(remove)
     for name in names:
         one_of("remove", name, ("piston", "tilt", "defocus"))
     if not names:

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import expect, one_of, vector
+from ..._checks import expect, numbers, one_of, vector, whole
 from ...errors import NotWaveGradeError, SamplingError, SceneError
 from ...scene import MeshWall, Scene, Wall
 from ..aperture.aperture import Aperture
@@ -107,7 +107,8 @@ def wall_aberration(
     if not axis.any():
         raise SceneError("pupil_aim equals pupil_centre; aim at a point of the wall")
     axis /= np.linalg.norm(axis)
-    flat_nodes = np.asarray(nodes, dtype=np.float64)
+    expect("wall", wall, "Wall")
+    flat_nodes = numbers("nodes", nodes)
     _check_nodes(flat_nodes)
     with_centre = np.concatenate([np.zeros((1, 2)), flat_nodes])
     rays = aim(wall, object_point, pupil_points(centre, axis, with_centre), axis)
@@ -341,7 +342,7 @@ def _pupil_nodes(
 ) -> tuple[Layout, Array, Array, Array]:
     """Return layout, coordinates u and v, m, and areas, m^2, of the requested pupil nodes."""
     if not isinstance(nodes, str):
-        points = np.asarray(nodes, dtype=np.float64)
+        points = numbers("nodes", nodes)
         _check_nodes(points)
         if samples is not None:
             raise SceneError(f"samples = {samples} with nodes given as an array; leave it out")
@@ -351,6 +352,8 @@ def _pupil_nodes(
     one_of("nodes", nodes, ("auto", "polar", "cells", "grid"))
     if isinstance(samples, tuple) and len(samples) != 2:
         raise SceneError(f"samples = {samples}; give one whole number or two")
+    if samples is not None and not isinstance(samples, tuple):
+        samples = whole("samples", samples)
     if aperture is not None:
         samples = (24, 24) if samples is None else samples
         n_s, n_t = samples if isinstance(samples, tuple) else (samples, samples)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..._checks import expect, fits_memory, in_range, one_of, positive, seconds_limit
 from ..._html import Figures, Shown
 from ..._nouns import Noun
+from ..._xarray import Labelled, Labels, variable
 from ...errors import SamplingError
 from ..wave.detilted import Residual, split
 from ..wave.regime import Regime, regime
@@ -38,7 +39,7 @@ NORMALISATIONS = ("unit-sum", "ideal-peak", "flux")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PointSpread(Noun, Shown):
+class PointSpread(Noun, Shown, Labelled):
     """Sampled point spread function (PSF): the image of a point, with an estimate of its error.
 
     Parameters
@@ -128,6 +129,13 @@ class PointSpread(Noun, Shown):
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return np.array(self.intensity, dtype=dtype, copy=copy is not False)
+
+    def _labels(self) -> Labels:
+        share = "1" if self.normalisation == "ideal-peak" else "1/pixel"
+        intensity = variable("yx", self.intensity, share, f"point spread, {self.normalisation}")
+        axes = {n: variable(n, getattr(self, n), "m", f"image plane {n}") for n in "yx"}
+        names = ("pitch", "wavelength", "f_number", "method", "error_estimate", "normalisation")
+        return Labels({"intensity": intensity}, axes, {n: getattr(self, n) for n in names})
 
     def _figures(self) -> Figures:
         ny, nx = self.shape

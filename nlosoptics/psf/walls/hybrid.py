@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import fits_memory, in_range, one_of, positive, whole
+from ..._checks import expect, fits_memory, in_range, one_of, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed
 from ...errors import SamplingError, SceneError
@@ -344,6 +344,8 @@ def hybrid_point_spread(
     whole("n_rays", n_rays, 1, MOST)
     whole("max_bounces", max_bounces, 1, MOST_BOUNCES)
     seed = checked_seed(seed)
+    if roughness is not None:
+        expect("roughness", roughness, "Roughness")
     alone = point_scene(scene, object_point)
     pitch = alone.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     size = alone.camera.shape if shape is None else shape_of(shape)

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from ..._checks import memory_limit
 from ...errors import SamplingError
 from ..pupil.scene_optics import FINER, PointOptics
@@ -140,15 +142,20 @@ def _scattered_cost(
     nodes = [sum(runs) * n for runs, n in map(halo.counts, steps)]
     points = math.prod(inner.shape)
     lattices = across**2 * (1.25 if polar else 2.0)
+    # a narrow halo does not damp the errors at long separations, so that cells are halved once
+    on_wall = edge * math.sqrt(abs(float(np.linalg.det(view.footprint))))
+    waves = edge * residual.rays.slope / residual.wavefront.wavelength
+    finer = polar and waves > 1.0 and view.last_lag(1e-3) > on_wall
+    lattices *= 5.0 if finer else 1.0
     again = nodes[0] + nodes[1] * (2.0 if polar else 1.0)
     seconds = costs.scattered(
         lattices, again, points, 0 if half is None else math.prod(window.shape)
     )
     seconds += view.term_seconds * (nodes[0] + nodes[1])
-    # then the transfer function usually has to be refined once
-    seconds *= 2.5 if tol < 1e-4 else 1.0
+    # then some waves need finer cells, which take up to five times as long
+    seconds *= 1.4 if tol < 1e-4 else 1.0
     most = nodes[2] if tol < 6e-4 else nodes[1]
-    wide = 2.0 * across if tol < 3e-4 and polar else across
+    wide = across * (3.0 if finer else 2.0 if tol < 3e-4 and polar else 1.0)
     n_bytes = max(CELL_BYTES * wide**2, NODE_BYTES * most + PIXEL_BYTES * points)
     return Cost(seconds, n_bytes + PIXEL_BYTES * math.prod(window.shape))
 

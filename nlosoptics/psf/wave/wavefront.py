@@ -10,9 +10,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import in_range, one_of, positive, real, whole
+from ..._checks import in_range, mapping, one_of, positive, real, whole
 from ..._html import Figures, Shown
 from ..._nouns import Noun
+from ..._xarray import Labelled, Labels, variable
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import shared_cell_nodes
@@ -51,7 +52,7 @@ LAYOUTS = ("polar", "cells", "grid", "scattered")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Wavefront(Noun, Shown):
+class Wavefront(Noun, Shown, Labelled):
     """Wave in the exit pupil: aberration and amplitude at sample points, with the pupil's geometry.
 
     Make one from a scene with `wavefront`, or with `from_zernike`, `from_function` or `from_map`.
@@ -163,6 +164,22 @@ class Wavefront(Noun, Shown):
         alt = f"Map of the wave aberration over the pupil, {waves}"
         return Figures("Wavefront", figures, alt)
 
+    def _labels(self) -> Labels:
+        names = {
+            "polar": ("ring", "angle"),
+            "cells": ("patch", "s", "t"),
+            "grid": ("row", "column"),
+            "scattered": ("node",),
+        }[self.layout]
+        arrays = {
+            "aberration": variable(names, self.aberration, "m", "wave aberration"),
+            "amplitude": variable(names, self.amplitude, "1", "amplitude"),
+            "weights": variable(names, self.weights, "m^2", "pupil area of the sample"),
+        }
+        axes = {n: variable(names, getattr(self, n), "m", f"pupil coordinate {n}") for n in "uv"}
+        told = ("wavelength", "image_distance", "pupil_radius", "obscuration", "layout")
+        return Labels(arrays, axes, {name: getattr(self, name) for name in told})
+
     @classmethod
     def from_zernike(
         cls,
@@ -232,6 +249,7 @@ class Wavefront(Noun, Shown):
         polar 40.0 5.00e-08 m
         """
         one_of("ordering", ordering, ORDERINGS)
+        mapping("coefficients", coefficients, "{index: metres}")
         nodes = nodes_of(nodes, aperture, obscuration, samples)
         positive("pupil_radius", pupil_radius, unit="m")
         if aperture is not None:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import one_of, real, whole
+from ..._checks import numbers, one_of, real, whole
 from ...errors import SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import shared_cell_nodes
@@ -81,7 +81,7 @@ def radial(n: int, m: int, rho: ArrayLike) -> Array:
     Evaluated as rho^m P_k^(0, m)(2 rho^2 - 1), k = (n - m)/2, by the Jacobi recurrence. It stays
     accurate where the textbook sum of factorials suffers from cancellation (from n = 30 on).
     """
-    rho = np.asarray(rho, dtype=np.float64)
+    rho = numbers("rho", rho)
     m = abs(m)
     x = 2 * rho**2 - 1
     before, now = np.zeros_like(x), np.ones_like(x)
@@ -135,7 +135,7 @@ def zernike(index: int, rho: ArrayLike, theta: ArrayLike, *, ordering: Ordering 
     [-1.7321  1.7321]
     """
     n, m = zernike_order(index, ordering)
-    theta = np.asarray(theta, dtype=np.float64)
+    theta = numbers("theta", theta)
     value = radial(n, m, rho)
     if m != 0:
         value = value * (np.cos(m * theta) if m > 0 else np.sin(-m * theta))

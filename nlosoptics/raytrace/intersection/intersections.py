@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..._checks import expect, numbers
 from ..._nouns import Noun
 from ..._vectors import dot
 from ...errors import SceneError
@@ -123,6 +124,7 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     >>> hits.status.tolist(), round(float(hits.distance[0]), 6)
     ([0, 1], 0.999)
     """
+    expect("wall", wall, "Wall")
     if wall.is_flat:
         return _plane(wall, *_rays(origins, directions))
     if isinstance(wall, CallableWall):
@@ -147,7 +149,7 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
 
 def flat_rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:
     """Return origins and directions as (n, 3) arrays, values unchecked, and the rays' shape."""
-    o, d = (np.asarray(v, dtype=np.float64) for v in (origins, directions))
+    o, d = numbers("origins", origins), numbers("directions", directions)
     if min(o.ndim, d.ndim) == 0 or (o.shape[-1], d.shape[-1]) != (3, 3) or o.shape != d.shape:
         o, d = _rays(o, d)
     shape = o.shape[:-1]
@@ -158,7 +160,7 @@ def flat_rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Array, Array, 
 
 def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Array, Array]:
     """Return checked origins and unit directions of equal shape (..., 3)."""
-    o, d = (np.asarray(v, dtype=np.float64) for v in (origins, directions))
+    o, d = numbers("origins", origins), numbers("directions", directions)
     for name, v in (("origins", o), ("directions", d)):
         if v.ndim == 0 or v.shape[-1] != 3:
             raise SceneError(f"{name} has shape {v.shape}; give (..., 3), with x, y and z in m")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import in_range
+from ..._checks import in_range, numbers
 from ..._nouns import Noun
 from ...errors import SceneError
 from .intersections import Hits, _rays, flat_rays
@@ -273,7 +273,7 @@ def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> N
     >>> raytrace.occluded(box, (0.0, 0.0, 2.0), [(0.0, 0.0, -2.0), (0.0, 2.0, 2.0)]).tolist()
     [True, False]
     """
-    o, p = (np.asarray(v, dtype=np.float64) for v in (origins, targets))
+    o, p = numbers("origins", origins), numbers("targets", targets)
     try:
         paths = p - o
     except ValueError:

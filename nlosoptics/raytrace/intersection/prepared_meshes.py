@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._checks import expect
 from .triangles import Facets
 
 if TYPE_CHECKING:
@@ -124,6 +125,8 @@ def prepared_mesh(*meshes: trimesh.Trimesh) -> PreparedMesh:
     The latest ones are cached by their contents, so that a mesh which was changed, in whatever way,
     is prepared anew, and an equal mesh of another scene is not.
     """
+    for mesh in meshes:
+        expect("mesh", mesh, "Trimesh")
     parts = ((mesh.vertices, mesh.faces) for mesh in meshes)
     return _prepared(
         *(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import expect, fits_memory, one_of, pair, whole
+from ..._checks import expect, fits_memory, one_of, pair, whole, whole_pair
 from ..._nouns import Noun
 from ...errors import SceneError
 from ...kernels.codes import GROUPS
@@ -130,7 +130,7 @@ def wall_irradiance(
     """
     scene = expect("scene", scene, "Scene")
     one_of("source", source, ("laser", "object"))
-    ny, nx = (whole("shape", n) for n in shape)
+    ny, nx = whole_pair("shape", shape)
     whole("n_rays", n_rays, 1, MOST)
     whole("max_bounces", max_bounces, 0 if source == "object" else 1, MOST_BOUNCES - 2)
     size = scene.wall.size if size is None else pair("size", size)

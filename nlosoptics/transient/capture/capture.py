@@ -11,9 +11,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import Vector, counted, one_of, positive, real, vector, whole
+from ..._checks import Vector, counted, mapping, one_of, positive, real, vector, whole
 from ..._html import Figures, Shown
 from ..._nouns import Noun
+from ..._xarray import Labelled, Labels, variable
 from ...errors import SamplingError, SceneError
 from .wall_points import checked_points, pair_shape
 
@@ -23,7 +24,7 @@ Quantity = Literal["irradiance", "radiance", "radiosity", "counts", "unknown"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TransientCapture(Noun, Shown):
+class TransientCapture(Noun, Shown, Labelled):
     """Time-resolved intensity at points of the relay wall, in bins of optical path.
 
     A laser lights points of the wall one after the other, and a sensor records the light that
@@ -142,12 +143,7 @@ class TransientCapture(Noun, Shown):
         put(self, "H", self._bins("H", self.H))
         if self.standard_error is not None:
             put(self, "standard_error", self._bins("standard_error", self.standard_error))
-        given: Any = self.by_bounce
-        if not isinstance(given, Mapping):
-            kind = type(given).__name__
-            raise SceneError(
-                f"by_bounce is a {kind}, must be a mapping; give {{number of reflections: bins}}"
-            )
+        given = mapping("by_bounce", self.by_bounce, "{number of reflections: bins}")
         parts = {
             whole("a key of by_bounce", n): self._bins(f"by_bounce[{n}]", h)
             for n, h in given.items()
@@ -211,6 +207,34 @@ class TransientCapture(Noun, Shown):
         }
         alt = "Intensity at the relay wall: optical path against sensor position"
         return Figures("Transient", figures, alt)
+
+    def _labels(self) -> Labels:
+        shapes = {"laser": self.laser_shape, "sensor": self.sensor_shape}
+        axes = {
+            part: [f"{part}_{n}" for n in (("row", "column") if len(s) == 2 else range(len(s)))]
+            for part, s in shapes.items()
+        }
+        names = ["path", *axes["laser"], *axes["sensor"]]
+        if self.pairing == "confocal":
+            axes["laser"] = axes["sensor"]
+            names = ["path", *axes["sensor"]]
+        unit = {"irradiance": "1/m^2", "radiosity": "1/m^2", "radiance": "1/(m^2 sr)"}
+        told = unit.get(self.quantity, "1")
+        arrays = {"H": variable(names, self.H, told, self.quantity)}
+        if self.standard_error is not None:
+            arrays["standard_error"] = variable(names, self.standard_error, told, "standard error")
+        for bounces, part in self.by_bounce.items():
+            arrays[f"H_{bounces}"] = variable(names, part, told, f"light of {bounces} reflections")
+        where = {
+            "path": variable(["path"], self.times, "m", "optical path"),
+            "time": variable(["path"], self.times / 299792458.0, "s", "time"),
+        }
+        for part, dimensions in axes.items():
+            points = getattr(self, f"{part}_points")
+            for i, axis in enumerate("xyz"):
+                name = f"{part} point, world {axis}"
+                where[f"{part}_{axis}"] = variable(dimensions, points[..., i], "m", name)
+        return Labels(arrays, where, {"pairing": self.pairing, "delta_t": self.delta_t})
 
     def with_details(self, **more: Any) -> TransientCapture:
         """Return a copy of the capture with additional ``details``.

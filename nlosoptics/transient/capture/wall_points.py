@@ -54,7 +54,7 @@ def wall_grid(side: float, count: int, *, centre: tuple[float, float] = (0.0, 0.
     [-0.75 -0.25  0.25  0.75]
     """
     side, count = positive("side", side, unit="m"), whole("count", count)
-    if is_single(centre) or len(centre) != 2:
+    if is_single(centre) or not hasattr(centre, "__len__") or len(centre) != 2:
         raise SceneError(f"centre = {centre!r} is not a point on the wall; give (x, y) in m")
     x, y = (real("centre", value) for value in centre)
     along = (np.arange(count) + 0.5) * (side / count) - 0.5 * side

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import one_of
+from ..._checks import expect, one_of
 from ...errors import SamplingError, SceneError
 from ..capture.capture import TransientCapture
 from ..capture.preprocessing import straight_paths
@@ -128,6 +128,7 @@ def reached_volume(grid: ConfocalGrid, volume: Volume | None, method: str) -> Vo
     """Return the volume, by default the grid's own, after checking that the capture covers it."""
     if volume is None:
         volume = grid.volume()
+    expect("volume", volume, "Volume")
     low, high = float(volume.z[0]), float(volume.z[-1])
     # oblique paths across the whole grid still record points nearer than the first bin
     aslant = float(np.ptp(grid.x) ** 2 + np.ptp(grid.y) ** 2)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import expect, in_range, whole
+from ..._checks import each, expect, in_range, whole
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
 from ..capture.wall_points import real_array
@@ -297,11 +297,10 @@ def true_depths(meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh], volume: Vol
     >>> print(true_depths(box, Volume([0.1, 2.0], [0.2], [1.0])))
     [[ 1. nan]]
     """
-    import trimesh
-
     from ...raytrace import intersect_mesh
 
-    several = [meshes] if isinstance(meshes, trimesh.Trimesh) else list(meshes)
+    expect("volume", volume, "Volume")
+    several = each("meshes", meshes if isinstance(meshes, Iterable) else [meshes], "Trimesh")
     if not several:
         raise SceneError("no mesh was given; give at least one")
     origins = np.zeros((len(volume.y), len(volume.x), 3))

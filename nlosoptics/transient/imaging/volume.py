@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..._checks import counted, fits_memory, is_single, one_of, pair, positive, vector, whole
 from ..._html import Figures, Shown
 from ..._nouns import Noun
+from ..._xarray import Labelled, Labels, Variable, variable
 from ...errors import SamplingError, SceneError
 from ..capture.wall_points import UNEVEN, even_axes, real_array
 
@@ -178,7 +179,7 @@ class Volume(Noun):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class VolumeImage(Noun, Shown):
+class VolumeImage(Noun, Shown, Labelled):
     """Reconstructed image of a hidden scene on the voxels of a volume.
 
     Parameters
@@ -229,6 +230,12 @@ class VolumeImage(Noun, Shown):
         figures = {"method": self.method, "seconds": f"{self.seconds:.3g}", **ends}
         alt = "Brightest voxels of the hidden scene as seen from the relay wall"
         return Figures("Volume", figures, alt)
+
+    def _labels(self) -> Labels:
+        volume = self.volume
+        axes = {n: variable(n, getattr(volume, n), "m", f"world {n}") for n in "zyx"}
+        light = variable("zyx", self.intensity, "1", f"intensity by {self.method}")
+        return Labels({"intensity": light}, axes, {"method": self.method})
 
     def projection(self, axis: str = "z") -> Array:
         """Return the image seen along an axis: the largest intensity on each line of voxels.
@@ -369,3 +376,13 @@ class PhasorImage(VolumeImage):
                 f"field has shape {self.field.shape}, must be {shape}; give one value per voxel "
                 "and time"
             )
+
+    def _labels(self) -> Labels:
+        (arrays, axes, values), names = super()._labels(), [*"zyx"]
+        more: dict[str, Variable] = {}
+        if self.times is not None:
+            names = ["path", *names]
+            more["path"] = variable(["path"], self.times, "m", "optical path")
+        field = variable(names, self.field, "1", "complex field of the virtual wave")
+        told = {"wl_mean": self.wl_mean, "wl_sigma": self.wl_sigma}
+        return Labels({**arrays, "field": field}, {**axes, **more}, {**values, **told})

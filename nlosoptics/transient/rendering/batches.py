@@ -247,7 +247,9 @@ def _gather(
     squares: Array,
 ) -> None:
     """Add the paths of the pairs ``span`` to the bins; ``found`` begins at laser ``start``."""
-    rows, starts = job.rows[span] - np.array([start, 0]), job.starts[span]
+    # of one layout, so that numba compiles the kernel once
+    rows = np.ascontiguousarray(job.rows[span] - np.array([start, 0]))
+    starts = job.starts[span]
     into, again = total[:, span], squares[:, span]
     walked = (paths.seen, paths.spread, paths.first)
 
