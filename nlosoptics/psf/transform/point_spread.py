@@ -154,7 +154,7 @@ class PointSpread(Noun, Shown):
 
 
 def point_spread(
-    wavefront: Wavefront,
+    wavefront: Wavefront | Residual,
     *,
     method: Method = "auto",
     tol: float = 1e-3,
@@ -301,57 +301,17 @@ def point_spread(
     >>> print(f"{spread.model}: {row[34]:.2f} along x, {column[34]:.2f} along y")
     high-aperture: 0.58 along x, 0.51 along y
     """
-    wavefront = expect("wavefront", wavefront, "Wavefront")
+    if isinstance(wavefront, Residual):
+        residual, wavefront = wavefront, wavefront.wavefront
+    else:
+        wavefront = expect("wavefront", wavefront, "Wavefront")
+        residual = split(wavefront)
     one_of("method", method, METHODS)
     one_of("normalisation", normalisation, NORMALISATIONS)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     if max_seconds is not None:
         positive("max_seconds", max_seconds, unit="s")
     polarisation = check_model(model, method, polarisation)
-    return detilted_point_spread(
-        split(wavefront),
-        method=method,
-        tol=tol,
-        pitch=pitch,
-        shape=shape,
-        normalisation=normalisation,
-        pixel_integrated=pixel_integrated,
-        max_seconds=max_seconds,
-        model=model,
-        polarisation=polarisation,
-    )
-
-
-def detilted_point_spread(
-    residual: Residual,
-    *,
-    method: Method = "auto",
-    tol: float = 1e-3,
-    pitch: float | None = None,
-    shape: int | tuple[int, int] | None = None,
-    normalisation: Normalisation = "unit-sum",
-    pixel_integrated: bool = False,
-    max_seconds: float | None = None,
-    model: Model = "scalar",
-    polarisation: Polarisation = "unpolarised",
-) -> PointSpread:
-    """Compute the point spread function of a wave already split into piston, tilt and residual.
-
-    Parameters
-    ----------
-    residual : Residual
-        Result of `split`, which several point spreads of one wave can share.
-    method, tol, pitch, shape, normalisation, pixel_integrated, max_seconds
-        Options of `point_spread`, already checked.
-    model, polarisation
-        Options as returned by `check_model`. The default is the scalar model, to which rough walls,
-        lobes and tails are added.
-
-    Returns
-    -------
-    PointSpread
-    """
-    wavefront = residual.wavefront
     check_cone(residual)
     pitch, shape = _sampling(residual, method, tol, pitch, shape, pixel_integrated)
     if not pixel_integrated and normalisation != "ideal-peak":
@@ -370,8 +330,7 @@ def detilted_point_spread(
     )
     kind = regime(residual, pitch)
     longest = seconds_limit(60.0) if max_seconds is None else max_seconds
-    found = modelled(task, kind, method, model, polarisation, normalisation, longest)
-    result = found.result
+    result = modelled(task, kind, method, model, polarisation, normalisation, longest)
     scale = 1.0
     if normalisation != "ideal-peak":
         scale = result.level * (wavefront.flux if normalisation == "flux" else 1.0)
@@ -388,9 +347,9 @@ def detilted_point_spread(
         pixel_integrated=pixel_integrated,
         enclosed_energy=float(np.sum(result.mean)) * result.level,
         regime=kind,
-        reason=found.reason,
-        model=found.model,
-        model_error=found.model_error,
+        reason=result.reason,
+        model=result.model,
+        model_error=result.model_error,
     )
 
 

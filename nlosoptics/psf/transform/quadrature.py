@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import fits_memory
 from ..wave.detilted import Residual
 from ..window.window import Window
 from . import nufft
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
     from ..wave.cell_series import CellSpectrum
 
 Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 #: Semi-axis sums of the ellipses on which `Coarse` bounds a wave.
 RHO = 1 + np.geomspace(0.02, 20.0, 48)
 #: Largest error of nodes that is wanted: coarser nodes save no time.
@@ -175,48 +173,13 @@ def coarse(residual: Residual, window: Window, tol: float, peak: float, dark: fl
     return Coarse((len(residual.aberration), int(along_s), int(along_t)), own, core, epsilon)
 
 
-def epsilon(residual: Residual, window: Window, tol: float) -> float:
-    """Return the relative accuracy to request of the transform: the best one if it is cheap."""
-    return nufft.epsilon(math.prod(node_counts(residual, window)), window, tol)
-
-
-def n_bytes(residual: Residual, window: Window) -> float:
-    """Return the peak memory of `field`, bytes."""
-    return nufft.n_bytes(math.prod(node_counts(residual, window)), window)
-
-
-def field(
-    residual: Residual,
-    window: Window,
-    epsilon: float = nufft.BEST,
-    counts: tuple[int, ...] | None = None,
-) -> ComplexArray:
-    """Return the image field (ny, nx), 1 at the reference point without aberration.
-
-    ``sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))``, with the tilt applied as a shift of x.
-    ``epsilon`` is the requested error of the transform, relative in the rms sense; ``counts`` is
-    the shape of the nodes, by default that of `node_counts`.
-    """
-    counts = counts or node_counts(residual, window)
-    fits_memory(
-        f"quadrature over {' x '.join(map(str, counts))} nodes to {window.shape[0]} x "
-        f"{window.shape[1]} points",
-        n_bytes(residual, window),
-        "use a smaller shape, or method='fft'",
-    )
-    return nufft.image_field(residual, *pupil_nodes(residual, counts), window, epsilon)
-
-
-def pupil_nodes(residual: Residual, counts: tuple[int, ...]) -> tuple[Array, Array, Array, Array]:
-    """Return u, v, the residual aberration, all m, and the weights, of sum 1, on nodes.
-
-    ``counts`` is the shape of the nodes; the weights include the amplitude.
-    """
-    u, v, weights = residual.wavefront.nodes(*counts)
-    path = np.zeros_like(u)
-    if np.any(residual.aberration):
+def nodes(residual: Residual, window: Window, counts: tuple[int, ...]) -> nufft.Nodes:
+    """Return nodes of a polar or cells wave of the shape ``counts``, for a sum to a window."""
+    nufft.check_memory(counts, window)
+    u, v, areas = residual.wavefront.nodes(*counts)
+    path, amplitude = np.zeros_like(u), np.ones_like(u)
+    if not residual.is_plane:
         path = residual.series.at_nodes(*counts)
-    if residual.is_uniform:
-        return u, v, path, weights / weights.sum()
-    amplitude = residual.amplitude_series.at_nodes(*counts)
-    return u, v, path, amplitude * weights / residual.amplitude_sum
+    if not residual.is_uniform:
+        amplitude = residual.amplitude_series.at_nodes(*counts)
+    return nufft.Nodes(u, v, path, amplitude, areas)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -24,6 +24,7 @@ from . import (
     antialiased_pupil,
     fft,
     geometric,
+    high_aperture,
     mdft,
     nufft,
     quadrature,
@@ -77,6 +78,8 @@ class Task:
         Average over pixels; None for point samples.
     whole : bool
         Whether the window holds the rays.
+    polarisation : "unpolarised" or float, optional
+        Polarisation of the high-aperture model; None for the scalar model.
     """
 
     residual: Residual
@@ -85,6 +88,7 @@ class Task:
     shape: tuple[int, int]
     rule: PixelRule | None
     whole: bool = True
+    polarisation: high_aperture.Polarisation | None = None
 
     @property
     def pixels(self) -> Window:
@@ -131,6 +135,50 @@ class Task:
         dark = min(3 * float(error_bounds.tail(beyond)), math.sqrt(peak))
         return quadrature.coarse(residual, samples, self.tol, peak, dark)
 
+    def counts(self, threshold: float = 1e-15) -> tuple[int, ...]:
+        """Return the shape of the nodes of a polar or cells wave that the window needs.
+
+        Terms of the aberration below ``threshold``, rad, are not resolved.
+        """
+        counts = quadrature.node_counts(self.residual, self.samples, threshold)
+        if self.polarisation is None:
+            return counts
+        more = high_aperture.more_nodes(self.residual)
+        return tuple(n + extra for n, extra in zip(counts, more, strict=True))
+
+    @property
+    def components(self) -> int:
+        """Number of transforms of the model."""
+        if self.polarisation is None:
+            return 1
+        return 5 if isinstance(self.polarisation, str) else 3
+
+    def weights(self, u: Array, v: Array) -> list[Array | float]:
+        """Return the weights of the field's components at pupil coordinates, m."""
+        distance = self.residual.wavefront.image_distance
+        return high_aperture.field_weights(u, v, distance, self.polarisation)
+
+    def levels(self, nodes: nufft.Nodes) -> tuple[float, float]:
+        """Return `high_aperture.levels` of nodes."""
+        distance = self.residual.wavefront.image_distance
+        return high_aperture.levels(nodes, distance, self.polarisation)
+
+    def gain(self, peak: float) -> float:
+        """Return the largest weight of a node relative to the square root of the ideal peak."""
+        if self.polarisation is None:
+            return 1.0
+        sine = high_aperture.check_cone(self.residual)
+        return 1 / math.sqrt(peak * math.sqrt(1 - sine**2))
+
+    def sum(self, nodes: nufft.Nodes, epsilon: float) -> tuple[Array, float, float]:
+        """Return the mean intensity of a sum over nodes, 1 at the ideal peak, and `levels`."""
+        peak, secant = self.levels(nodes)
+        fine = np.zeros(self.samples.shape)
+        for weight in self.weights(nodes.u, nodes.v):
+            field = nufft.field(self.residual, nodes, self.samples, epsilon, weight)
+            fine += field.real**2 + field.imag**2
+        return self.averaged(fine) / peak, peak, secant
+
     def bound(
         self,
         intensity: Array,
@@ -155,10 +203,6 @@ class Task:
         # light outside the window, a field of at most 1, leaks into it
         return 2 * epsilon / math.sqrt(float(mean.max())) + epsilon**2 / float(mean.max())
 
-    def means(self, field: NDArray[np.complexfloating]) -> Array:
-        """Return the intensity of a field at `samples`, averaged over pixels if required."""
-        return self.averaged(field.real**2 + field.imag**2)
-
     def averaged(self, fine: Array) -> Array:
         """Return an intensity at `samples`, averaged over pixels if required."""
         if self.rule is None:
@@ -180,17 +224,30 @@ class Result:
         Upper bound of the error, relative to the largest intensity.
     level : float
         Factor from ``mean`` to the fraction of the transmitted energy per pixel.
+    reason : str
+        One line: why this method and this model were used.
+    model : {"scalar", "high-aperture"}
+        Model of diffraction.
+    model_error : float
+        Upper bound of the scalar model's error relative to the peak; 0 for the high-aperture model.
     """
 
     method: str
     mean: Array
     error: float
     level: float
+    reason: str = ""
+    model: str = "high-aperture"
+    model_error: float = 0.0
+
+
+#: Mean intensity, error relative to its peak, and factor from `Task.level` to `Result.level`.
+Image = tuple[Array, float, float]
 
 
 def transform(task: Task, method: str) -> Result:
     """Run a transform by name; raise `SamplingError` if the wave's layout does not allow it."""
-    run: dict[str, Callable[[Task], tuple[Array, float]]] = {
+    run: dict[str, Callable[[Task], Image]] = {
         "airy": _airy,
         "quadrature": _quadrature,
         "fft": _fft,
@@ -198,18 +255,30 @@ def transform(task: Task, method: str) -> Result:
         "nufft": _nufft,
         "geometric": _geometric,
     }
-    mean, error = run[method](task)
-    return Result(method, mean, error, task.level)
+    layout, own = task.residual.wavefront.layout, own_method(task)
+    if task.polarisation is not None and method not in (own, "geometric"):
+        raise SamplingError(
+            f"method = '{method}' for the high-aperture model of a wavefront of layout '{layout}'; "
+            f"use method='{own}' or 'auto'"
+        )
+    mean, error, ratio = run[method](task)
+    return Result(method, mean, error, task.level * ratio)
 
 
-def _airy(task: Task) -> tuple[Array, float]:
+def own_method(task: Task) -> str:
+    """Return the method that sums over nodes of the wave's layout."""
+    own = {"grid": "mdft", "scattered": "nufft"}
+    return own.get(task.residual.wavefront.layout, "quadrature")
+
+
+def _airy(task: Task) -> Image:
     """Compute mean intensity and error bound by the closed form without aberration."""
     residual = task.residual
     if residual.wavefront.layout != "polar":
         raise SamplingError(
             "the closed form needs a wavefront of layout 'polar', not "
             f"'{residual.wavefront.layout}'; sample it with nodes='polar', or use "
-            f"method='{_sum_of(residual)}'"
+            f"method='{own_method(task)}'"
         )
     bound = airy.error_bound(residual)
     if math.isinf(bound):
@@ -220,25 +289,32 @@ def _airy(task: Task) -> tuple[Array, float]:
     samples = task.samples
     fits_memory("the closed form", 64.0 * samples.shape[0] * samples.shape[1], "use fewer pixels")
     filtering = 0.0 if task.rule is None else error_bounds.FILTER
-    return task.averaged(airy.intensity(residual, samples)), bound + filtering
+    return task.averaged(airy.intensity(residual, samples)), bound + filtering, 1.0
 
 
-def _quadrature(task: Task) -> tuple[Array, float]:
+def _quadrature(task: Task) -> Image:
     """Compute mean intensity and error bound by a sum over polar or cell nodes."""
     residual = task.residual
     if not residual.wavefront.is_spectral:
         raise SamplingError(
             "quadrature needs a wavefront of layout 'polar' or 'cells', not "
             f"'{residual.wavefront.layout}'; sample it with nodes='cells' or nodes='polar', or use "
-            f"method='{_sum_of(residual)}'"
+            f"method='{own_method(task)}'"
         )
-    epsilon = quadrature.epsilon(residual, task.samples, task.tol)
-    mean = task.means(quadrature.field(residual, task.samples, epsilon))
-    lost = residual.truncation
-    return mean, task.bound(mean, lost, lost**2) + task.transform_error(mean, epsilon)
+    counts = task.counts()
+    return _spectral_sum(task, counts, residual.truncation)
 
 
-def _fft(task: Task) -> tuple[Array, float]:
+def _spectral_sum(task: Task, counts: tuple[int, ...], lost: float) -> Image:
+    """Sum over polar or cell nodes; ``lost`` is the error of the pupil function on them."""
+    epsilon = nufft.epsilon(math.prod(counts), task.samples, task.tol, task.components)
+    mean, peak, secant = task.sum(quadrature.nodes(task.residual, task.samples, counts), epsilon)
+    gain = task.gain(peak)
+    error = task.bound(mean, lost * gain, (lost * gain) ** 2)
+    return mean, error + task.transform_error(mean, epsilon) * gain, peak / secant
+
+
+def _fft(task: Task) -> Image:
     """Compute mean intensity and error bound by a zero-padded FFT of a grid."""
     residual, samples = task.residual, task.samples
     if residual.wavefront.layout == "cells":
@@ -268,10 +344,10 @@ def _fft(task: Task) -> tuple[Array, float]:
         "use a smaller shape",
     )
     mean = fft.intensity_in(residual, grid, samples, size, task.rule)
-    return mean, grid_bound(task, mean, grid)
+    return mean, grid_bound(task, mean, grid), 1.0
 
 
-def _cells(task: Task) -> tuple[Array, float]:
+def _cells(task: Task) -> Image:
     """Compute mean intensity and error bound by a sum over as few nodes as ``tol`` allows."""
     nodes = task.coarse
     image = _cells_image(task, nodes)
@@ -283,18 +359,19 @@ def _cells(task: Task) -> tuple[Array, float]:
     return image
 
 
-def _cells_image(task: Task, nodes: quadrature.Coarse) -> tuple[Array, float]:
+def _cells_image(task: Task, coarse: quadrature.Coarse) -> Image:
     """Return the image of a wave on cells, and its error bound from that of each block."""
     residual = task.residual
-    mean = task.means(quadrature.field(residual, task.samples, nodes.epsilon, nodes.counts))
+    nodes = quadrature.nodes(residual, task.samples, coarse.counts)
+    mean = task.sum(nodes, coarse.epsilon)[0]
     half = 0.0 if task.rule is None else task.pitch / 2
     strongest, far = antialiased_pupil.block_maxima(residual, task.pixels, mean, half)
-    error = residual.truncation + nodes.field_errors(residual, far)
-    rounding = 2 * task.transform_error(mean, nodes.epsilon)
-    return mean, task.bound(strongest, error, math.inf) + rounding
+    error = residual.truncation + coarse.field_errors(residual, far)
+    rounding = 2 * task.transform_error(mean, coarse.epsilon)
+    return mean, task.bound(strongest, error, math.inf) + rounding, 1.0
 
 
-def _soft(task: Task, method: str) -> tuple[Array, float] | None:
+def _soft(task: Task, method: str) -> Image | None:
     """Transform a polynomial wave by ``fft`` or ``mdft``; return None if it is not polynomial."""
     soft = task.soft
     if soft is None:
@@ -307,7 +384,7 @@ def _soft(task: Task, method: str) -> tuple[Array, float] | None:
     return image
 
 
-def _soft_image(task: Task, soft: SoftTask, method: str) -> tuple[Array, float]:
+def _soft_image(task: Task, soft: SoftTask, method: str) -> Image:
     """Return the image of a polynomial wave from its softened grid, and its error bound."""
     residual, wave, grid = task.residual, soft.wave, soft.grid(task, method)
     run = antialiased_fft.padded_image if method == "fft" else antialiased_fft.folded_image
@@ -318,10 +395,10 @@ def _soft_image(task: Task, soft: SoftTask, method: str) -> tuple[Array, float]:
     ring = np.minimum(np.searchsorted(rings, far), rings.size - 1)
     error = soft.rim.errors(rings / unit, grid.period / unit)[ring]
     lost = residual.truncation + wave.misfit * wave.strength + grid.error
-    return mean, task.bound(strongest, error + lost, math.inf)
+    return mean, task.bound(strongest, error + lost, math.inf), 1.0
 
 
-def _mdft(task: Task) -> tuple[Array, float]:
+def _mdft(task: Task) -> Image:
     """Compute mean intensity and error bound by a transform of a grid to any pitch."""
     residual, samples = task.residual, task.samples
     if residual.wavefront.layout == "cells":
@@ -344,8 +421,18 @@ def _mdft(task: Task) -> tuple[Array, float]:
         144.0 * n * n + 48.0 * n * max(samples.shape) + 72.0 * math.prod(samples.shape),
         "use a smaller shape",
     )
-    mean = mdft.intensity_in(residual, grid, samples, task.rule)
-    return mean, grid_bound(task, mean, grid)
+    if task.polarisation is None:
+        mean = mdft.intensity_in(residual, grid, samples, task.rule)
+        return mean, grid_bound(task, mean, grid), 1.0
+    wave, nodes = residual.wavefront, nufft.own_nodes(residual)
+    lit = wave.amplitude * wave.weights > 0
+    (peak, secant), mean = task.levels(nodes), np.zeros(task.shape)
+    for weight in task.weights(nodes.u, nodes.v):
+        values = np.zeros_like(grid.values)
+        values[lit] = grid.values[lit] * weight
+        mean += mdft.intensity_in(residual, replace(grid, values=values), samples, task.rule)
+    mean /= peak
+    return mean, grid_bound(task, mean, grid) * task.gain(peak) ** 2, peak / secant
 
 
 def _check_not_scattered(residual: Residual, method: str) -> None:
@@ -357,58 +444,61 @@ def _check_not_scattered(residual: Residual, method: str) -> None:
         )
 
 
-def _sum_of(residual: Residual) -> str:
-    """Return the method that uses the given nodes of this layout."""
-    layout = residual.wavefront.layout
-    return {"cells": "quadrature", "grid": "mdft"}.get(layout, "nufft")
-
-
-def _nufft(task: Task) -> tuple[Array, float]:
+def _nufft(task: Task) -> Image:
     """Compute mean intensity and error bound by a sum over the given nodes."""
     residual, samples = task.residual, task.samples
     wave = residual.wavefront
     if wave.is_spectral:
-        need = quadrature.node_counts(residual, samples, NEGLIGIBLE)
+        need = task.counts(NEGLIGIBLE)
         if need != wave.u.shape:
             now, wanted = (" x ".join(map(str, n)) for n in (wave.u.shape, need))
             raise SamplingError(
                 f"{now} {wave.layout} nodes are too few for this window, which needs {wanted}; use "
                 f"wavefront.resampled{need[-2:]}, a smaller shape, or method='quadrature'"
             )
-    else:
-        check_sampling(task)
-    epsilon = nufft.epsilon(wave.u.size, samples, task.tol)
-    mean = task.means(nufft.field(residual, samples, epsilon))
-    rounding = task.transform_error(mean, epsilon)
-    if wave.is_spectral:
-        lost = residual.truncation + 10 * NEGLIGIBLE
-        return mean, task.bound(mean, lost, lost**2) + rounding
+        return _spectral_sum(task, need, residual.truncation + 10 * NEGLIGIBLE)
+    check_sampling(task)
+    epsilon = nufft.epsilon(wave.u.size, samples, task.tol, task.components)
+    nodes = nufft.own_nodes(residual)
+    mean, peak, secant = task.sum(nodes, epsilon)
+    gain = task.gain(peak)
     if wave.layout == "grid":
-        return mean, grid_bound(task, mean, pupil_grid(residual)) + rounding
-    return mean, _scattered_bound(task, mean, epsilon) + rounding
+        error = grid_bound(task, mean, pupil_grid(residual)) * gain**2
+    else:
+        error = _scattered_bound(task, nodes, mean, epsilon)
+    return mean, error + task.transform_error(mean, epsilon) * gain, peak / secant
 
 
-def _scattered_bound(task: Task, mean: Array, epsilon: float) -> float:
+def _scattered_bound(task: Task, nodes: nufft.Nodes, mean: Array, epsilon: float) -> float:
     """Bound the error of scattered nodes by comparison with polar nodes of the same wave."""
-    wave = task.residual.wavefront
-    field, total, true_energy, doubt = nufft.reference(task.residual, task.samples, epsilon)
-    better = task.means(field)
-    energy = float(np.sum(wave.amplitude**2 * wave.weights))
-    flux = (total / task.residual.amplitude_sum) ** 2
+    better, doubt = nufft.reference_nodes(task.residual, task.samples)
+    truth, true_peak, true_secant = task.sum(better, epsilon)
+    peak, secant = task.levels(nodes)
     # factors for the three normalisations: ideal-peak, flux, unit-sum
-    levels = (1.0, flux, flux * energy / true_energy)
-    worst = max(float(np.abs(better * level - mean).max()) for level in levels)
-    return 1.2 * worst / float(mean.max()) + task.bound(mean, doubt, doubt**2)
+    flux = (better.total / nodes.total) ** 2 * (true_peak * secant / (true_secant * peak))
+    levels = (1.0, flux, flux * nodes.energy / better.energy)
+    worst = max(float(np.abs(truth * level - mean).max()) for level in levels)
+    lost = doubt * task.gain(peak)
+    return 1.2 * worst / float(mean.max()) + task.bound(mean, lost, lost**2)
 
 
-def _geometric(task: Task) -> tuple[Array, float]:
+def _geometric(task: Task) -> Image:
     """Compute mean intensity and error bound by the density of rays."""
     if task.rule is None:
         raise SamplingError(
             "rays give the energy per pixel, not the intensity at points; use pixel_integrated=True"
         )
-    energy, error = geometric.density(task.residual, task.pixels)
-    return energy / task.level, error
+    bright, ratio = task.residual, 1.0
+    wave = bright.wavefront
+    if task.polarisation is not None:  # each ray has its energy times 1/cos
+        square = (wave.u**2 + wave.v**2) / wave.image_distance**2
+        # Unlit samples outside the cone stay dark.
+        amplitude = wave.amplitude * np.maximum(1 - square, 1e-12) ** -0.25
+        bright = replace(bright, wavefront=replace(wave, amplitude=amplitude))
+        peak, secant = task.levels(nufft.own_nodes(task.residual))
+        ratio = peak / secant
+    energy, error = geometric.density(bright, task.pixels)
+    return energy / (task.level * ratio), error, ratio
 
 
 def grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:

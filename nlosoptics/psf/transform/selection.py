@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..._checks import fits_memory, lasting
 from ...errors import MemoryLimitError, NlosError, SamplingError
@@ -11,7 +11,7 @@ from ..wave.regime import Regime
 from ..window import error_bounds
 from ..window.error_bounds import rounded_up
 from . import airy, costs, geometric
-from .runners import Result, Task, grid_period_pitch, polar_size, transform
+from .runners import Result, Task, grid_period_pitch, own_method, polar_size, transform
 
 #: Aberration, waves peak to valley, up to which the geometric method is not tried.
 MANY_WAVES = 20
@@ -39,17 +39,16 @@ class Candidate:
     ruled_out: str = ""
 
 
-def automatic(task: Task, regime: Regime, max_seconds: float) -> tuple[Result, str]:
+def automatic(task: Task, regime: Regime, max_seconds: float) -> Result:
     """Run transforms in order of predicted time until one reaches tol.
 
     A method is skipped if the total predicted time would exceed ``max_seconds``.
 
     Returns
     -------
-    result : Result
-        Result of the first transform whose estimated error is at most tol.
-    reason : str
-        One line: why this transform was used, and why each other one was not.
+    Result
+        Result of the first transform whose estimated error is at most tol. Its reason states why
+        this transform was used, and why each other one was not.
 
     Raises
     ------
@@ -75,7 +74,8 @@ def automatic(task: Task, regime: Regime, max_seconds: float) -> tuple[Result, s
             notes.append(f"{found.method} failed: {_first_clause(refusal)}")
             continue
         if result.error <= task.tol:
-            return result, _reason(found, task.tol, notes, ordered[i + 1 :])
+            reason = _reason(found, task.tol, notes, ordered[i + 1 :])
+            return replace(result, reason=reason)
         spent += found.seconds
         reached = min(reached, result.error)
         notes.append(f"{found.method} ran first, with an error of {result.error:.2g}")
@@ -100,7 +100,9 @@ def able(task: Task, regime: Regime) -> list[Candidate]:
 def candidates(task: Task, regime: Regime) -> list[Candidate]:
     """Return all transforms available for the wave's layout, with predicted times."""
     layout = task.residual.wavefront.layout
-    if layout == "polar":
+    if task.polarisation is not None:
+        found = [_components(task)]
+    elif layout == "polar":
         closed = _airy(task)
         if not closed.ruled_out:
             return [closed]  # no other transform is faster
@@ -112,6 +114,17 @@ def candidates(task: Task, regime: Regime) -> list[Candidate]:
     else:
         found = _maps(task)
     return [*found, _rays(task, regime)]
+
+
+def _components(task: Task) -> Candidate:
+    """Return the sums over nodes for each component of the high-aperture model."""
+    wave, samples = task.residual.wavefront, task.samples
+    if wave.layout == "grid":
+        seconds = costs.map_chirp(task.residual, samples)
+    else:
+        count = math.prod(task.counts()) if wave.is_spectral else wave.u.size
+        seconds = costs.sum_over_nodes(count, samples)
+    return Candidate(task.components * seconds, own_method(task))
 
 
 def _airy(task: Task) -> Candidate:
@@ -259,6 +272,8 @@ def _too_long(
         remedies.append(f"tol = {rounded_up(reached)}")
     elif task.rule is not None and regime.peak_to_valley > MANY_WAVES:
         remedies.append(f"a tol well above {least:.2g}, so that geometric rays suffice")
+    if task.polarisation is not None:
+        remedies.append("model='scalar'")
     if max(ny, nx) * task.samples.pitch > 3 * task.residual.rays.reach:
         remedies.append("a smaller shape")
     return SamplingError(

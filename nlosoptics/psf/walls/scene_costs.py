@@ -22,7 +22,7 @@ from ..rough.scattered_light import (
     inner_window,
 )
 from ..rough.view import RoughView
-from ..transform import costs, geometric, quadrature
+from ..transform import costs, geometric, nufft
 from ..transform.runners import Task, grid_period_pitch, polar_size
 from ..transform.selection import able
 from ..transform.wide_pixels import inner_parts
@@ -107,7 +107,7 @@ def _transform_bytes(task: Task, method: str) -> float:
             return held + 250.0 * math.prod(geometric.ray_counts(task.residual, task.pixels))
         return held + 1e9
     if method == "quadrature":
-        return held + quadrature.n_bytes(task.residual, task.samples)
+        return held + nufft.n_bytes(math.prod(task.counts()), task.samples)
     if task.soft is not None:
         return held + task.soft.n_bytes(task, method)
     n = task.residual.wavefront.u.shape[0]
