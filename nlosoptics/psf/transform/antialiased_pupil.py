@@ -195,11 +195,9 @@ def block_maxima(
     strongest, far : ndarray, (blocks, blocks)
         At most 8 per side; ``far`` is a block's largest distance from the tilt's image point, m.
     """
-    from . import _antialiased_kernels
-
-    ny, nx = window.shape
-    strongest = np.empty((min(ny, 8), min(nx, 8)))
-    far = np.empty_like(strongest)
-    first = tuple(a - b for a, b in zip(window.first, residual.shift, strict=True))
-    _antialiased_kernels.block_maxima(intensity, first, window.pitch, np.empty(nx), strongest, far)
-    return strongest, far + math.sqrt(2) * half
+    starts = [np.arange(min(n, 8)) * n // min(n, 8) for n in window.shape]
+    strongest = np.maximum.reduceat(intensity, starts[0], axis=0)
+    strongest = np.maximum.reduceat(strongest, starts[1], axis=1)
+    axes = window.y - residual.shift[1], window.x - residual.shift[0]
+    far = [np.maximum.reduceat(np.abs(v), at) for v, at in zip(axes, starts, strict=True)]
+    return strongest, np.hypot(far[0][:, None], far[1]) + math.sqrt(2) * half

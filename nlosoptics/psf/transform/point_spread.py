@@ -25,10 +25,9 @@ from ..window.window import (
     shape_of,
     window_side,
 )
-from . import fft
 from .high_aperture import Polarisation, check_cone
 from .models import Model, check_model, modelled
-from .runners import Task
+from .runners import ABLE, Task
 
 Array = NDArray[np.float64]
 Method = Literal["auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric"]
@@ -179,11 +178,11 @@ def point_spread(
 
         - ``quadrature`` integrates over the pupil by Gauss quadrature, for the layouts "polar" and
           "cells". It uses as many points as the window requires.
-        - ``fft`` is an FFT of the zero-padded pupil. A wave of the layout "polar" is first
-          resampled to a grid that is fine enough for ``tol``; one of the layout "cells" is summed
-          over as few points as ``tol`` allows.
-        - ``mdft`` is a matrix or chirp transform of a grid, for any pitch; not for the layout
-          "cells".
+        - ``fft`` transforms as few samples of the pupil as ``tol`` allows: for the layout "polar"
+          by FFTs of a grid with a softened rim, for "cells" by a non-uniform FFT; for "grid" it is
+          ``mdft``.
+        - ``mdft`` is a chirp transform of a grid, for any pitch; a wave of the layout "polar" is
+          first resampled to a grid. Not for the layout "cells".
         - ``nufft`` is a non-uniform FFT of the given sample points of any layout, such as traced
           rays.
         - ``airy`` is the closed form of a wave without aberration.
@@ -195,14 +194,14 @@ def point_spread(
         if its ``error_estimate`` is larger.
     pitch : float, optional
         Distance between image samples, or pixel side, m. Default lambda N/4, with the wavelength
-        lambda and the F-number N; for ``fft`` of a wave on a grid, the pitch just below lambda N/2
-        for which the FFT is fast.
+        lambda and the F-number N; for ``fft`` of a wave on a grid, lambda N/2 or just below, a
+        whole fraction of the image's period.
     shape : int or (int, int), optional
         Samples or pixels (ny, nx); one number means a square. By default
 
         - at least 256 per side, enough for all rays and a margin of 16 lambda N for diffraction,
         - with ``pixel_integrated``, the size that `window_shape` returns,
-        - for ``fft`` of a wave on a grid without a pitch, the full period of the FFT.
+        - for ``fft`` of a wave on a grid without a pitch, the full period of the image.
 
         All rays must arrive inside the window. There are exceptions, which accept any window if
         given as ``method``: ``quadrature``, ``nufft`` and, for the layout "grid", ``mdft``.
@@ -362,16 +361,12 @@ def _model_figure(model: str, error: float) -> str:
 
 def _check_part(residual: Residual, method: str, pitch: float, shape: tuple[int, int]) -> None:
     """Refuse a window that loses rays, unless a method that sums the field at points is named."""
-    layout = residual.wavefront.layout
-    sums = {
-        "polar": ("quadrature", "nufft"),
-        "cells": ("quadrature", "nufft"),
-        "grid": ("mdft", "nufft"),
-        "scattered": ("nufft",),
-    }[layout]
-    if method not in sums:
-        remedy = f", or method='{sums[0]}', which computes any part of the image"
-        check_rays(residual, pitch, shape, remedy)
+    sums = ABLE[residual.wavefront.layout]
+    if method == "nufft" or method == sums[0]:
+        return
+    check_rays(
+        residual, pitch, shape, f", or method='{sums[0]}', which computes any part of the image"
+    )
 
 
 def _sampling(
@@ -386,8 +381,10 @@ def _sampling(
     if pitch is not None:
         pitch = in_range("pitch", pitch, 1e-100, 1e100, unit="m")
     elif method == "fft" and residual.wavefront.layout == "grid" and not pixel_integrated:
-        size = fft.default_size(residual)
-        pitch = fft.image_pitch(residual, size)
+        # twice the pupil, or slightly more: a whole number of samples per period
+        wave = residual.wavefront
+        size = math.ceil(4 * residual.half_width / wave.pupil_pitch - 1e-9)
+        pitch = wave.wavelength * abs(wave.image_distance) / (size * wave.pupil_pitch)
         if shape is None:
             return pitch, (size, size)
     else:

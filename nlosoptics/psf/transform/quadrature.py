@@ -29,13 +29,15 @@ def node_counts(residual: Residual, window: Window, threshold: float = 1e-15) ->
 
     With v the largest phase change across the radius, ``0.29 v + 7`` Gauss-Legendre radii and
     ``v + 12 v^(1/3)`` angles integrate exp(i v rho cos) to 3e-15. The degrees of the aberration's
-    own series are added; terms below ``threshold``, rad, are ignored. For cells see `cell_counts`.
+    own series are added; terms below ``threshold``, rad, are ignored. For cells the bound of
+    `growth` is at most the threshold.
     """
     wave = residual.wavefront
     r_max = math.hypot(*window.reach_from(residual.shift))
-    slope = r_max / abs(wave.image_distance) + residual.rays.slope
     if wave.layout == "cells":
-        return cell_counts(residual, slope, threshold)
+        counts = _cell_counts(residual, growth(residual), [r_max], [threshold])
+        return len(wave.u), *np.maximum(counts, wave.u.shape[1:]).tolist()
+    slope = r_max / abs(wave.image_distance) + residual.rays.slope
     v = residual.wavenumber * slope * wave.pupil_radius
     degree_r, degree_theta = residual.degrees(threshold / residual.wavenumber)
     if not residual.is_uniform:
@@ -46,43 +48,6 @@ def node_counts(residual: Residual, window: Window, threshold: float = 1e-15) ->
         max(n_r, math.ceil(0.29 * v + 7 + degree_r)),
         max(n_theta, math.ceil(v + 12 * v ** (1 / 3) + degree_theta)),
     )
-
-
-def cell_counts(residual: Residual, slope: float, threshold: float) -> tuple[int, int, int]:
-    """Return the shape of the nodes of cells for which the quadrature has converged.
-
-    With v the phase along the longest line of any patch, ``v/4 + 3.1 v^(1/3) + 6`` Gauss-Legendre
-    nodes integrate exp(i v s) to 1e-15. Half the degree of the aberration's series is added.
-
-    Parameters
-    ----------
-    residual : Residual
-        Wave on cells.
-    slope : float
-        Largest slope dW/du of the whole phase, that of the image points included, rad.
-    threshold : float
-        Phase below which terms of the series are ignored, rad.
-
-    Returns
-    -------
-    (int, int, int)
-        Patches, and nodes along both sides of each.
-    """
-    n_patches = len(residual.aberration)
-    degrees = residual.degrees(threshold / residual.wavenumber)
-    if not residual.is_uniform:
-        more = residual.amplitude_series.degrees(threshold)
-        degrees = degrees[0] + more[0], degrees[1] + more[1]
-    counts = [
-        max(own, math.ceil(v / 4 + 3.1 * v ** (1 / 3) + 6 + degree / 2))
-        for own, degree, v in zip(
-            residual.wavefront.u.shape[1:],
-            degrees,
-            (residual.wavenumber * slope * size for size in residual.aperture.patch_size),
-            strict=True,
-        )
-    ]
-    return n_patches, counts[0], counts[1]
 
 
 class Coarse(NamedTuple):
@@ -166,11 +131,19 @@ def coarse(residual: Residual, window: Window, tol: float, peak: float, dark: fl
     farthest = math.hypot(*window.reach_from(residual.shift))
     bright = min(residual.rays.reach + BRIGHT * residual.airy_unit, farthest)
     own = growth(residual)
-    largest = _image_growth(residual, np.array([bright, farthest])) + own[:, None]
-    largest -= np.log([[core / 2], [edge / 2]])
-    along_s, along_t = np.ceil(np.min(largest / (2 * np.log(RHO)), axis=2).max(axis=1))
+    counts = _cell_counts(residual, own, [bright, farthest], [core / 2, edge / 2])
     epsilon = min(max(tol / 4, nufft.BEST), nufft.COARSEST)
-    return Coarse((len(residual.aberration), int(along_s), int(along_t)), own, core, epsilon)
+    return Coarse((len(residual.aberration), *counts), own, core, epsilon)
+
+
+def _cell_counts(
+    residual: Residual, growth: Array, distances: list[float], errors: list[float]
+) -> tuple[int, int]:
+    """Return the nodes along s and t for errors of at most ``errors`` at image distances, m."""
+    largest = _image_growth(residual, np.array(distances)) + growth[:, None]
+    largest -= np.log(errors)[:, None]
+    along_s, along_t = np.ceil(np.min(largest / (2 * np.log(RHO)), axis=2).max(axis=1))
+    return int(along_s), int(along_t)
 
 
 def nodes(residual: Residual, window: Window, counts: tuple[int, ...]) -> nufft.Nodes:

@@ -22,7 +22,6 @@ from . import (
     airy,
     antialiased_fft,
     antialiased_pupil,
-    fft,
     geometric,
     high_aperture,
     mdft,
@@ -31,6 +30,13 @@ from . import (
 )
 
 Array = NDArray[np.float64]
+#: Methods for each layout; the first sums over nodes of the wave and computes any part of an image.
+ABLE = {
+    "polar": ("quadrature", "nufft", "fft", "mdft", "airy", "geometric"),
+    "cells": ("quadrature", "nufft", "fft", "geometric"),
+    "grid": ("mdft", "nufft", "fft", "geometric"),
+    "scattered": ("nufft", "geometric"),
+}
 #: Least number of samples across the pupil if a polar wave is resampled to a grid.
 LEAST_SAMPLES = 512
 #: Pixel side, Airy units, up to which errors are assumed not to average out over a pixel.
@@ -46,18 +52,14 @@ class SoftTask(NamedTuple):
     rim: antialiased_pupil.Rim
     period: float
 
-    def grid(self, task: Task, method: str) -> antialiased_fft.Grid:
-        """Return the pupil grid for ``"fft"`` or ``"mdft"``."""
+    def grid(self, task: Task) -> antialiased_fft.Grid:
+        """Return the pupil grid."""
         reach = antialiased_disc.SHORT_REACH if task.tol >= 1e-4 else antialiased_disc.REACH
-        if method == "fft":
-            return antialiased_fft.padded(task.residual, task.samples, self.period, reach)
-        return antialiased_fft.whole(task.residual, self.period, reach)
+        return antialiased_fft.padded(task.residual, task.samples, self.period, reach)
 
-    def n_bytes(self, task: Task, method: str) -> float:
-        """Return the peak memory of ``"fft"`` or ``"mdft"``, bytes."""
-        grid, folded = self.grid(task, method), method == "mdft"
-        need = antialiased_fft.folded_bytes if folded else antialiased_fft.padded_bytes
-        return need(task.samples, grid, task.rule)
+    def n_bytes(self, task: Task) -> float:
+        """Return the peak memory of the transform, bytes."""
+        return antialiased_fft.n_bytes(task.samples, self.grid(task), task.rule)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +118,7 @@ class Task:
 
     @cached_property
     def soft(self) -> SoftTask | None:
-        """Input of the softened-grid transforms; None if the wave is not polynomial."""
+        """Input of the softened-grid transform; None if the wave is not polynomial."""
         found = antialiased_pupil.soft_wave(self.residual, self.tol)
         if found is None:
             return None
@@ -255,31 +257,21 @@ def transform(task: Task, method: str) -> Result:
         "nufft": _nufft,
         "geometric": _geometric,
     }
-    layout, own = task.residual.wavefront.layout, own_method(task)
-    if task.polarisation is not None and method not in (own, "geometric"):
+    layout = task.residual.wavefront.layout
+    able = ABLE[layout] if task.polarisation is None else (ABLE[layout][0], "geometric")
+    if method not in able:
+        model = "" if task.polarisation is None else " by the high-aperture model"
         raise SamplingError(
-            f"method = '{method}' for the high-aperture model of a wavefront of layout '{layout}'; "
-            f"use method='{own}' or 'auto'"
+            f"method = '{method}' cannot transform{model} a wavefront of layout '{layout}'; use "
+            f"method='{able[0]}' or 'auto', or sample the wave with other nodes"
         )
     mean, error, ratio = run[method](task)
     return Result(method, mean, error, task.level * ratio)
 
 
-def own_method(task: Task) -> str:
-    """Return the method that sums over nodes of the wave's layout."""
-    own = {"grid": "mdft", "scattered": "nufft"}
-    return own.get(task.residual.wavefront.layout, "quadrature")
-
-
 def _airy(task: Task) -> Image:
     """Compute mean intensity and error bound by the closed form without aberration."""
     residual = task.residual
-    if residual.wavefront.layout != "polar":
-        raise SamplingError(
-            "the closed form needs a wavefront of layout 'polar', not "
-            f"'{residual.wavefront.layout}'; sample it with nodes='polar', or use "
-            f"method='{own_method(task)}'"
-        )
     bound = airy.error_bound(residual)
     if math.isinf(bound):
         raise SamplingError(
@@ -294,15 +286,7 @@ def _airy(task: Task) -> Image:
 
 def _quadrature(task: Task) -> Image:
     """Compute mean intensity and error bound by a sum over polar or cell nodes."""
-    residual = task.residual
-    if not residual.wavefront.is_spectral:
-        raise SamplingError(
-            "quadrature needs a wavefront of layout 'polar' or 'cells', not "
-            f"'{residual.wavefront.layout}'; sample it with nodes='cells' or nodes='polar', or use "
-            f"method='{own_method(task)}'"
-        )
-    counts = task.counts()
-    return _spectral_sum(task, counts, residual.truncation)
+    return _spectral_sum(task, task.counts(), task.residual.truncation)
 
 
 def _spectral_sum(task: Task, counts: tuple[int, ...], lost: float) -> Image:
@@ -315,36 +299,10 @@ def _spectral_sum(task: Task, counts: tuple[int, ...], lost: float) -> Image:
 
 
 def _fft(task: Task) -> Image:
-    """Compute mean intensity and error bound by a zero-padded FFT of a grid."""
-    residual, samples = task.residual, task.samples
-    if residual.wavefront.layout == "cells":
+    """Compute mean intensity and error bound by as few samples of the pupil as ``tol`` allows."""
+    if task.residual.wavefront.layout == "cells":
         return _cells(task)
-    _check_not_scattered(residual, "fft")
-    soft = _soft(task, "fft")
-    if soft is not None:
-        return soft
-    fft.check_padding(residual, samples.pitch)
-    if residual.wavefront.layout == "polar":
-        size = polar_size(task)
-        grid = pupil_grid_from_polar(residual, grid_period_pitch(task, size))
-        _check_jump(task, grid.jump, None)
-    else:
-        if task.rule is not None:
-            raise SamplingError(
-                "fft samples the image of a grid wavefront at a pitch of its own, which does not "
-                "divide the pixels; use method='mdft' with pixel_integrated=True"
-            )
-        size = fft.padded_size(residual, samples.pitch)
-        _check_jump(task, *residual.grid_jump())
-        _check_period(task)
-        grid = pupil_grid(residual)
-    fits_memory(
-        f"the transform of {grid.values.shape[0]} x {size} samples",
-        48.0 * grid.values.shape[0] * size,
-        "use a smaller shape",
-    )
-    mean = fft.intensity_in(residual, grid, samples, size, task.rule)
-    return mean, grid_bound(task, mean, grid), 1.0
+    return _mdft(task) if task.soft is None else _soft(task, task.soft)
 
 
 def _cells(task: Task) -> Image:
@@ -371,24 +329,20 @@ def _cells_image(task: Task, coarse: quadrature.Coarse) -> Image:
     return mean, task.bound(strongest, error, math.inf) + rounding, 1.0
 
 
-def _soft(task: Task, method: str) -> Image | None:
-    """Transform a polynomial wave by ``fft`` or ``mdft``; return None if it is not polynomial."""
-    soft = task.soft
-    if soft is None:
-        return None
-    image = _soft_image(task, soft, method)
+def _soft(task: Task, soft: SoftTask) -> Image:
+    """Transform a polynomial wave by FFTs of a grid with softened rims."""
+    image = _soft_image(task, soft)
     if task.tol < image[1] < 8 * task.tol:
         # The peak is lower than predicted, so that the relative error is larger.
         period = antialiased_pupil.period_of(task.residual, soft.rim, task.samples, task.tol / 8)
-        image = _soft_image(task, soft._replace(period=period), method)
+        image = _soft_image(task, soft._replace(period=period))
     return image
 
 
-def _soft_image(task: Task, soft: SoftTask, method: str) -> Image:
+def _soft_image(task: Task, soft: SoftTask) -> Image:
     """Return the image of a polynomial wave from its softened grid, and its error bound."""
-    residual, wave, grid = task.residual, soft.wave, soft.grid(task, method)
-    run = antialiased_fft.padded_image if method == "fft" else antialiased_fft.folded_image
-    mean = run(residual, wave, task.samples, grid, task.rule)
+    residual, wave, grid = task.residual, soft.wave, soft.grid(task)
+    mean = antialiased_fft.image(residual, wave, task.samples, grid, task.rule)
     half = 0.0 if task.rule is None else task.pitch / 2
     strongest, far = antialiased_pupil.block_maxima(residual, task.pixels, mean, half)
     rings, unit = antialiased_pupil.RINGS * far.max(), residual.airy_unit
@@ -401,20 +355,12 @@ def _soft_image(task: Task, soft: SoftTask, method: str) -> Image:
 def _mdft(task: Task) -> Image:
     """Compute mean intensity and error bound by a transform of a grid to any pitch."""
     residual, samples = task.residual, task.samples
-    if residual.wavefront.layout == "cells":
-        raise SamplingError(
-            "mdft needs a grid, and this wavefront has the layout 'cells'; use method='fft', or "
-            "sample it with nodes='grid'"
-        )
-    _check_not_scattered(residual, "mdft")
-    soft = _soft(task, "mdft")
-    if soft is not None:
-        return soft
     if residual.wavefront.layout == "polar":
-        grid = pupil_grid_from_polar(residual, grid_period_pitch(task, polar_size(task)))
+        grid = pupil_grid_from_polar(residual, polar_pitch(task))
         _check_jump(task, grid.jump, None)
     else:
-        grid = checked_grid(task)
+        check_sampling(task)
+        grid = pupil_grid(residual)
     n = grid.values.shape[0]
     fits_memory(
         f"the transform of {n} samples to {samples.shape[0]} x {samples.shape[1]}",
@@ -433,15 +379,6 @@ def _mdft(task: Task) -> Image:
         mean += mdft.intensity_in(residual, replace(grid, values=values), samples, task.rule)
     mean /= peak
     return mean, grid_bound(task, mean, grid) * task.gain(peak) ** 2, peak / secant
-
-
-def _check_not_scattered(residual: Residual, method: str) -> None:
-    """Refuse scattered nodes for a method that needs a grid."""
-    if residual.wavefront.layout == "scattered":
-        raise SamplingError(
-            f"{method} needs a grid, and this wavefront is scattered; use method='nufft', or "
-            "sample it with nodes='polar' or 'grid'"
-        )
 
 
 def _nufft(task: Task) -> Image:
@@ -512,36 +449,23 @@ def grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
     return bound + error_bounds.damping_error(task.residual, grid, task.pitch)
 
 
-def checked_grid(task: Task) -> PupilGrid:
-    """Return the pupil of a grid wavefront, after checks of its sampling."""
-    check_sampling(task)
-    return pupil_grid(task.residual)
-
-
 def check_sampling(task: Task) -> None:
     """Refuse grid or scattered nodes that are too few for the wave or for the window."""
     _check_jump(task, *task.residual.grid_jump())
     _check_period(task)
 
 
-def polar_size(task: Task) -> int:
-    """Return the padded transform size for a polar wave: image period over sampling pitch."""
-    residual, samples = task.residual, task.samples
-    reach = max(samples.reach_from(residual.shift))
-    # Three lower limits of the period: twice the window's reach; the spot's diameter and a margin
-    # for the step of `antialiased_disc.leak`; `LEAST_SAMPLES` across the pupil.
+def polar_pitch(task: Task) -> float:
+    """Return the pitch of the pupil grid, m, to which a polar wave is resampled."""
+    residual, wave = task.residual, task.residual.wavefront
+    # Three lower limits of the image's period: twice the window's reach; the spot's diameter and a
+    # margin for the step of `antialiased_disc.leak`; `LEAST_SAMPLES` across the pupil.
     period = max(
-        2 * reach,
+        2 * max(task.samples.reach_from(residual.shift)),
         4.4 * residual.rays.reach + 16 * residual.airy_unit,
         LEAST_SAMPLES * residual.airy_unit,
     )
-    return int(np.ceil(period / samples.pitch - 1e-9))
-
-
-def grid_period_pitch(task: Task, size: int) -> float:
-    """Return the pupil pitch, m, at which the image repeats after ``size`` samples."""
-    wave = task.residual.wavefront
-    return wave.wavelength * abs(wave.image_distance) / (size * task.samples.pitch)
+    return wave.wavelength * abs(wave.image_distance) / period
 
 
 def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:

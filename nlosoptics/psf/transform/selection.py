@@ -11,7 +11,7 @@ from ..wave.regime import Regime
 from ..window import error_bounds
 from ..window.error_bounds import rounded_up
 from . import airy, costs, geometric
-from .runners import Result, Task, grid_period_pitch, own_method, polar_size, transform
+from .runners import ABLE, Result, Task, polar_pitch, transform
 
 #: Aberration, waves peak to valley, up to which the geometric method is not tried.
 MANY_WAVES = 20
@@ -112,7 +112,7 @@ def candidates(task: Task, regime: Regime) -> list[Candidate]:
     elif layout == "scattered":
         found = [Candidate(costs.scattered_sum(task.residual, task.samples), "nufft")]
     else:
-        found = _maps(task)
+        found = [Candidate(costs.map_chirp(task.residual, task.samples), "mdft")]
     return [*found, _rays(task, regime)]
 
 
@@ -124,7 +124,7 @@ def _components(task: Task) -> Candidate:
     else:
         count = math.prod(task.counts()) if wave.is_spectral else wave.u.size
         seconds = costs.sum_over_nodes(count, samples)
-    return Candidate(task.components * seconds, own_method(task))
+    return Candidate(task.components * seconds, ABLE[wave.layout][0])
 
 
 def _airy(task: Task) -> Candidate:
@@ -155,18 +155,13 @@ def _cells(task: Task) -> Candidate:
 
 
 def _soft_grid(task: Task) -> Candidate:
-    """Return the fastest transform of a polar wave on a grid with a softened rim."""
+    """Return the transform of a polar wave on a grid with a softened rim."""
     residual = task.residual
     if task.soft is not None:
-        fast, few = (task.soft.grid(task, method) for method in ("fft", "mdft"))
-        least = 2 * few.error
-        ruled_out = f"error of its rim {least:g}" if task.tol < least else ""
-        return min(
-            Candidate(costs.soft_padded(task.samples, fast), "fft", ruled_out),
-            Candidate(costs.soft_folded(task.samples, few), "mdft", ruled_out),
-        )
-    size = polar_size(task)
-    pitch = grid_period_pitch(task, size)
+        grid = task.soft.grid(task)
+        ruled_out = f"error of its rim {2 * grid.error:g}" if task.tol < 2 * grid.error else ""
+        return Candidate(costs.soft_padded(task.samples, grid), "fft", ruled_out)
+    pitch = polar_pitch(task)
     # peak if the energy were uniform over the disc of the rays, at most 1
     reach = max(residual.rays.reach / residual.airy_unit, 1.0)
     peak = min(1.0, 4 / (math.pi * reach) ** 2)
@@ -174,21 +169,7 @@ def _soft_grid(task: Task) -> Candidate:
     field = float(rim) + residual.truncation
     expected = 2 * error_bounds.beat(task.pixel) * field / math.sqrt(peak)
     ruled_out = f"error of its rim about {expected:.2g}" if expected > DOUBT * task.tol else ""
-    return Candidate(costs.soft_grid(residual, task.samples, pitch, size), "fft", ruled_out)
-
-
-def _maps(task: Task) -> list[Candidate]:
-    """Return the transforms of a grid wavefront."""
-    residual = task.residual
-    chirp = Candidate(costs.map_chirp(residual, task.samples), "mdft")
-    wave = residual.wavefront
-    size = wave.wavelength * abs(wave.image_distance) / (task.samples.pitch * wave.pupil_pitch)
-    whole = abs(size - round(size)) <= 1e-9 * size
-    ruled_out = "" if whole and task.rule is None else "the pitch does not divide its period"
-    if task.rule is not None:
-        ruled_out = "its own pitch does not divide the pixels"
-    fft = Candidate(costs.map_fft(residual, task.samples, round(size)), "fft", ruled_out)
-    return [fft, chirp]
+    return Candidate(costs.soft_grid(residual, task.samples, pitch), "fft", ruled_out)
 
 
 def _rays(task: Task, regime: Regime) -> Candidate:
@@ -254,8 +235,8 @@ def _too_long(
     """Return the error for transforms that exceed ``max_seconds``; check the memory first."""
     ny, nx = task.samples.shape
     n_bytes = 32.0 * ny * nx
-    if task.soft is not None and cheapest.method in ("fft", "mdft"):
-        n_bytes = task.soft.n_bytes(task, cheapest.method)
+    if task.soft is not None and cheapest.method == "fft":
+        n_bytes = task.soft.n_bytes(task)
     smaller = "use a smaller shape"
     if task.rule is not None and regime.peak_to_valley > MANY_WAVES:
         smaller += ", or on wide pixels a larger tol, so that geometric rays suffice"

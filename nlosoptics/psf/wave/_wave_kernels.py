@@ -192,3 +192,12 @@ def jacobian_extremes(x, y, r, apart):
             area = (first_x * second_y - first_y * second_x) / own
             low, high = min(low, area), max(high, area)
     return low, high
+
+
+@njit(cache=True, nogil=True)
+def squares(field, out):
+    """Fill ``out`` (rows, n) with the squared modulus of ``field``."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            value = field[i, j]
+            out[i, j] = value.real * value.real + value.imag * value.imag
