@@ -31,11 +31,6 @@ def sum_over_nodes(n_nodes: float, window: Window) -> float:
     return CALL + 1.4e-7 * n_nodes + 3e-8 * _points(window)
 
 
-def polar_sum(residual: Residual, window: Window) -> float:
-    """Predict the seconds of ``quadrature``, including the aberration at its nodes."""
-    return sum_over_nodes(math.prod(quadrature.node_counts(residual, window)), window)
-
-
 def coarse_sum(coarse: quadrature.Coarse, window: Window) -> float:
     """Predict the seconds of ``fft`` for a wave on cells."""
     digits = -math.log10(coarse.epsilon)

@@ -237,12 +237,12 @@ def _mesh_boxes(
     d = residual.wavefront.image_distance
     scale = d * (u_s * v_t - v_s * u_t)
     uu, uv, vv = (x_s * v_t - x_t * v_s, x_t * u_s - x_s * u_t, y_t * u_s - y_s * u_t)
-    bends = ((bend / scale).ravel() for bend in (uu, uv, vv))
+    uu, uv, vv = ((bend / scale).ravel() for bend in (uu, uv, vv))
     x, y, energy = (part.ravel() for part in places)
-    widths = (
-        np.hypot(a * sides[0], b * sides[1]).ravel() for a, b in zip(over[0], over[1], strict=True)
+    width_x, width_y = (
+        np.hypot(a * sides[0], b * sides[1]).ravel() for a, b in ((x_s, x_t), (y_s, y_t))
     )
-    return _Boxes(x, y, *widths, _blur(residual, *bends, abs(d) * doubt), energy)
+    return _Boxes(x, y, width_x, width_y, _blur(residual, uu, uv, vv, abs(d) * doubt), energy)
 
 
 def patch_rays(residual: Residual, window: Window, share: float = 1.0) -> int:

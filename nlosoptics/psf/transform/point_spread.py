@@ -183,8 +183,8 @@ def point_spread(
           ``mdft``.
         - ``mdft`` is a chirp transform of a grid, for any pitch; a wave of the layout "polar" is
           first resampled to a grid. Not for the layout "cells".
-        - ``nufft`` is a non-uniform FFT of the given sample points of any layout, such as traced
-          rays.
+        - ``nufft`` is a non-uniform FFT of scattered sample points, such as traced rays; for other
+          layouts it is ``quadrature`` or ``mdft``.
         - ``airy`` is the closed form of a wave without aberration.
         - ``geometric`` is the density of rays in the image, without diffraction; ``auto`` tries it
           for more than 20 wavelengths of aberration with ``pixel_integrated``.
@@ -301,10 +301,10 @@ def point_spread(
     high-aperture: 0.58 along x, 0.51 along y
     """
     if isinstance(wavefront, Residual):
-        residual, wavefront = wavefront, wavefront.wavefront
+        residual = wavefront
     else:
-        wavefront = expect("wavefront", wavefront, "Wavefront")
-        residual = split(wavefront)
+        residual = split(expect("wavefront", wavefront, "Wavefront"))
+    wave = residual.wavefront
     one_of("method", method, METHODS)
     one_of("normalisation", normalisation, NORMALISATIONS)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
@@ -332,7 +332,7 @@ def point_spread(
     result = modelled(task, kind, method, model, polarisation, normalisation, longest)
     scale = 1.0
     if normalisation != "ideal-peak":
-        scale = result.level * (wavefront.flux if normalisation == "flux" else 1.0)
+        scale = result.level * (wave.flux if normalisation == "flux" else 1.0)
     intensity = np.ascontiguousarray(result.mean if scale == 1.0 else result.mean * scale)
     intensity.setflags(write=False)  # PointSpread then keeps it without a copy
     return PointSpread(
@@ -341,8 +341,8 @@ def point_spread(
         method=result.method,
         error_estimate=result.error,
         normalisation=normalisation,
-        wavelength=wavefront.wavelength,
-        f_number=wavefront.f_number,
+        wavelength=wave.wavelength,
+        f_number=wave.f_number,
         pixel_integrated=pixel_integrated,
         enclosed_energy=float(np.sum(result.mean)) * result.level,
         regime=kind,

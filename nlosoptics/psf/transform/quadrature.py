@@ -18,30 +18,32 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 #: Semi-axis sums of the ellipses on which `Coarse` bounds a wave.
 RHO = 1 + np.geomspace(0.02, 20.0, 48)
+#: Error of nodes, and phase of a series term, rad, that are at the level of rounding.
+NEGLIGIBLE = 1e-15
 #: Largest error of nodes that is wanted: coarser nodes save no time.
 MOST = 1e-2
 #: Airy units about the rays within which an image may be as bright as its peak.
 BRIGHT = 2.0
 
 
-def node_counts(residual: Residual, window: Window, threshold: float = 1e-15) -> tuple[int, ...]:
+def node_counts(residual: Residual, window: Window) -> tuple[int, ...]:
     """Return the shape of the nodes for which the quadrature has converged to rounding error.
 
     With v the largest phase change across the radius, ``0.29 v + 7`` Gauss-Legendre radii and
     ``v + 12 v^(1/3)`` angles integrate exp(i v rho cos) to 3e-15. The degrees of the aberration's
-    own series are added; terms below ``threshold``, rad, are ignored. For cells the bound of
-    `growth` is at most the threshold.
+    own series are added; terms below `NEGLIGIBLE` are ignored. For cells the bound of
+    `growth` is at most `NEGLIGIBLE`.
     """
     wave = residual.wavefront
     r_max = math.hypot(*window.reach_from(residual.shift))
     if wave.layout == "cells":
-        counts = _cell_counts(residual, growth(residual), [r_max], [threshold])
+        counts = _cell_counts(residual, growth(residual), [r_max], [NEGLIGIBLE])
         return len(wave.u), *np.maximum(counts, wave.u.shape[1:]).tolist()
     slope = r_max / abs(wave.image_distance) + residual.rays.slope
     v = residual.wavenumber * slope * wave.pupil_radius
-    degree_r, degree_theta = residual.degrees(threshold / residual.wavenumber)
+    degree_r, degree_theta = residual.degrees(NEGLIGIBLE / residual.wavenumber)
     if not residual.is_uniform:
-        more_r, more_theta = residual.amplitude_series.degrees(threshold)
+        more_r, more_theta = residual.amplitude_series.degrees(NEGLIGIBLE)
         degree_r, degree_theta = degree_r + more_r, degree_theta + more_theta
     n_r, n_theta = wave.u.shape
     return (

@@ -41,8 +41,6 @@ ABLE = {
 LEAST_SAMPLES = 512
 #: Pixel side, Airy units, up to which errors are assumed not to average out over a pixel.
 NO_BEATS = 0.8
-#: Phase, rad, below which series terms of a polar wavefront need not be resolved by its nodes.
-NEGLIGIBLE = 1e-10
 
 
 class SoftTask(NamedTuple):
@@ -137,12 +135,10 @@ class Task:
         dark = min(3 * float(error_bounds.tail(beyond)), math.sqrt(peak))
         return quadrature.coarse(residual, samples, self.tol, peak, dark)
 
-    def counts(self, threshold: float = 1e-15) -> tuple[int, ...]:
-        """Return the shape of the nodes of a polar or cells wave that the window needs.
-
-        Terms of the aberration below ``threshold``, rad, are not resolved.
-        """
-        counts = quadrature.node_counts(self.residual, self.samples, threshold)
+    @cached_property
+    def counts(self) -> tuple[int, ...]:
+        """Shape of the nodes of a polar or cells wave that the window needs."""
+        counts = quadrature.node_counts(self.residual, self.samples)
         if self.polarisation is None:
             return counts
         more = high_aperture.more_nodes(self.residual)
@@ -286,16 +282,13 @@ def _airy(task: Task) -> Image:
 
 def _quadrature(task: Task) -> Image:
     """Compute mean intensity and error bound by a sum over polar or cell nodes."""
-    return _spectral_sum(task, task.counts(), task.residual.truncation)
-
-
-def _spectral_sum(task: Task, counts: tuple[int, ...], lost: float) -> Image:
-    """Sum over polar or cell nodes; ``lost`` is the error of the pupil function on them."""
-    epsilon = nufft.epsilon(math.prod(counts), task.samples, task.tol, task.components)
-    mean, peak, secant = task.sum(quadrature.nodes(task.residual, task.samples, counts), epsilon)
+    counts, samples = task.counts, task.samples
+    epsilon = nufft.epsilon(math.prod(counts), samples, task.tol, task.components)
+    mean, peak, secant = task.sum(quadrature.nodes(task.residual, samples, counts), epsilon)
     gain = task.gain(peak)
-    error = task.bound(mean, lost * gain, (lost * gain) ** 2)
-    return mean, error + task.transform_error(mean, epsilon) * gain, peak / secant
+    lost = task.residual.truncation * gain
+    error = task.bound(mean, lost, lost**2) + task.transform_error(mean, epsilon) * gain
+    return mean, error, peak / secant
 
 
 def _fft(task: Task) -> Image:
@@ -312,7 +305,7 @@ def _cells(task: Task) -> Image:
     bright = antialiased_pupil.predicted_peak(task.residual)
     if image[1] > task.tol:  # the edge may be brighter than predicted
         more = quadrature.coarse(task.residual, task.samples, task.tol, bright, math.sqrt(bright))
-        if more != nodes:
+        if more.counts != nodes.counts:
             image = _cells_image(task, more)
     return image
 
@@ -382,27 +375,17 @@ def _mdft(task: Task) -> Image:
 
 
 def _nufft(task: Task) -> Image:
-    """Compute mean intensity and error bound by a sum over the given nodes."""
+    """Compute mean intensity and error bound by a sum over scattered nodes."""
     residual, samples = task.residual, task.samples
     wave = residual.wavefront
-    if wave.is_spectral:
-        need = task.counts(NEGLIGIBLE)
-        if need != wave.u.shape:
-            now, wanted = (" x ".join(map(str, n)) for n in (wave.u.shape, need))
-            raise SamplingError(
-                f"{now} {wave.layout} nodes are too few for this window, which needs {wanted}; use "
-                f"wavefront.resampled{need[-2:]}, a smaller shape, or method='quadrature'"
-            )
-        return _spectral_sum(task, need, residual.truncation + 10 * NEGLIGIBLE)
+    if wave.layout != "scattered":
+        return _mdft(task) if wave.layout == "grid" else _quadrature(task)
     check_sampling(task)
     epsilon = nufft.epsilon(wave.u.size, samples, task.tol, task.components)
     nodes = nufft.own_nodes(residual)
     mean, peak, secant = task.sum(nodes, epsilon)
     gain = task.gain(peak)
-    if wave.layout == "grid":
-        error = grid_bound(task, mean, pupil_grid(residual)) * gain**2
-    else:
-        error = _scattered_bound(task, nodes, mean, epsilon)
+    error = _scattered_bound(task, nodes, mean, epsilon)
     return mean, error + task.transform_error(mean, epsilon) * gain, peak / secant
 
 

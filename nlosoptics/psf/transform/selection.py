@@ -99,20 +99,23 @@ def able(task: Task, regime: Regime) -> list[Candidate]:
 
 def candidates(task: Task, regime: Regime) -> list[Candidate]:
     """Return all transforms available for the wave's layout, with predicted times."""
-    layout = task.residual.wavefront.layout
+    layout, samples = task.residual.wavefront.layout, task.samples
     if task.polarisation is not None:
         found = [_components(task)]
     elif layout == "polar":
         closed = _airy(task)
         if not closed.ruled_out:
             return [closed]  # no other transform is faster
-        found = [closed, _quadrature(task), _soft_grid(task)]
+        seconds = costs.sum_over_nodes(math.prod(task.counts), samples)
+        found = [closed, _nodes(task, "quadrature", seconds), _soft_grid(task)]
     elif layout == "cells":
-        found = [_quadrature(task), _cells(task)]
+        seconds = costs.sum_over_nodes(math.prod(task.counts), samples)
+        few = _nodes(task, "fft", costs.coarse_sum(task.coarse, samples), task.coarse.core)
+        found = [_nodes(task, "quadrature", seconds), few]
     elif layout == "scattered":
-        found = [Candidate(costs.scattered_sum(task.residual, task.samples), "nufft")]
+        found = [Candidate(costs.scattered_sum(task.residual, samples), "nufft")]
     else:
-        found = [Candidate(costs.map_chirp(task.residual, task.samples), "mdft")]
+        found = [Candidate(costs.map_chirp(task.residual, samples), "mdft")]
     return [*found, _rays(task, regime)]
 
 
@@ -122,7 +125,7 @@ def _components(task: Task) -> Candidate:
     if wave.layout == "grid":
         seconds = costs.map_chirp(task.residual, samples)
     else:
-        count = math.prod(task.counts()) if wave.is_spectral else wave.u.size
+        count = math.prod(task.counts) if wave.is_spectral else wave.u.size
         seconds = costs.sum_over_nodes(count, samples)
     return Candidate(task.components * seconds, ABLE[wave.layout][0])
 
@@ -136,22 +139,15 @@ def _airy(task: Task) -> Candidate:
     return Candidate(costs.airy(task.samples), "airy", ruled_out)
 
 
-def _quadrature(task: Task) -> Candidate:
-    """Return the quadrature, ruled out if the wavefront's nodes leave too large an error."""
-    residual = task.residual
-    # lower bound of the relative error, since the peak is at most 1
-    least = 2 * error_bounds.beat(task.pixel) * residual.truncation
-    ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
-    return Candidate(costs.polar_sum(residual, task.samples), "quadrature", ruled_out)
+def _nodes(task: Task, method: str, seconds: float, missing: float = 0.0) -> Candidate:
+    """Return a sum over nodes, ruled out if wave or nodes leave too large an error.
 
-
-def _cells(task: Task) -> Candidate:
-    """Return the sum over as few nodes of cells as suffice."""
+    ``missing`` is the field's error because of the number of nodes.
+    """
     # lower bound of the relative error, since the peak is at most 1
-    field = task.residual.truncation + task.coarse.core
-    least = 2 * error_bounds.beat(task.pixel) * field
+    least = 2 * error_bounds.beat(task.pixel) * (task.residual.truncation + missing)
     ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
-    return Candidate(costs.coarse_sum(task.coarse, task.samples), "fft", ruled_out)
+    return Candidate(seconds, method, ruled_out)
 
 
 def _soft_grid(task: Task) -> Candidate:

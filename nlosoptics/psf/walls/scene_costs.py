@@ -107,7 +107,7 @@ def _transform_bytes(task: Task, method: str) -> float:
             return held + 250.0 * math.prod(geometric.ray_counts(task.residual, task.pixels))
         return held + 1e9
     if method == "quadrature":
-        return held + nufft.n_bytes(math.prod(task.counts()), task.samples)
+        return held + nufft.n_bytes(math.prod(task.counts), task.samples)
     if task.soft is not None:
         return held + task.soft.n_bytes(task)
     n = task.residual.wavefront.u.shape[0]

@@ -194,39 +194,3 @@ def test_rims_cut_short_err_by_what_is_said(radius, reach, wider):
         < error
         <= antialiased_disc.cut(radius, reach) + 1e-13
     )
-
-
-@pytest.mark.parametrize("obscuration", [0.0, 0.4])
-@pytest.mark.parametrize("index", [4, 6, 11, 14, 19, 22, 25, 28])
-def test_low_polynomial_is_the_series(index, obscuration):
-    residual = split(zernike_wave({index: 0.3, 8: 0.1, 5: -0.2}, obscuration=obscuration))
-    low = residual.low
-    du, dv, _ = residual.series.slopes(*residual.wavefront.u.shape)
-    distance = residual.wavefront.image_distance
-    # rounding of the series, which its steepest polynomials multiply; the powers' own is 1e-15
-    size = 1e-11 * np.abs(du).max() * distance
-    assert np.abs(residual.rays.x - distance * du).max() < size
-    assert np.abs(residual.rays.y - distance * dv).max() < size
-    assert residual.rays.reach == max(np.abs(residual.rays.x).max(), np.abs(residual.rays.y).max())
-    assert low.misfit <= 1e-14 * np.abs(residual.aberration).max()
-    # an even power of the radius alone is seen as one order, a term of the wave as its degree
-    assert low.degrees[1] == max(3, psf.zernike_order(index)[0])
-    waves = np.exp(2j * np.pi * np.arange(5) / 5)
-    rims = low.on_rims(waves.real, waves.imag)
-    for rho, values in ((obscuration, rims[0]), (1.0, rims[1])):
-        expected = residual.series.at(rho * RADIUS * waves.real, rho * RADIUS * waves.imag, 1e-13)
-        assert values == approx(expected, abs=1e-12 * WAVELENGTH)
-
-
-def test_low_polynomial_is_none_where_the_wave_is_none():
-    # of the seventh degree, and of a kink that no node shows alone
-    assert split(zernike_wave({29: 0.1})).low is None
-    kinked = psf.Wavefront.from_function(
-        lambda u, v: 1e-7 * np.abs(u / RADIUS), samples=(24, 96), **SYSTEM
-    )
-    assert split(kinked).low is None
-    # steps that are tiny beside the rest
-    almost = psf.Wavefront.from_function(
-        lambda u, v: 1e-6 * (u / RADIUS) ** 2 + 1e-15 * (v > 0), samples=(24, 96), **SYSTEM
-    )
-    assert split(almost).low is None
