@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -24,15 +23,6 @@ def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> Any:
     return total
 
 
-def row_blocks(rows: int, columns: int, inner: int) -> list[tuple[int, int]]:
-    """Divide the rows of a product into blocks of at most `BLOCK_PRODUCT` multiplications.
-
-    ``inner`` is the number of terms of each sum.
-    """
-    step = max(1, BLOCK_PRODUCT // max(columns * inner, 1))
-    return [(start, min(start + step, rows)) for start in range(0, rows, step)]
-
-
 def product(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return ``left @ right`` with the same bits for any number of threads.
 
@@ -41,29 +31,9 @@ def product(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np
     rows, inner, columns = *left.shape[-2:], right.shape[-1]
     if rows * inner * columns <= BLOCK_PRODUCT:
         return np.asarray(left @ right)
-    blocks = row_blocks(rows, columns, inner)
-    return np.concatenate([left[..., a:b, :] @ right for a, b in blocks], axis=-2)
-
-
-def product_into(left: NDArray[Any], right: NDArray[Any], out: NDArray[Any]) -> None:
-    """Fill ``out`` with ``left @ right`` by blocks that are nearly square.
-
-    Leading axes broadcast, and the bits are the same for any number of threads. The last axis of
-    ``out`` must be contiguous.
-    """
-    rows, inner, columns = *left.shape[-2:], right.shape[-1]
-    most = max(BLOCK_PRODUCT // max(inner, 1), 64)
-    tall = _even_step(rows, max(math.isqrt(most), most // max(columns, 1)))
-    wide = _even_step(columns, max(most // tall, 1))
-    for top in range(0, rows, tall):
-        for start in range(0, columns, wide):
-            here = ..., slice(top, top + tall), slice(start, start + wide)
-            np.matmul(left[here[0], here[1], :], right[here[0], :, here[2]], out=out[here])
-
-
-def _even_step(length: int, most: int) -> int:
-    """Return the largest step up to ``most`` that divides a length into nearly equal parts."""
-    return max(1, -(-length // -(-length // max(most, 1))))
+    step = max(1, BLOCK_PRODUCT // max(columns * inner, 1))
+    blocks = [left[..., start : start + step, :] @ right for start in range(0, rows, step)]
+    return np.concatenate(blocks, axis=-2)
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:

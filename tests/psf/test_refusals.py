@@ -70,10 +70,6 @@ REFUSED = {
         "fringe index = 38 is out of range, must be 1 to 37; use noll",
     ),
     "shape": (lambda _: spread(shape="wide"), "shape = 'wide'; give one whole number or (ny, nx)"),
-    "no whole padding": (
-        lambda _: spread(wave("grid", samples=32), method="fft", pitch=1.11e-6, shape=None),
-        "padded samples, not a whole number; use pitch = ",
-    ),
     "wide cone": (
         lambda _: spread(wave(pupil_radius=0.06), model="high-aperture", pitch=1e-7),
         "at F/0.5, limit F/0.5, where it is as wide as the wave's sphere",
@@ -84,11 +80,11 @@ REFUSED = {
     ),
     "matrix transform of cells": (
         lambda _: spread(cells(), method="mdft"),
-        "mdft needs a grid, and this wavefront has the layout 'cells'; use method='fft'",
+        "method = 'mdft' cannot transform a wavefront of layout 'cells'; use method='quadrature'",
     ),
     "closed form on a grid": (
         lambda _: spread(wave("grid", samples=32), method="airy"),
-        "the closed form needs a wavefront of layout 'polar', not 'grid'",
+        "method = 'airy' cannot transform a wavefront of layout 'grid'; use method='mdft'",
     ),
     "jump": (
         lambda _: spread(wave("grid", coefficients=((11, 4e-6),), samples=32), method="mdft"),

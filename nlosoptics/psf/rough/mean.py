@@ -18,7 +18,7 @@ from ..transform.point_spread import (
     NORMALISATIONS,
     Normalisation,
     PointSpread,
-    detilted_point_spread,
+    point_spread,
 )
 from ..transform.wide_pixels import detilted_wide_spread
 from ..wave.detilted import Residual
@@ -220,7 +220,7 @@ def detilted_mean(
         if pixel_integrated:
             core = detilted_wide_spread(residual, pitch, shape, tol)
         else:
-            core = detilted_point_spread(residual, tol=tol, pitch=pitch, shape=shape)
+            core = point_spread(residual, tol=tol, pitch=pitch, shape=shape, model="scalar")
         part = max(tol - core.error_estimate, tol / 10)  # the errors of both add
     coherent = np.zeros(shape) if core is None else share * core.intensity
     diffuse, error = np.zeros(shape), 0.0

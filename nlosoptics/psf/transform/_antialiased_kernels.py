@@ -1,4 +1,4 @@
-"""Compiled kernels of grids with soft rims: pupil, folding, error bounds.
+"""Compiled kernels of grids with soft rims: pupil, squares, error bounds.
 
 Kernels that most runs need allocate no arrays: to load them, numba would import its own arrays.
 """
@@ -6,8 +6,6 @@ Kernels that most runs need allocate no arrays: to load them, numba would import
 from __future__ import annotations
 
 import math
-
-import numpy as np
 
 from ...kernels.compiling import njit
 from ..wave._wave_kernels import phasors
@@ -125,126 +123,6 @@ def _along_row(coefficients, y, step, centre, across, out, first):
 
 
 @njit(cache=True, nogil=True)
-def turned(values, out):
-    """Fill ``out`` (columns, n) with the transpose of ``values`` (rows, columns), padded by 0."""
-    rows, columns = values.shape
-    for i in range(columns):
-        for j in range(rows):
-            out[i, j] = values[j, i]
-        for j in range(rows, out.shape[1]):
-            out[i, j] = 0.0
-
-
-@njit(cache=True, nogil=True)
-def squares(field, scale, out):
-    """Fill ``out`` (rows, n) with ``scale |field|^2`` of the first n columns of ``field``."""
-    for i in range(out.shape[0]):
-        line = out[i]
-        for j in range(line.shape[0]):
-            value = field[i, j]
-            line[j] = scale * (value.real * value.real + value.imag * value.imag)
-
-
-@njit(cache=True, nogil=True)
-def pixel_rows(field, scale, start, factor, taps, line, out):
-    """Add ``scale |field|^2`` of rows from ``start`` on to the pixel rows ``out`` (pixels, n).
-
-    Pixel row p is the sum of the rows from ``p factor`` on, weighted by ``taps``. ``line`` (n,) is
-    overwritten.
-    """
-    for i in range(field.shape[0]):
-        row, n = start + i, line.shape[0]
-        for j in range(n):
-            value = field[i, j]
-            line[j] = scale * (value.real * value.real + value.imag * value.imag)
-        last = min(row // factor, out.shape[0] - 1)
-        for p in range(max((row - taps.shape[0]) // factor + 1, 0), last + 1):
-            pixels, weight = out[p], taps[row - p * factor]
-            for j in range(n):
-                pixels[j] += weight * line[j]
-
-
-@njit(cache=True, nogil=True)
-def waves(first, step, cosines, sines):
-    """Fill ``cosines`` (m, c + 1) and ``sines`` (m, c) of ``2 pi x k``, x = first, first + step...
-
-    k counts from 0 for cosines and from 1 for sines. ``first`` and ``step`` are in turns.
-    """
-    count = sines.shape[1]
-    turns, size = np.empty(count), np.ones(count)
-    real, imaginary = np.empty(count), np.empty(count)
-    for i in range(sines.shape[0]):
-        for k in range(count):
-            turns[k] = (first + i * step) * (k + 1)
-        phasors(turns, size, real, imaginary)
-        cosines[i, 0] = 1.0
-        cosines[i, 1:] = real
-        sines[i] = imaginary
-
-
-@njit(cache=True, nogil=True)
-def folded(values, even, odd):
-    """Fill ``even`` (c + 1, n) and ``odd`` (c, n) with sums and differences of opposite rows.
-
-    Rows of ``values`` (2 c + 1, n) have the indices -c to c.
-    """
-    centre = odd.shape[0]
-    even[0] = values[centre]
-    for k in range(centre):
-        one, other = values[centre + 1 + k], values[centre - 1 - k]
-        for j in range(values.shape[1]):
-            even[k + 1, j] = one[j] + other[j]
-            odd[k, j] = one[j] - other[j]
-
-
-@njit(cache=True, nogil=True)
-def refolded(even, odd, out_even, out_odd):
-    """Combine even and odd parts (m, 2 c + 1) of the first pass and fold them along the other axis.
-
-    ``even - i odd`` is the transform at +x and ``even + i odd`` that at -x. Columns of ``out_even``
-    (c + 1, 2 n) and ``out_odd`` (c, 2 n) hold both signs of x, in increasing order: first the real
-    parts, then the imaginary parts, so that later loops are vectorised.
-    """
-    centre, columns = out_odd.shape[0], out_even.shape[1] // 2
-    for i in range(even.shape[0]):
-        above, below = columns // 2 + i, (columns - 1) // 2 - i
-        a, b = even[i, centre], odd[i, centre]
-        out_even[0, above], out_even[0, columns + above] = a.real + b.imag, a.imag - b.real
-        out_even[0, below], out_even[0, columns + below] = a.real - b.imag, a.imag + b.real
-    for k in range(centre):
-        line, other = out_even[k + 1], out_odd[k]
-        for i in range(even.shape[0]):
-            above, below = columns // 2 + i, (columns - 1) // 2 - i
-            a, b = even[i, centre + 1 + k], odd[i, centre + 1 + k]
-            c, d = even[i, centre - 1 - k], odd[i, centre - 1 - k]
-            p, q = a + c, b + d
-            line[above], line[columns + above] = p.real + q.imag, p.imag - q.real
-            line[below], line[columns + below] = p.real - q.imag, p.imag + q.real
-            p, q = a - c, b - d
-            other[above], other[columns + above] = p.real + q.imag, p.imag - q.real
-            other[below], other[columns + below] = p.real - q.imag, p.imag + q.real
-
-
-@njit(cache=True, nogil=True)
-def split_squares(even, odd, scale, above, below):
-    """Fill ``above`` (m, n) with ``scale |even - i odd|^2``, ``below`` with that of the sum.
-
-    The sum is ``even + i odd``. Both are (m, 2 n), with the real parts in the first n columns. The
-    rows of ``below`` are in reverse order.
-    """
-    last, n = above.shape[0] - 1, above.shape[1]
-    for i in range(above.shape[0]):
-        up, down = above[i], below[last - i]
-        a, b, c, d = even[i, :n], even[i, n:], odd[i, :n], odd[i, n:]
-        for j in range(n):
-            real, imaginary = a[j] + d[j], b[j] - c[j]
-            up[j] = scale * (real * real + imaginary * imaginary)
-        for j in range(n):  # a loop of its own: with two outputs it is not vectorised
-            real, imaginary = a[j] - d[j], b[j] + c[j]
-            down[j] = scale * (real * real + imaginary * imaginary)
-
-
-@njit(cache=True, nogil=True)
 def _leak(s, width):
     """Evaluate `antialiased_disc.leak` for one distance ``s``, in periods, and a step width."""
     return 0.5 * math.erfc((0.5 - s) / width)
@@ -296,30 +174,3 @@ def least_period(least, widest, light, goal, error, distance, reach, edges, zone
         if high <= 1.01 * low or high == least:
             return high
         period = math.sqrt(low * high)
-
-
-@njit(cache=True, nogil=True)
-def block_maxima(intensity, first, pitch, line, strongest, far):
-    """Fill ``strongest`` (blocks, blocks) with the largest intensity in each block of an image.
-
-    ``far`` (blocks, blocks) is the largest distance of a block's samples from the origin, where
-    ``first`` (x, y) is the position of the sample [0, 0]. ``line`` (columns,) is overwritten.
-    """
-    ny, nx = intensity.shape
-    down, along = strongest.shape
-    for i in range(down):
-        top, bottom = (i * ny + down - 1) // down, ((i + 1) * ny - 1) // down
-        y = max(abs(first[1] + top * pitch), abs(first[1] + bottom * pitch))
-        line[:] = 0.0
-        for row in range(top, bottom + 1):
-            for column in range(nx):  # over whole rows, so that the compiler vectorises the loop
-                value = intensity[row, column]
-                line[column] = value if value > line[column] else line[column]
-        for j in range(along):
-            left, right = (j * nx + along - 1) // along, ((j + 1) * nx - 1) // along
-            x = max(abs(first[0] + left * pitch), abs(first[0] + right * pitch))
-            most = 0.0
-            for column in range(left, right + 1):
-                most = max(most, line[column])
-            strongest[i, j] = most
-            far[i, j] = math.hypot(x, y)

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from ..._vectors import read_only
 from ..wave.detilted import Residual
 from ..wave.polar_series import PolarSpectrum
 from ..wave.pupil_polynomials import polynomial_of
@@ -69,13 +69,10 @@ def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
     wave = residual.wavefront
     if wave.layout != "polar":
         return None
-    if residual.low is not None:
-        fit: tuple[Array, float] | None = residual.low.powers, residual.low.misfit
-    else:
-        rounding = 1e-14 * float(np.abs(residual.aberration).max())
-        threshold = max(1e-3 * tol / residual.wavenumber, rounding)
-        series = residual.polar_series[0]
-        fit = polynomial_of(series, residual.aberration, wave.obscuration, threshold)
+    rounding = 1e-14 * float(np.abs(residual.aberration).max())
+    threshold = max(1e-3 * tol / residual.wavenumber, rounding)
+    series = residual.polar_series[0]
+    fit = polynomial_of(series, residual.aberration, wave.obscuration, threshold)
     if fit is None:
         return None
     misfit = residual.wavenumber * fit[1]
@@ -133,14 +130,16 @@ class Rim(NamedTuple):
 
 def rim_of(residual: Residual, wave: SoftWave) -> Rim:
     """Return what the error of a wave's softened rim depends on."""
-    from ..wave import _wave_kernels
-
     pupil = residual.wavefront
     angle = 2 * math.pi * np.arange(24) / 24
-    du, dv = np.empty((2, CIRCLES.size, angle.size))
-    places = read_only(CIRCLES), read_only(np.cos(angle)), read_only(np.sin(angle))
-    _wave_kernels.slopes(wave.aberration, *places, np.empty((4, angle.size)), du, dv)
-    steepest = np.maximum(np.abs(du), np.abs(dv)).max(axis=1)
+    n = len(wave.aberration) - 1
+    u, v = (polynomial.polyvander(np.outer(CIRCLES, f(angle)), n) for f in (np.cos, np.sin))
+    factor = np.arange(1.0, n + 1)
+    slopes = [
+        np.sum((u[..., :-1] @ (factor[:, None] * wave.aberration[1:])) * v, axis=-1),
+        np.sum((u @ (factor * wave.aberration[:, 1:])) * v[..., :-1], axis=-1),
+    ]
+    steepest = np.abs(slopes).max(axis=(0, 2))
     landing = np.stack([CIRCLES, 2 / pupil.wavelength * steepest])
     edges = wave.strength / (1 - pupil.obscuration)
     reach = residual.rays.reach / residual.airy_unit
@@ -195,11 +194,9 @@ def block_maxima(
     strongest, far : ndarray, (blocks, blocks)
         At most 8 per side; ``far`` is a block's largest distance from the tilt's image point, m.
     """
-    from . import _antialiased_kernels
-
-    ny, nx = window.shape
-    strongest = np.empty((min(ny, 8), min(nx, 8)))
-    far = np.empty_like(strongest)
-    first = tuple(a - b for a, b in zip(window.first, residual.shift, strict=True))
-    _antialiased_kernels.block_maxima(intensity, first, window.pitch, np.empty(nx), strongest, far)
-    return strongest, far + math.sqrt(2) * half
+    starts = [np.arange(min(n, 8)) * n // min(n, 8) for n in window.shape]
+    strongest = np.maximum.reduceat(intensity, starts[0], axis=0)
+    strongest = np.maximum.reduceat(strongest, starts[1], axis=1)
+    axes = window.y - residual.shift[1], window.x - residual.shift[0]
+    far = [np.maximum.reduceat(np.abs(v), at) for v, at in zip(axes, starts, strict=True)]
+    return strongest, np.hypot(far[0][:, None], far[1]) + math.sqrt(2) * half

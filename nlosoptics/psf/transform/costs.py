@@ -31,23 +31,17 @@ def sum_over_nodes(n_nodes: float, window: Window) -> float:
     return CALL + 1.4e-7 * n_nodes + 3e-8 * _points(window)
 
 
-def polar_sum(residual: Residual, window: Window) -> float:
-    """Predict the seconds of ``quadrature``, including the aberration at its nodes."""
-    return sum_over_nodes(math.prod(quadrature.node_counts(residual, window)), window)
-
-
 def coarse_sum(coarse: quadrature.Coarse, window: Window) -> float:
     """Predict the seconds of ``fft`` for a wave on cells."""
     digits = -math.log10(coarse.epsilon)
     return 6e-4 + (3e-8 + 1e-9 * digits**2) * math.prod(coarse.counts) + 1.2e-8 * _points(window)
 
 
-def soft_grid(residual: Residual, window: Window, pupil_pitch: float, size: int) -> float:
-    """Predict the seconds of a polar wave resampled to a pupil grid and padded to ``size``."""
+def soft_grid(residual: Residual, window: Window, pupil_pitch: float) -> float:
+    """Predict the seconds of a polar wave resampled to a pupil grid."""
     n = grid_size(residual.wavefront.pupil_radius, pupil_pitch)
-    ny, nx = window.shape
-    each = 1.4e-7 if residual.is_uniform else 1.9e-7
-    return 1e-2 + each * n * n + 2.2e-8 * size * (n + nx) + 6e-9 * ny * nx
+    each = 1.1e-7 if residual.is_uniform else 1.6e-7
+    return 1e-2 + each * n * n + map_sums(n, window)
 
 
 def soft_padded(window: Window, grid: Grid) -> float:
@@ -55,18 +49,6 @@ def soft_padded(window: Window, grid: Grid) -> float:
     size = round(grid.period / window.pitch)
     columns = min(size, 2 * grid.centre) + window.shape[1]
     return CALL + 3e-8 * grid.radius**2 + 5e-10 * size * columns * math.log2(size)
-
-
-def soft_folded(window: Window, grid: Grid) -> float:
-    """Predict the seconds of a polynomial wave on a softened grid by matrix products."""
-    ny, nx = window.shape
-    return CALL + 3e-8 * grid.radius**2 + 1.5e-10 * grid.centre * nx * (2 * grid.centre + ny)
-
-
-def map_fft(residual: Residual, window: Window, size: int) -> float:
-    """Predict the seconds of the FFT of a grid wavefront padded to ``size``."""
-    n = len(residual.wavefront.u)
-    return CALL + 3.6e-8 * n * n + 1e-8 * size * (n + window.shape[1])
 
 
 def map_chirp(residual: Residual, window: Window) -> float:

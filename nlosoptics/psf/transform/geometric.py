@@ -8,7 +8,7 @@ Where rays cross, boxes overlap, so that no division by the Jacobian is needed.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ..._checks import fits_memory
 from ...errors import SamplingError
-from ..aperture.curves import cross
 from ..aperture.quadrature_nodes import gauss_legendre
 from ..wave.cell_series import NEAREST
 from ..wave.detilted import Residual
@@ -174,66 +173,76 @@ def _polar_boxes(residual: Residual, window: Window, share: float) -> Iterator[_
     r = wave.pupil_radius * np.sqrt(inner + (1 - inner) * np.append(fraction, 1.0))
     # width of the rings in r
     edges = np.sqrt(inner + (1 - inner) * np.append(0.0, np.cumsum(weights)))
-    ring = (wave.pupil_radius * np.diff(edges))[:, None]
-    arc = (2 * math.pi / n_theta) * r[:-1, None]
+    ring, arc = (wave.pupil_radius * np.diff(edges))[:, None], 2 * math.pi / n_theta
+    angle = arc * np.arange(n_theta)
+    outward = np.stack([np.cos(angle), np.sin(angle)])
+    around = r[:-1, None] * np.stack([-outward[1], outward[0]])[:, None]
     over_r = [np.gradient(a, r, axis=0)[:-1] for a in (rays.x, rays.y)]
-    over_arc = [
-        ((np.roll(a, -1, axis=1) - np.roll(a, 1, axis=1))[:-1]) / (2 * arc)
-        for a in (rays.x, rays.y)
+    over_angle = [
+        (np.roll(a, -1, axis=1) - np.roll(a, 1, axis=1))[:-1] / (2 * arc) for a in (rays.x, rays.y)
     ]
-    width_x, width_y = (np.hypot(a * ring, b * arc) for a, b in zip(over_r, over_arc, strict=True))
-    angle = 2 * math.pi * np.arange(n_theta) / n_theta
-    c, t = np.cos(angle), np.sin(angle)
-    d = wave.image_distance
-    uu, uv, vv = (
-        (c * over_r[0] - t * over_arc[0]) / d,
-        (t * over_r[0] + c * over_arc[0]) / d,
-        (t * over_r[1] + c * over_arc[1]) / d,
-    )
-    doubt = abs(d) * residual.series.truncation() * residual.series.n_r / wave.pupil_radius
-    yield _Boxes(
-        rays.x[:-1].ravel(),
-        rays.y[:-1].ravel(),
-        width_x.ravel(),
-        width_y.ravel(),
-        _blur(residual, uu.ravel(), uv.ravel(), vv.ravel(), doubt),
-        rays.energy[:-1].ravel(),
-    )
+    doubt = residual.series.truncation() * residual.series.n_r / wave.pupil_radius
+    places = rays.x[:-1], rays.y[:-1], rays.energy[:-1]
+    yield _mesh_boxes(residual, places, (over_r, over_angle), (outward, around), (ring, arc), doubt)
 
 
 def _cell_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
     """Yield the boxes of the cells of a fine mesh on every patch of an aperture."""
-    wave, aperture = residual.wavefront, residual.aperture
+    aperture = residual.aperture
     n = patch_rays(residual, window, share)
     n_patches = len(residual.aberration)
     fits_memory(f"{n_patches} x {n} x {n} rays", 400.0 * n_patches * n * n, "use a wider pitch")
     rays = residual.traced(n_patches, n, n)
     fraction, weights = gauss_legendre(n)
     s, t = np.concatenate([[NEAREST], fraction, [1.0]]), np.concatenate([[0.0], fraction, [1.0]])
-    _, along_s, along_t = (a[:, 1:-1, 1:-1] for a in aperture.map(s, t))
     inner = np.s_[:, 1:-1, 1:-1]
-    over_s = [np.gradient(a, s, axis=1)[inner] for a in (rays.x, rays.y)]
-    over_t = [np.gradient(a, t, axis=2)[inner] for a in (rays.x, rays.y)]
-    width_x, width_y = (
-        np.hypot(a * weights[:, None], b * weights) for a, b in zip(over_s, over_t, strict=True)
-    )
-    d = wave.image_distance
-    scale = d * cross(along_s, along_t)
-    uu, uv, vv = (
-        (over_s[0] * along_t[..., 1] - over_t[0] * along_s[..., 1]) / scale,
-        (over_t[0] * along_s[..., 0] - over_s[0] * along_t[..., 0]) / scale,
-        (over_t[1] * along_s[..., 0] - over_s[1] * along_t[..., 0]) / scale,
+    pupil = [np.moveaxis(a[inner], -1, 0) for a in aperture.map(s, t)[1:]]
+    over_s, over_t = (
+        [np.gradient(a, at, axis=axis)[inner] for a in (rays.x, rays.y)]
+        for axis, at in ((1, s), (2, t))
     )
     most, least = max(residual.aberration.shape[1:]), min(aperture.patch_size)
-    doubt = abs(d) * residual.series.truncation() * most / least
-    yield _Boxes(
-        rays.x[inner].ravel(),
-        rays.y[inner].ravel(),
-        width_x.ravel(),
-        width_y.ravel(),
-        _blur(residual, uu.ravel(), uv.ravel(), vv.ravel(), doubt),
-        rays.energy[inner].ravel(),
+    doubt = residual.series.truncation() * most / least
+    places = rays.x[inner], rays.y[inner], rays.energy[inner]
+    yield _mesh_boxes(residual, places, (over_s, over_t), pupil, (weights[:, None], weights), doubt)
+
+
+def _mesh_boxes(
+    residual: Residual,
+    places: Sequence[Array],
+    over: Sequence[Sequence[Array]],
+    pupil: Sequence[Array],
+    sides: Sequence[Array | float],
+    doubt: float,
+) -> _Boxes:
+    """Return the boxes of the cells of a mesh with coordinates s and t.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave without piston and tilt.
+    places : (x, y, energy)
+        Landing points, m, and energies of the rays.
+    over : ((dx/ds, dy/ds), (dx/dt, dy/dt))
+        Derivatives of the landing points.
+    pupil : (along_s, along_t)
+        Derivatives (2, ...) of the pupil point (u, v).
+    sides : (ds, dt)
+        Sides of the cells.
+    doubt : float
+        Error of a slope, rad.
+    """
+    (x_s, y_s), (x_t, y_t) = over
+    (u_s, v_s), (u_t, v_t) = pupil
+    d = residual.wavefront.image_distance
+    scale = d * (u_s * v_t - v_s * u_t)
+    uu, uv, vv = (x_s * v_t - x_t * v_s, x_t * u_s - x_s * u_t, y_t * u_s - y_s * u_t)
+    uu, uv, vv = ((bend / scale).ravel() for bend in (uu, uv, vv))
+    x, y, energy = (part.ravel() for part in places)
+    width_x, width_y = (
+        np.hypot(a * sides[0], b * sides[1]).ravel() for a, b in ((x_s, x_t), (y_s, y_t))
     )
+    return _Boxes(x, y, width_x, width_y, _blur(residual, uu, uv, vv, abs(d) * doubt), energy)
 
 
 def patch_rays(residual: Residual, window: Window, share: float = 1.0) -> int:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import lru_cache
 from typing import Final, Literal
 
-from ..._checks import lasting, one_of
-from ...errors import SamplingError, SceneError
+from ..._checks import one_of
+from ...errors import SceneError
 from ..wave.detilted import Residual
 from ..wave.regime import Regime
-from ..window.error_bounds import rounded_up
 from ..window.window import peak_pixel
-from . import geometric, high_aperture
+from . import high_aperture, nufft
 from .high_aperture import Polarisation
 from .runners import Result, Task, transform
-from .selection import MANY_WAVES, automatic
+from .selection import automatic
 
 Model = Literal["auto", "scalar", "high-aperture"]
 MODELS: Final = ("auto", "scalar", "high-aperture")
@@ -28,28 +27,6 @@ WIDE: Final = 2.0
 IDEAL, ABERRATED = 0.17, 0.5
 #: Factor from an estimate of the scalar model's error to its bound.
 MARGIN: Final = 1.25
-
-
-@dataclass(frozen=True, eq=False)
-class Modelled:
-    """Result of a model, with its error.
-
-    Parameters
-    ----------
-    result : Result
-        Intensity and numerical error.
-    reason : str
-        One line: why this method and this model were used.
-    model : {"scalar", "high-aperture"}
-        Model of diffraction.
-    model_error : float
-        Upper bound of the scalar model's error relative to the peak; 0 for the high-aperture model.
-    """
-
-    result: Result
-    reason: str
-    model: str
-    model_error: float
 
 
 def check_model(model: Model, method: str, polarisation: Polarisation) -> Polarisation:
@@ -93,13 +70,13 @@ def modelled(
     polarisation: Polarisation,
     normalisation: str,
     max_seconds: float,
-) -> Modelled:
+) -> Result:
     """Compute a point spread by the scalar model, or by the high-aperture one where tol needs it.
 
     Parameters
     ----------
     task : Task
-        Wave and window.
+        Wave and window, for the scalar model.
     kind : Regime
         Regime of the wave.
     method, model, normalisation
@@ -108,55 +85,24 @@ def modelled(
         As returned by `check_model`.
     max_seconds : float
         Limit of the predicted run time on one core.
-
-    Returns
-    -------
-    Modelled
     """
+
+    def run(task: Task) -> Result:
+        if method == "auto":
+            return automatic(task, kind, max_seconds)
+        return replace(transform(task, method), reason=f"{method} was requested")
+
     why = "the high-aperture model was requested"
     if model == "auto" and not isinstance(polarisation, str):
         why = "the high-aperture model, since the wave is polarised"
     elif model != "high-aperture":
-        if method == "auto":
-            result, reason = automatic(task, kind, max_seconds)
-        else:
-            result, reason = transform(task, method), f"{method} was requested"
+        result = run(task)
         error = scalar_model_error(task, result, normalisation)
         if model == "scalar" or method != "auto" or error <= task.tol:
-            return Modelled(result, reason, "scalar", error)
+            return replace(result, model="scalar", model_error=error)
         why = f"the high-aperture model, since the scalar model errs by {error:.2g}"
-    result = _high_aperture(task, kind, method, polarisation, max_seconds)
-    return Modelled(result, f"{result.method} of {why}", "high-aperture", 0.0)
-
-
-def _high_aperture(
-    task: Task, kind: Regime, method: str, polarisation: Polarisation, max_seconds: float
-) -> Result:
-    """Run the high-aperture model, by rays if ``auto`` may take them and they reach tol."""
-    if method != "auto":
-        return high_aperture.transform(task, method, polarisation)
-    seconds = high_aperture.predicted_seconds(task, polarisation)
-    rays = task.rule is not None and kind.peak_to_valley > MANY_WAVES
-    if rays and geometric.least_error(task.residual, task.pitch) <= task.tol:
-        result = high_aperture.transform(task, "geometric", polarisation)
-        if result.error <= task.tol:
-            return result
-    ny, nx = task.samples.shape
-    if seconds > max_seconds:
-        raise SamplingError(
-            f"the high-aperture model to {ny} x {nx} samples would take about {lasting(seconds)}, "
-            f"limit max_seconds = {max_seconds:g}; use max_seconds = {rounded_up(seconds)}, a "
-            "smaller shape, or model='scalar'"
-        )
-    result = high_aperture.transform(task, "auto", polarisation)
-    if result.error > task.tol:
-        counts = " x ".join(map(str, task.residual.wavefront.u.shape))
-        raise SamplingError(
-            f"the high-aperture model has an error of {result.error:.2g}, limit tol = "
-            f"{task.tol:g}; use tol = {rounded_up(result.error)}, or more pupil nodes (now "
-            f"{counts})"
-        )
-    return result
+    result = run(replace(task, polarisation=polarisation))
+    return replace(result, reason=f"{why}; {result.reason}")
 
 
 def scalar_model_error(task: Task, result: Result, normalisation: str) -> float:
@@ -229,8 +175,7 @@ def plane_levels(residual: Residual) -> tuple[float, float]:
     distance = wave.image_distance
     if wave.layout == "cells" and residual.is_uniform:
         return high_aperture.cell_levels(residual.aperture, *wave.u.shape[1:], distance)
-    nodes = high_aperture.own_nodes(residual)
-    return high_aperture.levels(distance, nodes, nodes.weights(distance, "unpolarised"))
+    return high_aperture.levels(nufft.own_nodes(residual), distance, "unpolarised")
 
 
 @lru_cache(maxsize=64)

@@ -6,6 +6,8 @@ Each node, or traced ray, has the weight amplitude times area.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 
 import ducc0
 import numpy as np
@@ -27,9 +29,48 @@ BEST, FAST = 2e-13, 1e-8
 COARSEST = 1e-3
 
 
-def epsilon(n_nodes: int, window: Window, tol: float) -> float:
-    """Return the relative accuracy to request of the transform: the best one if it is cheap."""
-    if n_nodes + window.shape[0] * window.shape[1] <= SMALL:
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Pupil nodes of a sum; all arrays have one shape.
+
+    Parameters
+    ----------
+    u, v, path : ndarray
+        Coordinates and residual aberration, m.
+    amplitude, areas : ndarray
+        Amplitude, and the area that each node represents, m^2.
+    """
+
+    u: Array
+    v: Array
+    path: Array
+    amplitude: Array
+    areas: Array
+
+    @cached_property
+    def total(self) -> float:
+        """Integral of the amplitude, m^2."""
+        return float(np.sum(self.amplitude * self.areas))
+
+    @cached_property
+    def share(self) -> Array:
+        """Contribution of each node to the ideal peak of the field, sum 1."""
+        return self.amplitude * self.areas / self.total
+
+    @cached_property
+    def energies(self) -> Array:
+        """Squared amplitude times area of each node, m^2."""
+        return self.amplitude**2 * self.areas
+
+    @cached_property
+    def energy(self) -> float:
+        """Integral of the squared amplitude, m^2."""
+        return float(np.sum(self.energies))
+
+
+def epsilon(n_nodes: int, window: Window, tol: float, components: int = 1) -> float:
+    """Return the relative accuracy to request of transforms: the best one if they are cheap."""
+    if components * (n_nodes + window.shape[0] * window.shape[1]) <= SMALL:
         return BEST
     return max(min(FAST, tol / 100), BEST)
 
@@ -39,46 +80,46 @@ def n_bytes(n_nodes: int, window: Window) -> float:
     return 100.0 * n_nodes + 64.0 * window.shape[0] * window.shape[1]
 
 
-def image_field(
+def check_memory(counts: tuple[int, ...], window: Window) -> None:
+    """Refuse a sum over nodes of a shape ``counts`` to a window that does not fit into memory."""
+    fits_memory(
+        f"the sum over {' x '.join(map(str, counts))} nodes to {window.shape[0]} x "
+        f"{window.shape[1]} points",
+        n_bytes(math.prod(counts), window),
+        "use a smaller shape",
+    )
+
+
+def field(
     residual: Residual,
-    u: Array,
-    v: Array,
-    path: Array,
-    size: Array,
+    nodes: Nodes,
     window: Window,
-    epsilon: float,
+    epsilon: float = BEST,
+    weight: Array | float = 1.0,
 ) -> ComplexArray:
-    """Compute ``sum size exp(ik path) exp(-2 pi i x.p/(lambda d))`` at the points of a window.
+    """Compute ``sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))`` over nodes at points of a window.
 
     Parameters
     ----------
     residual : Residual
         Wave, for the wavelength, the image distance and the tilt's shift, from which x is counted.
-    u, v, path, size : ndarray
-        Nodes and aberration, m, and weights; all of one shape.
+    nodes : Nodes
+        Pupil nodes.
     window : Window
         Image points x.
     epsilon : float
         Requested error of the transform, relative in the rms sense.
+    weight : ndarray or float
+        Further factor of each node.
 
     Returns
     -------
     ndarray of complex, (ny, nx)
+        1 at the reference point without aberration, for a ``weight`` of 1.
     """
-    points, coord = node_phasors(residual, u, v, path, size, window)
-    image = np.empty(window.shape, dtype=np.complex128)
-    ducc0.nufft.nu2u(
-        points=points, coord=coord, forward=True, epsilon=epsilon, nthreads=1, out=image
-    )
-    return image
-
-
-def node_phasors(
-    residual: Residual, u: Array, v: Array, path: Array, size: Array, window: Window
-) -> tuple[ComplexArray, Array]:
-    """Return the points (n,) and coordinates (n, 2) of the transform in `image_field`."""
     from ..wave import _wave_kernels
 
+    check_memory(nodes.u.shape, window)
     wave = residual.wavefront
     per_metre = 1 / (wave.wavelength * wave.image_distance)
     # The transform's modes run from -n//2, so its mode 0 is sample n//2.
@@ -86,83 +127,34 @@ def node_phasors(
         per_metre * (shift - first - (n // 2) * window.pitch)
         for shift, first, n in zip(residual.shift, window.first, window.shape[::-1], strict=True)
     )
-    points = np.empty(u.size, dtype=np.complex128)
-    nodes = (read_only(part.ravel()) for part in (u, v, path, size))
-    _wave_kernels.tilted_wave(*nodes, along, across, 1 / wave.wavelength, points)
-    coord = np.empty((u.size, 2))
-    coord[:, 0], coord[:, 1] = v.ravel(), u.ravel()
+    points = np.empty(nodes.u.size, dtype=np.complex128)
+    parts = nodes.u, nodes.v, nodes.path, nodes.share * weight
+    _wave_kernels.tilted_wave(
+        *(read_only(part.ravel()) for part in parts), along, across, 1 / wave.wavelength, points
+    )
+    coord = np.empty((nodes.u.size, 2))
+    coord[:, 0], coord[:, 1] = nodes.v.ravel(), nodes.u.ravel()
     coord *= 2 * math.pi * window.pitch * per_metre
-    return points, coord
+    image = np.empty(window.shape, dtype=np.complex128)
+    ducc0.nufft.nu2u(
+        points=points, coord=coord, forward=True, epsilon=epsilon, nthreads=1, out=image
+    )
+    return image
 
 
-def field(residual: Residual, window: Window, epsilon: float = BEST) -> ComplexArray:
-    """Return the image field (ny, nx) of the wavefront's own nodes.
-
-    It is 1 at the reference point without aberration.
-    """
+def own_nodes(residual: Residual) -> Nodes:
+    """Return the lit nodes of the wave, (n,)."""
     wave = residual.wavefront
-    size = wave.amplitude * wave.weights
-    lit = size > 0
-    count = int(np.count_nonzero(lit))
-    fits_memory(
-        f"the sum over {count} nodes to {window.shape[0]} x {window.shape[1]} points",
-        n_bytes(count, window),
-        "use a smaller shape",
-    )
-    return image_field(
-        residual,
-        wave.u[lit],
-        wave.v[lit],
-        residual.aberration[lit],
-        size[lit] / residual.amplitude_sum,
-        window,
-        epsilon,
-    )
+    lit = wave.amplitude * wave.weights > 0
+    parts = wave.u, wave.v, residual.aberration, wave.amplitude, wave.weights
+    return Nodes(*(part[lit] for part in parts))
 
 
-def reference(
-    residual: Residual, window: Window, epsilon: float
-) -> tuple[ComplexArray, float, float, float]:
-    """Compute a reference field for scattered nodes, to estimate their error.
-
-    The wave is interpolated to polar nodes of the round or annular pupil that it samples.
-
-    Parameters
-    ----------
-    residual : Residual
-        Wave on scattered nodes.
-    window : Window
-        Image points.
-    epsilon : float
-        Requested error of the transform, relative in the rms sense.
-
-    Returns
-    -------
-    field : ndarray of complex, (ny, nx)
-        1 at the reference point without aberration.
-    total, energy : float
-        Integrals of the amplitude and of its square, m^2.
-    doubt : float
-        Error of the field due to the interpolation.
-    """
-    u, v_, weights, path, amplitude, doubt = reference_nodes(residual, window)
-    total = float(np.sum(amplitude * weights))
-    share = amplitude * weights / total
-    image = image_field(residual, u, v_, path, share, window, epsilon)
-    energy = float(np.sum(amplitude**2 * weights))
-    return image, total, energy, residual.wavenumber * float(np.sum(share * doubt))
-
-
-def reference_nodes(
-    residual: Residual, window: Window
-) -> tuple[Array, Array, Array, Array, Array, Array]:
+def reference_nodes(residual: Residual, window: Window) -> tuple[Nodes, float]:
     """Return polar nodes of the pupil that scattered nodes sample, as many as a window needs.
 
-    Returns
-    -------
-    u, v, weights, path, amplitude, doubt : ndarray, (n,)
-        Coordinates, m, areas, m^2, interpolated aberration, m, and amplitude, and the error of the
-        aberration, m.
+    The wave is interpolated to the round or annular pupil. The second result is the error of the
+    field due to the interpolation, relative to its ideal peak.
     """
     wave = residual.wavefront
     v = math.pi * math.hypot(*window.reach_from(residual.shift)) / residual.airy_unit
@@ -174,4 +166,6 @@ def reference_nodes(
         600.0 * n_r * n_theta + n_bytes(0, window),
         "use a smaller shape",
     )
-    return residual.local.on_polar(wave, n_r, n_theta)
+    u, v_, areas, path, amplitude, doubt = residual.local.on_polar(wave, n_r, n_theta)
+    nodes = Nodes(u, v_, path, amplitude, areas)
+    return nodes, residual.wavenumber * float(np.sum(nodes.share * doubt))

@@ -26,10 +26,9 @@ from ..window.window import (
     shape_of,
     window_side,
 )
-from . import fft
 from .high_aperture import Polarisation, check_cone
 from .models import Model, check_model, modelled
-from .runners import Task
+from .runners import ABLE, Task
 
 Array = NDArray[np.float64]
 Method = Literal["auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric"]
@@ -162,7 +161,7 @@ class PointSpread(Noun, Shown, Labelled):
 
 
 def point_spread(
-    wavefront: Wavefront,
+    wavefront: Wavefront | Residual,
     *,
     method: Method = "auto",
     tol: float = 1e-3,
@@ -187,13 +186,13 @@ def point_spread(
 
         - ``quadrature`` integrates over the pupil by Gauss quadrature, for the layouts "polar" and
           "cells". It uses as many points as the window requires.
-        - ``fft`` is an FFT of the zero-padded pupil. A wave of the layout "polar" is first
-          resampled to a grid that is fine enough for ``tol``; one of the layout "cells" is summed
-          over as few points as ``tol`` allows.
-        - ``mdft`` is a matrix or chirp transform of a grid, for any pitch; not for the layout
-          "cells".
-        - ``nufft`` is a non-uniform FFT of the given sample points of any layout, such as traced
-          rays.
+        - ``fft`` transforms as few samples of the pupil as ``tol`` allows: for the layout "polar"
+          by FFTs of a grid with a softened rim, for "cells" by a non-uniform FFT; for "grid" it is
+          ``mdft``.
+        - ``mdft`` is a chirp transform of a grid, for any pitch; a wave of the layout "polar" is
+          first resampled to a grid. Not for the layout "cells".
+        - ``nufft`` is a non-uniform FFT of scattered sample points, such as traced rays; for other
+          layouts it is ``quadrature`` or ``mdft``.
         - ``airy`` is the closed form of a wave without aberration.
         - ``geometric`` is the density of rays in the image, without diffraction; ``auto`` tries it
           for more than 20 wavelengths of aberration with ``pixel_integrated``.
@@ -203,14 +202,14 @@ def point_spread(
         if its ``error_estimate`` is larger.
     pitch : float, optional
         Distance between image samples, or pixel side, m. Default lambda N/4, with the wavelength
-        lambda and the F-number N; for ``fft`` of a wave on a grid, the pitch just below lambda N/2
-        for which the FFT is fast.
+        lambda and the F-number N; for ``fft`` of a wave on a grid, lambda N/2 or just below, a
+        whole fraction of the image's period.
     shape : int or (int, int), optional
         Samples or pixels (ny, nx); one number means a square. By default
 
         - at least 256 per side, enough for all rays and a margin of 16 lambda N for diffraction,
         - with ``pixel_integrated``, the size that `window_shape` returns,
-        - for ``fft`` of a wave on a grid without a pitch, the full period of the FFT.
+        - for ``fft`` of a wave on a grid without a pitch, the full period of the image.
 
         All rays must arrive inside the window. There are exceptions, which accept any window if
         given as ``method``: ``quadrature``, ``nufft`` and, for the layout "grid", ``mdft``.
@@ -309,57 +308,17 @@ def point_spread(
     >>> print(f"{spread.model}: {row[34]:.2f} along x, {column[34]:.2f} along y")
     high-aperture: 0.58 along x, 0.51 along y
     """
-    wavefront = expect("wavefront", wavefront, "Wavefront")
+    if isinstance(wavefront, Residual):
+        residual = wavefront
+    else:
+        residual = split(expect("wavefront", wavefront, "Wavefront"))
+    wave = residual.wavefront
     one_of("method", method, METHODS)
     one_of("normalisation", normalisation, NORMALISATIONS)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     if max_seconds is not None:
         positive("max_seconds", max_seconds, unit="s")
     polarisation = check_model(model, method, polarisation)
-    return detilted_point_spread(
-        split(wavefront),
-        method=method,
-        tol=tol,
-        pitch=pitch,
-        shape=shape,
-        normalisation=normalisation,
-        pixel_integrated=pixel_integrated,
-        max_seconds=max_seconds,
-        model=model,
-        polarisation=polarisation,
-    )
-
-
-def detilted_point_spread(
-    residual: Residual,
-    *,
-    method: Method = "auto",
-    tol: float = 1e-3,
-    pitch: float | None = None,
-    shape: int | tuple[int, int] | None = None,
-    normalisation: Normalisation = "unit-sum",
-    pixel_integrated: bool = False,
-    max_seconds: float | None = None,
-    model: Model = "scalar",
-    polarisation: Polarisation = "unpolarised",
-) -> PointSpread:
-    """Compute the point spread function of a wave already split into piston, tilt and residual.
-
-    Parameters
-    ----------
-    residual : Residual
-        Result of `split`, which several point spreads of one wave can share.
-    method, tol, pitch, shape, normalisation, pixel_integrated, max_seconds
-        Options of `point_spread`, already checked.
-    model, polarisation
-        Options as returned by `check_model`. The default is the scalar model, to which rough walls,
-        lobes and tails are added.
-
-    Returns
-    -------
-    PointSpread
-    """
-    wavefront = residual.wavefront
     check_cone(residual)
     pitch, shape = _sampling(residual, method, tol, pitch, shape, pixel_integrated)
     if not pixel_integrated and normalisation != "ideal-peak":
@@ -378,11 +337,10 @@ def detilted_point_spread(
     )
     kind = regime(residual, pitch)
     longest = seconds_limit(60.0) if max_seconds is None else max_seconds
-    found = modelled(task, kind, method, model, polarisation, normalisation, longest)
-    result = found.result
+    result = modelled(task, kind, method, model, polarisation, normalisation, longest)
     scale = 1.0
     if normalisation != "ideal-peak":
-        scale = result.level * (wavefront.flux if normalisation == "flux" else 1.0)
+        scale = result.level * (wave.flux if normalisation == "flux" else 1.0)
     intensity = np.ascontiguousarray(result.mean if scale == 1.0 else result.mean * scale)
     intensity.setflags(write=False)  # PointSpread then keeps it without a copy
     return PointSpread(
@@ -391,14 +349,14 @@ def detilted_point_spread(
         method=result.method,
         error_estimate=result.error,
         normalisation=normalisation,
-        wavelength=wavefront.wavelength,
-        f_number=wavefront.f_number,
+        wavelength=wave.wavelength,
+        f_number=wave.f_number,
         pixel_integrated=pixel_integrated,
         enclosed_energy=float(np.sum(result.mean)) * result.level,
         regime=kind,
-        reason=found.reason,
-        model=found.model,
-        model_error=found.model_error,
+        reason=result.reason,
+        model=result.model,
+        model_error=result.model_error,
     )
 
 
@@ -411,16 +369,12 @@ def _model_figure(model: str, error: float) -> str:
 
 def _check_part(residual: Residual, method: str, pitch: float, shape: tuple[int, int]) -> None:
     """Refuse a window that loses rays, unless a method that sums the field at points is named."""
-    layout = residual.wavefront.layout
-    sums = {
-        "polar": ("quadrature", "nufft"),
-        "cells": ("quadrature", "nufft"),
-        "grid": ("mdft", "nufft"),
-        "scattered": ("nufft",),
-    }[layout]
-    if method not in sums:
-        remedy = f", or method='{sums[0]}', which computes any part of the image"
-        check_rays(residual, pitch, shape, remedy)
+    sums = ABLE[residual.wavefront.layout]
+    if method == "nufft" or method == sums[0]:
+        return
+    check_rays(
+        residual, pitch, shape, f", or method='{sums[0]}', which computes any part of the image"
+    )
 
 
 def _sampling(
@@ -435,8 +389,10 @@ def _sampling(
     if pitch is not None:
         pitch = in_range("pitch", pitch, 1e-100, 1e100, unit="m")
     elif method == "fft" and residual.wavefront.layout == "grid" and not pixel_integrated:
-        size = fft.default_size(residual)
-        pitch = fft.image_pitch(residual, size)
+        # twice the pupil, or slightly more: a whole number of samples per period
+        wave = residual.wavefront
+        size = math.ceil(4 * residual.half_width / wave.pupil_pitch - 1e-9)
+        pitch = wave.wavelength * abs(wave.image_distance) / (size * wave.pupil_pitch)
         if shape is None:
             return pitch, (size, size)
     else:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import fits_memory
 from ..wave.detilted import Residual
 from ..window.window import Window
 from . import nufft
@@ -17,74 +16,40 @@ if TYPE_CHECKING:
     from ..wave.cell_series import CellSpectrum
 
 Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 #: Semi-axis sums of the ellipses on which `Coarse` bounds a wave.
 RHO = 1 + np.geomspace(0.02, 20.0, 48)
+#: Error of nodes, and phase of a series term, rad, that are at the level of rounding.
+NEGLIGIBLE = 1e-15
 #: Largest error of nodes that is wanted: coarser nodes save no time.
 MOST = 1e-2
 #: Airy units about the rays within which an image may be as bright as its peak.
 BRIGHT = 2.0
 
 
-def node_counts(residual: Residual, window: Window, threshold: float = 1e-15) -> tuple[int, ...]:
+def node_counts(residual: Residual, window: Window) -> tuple[int, ...]:
     """Return the shape of the nodes for which the quadrature has converged to rounding error.
 
     With v the largest phase change across the radius, ``0.29 v + 7`` Gauss-Legendre radii and
     ``v + 12 v^(1/3)`` angles integrate exp(i v rho cos) to 3e-15. The degrees of the aberration's
-    own series are added; terms below ``threshold``, rad, are ignored. For cells see `cell_counts`.
+    own series are added; terms below `NEGLIGIBLE` are ignored. For cells the bound of
+    `growth` is at most `NEGLIGIBLE`.
     """
     wave = residual.wavefront
     r_max = math.hypot(*window.reach_from(residual.shift))
-    slope = r_max / abs(wave.image_distance) + residual.rays.slope
     if wave.layout == "cells":
-        return cell_counts(residual, slope, threshold)
+        counts = _cell_counts(residual, growth(residual), [r_max], [NEGLIGIBLE])
+        return len(wave.u), *np.maximum(counts, wave.u.shape[1:]).tolist()
+    slope = r_max / abs(wave.image_distance) + residual.rays.slope
     v = residual.wavenumber * slope * wave.pupil_radius
-    degree_r, degree_theta = residual.degrees(threshold / residual.wavenumber)
+    degree_r, degree_theta = residual.degrees(NEGLIGIBLE / residual.wavenumber)
     if not residual.is_uniform:
-        more_r, more_theta = residual.amplitude_series.degrees(threshold)
+        more_r, more_theta = residual.amplitude_series.degrees(NEGLIGIBLE)
         degree_r, degree_theta = degree_r + more_r, degree_theta + more_theta
     n_r, n_theta = wave.u.shape
     return (
         max(n_r, math.ceil(0.29 * v + 7 + degree_r)),
         max(n_theta, math.ceil(v + 12 * v ** (1 / 3) + degree_theta)),
     )
-
-
-def cell_counts(residual: Residual, slope: float, threshold: float) -> tuple[int, int, int]:
-    """Return the shape of the nodes of cells for which the quadrature has converged.
-
-    With v the phase along the longest line of any patch, ``v/4 + 3.1 v^(1/3) + 6`` Gauss-Legendre
-    nodes integrate exp(i v s) to 1e-15. Half the degree of the aberration's series is added.
-
-    Parameters
-    ----------
-    residual : Residual
-        Wave on cells.
-    slope : float
-        Largest slope dW/du of the whole phase, that of the image points included, rad.
-    threshold : float
-        Phase below which terms of the series are ignored, rad.
-
-    Returns
-    -------
-    (int, int, int)
-        Patches, and nodes along both sides of each.
-    """
-    n_patches = len(residual.aberration)
-    degrees = residual.degrees(threshold / residual.wavenumber)
-    if not residual.is_uniform:
-        more = residual.amplitude_series.degrees(threshold)
-        degrees = degrees[0] + more[0], degrees[1] + more[1]
-    counts = [
-        max(own, math.ceil(v / 4 + 3.1 * v ** (1 / 3) + 6 + degree / 2))
-        for own, degree, v in zip(
-            residual.wavefront.u.shape[1:],
-            degrees,
-            (residual.wavenumber * slope * size for size in residual.aperture.patch_size),
-            strict=True,
-        )
-    ]
-    return n_patches, counts[0], counts[1]
 
 
 class Coarse(NamedTuple):
@@ -168,55 +133,28 @@ def coarse(residual: Residual, window: Window, tol: float, peak: float, dark: fl
     farthest = math.hypot(*window.reach_from(residual.shift))
     bright = min(residual.rays.reach + BRIGHT * residual.airy_unit, farthest)
     own = growth(residual)
-    largest = _image_growth(residual, np.array([bright, farthest])) + own[:, None]
-    largest -= np.log([[core / 2], [edge / 2]])
-    along_s, along_t = np.ceil(np.min(largest / (2 * np.log(RHO)), axis=2).max(axis=1))
+    counts = _cell_counts(residual, own, [bright, farthest], [core / 2, edge / 2])
     epsilon = min(max(tol / 4, nufft.BEST), nufft.COARSEST)
-    return Coarse((len(residual.aberration), int(along_s), int(along_t)), own, core, epsilon)
+    return Coarse((len(residual.aberration), *counts), own, core, epsilon)
 
 
-def epsilon(residual: Residual, window: Window, tol: float) -> float:
-    """Return the relative accuracy to request of the transform: the best one if it is cheap."""
-    return nufft.epsilon(math.prod(node_counts(residual, window)), window, tol)
+def _cell_counts(
+    residual: Residual, growth: Array, distances: list[float], errors: list[float]
+) -> tuple[int, int]:
+    """Return the nodes along s and t for errors of at most ``errors`` at image distances, m."""
+    largest = _image_growth(residual, np.array(distances)) + growth[:, None]
+    largest -= np.log(errors)[:, None]
+    along_s, along_t = np.ceil(np.min(largest / (2 * np.log(RHO)), axis=2).max(axis=1))
+    return int(along_s), int(along_t)
 
 
-def n_bytes(residual: Residual, window: Window) -> float:
-    """Return the peak memory of `field`, bytes."""
-    return nufft.n_bytes(math.prod(node_counts(residual, window)), window)
-
-
-def field(
-    residual: Residual,
-    window: Window,
-    epsilon: float = nufft.BEST,
-    counts: tuple[int, ...] | None = None,
-) -> ComplexArray:
-    """Return the image field (ny, nx), 1 at the reference point without aberration.
-
-    ``sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))``, with the tilt applied as a shift of x.
-    ``epsilon`` is the requested error of the transform, relative in the rms sense; ``counts`` is
-    the shape of the nodes, by default that of `node_counts`.
-    """
-    counts = counts or node_counts(residual, window)
-    fits_memory(
-        f"quadrature over {' x '.join(map(str, counts))} nodes to {window.shape[0]} x "
-        f"{window.shape[1]} points",
-        n_bytes(residual, window),
-        "use a smaller shape, or method='fft'",
-    )
-    return nufft.image_field(residual, *pupil_nodes(residual, counts), window, epsilon)
-
-
-def pupil_nodes(residual: Residual, counts: tuple[int, ...]) -> tuple[Array, Array, Array, Array]:
-    """Return u, v, the residual aberration, all m, and the weights, of sum 1, on nodes.
-
-    ``counts`` is the shape of the nodes; the weights include the amplitude.
-    """
-    u, v, weights = residual.wavefront.nodes(*counts)
-    path = np.zeros_like(u)
-    if np.any(residual.aberration):
+def nodes(residual: Residual, window: Window, counts: tuple[int, ...]) -> nufft.Nodes:
+    """Return nodes of a polar or cells wave of the shape ``counts``, for a sum to a window."""
+    nufft.check_memory(counts, window)
+    u, v, areas = residual.wavefront.nodes(*counts)
+    path, amplitude = np.zeros_like(u), np.ones_like(u)
+    if not residual.is_plane:
         path = residual.series.at_nodes(*counts)
-    if residual.is_uniform:
-        return u, v, path, weights / weights.sum()
-    amplitude = residual.amplitude_series.at_nodes(*counts)
-    return u, v, path, amplitude * weights / residual.amplitude_sum
+    if not residual.is_uniform:
+        amplitude = residual.amplitude_series.at_nodes(*counts)
+    return nufft.Nodes(u, v, path, amplitude, areas)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -22,20 +22,25 @@ from . import (
     airy,
     antialiased_fft,
     antialiased_pupil,
-    fft,
     geometric,
+    high_aperture,
     mdft,
     nufft,
     quadrature,
 )
 
 Array = NDArray[np.float64]
+#: Methods for each layout; the first sums over nodes of the wave and computes any part of an image.
+ABLE = {
+    "polar": ("quadrature", "nufft", "fft", "mdft", "airy", "geometric"),
+    "cells": ("quadrature", "nufft", "fft", "geometric"),
+    "grid": ("mdft", "nufft", "fft", "geometric"),
+    "scattered": ("nufft", "geometric"),
+}
 #: Least number of samples across the pupil if a polar wave is resampled to a grid.
 LEAST_SAMPLES = 512
 #: Pixel side, Airy units, up to which errors are assumed not to average out over a pixel.
 NO_BEATS = 0.8
-#: Phase, rad, below which series terms of a polar wavefront need not be resolved by its nodes.
-NEGLIGIBLE = 1e-10
 
 
 class SoftTask(NamedTuple):
@@ -45,18 +50,14 @@ class SoftTask(NamedTuple):
     rim: antialiased_pupil.Rim
     period: float
 
-    def grid(self, task: Task, method: str) -> antialiased_fft.Grid:
-        """Return the pupil grid for ``"fft"`` or ``"mdft"``."""
+    def grid(self, task: Task) -> antialiased_fft.Grid:
+        """Return the pupil grid."""
         reach = antialiased_disc.SHORT_REACH if task.tol >= 1e-4 else antialiased_disc.REACH
-        if method == "fft":
-            return antialiased_fft.padded(task.residual, task.samples, self.period, reach)
-        return antialiased_fft.whole(task.residual, self.period, reach)
+        return antialiased_fft.padded(task.residual, task.samples, self.period, reach)
 
-    def n_bytes(self, task: Task, method: str) -> float:
-        """Return the peak memory of ``"fft"`` or ``"mdft"``, bytes."""
-        grid, folded = self.grid(task, method), method == "mdft"
-        need = antialiased_fft.folded_bytes if folded else antialiased_fft.padded_bytes
-        return need(task.samples, grid, task.rule)
+    def n_bytes(self, task: Task) -> float:
+        """Return the peak memory of the transform, bytes."""
+        return antialiased_fft.n_bytes(task.samples, self.grid(task), task.rule)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +78,8 @@ class Task:
         Average over pixels; None for point samples.
     whole : bool
         Whether the window holds the rays.
+    polarisation : "unpolarised" or float, optional
+        Polarisation of the high-aperture model; None for the scalar model.
     """
 
     residual: Residual
@@ -85,6 +88,7 @@ class Task:
     shape: tuple[int, int]
     rule: PixelRule | None
     whole: bool = True
+    polarisation: high_aperture.Polarisation | None = None
 
     @property
     def pixels(self) -> Window:
@@ -112,7 +116,7 @@ class Task:
 
     @cached_property
     def soft(self) -> SoftTask | None:
-        """Input of the softened-grid transforms; None if the wave is not polynomial."""
+        """Input of the softened-grid transform; None if the wave is not polynomial."""
         found = antialiased_pupil.soft_wave(self.residual, self.tol)
         if found is None:
             return None
@@ -130,6 +134,48 @@ class Task:
         # Straight edges of a rim make spikes, with a field above that of a clear disc.
         dark = min(3 * float(error_bounds.tail(beyond)), math.sqrt(peak))
         return quadrature.coarse(residual, samples, self.tol, peak, dark)
+
+    @cached_property
+    def counts(self) -> tuple[int, ...]:
+        """Shape of the nodes of a polar or cells wave that the window needs."""
+        counts = quadrature.node_counts(self.residual, self.samples)
+        if self.polarisation is None:
+            return counts
+        more = high_aperture.more_nodes(self.residual)
+        return tuple(n + extra for n, extra in zip(counts, more, strict=True))
+
+    @property
+    def components(self) -> int:
+        """Number of transforms of the model."""
+        if self.polarisation is None:
+            return 1
+        return 5 if isinstance(self.polarisation, str) else 3
+
+    def weights(self, u: Array, v: Array) -> list[Array | float]:
+        """Return the weights of the field's components at pupil coordinates, m."""
+        distance = self.residual.wavefront.image_distance
+        return high_aperture.field_weights(u, v, distance, self.polarisation)
+
+    def levels(self, nodes: nufft.Nodes) -> tuple[float, float]:
+        """Return `high_aperture.levels` of nodes."""
+        distance = self.residual.wavefront.image_distance
+        return high_aperture.levels(nodes, distance, self.polarisation)
+
+    def gain(self, peak: float) -> float:
+        """Return the largest weight of a node relative to the square root of the ideal peak."""
+        if self.polarisation is None:
+            return 1.0
+        sine = high_aperture.check_cone(self.residual)
+        return 1 / math.sqrt(peak * math.sqrt(1 - sine**2))
+
+    def sum(self, nodes: nufft.Nodes, epsilon: float) -> tuple[Array, float, float]:
+        """Return the mean intensity of a sum over nodes, 1 at the ideal peak, and `levels`."""
+        peak, secant = self.levels(nodes)
+        fine = np.zeros(self.samples.shape)
+        for weight in self.weights(nodes.u, nodes.v):
+            field = nufft.field(self.residual, nodes, self.samples, epsilon, weight)
+            fine += field.real**2 + field.imag**2
+        return self.averaged(fine) / peak, peak, secant
 
     def bound(
         self,
@@ -155,10 +201,6 @@ class Task:
         # light outside the window, a field of at most 1, leaks into it
         return 2 * epsilon / math.sqrt(float(mean.max())) + epsilon**2 / float(mean.max())
 
-    def means(self, field: NDArray[np.complexfloating]) -> Array:
-        """Return the intensity of a field at `samples`, averaged over pixels if required."""
-        return self.averaged(field.real**2 + field.imag**2)
-
     def averaged(self, fine: Array) -> Array:
         """Return an intensity at `samples`, averaged over pixels if required."""
         if self.rule is None:
@@ -180,17 +222,30 @@ class Result:
         Upper bound of the error, relative to the largest intensity.
     level : float
         Factor from ``mean`` to the fraction of the transmitted energy per pixel.
+    reason : str
+        One line: why this method and this model were used.
+    model : {"scalar", "high-aperture"}
+        Model of diffraction.
+    model_error : float
+        Upper bound of the scalar model's error relative to the peak; 0 for the high-aperture model.
     """
 
     method: str
     mean: Array
     error: float
     level: float
+    reason: str = ""
+    model: str = "high-aperture"
+    model_error: float = 0.0
+
+
+#: Mean intensity, error relative to its peak, and factor from `Task.level` to `Result.level`.
+Image = tuple[Array, float, float]
 
 
 def transform(task: Task, method: str) -> Result:
     """Run a transform by name; raise `SamplingError` if the wave's layout does not allow it."""
-    run: dict[str, Callable[[Task], tuple[Array, float]]] = {
+    run: dict[str, Callable[[Task], Image]] = {
         "airy": _airy,
         "quadrature": _quadrature,
         "fft": _fft,
@@ -198,19 +253,21 @@ def transform(task: Task, method: str) -> Result:
         "nufft": _nufft,
         "geometric": _geometric,
     }
-    mean, error = run[method](task)
-    return Result(method, mean, error, task.level)
+    layout = task.residual.wavefront.layout
+    able = ABLE[layout] if task.polarisation is None else (ABLE[layout][0], "geometric")
+    if method not in able:
+        model = "" if task.polarisation is None else " by the high-aperture model"
+        raise SamplingError(
+            f"method = '{method}' cannot transform{model} a wavefront of layout '{layout}'; use "
+            f"method='{able[0]}' or 'auto', or sample the wave with other nodes"
+        )
+    mean, error, ratio = run[method](task)
+    return Result(method, mean, error, task.level * ratio)
 
 
-def _airy(task: Task) -> tuple[Array, float]:
+def _airy(task: Task) -> Image:
     """Compute mean intensity and error bound by the closed form without aberration."""
     residual = task.residual
-    if residual.wavefront.layout != "polar":
-        raise SamplingError(
-            "the closed form needs a wavefront of layout 'polar', not "
-            f"'{residual.wavefront.layout}'; sample it with nodes='polar', or use "
-            f"method='{_sum_of(residual)}'"
-        )
     bound = airy.error_bound(residual)
     if math.isinf(bound):
         raise SamplingError(
@@ -220,195 +277,148 @@ def _airy(task: Task) -> tuple[Array, float]:
     samples = task.samples
     fits_memory("the closed form", 64.0 * samples.shape[0] * samples.shape[1], "use fewer pixels")
     filtering = 0.0 if task.rule is None else error_bounds.FILTER
-    return task.averaged(airy.intensity(residual, samples)), bound + filtering
+    return task.averaged(airy.intensity(residual, samples)), bound + filtering, 1.0
 
 
-def _quadrature(task: Task) -> tuple[Array, float]:
+def _quadrature(task: Task) -> Image:
     """Compute mean intensity and error bound by a sum over polar or cell nodes."""
-    residual = task.residual
-    if not residual.wavefront.is_spectral:
-        raise SamplingError(
-            "quadrature needs a wavefront of layout 'polar' or 'cells', not "
-            f"'{residual.wavefront.layout}'; sample it with nodes='cells' or nodes='polar', or use "
-            f"method='{_sum_of(residual)}'"
-        )
-    epsilon = quadrature.epsilon(residual, task.samples, task.tol)
-    mean = task.means(quadrature.field(residual, task.samples, epsilon))
-    lost = residual.truncation
-    return mean, task.bound(mean, lost, lost**2) + task.transform_error(mean, epsilon)
+    counts, samples = task.counts, task.samples
+    epsilon = nufft.epsilon(math.prod(counts), samples, task.tol, task.components)
+    mean, peak, secant = task.sum(quadrature.nodes(task.residual, samples, counts), epsilon)
+    gain = task.gain(peak)
+    lost = task.residual.truncation * gain
+    error = task.bound(mean, lost, lost**2) + task.transform_error(mean, epsilon) * gain
+    return mean, error, peak / secant
 
 
-def _fft(task: Task) -> tuple[Array, float]:
-    """Compute mean intensity and error bound by a zero-padded FFT of a grid."""
-    residual, samples = task.residual, task.samples
-    if residual.wavefront.layout == "cells":
+def _fft(task: Task) -> Image:
+    """Compute mean intensity and error bound by as few samples of the pupil as ``tol`` allows."""
+    if task.residual.wavefront.layout == "cells":
         return _cells(task)
-    _check_not_scattered(residual, "fft")
-    soft = _soft(task, "fft")
-    if soft is not None:
-        return soft
-    fft.check_padding(residual, samples.pitch)
-    if residual.wavefront.layout == "polar":
-        size = polar_size(task)
-        grid = pupil_grid_from_polar(residual, grid_period_pitch(task, size))
-        _check_jump(task, grid.jump, None)
-    else:
-        if task.rule is not None:
-            raise SamplingError(
-                "fft samples the image of a grid wavefront at a pitch of its own, which does not "
-                "divide the pixels; use method='mdft' with pixel_integrated=True"
-            )
-        size = fft.padded_size(residual, samples.pitch)
-        _check_jump(task, *residual.grid_jump())
-        _check_period(task)
-        grid = pupil_grid(residual)
-    fits_memory(
-        f"the transform of {grid.values.shape[0]} x {size} samples",
-        48.0 * grid.values.shape[0] * size,
-        "use a smaller shape",
-    )
-    mean = fft.intensity_in(residual, grid, samples, size, task.rule)
-    return mean, grid_bound(task, mean, grid)
+    return _mdft(task) if task.soft is None else _soft(task, task.soft)
 
 
-def _cells(task: Task) -> tuple[Array, float]:
+def _cells(task: Task) -> Image:
     """Compute mean intensity and error bound by a sum over as few nodes as ``tol`` allows."""
     nodes = task.coarse
     image = _cells_image(task, nodes)
     bright = antialiased_pupil.predicted_peak(task.residual)
     if image[1] > task.tol:  # the edge may be brighter than predicted
         more = quadrature.coarse(task.residual, task.samples, task.tol, bright, math.sqrt(bright))
-        if more != nodes:
+        if more.counts != nodes.counts:
             image = _cells_image(task, more)
     return image
 
 
-def _cells_image(task: Task, nodes: quadrature.Coarse) -> tuple[Array, float]:
+def _cells_image(task: Task, coarse: quadrature.Coarse) -> Image:
     """Return the image of a wave on cells, and its error bound from that of each block."""
     residual = task.residual
-    mean = task.means(quadrature.field(residual, task.samples, nodes.epsilon, nodes.counts))
+    nodes = quadrature.nodes(residual, task.samples, coarse.counts)
+    mean = task.sum(nodes, coarse.epsilon)[0]
     half = 0.0 if task.rule is None else task.pitch / 2
     strongest, far = antialiased_pupil.block_maxima(residual, task.pixels, mean, half)
-    error = residual.truncation + nodes.field_errors(residual, far)
-    rounding = 2 * task.transform_error(mean, nodes.epsilon)
-    return mean, task.bound(strongest, error, math.inf) + rounding
+    error = residual.truncation + coarse.field_errors(residual, far)
+    rounding = 2 * task.transform_error(mean, coarse.epsilon)
+    return mean, task.bound(strongest, error, math.inf) + rounding, 1.0
 
 
-def _soft(task: Task, method: str) -> tuple[Array, float] | None:
-    """Transform a polynomial wave by ``fft`` or ``mdft``; return None if it is not polynomial."""
-    soft = task.soft
-    if soft is None:
-        return None
-    image = _soft_image(task, soft, method)
+def _soft(task: Task, soft: SoftTask) -> Image:
+    """Transform a polynomial wave by FFTs of a grid with softened rims."""
+    image = _soft_image(task, soft)
     if task.tol < image[1] < 8 * task.tol:
         # The peak is lower than predicted, so that the relative error is larger.
         period = antialiased_pupil.period_of(task.residual, soft.rim, task.samples, task.tol / 8)
-        image = _soft_image(task, soft._replace(period=period), method)
+        image = _soft_image(task, soft._replace(period=period))
     return image
 
 
-def _soft_image(task: Task, soft: SoftTask, method: str) -> tuple[Array, float]:
+def _soft_image(task: Task, soft: SoftTask) -> Image:
     """Return the image of a polynomial wave from its softened grid, and its error bound."""
-    residual, wave, grid = task.residual, soft.wave, soft.grid(task, method)
-    run = antialiased_fft.padded_image if method == "fft" else antialiased_fft.folded_image
-    mean = run(residual, wave, task.samples, grid, task.rule)
+    residual, wave, grid = task.residual, soft.wave, soft.grid(task)
+    mean = antialiased_fft.image(residual, wave, task.samples, grid, task.rule)
     half = 0.0 if task.rule is None else task.pitch / 2
     strongest, far = antialiased_pupil.block_maxima(residual, task.pixels, mean, half)
     rings, unit = antialiased_pupil.RINGS * far.max(), residual.airy_unit
     ring = np.minimum(np.searchsorted(rings, far), rings.size - 1)
     error = soft.rim.errors(rings / unit, grid.period / unit)[ring]
     lost = residual.truncation + wave.misfit * wave.strength + grid.error
-    return mean, task.bound(strongest, error + lost, math.inf)
+    return mean, task.bound(strongest, error + lost, math.inf), 1.0
 
 
-def _mdft(task: Task) -> tuple[Array, float]:
+def _mdft(task: Task) -> Image:
     """Compute mean intensity and error bound by a transform of a grid to any pitch."""
     residual, samples = task.residual, task.samples
-    if residual.wavefront.layout == "cells":
-        raise SamplingError(
-            "mdft needs a grid, and this wavefront has the layout 'cells'; use method='fft', or "
-            "sample it with nodes='grid'"
-        )
-    _check_not_scattered(residual, "mdft")
-    soft = _soft(task, "mdft")
-    if soft is not None:
-        return soft
     if residual.wavefront.layout == "polar":
-        grid = pupil_grid_from_polar(residual, grid_period_pitch(task, polar_size(task)))
+        grid = pupil_grid_from_polar(residual, polar_pitch(task))
         _check_jump(task, grid.jump, None)
     else:
-        grid = checked_grid(task)
+        check_sampling(task)
+        grid = pupil_grid(residual)
     n = grid.values.shape[0]
     fits_memory(
         f"the transform of {n} samples to {samples.shape[0]} x {samples.shape[1]}",
         144.0 * n * n + 48.0 * n * max(samples.shape) + 72.0 * math.prod(samples.shape),
         "use a smaller shape",
     )
-    mean = mdft.intensity_in(residual, grid, samples, task.rule)
-    return mean, grid_bound(task, mean, grid)
+    if task.polarisation is None:
+        mean = mdft.intensity_in(residual, grid, samples, task.rule)
+        return mean, grid_bound(task, mean, grid), 1.0
+    wave, nodes = residual.wavefront, nufft.own_nodes(residual)
+    lit = wave.amplitude * wave.weights > 0
+    (peak, secant), mean = task.levels(nodes), np.zeros(task.shape)
+    for weight in task.weights(nodes.u, nodes.v):
+        values = np.zeros_like(grid.values)
+        values[lit] = grid.values[lit] * weight
+        mean += mdft.intensity_in(residual, replace(grid, values=values), samples, task.rule)
+    mean /= peak
+    return mean, grid_bound(task, mean, grid) * task.gain(peak) ** 2, peak / secant
 
 
-def _check_not_scattered(residual: Residual, method: str) -> None:
-    """Refuse scattered nodes for a method that needs a grid."""
-    if residual.wavefront.layout == "scattered":
-        raise SamplingError(
-            f"{method} needs a grid, and this wavefront is scattered; use method='nufft', or "
-            "sample it with nodes='polar' or 'grid'"
-        )
-
-
-def _sum_of(residual: Residual) -> str:
-    """Return the method that uses the given nodes of this layout."""
-    layout = residual.wavefront.layout
-    return {"cells": "quadrature", "grid": "mdft"}.get(layout, "nufft")
-
-
-def _nufft(task: Task) -> tuple[Array, float]:
-    """Compute mean intensity and error bound by a sum over the given nodes."""
+def _nufft(task: Task) -> Image:
+    """Compute mean intensity and error bound by a sum over scattered nodes."""
     residual, samples = task.residual, task.samples
     wave = residual.wavefront
-    if wave.is_spectral:
-        need = quadrature.node_counts(residual, samples, NEGLIGIBLE)
-        if need != wave.u.shape:
-            now, wanted = (" x ".join(map(str, n)) for n in (wave.u.shape, need))
-            raise SamplingError(
-                f"{now} {wave.layout} nodes are too few for this window, which needs {wanted}; use "
-                f"wavefront.resampled{need[-2:]}, a smaller shape, or method='quadrature'"
-            )
-    else:
-        check_sampling(task)
-    epsilon = nufft.epsilon(wave.u.size, samples, task.tol)
-    mean = task.means(nufft.field(residual, samples, epsilon))
-    rounding = task.transform_error(mean, epsilon)
-    if wave.is_spectral:
-        lost = residual.truncation + 10 * NEGLIGIBLE
-        return mean, task.bound(mean, lost, lost**2) + rounding
-    if wave.layout == "grid":
-        return mean, grid_bound(task, mean, pupil_grid(residual)) + rounding
-    return mean, _scattered_bound(task, mean, epsilon) + rounding
+    if wave.layout != "scattered":
+        return _mdft(task) if wave.layout == "grid" else _quadrature(task)
+    check_sampling(task)
+    epsilon = nufft.epsilon(wave.u.size, samples, task.tol, task.components)
+    nodes = nufft.own_nodes(residual)
+    mean, peak, secant = task.sum(nodes, epsilon)
+    gain = task.gain(peak)
+    error = _scattered_bound(task, nodes, mean, epsilon)
+    return mean, error + task.transform_error(mean, epsilon) * gain, peak / secant
 
 
-def _scattered_bound(task: Task, mean: Array, epsilon: float) -> float:
+def _scattered_bound(task: Task, nodes: nufft.Nodes, mean: Array, epsilon: float) -> float:
     """Bound the error of scattered nodes by comparison with polar nodes of the same wave."""
-    wave = task.residual.wavefront
-    field, total, true_energy, doubt = nufft.reference(task.residual, task.samples, epsilon)
-    better = task.means(field)
-    energy = float(np.sum(wave.amplitude**2 * wave.weights))
-    flux = (total / task.residual.amplitude_sum) ** 2
+    better, doubt = nufft.reference_nodes(task.residual, task.samples)
+    truth, true_peak, true_secant = task.sum(better, epsilon)
+    peak, secant = task.levels(nodes)
     # factors for the three normalisations: ideal-peak, flux, unit-sum
-    levels = (1.0, flux, flux * energy / true_energy)
-    worst = max(float(np.abs(better * level - mean).max()) for level in levels)
-    return 1.2 * worst / float(mean.max()) + task.bound(mean, doubt, doubt**2)
+    flux = (better.total / nodes.total) ** 2 * (true_peak * secant / (true_secant * peak))
+    levels = (1.0, flux, flux * nodes.energy / better.energy)
+    worst = max(float(np.abs(truth * level - mean).max()) for level in levels)
+    lost = doubt * task.gain(peak)
+    return 1.2 * worst / float(mean.max()) + task.bound(mean, lost, lost**2)
 
 
-def _geometric(task: Task) -> tuple[Array, float]:
+def _geometric(task: Task) -> Image:
     """Compute mean intensity and error bound by the density of rays."""
     if task.rule is None:
         raise SamplingError(
             "rays give the energy per pixel, not the intensity at points; use pixel_integrated=True"
         )
-    energy, error = geometric.density(task.residual, task.pixels)
-    return energy / task.level, error
+    bright, ratio = task.residual, 1.0
+    wave = bright.wavefront
+    if task.polarisation is not None:  # each ray has its energy times 1/cos
+        square = (wave.u**2 + wave.v**2) / wave.image_distance**2
+        # Unlit samples outside the cone stay dark.
+        amplitude = wave.amplitude * np.maximum(1 - square, 1e-12) ** -0.25
+        bright = replace(bright, wavefront=replace(wave, amplitude=amplitude))
+        peak, secant = task.levels(nufft.own_nodes(task.residual))
+        ratio = peak / secant
+    energy, error = geometric.density(bright, task.pixels)
+    return energy / (task.level * ratio), error, ratio
 
 
 def grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
@@ -422,36 +432,23 @@ def grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
     return bound + error_bounds.damping_error(task.residual, grid, task.pitch)
 
 
-def checked_grid(task: Task) -> PupilGrid:
-    """Return the pupil of a grid wavefront, after checks of its sampling."""
-    check_sampling(task)
-    return pupil_grid(task.residual)
-
-
 def check_sampling(task: Task) -> None:
     """Refuse grid or scattered nodes that are too few for the wave or for the window."""
     _check_jump(task, *task.residual.grid_jump())
     _check_period(task)
 
 
-def polar_size(task: Task) -> int:
-    """Return the padded transform size for a polar wave: image period over sampling pitch."""
-    residual, samples = task.residual, task.samples
-    reach = max(samples.reach_from(residual.shift))
-    # Three lower limits of the period: twice the window's reach; the spot's diameter and a margin
-    # for the step of `antialiased_disc.leak`; `LEAST_SAMPLES` across the pupil.
+def polar_pitch(task: Task) -> float:
+    """Return the pitch of the pupil grid, m, to which a polar wave is resampled."""
+    residual, wave = task.residual, task.residual.wavefront
+    # Three lower limits of the image's period: twice the window's reach; the spot's diameter and a
+    # margin for the step of `antialiased_disc.leak`; `LEAST_SAMPLES` across the pupil.
     period = max(
-        2 * reach,
+        2 * max(task.samples.reach_from(residual.shift)),
         4.4 * residual.rays.reach + 16 * residual.airy_unit,
         LEAST_SAMPLES * residual.airy_unit,
     )
-    return int(np.ceil(period / samples.pitch - 1e-9))
-
-
-def grid_period_pitch(task: Task, size: int) -> float:
-    """Return the pupil pitch, m, at which the image repeats after ``size`` samples."""
-    wave = task.residual.wavefront
-    return wave.wavelength * abs(wave.image_distance) / (size * task.samples.pitch)
+    return wave.wavelength * abs(wave.image_distance) / period
 
 
 def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..._checks import fits_memory, lasting
 from ...errors import MemoryLimitError, NlosError, SamplingError
@@ -11,7 +11,7 @@ from ..wave.regime import Regime
 from ..window import error_bounds
 from ..window.error_bounds import rounded_up
 from . import airy, costs, geometric
-from .runners import Result, Task, grid_period_pitch, polar_size, transform
+from .runners import ABLE, Result, Task, polar_pitch, transform
 
 #: Aberration, waves peak to valley, up to which the geometric method is not tried.
 MANY_WAVES = 20
@@ -39,17 +39,16 @@ class Candidate:
     ruled_out: str = ""
 
 
-def automatic(task: Task, regime: Regime, max_seconds: float) -> tuple[Result, str]:
+def automatic(task: Task, regime: Regime, max_seconds: float) -> Result:
     """Run transforms in order of predicted time until one reaches tol.
 
     A method is skipped if the total predicted time would exceed ``max_seconds``.
 
     Returns
     -------
-    result : Result
-        Result of the first transform whose estimated error is at most tol.
-    reason : str
-        One line: why this transform was used, and why each other one was not.
+    Result
+        Result of the first transform whose estimated error is at most tol. Its reason states why
+        this transform was used, and why each other one was not.
 
     Raises
     ------
@@ -75,7 +74,8 @@ def automatic(task: Task, regime: Regime, max_seconds: float) -> tuple[Result, s
             notes.append(f"{found.method} failed: {_first_clause(refusal)}")
             continue
         if result.error <= task.tol:
-            return result, _reason(found, task.tol, notes, ordered[i + 1 :])
+            reason = _reason(found, task.tol, notes, ordered[i + 1 :])
+            return replace(result, reason=reason)
         spent += found.seconds
         reached = min(reached, result.error)
         notes.append(f"{found.method} ran first, with an error of {result.error:.2g}")
@@ -99,19 +99,35 @@ def able(task: Task, regime: Regime) -> list[Candidate]:
 
 def candidates(task: Task, regime: Regime) -> list[Candidate]:
     """Return all transforms available for the wave's layout, with predicted times."""
-    layout = task.residual.wavefront.layout
-    if layout == "polar":
+    layout, samples = task.residual.wavefront.layout, task.samples
+    if task.polarisation is not None:
+        found = [_components(task)]
+    elif layout == "polar":
         closed = _airy(task)
         if not closed.ruled_out:
             return [closed]  # no other transform is faster
-        found = [closed, _quadrature(task), _soft_grid(task)]
+        seconds = costs.sum_over_nodes(math.prod(task.counts), samples)
+        found = [closed, _nodes(task, "quadrature", seconds), _soft_grid(task)]
     elif layout == "cells":
-        found = [_quadrature(task), _cells(task)]
+        seconds = costs.sum_over_nodes(math.prod(task.counts), samples)
+        few = _nodes(task, "fft", costs.coarse_sum(task.coarse, samples), task.coarse.core)
+        found = [_nodes(task, "quadrature", seconds), few]
     elif layout == "scattered":
-        found = [Candidate(costs.scattered_sum(task.residual, task.samples), "nufft")]
+        found = [Candidate(costs.scattered_sum(task.residual, samples), "nufft")]
     else:
-        found = _maps(task)
+        found = [Candidate(costs.map_chirp(task.residual, samples), "mdft")]
     return [*found, _rays(task, regime)]
+
+
+def _components(task: Task) -> Candidate:
+    """Return the sums over nodes for each component of the high-aperture model."""
+    wave, samples = task.residual.wavefront, task.samples
+    if wave.layout == "grid":
+        seconds = costs.map_chirp(task.residual, samples)
+    else:
+        count = math.prod(task.counts) if wave.is_spectral else wave.u.size
+        seconds = costs.sum_over_nodes(count, samples)
+    return Candidate(task.components * seconds, ABLE[wave.layout][0])
 
 
 def _airy(task: Task) -> Candidate:
@@ -123,37 +139,25 @@ def _airy(task: Task) -> Candidate:
     return Candidate(costs.airy(task.samples), "airy", ruled_out)
 
 
-def _quadrature(task: Task) -> Candidate:
-    """Return the quadrature, ruled out if the wavefront's nodes leave too large an error."""
-    residual = task.residual
-    # lower bound of the relative error, since the peak is at most 1
-    least = 2 * error_bounds.beat(task.pixel) * residual.truncation
-    ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
-    return Candidate(costs.polar_sum(residual, task.samples), "quadrature", ruled_out)
+def _nodes(task: Task, method: str, seconds: float, missing: float = 0.0) -> Candidate:
+    """Return a sum over nodes, ruled out if wave or nodes leave too large an error.
 
-
-def _cells(task: Task) -> Candidate:
-    """Return the sum over as few nodes of cells as suffice."""
+    ``missing`` is the field's error because of the number of nodes.
+    """
     # lower bound of the relative error, since the peak is at most 1
-    field = task.residual.truncation + task.coarse.core
-    least = 2 * error_bounds.beat(task.pixel) * field
+    least = 2 * error_bounds.beat(task.pixel) * (task.residual.truncation + missing)
     ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
-    return Candidate(costs.coarse_sum(task.coarse, task.samples), "fft", ruled_out)
+    return Candidate(seconds, method, ruled_out)
 
 
 def _soft_grid(task: Task) -> Candidate:
-    """Return the fastest transform of a polar wave on a grid with a softened rim."""
+    """Return the transform of a polar wave on a grid with a softened rim."""
     residual = task.residual
     if task.soft is not None:
-        fast, few = (task.soft.grid(task, method) for method in ("fft", "mdft"))
-        least = 2 * few.error
-        ruled_out = f"error of its rim {least:g}" if task.tol < least else ""
-        return min(
-            Candidate(costs.soft_padded(task.samples, fast), "fft", ruled_out),
-            Candidate(costs.soft_folded(task.samples, few), "mdft", ruled_out),
-        )
-    size = polar_size(task)
-    pitch = grid_period_pitch(task, size)
+        grid = task.soft.grid(task)
+        ruled_out = f"error of its rim {2 * grid.error:g}" if task.tol < 2 * grid.error else ""
+        return Candidate(costs.soft_padded(task.samples, grid), "fft", ruled_out)
+    pitch = polar_pitch(task)
     # peak if the energy were uniform over the disc of the rays, at most 1
     reach = max(residual.rays.reach / residual.airy_unit, 1.0)
     peak = min(1.0, 4 / (math.pi * reach) ** 2)
@@ -161,21 +165,7 @@ def _soft_grid(task: Task) -> Candidate:
     field = float(rim) + residual.truncation
     expected = 2 * error_bounds.beat(task.pixel) * field / math.sqrt(peak)
     ruled_out = f"error of its rim about {expected:.2g}" if expected > DOUBT * task.tol else ""
-    return Candidate(costs.soft_grid(residual, task.samples, pitch, size), "fft", ruled_out)
-
-
-def _maps(task: Task) -> list[Candidate]:
-    """Return the transforms of a grid wavefront."""
-    residual = task.residual
-    chirp = Candidate(costs.map_chirp(residual, task.samples), "mdft")
-    wave = residual.wavefront
-    size = wave.wavelength * abs(wave.image_distance) / (task.samples.pitch * wave.pupil_pitch)
-    whole = abs(size - round(size)) <= 1e-9 * size
-    ruled_out = "" if whole and task.rule is None else "the pitch does not divide its period"
-    if task.rule is not None:
-        ruled_out = "its own pitch does not divide the pixels"
-    fft = Candidate(costs.map_fft(residual, task.samples, round(size)), "fft", ruled_out)
-    return [fft, chirp]
+    return Candidate(costs.soft_grid(residual, task.samples, pitch), "fft", ruled_out)
 
 
 def _rays(task: Task, regime: Regime) -> Candidate:
@@ -241,8 +231,8 @@ def _too_long(
     """Return the error for transforms that exceed ``max_seconds``; check the memory first."""
     ny, nx = task.samples.shape
     n_bytes = 32.0 * ny * nx
-    if task.soft is not None and cheapest.method in ("fft", "mdft"):
-        n_bytes = task.soft.n_bytes(task, cheapest.method)
+    if task.soft is not None and cheapest.method == "fft":
+        n_bytes = task.soft.n_bytes(task)
     smaller = "use a smaller shape"
     if task.rule is not None and regime.peak_to_valley > MANY_WAVES:
         smaller += ", or on wide pixels a larger tol, so that geometric rays suffice"
@@ -259,6 +249,8 @@ def _too_long(
         remedies.append(f"tol = {rounded_up(reached)}")
     elif task.rule is not None and regime.peak_to_valley > MANY_WAVES:
         remedies.append(f"a tol well above {least:.2g}, so that geometric rays suffice")
+    if task.polarisation is not None:
+        remedies.append("model='scalar'")
     if max(ny, nx) * task.samples.pitch > 3 * task.residual.rays.reach:
         remedies.append("a smaller shape")
     return SamplingError(

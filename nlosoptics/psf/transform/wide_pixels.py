@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..wave.detilted import Residual
 from ..window.window import peak_pixel, ray_reach
 from .models import Model, wide_pixel_error
-from .point_spread import PointSpread, detilted_point_spread
+from .point_spread import PointSpread, point_spread
 
 Array = NDArray[np.float64]
 #: Distances from a point to the sides of a rectangle: (down, up), (left, right).
@@ -50,15 +50,20 @@ def detilted_wide_spread(
         As for `point_spread`. Tails are added in the scalar model only.
     """
     whole = partial(
-        detilted_point_spread, residual, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol
+        point_spread, residual, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol
     )
     inner = inner_parts(residual, pitch, shape, tol)
     if inner is None or model == "high-aperture":
         return whole(model=model)
     n, parts = inner
     unit, reach = residual.airy_unit, ray_reach(residual)
-    fine = detilted_point_spread(
-        residual, pitch=pitch / parts, shape=n, pixel_integrated=True, tol=tol / 30
+    fine = point_spread(
+        residual,
+        pitch=pitch / parts,
+        shape=n,
+        pixel_integrated=True,
+        tol=tol / 30,
+        model="scalar",
     )
     missing = max(1.0 - fine.enclosed_energy, 0.0)
     half = n * pitch / parts / 2

@@ -27,7 +27,7 @@ from ..rough.scattered_light import Halo
 from ..rough.source import rough_view
 from ..rough.view import RoughView
 from ..transform.models import wide_pixel_error
-from ..transform.point_spread import PointSpread, detilted_point_spread
+from ..transform.point_spread import PointSpread, point_spread
 from ..wave.regime import regime
 from ..wave.wavefront import Wavefront
 from ..window.error_bounds import rounded_up
@@ -149,8 +149,8 @@ def wave_parts(
     bright += sum(w * math.exp(-(v.rayleigh_parameter**2)) for w, v in views)
     if bright > 0.0:
         inner = (min(side, shape[0]), min(side, shape[1]))
-        core = detilted_point_spread(
-            residual, tol=tol, pitch=pitch, shape=inner, pixel_integrated=True
+        core = point_spread(
+            residual, tol=tol, pitch=pitch, shape=inner, pixel_integrated=True, model="scalar"
         )
         coherent[middle(shape, inner)] = bright * core.intensity
         fluxes[0], error = bright, core.error_estimate * float(coherent.max())

@@ -24,8 +24,8 @@ from ..rough.scattered_light import (
     inner_window,
 )
 from ..rough.view import RoughView
-from ..transform import costs, geometric, quadrature
-from ..transform.runners import Task, grid_period_pitch, polar_size
+from ..transform import costs, geometric, nufft
+from ..transform.runners import Task, polar_pitch
 from ..transform.selection import able
 from ..transform.wide_pixels import inner_parts
 from ..wave.detilted import Residual
@@ -109,14 +109,12 @@ def _transform_bytes(task: Task, method: str) -> float:
             return held + 250.0 * math.prod(geometric.ray_counts(task.residual, task.pixels))
         return held + 1e9
     if method == "quadrature":
-        return held + quadrature.n_bytes(task.residual, task.samples)
+        return held + nufft.n_bytes(math.prod(task.counts), task.samples)
     if task.soft is not None:
-        return held + task.soft.n_bytes(task, method)
+        return held + task.soft.n_bytes(task)
     n = task.residual.wavefront.u.shape[0]
     if task.residual.wavefront.layout == "polar":
-        size = polar_size(task)
-        n = grid_size(task.residual.wavefront.pupil_radius, grid_period_pitch(task, size))
-        return held + 48.0 * n * size + 16.0 * samples
+        n = grid_size(task.residual.wavefront.pupil_radius, polar_pitch(task))
     return _grid_bytes(task, n)
 
 

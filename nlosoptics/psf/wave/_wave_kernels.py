@@ -1,4 +1,4 @@
-"""Compiled loops over sampled waves: phasors, polynomials, slopes and moments.
+"""Compiled loops over sampled waves: phasors and squared moduli.
 
 Kernels that a plan needs allocate no arrays: to load them, numba would import its own arrays.
 """
@@ -108,87 +108,10 @@ def delayed(waves, u, v, along, mixed, across):
             line[j] *= complex(real[j], imaginary[j])
 
 
-@njit(cache=True)
-def polynomial(powers, rho, cosine, sine, out):
-    """Fill ``out`` (radii, angles) with the polynomial ``sum powers[i, j] u^i v^j``."""
-    n = powers.shape[0]
-    for k in range(rho.shape[0]):
-        for m in range(cosine.shape[0]):
-            u, v = rho[k] * cosine[m], rho[k] * sine[m]
-            total = 0.0
-            for i in range(n - 1, -1, -1):
-                value = 0.0
-                for j in range(n - 1 - i, -1, -1):
-                    value = value * v + powers[i, j]
-                total = total * u + value
-            out[k, m] = total
-
-
-@njit(cache=True)
-def slopes(powers, rho, cosine, sine, work, du, dv):
-    """Fill ``du``, ``dv`` (radii, angles) with the gradient of ``sum powers[i, j] u^i v^j``.
-
-    ``work`` (4, angles) is overwritten.
-    """
-    n = powers.shape[0]
-    u, v, value, slope = work[0], work[1], work[2], work[3]
-    for k in range(rho.shape[0]):
-        along, across = du[k], dv[k]
-        for m in range(u.shape[0]):
-            u[m], v[m] = rho[k] * cosine[m], rho[k] * sine[m]
-            along[m] = across[m] = 0.0
-        for i in range(n - 1, -1, -1):
-            for m in range(u.shape[0]):
-                value[m] = slope[m] = 0.0
-            for j in range(n - 1 - i, -1, -1):
-                for m in range(u.shape[0]):
-                    slope[m] = slope[m] * v[m] + value[m]
-                    value[m] = value[m] * v[m] + powers[i, j]
-            for m in range(u.shape[0]):
-                across[m] = across[m] * u[m] + slope[m]
-            if i > 0:
-                for m in range(u.shape[0]):
-                    along[m] = along[m] * u[m] + i * value[m]
-
-
-@njit(cache=True)
-def moments(path, share):
-    """Return minimum, maximum, mean and rms about the mean of ``path`` (n,).
-
-    ``share`` (n,) are weights; points of weight 0 are ignored.
-    """
-    low, high, mean, square, total = math.inf, -math.inf, 0.0, 0.0, 0.0
-    for i in range(path.size):
-        if share[i] > 0.0:
-            low, high = min(low, path[i]), max(high, path[i])
-            mean += share[i] * path[i]
-            total += share[i]
-    mean /= total
-    for i in range(path.size):
-        square += share[i] * (path[i] - mean) ** 2
-    return low, high, mean, math.sqrt(square / total)
-
-
-@njit(cache=True)
-def jacobian_extremes(x, y, r, apart):
-    """Return the extremes of the signed ratio of image area to pupil area on a polar grid.
-
-    ``x`` and ``y`` (rings, spokes) are the rays' landing points and ``r`` (rings,) the rings'
-    radii. Cells between rings less than ``apart`` apart are skipped, because differences would be
-    rounding errors.
-    """
-    rings, spokes = x.shape
-    low, high = math.inf, -math.inf
-    turn = math.sin(2 * math.pi / spokes)
-    for i in range(rings - 1):
-        if r[i + 1] - r[i] <= apart:
-            continue
-        own = (r[i + 1] * r[i + 1] - r[i] * r[i]) * turn
-        for j in range(spokes):
-            k = j + 1 if j + 1 < spokes else 0
-            # The cross product of a cell's diagonals is twice its area.
-            first_x, first_y = x[i + 1, k] - x[i, j], y[i + 1, k] - y[i, j]
-            second_x, second_y = x[i + 1, j] - x[i, k], y[i + 1, j] - y[i, k]
-            area = (first_x * second_y - first_y * second_x) / own
-            low, high = min(low, area), max(high, area)
-    return low, high
+@njit(cache=True, nogil=True)
+def squares(field, out):
+    """Fill ``out`` (rows, n) with the squared modulus of ``field``."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            value = field[i, j]
+            out[i, j] = value.real * value.real + value.imag * value.imag

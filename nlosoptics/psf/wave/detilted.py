@@ -13,15 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._vectors import read_only
 from ...errors import SamplingError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import shared_cell_nodes
 from ..aperture.quadrature_nodes import KEPT, frozen, kept_polar_nodes
 from .cell_series import CellSpectrum
 from .fits import fitted_terms, projection
-from .polar_series import PolarSpectrum, ring_of
-from .pupil_polynomials import LowPolynomial, low_polynomial
+from .polar_series import PolarSpectrum
 from .scattered_fits import LocalFits, local_fits
 from .wavefront import Wavefront
 
@@ -170,12 +168,11 @@ class Residual:
     @cached_property
     def heights(self) -> Heights:
         """Extremes, mean and rms of the residual aberration over the lit pupil."""
-        if self.is_plane:  # a plan of a flat wall in focus imports no numba
-            return Heights(0.0, 0.0, 0.0, 0.0)
-        from . import _wave_kernels
-
-        share = (self.wavefront.amplitude * self.wavefront.weights).ravel()
-        return Heights(*_wave_kernels.moments(read_only(self.aberration.ravel()), share))
+        share, path = self.wavefront.amplitude * self.wavefront.weights, self.aberration
+        lit, total = path[share > 0], float(np.sum(share))
+        mean = float(np.sum(share * path)) / total
+        square = float(np.sum(share * (path - mean) ** 2)) / total
+        return Heights(float(lit.min()), float(lit.max()), mean, math.sqrt(square))
 
     @property
     def is_plane(self) -> bool:
@@ -192,14 +189,6 @@ class Residual:
         """Polynomial series of the residual aberration; for the layouts "polar" and "cells"."""
         return self.wavefront.series(self.aberration)
 
-    @cached_property
-    def low(self) -> LowPolynomial | None:
-        """Low-degree polynomial equal to a polar residual to rounding error; None if none fits."""
-        wave = self.wavefront
-        if wave.layout != "polar" or wave.u.size > KEPT or self.is_flat:
-            return None
-        return low_polynomial(self.aberration, wave.pupil_radius, wave.obscuration)
-
     def degrees(self, threshold: float) -> tuple[int, int]:
         """Return the highest degrees of the residual aberration's polynomial series.
 
@@ -214,7 +203,7 @@ class Residual:
             For the layout "polar", Legendre degree in r^2 and angular order; for "cells", degrees
             along the two directions of a patch.
         """
-        return self.series.degrees(threshold) if self.low is None else self.low.degrees
+        return self.series.degrees(threshold)
 
     @cached_property
     def amplitude_series(self) -> PolarSpectrum | CellSpectrum:
@@ -273,8 +262,7 @@ class Residual:
         amplitude = 0.0
         if not self.is_uniform:
             amplitude = self.amplitude_series.truncation() / float(self.wavefront.amplitude.max())
-        left = self.series.truncation() if self.low is None else self.low.misfit
-        return self.wavenumber * left + amplitude
+        return self.wavenumber * self.series.truncation() + amplitude
 
     @cached_property
     def rays(self) -> Rays:
@@ -297,12 +285,7 @@ class Residual:
         if self.is_flat:  # all rays land in one point
             return Rays(np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)), 0.0, 0.0)
         counts = tuple(max(pair) for pair in zip(counts, wave.u.shape, strict=True))
-        if self.is_plane or self.low is None:
-            du, dv, energy = self.series.slopes(*counts)
-        else:
-            ring = ring_of(counts[0], counts[1], wave.obscuration)
-            du, dv = self.low.slopes(ring.cosine, ring.sine, ring.rho.ravel())
-            energy = ring.share
+        du, dv, energy = self.series.slopes(*counts)
         if not self.is_uniform:
             inner = np.s_[:-1] if self.wavefront.layout == "polar" else np.s_[:, 1:-1, 1:-1]
             energy = energy.copy()

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .detilted import Rays, Residual
-from .polar_series import ring_of
 
 Array = NDArray[np.float64]
 
@@ -106,11 +105,6 @@ def _with_rims(residual: Residual, low: float, high: float) -> tuple[float, floa
 
     No polar node lies there.
     """
-    if residual.low is not None:
-        n_r, n_theta = residual.wavefront.u.shape
-        ring = ring_of(n_r, n_theta, residual.wavefront.obscuration)
-        values = residual.low.on_rims(ring.cosine, ring.sine)
-        return min(low, float(values.min())), max(high, float(values.max()))
     series = residual.series
     waves = series.coefficients.copy()
     if series.n_theta % 2 == 0:
@@ -146,14 +140,13 @@ def _folded(residual: Residual, rays: Rays) -> bool:
 
 
 def _polar_jacobian(residual: Residual, rays: Rays) -> Array:
-    """Extremes of the Jacobian of the landing points on a polar grid's cells."""
-    from . import _wave_kernels
-
+    """Jacobian of the landing points between polar nodes and the rim, up to a factor."""
     wave = residual.wavefront
     r = np.append(np.hypot(wave.u[:, 0], wave.v[:, 0]), wave.pupil_radius)
     # Skip the closest rings, at the rim: differences of the series there are rounding error.
-    apart = 1e-4 * wave.pupil_radius
-    return np.array(_wave_kernels.jacobian_extremes(rays.x, rays.y, r, apart))
+    apart = np.diff(r) > 1e-4 * wave.pupil_radius
+    x, y = (np.concatenate([a, a[:, :1]], axis=1) for a in (rays.x, rays.y))
+    return np.asarray((_diagonals(x, y) / np.diff(r**2)[:, None])[apart])
 
 
 def _cell_jacobian(residual: Residual, rays: Rays) -> Array:

@@ -30,15 +30,15 @@ def intensity(
 ) -> Array:
     """Return the squared modulus of a two-dimensional transform, or its means over pixels.
 
-    Columns are transformed and squared in blocks, so that the field of a wide window is never in
-    memory as a whole.
+    Rows of the image are transformed and squared in blocks, so that the field of a wide window is
+    never in memory as a whole.
 
     Parameters
     ----------
     values : ndarray, (rows, n)
         Pupil function, complex.
     along_x, along_y : callable
-        Transforms of the last axis, first of the rows and then of the columns.
+        Transforms of the last axis; that of the columns of ``values`` is the first.
     shape : (int, int)
         Samples (ny, nx) of the field.
     rule : PixelRule or None
@@ -49,17 +49,20 @@ def intensity(
     ndarray
         (ny, nx) samples, or as many pixels as the rule makes of them.
     """
+    from ..wave import _wave_kernels
+
     ny, nx = shape
-    rows = values.shape[0]
-    half = np.empty((nx, rows), dtype=np.complex128)
-    for block in _blocks(rows, nx):
-        half[:, block] = along_x(values[block]).T
-    image = np.empty((ny if rule is None else rule.count(ny), nx))
-    for block in _blocks(nx, ny):
-        strip = along_y(half[block])
-        energy = strip.real**2 + strip.imag**2
-        image[:, block] = (energy if rule is None else rule.mean(energy)).T
-    return image if rule is None else rule.mean(image)
+    half = np.empty((ny, values.shape[1]), dtype=np.complex128)
+    for block in _blocks(values.shape[1], ny):
+        half[:, block] = along_y(values.T[block]).T
+    image = np.empty((ny, nx if rule is None else rule.count(nx)))
+    for block in _blocks(ny, nx):
+        strip = along_x(half[block])
+        energy = image[block] if rule is None else np.empty(strip.shape)
+        _wave_kernels.squares(strip, energy)
+        if rule is not None:
+            image[block] = rule.mean(energy)
+    return image if rule is None else rule.mean_down(image)
 
 
 def _blocks(count: int, length: int) -> Iterator[slice]:

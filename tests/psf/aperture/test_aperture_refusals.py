@@ -134,7 +134,7 @@ def test_wavefronts_that_do_not_fit_their_aperture_are_refused():
 
 def test_transforms_that_need_another_layout_say_so():
     wave = psf.Wavefront.from_function(None, aperture=BOX, **SYSTEM)
-    with pytest.raises(SamplingError, match="needs a wavefront of layout 'polar'"):
+    with pytest.raises(SamplingError, match="layout 'cells'; use method='quadrature'"):
         psf.point_spread(wave, method="airy")
     hexagons = psf.Aperture.hexagons(2, 4 * MM, 0.1 * MM, angle=0.2)
     grid = psf.Wavefront.from_function(None, aperture=hexagons, nodes="grid", samples=64, **SYSTEM)

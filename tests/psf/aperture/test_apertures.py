@@ -8,7 +8,7 @@ from scipy.special import j1
 from nlosoptics import psf
 from nlosoptics.errors import SamplingError
 from nlosoptics.psf.rough.otf import transfer
-from nlosoptics.psf.transform import quadrature
+from nlosoptics.psf.transform import nufft, quadrature
 from nlosoptics.psf.wave.detilted import split
 from nlosoptics.psf.window.window import Window
 
@@ -79,7 +79,9 @@ def of(aperture, aberration=None, **changes):
 
 
 def field(wave, window=WINDOW):
-    return quadrature.field(split(wave), window)
+    residual = split(wave)
+    nodes = quadrature.nodes(residual, window, quadrature.node_counts(residual, window))
+    return nufft.field(residual, nodes, window)
 
 
 def error(spread, reference):

@@ -110,24 +110,6 @@ def test_a_grid_is_the_same_sum_as_fft_and_mdft(samples):
     assert error(spread, fft) < 1e-12
 
 
-@pytest.mark.parametrize("obscuration", [0.0, 0.4])
-def test_polar_nodes_are_the_same_sum_as_quadrature(obscuration):
-    kwargs = {"pitch": UNIT / 3, "shape": (49, 60)}
-    wave = zernike_wave(COMA, samples=(60, 240), obscuration=obscuration)
-    reference = psf.point_spread(wave, method="quadrature", **kwargs)
-    spread = psf.point_spread(wave, method="nufft", **kwargs)
-    assert error(spread, reference) < 1e-12
-    assert spread.error_estimate < 1e-8
-    pixels = {"pitch": 2 * UNIT, "shape": 9, "pixel_integrated": True}
-    reference = psf.point_spread(wave, method="quadrature", **pixels)
-    assert error(psf.point_spread(wave, method="nufft", **pixels), reference) < 1e-12
-
-
-def test_polar_nodes_too_few_for_the_window_are_refused():
-    with pytest.raises(SamplingError, match=r"too few for this window.*resampled\((\d+), (\d+)\)"):
-        psf.point_spread(zernike_wave(COMA), method="nufft", pitch=UNIT / 4)
-
-
 @pytest.mark.parametrize("distance", [50e-3, -50e-3])
 def test_tilt_moves_the_spot_along_it(distance):
     wave = scattered_wave({2: 2.0, 3: -1.0}, sunflower(2000), image_distance=distance)

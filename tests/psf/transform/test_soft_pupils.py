@@ -6,11 +6,10 @@ from pytest import approx
 from scipy.special import j1
 
 from nlosoptics import psf
-from nlosoptics.psf.transform import _antialiased_kernels, airy, antialiased_fft, antialiased_pupil
+from nlosoptics.psf.transform import airy, antialiased_fft, antialiased_pupil
 from nlosoptics.psf.wave import _wave_kernels
 from nlosoptics.psf.wave.detilted import split
 from nlosoptics.psf.window import antialiased_disc
-from nlosoptics.psf.window.pixels import PixelRule
 from nlosoptics.psf.window.window import Window
 
 WAVELENGTH, RADIUS = 632.8e-9, 12.5e-3
@@ -178,54 +177,6 @@ def test_the_table_of_the_closed_form_is_exact(obscuration, pitch):
     assert np.abs(found - exact).max() < 1e-13
 
 
-@pytest.mark.parametrize("shape", [(281, 300), (3, 12), (1, 1), (9, 8)])
-def test_blocks_know_their_strongest_and_their_farthest(shape):
-    image = np.random.default_rng(3).random(shape)
-    first, pitch = (-1.3, 0.4), 0.01
-    strongest = np.empty(tuple(min(n, 8) for n in shape))
-    far = np.empty_like(strongest)
-    _antialiased_kernels.block_maxima(image, first, pitch, np.empty(image.shape[1]), strongest, far)
-    y, x = np.indices(shape) * pitch + np.array(first[::-1])[:, None, None]
-    rows, columns = (np.arange(n) * m // n for n, m in zip(shape, strongest.shape, strict=True))
-    for i, j in np.ndindex(strongest.shape):
-        block = np.ix_(rows == i, columns == j)
-        assert strongest[i, j] == image[block].max()
-        # of the rounding of coordinates
-        assert far[i, j] == approx(np.hypot(y, x)[block].max(), rel=1e-13)
-
-
-@pytest.mark.parametrize("shape", [(33, 70), (70, 33), (64, 64), (41, 1)])
-@pytest.mark.parametrize(("distance", "factor"), [(50e-3, 1), (-50e-3, 1), (50e-3, 3)])
-def test_cosines_and_sines_are_the_padded_transform(shape, distance, factor):
-    # unlike halves, and a tilt by a fraction of a sample
-    wave = zernike_wave({2: 0.41, 3: -0.77, **MIX}, image_distance=distance, obscuration=0.3)
-    residual = split(wave)
-    found = antialiased_pupil.soft_wave(residual, 1e-9)
-    rule = None
-    window = Window.centred(0.3 * UNIT, shape)
-    if factor > 1:
-        rule = PixelRule(factor, 3, np.full(factor + 6, 1 / (factor + 6)))
-        window = rule.window(0.9 * UNIT, shape)
-    grid = antialiased_fft.padded(residual, window, 80.0, antialiased_disc.REACH)
-    padded, folded = (
-        run(residual, found, window, grid, rule)
-        for run in (antialiased_fft.padded_image, antialiased_fft.folded_image)
-    )
-    assert padded.shape == folded.shape
-    # sums of a thousand terms of at most 1e-3 each
-    assert np.abs(folded - padded).max() < 1e-13
-
-
-@pytest.mark.parametrize("tol", [1e-3, 1e-9])
-@pytest.mark.parametrize("wide", [False, True])
-def test_matrix_products_keep_their_estimate(tol, wide):
-    wave = zernike_wave({3: 0.41, **MIX}, obscuration=0.2)
-    kwargs = {"pitch": (0.8 if wide else 0.1) * UNIT, "shape": (170, 161), "pixel_integrated": wide}
-    exact = psf.point_spread(wave, method="quadrature", tol=1e-12, **kwargs)
-    spread = psf.point_spread(wave, method="mdft", tol=tol, **kwargs)
-    assert error(spread, exact) <= spread.error_estimate <= tol
-
-
 @pytest.mark.parametrize("radius", [6.0, 23.0, 70.5])
 @pytest.mark.parametrize(("reach", "wider"), [(10, 17), (17, 25)])
 def test_rims_cut_short_err_by_what_is_said(radius, reach, wider):
@@ -235,7 +186,7 @@ def test_rims_cut_short_err_by_what_is_said(radius, reach, wider):
     fields = []
     for cells in (reach, wider):
         grid = antialiased_fft.Grid(2 * radius * residual.airy_unit, radius, cells)
-        fields.append(np.sqrt(antialiased_fft.folded_image(residual, found, window, grid, None)))
+        fields.append(np.sqrt(antialiased_fft.image(residual, found, window, grid, None)))
     error = np.abs(fields[0] - fields[1]).max()
     # within a hundred times: a bound that says nothing would pass too
     assert (
@@ -243,39 +194,3 @@ def test_rims_cut_short_err_by_what_is_said(radius, reach, wider):
         < error
         <= antialiased_disc.cut(radius, reach) + 1e-13
     )
-
-
-@pytest.mark.parametrize("obscuration", [0.0, 0.4])
-@pytest.mark.parametrize("index", [4, 6, 11, 14, 19, 22, 25, 28])
-def test_low_polynomial_is_the_series(index, obscuration):
-    residual = split(zernike_wave({index: 0.3, 8: 0.1, 5: -0.2}, obscuration=obscuration))
-    low = residual.low
-    du, dv, _ = residual.series.slopes(*residual.wavefront.u.shape)
-    distance = residual.wavefront.image_distance
-    # rounding of the series, which its steepest polynomials multiply; the powers' own is 1e-15
-    size = 1e-11 * np.abs(du).max() * distance
-    assert np.abs(residual.rays.x - distance * du).max() < size
-    assert np.abs(residual.rays.y - distance * dv).max() < size
-    assert residual.rays.reach == max(np.abs(residual.rays.x).max(), np.abs(residual.rays.y).max())
-    assert low.misfit <= 1e-14 * np.abs(residual.aberration).max()
-    # an even power of the radius alone is seen as one order, a term of the wave as its degree
-    assert low.degrees[1] == max(3, psf.zernike_order(index)[0])
-    waves = np.exp(2j * np.pi * np.arange(5) / 5)
-    rims = low.on_rims(waves.real, waves.imag)
-    for rho, values in ((obscuration, rims[0]), (1.0, rims[1])):
-        expected = residual.series.at(rho * RADIUS * waves.real, rho * RADIUS * waves.imag, 1e-13)
-        assert values == approx(expected, abs=1e-12 * WAVELENGTH)
-
-
-def test_low_polynomial_is_none_where_the_wave_is_none():
-    # of the seventh degree, and of a kink that no node shows alone
-    assert split(zernike_wave({29: 0.1})).low is None
-    kinked = psf.Wavefront.from_function(
-        lambda u, v: 1e-7 * np.abs(u / RADIUS), samples=(24, 96), **SYSTEM
-    )
-    assert split(kinked).low is None
-    # steps that are tiny beside the rest
-    almost = psf.Wavefront.from_function(
-        lambda u, v: 1e-6 * (u / RADIUS) ** 2 + 1e-15 * (v > 0), samples=(24, 96), **SYSTEM
-    )
-    assert split(almost).low is None

@@ -70,16 +70,6 @@ def test_window_that_misses_a_tilted_spot():
         psf.point_spread(zernike_wave({3: 40.0}), pitch=UNIT / 4, shape=64)
 
 
-def test_incommensurate_pitch_names_the_nearest():
-    wave = zernike_wave(nodes="grid", samples=64)
-    with pytest.raises(SamplingError, match="not a whole number") as refusal:
-        psf.point_spread(wave, method="fft", pitch=UNIT / 3.1, shape=64)
-    nearest = float(str(refusal.value).split("use pitch = ")[1].split(" m")[0])
-    assert nearest == approx(UNIT / 3.1, rel=0.01)
-    spread = psf.point_spread(wave, method="fft", pitch=nearest, shape=64)
-    assert spread.pitch == nearest
-
-
 @pytest.mark.parametrize("nodes", ["polar", "grid"])
 @pytest.mark.parametrize("normalisation", ["unit-sum", "flux"])
 def test_energy_needs_nyquist_or_pixels(nodes, normalisation):
@@ -89,33 +79,24 @@ def test_energy_needs_nyquist_or_pixels(nodes, normalisation):
     points = psf.point_spread(wave, method="mdft", pitch=UNIT, shape=17, normalisation="ideal-peak")
     assert points.intensity.max() == approx(1.0)
     kwargs = {"method": "fft", "pitch": UNIT, "shape": 17, "normalisation": "ideal-peak"}
-    if nodes == "polar":  # its pupil is folded
-        assert psf.point_spread(wave, **kwargs).intensity.max() == approx(1.0)
-    else:
-        with pytest.raises(SamplingError, match="padding Q below 2"):
-            psf.point_spread(wave, **kwargs)
+    assert psf.point_spread(wave, **kwargs).intensity.max() == approx(1.0)
     psf.point_spread(wave, pitch=UNIT / 2, shape=17, normalisation=normalisation)
 
 
 def test_layouts_that_do_not_fit():
     grid = zernike_wave(nodes="grid", samples=32)
-    with pytest.raises(SamplingError, match="nodes='polar', or use method='mdft'"):
+    with pytest.raises(SamplingError, match="layout 'grid'; use method='mdft'"):
         psf.point_spread(grid, method="quadrature")
-    with pytest.raises(SamplingError, match="nodes='polar', or use method='mdft'"):
+    with pytest.raises(SamplingError, match="layout 'grid'; use method='mdft'"):
         psf.point_spread(grid, method="airy")
-    with pytest.raises(SamplingError, match="use method='mdft' with pixel_integrated"):
-        psf.point_spread(grid, method="fft", pitch=UNIT, shape=9, pixel_integrated=True)
     polar = zernike_wave()
     scattered = replace(
         polar,
         layout="scattered",
         **{n: getattr(polar, n).ravel() for n in ("u", "v", "aberration", "amplitude", "weights")},
     )
-    for method in ("quadrature", "airy"):
-        with pytest.raises(SamplingError, match="needs a wavefront of layout 'polar'"):
-            psf.point_spread(scattered, method=method)
-    for method in ("fft", "mdft"):
-        with pytest.raises(SamplingError, match="is scattered; use method='nufft'"):
+    for method in ("quadrature", "airy", "fft", "mdft"):
+        with pytest.raises(SamplingError, match="layout 'scattered'; use method='nufft'"):
             psf.point_spread(scattered, method=method)
 
 
