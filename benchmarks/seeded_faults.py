@@ -53,10 +53,10 @@ FAULTS = (
         "return -self.tilt[0] * d, self.tilt[1] * d",
     ),
     (
-        "padded FFT turned round",
-        "psf/transform/fft.py",
-        "residual.wavefront.image_distance > 0))",
-        "residual.wavefront.image_distance < 0))",
+        "FFT turned round",
+        "psf/transform/antialiased_fft.py",
+        "forward = residual.wavefront.image_distance > 0",
+        "forward = residual.wavefront.image_distance < 0",
     ),
     (
         "obscuration-free Airy field",
@@ -110,8 +110,8 @@ FAULTS = (
     (
         "seed of the rays",
         "raytrace/light/trace.py",
-        "scrambled_sobol(seed, 302, GROUPS)",
-        "scrambled_sobol(0, 302, GROUPS)",
+        "seed = checked_seed(seed)",
+        "seed = checked_seed(0)",
     ),
     (
         "three-bounce square of the path",

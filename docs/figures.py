@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 import nlosoptics as nlos
 from nlosoptics import limits, views
@@ -58,22 +59,24 @@ def room(scene: Scene, axes: Axes) -> None:
 
 
 def lead() -> None:
-    """Draw the room, the camera image and the reconstruction."""
+    """Draw the room, the camera image and the reconstruction: in a row, and stacked for phones."""
     scene = nlos.Scene.load(SCENES / "corner.toml")
     result = nlos.simulate(scene, seed=0, reconstruct=True)
-    axes = new_axes(3, width=13.5, height=4.9)
-    room(scene, axes[0])
-    views.image(result.image, object_scale=limits.object_scale(scene), axes=axes[1])
-    (length,) = axes[1].texts
-    length.set(text=length.get_text().removesuffix(" on the object"), fontsize=15)
-    views.reconstruction(result.reconstruction, axes=axes[2:])
-    for drawn in axes[1:]:
-        drawn.child_axes[0].remove()
-        drawn.axis("off")
     titles = ("A partition hides the chart", "What the camera records", "What nlosoptics recovers")
-    for drawn, title in zip(axes, titles, strict=True):
-        drawn.set_title(title, fontsize=17)
-    views.save(axes, FIGURES / "corner.png")
+    row = new_axes(3, width=13.5, height=4.9)
+    tall = Figure(figsize=(4.5, 12.9), layout="constrained").subplots(3, 1)
+    for axes, name in ((row, "corner.png"), (tall, "corner_tall.png")):
+        room(scene, axes[0])
+        views.image(result.image, object_scale=limits.object_scale(scene), axes=axes[1])
+        (length,) = axes[1].texts
+        length.set(text=length.get_text().removesuffix(" on the object"), fontsize=15)
+        views.reconstruction(result.reconstruction, axes=axes[2:])
+        for drawn in axes[1:]:
+            drawn.child_axes[0].remove()
+            drawn.axis("off")
+        for drawn, title in zip(axes, titles, strict=True):
+            drawn.set_title(title, fontsize=17)
+        views.save(axes, FIGURES / name)
 
 
 def peers() -> None:
