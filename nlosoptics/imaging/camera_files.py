@@ -259,8 +259,10 @@ def camera_image(
     >>> camera_image(exposure, shape=(2, 2), corners=marked).values.shape
     (2, 2)
     """
-    several = isinstance(paths, Iterable) and not isinstance(paths, (str, Mapping, np.ndarray))
-    files = list(paths) if several else [paths]
+    given: Any = paths
+    if isinstance(given, Mapping) or not isinstance(given, (Path, Iterable)):
+        path_of("paths", given)  # raises
+    files = [paths] if isinstance(paths, (str, Path, np.ndarray)) else list(paths)
     if not files:
         raise SceneError("no image is given; name one file or more")
     full = None if full is None else positive("full", full, unit="counts")

@@ -105,6 +105,7 @@ def image_field(
     optics = optics_of(scene)
     picture = picture_frame(optics.scene)
     most_nodes = whole("most_nodes", most_nodes)
+    planned = most_nodes if planned_nodes is None else whole("planned_nodes", planned_nodes, 0)
     counts = [n for n in COUNTS if n <= most_nodes]
     start, limit = time.perf_counter(), seconds_limit(math.inf)
     spreads = SampledSpreads(optics, optics.scene.camera.image_pitch, tol / 2)
@@ -116,7 +117,7 @@ def image_field(
     best: tuple[float, PointSpreadField | None] = (math.inf, None)
     before = error = math.inf
     for step, count in enumerate(counts):
-        if planned_nodes is not None and count > planned_nodes and error > before / 2:
+        if count > planned and error > before / 2:
             break  # the nodes do not resolve the wall's shape, and a few more would not
         begun = time.perf_counter()
         expected = (begun - start) * (1.0 + count**2 / computed)

@@ -138,3 +138,15 @@ def test_a_grid_that_cannot_resolve_the_wall_is_foreseen(scene):
     assert counts == list(COUNTS)
     assert change > 0.01
     assert expected_counts(0.1, 0.1, 0.01)[1] <= 0.01
+
+
+@pytest.mark.thorough
+def test_beyond_the_planned_nodes_a_field_is_refined_only_while_it_converges(scene):
+    """A ripple of 2 mm has far more periods over the object than there are nodes."""
+    rippled = replace(scene, wall=WavyWall(3e-9, 2e-3))
+    field, error = image_field(rippled, tol=1e-7, planned_nodes=1)
+    assert len(field.across) <= 3
+    assert error > 1e-7
+    field, error = image_field(replace(scene, wall=ConcaveWall(6.0)), tol=1e-4, planned_nodes=1)
+    assert len(field.across) >= 3
+    assert error <= 1e-4

@@ -41,7 +41,7 @@ REFUSED = {
         lambda _: psf.fit_zernike(scattered(LINE, 0.5 * LINE), 9),
         "8 lit nodes cannot determine 9 Zernike terms; use fewer terms",
     ),
-    "frequency": (lambda _: psf.mtf(wave(), [1e3, np.nan]), "frequency or azimuth is NaN"),
+    "frequency": (lambda _: psf.mtf(wave(), [1e3, np.nan]), "frequency is NaN"),
     "no discs": (lambda _: psf.Aperture.discs([]), "discs = []; give at least one ((u, v), radius"),
     "samples with nodes": (
         lambda s: psf.wavefront(s, nodes=np.zeros((3, 2)), samples=5),

@@ -391,7 +391,7 @@ def _transfer(
     """Return the optical transfer function, 1 at frequency 0, in the shape of ``frequency``."""
     frequencies, azimuth = numbers("frequency", frequency), real("azimuth", azimuth)
     if not np.all(np.isfinite(frequencies)):
-        raise SceneError(f"frequency = {shown(frequency)} is not finite; give finite 1/m")
+        raise SceneError("frequency is NaN or infinite; give finite numbers in 1/m")
     if isinstance(source, PointSpread):
         values = spectrum_along(source, frequencies.ravel(), azimuth) / source.intensity.sum()
     elif source.layout == "polar" and source.obscuration == 0:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._xarray import Labels, variable
 from ...errors import SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import kept_even_cells, shared_cell_nodes
@@ -93,3 +94,21 @@ def check_nodes(
             f"wavefront.u, v are {error:.3g} m off the nodes of layout '{layout}', limit "
             f"{1e-9 * radius:.1g} m; {remedy}"
         )
+
+
+def wave_labels(wave: Any) -> Labels:
+    """Return the contents of a wave's dataset."""
+    names = {
+        "polar": ("ring", "angle"),
+        "cells": ("patch", "s", "t"),
+        "grid": ("row", "column"),
+        "scattered": ("node",),
+    }[wave.layout]
+    arrays = {
+        "aberration": variable(names, wave.aberration, "m", "wave aberration"),
+        "amplitude": variable(names, wave.amplitude, "1", "amplitude"),
+        "weights": variable(names, wave.weights, "m^2", "pupil area of the sample"),
+    }
+    axes = {n: variable(names, getattr(wave, n), "m", f"pupil coordinate {n}") for n in "uv"}
+    told = ("wavelength", "image_distance", "pupil_radius", "obscuration", "layout")
+    return Labels(arrays, axes, {name: getattr(wave, name) for name in told})

@@ -9,14 +9,14 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import counted, one_of, real, whole
+from ..._checks import counted, mapping, one_of, real, whole
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import kept_even_cells, shared_cell_nodes
 from ..aperture.quadrature_nodes import KEPT, grid_nodes, polar_nodes
 from .cell_series import CellSpectrum
 from .polar_series import PolarSpectrum
-from .zernikes import Ordering, kept_cell_zernikes, zernike_sum
+from .zernikes import Ordering, kept_cell_zernikes, zernike_order, zernike_sum
 
 Array = NDArray[np.float64]
 Nodes = Literal["polar", "cells", "grid"]
@@ -221,6 +221,12 @@ def even(nodes: PupilNodes) -> Array:
     return np.ones_like(nodes.u)
 
 
+def zernike_degree(coefficients: Mapping[int, float], ordering: Ordering) -> int:
+    """Return the highest radial degree of a sum of Zernike polynomials, 0 for none."""
+    listed = mapping("coefficients", coefficients, "{index: metres}")
+    return max((zernike_order(index, ordering)[0] for index in listed), default=0)
+
+
 def zernike_fill(
     coefficients: Mapping[int, float], radius: float, ordering: Ordering, aperture: Aperture
 ) -> Fill:
@@ -228,7 +234,8 @@ def zernike_fill(
 
     ``radius``, m, is that of the polynomials' disc. On few nodes the polynomials are kept.
     """
-    heights = np.array([real(f"coefficients[{j}]", a) for j, a in coefficients.items()])
+    listed = mapping("coefficients", coefficients, "{index: metres}")
+    heights = np.array([real(f"coefficients[{j}]", a) for j, a in listed.items()])
 
     def fill(nodes: PupilNodes) -> tuple[Array, Array]:
         """Aberration and amplitude on nodes."""

@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import in_range, mapping, one_of, positive, real, whole
+from ..._checks import in_range, one_of, positive, real, whole
 from ..._html import Figures, Shown
 from ..._nouns import Noun
-from ..._xarray import Labelled, Labels, variable
+from ..._xarray import Labelled
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import shared_cell_nodes
@@ -27,7 +27,7 @@ from ..aperture.quadrature_nodes import (
 )
 from .cell_series import CellSpectrum
 from .fits import fitted_terms
-from .node_checks import check_aperture, check_nodes, grid_pitch, kept_arrays
+from .node_checks import check_aperture, check_nodes, grid_pitch, kept_arrays, wave_labels
 from .polar_series import PolarSpectrum
 from .removed import Removed
 from .sampling import (
@@ -42,9 +42,10 @@ from .sampling import (
     sampled,
     segment_terms,
     values_on,
+    zernike_degree,
     zernike_fill,
 )
-from .zernikes import ORDERINGS, Ordering, kept_zernikes, zernike_order, zernike_sum
+from .zernikes import ORDERINGS, Ordering, kept_zernikes, zernike_sum
 
 Array = NDArray[np.float64]
 Layout = Literal["polar", "cells", "grid", "scattered"]
@@ -111,6 +112,7 @@ class Wavefront(Noun, Shown, Labelled):
     layout: Layout
     removed: Removed = field(default_factory=Removed)
     aperture: Aperture | None = None
+    _labels = wave_labels
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -163,22 +165,6 @@ class Wavefront(Noun, Shown, Labelled):
         }
         alt = f"Map of the wave aberration over the pupil, {waves}"
         return Figures("Wavefront", figures, alt)
-
-    def _labels(self) -> Labels:
-        names = {
-            "polar": ("ring", "angle"),
-            "cells": ("patch", "s", "t"),
-            "grid": ("row", "column"),
-            "scattered": ("node",),
-        }[self.layout]
-        arrays = {
-            "aberration": variable(names, self.aberration, "m", "wave aberration"),
-            "amplitude": variable(names, self.amplitude, "1", "amplitude"),
-            "weights": variable(names, self.weights, "m^2", "pupil area of the sample"),
-        }
-        axes = {n: variable(names, getattr(self, n), "m", f"pupil coordinate {n}") for n in "uv"}
-        told = ("wavelength", "image_distance", "pupil_radius", "obscuration", "layout")
-        return Labels(arrays, axes, {name: getattr(self, name) for name in told})
 
     @classmethod
     def from_zernike(
@@ -249,15 +235,13 @@ class Wavefront(Noun, Shown, Labelled):
         polar 40.0 5.00e-08 m
         """
         one_of("ordering", ordering, ORDERINGS)
-        mapping("coefficients", coefficients, "{index: metres}")
         nodes = nodes_of(nodes, aperture, obscuration, samples)
         positive("pupil_radius", pupil_radius, unit="m")
         if aperture is not None:
             fill = zernike_fill(coefficients, pupil_radius, ordering, aperture)
             given = fill, wavelength, image_distance, pupil_radius
             return cls._filled(*given, aperture, nodes, samples, 0.0)
-        orders = [zernike_order(index, ordering) for index in coefficients]
-        degree = max((n for n, _ in orders), default=0)
+        degree = zernike_degree(coefficients, ordering)
         if nodes == "grid":
             cells = 512 if samples is None else whole("samples", samples, 2)
             u, v, weights = grid_nodes(pupil_radius, cells, obscuration)

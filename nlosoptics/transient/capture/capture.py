@@ -229,11 +229,11 @@ class TransientCapture(Noun, Shown, Labelled):
             "path": variable(["path"], self.times, "m", "optical path"),
             "time": variable(["path"], self.times / 299792458.0, "s", "time"),
         }
-        for part, dimensions in axes.items():
-            points = getattr(self, f"{part}_points")
+        for end, dimensions in axes.items():
+            points = getattr(self, f"{end}_points")
             for i, axis in enumerate("xyz"):
-                name = f"{part} point, world {axis}"
-                where[f"{part}_{axis}"] = variable(dimensions, points[..., i], "m", name)
+                name = f"{end} point, world {axis}"
+                where[f"{end}_{axis}"] = variable(dimensions, points[..., i], "m", name)
         return Labels(arrays, where, {"pairing": self.pairing, "delta_t": self.delta_t})
 
     def with_details(self, **more: Any) -> TransientCapture:
