@@ -161,7 +161,7 @@ def _soft_grid(task: Task) -> Candidate:
     # peak if the energy were uniform over the disc of the rays, at most 1
     reach = max(residual.rays.reach / residual.airy_unit, 1.0)
     peak = min(1.0, 4 / (math.pi * reach) ** 2)
-    rim = error_bounds.soft_rim_error(residual, pitch, 0.0, error_bounds.CONTINUATION)
+    rim = error_bounds.soft_rim_error(residual, pitch, 0.0)
     field = float(rim) + residual.truncation
     expected = 2 * error_bounds.beat(task.pixel) * field / math.sqrt(peak)
     ruled_out = f"error of its rim about {expected:.2g}" if expected > DOUBT * task.tol else ""
