@@ -25,9 +25,3 @@ def _kept_nodes(aperture: Aperture, n_s: int, n_t: int) -> tuple[Array, Array, A
     """Return nodes and areas, read-only."""
     u, v, weights = map(frozen, aperture.nodes(n_s, n_t))
     return u, v, weights
-
-
-@lru_cache(maxsize=16)
-def kept_even_cells(shape: tuple[int, int, int]) -> Array:
-    """Return an amplitude of 1 on at most `KEPT` nodes, read-only."""
-    return frozen(np.ones(shape))

@@ -118,12 +118,6 @@ def kept_polar_nodes(
     return frozen(u), frozen(v), frozen(weights)
 
 
-@lru_cache(maxsize=16)
-def kept_even(n_r: int, n_theta: int) -> Array:
-    """Amplitude 1 on at most `KEPT` polar nodes, cached and read-only."""
-    return frozen(np.ones((n_r, n_theta)))
-
-
 def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[Array, Array, Array]:
     """Return a square grid over a round or annular pupil, with the area of each square inside it.
 

@@ -51,11 +51,6 @@ def soft_padded(window: Window, grid: Grid) -> float:
     return CALL + 3e-8 * grid.radius**2 + 5e-10 * size * columns * math.log2(size)
 
 
-def map_chirp(residual: Residual, window: Window) -> float:
-    """Predict the seconds of the chirp transform of a grid wavefront to any pitch."""
-    return map_sums(len(residual.wavefront.u), window)
-
-
 def map_sums(n: int, window: Window) -> float:
     """Predict the seconds of the chirp transform of a grid of ``n`` x ``n`` cells to any pitch."""
     ny, nx = window.shape

@@ -23,8 +23,6 @@ from .nufft import Nodes
 Array = NDArray[np.float64]
 Polarisation = Literal["unpolarised", "x", "y"] | float
 
-#: Methods that can transform the components of the field.
-METHODS: Final = ("auto", "quadrature", "mdft", "nufft", "geometric")
 #: Relative error to which the nodes resolve the weights near grazing directions.
 WEIGHTS: Final = 1e-15
 

@@ -39,7 +39,7 @@ def check_model(model: Model, method: str, polarisation: Polarisation) -> Polari
     """
     one_of("model", model, MODELS)
     found = high_aperture.check_polarisation(polarisation)
-    if model == "high-aperture" and method not in high_aperture.METHODS:
+    if model == "high-aperture" and method in ("fft", "airy"):
         raise SceneError(
             f"method = '{method}' with model = 'high-aperture', which it cannot compute; use "
             "method='auto'"

@@ -187,10 +187,9 @@ def point_spread(
         - ``quadrature`` integrates over the pupil by Gauss quadrature, for the layouts "polar" and
           "cells". It uses as many points as the window requires.
         - ``fft`` transforms as few samples of the pupil as ``tol`` allows: for the layout "polar"
-          by FFTs of a grid with a softened rim, for "cells" by a non-uniform FFT; for "grid" it is
-          ``mdft``.
-        - ``mdft`` is a chirp transform of a grid, for any pitch; a wave of the layout "polar" is
-          first resampled to a grid. Not for the layout "cells".
+          by FFTs of a grid, whose rim is softened, for "cells" by a non-uniform FFT, and for "grid"
+          by a chirp transform, for any pitch.
+        - ``mdft`` is the same, but not available for the layout "cells".
         - ``nufft`` is a non-uniform FFT of scattered sample points, such as traced rays; for other
           layouts it is ``quadrature`` or ``mdft``.
         - ``airy`` is the closed form of a wave without aberration.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -171,11 +171,13 @@ class Task:
     def sum(self, nodes: nufft.Nodes, epsilon: float) -> tuple[Array, float, float]:
         """Return the mean intensity of a sum over nodes, 1 at the ideal peak, and `levels`."""
         peak, secant = self.levels(nodes)
-        fine = np.zeros(self.samples.shape)
-        for weight in self.weights(nodes.u, nodes.v):
-            field = nufft.field(self.residual, nodes, self.samples, epsilon, weight)
-            fine += field.real**2 + field.imag**2
-        return self.averaged(fine) / peak, peak, secant
+        fields = (
+            nufft.field(self.residual, nodes, self.samples, epsilon, weight)
+            for weight in self.weights(nodes.u, nodes.v)
+        )
+        mean = self.averaged(reduce(np.add, (field.real**2 + field.imag**2 for field in fields)))
+        mean /= peak
+        return mean, peak, secant
 
     def bound(
         self,
@@ -293,9 +295,7 @@ def _quadrature(task: Task) -> Image:
 
 def _fft(task: Task) -> Image:
     """Compute mean intensity and error bound by as few samples of the pupil as ``tol`` allows."""
-    if task.residual.wavefront.layout == "cells":
-        return _cells(task)
-    return _mdft(task) if task.soft is None else _soft(task, task.soft)
+    return _cells(task) if task.residual.wavefront.layout == "cells" else _mdft(task)
 
 
 def _cells(task: Task) -> Image:
@@ -348,6 +348,8 @@ def _soft_image(task: Task, soft: SoftTask) -> Image:
 def _mdft(task: Task) -> Image:
     """Compute mean intensity and error bound by a transform of a grid to any pitch."""
     residual, samples = task.residual, task.samples
+    if task.soft is not None:
+        return _soft(task, task.soft)
     if residual.wavefront.layout == "polar":
         grid = pupil_grid_from_polar(residual, polar_pitch(task))
         _check_jump(task, grid.jump, None)

@@ -115,7 +115,7 @@ def candidates(task: Task, regime: Regime) -> list[Candidate]:
     elif layout == "scattered":
         found = [Candidate(costs.scattered_sum(task.residual, samples), "nufft")]
     else:
-        found = [Candidate(costs.map_chirp(task.residual, samples), "mdft")]
+        found = [Candidate(costs.map_sums(len(task.residual.wavefront.u), samples), "mdft")]
     return [*found, _rays(task, regime)]
 
 
@@ -123,7 +123,7 @@ def _components(task: Task) -> Candidate:
     """Return the sums over nodes for each component of the high-aperture model."""
     wave, samples = task.residual.wavefront, task.samples
     if wave.layout == "grid":
-        seconds = costs.map_chirp(task.residual, samples)
+        seconds = costs.map_sums(len(wave.u), samples)
     else:
         count = math.prod(task.counts) if wave.is_spectral else wave.u.size
         seconds = costs.sum_over_nodes(count, samples)
@@ -161,7 +161,7 @@ def _soft_grid(task: Task) -> Candidate:
     # peak if the energy were uniform over the disc of the rays, at most 1
     reach = max(residual.rays.reach / residual.airy_unit, 1.0)
     peak = min(1.0, 4 / (math.pi * reach) ** 2)
-    rim = error_bounds.soft_rim_error(residual, pitch, 0.0, error_bounds.CONTINUATION)
+    rim = error_bounds.soft_rim_error(residual, pitch, 0.0)
     field = float(rim) + residual.truncation
     expected = 2 * error_bounds.beat(task.pixel) * field / math.sqrt(peak)
     ruled_out = f"error of its rim about {expected:.2g}" if expected > DOUBT * task.tol else ""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 
 from ...errors import SamplingError
 from ..aperture.aperture import Aperture
-from ..aperture.cell_nodes import shared_cell_nodes
-from ..aperture.quadrature_nodes import KEPT, frozen, kept_polar_nodes
 from .cell_series import CellSpectrum
-from .fits import fitted_terms, projection
+from .fits import fitted_terms
 from .polar_series import PolarSpectrum
 from .scattered_fits import LocalFits, local_fits
 from .wavefront import Wavefront
@@ -382,39 +380,11 @@ class Residual:
 def split(wavefront: Wavefront) -> Residual:
     """Remove piston and tilt from a wavefront: its amplitude-weighted least-squares plane."""
     scale = wavefront.pupil_radius
-    size = wavefront.u.size
     if not wavefront.aberration.any():
         return Residual(wavefront, (0.0, 0.0), wavefront.aberration)
-    if wavefront.is_spectral and size <= KEPT and wavefront.is_uniform:
-        if wavefront.aperture is None:
-            plane, project = _kept_plane(*wavefront.u.shape, wavefront.obscuration)
-        else:
-            plane, project = _cells_plane(wavefront.aperture, *wavefront.u.shape[1:], scale)
-        # einsum does not call BLAS, so results are bit-identical for any thread count.
-        fit = np.einsum("ip,p->i", project, wavefront.aberration.ravel())
-    else:
-        plane = np.stack([np.ones_like(wavefront.u), wavefront.u / scale, wavefront.v / scale])
-        fit = fitted_terms(wavefront.aberration, wavefront.amplitude * wavefront.weights, plane)
+    plane = np.stack([np.ones_like(wavefront.u), wavefront.u / scale, wavefront.v / scale])
+    fit = fitted_terms(wavefront.aberration, wavefront.amplitude * wavefront.weights, plane)
     aberration = wavefront.aberration - fit[0]
     aberration -= fit[1] * plane[1]
     aberration -= fit[2] * plane[2]
     return Residual(wavefront, (float(fit[1] / scale), float(fit[2] / scale)), aberration)
-
-
-@lru_cache(maxsize=16)
-def _kept_plane(n_r: int, n_theta: int, obscuration: float) -> tuple[Array, Array]:
-    """Piston and tilt terms (3, n_r, n_theta) and their projection matrix (3, nodes).
-
-    For uniform amplitude on the unit disc; cached and read-only.
-    """
-    u, v, weights = kept_polar_nodes(1.0, n_r, n_theta, obscuration)
-    plane = np.stack([np.ones_like(u), u, v])
-    return frozen(plane), frozen(projection(plane, weights))
-
-
-@lru_cache(maxsize=16)
-def _cells_plane(aperture: Aperture, n_s: int, n_t: int, scale: float) -> tuple[Array, Array]:
-    """Return `_kept_plane` of an aperture's nodes over ``scale``, m; cached and read-only."""
-    u, v, weights = shared_cell_nodes(aperture, n_s, n_t)
-    plane = np.stack([np.ones_like(u), u / scale, v / scale])
-    return frozen(plane), frozen(projection(plane, weights))

@@ -1,8 +1,6 @@
-"""Sample points of a wave: cached ones, and checks that they are those of its layout."""
+"""Checks that the sample points of a wave are those of its layout."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +8,8 @@ from numpy.typing import NDArray
 from ..._xarray import Labels, variable
 from ...errors import SceneError
 from ..aperture.aperture import Aperture
-from ..aperture.cell_nodes import kept_even_cells, shared_cell_nodes
-from ..aperture.quadrature_nodes import KEPT, kept_even, kept_polar_nodes, polar_nodes
+from ..aperture.cell_nodes import shared_cell_nodes
+from ..aperture.quadrature_nodes import KEPT, kept_polar_nodes, polar_nodes
 
 Array = NDArray[np.float64]
 
@@ -21,27 +19,6 @@ def grid_pitch(u: Array) -> float:
     # Next to the axis, where u is 0, the difference is exact.
     axis = u.shape[1] // 2
     return float(u[0, axis] - u[0, axis - 1])
-
-
-def kept_arrays(
-    layout: str, u: Any, radius: float, obscuration: float, aperture: Aperture | None
-) -> dict[str, Array]:
-    """Return cached nodes and uniform amplitude in the shape of u; they need no checks.
-
-    The result is empty if there are none. ``radius`` is the pupil radius, m.
-    """
-    if not isinstance(u, np.ndarray) or not 0 < u.size <= KEPT:
-        return {}
-    shape = u.shape
-    if layout == "cells" and aperture is not None and len(shape) == 3:
-        u, v, weights = shared_cell_nodes(aperture, *shape[1:])
-        if len(u) != shape[0]:
-            return {}
-        return {"u": u, "v": v, "amplitude": kept_even_cells(shape), "weights": weights}
-    if layout != "polar" or len(shape) != 2:
-        return {}
-    u, v, weights = kept_polar_nodes(radius, *shape, obscuration)
-    return {"u": u, "v": v, "amplitude": kept_even(*shape), "weights": weights}
 
 
 def check_aperture(layout: str, aperture: Aperture | None, obscuration: float) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..._checks import counted, mapping, one_of, real, whole
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
-from ..aperture.cell_nodes import kept_even_cells, shared_cell_nodes
+from ..aperture.cell_nodes import shared_cell_nodes
 from ..aperture.quadrature_nodes import KEPT, grid_nodes, polar_nodes
 from .cell_series import CellSpectrum
 from .polar_series import PolarSpectrum
@@ -214,13 +214,6 @@ def values_on(name: str, function: PupilFunction, nodes: PupilNodes) -> Array:
     return values
 
 
-def even(nodes: PupilNodes) -> Array:
-    """Return an amplitude of 1 on nodes; read-only where it is kept."""
-    if nodes.layout == "cells" and nodes.u.size <= KEPT:
-        return kept_even_cells(nodes.u.shape)
-    return np.ones_like(nodes.u)
-
-
 def zernike_degree(coefficients: Mapping[int, float], ordering: Ordering) -> int:
     """Return the highest radial degree of a sum of Zernike polynomials, 0 for none."""
     listed = mapping("coefficients", coefficients, "{index: metres}")
@@ -244,11 +237,11 @@ def zernike_fill(
             modes = kept_cell_zernikes(tuple(coefficients), ordering, aperture, *counts, radius)
             # einsum does not call BLAS, so results are bit-identical for any thread count.
             path = np.einsum("m,mn->n", heights, modes).reshape(nodes.u.shape)
-            return path, even(nodes)
+            return path, np.ones_like(path)
         path = np.zeros_like(nodes.u)
         lit = nodes.weights > 0
         path[lit] = zernike_sum(coefficients, nodes.u[lit], nodes.v[lit], radius, ordering)
-        return path, even(nodes)
+        return path, np.ones_like(path)
 
     return fill
 

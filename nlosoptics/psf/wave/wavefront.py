@@ -21,13 +21,12 @@ from ..aperture.quadrature_nodes import (
     KEPT,
     fitting_pitch,
     grid_nodes,
-    kept_even,
     polar_nodes,
     shared_polar_nodes,
 )
 from .cell_series import CellSpectrum
 from .fits import fitted_terms
-from .node_checks import check_aperture, check_nodes, grid_pitch, kept_arrays, wave_labels
+from .node_checks import check_aperture, check_nodes, grid_pitch, wave_labels
 from .polar_series import PolarSpectrum
 from .removed import Removed
 from .sampling import (
@@ -35,7 +34,6 @@ from .sampling import (
     Nodes,
     PupilFunction,
     PupilNodes,
-    even,
     nodes_of,
     owned,
     polar_counts,
@@ -126,17 +124,13 @@ class Wavefront(Noun, Shown, Labelled):
         for name in ("wavelength", "image_distance", "pupil_radius", "obscuration"):
             put(self, name, float(getattr(self, name)))
         check_aperture(self.layout, self.aperture, self.obscuration)
-        kept = kept_arrays(self.layout, self.u, self.pupil_radius, self.obscuration, self.aperture)
         for name in ("u", "v", "aberration", "amplitude", "weights"):
-            if name not in kept or getattr(self, name) is not kept[name]:
-                put(self, name, owned(name, getattr(self, name), self.layout))
+            put(self, name, owned(name, getattr(self, name), self.layout))
             if getattr(self, name).shape != self.u.shape:
                 raise SceneError(
                     f"wavefront.{name} has shape {getattr(self, name).shape} and u has "
                     f"{self.u.shape}; give one value per node"
                 )
-        if kept and all(getattr(self, name) is values for name, values in kept.items()):
-            return
         for name in ("amplitude", "weights"):
             values = getattr(self, name)
             if np.any(values < 0):
@@ -248,21 +242,19 @@ class Wavefront(Noun, Shown, Labelled):
         else:
             counts = polar_counts(degree, samples)
             u, v, weights = shared_polar_nodes(pupil_radius, *counts, obscuration)
-        if nodes == "polar" and u.size <= KEPT:
-            amplitude, aberration = kept_even(*u.shape), np.zeros(u.shape)
+        aberration = np.zeros(u.shape)
+        if nodes == "polar" and u.size <= KEPT and coefficients:
             heights = [real(f"coefficients[{j}]", value) for j, value in coefficients.items()]
-            if heights:
-                modes = kept_zernikes(tuple(coefficients), ordering, *u.shape, float(obscuration))
-                # einsum does not call BLAS, so results are bit-identical for any thread count.
-                aberration = np.einsum("m,mrt->rt", np.array(heights), modes)
-        else:
-            amplitude = np.ones_like(u)
+            modes = kept_zernikes(tuple(coefficients), ordering, *u.shape, float(obscuration))
+            # einsum does not call BLAS, so results are bit-identical for any thread count.
+            aberration = np.einsum("m,mrt->rt", np.array(heights), modes)
+        elif coefficients:
             aberration = zernike_sum(coefficients, u, v, pupil_radius, ordering)
         return cls(
             u=u,
             v=v,
             aberration=aberration,
-            amplitude=amplitude,
+            amplitude=np.ones_like(u),
             weights=weights,
             wavelength=wavelength,
             image_distance=image_distance,
@@ -343,7 +335,7 @@ class Wavefront(Noun, Shown, Labelled):
             if aberration is not None:
                 path = path + values_on("aberration", aberration, at)
             if amplitude is None:
-                return path, even(at)
+                return path, np.ones_like(path)
             return path, values_on("amplitude", amplitude, at)
 
         given = fill, wavelength, image_distance, pupil_radius

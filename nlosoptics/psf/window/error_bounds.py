@@ -176,7 +176,7 @@ def edge_errors(
     shift = residual.shift
     dx, dy = np.abs(x - shift[0]), np.abs(y - shift[1])[:, None]
     if grid.rim == "soft":
-        soft = soft_rim_error(residual, grid.pitch, np.hypot(dy, dx), CONTINUATION)
+        soft = soft_rim_error(residual, grid.pitch, np.hypot(dy, dx))
         return EdgeErrors(soft, math.inf)
     period = _period(residual, grid)
     n = 2 * wave.pupil_radius / grid.pitch
@@ -211,21 +211,17 @@ def edge_errors(
     return EdgeErrors(cut, edges * 0.02 * steep**2 / n, edges * (spill + repeats))
 
 
-def soft_rim_error(
-    residual: Residual, pitch: float | Array, distance: Array | float, continuation: float
-) -> Array:
+def soft_rim_error(residual: Residual, pitch: float, distance: Array | float) -> Array:
     """Return an upper bound of the field error of a pupil with a blurred rim on a grid.
 
     Parameters
     ----------
     residual : Residual
         Wave without piston and tilt.
-    pitch : ndarray or float
+    pitch : float
         Spacing of the pupil grid, m.
     distance : ndarray or float
-        Distance of the image point from the spot's centre, m; it broadcasts with ``pitch``.
-    continuation : float
-        `CONTINUATION`, or 0 for a wave that continues smoothly outside the rim.
+        Distance of the image point from the spot's centre, m.
 
     Returns
     -------
@@ -240,11 +236,9 @@ def soft_rim_error(
     far = np.asarray(distance) + reach
     field = 3 * antialiased_disc.leak(far / period) * tail(far / unit)
     focus = 2 * antialiased_disc.leak(np.asarray(reach / period)) / max(math.pi * reach / unit, 1.0)
-    edge: float | Array = 0.0
-    if continuation > 0:
-        degree = max(residual.degrees(1e-3 * float(np.abs(residual.aberration).max())))
-        steep = 2 * math.pi * residual.rays.slope * pitch / wave.wavelength
-        edge = continuation * steep * degree * (2 / n) ** 2
+    degree = max(residual.degrees(1e-3 * float(np.abs(residual.aberration).max())))
+    steep = 2 * math.pi * residual.rays.slope * pitch / wave.wavelength
+    edge = CONTINUATION * steep * degree * (2 / n) ** 2
     edges = 1 / (1 - wave.obscuration)  # length of both rims over area, 1 for a disc
     return np.asarray(edges * (field + focus + edge))
 

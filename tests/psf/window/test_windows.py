@@ -328,8 +328,7 @@ def test_errors_of_a_cut_rim(half, outline):
     assert (whole.field, whole.energy, whole.spill) == (0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("continuation", [0.0, 0.05])
-def test_errors_of_a_soft_rim(continuation):
+def test_errors_of_a_soft_rim():
     residual = split(tilted(obscuration=0.3))
     pitch, reach = RADIUS / 50, residual.rays.reach
     period, n = WAVELENGTH * 0.06 / pitch, 100
@@ -338,12 +337,10 @@ def test_errors_of_a_soft_rim(continuation):
         return erfc((0.5 - s) / 0.08) / 2
 
     focus = 2 * leak(reach / period) / max(math.pi * reach / UNIT, 1.0)
-    edge = 0.0
-    if continuation:
-        degree = max(residual.degrees(1e-3 * abs(residual.aberration).max()))
-        edge = 0.05 * 2 * math.pi * residual.rays.slope * pitch / WAVELENGTH * degree * (2 / n) ** 2
+    degree = max(residual.degrees(1e-3 * abs(residual.aberration).max()))
+    edge = 0.05 * 2 * math.pi * residual.rays.slope * pitch / WAVELENGTH * degree * (2 / n) ** 2
     distances = np.array([0.0, 4e-5, 1.3e-4])
-    found = error_bounds.soft_rim_error(residual, pitch, distances, continuation)
+    found = error_bounds.soft_rim_error(residual, pitch, distances)
     known = [
         (3 * leak((s + reach) / period) * airy((s + reach) / UNIT) + focus + edge) / 0.7
         for s in distances.tolist()
@@ -353,9 +350,7 @@ def test_errors_of_a_soft_rim(continuation):
     x, y = np.array([1e-5, -2e-5]), np.array([3e-5])
     errors = error_bounds.edge_errors(residual, grid, x, y)
     far = np.hypot(x - residual.shift[0], y[0] - residual.shift[1])
-    assert errors.field[0] == approx(
-        error_bounds.soft_rim_error(residual, pitch, far, 0.05), rel=1e-12
-    )
+    assert errors.field[0] == approx(error_bounds.soft_rim_error(residual, pitch, far), rel=1e-12)
     assert (errors.energy, errors.spill) == (math.inf, 0.0)
 
 
