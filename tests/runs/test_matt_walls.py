@@ -15,7 +15,7 @@ from scipy import constants
 
 import nlosoptics as nlos
 from nlosoptics import cli, imaging, inverse, limits
-from nlosoptics.errors import SceneError, ValidityWarning
+from nlosoptics.errors import ValidityWarning
 from nlosoptics.imaging import WallTransport
 from nlosoptics.runs.noise import electron_noise
 from nlosoptics.scene import FlatWall, Lambert, Scene
