@@ -310,7 +310,7 @@ def form_image(
         # the FFT leaves rounding errors of either sign in dark regions
         signal = np.maximum(model.forward(ideal), 0.0)
     light = signal + stray
-    room = np.minimum(room_light(scene, exposure, shadows), light)
+    room = np.minimum(room_light(scene, exposure), light)
     laser, other = light - room, dark + room
     electrons, saturated = read_out(camera, laser, other, freedom=freedom, seed=seed)
     total = float(ideal.sum())
@@ -398,19 +398,15 @@ def diffuse_background(
     return np.asarray(diffuse)
 
 
-def room_light(
-    scene: Scene, exposure: float | None = None, shadows: Shadows | None = None
-) -> Array | float:
+def room_light(scene: Scene, exposure: float | None = None) -> Array | float:
     """Return electrons of all light but the laser's, before the blur, (ny, nx); 0 for none.
 
     It comes from many independent sources, so that it has no speckle.
     """
-    hidden = scene.hidden
-    luminous = isinstance(hidden, PlanarObject) and hidden.luminous is not None
-    if scene.ambient_irradiance == 0.0 and not luminous:
+    if scene.ambient_irradiance == 0.0 and getattr(scene.hidden, "luminous", None) is None:
         return 0.0
     unlit = replace(scene, laser=replace(scene.laser, power=0.0))
-    levels = light_levels(unlit, exposure=exposure, shadows=shadows)
+    levels = light_levels(unlit, exposure=exposure)
     return levels.ideal + levels.stray
 
 
