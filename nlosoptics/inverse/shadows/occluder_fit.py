@@ -89,12 +89,15 @@ def occluder_fit(
     -----
     The search maximises the evidence of the linear model of `shadow_fit`, in which the object, the
     ambient light and the noise are integrated out or take their best values, for an object that is
-    nowhere negative: objects at wrong places would have to be. The constraint changes the logarithm
-    by that of the probability of the most probable object (Laplace's method). The search starts at
-    the three best of 10 d + 1 points, the start, its neighbours at ``reach`` and a low-discrepancy
-    sequence, and uses quadratic models [1]_. It is repeated from the two best of its ends with the
-    number of independent pixels that the residual shows there. The place is the maximum of a
-    quadratic fitted to the evidence of places around the best end, at a tenth of ``reach``. The
+    nowhere negative: objects at wrong places would have to be. Near a place, the constraint changes
+    the logarithm by that of the probability of the most probable object (Laplace's method). This
+    falls with the number of modes, so that distant places are compared by the evidence of an object
+    that is dark outside the cells that the most probable object lights.
+
+    The search starts at the three best of 10 d + 1 points, the start, its neighbours at ``reach``
+    and a low-discrepancy sequence, and uses quadratic models [1]_. It is repeated near the two best
+    of its ends with the number of independent pixels that the residual shows there. The place is
+    the maximum of a quadratic fitted to places around the better end, at a tenth of ``reach``. The
     covariance follows from the fall of the evidence along the axes of its curvature, at the
     distance at which it should have fallen by the odds of a detection.
 
@@ -145,40 +148,45 @@ def occluder_fit(
     data = wall_image(image, operator(first).pixels, noise, reference, ambient)
     evaluations, orders = 0, set[int]()
 
-    def picture(steps: Array) -> tuple[float, Array]:
-        """Return the log evidence of a place, and the linear estimate of the object there."""
+    def picture(steps: Array) -> tuple[float, float, Array]:
+        """Return both log evidences of a place, and the linear estimate of the object there."""
         nonlocal evaluations
         evaluations += 1
         known = operator(first + reach * steps)
         linear = evidence(data, known.matrix, known.cells)
         orders.add(linear.order)
-        return linear.log_positive(known.cells), linear.estimate
+        log, lit = linear.not_negative(known.cells)
+        return log, evidence(data, known.matrix * lit, known.cells).log, linear.estimate
 
     def cost(steps: Array) -> float:
         return -picture(steps)[0]
 
-    def searched(steps: Array, radius: float, least: float = 0.05) -> Any:
-        return scipy.optimize.minimize(
-            cost,
+    def cost_of_lit(steps: Array) -> float:
+        return -picture(steps)[1]
+
+    def searched(function: Callable[[Array], float], steps: Array, radius: float) -> Any:
+        end = scipy.optimize.minimize(
+            function,
             steps,
             method="COBYQA",
             bounds=[(-2.0, 2.0)] * len(first),
-            options={"initial_tr_radius": radius, "final_tr_radius": least, "maxfev": most},
+            options={"initial_tr_radius": radius, "final_tr_radius": 0.05, "maxfev": most},
         )
+        end.fun = cost_of_lit(end.x)
+        return end
 
     around = np.vstack([np.zeros(len(first)), np.eye(len(first)), -np.eye(len(first))])
     between = scipy.stats.qmc.Halton(len(first), scramble=False).random(8 * len(first) + 1)[1:]
     around = np.vstack([around, 2.0 * between - 1.0])
-    nearest = np.argsort([cost(steps) for steps in around], kind="stable")
+    nearest = np.argsort([cost_of_lit(steps) for steps in around], kind="stable")
     data = replace(data, orders=sorted(orders))
-    ends = _distinct([searched(steps, 0.5) for steps in around[nearest[:3]]])
+    ends = _distinct([searched(cost_of_lit, steps, 0.5) for steps in around[nearest[:3]]])
     if finer is not None:
         model = finer
         data = wall_image(image, operator(first).pixels, noise, reference, ambient)
         data = replace(data, orders=sorted(orders))
     data, _ = settled(data, operator(first + reach * ends[0].x))
-    # coarse cells may prefer a wrong place
-    ends = _distinct([searched(end.x, 0.2) for end in ends[:2]])
+    ends = _distinct([searched(cost, end.x, 0.2) for end in ends[:2]])
     final = ends[0]
     best, curvature = _least(cost, np.array(final.x))
     falls, vectors = np.linalg.eigh(curvature)
@@ -189,12 +197,12 @@ def occluder_fit(
     else:
         # to where the evidence should have fallen by the odds of a detection; it may fall less
         axes = vectors * np.sqrt(2.0 * LIMITS.detection / falls)
-        log, estimate = picture(best)
+        log, log_of_lit, estimate = picture(best)
         ends_of_axes = [[picture(best + side * axis) for side in (-1, 1)] for axis in axes.T]
         falls = np.array([max(log - 0.5 * (a[0] + b[0]), 1.0) for a, b in ends_of_axes])
         covariance = reach**2 * (axes / (2.0 * falls)) @ axes.T
         unlike = np.array(
-            [max(1.0 - _correlation(estimate, end[1]) for end in pair) for pair in ends_of_axes]
+            [max(1.0 - _correlation(estimate, end[2]) for end in pair) for pair in ends_of_axes]
         )
         least = 1.0 - float((unlike * LIMITS.detection / falls).max())
         if least < LIMITS.correlation:
@@ -206,7 +214,7 @@ def occluder_fit(
                 f"{LIMITS.correlation:g}; expose longer, or measure the place"
             )
         for other in ends[1:]:
-            margin = float(other.fun) - min(float(final.fun), -log)
+            margin = float(other.fun) - min(float(final.fun), -log_of_lit)
             apart = other.x - best
             if margin < LIMITS.detection and apart @ curvature @ apart > LIMITS.errors**2:
                 reasons.append(
