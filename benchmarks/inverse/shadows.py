@@ -46,7 +46,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from feasibility import KINDS, drawn_picture
 
 SCENE = Path(__file__).parents[2] / "examples" / "scenes" / "letter_flat.toml"
-FINE, CELLS, SEARCH = 41, 24, (16, 12)  # cells of data and fit; pixels and cells of the search
+FINE, CELLS = 41, 24  # cells of data and fit
+SEARCHES = (16, 12), (32, 16)  # pixels and cells of the coarse and of the finer search
 RADIUS, REACH = 0.06, 0.05  # of a disc and of the search, m
 OFFSETS = ((0.0, 0.0, 0.0), (0.16, -0.1, -0.05), (-0.08, 0.15, 0.05))  # of up to three discs, m
 
@@ -140,11 +141,15 @@ def case(index, kind, pixels=64):
     if kind == "unknown":
         known = inverse.shadow_fit(image, operator)
         started = time.process_time()
-        coarse = WallTransport(scene, cells=(SEARCH[1],) * 2, pixels=(SEARCH[0],) * 2)
+        coarse, finer = (WallTransport(scene, cells=(c, c), pixels=(n, n)) for n, c in SEARCHES)
         start = rng.standard_normal(3)
         start *= REACH * rng.random() ** (1.0 / 3.0) / np.linalg.norm(start)
         search = inverse.occluder_fit(
-            image, lambda shift: coarse.moved(0, shift), start=start, reach=REACH
+            image,
+            lambda shift: coarse.moved(0, shift),
+            finer=lambda shift: finer.moved(0, shift),
+            start=start,
+            reach=REACH,
         )
         place = search.physical_parameters["place"]
         error = 1e3 * float(np.linalg.norm(place))

@@ -325,8 +325,8 @@ def form_image(
         # the FFT leaves rounding errors of either sign in dark regions
         signal = np.maximum(model.forward(ideal), 0.0)
     light = signal + stray
-    # only the laser's light has speckle
-    laser, other = light - levels.ambient, dark + levels.ambient
+    room = np.minimum(room_light(scene, exposure), light)
+    laser, other = light - room, dark + room
     electrons, saturated = read_out(camera, laser, other, freedom=freedom, seed=seed)
     total = float(ideal.sum())
     return SpeckleImage(
@@ -413,14 +413,28 @@ def diffuse_background(
     return np.asarray(diffuse)
 
 
-def reading_noise(scene: Scene, light: Array) -> Array:
+def room_light(scene: Scene, exposure: float | None = None) -> Array | float:
+    """Return electrons of all light but the laser's, before the blur, (ny, nx); 0 for none.
+
+    It comes from many independent sources, so that it has no speckle.
+    """
+    if scene.ambient_irradiance == 0.0 and getattr(scene.hidden, "luminous", None) is None:
+        return 0.0
+    unlit = replace(scene, laser=replace(scene.laser, power=0.0))
+    levels = light_levels(unlit, exposure=exposure)
+    return levels.ideal + levels.stray
+
+
+def reading_noise(scene: Scene, light: Array, room: Array | float = 0.0) -> Array:
     """Return the rms noise of pixels at the camera's exposure time, electrons.
 
-    Returns noise of photons, speckle, dark current, readout and digitisation.
+    Returns noise of photons, speckle, dark current, readout and digitisation. Of all ``light``,
+    that of the ``room`` has no speckle.
     """
     camera = scene.camera
     dark = camera.dark_current * camera.exposure * camera.binning**2
-    return np.sqrt(noise_variance(camera, light, dark, _speckle_freedom(scene)))
+    room = np.minimum(room, light)
+    return np.sqrt(noise_variance(camera, light - room, dark + room, _speckle_freedom(scene)))
 
 
 def _shadows(scene: Scene, given: Shadows | None) -> Shadows | None:
@@ -521,7 +535,6 @@ def _speckle_freedom(scene: Scene) -> float | None:
     patterns = scene.laser.independent_patterns
     if patterns is None or scene.laser.power == 0.0:
         return None
-    scene.check_laser_light()  # speckle is that of all light
     f_number = working_f_number(scene.camera.stop_diameter / 2, scene.image_distance)
     pixel = scene.camera.image_pitch
     return 2.0 * patterns * speckles_per_pixel(pixel, scene.laser.wavelength, f_number)

@@ -66,15 +66,8 @@ class Edges(Noun):
     @cached_property
     def arrays(self) -> tuple[Any, ...]:
         """All arrays in the order in which the kernels take them."""
-        return (
-            self.vertices,
-            self.faces,
-            self.ends,
-            self.starts,
-            self.sides,
-            self.turned,
-            self.groups,
-        )
+        topology = self.ends, self.starts, self.sides, self.turned
+        return (self.vertices, self.faces, *topology, self.groups)
 
     def still(self) -> Array:
         """Return the velocities of vertices of which none is asked for, (n, 0, 3)."""

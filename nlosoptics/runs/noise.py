@@ -14,7 +14,7 @@ import scipy  # its parts are loaded on first use
 from numpy.typing import NDArray
 
 from ..imaging import CameraImage, ForwardModel
-from ..imaging.images import reading_noise
+from ..imaging.images import reading_noise, room_light
 from ..inverse.data.noise import estimate_noise, surrounded
 from ..scene import Scene
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 def electron_noise(scene: Scene, electrons: Array) -> Array:
     """Return the rms noise of each pixel of a reading in electrons, dark current subtracted."""
-    return reading_noise(scene, _local_mean(electrons))
+    return reading_noise(scene, _local_mean(electrons), room_light(scene))
 
 
 def camera_noise(scene: Scene, image: CameraImage, model: ForwardModel) -> Array | None:
@@ -38,11 +38,11 @@ def camera_noise(scene: Scene, image: CameraImage, model: ForwardModel) -> Array
     sigma = estimate_noise(values, model)
     if sigma == 0.0:
         return None
-    light = _local_mean(values)
+    light, room = _local_mean(values), room_light(scene)
 
     def noise(gain: float) -> Array:
         """Noise in counts for a number of electrons per count."""
-        return reading_noise(scene, gain * light) / gain
+        return reading_noise(scene, gain * light, room) / gain
 
     # Photon noise in counts falls with the electrons per count, so that the mean noise does too.
     low, high = math.log(1e-6), math.log(1e6)

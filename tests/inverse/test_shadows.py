@@ -125,11 +125,15 @@ def test_a_wrong_height_does_not_fit():
 
 @pytest.mark.thorough
 def test_height_of_a_disc():
-    """A shift along the wall moves the object as well; the height stands out."""
+    """A shift along the wall moves the object as well; the height stands out.
+
+    The coarse operator errs by 1 cm, and the finer one decides.
+    """
     image, scale = wall(2e4)
     fit = inverse.occluder_fit(
         image,
-        lambda height: scale * operator((0.0, 0.0, float(height[0]))),
+        lambda height: scale * operator((0.0, 0.0, 0.01 + float(height[0]))),
+        finer=lambda height: scale * operator((0.0, 0.0, float(height[0]))),
         start=[0.04],
         reach=0.04,
         cells=(CELLS, CELLS),

@@ -15,8 +15,9 @@ from scipy import constants
 
 import nlosoptics as nlos
 from nlosoptics import cli, imaging, inverse, limits
-from nlosoptics.errors import SceneError, ValidityWarning
+from nlosoptics.errors import ValidityWarning
 from nlosoptics.imaging import WallTransport
+from nlosoptics.runs.noise import electron_noise
 from nlosoptics.scene import FlatWall, Lambert, Scene
 
 SCENES = Path(__file__).parents[2] / "examples" / "scenes"
@@ -96,11 +97,23 @@ def test_light_that_is_not_described_is_refused() -> None:
     dark = replace(dark, hidden=replace(dark.hidden, luminous=None))
     with pytest.warns(ValidityWarning, match=r"no object .* the scene has no light: .*; add one"):
         assert nlos.simulate(dark, reconstruct=True).reconstruction is None
+
+
+def test_light_of_the_room_has_no_speckle() -> None:
+    """It adds shot noise alone, to simulated images and to the noise of a reading."""
     flat = Scene.load(SCENES / "letter_flat.toml").resized(8)
-    speckled = replace(flat, wall_material=Lambert(0.7), ambient_irradiance=1.0)
-    speckled = replace(speckled, laser=replace(speckled.laser, independent_patterns=1))
-    with pytest.raises(SceneError, match="room is lit"):
-        imaging.form_image(speckled, None)
+    laser = replace(flat.laser, independent_patterns=1)
+    camera = replace(flat.camera, exposure=1e4, field_stop=None)  # more speckle than shot noise
+    speckled = replace(flat, wall_material=Lambert(0.7), laser=laser, camera=camera)
+    lit = replace(speckled, ambient_irradiance=1e-5)
+    with_room, without = imaging.form_image(lit, None), imaging.form_image(speckled, None)
+    more = with_room.expected - without.expected
+    assert more.max() > without.expected.max()
+    assert with_room.noise_sigma**2 - without.noise_sigma**2 == approx(more)
+    reading = with_room.expected - with_room.ledger["dark"] / more.size
+    inside = np.s_[2:-2, 2:-2]
+    noise = electron_noise(lit, reading)[inside]
+    assert noise == approx(with_room.noise_sigma[inside], rel=0.2)
 
 
 @pytest.mark.thorough

@@ -220,17 +220,19 @@ class Evidence(NamedTuple):
         coefficients = self._inverse(shape) @ values
         return np.asarray(self.patterns @ (self.share * coefficients))
 
-    def log_positive(self, shape: tuple[int, int]) -> float:
-        """Return the log evidence of an object that is nowhere negative, by Laplace's method.
+    def not_negative(self, shape: tuple[int, int]) -> tuple[float, NDArray[np.bool_]]:
+        """Return the log evidence of an object that is nowhere negative, and its lit cells (N,).
 
-        The most probable object with this constraint is less probable than the estimate.
+        By Laplace's method: the most probable object with this constraint is less probable than the
+        estimate. Lit are the cells in which it is above 0.
         """
-        inverse, log = self._inverse(shape), self.log
+        inverse, log, lit = self._inverse(shape), self.log, np.zeros(len(self.estimate), bool)
         for estimate, variance in zip(self.estimate.T, self.variance.T, strict=True):
             precision = inverse.T @ (inverse / variance[:, None])
-            change = _not_negative(precision, precision @ estimate) - estimate
-            log -= 0.5 * float(change @ precision @ change)
-        return log
+            values = _not_negative(precision, precision @ estimate)
+            lit |= values > 0.0
+            log -= 0.5 * float((values - estimate) @ precision @ (values - estimate))
+        return log, lit
 
     def _inverse(self, shape: tuple[int, int]) -> Array:
         """Return the matrix (K, N) from an object to the coefficients of its patterns."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -33,6 +33,7 @@ def occluder_fit(
     image: Any,
     operator_at: Callable[[Array], Any],
     *,
+    finer: Callable[[Array], Any] | None = None,
     start: ArrayLike = (0.0, 0.0, 0.0),
     reach: float = 0.05,
     cells: tuple[int, int] | None = None,
@@ -53,15 +54,19 @@ def occluder_fit(
     operator_at : callable
         Returns the operator, see `shadow_fit`, for an array of the occluder's d unknown values,
         such as its shift in m: for a `nlosoptics.imaging.WallTransport` named ``wall``,
-        ``lambda shift: wall.moved(0, shift)``. Few pixels and cells are enough, and quick; the
-        result's ``place`` can then be passed to `shadow_fit` with a finer operator.
+        ``lambda shift: wall.moved(0, shift)``. Few pixels and cells, such as 16 x 16 and 12 x 12,
+        are quick, but their errors move the place by about a third of a cell.
+    finer : callable, optional
+        As ``operator_at``, for more pixels and cells, such as 32 x 32 and 16 x 16. The two best
+        places are searched again with it, and the result is the better one. The result's ``place``
+        can then be passed to `shadow_fit` with an operator for all pixels.
     start : array_like, (d,)
         Values at which the search starts.
     reach : float
         Distance from the start that the search covers first, in the unit of the values. It ends at
         twice this distance along each value.
     max_evaluations : int
-        Maximum number of operators that each of the three searches computes.
+        Maximum number of operators that each search computes.
 
     Returns
     -------
@@ -84,15 +89,19 @@ def occluder_fit(
     -----
     The search maximises the evidence of the linear model of `shadow_fit`, in which the object, the
     ambient light and the noise are integrated out or take their best values, for an object that is
-    nowhere negative: objects at wrong places would have to be. The constraint changes the logarithm
-    by that of the probability of the most probable object (Laplace's method). The search starts at
-    the two best of 10 d + 1 points, the start, its neighbours at ``reach`` and a low-discrepancy
-    sequence, uses quadratic models [1]_, and is repeated from the better end with the number of
-    independent pixels that the residual shows there. The covariance follows from the fall of the
-    evidence along the axes of its curvature, at the distance at which it should have fallen by the
-    odds of a detection.
+    nowhere negative: objects at wrong places would have to be. Near a place, the constraint changes
+    the logarithm by that of the probability of the most probable object (Laplace's method). This
+    falls with the number of modes, so that distant places are compared by the evidence of an object
+    that is dark outside the cells that the most probable object lights.
 
-    The status is "ambiguous" if the two searches end at different places of similar evidence, or at
+    The search starts at the three best of 10 d + 1 points, the start, its neighbours at ``reach``
+    and a low-discrepancy sequence, and uses quadratic models [1]_. It is repeated near the two best
+    of its ends with the number of independent pixels that the residual shows there. The place is
+    the maximum of a quadratic fitted to places around the better end, at a tenth of ``reach``. The
+    covariance follows from the fall of the evidence along the axes of its curvature, at the
+    distance at which it should have fallen by the odds of a detection.
+
+    The status is "ambiguous" if the searches end at different places of similar evidence, or at
     the edge of the region, if the curvature leaves a standard deviation above ``reach``, or if the
     linear estimates of places that are as probable have a correlation below 0.8 with the best one.
 
@@ -123,8 +132,9 @@ def occluder_fit(
     """
     started = time.perf_counter()
     first = np.atleast_1d(real_array("start", start))
-    if not callable(operator_at):
-        raise SceneError(f"operator_at = {operator_at!r} cannot be called; give a function")
+    for name, function in (("operator_at", operator_at), ("finer", finer or operator_at)):
+        if not callable(function):
+            raise SceneError(f"{name} = {function!r} cannot be called; give a function")
     if first.ndim != 1 or not np.isfinite(first).all():
         raise SceneError(f"start = {start!r} must be finite numbers; give one for each value")
     reach = positive("reach", reach)
@@ -132,43 +142,53 @@ def occluder_fit(
     settings = checked_settings(image, brightest, max_iterations, tolerance)
 
     def operator(place: Array) -> Operator:
-        return checked_operator(operator_at(place), np.shape(image), cells)
+        return checked_operator(model(place), np.shape(image), cells)
 
+    model = operator_at
     data = wall_image(image, operator(first).pixels, noise, reference, ambient)
     evaluations, orders = 0, set[int]()
 
-    def picture(steps: Array) -> tuple[float, Array]:
-        """Return the log evidence of a place, and the linear estimate of the object there."""
+    def picture(steps: Array) -> tuple[float, float, Array]:
+        """Return both log evidences of a place, and the linear estimate of the object there."""
         nonlocal evaluations
         evaluations += 1
         known = operator(first + reach * steps)
         linear = evidence(data, known.matrix, known.cells)
         orders.add(linear.order)
-        return linear.log_positive(known.cells), linear.estimate
+        log, lit = linear.not_negative(known.cells)
+        return log, evidence(data, known.matrix * lit, known.cells).log, linear.estimate
 
     def cost(steps: Array) -> float:
         return -picture(steps)[0]
 
-    def searched(steps: Array, radius: float, least: float) -> Any:
-        return scipy.optimize.minimize(
-            cost,
+    def cost_of_lit(steps: Array) -> float:
+        return -picture(steps)[1]
+
+    def searched(function: Callable[[Array], float], steps: Array, radius: float) -> Any:
+        end = scipy.optimize.minimize(
+            function,
             steps,
             method="COBYQA",
             bounds=[(-2.0, 2.0)] * len(first),
-            options={"initial_tr_radius": radius, "final_tr_radius": least, "maxfev": most},
+            options={"initial_tr_radius": radius, "final_tr_radius": 0.05, "maxfev": most},
         )
+        end.fun = cost_of_lit(end.x)
+        return end
 
     around = np.vstack([np.zeros(len(first)), np.eye(len(first)), -np.eye(len(first))])
     between = scipy.stats.qmc.Halton(len(first), scramble=False).random(8 * len(first) + 1)[1:]
     around = np.vstack([around, 2.0 * between - 1.0])
-    nearest = np.argsort([cost(steps) for steps in around], kind="stable")
+    nearest = np.argsort([cost_of_lit(steps) for steps in around], kind="stable")
     data = replace(data, orders=sorted(orders))
-    ends = [searched(steps, 0.5, 0.05) for steps in around[nearest[:2]]]
-    ends.sort(key=lambda end: float(end.fun))
+    ends = _distinct([searched(cost_of_lit, steps, 0.5) for steps in around[nearest[:3]]])
+    if finer is not None:
+        model = finer
+        data = wall_image(image, operator(first).pixels, noise, reference, ambient)
+        data = replace(data, orders=sorted(orders))
     data, _ = settled(data, operator(first + reach * ends[0].x))
-    final = searched(ends[0].x, 0.1, 0.01)
-    best = np.array(final.x)
-    curvature = _curvature(cost, best)
+    ends = _distinct([searched(cost, end.x, 0.2) for end in ends[:2]])
+    final = ends[0]
+    best, curvature = _least(cost, np.array(final.x))
     falls, vectors = np.linalg.eigh(curvature)
     reasons = []
     covariance = np.full(curvature.shape, math.inf)
@@ -177,12 +197,12 @@ def occluder_fit(
     else:
         # to where the evidence should have fallen by the odds of a detection; it may fall less
         axes = vectors * np.sqrt(2.0 * LIMITS.detection / falls)
-        log, estimate = picture(best)
+        log, log_of_lit, estimate = picture(best)
         ends_of_axes = [[picture(best + side * axis) for side in (-1, 1)] for axis in axes.T]
         falls = np.array([max(log - 0.5 * (a[0] + b[0]), 1.0) for a, b in ends_of_axes])
         covariance = reach**2 * (axes / (2.0 * falls)) @ axes.T
         unlike = np.array(
-            [max(1.0 - _correlation(estimate, end[1]) for end in pair) for pair in ends_of_axes]
+            [max(1.0 - _correlation(estimate, end[2]) for end in pair) for pair in ends_of_axes]
         )
         least = 1.0 - float((unlike * LIMITS.detection / falls).max())
         if least < LIMITS.correlation:
@@ -193,14 +213,15 @@ def occluder_fit(
                 f"of places as probable have a correlation of {max(least, 0.0):.2f}, limit "
                 f"{LIMITS.correlation:g}; expose longer, or measure the place"
             )
-        other = np.array(ends[1].x)
-        apart, margin = other - best, cost(other) + log
-        if margin < LIMITS.detection and apart @ curvature @ apart > LIMITS.errors**2:
-            reasons.append(
-                f"another place, {np.round(first + reach * other, 4).tolist()}, has a log "
-                f"evidence that is smaller by {margin:.1f}, limit {LIMITS.detection:.1f}; give a "
-                "closer start or a smaller reach"
-            )
+        for other in ends[1:]:
+            margin = float(other.fun) - min(float(final.fun), -log_of_lit)
+            apart = other.x - best
+            if margin < LIMITS.detection and apart @ curvature @ apart > LIMITS.errors**2:
+                reasons.append(
+                    f"another place, {np.round(first + reach * other.x, 4).tolist()}, has a log "
+                    f"evidence that is smaller by {margin:.1f}, limit {LIMITS.detection:.1f}; give "
+                    "a closer start or a smaller reach"
+                )
     place = first + reach * best
     more = [("ambiguous", sentence) for sentence in reasons]
     if final.nfev >= most:
@@ -224,15 +245,35 @@ def _correlation(first: Array, second: Array) -> float:
     return float((first * second).sum()) / norm if norm > 0.0 else 0.0
 
 
-def _curvature(cost: Callable[[Array], float], centre: Array, step: float = 0.1) -> Array:
-    """Return the second derivatives (d, d) of a function by central differences."""
+def _distinct(ends: Sequence[Any], apart: float = 0.1) -> list[Any]:
+    """Return the ends of searches, best first, without those that are close to a better one."""
+    result: list[Any] = []
+    for end in sorted(ends, key=lambda end: float(end.fun)):
+        if all(np.linalg.norm(end.x - better.x) > apart for better in result):
+            result.append(end)
+    return result
+
+
+def _least(cost: Callable[[Array], float], centre: Array, step: float = 0.1) -> tuple[Array, Array]:
+    """Return the minimum (d,) and the second derivatives (d, d) of a function near a minimum.
+
+    A quadratic is fitted to values around the centre, which the local roughness of the function
+    moves less than the least of the values. Its minimum is used if it is among them.
+    """
     sides = step * np.eye(len(centre))
-    middle = cost(centre)
-    result = np.diag([cost(centre + side) + cost(centre - side) - 2.0 * middle for side in sides])
-    for i in range(len(centre)):
-        for j in range(i):
-            both, apart = sides[i] + sides[j], sides[i] - sides[j]
-            equal = cost(centre + both) + cost(centre - both)
-            opposite = cost(centre + apart) + cost(centre - apart)
-            result[i, j] = result[j, i] = (equal - opposite) / 4.0
-    return np.asarray(result / step**2)
+    around = [sign * side for side in sides for sign in (0, 1, -1)]
+    pairs = [(i, j) for i in range(len(centre)) for j in range(i)]
+    around += [a * sides[i] + b * sides[j] for i, j in pairs for a in (-1, 1) for b in (-1, 1)]
+    steps = np.unique(around, axis=0)
+    columns = [np.ones(len(steps)), *steps.T, *(steps**2).T / 2.0]
+    columns += [steps[:, i] * steps[:, j] for i, j in pairs]
+    values = [cost(centre + change) for change in steps]
+    fit = np.linalg.lstsq(np.stack(columns, 1), np.array(values), rcond=None)[0][1:]
+    slope, curvature = fit[: len(centre)], np.diag(fit[len(centre) : 2 * len(centre)])
+    for (i, j), value in zip(pairs, fit[2 * len(centre) :], strict=True):
+        curvature[i, j] = curvature[j, i] = value
+    if np.linalg.eigvalsh(curvature)[0] > 1.0:
+        change = -np.linalg.solve(curvature, slope)
+        if (abs(change) <= step).all():
+            centre = centre + change
+    return centre, curvature
