@@ -176,12 +176,13 @@ def test_notebooks_are_the_pages_whose_code_is_run(
     extension: Callable[[str], ModuleType],
 ) -> None:
     """The notebooks hold the code of the doors; `python docs/notebooks.py` writes them."""
+    fence = extension("outputs").FENCE
     for path, text in extension("notebooks").texts().items():
         assert path.read_text() == text, path
         cells = json.loads(text)["cells"]
         code = "".join(cell["source"] for cell in cells if cell["cell_type"] == "code")
         page = (DOCS / "doors" / f"{path.stem}.md").read_text()
-        blocks = [code for language, code in FENCE.findall(page) if language != "toml"]
+        blocks = [code for language, code in fence.findall(page) if language != "toml"]
         plain = re.sub(r"[\s\\>]|^\$ ", "", "".join(blocks), flags=re.MULTILINE)
         assert re.sub(r"[\s\\>!]", "", code) == plain.replace("!", "")
         links = re.findall(r"\]\((\.\./[^)#]*)", "".join(c["source"] for c in cells))
