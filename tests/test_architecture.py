@@ -52,7 +52,7 @@ ONLY_IN = {
     "dask": ("study/",),
     "distributed": ("study/",),
     "zarr": ("study/",),
-    "xarray": ("study/",),
+    "xarray": ("study/", "_xarray.py"),
     "typer": ("cli/",),
     "rich": ("cli/",),
 }
