@@ -15,12 +15,13 @@ SIZE = (400, 280)  # pixels of the gallery's thumbnails
 
 
 def scrape(block: Any, variables: dict[str, Any], gallery: dict[str, Any], **options: Any) -> str:
-    """Keep the largest panel of a script's first figure, and let sphinx-gallery do the rest.
+    """Keep the largest panel of a script's first picture, and let sphinx-gallery do the rest.
 
     Of panels of one size the last one is kept.
     """
     target = PANELS / f"{Path(variables['src_file']).stem}.png"
-    if plt.get_fignums() and not target.exists():
+    is_first = not len(variables["image_path_iterator"])  # of the script's pictures
+    if plt.get_fignums() and is_first:
         PANELS.mkdir(parents=True, exist_ok=True)
         figure = plt.figure(plt.get_fignums()[0])
         figure.draw_without_rendering()
