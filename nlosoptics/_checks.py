@@ -79,12 +79,15 @@ _PARTS = {
 }
 
 
-def expect(name: str, value: Any, *kinds: str) -> Any:
+def expect(name: str, value: Any, *kinds: str, having: str = "") -> Any:
     """Return ``value`` if it is of one of the classes of these names, or the part of it that is.
 
     Classes are named, so that no module must be imported for a check. A result is taken for its
-    wavefront, for example. Raises `SceneError` for all else.
+    wavefront, for example, and anything for itself that has the attribute ``having``. Raises
+    `SceneError` for all else.
     """
+    if having and hasattr(value, having):
+        return value
     parts = (getattr(value, _PARTS[kind], None) for kind in kinds if kind in _PARTS)
     for one in (value, *parts):
         if {kind.__name__ for kind in type(one).__mro__}.intersection(kinds):

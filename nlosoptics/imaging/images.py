@@ -311,7 +311,7 @@ def form_image(
     if point_spread is None and scene.wall_material.specular_reflectance > 0.0:
         point_spread = scene_point_spread(scene).point_spread
     if point_spread is not None:
-        expect("point_spread", point_spread, "PointSpread", "PointSpreadField")
+        expect("point_spread", point_spread, "PointSpread", "PointSpreadField", having="pitch")
         _check_pitch(point_spread, camera.image_pitch)
         if not isinstance(point_spread, PointSpreadField):
             _check_energy(scene, point_spread)
@@ -441,7 +441,7 @@ def _shadows(scene: Scene, given: Shadows | None) -> Shadows | None:
     """Return checked or newly computed shadows; None without occluders."""
     if given is None:
         return cast_shadows(scene) if scene.occluders else None
-    if expect("shadows", given, "Shadows").image.shape != scene.camera.shape:
+    if expect("shadows", given, "Shadows", having="image").image.shape != scene.camera.shape:
         raise SceneError(
             f"shadows are of {given.image.shape} pixels, the camera has {scene.camera.shape}; give "
             "the result of cast_shadows for this scene"

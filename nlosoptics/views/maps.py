@@ -232,7 +232,7 @@ def image(
     >>> axes.texts[0].get_text()
     '0.2 m on the object'
     """
-    speckle_image = expect("speckle_image", speckle_image, "SpeckleImage")
+    speckle_image = expect("speckle_image", speckle_image, "SpeckleImage", having="electrons")
     if object_scale is not None:
         object_scale = positive("object_scale", object_scale)
     (axes,) = (axes,) if axes is not None else new_axes(width=5.6, height=4.6)
@@ -395,7 +395,7 @@ def reconstruction(
     if pitch is not None:
         pitch = positive("pitch", pitch, unit="m")
     shown = [] if truth is None else [("ground truth", np.asarray(truth))]
-    values: Any = expect("reconstruction", reconstruction, "Reconstruction").object
+    values: Any = expect("reconstruction", reconstruction, "Reconstruction", having="object").object
     if hasattr(values, "detach"):  # a tensor, which may be on another device or carry gradients
         values = values.detach().cpu()
     shown.append((f"reconstruction, {reconstruction.status.replace('_', ' ')}", np.asarray(values)))
