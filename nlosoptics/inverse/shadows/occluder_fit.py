@@ -55,7 +55,7 @@ def occluder_fit(
         Returns the operator, see `shadow_fit`, for an array of the occluder's d unknown values,
         such as its shift in m: for a `nlosoptics.imaging.WallTransport` named ``wall``,
         ``lambda shift: wall.moved(0, shift)``. Few pixels and cells, such as 16 x 16 and 12 x 12,
-        are quick, but their errors move the place by about a third of a cell.
+        are quick, but their errors move the place by about a sixth of a cell.
     finer : callable, optional
         As ``operator_at``, for more pixels and cells, such as 32 x 32 and 16 x 16. The two best
         places are searched again with it, and the result is the better one. The result's ``place``
