@@ -70,7 +70,7 @@ def test_study_of_the_page_gains_by_light(
 def test_every_block_has_a_language_that_is_run_or_known() -> None:
     """A block in a language of another name would be passed over."""
     known = {"python", "console", "toml", "json", "text"}
-    known |= {"toctree", "contents", "include", "eval-rst", "glossary", "image", "raw"}  # directives
+    known |= {"toctree", "contents", "include", "eval-rst", "glossary", "image", "raw"}
     for page in PAGES:
         found = re.findall(r"^```\{?([\w-]*)", page.read_text(), re.MULTILINE)
         assert set(found[::2]) <= known, page
