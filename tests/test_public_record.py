@@ -243,6 +243,7 @@ LONG = (
     "blind_fit",
     "reconstruction_round_a_corner",
     "feasibility",
+    "traced_paths",
 )
 
 

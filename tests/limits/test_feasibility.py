@@ -188,7 +188,14 @@ def test_full_pixels_and_black_pictures_are_told(scene: Scene) -> None:
     json.dumps(found.figures(), allow_nan=False)
 
 
-@pytest.mark.parametrize("changes", [(0.0, 40e-3), (0.02, 20e-3), (0.06, 20e-3)])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        (0.0, 40e-3),
+        pytest.param((0.02, 20e-3), marks=pytest.mark.thorough),
+        pytest.param((0.06, 20e-3), marks=pytest.mark.thorough),
+    ],
+)
 def test_score_is_what_a_fit_then_reaches(scene: Scene, changes: tuple[float, float]) -> None:
     from nlosoptics import inverse
 

@@ -64,6 +64,7 @@ def screen(**parts) -> Scene:
     return replace(scene, **({"camera": replace(scene.camera, binning=256)} | parts))
 
 
+@pytest.mark.thorough
 def test_light_of_screen_and_room_is_that_of_the_operator() -> None:
     disc = Scene.load(SCENES / "letter_disc.toml").occluders
     scene = screen(ambient_irradiance=1e-3, occluders=disc)

@@ -22,9 +22,6 @@ PAGES = sorted(
     for path in DOCS.rglob("*.md")
     if not {"_generated", "gallery"} & {*path.relative_to(DOCS).parts}
 )
-#: Page whose code runs by default.
-DEFAULT: dict[str, Any] = {"tutorial.md": ()}
-THOROUGH = pytest.mark.thorough
 
 
 @pytest.fixture
@@ -39,13 +36,8 @@ def extension(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Modul
             del sys.modules[name]
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(page, id=str(page.relative_to(DOCS)), marks=DEFAULT.get(page.name, THOROUGH))
-        for page in PAGES
-    ],
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))
 def test_code_runs(page: Path, tmp_path: Path, extension: Callable[[str], ModuleType]) -> None:
     """Commands and Python in the order of the page, as the site shows their outputs."""
     for _ in extension("outputs").blocks(page.read_text(), tmp_path):

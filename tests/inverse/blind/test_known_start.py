@@ -101,6 +101,7 @@ def test_score_and_background_are_those_of_the_answer(near):
     assert abs(residual.mean()) < 0.2 * known["noise_sigma"]
 
 
+@pytest.mark.thorough
 def test_residuals_prefer_no_blur_and_free_energy_the_wall(near, cases):
     data = near[0]
     pupil = unknown(data, data.coefficients, cases.MODES)

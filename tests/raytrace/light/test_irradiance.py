@@ -141,7 +141,7 @@ def test_unbounded_wall_needs_a_size():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"shape": (0, 3)}, "shape = 0"),
+        ({"shape": (0, 3)}, r"shape\[0\] = 0"),
         ({"size": (1.0, -1.0)}, "size"),
         ({"source": "sun"}, "sun"),
         ({"n_rays": 0}, "n_rays = 0"),

@@ -64,6 +64,7 @@ def mirror_error(paths, scene):
     return off
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("analog", [False, True])
 def test_paths_over_mirrors_are_kept_with_their_lobes(analog):
     scene = room()
