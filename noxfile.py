@@ -50,7 +50,7 @@ def tests(session: nox.Session) -> None:
 @nox.session(default=False)
 def docs(session: nox.Session) -> None:
     """Build the documentation site and walk it."""
-    session.install("-c", "constraints.txt", "-e", ".[docs]")
+    session.install("-c", "constraints.txt", "-e", ".[all,docs]")  # pages of studies are run
     session.run("sphinx-build", "-W", "-n", "--keep-going", "docs", "out/docs")
     session.run("python", "docs/check_site.py", "out/docs")
     session.run("python", "docs/check_widths.py", "out/docs")
