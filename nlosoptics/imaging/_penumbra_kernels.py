@@ -20,7 +20,7 @@ NEAR = 1e-9  # nearest and farthest part of a path, as a fraction, that an occlu
 SWEEP = 0.3
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _project(places, speeds, i, point, frame, at, height, out, out_rate):
     """Project place ``i`` (n, 3) and its velocities (n, m, 3) from a point onto the plane.
 
@@ -48,7 +48,7 @@ def _project(places, speeds, i, point, frame, at, height, out, out_rate):
         out_rate[i, m, 1] = (lower - deeper * down) / depth
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _append(flat, flat_rate, a, b, weight, edges, weights, rates, count):
     """Append the edge between two projected places; return the new count."""
     weights[count] = weight
@@ -59,7 +59,7 @@ def _append(flat, flat_rate, a, b, weight, edges, weights, rates, count):
     return count + 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _between(corners, rates, depth, i, j, t, out, out_rate, out_depth, at):
     """Set corner ``at`` to the point at the part ``t`` of the way from corner i to corner j."""
     for k in range(3):
@@ -70,7 +70,7 @@ def _between(corners, rates, depth, i, j, t, out, out_rate, out_depth, at):
         out_depth[at, m] = depth[i, m] + t * (depth[j, m] - depth[i, m])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _clipped(corners, rates, depth, count, level, above, out, out_rate, out_depth):
     """Clip a convex polygon to depths above or below a level; return the number of its corners.
 
@@ -99,7 +99,7 @@ def _clipped(corners, rates, depth, count, level, above, out, out_rate, out_dept
     return size
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def outline(point, frame, shape, mesh, speeds, edges, weights, rates, count):
     """Append the projected edges of a mesh that do not cancel; return the new count.
 
@@ -189,7 +189,7 @@ def outline(point, frame, shape, mesh, speeds, edges, weights, rates, count):
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def union(edges, weights, count, pieces):
     """Find the outline of all that is covered at least once; return the number of its pieces.
 
@@ -277,7 +277,7 @@ def union(edges, weights, count, pieces):
     return n_pieces
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _add(pieces, n, edge, since, until, low, high, side):
     if n < len(pieces):
         length = high[edge] - low[edge]
@@ -287,7 +287,7 @@ def _add(pieces, n, edge, since, until, low, high, side):
     return n + 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _upward(edges, e):
     """Return the edge's ends and whether they are exchanged, so that the sweep meets A first."""
     u0, v0, u1, v1 = edges[e, 0], edges[e, 1], edges[e, 2], edges[e, 3]
@@ -297,7 +297,7 @@ def _upward(edges, e):
     return u0, v0, u1, v1, False
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def cover(edges, pieces, n_pieces, covered):
     """Set ``covered`` (rows, columns + 1) to the covered share of each cell; the last is spare."""
     rows, columns = covered.shape[0], covered.shape[1] - 1
@@ -311,7 +311,7 @@ def cover(edges, pieces, n_pieces, covered):
             covered[row, column] = min(max(total, 0.0), 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _differences(edges, pieces, n_pieces, shape, covered, light):
     """Add the differences of the covered share along each row, see `_put`."""
     rows, columns = shape
@@ -337,7 +337,7 @@ def _differences(edges, pieces, n_pieces, shape, covered, light):
             row += 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _put(covered, light, row, column, share):
     """Add a difference to ``covered`` or, if that is empty, its light to the last of ``light``.
 
@@ -356,7 +356,7 @@ def _put(covered, light, row, column, share):
         total[0, 0] += share * (value + beyond[row, block])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _cover_row(covered, light, row, x0, x1, height, columns):
     """Add the differences along a row of what lies right of a segment of some height."""
     if x0 >= columns:
@@ -384,7 +384,7 @@ def _cover_row(covered, light, row, x0, x1, height, columns):
         column += 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def cover_rates(edges, rates, pieces, n_pieces, values, out):
     """Subtract from ``out`` (m,) the rate of the sum of ``values`` (rows, columns) times cover."""
     rows, columns = values.shape
@@ -424,7 +424,7 @@ def cover_rates(edges, rates, pieces, n_pieces, values, out):
             at = until
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _light(point, normal, lens, plane, wall, source, out):
     """Set ``out`` (rows, columns) to the radiance toward the lens due to each cell, all in sight.
 
@@ -498,7 +498,7 @@ def _light(point, normal, lens, plane, wall, source, out):
             out[row, column] = value
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _buffers(mesh, spot):
     """Return space for all edges, their weights and rates, the first of them those of the spot."""
     first = len(spot[0])
@@ -514,7 +514,7 @@ def _buffers(mesh, spot):
     return edges, weights, rates
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _shadow(points, p, k, frame, shape, mesh, speeds, spot, buffers, pieces):
     """Fill the buffers with the outline seen from a point; return pieces.
 
@@ -529,7 +529,7 @@ def _shadow(points, p, k, frame, shape, mesh, speeds, spot, buffers, pieces):
     return pieces, n
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def fill_rows(nodes, frame, plane, mesh, speeds, spot, wall, source, parts, out):
     """Fill ``out`` (n, n_cells) with the mean radiance of wall points due to each cell.
 
@@ -565,7 +565,7 @@ def fill_rows(nodes, frame, plane, mesh, speeds, spot, wall, source, parts, out)
                 first += columns
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def fill_rates(nodes, frame, plane, mesh, speeds, spot, wall, source, values, out):
     """Fill ``out`` (n, m) with the rates of the radiance of wall points as occluders move.
 

@@ -9,7 +9,7 @@ import numpy as np
 from ..kernels.compiling import njit
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def arriving(flux, on_y, on_x, on_height, normals, views, strength, incidence, between):
     """Interpolate one group's vector irradiance to pixels; return its size and its cosines."""
     rows, columns = strength.shape

@@ -8,7 +8,7 @@ from ..kernels.compiling import njit
 from ._penumbra_kernels import _buffers, _differences, _light, _shadow
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def fill_sums(nodes, frame, plane, mesh, speeds, spot, wall, source, right, wide, out):
     """Fill ``out`` (n, 2) with the mean radiance of wall points past the shadows, and without.
 

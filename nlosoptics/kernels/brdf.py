@@ -23,7 +23,7 @@ from .codes import (
 from .compiling import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _full_terms(mu_i, mu_o, s, s2):
     """Return the terms with C2 and C3 of the full Oren-Nayar model of 1994.
 
@@ -45,7 +45,7 @@ def _full_terms(mu_i, mu_o, s, s2):
     return 0.45 * s2 / (s2 + 0.09) * c2 * cos_tan + (1.0 - abs(cos_dphi)) * c3 * between
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def oren_nayar(mu_i, mu_o, cos_between, albedo, slope_rms, full):
     """Return the Oren-Nayar lobe f_r, 1/sr: the qualitative fit of Wolff et al., or the full model.
 
@@ -73,7 +73,7 @@ def oren_nayar(mu_i, mu_o, cos_between, albedo, slope_rms, full):
 TINY = 1e-280  # smallest denominator at grazing directions; keeps f_r finite
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def masked_cosine(mu, alpha, ggx):
     """Return the cosine divided by Smith's masking, mu (1 + Lambda), positive even at grazing.
 
@@ -89,14 +89,14 @@ def masked_cosine(mu, alpha, ggx):
     return mu + 0.5 * (spread * math.exp(-a * a) / math.sqrt(math.pi) - mu * math.erfc(a))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _half_cos_sq(mu_i, mu_o, cos_between):
     """Return the squared cosine of the half vector to the normal; 0 for opposite directions."""
     half_sq = 2.0 + 2.0 * cos_between
     return min(1.0, (mu_i + mu_o) ** 2 / half_sq) if half_sq > 0.0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _slope_gaussian(cos_sq, alpha):
     """Return the density of the half vector's slope, ``exp(-tan^2/alpha^2)/(pi alpha^2)``."""
     alpha_sq = alpha * alpha
@@ -105,7 +105,7 @@ def _slope_gaussian(cos_sq, alpha):
     return math.exp((cos_sq - 1.0) / (alpha_sq * cos_sq)) / (math.pi * alpha_sq)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _normal_density(cos_sq, alpha, ggx):
     """Return the distribution D of microfacet normals, 1/sr: area per solid angle and mean area."""
     if ggx:
@@ -115,7 +115,7 @@ def _normal_density(cos_sq, alpha, ggx):
     return density / cos_sq**2 if density > 0.0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def microfacet(mu_i, mu_o, cos_between, reflectance, slope_rms, ggx):
     """Return the microfacet lobe f_r, 1/sr, with separable Smith shadowing and constant Fresnel."""
     if mu_i < 0.0 or mu_o < 0.0 or slope_rms <= 0.0:
@@ -126,7 +126,7 @@ def microfacet(mu_i, mu_o, cos_between, reflectance, slope_rms, ggx):
     return reflectance * _normal_density(cos_sq, alpha, ggx) / (4.0 * masked)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def ward(mu_i, mu_o, cos_between, albedo, alpha, kind):
     """Return the isotropic Ward lobe f_r, 1/sr, in its variant of 1992, Duer's or the bounded one.
 
@@ -143,7 +143,7 @@ def ward(mu_i, mu_o, cos_between, albedo, alpha, kind):
     return 0.25 * peak / (product if kind == WARD_DUER else math.sqrt(product))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def lobe(lobes, j, mu_i, mu_o, cos_between):
     """Return f_r of lobe ``j``, 1/sr.
 
@@ -162,7 +162,7 @@ def lobe(lobes, j, mu_i, mu_o, cos_between):
     return factor * f
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def material(lobes, mu_i, mu_o, cos_between):
     """Return f_r of a material, the sum of its lobes, 1/sr."""
     total = 0.0
@@ -191,34 +191,34 @@ def evaluate(lobes: Any, mu_i: Any, mu_o: Any, cos_between: Any, out: Any) -> No
             _add_oren_nayar(mu_i, mu_o, cos_between, strength, slope, full, factor, out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def _add_microfacets(mu_i, mu_o, cos_between, reflectance, slope_rms, ggx, factor, out):
     """Add a microfacet lobe times a factor to ``out`` (m,)."""
     for i in range(out.size):
         out[i] += factor * microfacet(mu_i[i], mu_o[i], cos_between[i], reflectance, slope_rms, ggx)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def _add_ward(mu_i, mu_o, cos_between, albedo, alpha, kind, factor, out):
     """Add a Ward lobe times a factor to ``out`` (m,)."""
     for i in range(out.size):
         out[i] += factor * ward(mu_i[i], mu_o[i], cos_between[i], albedo, alpha, kind)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def _add_oren_nayar(mu_i, mu_o, cos_between, albedo, slope_rms, full, factor, out):
     """Add an Oren-Nayar lobe times a factor to ``out`` (m,)."""
     for i in range(out.size):
         out[i] += factor * oren_nayar(mu_i[i], mu_o[i], cos_between[i], albedo, slope_rms, full)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def is_mirror(lobes, j):
     """Return whether a lobe is a smooth mirror, a delta function: microfacets of zero slope."""
     return (lobes[j, 0] == BECKMANN or lobes[j, 0] == GGX) and lobes[j, 2] == 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def lobe_pdf(lobes, j, mu_i, mu_o, cos_between):
     """Return the density of `sample_lobe` per solid angle of the exitant direction, 1/sr.
 
@@ -243,7 +243,7 @@ def lobe_pdf(lobes, j, mu_i, mu_o, cos_between):
     return density / (2.0 * cos_sq * math.sqrt(cos_sq) * math.sqrt(2.0 + 2.0 * cos_between))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _visible_slope(cosine, sine, u):
     """Draw a slope of density max(0, cosine + sine x) exp(-x^2) from the uniform number u.
 
@@ -274,7 +274,7 @@ def _visible_slope(cosine, sine, u):
     return x
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _visible_normal(ix, iy, iz, alpha, ggx, u, v):
     """Draw a microfacet normal in proportion to the area seen from the incident direction."""
     x, y, z = alpha * ix, alpha * iy, max(iz, 0.0)
@@ -298,14 +298,14 @@ def _visible_normal(ix, iy, iz, alpha, ggx, u, v):
     return x / length, y / length, height / length
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _cosine_weighted(u, v):
     """Draw a direction of density cos/pi about the normal z."""
     radius, turn = math.sqrt(u), 2.0 * math.pi * v
     return radius * math.cos(turn), radius * math.sin(turn), math.sqrt(1.0 - u)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def sample_lobe(lobes, j, ix, iy, iz, u, v):
     """Draw an exitant direction (x, y, z) from lobe ``j``; return it and its weight f cos/pdf.
 
@@ -342,7 +342,7 @@ def sample_lobe(lobes, j, ix, iy, iz, u, v):
     return x, y, z, strength * weight
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def total_strength(lobes):
     """Return the sum of the strengths by which samples choose a lobe."""
     total = 0.0
@@ -351,7 +351,7 @@ def total_strength(lobes):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def material_pdf(lobes, mu_i, mu_o, cos_between):
     """Return the density of `sample_material`, 1/sr, without the delta functions of mirrors."""
     total = total_strength(lobes)
@@ -364,7 +364,7 @@ def material_pdf(lobes, mu_i, mu_o, cos_between):
     return density
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def sample_material(lobes, ix, iy, iz, u, v, w):
     """Draw an exitant direction (x, y, z) from a material; return it and its weight f cos/pdf.
 
@@ -391,14 +391,14 @@ def sample_material(lobes, ix, iy, iz, u, v, w):
     return x, y, z, weight * total / lobes[chosen, 4]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def densities(lobes, mu_i, mu_o, cos_between, out):
     """Fill ``out`` (m,) with `material_pdf` for arrays of cosines."""
     for i in range(out.size):
         out[i] = material_pdf(lobes, mu_i[i], mu_o[i], cos_between[i])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def samples(lobes, incident, normal, draws, exitant, weight):
     """Fill ``exitant`` (m, 3) and ``weight`` (m,) with samples from `sample_material`.
 

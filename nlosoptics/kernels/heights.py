@@ -46,7 +46,7 @@ def hermite(t, step):
     return values, first, second
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, forceinline=True)
 def _grid(row, tables, x, y):
     """Return height and derivatives of a bicubic Hermite surface at (x, y); NaN off its grid.
 
@@ -82,7 +82,7 @@ def _grid(row, tables, x, y):
     return h, hx, hy, hxx, hxy, hyy
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, forceinline=True)
 def _summand(row, tables, x, y):
     """Return height and derivatives (h, hx, hy, hxx, hxy, hyy) of one term at (x, y), in m.
 
@@ -125,7 +125,7 @@ def _summand(row, tables, x, y):
     return h, hx, hy, hxx, hxy, hyy
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def surface(terms, tables, x, y):
     """Return the wall's height and derivatives (h, hx, hy, hxx, hxy, hyy) at (x, y), in m.
 
@@ -137,7 +137,7 @@ def surface(terms, tables, x, y):
     return partial_surface(terms, tables, x, y, True, True)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def partial_surface(terms, tables, x, y, smooth, creased):
     """Return `surface` of the smooth terms, of those with creases, or of both."""
     h = hx = hy = hxx = hxy = hyy = 0.0
@@ -153,7 +153,7 @@ def partial_surface(terms, tables, x, y, smooth, creased):
     return h, hx, hy, hxx, hxy, hyy
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def tangent(terms, tables, x, y):
     """Return the wall's height (m) and slopes (h, hx, hy) at (x, y), NaN where it has no height."""
     h = hx = hy = 0.0
@@ -165,7 +165,7 @@ def tangent(terms, tables, x, y):
     return h, hx, hy
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def surfaces(terms, tables, x, y, out):
     """Fill ``out`` (n, 6) with `surface` at every (x, y)."""
     for i in range(x.size):

@@ -13,7 +13,7 @@ HALF = np.uint64(32)
 SHIFT = np.uint64(11)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _rounds(c0, c1, c2, c3, k0, k1):
     """Return the four words of Philox4x32-10, in uint64 variables; Salmon et al., SC 2011."""
     for _ in range(10):
@@ -23,7 +23,7 @@ def _rounds(c0, c1, c2, c3, k0, k1):
     return c0, c1, c2, c3
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def philox(counters, seed, words):
     """Fill ``words`` (n, 4), uint32, with the Philox words of ``counters`` and the key ``seed``."""
     k0, k1 = seed & LOW, seed >> HALF
@@ -39,7 +39,7 @@ def philox(counters, seed, words):
         words[i, 0], words[i, 1], words[i, 2], words[i, 3] = a, b, c, d
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def uniform(seed, stream, ray, draw):
     """Return the uniform number in [0, 1), 53 bits, of an address.
 
@@ -49,7 +49,7 @@ def uniform(seed, stream, ray, draw):
     return float(((a << HALF) | b) >> SHIFT) * 1.1102230246251565e-16
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def scramble(columns, matrices, out):
     """Multiply Sobol columns by random binary matrices, which scrambles the points.
 
@@ -72,7 +72,7 @@ def scramble(columns, matrices, out):
                 out[group, dimension, k] = x
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def sobol(columns, shift, index):
     """Return coordinate ``index`` of one scrambled Sobol dimension, in (0, 1).
 
@@ -89,7 +89,7 @@ def sobol(columns, shift, index):
     return (float(x) + 0.5) * 2.3283064365386963e-10
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def draw(sampler, group, index, ray, number):
     """Return uniform number ``number`` of a ray: from Sobol points, beyond their dimensions Philox.
 
@@ -102,7 +102,7 @@ def draw(sampler, group, index, ray, number):
     return uniform(seed, np.uint64(301), np.uint64(ray), np.uint64(number))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def disc(u, v):
     """Map the unit square to the unit disc with equal areas.
 

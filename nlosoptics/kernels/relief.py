@@ -30,7 +30,7 @@ STORED: Final = 2**24  # nodes that are stored for rays
 CHUNK: Final = 4096  # points or nodes that a thread takes at once
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def node(low, high, i, j):
     """Return the standard normal draw of lattice node (i, j); ``low`` and ``high`` are the seed.
 
@@ -51,7 +51,7 @@ def node(low, high, i, j):
     return math.sqrt(-2.0 * math.log(u)) * math.cos(2.0 * math.pi * v)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _facet_place(row, x, y):
     """Return the lattice cell (i, j) of a point and its place in it, in cell sides."""
     b = (y - row[6]) / (ROW * row[1])
@@ -60,7 +60,7 @@ def _facet_place(row, x, y):
     return i, j, a - i, b - j
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _bump_place(row, x, y):
     """Return the square (i, j) of the node lattice and the place in it, in node distances."""
     a, b = 2.0 * (x - row[5]) / row[1], 2.0 * (y - row[6]) / row[1]
@@ -68,7 +68,7 @@ def _bump_place(row, x, y):
     return i, j, a - i, b - j
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def facet_edge(row, x, y, dx, dy, slack):
     """Return how far (x, y) can move along (dx, dy) until it is past an edge of its facet.
 
@@ -89,7 +89,7 @@ def facet_edge(row, x, y, dx, dy, slack):
     return nearest
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _plane(corner, along_a, along_b, a, b):
     """Return a facet's height and its slopes along the lattice, from three node draws.
 
@@ -102,7 +102,7 @@ def _plane(corner, along_a, along_b, a, b):
     return corner - (1.0 - a) * ha - (1.0 - b) * hb, ha, hb
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def facets(row, x, y):
     """Return height and slopes (h, hx, hy) of a surface of facets; NaN beyond 2^31 cells."""
     i, j, a, b = _facet_place(row, x, y)
@@ -119,7 +119,7 @@ def facets(row, x, y):
     return row[2] * h, slope * ha, slope * (hb - 0.5 * ha) / ROW
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _weigh(place, weights):
     """Fill the weights exp(-t^2/2) of the nodes along a side of the window.
 
@@ -133,7 +133,7 @@ def _weigh(place, weights):
         power *= ratio
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def bumps(row, tables, x, y):
     """Return (h, hx, hy, hxx, hxy, hyy) of a Gaussian surface; NaN beyond 2^31 nodes.
 

@@ -12,7 +12,7 @@ import numpy as np
 from ...kernels.compiling import njit
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def roughness(objects, variances, kappa, gradient, weights, energy, want_energy):
     """Compute the prior of the objects' differences and its gradient (b, n, m).
 
@@ -71,7 +71,7 @@ def roughness(objects, variances, kappa, gradient, weights, energy, want_energy)
         energy[b] = kappa * logs
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def spectra(
     transfer, residual, objects, pixel, gains, steps, weights, inverse_variance, share,
     toward_object, variances, energy, want_energy,
@@ -140,7 +140,7 @@ def spectra(
         energy[b] = share * total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def object_step(free, data_gradient, prior_gradient, first, second, softness, rate, bias):
     """Make one Adam step on the free parameters (b, n, m) of the objects, in place.
 

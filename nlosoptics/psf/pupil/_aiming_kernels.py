@@ -15,7 +15,7 @@ ROUNDED = 1e-11  # gradient of the path at which a point counts as stationary
 N_COLUMNS = 8  # x, y, z, excess, spreading, determinant, smaller curvature, status
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _stationarity(o, p, x, y, s, side):
     """Gradient and Hessian over (x, y) of the path |O - X| + side |X - p|, X on the surface.
 
@@ -39,7 +39,7 @@ def _stationarity(o, p, x, y, s, side):
     return gx, gy, hxx, hxy, hyy
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def stationary_point(terms, tables, o, p, x, y, side):
     """Find a wall point at which the path from O by the wall to p is stationary.
 
@@ -80,7 +80,7 @@ def stationary_point(terms, tables, o, p, x, y, side):
     return x, y, FOUND if norm < ROUNDED else NOT_FOUND
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _describe(o, p, x, y, s, axis, row):
     """Fill a row of `aim`, except its status, at the stationary point (x, y)."""
     row[0], row[1], row[2] = x, y, s[0]
@@ -123,7 +123,7 @@ def aim(terms, tables, o, nodes, starts, axis, out):
         out[i, 7] = status
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def stationarities(o, nodes, points, surfaces, side, out):
     """Fill ``out`` (n, 5) with the path's gradient and Hessian at wall points (n, 2)."""
     for i in range(nodes.shape[0]):
@@ -133,7 +133,7 @@ def stationarities(o, nodes, points, surfaces, side, out):
         )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def describe(o, nodes, points, surfaces, axis, out):
     """Fill rows (n, 8) of `aim`, except their status, at stationary points (n, 2)."""
     for i in range(nodes.shape[0]):

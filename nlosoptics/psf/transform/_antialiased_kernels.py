@@ -11,7 +11,7 @@ from ...kernels.compiling import njit
 from ..wave._wave_kernels import phasors
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def _profile(r, low, steps, table):
     """Interpolate a softened rim at the radius ``r``, cells, by six points of its table.
 
@@ -37,7 +37,7 @@ def _profile(r, low, steps, table):
     return value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def _cut(y, lows, highs, steps, tables, size):
     """Fill ``size`` (2 centre + 1,) with the pupil's transmission on the line at ``y``, cells.
 
@@ -62,7 +62,7 @@ def _cut(y, lows, highs, steps, tables, size):
     return half
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def soft_pupil(coefficients, amplitudes, step, lows, highs, steps, tables, centre, work, out):
     """Add a pupil with softened rims to ``out`` (rows, columns), periodically wrapped.
 
@@ -104,7 +104,7 @@ def soft_pupil(coefficients, amplitudes, step, lows, highs, steps, tables, centr
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def _along_row(coefficients, y, step, centre, across, out, first):
     """Fill ``out`` with ``sum coefficients[i, j] u^i y^j`` at columns from ``first`` on.
 
@@ -122,13 +122,13 @@ def _along_row(coefficients, y, step, centre, across, out, first):
             out[k] = out[k] * ((first + k - centre) * step) + across[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def _leak(s, width):
     """Evaluate `antialiased_disc.leak` for one distance ``s``, in periods, and a step width."""
     return 0.5 * math.erfc((0.5 - s) / width)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def rim_errors(distance, period, reach, edges, zones, landing, width, out):
     """Fill ``out`` (n,) with a bound of the field error within each of the increasing distances.
 
@@ -154,7 +154,7 @@ def rim_errors(distance, period, reach, edges, zones, landing, width, out):
         out[i] = most + base
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def least_period(least, widest, light, goal, error, distance, reach, edges, zones, landing, width):
     """Find the smallest period, within 1 %, whose `rim_errors` change the intensity by < ``goal``.
 

@@ -7,7 +7,7 @@ import math
 from ...kernels.compiling import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _disc(v, steps, table):
     """Return 2 J1(v)/v by the Taylor series about the nearest of ``steps`` points per radian."""
     row = int(v * steps + 0.5)
@@ -18,7 +18,7 @@ def _disc(v, steps, table):
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def airy_quarter(pitch, obscuration, steps, table, out):
     """Fill ``out`` (n, n) with the Airy intensity of a quadrant, its peak at [0, 0].
 
@@ -36,7 +36,7 @@ def airy_quarter(pitch, obscuration, steps, table, out):
             out[i, j] = field * field
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def splat(x, y, width_x, width_y, energy, out):
     """Distribute the energy of boxes over the pixels ``out`` (ny, nx) by overlap area.
 

@@ -18,7 +18,7 @@ WHOLE = 6755399441055744.0
 BLOCK = 1024
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def phasors(turns, size, real, imaginary):
     """Fill ``real`` and ``imaginary`` (n,) with ``size exp(2 pi i turns)``, accurate to 3e-16.
 
@@ -58,7 +58,7 @@ def phasors(turns, size, real, imaginary):
         imaginary[i] = strength * sine
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def tilted_wave(u, v, path, size, along, across, per_metre, out):
     """Fill the complex ``out`` (n,) with a wave at points u, v (n,), in blocks.
 
@@ -76,7 +76,7 @@ def tilted_wave(u, v, path, size, along, across, per_metre, out):
             part[i] = complex(real[i], imaginary[i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def unit_wave(phase, turns, out):
     """Fill the complex ``out`` (n,) with ``exp(2 pi i turns phase)``, in blocks."""
     part, size, real, imaginary = np.empty(BLOCK), np.ones(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
@@ -90,7 +90,7 @@ def unit_wave(phase, turns, out):
             line[i] = complex(real[i], imaginary[i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def delayed(waves, u, v, along, mixed, across):
     """Multiply plane waves (n, m) by ``exp(-2 pi i turns)``; u (m,) and v (n,) are frequencies.
 
@@ -108,7 +108,7 @@ def delayed(waves, u, v, along, mixed, across):
             line[j] *= complex(real[j], imaginary[j])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def squares(field, out):
     """Fill ``out`` (rows, n) with the squared modulus of ``field``."""
     for i in range(out.shape[0]):

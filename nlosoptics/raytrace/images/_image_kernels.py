@@ -10,7 +10,7 @@ from ..light._point_kernels import landing
 from ..light._surround_kernels import three, unit
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def sort_light(
     camera, first, layers, power, length, legs, last, ends, shape, bins, cells, slots, powers, rays
 ):

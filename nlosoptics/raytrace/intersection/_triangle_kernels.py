@@ -98,7 +98,7 @@ def _cells(w, cells):
         cells[i] = _bin(start[0], start[1], start[2], d[0], d[1], d[2])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _flat(hits):
     """Return the result arrays with one axis, whose columns have constant distances."""
     return hits[0], hits[1].reshape(-1), hits[2].reshape(-1), hits[3]
@@ -249,7 +249,7 @@ def place(facets, edges, names, origins, directions, rays, ids, margin, near, fa
     return doubtful
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def aside(rays, shift, turn, out):
     """Fill ``out`` (n, 6) with copies of rays that are displaced sideways by ``shift``."""
     cosine, sine = math.cos(turn), math.sin(turn)
@@ -263,7 +263,7 @@ def aside(rays, shift, turn, out):
             out[j, k + 3] = d[k]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def after(node):
     """Return the node that follows the subtree of ``node`` in depth-first order; -1 at the end."""
     while node > 0 and node & 1 == 0:  # a second child ends the subtree of its parent too
@@ -339,7 +339,7 @@ def _blur(row, edge, o, d):
     return 4e-15 * (away + edge) * edge * edge / det
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def _once(hits, begin, end):
     """Remove repeated hits of one ray from the rows ``begin`` to ``end``; return the new end."""
     kept = begin

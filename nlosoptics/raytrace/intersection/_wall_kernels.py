@@ -24,7 +24,7 @@ TOLERANCE = 1e-13  # height above the wall that counts as 0, relative to the ray
 ROUNDING = 1e-16  # error of a distance that counts as none, relative to the ray's coordinates
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def conic_hit(row, box, o, d):
     """Return distance, m, and status of one ray at a wall that is a single sphere or cylinder.
 
@@ -83,7 +83,7 @@ def conic_hit(row, box, o, d):
     return max(t, 0.0), HIT
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _span(half, o, d, low, high):
     """Return the part of the interval [low, high] of t in which |o + t d| <= half."""
     if d == 0.0:
@@ -92,7 +92,7 @@ def _span(half, o, d, low, high):
     return max(low, min(first, last)), min(high, max(first, last))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _search_interval(box, slab, rim, o, d):
     """Return the interval of t, m, in which the ray is over the wall, within its heights."""
     low, high = 0.0, math.inf
@@ -114,7 +114,7 @@ def _search_interval(box, slab, rim, o, d):
     return _span(0.5 * (slab[1] - slab[0]), o[2] - middle, d[2], low, high)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _curvature_bound(terms, grid_bounds, o, d, low, high):
     """Return an upper bound, 1/m, on |d2h/dt2| of the wall's height h between t = low and high."""
     across = d[0] * d[0] + d[1] * d[1]
@@ -138,7 +138,7 @@ def _curvature_bound(terms, grid_bounds, o, d, low, high):
     return bound
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def search(terms, grid_bounds, box, slab, rim, o, d):
     """Return the interval of t of a march, the bound on |d2h/dt2|, the tolerance and a status.
 
@@ -155,7 +155,7 @@ def search(terms, grid_bounds, box, slab, rim, o, d):
     return low, high, bound, scale, missed
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _safe_step(f, slope, bound):
     """Return the step to the positive root s of f + slope s - bound s^2/2; inf without one."""
     root = math.sqrt(slope * slope + 2.0 * bound * f)
@@ -197,7 +197,7 @@ def newton_hit(terms, tables, slab, o, d, low, high, bound, scale):
     return math.nan, 0.0, 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def marched_hit(terms, tables, slab, o, d, low, high, bound, scale, missed):
     """Return distance and status of the first crossing with a smooth wall, by a safe march.
 
@@ -230,7 +230,7 @@ def marched_hit(terms, tables, slab, o, d, low, high, bound, scale, missed):
     return math.nan, UNRESOLVED
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _facet_end(terms, x, y, dx, dy, slack):
     """Return how far a ray at (x, y) can advance within all its facets, m."""
     end = math.inf
@@ -240,7 +240,7 @@ def _facet_end(terms, x, y, dx, dy, slack):
     return end
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def faceted_hit(terms, tables, top, slab, o, d, low, high, bound, scale, missed):
     """Return distance and status of the first crossing with a wall that has facets.
 
@@ -294,7 +294,7 @@ def _unit(d):
     return x / norm, y / norm, z / norm
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
     """Return distance (m), status and the wall's slopes dh/dx, dh/dy at the first hit of a ray.
 

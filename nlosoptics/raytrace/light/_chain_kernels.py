@@ -28,14 +28,14 @@ from ._lobe_kernels import STEEPEST, facet_slope_sq, is_narrow
 from ._surround_kernels import OBJECT, ROOM, WALL, dot, interval, on_detector, texel, three, unit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _number(seed, ray, bounce, m, k):
     """Return random number ``k`` of a ray's chain of m reflections after ``bounce`` reflections."""
     address = ((np.uint64(bounce) << np.uint64(8)) | np.uint64(m)) << np.uint64(32)
     return uniform(seed, np.uint64(303), np.uint64(ray), address | np.uint64(k))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _set_frame(world, kind, u, frame, bounds):
     """Fill the frame (12,) of a surface and its bounds (8,); return 1 / its chance.
 
@@ -67,7 +67,7 @@ def _set_frame(world, kind, u, frame, bounds):
     return 1.0 / (areas[k + 1] - areas[k])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _set_facet(lobes, seed, ray, address, wider, slope):
     """Draw a narrow lobe and the slope (2,) of a facet; return the lobe or -1, and 1/density."""
     bounce, m, first = address
@@ -102,7 +102,7 @@ def _set_facet(lobes, seed, ray, address, wider, slope):
     return chosen, some * inverse
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _widening(walls, at, steepest):
     """Return how much wider the slopes of facets are drawn where the wall itself has a slope."""
     if steepest == 0.0:
@@ -113,7 +113,7 @@ def _widening(walls, at, steepest):
     return 1.0 + (slope if slope < steepest else steepest) ** 2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _unfold(frames, a, p, u):
     """Fill the coordinates (m, 2) at which plane mirrors in the frames reflect from a to p."""
     m = u.shape[0]
@@ -140,7 +140,7 @@ def _unfold(frames, a, p, u):
         o = tuple_at(f, u[i, 0], u[i, 1])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def tuple_at(frame, u, v):
     """Return the point of a frame's plane with the coordinates u, v."""
     return (
@@ -150,7 +150,7 @@ def tuple_at(frame, u, v):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _tangent(frame, k, slope):
     """Return the tangent along axis ``k`` of a frame, of a surface with this slope there."""
     return (
@@ -160,7 +160,7 @@ def _tangent(frame, k, slope):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _equations(walls, kinds, frames, slopes, a, p, u, x, g, own, back, ahead):
     """Fill points, heights and the equations of a chain; return their sum of squares, or infinity.
 
@@ -213,7 +213,7 @@ def _equations(walls, kinds, frames, slopes, a, p, u, x, g, own, back, ahead):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _steps(g, own, back, ahead, step):
     """Fill the Newton step (m, 2) of a chain, and return the determinant of its Jacobian."""
     m = g.shape[0]
@@ -246,7 +246,7 @@ def _steps(g, own, back, ahead, step):
     return whole
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _solve(walls, kinds, frames, slopes, a, p, u, x, g, steps, halvings):
     """Move the coordinates ``u`` (m, 2) to a solution; return the Jacobian's determinant, or 0."""
     m = u.shape[0]
@@ -275,7 +275,7 @@ def _solve(walls, kinds, frames, slopes, a, p, u, x, g, steps, halvings):
     return 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _normal(frame, slopes):
     """Return the unit normal of a surface with these two slopes above the plane of a frame."""
     tilt = 1.0 / math.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)
@@ -286,7 +286,7 @@ def _normal(frame, slopes):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _inside(walls, kind, is_plate, bounds, u, v):
     """Return whether a surface extends to the point with the coordinates u, v of its frame."""
     if kind == WALL:
@@ -299,7 +299,7 @@ def _inside(walls, kind, is_plate, bounds, u, v):
     return first >= 0.0 and second >= 0.0 and first + second <= 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inverse):
     """Return the power per solid angle at ``a`` and area at ``p`` of a solved chain, 1/m^2.
 
@@ -334,7 +334,7 @@ def _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inver
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _shift(walls, seed, ray, address, kinds, reach, start, u):
     """Fill ``u`` (m, 2) with a random start: the coordinates ``start`` with shifted wall points."""
     bounce, m, first = address
@@ -354,7 +354,7 @@ def _shift(walls, seed, ray, address, kinds, reach, start, u):
             u[i, 1] += far * math.sin(turn)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def chain_to_lens(
     world, walls, sampler, first, light, lens, order, several, steepest, value, length, mirrors
 ):

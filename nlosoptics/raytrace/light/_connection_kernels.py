@@ -33,7 +33,7 @@ from ._lobe_kernels import lobe_density
 from ._surround_kernels import OBJECT, dot, on_detector, three, unit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def reflected(lobes, vertex, direction, cosine):
     """Return f_r times brightness of a vertex toward a unit vector, 1/sr, without mirrors."""
     incident = three(vertex, 6)
@@ -42,7 +42,7 @@ def reflected(lobes, vertex, direction, cosine):
     return f * vertex[SCALE] if vertex[SURFACE] == OBJECT else f
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def narrow_at(lobes, chained, vertex, direction, cosine):
     """Return the share of the narrow lobes in `reflected`; 0 unless the surface is ``chained``."""
     incident = three(vertex, 6)
@@ -50,7 +50,7 @@ def narrow_at(lobes, chained, vertex, direction, cosine):
     return narrow_share(lobes, chained, mu, cosine, dot(incident, direction))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def next_density(
     lobes, share, norm, vertex, incident, direction, cosine, target, target_cosine, square, eye
 ):
@@ -69,7 +69,7 @@ def next_density(
     return density
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def between(a, b):
     """Return the unit vector from vertex a to b, the squared distance (m^2), and both cosines."""
     d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
@@ -81,7 +81,7 @@ def between(a, b):
     return d, square, dot(d, three(a, 3)), -dot(d, three(b, 3))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _chained(world, a, b, seen, second, d, cos_a, cos_b):
     """Return the share of a connection by `connect` that is traced as a chain of narrow lobes."""
     kind_a, kind_b = int(a[SURFACE]), int(b[SURFACE])
@@ -97,7 +97,7 @@ def _chained(world, a, b, seen, second, d, cos_a, cos_b):
     return b[NARROW] * (narrow_b * begun + (1.0 - narrow_b) * narrow)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def connect(world, light, eye, seen, second, glossy, value, length, starts, ends):
     """Fill the detected power and length of connections between light vertices and eye vertices."""
     for i in range(light.shape[0]):
@@ -144,7 +144,7 @@ def connect(world, light, eye, seen, second, glossy, value, length, starts, ends
             starts[i, k], ends[i, k] = a[k], b[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
     """Fill the detected power and length of connections between light vertices and lens points."""
     camera = world.camera
@@ -184,7 +184,7 @@ def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
             starts[i, k], ends[i, k] = a[k], p[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def book(light, eye, bounce, most, first, value, length, path_sums):
     """Add the power of connections to the sum of their number of reflections, or stray light."""
     for i in range(value.size):

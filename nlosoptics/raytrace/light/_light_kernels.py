@@ -56,13 +56,13 @@ ESCAPED, BLOCKED, LEFT, UNRESOLVED_LIGHT, WALL_TO_WALL, TRAPPED = range(5, 11)
 SUMS = 11
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def sums_of(path_sums, first, i):
     """Return the row of ``path_sums`` to which the power of ray ``first + i`` is added."""
     return path_sums[i // UNIT * GROUPS + (first + i) % GROUPS]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def lobes_of(world, kind):
     """Return the table of lobes (n, 7) of a surface that reflects light; see `reflects`."""
     if kind == WALL:
@@ -70,7 +70,7 @@ def lobes_of(world, kind):
     return world.thing if kind == OBJECT else world.room[kind - ROOM]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def aimed_share(world, vertex, eye):
     """Return the fraction, 0 to 1, of the rays leaving ``vertex`` that are aimed at the object."""
     if vertex[SURFACE] == OBJECT:
@@ -78,25 +78,25 @@ def aimed_share(world, vertex, eye):
     return world.aimed[0] if eye or vertex[BEFORE] == NOTHING else world.aimed[1]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def chained_at(chains, kind):
     """Return whether narrow lobes of a surface take part in `World.chains`."""
     return kind < OCCLUDER and chains & (1 if kind == WALL else 2) != 0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _is_spot(vertex, eye):
     """Return whether a vertex is the laser spot."""
     return not eye and vertex[BEFORE] == NOTHING
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def target_density(norm, vertex, eye, scale, lit):
     """Return the density, 1/m^2, with which rays aimed from a vertex meet a point of the object."""
     return lit if _is_spot(vertex, eye) else norm * scale
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def narrow_share(lobes, chained, mu_i, mu_o, cos_between):
     """Return the share of the narrow lobes in f_r of a surface; 0 unless it is ``chained``."""
     if not chained:
@@ -105,7 +105,7 @@ def narrow_share(lobes, chained, mu_i, mu_o, cos_between):
     return narrow / material(lobes, mu_i, mu_o, cos_between) if narrow > 0.0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def chain_shares(vertex, narrow, kind):
     """Return BEGUN and LINKED of the vertex on a surface ``kind`` that follows ``vertex``.
 
@@ -119,7 +119,7 @@ def chain_shares(vertex, narrow, kind):
     return wide + chain, wide * vertex[NARROW] + chain
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _far(world, p):
     """Return whether only rays aimed at the hidden object may reach it from the point ``p``."""
     ball = world.ball
@@ -127,7 +127,7 @@ def _far(world, p):
     return not world.glossy and dot(away, away) > 2.25 * ball[3] * ball[3]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def scatter(world, sampler, first, number, eye, vertices, leave, origins, directions, live):
     """Draw the directions of rays leaving vertices: from a lobe, or from the wall to the object.
 
@@ -179,7 +179,7 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
         live[i] = cosine > 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _passed_on(leave, distance, kind, normal, target):
     """Return the weight of a ray drawn by `scatter`, and the density at its end, 1/m^2.
 
@@ -210,7 +210,7 @@ def _passed_on(leave, distance, kind, normal, target):
     return leave[LOBE] / density, density * cosine / square if square > 0.0 else math.inf
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _arrive(old, new, origin, direction, distance, kind, normal, scale, power, density):
     """Fill the vertex ``new`` at which a ray from the vertex ``old`` arrives."""
     for k in range(3):
@@ -223,7 +223,7 @@ def _arrive(old, new, origin, direction, distance, kind, normal, scale, power, d
     new[BEFORE] = old[SURFACE]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _end(old, new, origin, direction, distance, power):
     """Fill point, power and length of a vertex at which a path ends unless it is continued."""
     t = distance if distance < math.inf else 1.0
@@ -232,7 +232,7 @@ def _end(old, new, origin, direction, distance, power):
     new[POWER], new[LENGTH], new[MET] = power, old[LENGTH] + t, old[MET]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def thin(sampler, first, share, vertices):
     """Keep a random part of the vertices and divide their power by its fraction ``share``."""
     for i in range(vertices.shape[0]):
@@ -245,7 +245,7 @@ def thin(sampler, first, share, vertices):
                 vertices[i, SURFACE] = NOTHING
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def land(
     around, sampler, first, settings, old, leave, origins, directions, hits, new, path_sums, fates
 ):
@@ -317,7 +317,7 @@ def land(
             fates[i] = paths.ABSORBED
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _enter_lens(camera, sums, tail, old, leave, bounce, distance, sent, analog):
     """Add light that hits the lens after scattering to the sums; return its detected power, W.
 
@@ -342,7 +342,7 @@ def _enter_lens(camera, sums, tail, old, leave, bounce, distance, sent, analog):
     return kept
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def start(power, first, most, origins, directions, hits, new, path_sums, fates):
     """Fill the first vertices of the laser's light, and add lost power to the power balance."""
     distance, kind, normal, scale, _ = hits
@@ -380,7 +380,7 @@ def start(power, first, most, origins, directions, hits, new, path_sums, fates):
             fates[i] = paths.ABSORBED
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def look(origins, directions, powers, densities, hits, new):
     """Fill the first vertices of eye paths, which are paths traced backward from the lens."""
     distance, kind, normal, scale, lit = hits
@@ -397,7 +397,7 @@ def look(origins, directions, powers, densities, hits, new):
             new[i, LIT] = lit[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def look_on(norm, old, leave, origins, directions, hits, new):
     """Fill the second vertices of eye paths, after scattering at the first ones ``old``."""
     distance, kind, normal, scale, lit = hits

@@ -15,7 +15,7 @@ NARROW_SLOPE = 0.1
 STEEPEST = 0.3
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def tangents(n):
     """Return two unit vectors perpendicular to n and to each other."""
     sign = math.copysign(1.0, n[2])
@@ -28,7 +28,7 @@ def tangents(n):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def lobe_chance(lobes, j, total, eye):
     """Return the probability of drawing lobe ``j`` of a table of lobes."""
     strength = lobes[j, 4]
@@ -42,7 +42,7 @@ def lobe_chance(lobes, j, total, eye):
     return 0.5 * strength / total + 0.5 / some
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def lobe_density(lobes, mu_i, mu_o, cos_between, eye):
     """Return the probability density, 1/sr, with which `lobe_direction` draws a direction."""
     total = total_strength(lobes)
@@ -54,7 +54,7 @@ def lobe_density(lobes, mu_i, mu_o, cos_between, eye):
     return density
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def lobe_direction(lobes, incident, n, u, v, w, eye):
     """Draw a direction from the lobes; return it with the weight of a chosen mirror, else -1."""
     a, b = tangents(n)
@@ -79,7 +79,7 @@ def lobe_direction(lobes, incident, n, u, v, w, eye):
     return d, -1.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def is_narrow(lobes, j):
     """Return whether lobe ``j`` reflects light and is narrow; a smooth mirror is narrow too."""
     kind, slope = lobes[j, 0], lobes[j, 2]
@@ -87,14 +87,14 @@ def is_narrow(lobes, j):
     return kind >= BECKMANN and slope <= limit and lobes[j, 1] * lobes[j, 3] > 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def facet_slope_sq(mu_i, mu_o, cos_between):
     """Return the squared tangent of the angle between half vector and normal."""
     both = (mu_i + mu_o) ** 2
     return max(0.0, 2.0 + 2.0 * cos_between - both) / both if both > 0.0 else math.inf
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def narrow_part(lobes, mu_i, mu_o, cos_between):
     """Return f_r of the narrow lobes, 1/sr, without smooth mirrors; 0 beyond STEEPEST."""
     total = 0.0

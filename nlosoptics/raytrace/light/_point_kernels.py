@@ -44,7 +44,7 @@ from ._surround_kernels import (
 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def glow(world, sampler, first, power, new):
     """Fill vertices on the hidden object's front, as if lit at normal incidence."""
     for i in range(new.shape[0]):
@@ -56,7 +56,7 @@ def glow(world, sampler, first, power, new):
         new[i, MET], new[i, BEFORE] = 1.0, NOTHING
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def spots(sampler, first, corner, size, xy):
     """Fill ``xy`` (n, 2) with points spread uniformly over a rectangle, m."""
     for i in range(xy.shape[0]):
@@ -64,7 +64,7 @@ def spots(sampler, first, corner, size, xy):
         xy[i, 0], xy[i, 1] = corner[0] + u * size[0], corner[1] + v * size[1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def to_wall(world, light, targets, value, starts, ends):
     """Fill the power, W, that light vertices send directly to chosen wall points.
 
@@ -89,7 +89,7 @@ def to_wall(world, light, targets, value, starts, ends):
             starts[i, k], ends[i, k] = a[k], b[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def arrivals(vertices, evenly, power):
     """Fill the power, W, of light that reaches the wall by scattering; see `to_wall`.
 
@@ -104,7 +104,7 @@ def arrivals(vertices, evenly, power):
                 power[i] *= walked / (walked + evenly * vertices[i, 5])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def cells_of(points, power, first, corner, step, shape, cells, powers):
     """Find the map cells of light that arrives at wall points; return how many lie on the map."""
     count = 0
@@ -120,7 +120,7 @@ def cells_of(points, power, first, corner, step, shape, cells, powers):
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _intensity(source, d):
     """Return the radiant intensity, W/sr, of a source of 1 W along the unit vector d."""
     if source[6] > 0.0:
@@ -128,7 +128,7 @@ def _intensity(source, d):
     return max(0.0, dot(d, three(source, 3))) / math.pi
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _along(a, b, n, x, y, z):
     """Return the vector with components (x, y, z) along a, b and n."""
     return (
@@ -138,7 +138,7 @@ def _along(a, b, n, x, y, z):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
     """Draw directions of light that leaves a source, or the wall points at which it is aimed.
 
@@ -171,7 +171,7 @@ def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
             directions[i, k] = d[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def toward(source, aims, aimed, directions, reach, live):
     """Fill directions and distances, m, from a source to the wall points at which it is aimed."""
     for i in range(live.size):
@@ -185,7 +185,7 @@ def toward(source, aims, aimed, directions, reach, live):
             directions[i, k] = d[k] / reach[i] if live[i] else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def arrive(source, whole, box, share, directions, reach, live, hits, new):
     """Fill the first vertices of a source's light on the wall."""
     distance, kind, normal, _, _ = hits
@@ -216,7 +216,7 @@ def arrive(source, whole, box, share, directions, reach, live, hits, new):
         new[i, SURFACE], new[i, BEFORE] = WALL, NOTHING
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _lens_point(camera, sampler, ray):
     """Draw a point from the uniform distribution over the lens."""
     u, v = disc(*pair(sampler, ray, DRAW_LENS))
@@ -228,7 +228,7 @@ def _lens_point(camera, sampler, ray):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def landing(camera, point, d):
     """Return the detector point (x, y), m, of light that goes back along ``d`` from the lens."""
     cosine = dot(d, three(camera, 9))
@@ -241,7 +241,7 @@ def landing(camera, point, d):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def look_around(world, sampler, first, origins, directions, powers):
     """Fill rays from random lens points, cosine-weighted over the front hemisphere."""
     camera = world.camera
@@ -257,7 +257,7 @@ def look_around(world, sampler, first, origins, directions, powers):
         powers[i] = (math.pi * camera[12]) ** 2 * camera[18] if seen else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def look_at_pixels(world, sampler, first, each, window, origins, directions, powers):
     """Fill rays from the lens into the fields of view of pixels, ``each`` rays per pixel."""
     camera = world.camera
@@ -286,7 +286,7 @@ def look_at_pixels(world, sampler, first, each, window, origins, directions, pow
         powers[i] = area * cosine**4 if cosine >= camera[17] else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def mirrored(world, eye, origins, directions, powers, live):
     """Fill the rays that continue eye paths by reflection at the wall's smooth mirror lobes."""
     strength = 0.0
@@ -302,7 +302,7 @@ def mirrored(world, eye, origins, directions, powers, live):
             directions[i, k] = 2.0 * cosine * eye[i, 3 + k] - eye[i, 6 + k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def from_source(source, lobes, eye, value, starts, ends):
     """Fill the detected power, W, of connections between a source and eye vertices on the wall."""
     for i in range(value.size):
@@ -320,7 +320,7 @@ def from_source(source, lobes, eye, value, starts, ends):
             starts[i, k], ends[i, k] = source[k], b[k]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _imaged(lobes, matt, mu, cosine, turn, f):
     """Return the part of ``f``, the sum of all lobes (1/sr), that is due to mirror-like lobes."""
     if matt.shape[0] == lobes.shape[0] or f <= 0.0:
@@ -328,7 +328,7 @@ def _imaged(lobes, matt, mu, cosine, turn, f):
     return 1.0 - material(matt, mu, cosine, turn) / f
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def to_lens(world, sampler, first, counted, glossy, light, value, starts, ends, x, y, imaged):
     """Fill power, detector position and imaged share of connections from the wall to the lens.
 
@@ -361,7 +361,7 @@ def to_lens(world, sampler, first, counted, glossy, light, value, starts, ends, 
             starts[i, k], ends[i, k] = a[k], p[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def image_hits(world, directions, origins, powers, hits, value, x, y, imaged):
     """Fill power (W) and detector position (m) of mirror-reflected rays that enter the lens."""
     camera, axis = world.camera, three(world.camera, 9)
@@ -378,7 +378,7 @@ def image_hits(world, directions, origins, powers, hits, value, x, y, imaged):
         x[i], y[i] = landing(camera, p, (-d[0], -d[1], -d[2]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def lens_hits(
     world, counted, glossy, first_one, old, leave, new, fates, by_mirrors, value, x, y, imaged
 ):
@@ -413,14 +413,14 @@ def lens_hits(
         x[i], y[i] = landing(camera, three(new[i], 0), (-d[0], -d[1], -d[2]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def landings(world, points, directions, x, y):
     """Fill the detector positions, m, of light that arrives along rays traced from the lens."""
     for i in range(x.size):
         x[i], y[i] = landing(world.camera, three(points[i], 0), three(directions[i], 0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def book(value, x, y, window, rows, bounce, most, first, path_sums, cells):
     """Add power to the sum of its number of reflections, and find its pixels."""
     low_x, low_y, pitch, columns = window

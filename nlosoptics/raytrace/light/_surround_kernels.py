@@ -90,25 +90,25 @@ class World(NamedTuple):
     laser: NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def dot(a, b):
     """Return the scalar product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def reflects(kind):
     """Return whether surfaces of this kind reflect light, so that a path may go on from them."""
     return kind in (WALL, OBJECT) or kind >= ROOM
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def three(row, start):
     """Return three consecutive numbers of a row as a tuple."""
     return row[start], row[start + 1], row[start + 2]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def interval(shares, u):
     """Return the number of the interval of cumulative ``shares``, from 0 to 1, in which u lies."""
     low, high = 0, shares.size
@@ -121,14 +121,14 @@ def interval(shares, u):
     return min(low - 1, shares.size - 2)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def pair(sampler, ray, number):
     """Return the random numbers ``number`` and ``number + 1`` of a ray."""
     group, index = ray % GROUPS, ray // GROUPS
     return draw(sampler, group, index, ray, number), draw(sampler, group, index, ray, number + 1)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def unit(start, end):
     """Return the unit vector from one point to another, and their distance."""
     d = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
@@ -136,7 +136,7 @@ def unit(start, end):
     return (d[0] / r, d[1] / r, d[2] / r), r
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def beam(laser, sampler, first, origins, directions):
     """Fill the rays of the laser, distributed uniformly over the beam."""
     for i in range(origins.shape[0]):
@@ -146,7 +146,7 @@ def beam(laser, sampler, first, origins, directions):
             directions[i, k] = laser[3 + k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def sight(camera, sampler, first, origins, directions, powers, densities):
     """Fill rays from the lens into the scene, uniform over lens and detector (or field stop)."""
     lens_area, zoom, baffle = math.pi * camera[12] ** 2, camera[13] / camera[14], camera[20]
@@ -173,7 +173,7 @@ def sight(camera, sampler, first, origins, directions, powers, densities):
         powers[i] = lens_area * cosine * camera[18] / densities[i] if seen else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def on_detector(camera, point, direction):
     """Return the density of `sight` for a direction from a point of the lens, 1/sr."""
     cosine = dot(direction, three(camera, 9))
@@ -189,7 +189,7 @@ def on_detector(camera, point, direction):
     return camera[14] ** 2 / (camera[19] * cosine**3)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _plate(plate, o, d, low, high):
     """Return the distance, m, from low to high at which a ray hits the planar object, else inf."""
     along = dot(d, three(plate, 9))
@@ -205,7 +205,7 @@ def _plate(plate, o, d, low, high):
     return t if abs(dot(across, three(plate, 6))) <= plate[13] else math.inf
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def texel(plate, picture, point):
     """Return the pixel value of the planar object's picture at a point on the object."""
     across = (point[0] - plate[0], point[1] - plate[1], point[2] - plate[2])
@@ -215,7 +215,7 @@ def texel(plate, picture, point):
     return picture[min(max(row, 0), ny - 1), min(max(column, 0), nx - 1)]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _lens(camera, o, d, low, high):
     """Return the distance, m, from low to high at which a ray hits the lens, else inf."""
     axis = three(camera, 9)
@@ -256,7 +256,7 @@ def wall_hits(
             distance[i], kind[i] = 0.0, LOST
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def settle(terms, tables, points, on_wall):
     """Replace z of the points (n, 3) marked ``on_wall`` by the compiled wall's exact height, m."""
     for i in range(on_wall.size):
@@ -266,7 +266,7 @@ def settle(terms, tables, points, on_wall):
                 points[i, 2] = height
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def plate_and_lens(
     plate, picture, camera, norm, origins, directions, live, distance, kind, normal, scale, lit
 ):
@@ -291,7 +291,7 @@ def plate_and_lens(
             distance[i], kind[i] = t, LENS
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def mesh_hits(world, rows, found, away, normals, directions, distance, kind, normal, scale, lit):
     """Replace the hits of the rays ``rows`` by nearer ones on triangles."""
     thing_faces = world.patches.size
@@ -315,7 +315,7 @@ def mesh_hits(world, rows, found, away, normals, directions, distance, kind, nor
                 normal[i, m] = -normal[i, m]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _triangle(world, splits, u, v):
     """Return the triangle at a point of the chart's unit square, and the place within it."""
     areas, node = world.areas, 1
@@ -341,7 +341,7 @@ def _triangle(world, splits, u, v):
     return k, min((t - areas[k]) / whole, 1.0) if whole > 0.0 else 0.5, v
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def object_point(world, splits, u, v):
     """Draw a point of the object's front by area times brightness; return it and its normal."""
     if world.plate.size > 0:
@@ -373,7 +373,7 @@ def object_point(world, splits, u, v):
     return point, (x / norm, y / norm, z / norm)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def clear(plate, camera, starts, ends, value):
     """Set to zero the values of connections that the planar object or the lens blocks."""
     has_plate = plate.size > 0

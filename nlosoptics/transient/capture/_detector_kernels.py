@@ -18,7 +18,7 @@ from ...kernels.random import uniform
 COUNTS = np.uint64(451)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _few(mean, seed, address):
     """Draw a Poisson count by inversion of the cumulative distribution."""
     left = uniform(seed, COUNTS, address, np.uint64(0))
@@ -32,7 +32,7 @@ def _few(mean, seed, address):
     return float(count)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _many(mean, seed, address):
     """Draw a Poisson count by rejection: Hoermann, Insur. Math. Econ. 12, 39 (1993), PTRS."""
     b = 0.931 + 2.53 * math.sqrt(mean)

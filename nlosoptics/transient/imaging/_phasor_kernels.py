@@ -17,12 +17,12 @@ from ...kernels.parallel import threaded
 ALONE, ALL, PAIRED = 0, 1, 2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def distance(a, b):
     return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def add_path(path, first, step, spectrum, field):
     """Add spectrum[j] * exp(i k path) to ``field[j]``, for k = first + j step.
 
@@ -78,7 +78,7 @@ def direct_sum(voxels, near, far, legs, first, step, spectrum, turns, fields):
             fields[t, v] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def fill_kernels(across, up, away, ways, first, step, kernels):
     """Fill ``kernels`` (k, z, y, x) with exp(i ways k r).
 
@@ -99,7 +99,7 @@ def fill_kernels(across, up, away, ways, first, step, kernels):
                 values[x] *= turns[x]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def multiply_row(spectrum, kernel, row):
     """Fill ``row`` with spectrum times kernel; a half kernel is continued by its mirror image."""
     count = len(row)
@@ -110,7 +110,7 @@ def multiply_row(spectrum, kernel, row):
         row[x] = spectrum[x] * kernel[count - x]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def add_product(spectrum, kernel, row, product):
     """Add spectrum * kernel to ``product``, folded to the period of ``product``.
 
@@ -127,7 +127,7 @@ def add_product(spectrum, kernel, row, product):
                 line[x] += row[start + x]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def multiply_waves(spectra, kernels, products):
     """Set products[k, z] to spectra[k] * kernels[k, z], folded to the period of the product."""
     height, width = spectra.shape[1:]
@@ -144,7 +144,7 @@ def multiply_waves(spectra, kernels, products):
                 add_product(spectra[k], kernel, row, product)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def sum_waves(spectra, kernels, products):
     """Set products[z] to the sum over k of spectra[k] * kernels[k, z], folded to its period."""
     row = np.empty(spectra.shape[2], products.dtype)
@@ -154,7 +154,7 @@ def sum_waves(spectra, kernels, products):
             add_product(spectra[k], kernels[k, z], row, products[z])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def add_waves(fields, xs, ys, zs, far, first, step, turns, total):
     """Add the sum over k of fields[k] turns[t, k] exp(i k r) to ``total`` (t, z, y, x).
 

@@ -53,12 +53,12 @@ class Surfaces(NamedTuple):
     boxes: NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _lobes(surfaces, triangle):
     return surfaces.lobes[surfaces.spans[triangle, 0] : surfaces.spans[triangle, 1]]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _about(n, x, y, z):
     """Return the vector with components (x, y, z) in an orthonormal frame whose third axis is n."""
     a, b = tangents(n)
@@ -69,14 +69,14 @@ def _about(n, x, y, z):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _cosine_weighted(n, u, v):
     """Sample a direction with density cos/pi about n."""
     radius, turn = math.sqrt(u), 2.0 * math.pi * v
     return _about(n, radius * math.cos(turn), radius * math.sin(turn), math.sqrt(1.0 - u))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _hidden_point(surfaces, u, v):
     """Sample a point uniformly over the hidden area; return it and its triangle."""
     shares = surfaces.shares
@@ -91,7 +91,7 @@ def _hidden_point(surfaces, u, v):
     ), k
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def look(surfaces, sampler, aimed, sensors, first, origins, directions, triangles):
     """Sample first vertices, as rays from sensors or as points over the hidden area.
 
@@ -117,7 +117,7 @@ def look(surfaces, sampler, aimed, sensors, first, origins, directions, triangle
             origins[i, k], directions[i, k] = p[k], d[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def seen_from(surfaces, sensors, vertices, factor, distance):
     """Fill ``factor`` and ``distance`` (sensors, vertices): cos cos/r^2, 1/m^2, and r, m."""
     for c in range(sensors.shape[0]):
@@ -136,7 +136,7 @@ def seen_from(surfaces, sensors, vertices, factor, distance):
             factor[c, j] = product / (square * square)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def view(sampler, sensors, factor, vertices, views):
     """Fill ``views`` (vertices, VIEWS, 3) with unit vectors to a sample of each vertex's sensors.
 
@@ -166,7 +166,7 @@ def view(sampler, sensors, factor, vertices, views):
                 k += 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _lobe_direction(lobes, incident, n, u, v, w):
     """Sample a direction from the lobes of a material."""
     a, b = tangents(n)
@@ -176,7 +176,7 @@ def _lobe_direction(lobes, incident, n, u, v, w):
     return _about(n, x, y, z)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _viewed_density(lobes, views, n, d, cosine):
     """Return the density per solid angle with which `leave` samples d at a first vertex."""
     density = 0.0
@@ -186,13 +186,13 @@ def _viewed_density(lobes, views, n, d, cosine):
     return 0.5 * cosine / math.pi + 0.5 * density / VIEWS
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _plain(lobes):
     """Return whether a material is purely Lambertian."""
     return lobes.shape[0] == 1 and lobes[0, 0] == LAMBERT
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def leave(surfaces, sampler, first, number, aimed, views, vertices, leaving, origins, directions):
     """Sample the directions of the next leg, from a lobe or towards a point of the hidden area.
 
@@ -247,7 +247,7 @@ def leave(surfaces, sampler, first, number, aimed, views, vertices, leaving, ori
             origins[i, k], directions[i, k] = p[k], d[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def arrive(surfaces, aimed, old, leaving, directions, distance, triangle, new):
     """Fill ``new`` with the vertices at which paths arrive.
 
@@ -280,7 +280,7 @@ def arrive(surfaces, aimed, old, leaving, directions, distance, triangle, new):
         new[i, TRIANGLE] = k
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def connect(surfaces, laser, vertices, value, length):
     """Connect vertices to a laser's spot; fill weight ``value``, 1/m^2, and path ``length``, m."""
     for i in range(vertices.shape[0]):
@@ -302,7 +302,7 @@ def connect(surfaces, laser, vertices, value, length):
         length[i] = vertex[LENGTH] + r
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def gather(surfaces, seen, spread, first, factor, sensor, away, value, length, start, rate, bins):
     """Add all paths to the bins of one sensor.
 
@@ -336,7 +336,7 @@ def gather(surfaces, seen, spread, first, factor, sensor, away, value, length, s
             bins[int(t)] += v * scale
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def gather_pairs(surfaces, paths, rows, starts, rate, table, sensors, found, total, squares):
     """Add the bins of one batch and their squares, for each pair of laser and sensor.
 

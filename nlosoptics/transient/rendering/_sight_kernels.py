@@ -10,7 +10,7 @@ EDGE = 1e-12  # tolerance in barycentric coordinates, so that adjacent triangles
 NEAR = 1e-9  # of the connection's length, to ignore the surfaces on which its ends lie
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _crossed(row, p, d):
     """Whether the segment p + t d, 0 < t < 1, crosses a triangle: Moeller and Trumbore 1997."""
     ax, ay, az, bx, by, bz = row[3], row[4], row[5], row[6], row[7], row[8]
@@ -31,7 +31,7 @@ def _crossed(row, p, d):
     return NEAR < t < 1.0 - NEAR
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _misses(box, p, inverse):
     """Whether the segment p + t d, 0 < t < 1, misses a box; ``inverse`` is 1/d, finite."""
     low, high = 0.0, 1.0
@@ -41,12 +41,12 @@ def _misses(box, p, inverse):
     return low > high
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _inverse(x):
     return 1.0 / x if abs(x) > 1e-300 else 1e300
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def blocked(rows, boxes, p, d):
     """Whether a triangle lies between p and p + d; both ends may lie on triangles."""
     if rows.shape[0] <= FEW:
