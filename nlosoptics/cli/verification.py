@@ -14,11 +14,13 @@ from .shell import DONE, FAILED, Debug, app, errors_told, progress_bar
 
 @app.command("verify", short_help="Check the library on this machine.")
 def verify_command(
-    wave: Annotated[
+    zernikes: Annotated[
         Path | None,
         typer.Option(
             metavar="TABLE",
-            help="Zernike coefficients that a design program wrote, to compare its rms as well.",
+            help="Zernike coefficients that a design program wrote, to compare its rms as well. "
+            "Lines such as '# ordering: fringe', '# unit: waves' and '# sign: excess' in it tell "
+            "their meaning.",
         ),
     ] = None,
     rms: Annotated[
@@ -32,14 +34,14 @@ def verify_command(
     Each line gives the error, the largest error that rounding, quadrature or chance may cause, and
     where the expected value comes from. The exit code is 1 if an error is larger.
 
-    Example: nlosoptics verify --wave zernikes.txt --rms 0.0714
+    Example: nlosoptics verify --zernikes zernikes.txt --rms 0.0714
     """
     with errors_told(debug):
         from ..runs.record import versions
         from ..verification import verify
 
         with progress_bar(width=32) as progress:
-            checks = verify(progress, zernikes=wave, rms=rms)
+            checks = verify(progress, zernikes=zernikes, rms=rms)
         for check in checks:
             verdict = "passed" if check.passed else "FAILED"
             where = check.reason or check.source

@@ -7,11 +7,12 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from importlib.util import find_spec
 from inspect import isfunction
 from pathlib import Path
+from typing import Any
 
+from .._checks import positive
 from .._progress import Progress
 from ..errors import SceneError
 from ..psf import read_zernikes
@@ -84,7 +85,8 @@ def verify(
     Raises
     ------
     SceneError
-        If `zernikes` or `rms` is given without the other, or the table cannot be read.
+        If `zernikes` or `rms` is given without the other, or the table cannot be
+        read, or `rms` is not above 0.
 
     See Also
     --------
@@ -97,15 +99,16 @@ def verify(
     >>> [check.name for check in checks if not check.passed]  # doctest: +SKIP
     []
     """
-    checks = list(_all())
+    checks: list[tuple[Callable[..., tuple[float, float]], tuple[Any, ...]]]
+    checks = [(check, ()) for check in _all()]
     if (zernikes is None) != (rms is None):
         raise SceneError("zernikes and rms belong together; give both or none")
     if zernikes is not None and rms is not None:
-        checks.append(partial(waves._design_program, read_zernikes(zernikes), rms))
+        stated = positive("rms", rms, unit="waves")
+        checks.append((waves._design_program, (read_zernikes(zernikes), stated)))
     found = []
-    for k, check in enumerate(checks):
-        function = check.func if isinstance(check, partial) else check
-        name, source = (function.__doc__ or "").rstrip(".").split(": ", 1)
+    for k, (check, arguments) in enumerate(checks):
+        name, source = (check.__doc__ or "").rstrip(".").split(": ", 1)
         if progress is not None:
             progress(name, k / len(checks))
         start = time.perf_counter()
@@ -113,7 +116,7 @@ def verify(
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                error, limit = map(float, check())
+                error, limit = map(float, check(*arguments))
         except Exception as failure:  # a check that cannot run has failed, and the next one runs
             reason = f"{type(failure).__name__}: {failure}"
         error = math.inf if math.isnan(error) else error

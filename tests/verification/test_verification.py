@@ -75,3 +75,5 @@ def test_table_of_a_design_program(only, tmp_path):
     assert [check.passed for check in verify(zernikes=table, rms=0.107)] == [True, False]
     with pytest.raises(SceneError, match="belong together; give both or none"):
         verify(zernikes=table)
+    with pytest.raises(SceneError, match="rms = nan"):
+        verify(zernikes=table, rms=math.nan)
