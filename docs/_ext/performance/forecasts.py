@@ -85,7 +85,7 @@ SECTIONS = (
         "exposures are random, and the correlation is compared with that of the forecast. A "
         "registered correlation allows for a shift.",
         "python benchmarks/inverse/shadows.py one three ambient --first 700 --scenes 10 --json "
-        "{file}, then unknown --first 1500 --scenes 6, and random --first 1900 --scenes 60",
+        "{file}, then unknown --first 1500 --scenes 50, and random --first 1900 --scenes 60",
         table={
             "light and occluders": lambda g: SHADOWS[g["kind"]],
             "scenes": "{count}",
