@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -270,19 +270,13 @@ def _arrays(path: Path, *names: str) -> list[Any]:
 def _reconstruction(folder: Path, figures: dict[str, Any]) -> Iterator[Html]:
     """Yield the object of ``nlosoptics reconstruct``, or its last preview."""
     from .. import views
-    from ..inverse import Reconstruction
     from ..views.saving import figure_file
 
     path, preview = folder / "reconstruction.npz", folder / "preview.png"
     if path.exists():
         (values,) = _arrays(path, "object")
-        fit = Reconstruction(
-            object=values,
-            physical_parameters={},
-            status=figures.get("reconstruction_status", "unfinished"),
-            score=math.nan,
-            history={},
-            seconds=math.nan,
+        fit: Any = SimpleNamespace(
+            object=values, status=figures.get("reconstruction_status", "unfinished")
         )
         alt = "Reconstructed object."
         yield plot(figure_file(views.reconstruction(fit)), "Reconstruction", alt)
