@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..._checks import counted
 from ...errors import SceneError
-from ...kernels.codes import BECKMANN, GGX, OREN_NAYAR_FULL
+from ...kernels.codes import BECKMANN, GGX
 from ...raytrace import intersect_mesh
 from ...scene import Lambert, Material
 
@@ -238,7 +238,7 @@ def _lobes(number: int, material: Any) -> Array:
     if not isinstance(material, Material):
         raise SceneError(
             f"surfaces[{number}] has the material {type(material).__name__}; give scene.Lambert, "
-            "OrenNayar, Ward, SpecularMicrofacet or SumMaterial"
+            "OrenNayar, Ward, SpecularMicrofacet, Retroreflector or SumMaterial"
         )
     rows = material.lobe_table()
     mirror = np.isin(rows[:, 0], (BECKMANN, GGX)) & (rows[:, 2] == 0.0) & (rows[:, 1] > 0.0)
@@ -254,6 +254,6 @@ def _narrowest(rows: Array) -> float:
     """Return the least alpha of the reflecting lobes, at most 1, which counts as wide."""
     alphas = [1.0]
     for kind, strength, slope in rows[:, :3]:
-        if kind > OREN_NAYAR_FULL and strength > 0.0 and slope > 0.0:
+        if kind >= BECKMANN and strength > 0.0 and slope > 0.0:
             alphas.append(float(slope) * (math.sqrt(2.0) if kind in (BECKMANN, GGX) else 1.0))
     return min(alphas)
