@@ -27,13 +27,15 @@ def light_of_a_patch() -> tuple[float, float]:
     laser, sensor = np.array([0.1, -0.2, 0.0]), np.array([0.3, 0.4, 0.0])
     capture = transient.render(
         [(_plate(side, at), Lambert(0.7))],
-        laser_points=laser,
-        sensor_points=sensor,
-        wall_albedo=0.5,
+        transient.Scan(
+            laser_points=laser,
+            sensor_points=sensor,
+            wall_albedo=0.5,
+            t_start=0.5,
+            delta_t=0.1,
+            n_bins=30,
+        ),
         max_bounces=3,
-        t_start=0.5,
-        delta_t=0.1,
-        n_bins=30,
     )
     r1, r2 = (np.linalg.norm(p - at) for p in (laser, sensor))
     expected = np.zeros(30)
@@ -46,12 +48,14 @@ def light_of_a_plane() -> tuple[float, float]:
     z = 0.8
     capture = transient.render(
         [(_plate(60.0, (0.0, 0.0, z)), Lambert(1.0))],
-        laser_points=(0.2, 0.1, 0.0),
-        sensor_points=(0.2, 0.1, 0.0),
+        transient.Scan(
+            laser_points=(0.2, 0.1, 0.0),
+            sensor_points=(0.2, 0.1, 0.0),
+            t_start=1.5,
+            delta_t=0.05,
+            n_bins=50,
+        ),
         max_bounces=3,
-        t_start=1.5,
-        delta_t=0.05,
-        n_bins=50,
         tol=1e-5,
     )
     t = np.maximum(capture.edges, 2 * z)

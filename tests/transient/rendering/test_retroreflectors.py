@@ -11,7 +11,7 @@ import trimesh
 import nlosoptics
 from nlosoptics.errors import SceneError
 from nlosoptics.scene import Retroreflector
-from nlosoptics.transient import Volume, fk_migration, lct, phasor_image, render, wall_grid
+from nlosoptics.transient import Scan, Volume, fk_migration, lct, phasor_image, render, wall_grid
 
 ANGLE, SIZE = 0.01, 0.03
 
@@ -24,10 +24,17 @@ def small_plate(distance, material, tilt=0.0):
 
 
 def light(surfaces, lasers, sensors, pairing="all"):
-    bins = {"t_start": 0.1, "delta_t": 20.0, "n_bins": 1, "max_bounces": 3}
-    return render(surfaces, laser_points=lasers, sensor_points=sensors, pairing=pairing, **bins).H[
-        0
-    ]
+    bins = {"t_start": 0.1, "delta_t": 20.0, "n_bins": 1}
+    return render(
+        surfaces,
+        Scan(
+            laser_points=lasers,
+            sensor_points=sensors,
+            pairing=pairing,
+            **bins,
+        ),
+        max_bounces=3,
+    ).H[0]
 
 
 @pytest.mark.parametrize("size", [0.0, SIZE])
@@ -70,12 +77,14 @@ def test_a_chart_is_rendered_and_read():
     grid = wall_grid(1.0, 32)
     capture = render(
         bars,
-        laser_points=grid,
-        sensor_points=grid,
-        pairing="confocal",
-        t_start=1.1,
-        delta_t=0.01,
-        n_bins=200,
+        Scan(
+            laser_points=grid,
+            sensor_points=grid,
+            pairing="confocal",
+            t_start=1.1,
+            delta_t=0.01,
+            n_bins=200,
+        ),
         max_bounces=3,
         tol=1e-2,
     )
