@@ -139,7 +139,7 @@ def advise(capture: TransientCapture, *, seed: int = 0, progress: Progress | Non
         volume = Volume.facing(grid_of(capture), (near, far, step))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ValidityWarning)  # far planes are darker at the rim
-            images = [phasor_image(h, volume, wl_mean=wl_mean, dtype="float32") for h in halves]
+            images = [phasor_image(h, volume, wl_mean=wl_mean) for h in halves]
         views = [image.projection().ravel() for image in images]
         agreement[float(wl_mean)] = float(np.corrcoef(views[0], views[-1])[0, 1])
         if agreement[float(wl_mean)] >= AGREEMENT:
