@@ -81,8 +81,8 @@ class Scan:
     (200, 4, 4)
     """
 
-    laser_points: Array
-    sensor_points: Array
+    laser_points: Any
+    sensor_points: Any
     t_start: float
     delta_t: float
     n_bins: int
