@@ -99,8 +99,9 @@ def advise(capture: TransientCapture, *, seed: int = 0, progress: Progress | Non
     Notes
     -----
     A capture whose values are not whole numbers has no photon noise, and its halves agree fully.
-    Planes lie a quarter of a wavelength apart. A cell has a depth if its amplitude is at least 0.3
-    of the largest one.
+    Planes lie a quarter of a wavelength apart. Intervals of 1.96 standard errors of the depths hold
+    about 95 % of the true ones, more with many photons. A cell has a depth if its amplitude is at
+    least 0.3 of the largest one.
 
     Examples
     --------
@@ -135,7 +136,8 @@ def advise(capture: TransientCapture, *, seed: int = 0, progress: Progress | Non
         if progress is not None:
             progress(f"wavelength {wl_mean:.3g} m", k / len(WAVELENGTHS))
         step = 0.25 * wl_mean
-        near = max(0.5 * facts["start"], step)
+        # one plane before the light, between which and the next a depth is interpolated
+        near = max(0.5 * facts["start"] - step, step)
         far = max(0.5 * facts["stop"], near)
         volume = Volume.facing(grid_of(capture), (near, far, step))
         with warnings.catch_warnings():
