@@ -1,0 +1,113 @@
+"""Adjoint of the camera image with respect to the picture of the hidden object."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..psf import PointSpread, PointSpreadField
+from ..scene import PlanarObject, Scene
+from .forward_model import ForwardModel
+from .geometry import (
+    Footprints,
+    chief_rays,
+    picture_coordinates,
+    picture_points,
+    picture_positions,
+    pixel_edges,
+)
+from .images import mirror_image, point_background
+from .lit_walls import lit_transports
+from .radiometry import Chebyshev
+from .shadows import Shadows
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectAdjoint:
+    """Adjoint of the object's image with respect to its picture.
+
+    The mirror-like image is linear in the picture, and its adjoint is exact. Diffuse light is that
+    of patches, whose places depend a little on the picture (see `objects.object_patches`); its
+    adjoint is that of the exact sum, to some 1e-4 of this light.
+    """
+
+    scene: Scene  # with the picture
+    spread: PointSpread | PointSpreadField | None
+    shadows: Shadows | None  # without interpolation; None without occluders
+    tol: float = 1e-5  # of the diffuse light as a function of places on the picture
+    most_cells: int = 32  # of a picture along each side, past occluders
+
+    def apply(self, values: Array) -> Array:
+        """Return values of the texels from values (ny, nx) of the pixels."""
+        result = np.zeros(self._hidden.reflectance.shape)
+        if self.spread is not None:
+            model, footprints, white = self._mirror
+            result += footprints.adjoint(white * model.adjoint(values))
+        if self.scene.wall_material.diffuse is not None:
+            result += self._open(values) if self.shadows is None else self._shadowed(values)
+        return result
+
+    @property
+    def _hidden(self) -> PlanarObject:
+        assert isinstance(self.scene.hidden, PlanarObject)  # checked by SceneModel
+        return self.scene.hidden
+
+    @cached_property
+    def _mirror(self) -> tuple[ForwardModel, Footprints, Array]:
+        """Blur, footprints of the pixels, and the electrons of a white object before the blur."""
+        scene, ones = self.scene, np.ones(self._hidden.reflectance.shape)
+        bright = replace(scene, hidden=replace(self._hidden, image=ones))
+        rays, image = mirror_image(bright, self.shadows)
+        at = None
+        if isinstance(self.spread, PointSpreadField):
+            at = picture_positions(self._hidden, rays)
+        model = ForwardModel(self.spread, shape=image.shape, at=at)
+        corners = chief_rays(scene, *pixel_edges(scene.camera))
+        footprints = Footprints(ones.shape, *picture_coordinates(self._hidden, corners))
+        share = footprints.average(ones)
+        white = np.divide(image, share, out=np.zeros_like(image), where=share > 0.0)
+        return model, footprints, white
+
+    @cached_property
+    def _nodes(self) -> tuple[list[Array], Array]:
+        """Interpolation from nodes on the picture to its texels, (2, n, nodes), and their images.
+
+        The images are those of a texel at each node. They are analytic functions of the place, up
+        to the distance of the wall in units of the picture's half side.
+        """
+        hidden = self._hidden
+        right, up, _ = hidden.axes
+        drop = (hidden.size[0] * abs(right[2]) + hidden.size[1] * abs(up[2])) / 2
+        near = 2.0 * (hidden.position[2] - drop) / max(hidden.size)
+        count = math.ceil(-math.log(self.tol) / math.asinh(near))
+        axes = [Chebyshev(np.array([0.0, n]), min(count, 16)) for n in hidden.reflectance.shape]
+        row, column = np.meshgrid(axes[0].nodes, axes[1].nodes, indexing="ij")
+        points = picture_points(hidden, column.ravel(), row.ravel())
+        area = math.prod(hidden.size) / hidden.reflectance.size
+        images = point_background(self.scene, points, area).reshape(*row.shape, -1)
+        texels = [np.arange(n) + 0.5 for n in hidden.reflectance.shape]
+        return [axis.basis(at) for axis, at in zip(axes, texels, strict=True)], images
+
+    def _open(self, values: Array) -> Array:
+        """Return the adjoint of the diffuse light without occluders."""
+        (rows, columns), images = self._nodes
+        return np.asarray(rows @ (images @ values.ravel()) @ columns.T)
+
+    def _shadowed(self, values: Array) -> Array:
+        """Return the adjoint of the diffuse light past occluders."""
+        shape = self._hidden.reflectance.shape
+        rows, columns = (
+            max(k for k in range(1, min(n, self.most_cells) + 1) if n % k == 0) for n in shape
+        )
+        sources = lit_transports(
+            self.scene, cells=(rows, columns), material=self.scene.wall_material.diffuse
+        )
+        total = sum(scale * one.adjoint(values) for one, scale in sources)
+        blocks = shape[0] // rows, shape[1] // columns
+        return np.kron(total, np.ones(blocks)) / math.prod(blocks)
