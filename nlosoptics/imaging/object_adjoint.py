@@ -40,7 +40,7 @@ class ObjectAdjoint:
     scene: Scene  # with the picture
     spread: PointSpread | PointSpreadField | None
     shadows: Shadows | None  # without interpolation; None without occluders
-    tol: float = 1e-5  # of the diffuse light as a function of places on the picture
+    tol: float = 1e-6  # of the diffuse light as a function of places on the picture
     most_cells: int = 32  # of a picture along each side, past occluders
 
     def apply(self, values: Array) -> Array:
@@ -91,8 +91,11 @@ class ObjectAdjoint:
         points = picture_points(hidden, column.ravel(), row.ravel())
         area = math.prod(hidden.size) / hidden.reflectance.size
         images = point_background(self.scene, points, area).reshape(*row.shape, -1)
-        texels = [np.arange(n) + 0.5 for n in hidden.reflectance.shape]
-        return [axis.basis(at) for axis, at in zip(axes, texels, strict=True)], images
+        # means over the texels, by three Gauss points
+        inside, weights = np.polynomial.legendre.leggauss(3)
+        texels = [np.arange(n)[:, None] + (1.0 + inside) / 2 for n in hidden.reflectance.shape]
+        means = [(weights / 2) @ axis.basis(at) for axis, at in zip(axes, texels, strict=True)]
+        return means, images
 
     def _open(self, values: Array) -> Array:
         """Return the adjoint of the diffuse light without occluders."""

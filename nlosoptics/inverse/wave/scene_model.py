@@ -44,6 +44,7 @@ class Steps:
     jump: float = 30.0  # ratio of the relative change to ``width`` from which it is a jump
     first: float = 1e-3  # relative change of a value by which its scale is measured
     change: float = 1e-2  # relative change of the image that measures a scale well
+    least: float = 1e-9  # relative change of the image, above rounding, that is an effect
 
 
 STEPS = Steps()
@@ -252,10 +253,11 @@ class SceneModel(nn.Module):
 
         step = STEPS.first * (abs(start) or 1.0)
         relative = change(step)
-        if 0.0 < relative < STEPS.change:  # also near an extremum, where changes are quadratic
+        # changes may also be quadratic, near an extremum
+        if STEPS.least < relative < STEPS.change:
             step *= min(math.sqrt(STEPS.change / relative), 0.1 / STEPS.first)
             relative = change(step)
-        if relative == 0.0:
+        if relative < STEPS.least:
             raise SceneError(
                 f"{address} = {start:g} has no effect on the image, must have one to be free; "
                 "remove it from free"
