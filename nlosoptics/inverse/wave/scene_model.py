@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded on first use
 import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
@@ -18,7 +19,7 @@ from ..._checks import expect, in_range, positive, whole
 from ...errors import NlosError, SceneError
 from ...imaging import SpeckleImage, form_image
 from ...imaging.images import room_light
-from ...imaging.object_adjoint import ObjectAdjoint
+from ...imaging.object_operator import ObjectOperator
 from ...imaging.shadows import shadows_of
 from ...psf import PointSpread, PointSpreadField, point_spread_field, scene_point_spread
 from ...scene import PlanarObject, Scene
@@ -193,6 +194,41 @@ class SceneModel(nn.Module):
         result: Tensor = _Figure.apply(self.offsets, self, figure)
         return result
 
+    def tikhonov(
+        self, image: Tensor, damping: float, shape: tuple[int, int] | None = None
+    ) -> Tensor:
+        """Reconstruct the object with the current values, differentiable by both.
+
+        Parameters
+        ----------
+        image : Tensor, (ny, nx)
+            Measured electrons.
+        damping : float
+            Rms noise of the image over the expected rms reflectance, electrons.
+        shape : (int, int), optional
+            Rows and columns of the object; by default those of the image.
+
+        Returns
+        -------
+        Tensor, (rows, columns)
+            Object x that minimises ``|image(x) - image|^2 + damping^2 |x|^2``, without limits to
+            its reflectances, by conjugate gradients.
+
+        Notes
+        -----
+        The gradient follows from the normal equations by the implicit function theorem, which needs
+        one more solution of them, and no memory for iterations.
+        """
+        damping = positive("damping", damping)
+        wanted = self._scene.camera.shape
+        if not isinstance(image, Tensor) or tuple(image.shape) != wanted:
+            raise SceneError(
+                f"image has shape {tuple(np.shape(image))}, must be a tensor {wanted}; give "
+                "one image of the camera"
+            )
+        result: Tensor = _Tikhonov.apply(self.offsets, image, self, damping, shape or wanted)
+        return result
+
     def _image(self, object_image: Tensor | None) -> Tensor:
         if object_image is not None and not isinstance(object_image, Tensor):
             raise SceneError(
@@ -272,7 +308,7 @@ class _Setting:
         self.scene, self._tol, self._nodes = scene, tol, nodes
         self._shape: tuple[int, int] | None = None
         self._formed: tuple[bytes, SpeckleImage] | None = None
-        self._adjoint: tuple[bytes, ObjectAdjoint] | None = None
+        self._operator: tuple[bytes, ObjectOperator] | None = None
 
     @cached_property
     def spread(self) -> PointSpread | PointSpreadField | None:
@@ -301,15 +337,15 @@ class _Setting:
             self._formed = key, form_image(scene, self.spread, shadows=shadows)
         return self._formed[1]
 
-    def adjoint(self, picture: Array, values: Array) -> Array:
-        """Return the adjoint of the image with respect to the picture."""
+    def operator(self, picture: Array) -> ObjectOperator:
+        """Return the linear operator for pictures of a shape; past occluders, for this one."""
         key = b"" if not self.scene.occluders else picture.tobytes()
         key += np.array(picture.shape).tobytes()
-        if self._adjoint is None or self._adjoint[0] != key:
+        if self._operator is None or self._operator[0] != key:
             scene = self._painted(picture)
             shadows = shadows_of(scene, exact=True) if scene.occluders else None
-            self._adjoint = key, ObjectAdjoint(scene, self.spread, shadows)
-        return self._adjoint[1].apply(values)
+            self._operator = key, ObjectOperator(scene, self.spread, shadows)
+        return self._operator[1]
 
     def _painted(self, picture: Array | None) -> Scene:
         if picture is None:
@@ -340,9 +376,9 @@ class _Image(torch.autograd.Function):
         by_value = by_object = None
         if ctx.needs_input_grad[0]:
             rates = model._rates(ctx.at, lambda setting: setting.formed(ctx.picture).expected)
-            by_value = torch.tensor([float((weight * rate).sum()) for rate in rates])
+            by_value = _tensor((weight * rate).sum() for rate in rates)
         if ctx.needs_input_grad[1]:
-            by_object = torch.tensor(model._setting(ctx.at).adjoint(ctx.picture, weight))
+            by_object = torch.tensor(model._setting(ctx.at).operator(ctx.picture).adjoint(weight))
             by_object = by_object.to(ctx.dtype)
         return by_value, by_object, None
 
@@ -363,13 +399,71 @@ class _Figure(torch.autograd.Function):
         rates = ctx.model._rates(
             ctx.at, lambda setting: np.asarray(ctx.figure(setting.scene), dtype=np.float64)
         )
-        return torch.tensor([float((weight * rate).sum()) for rate in rates]), None, None
+        return _tensor((weight * rate).sum() for rate in rates), None, None
+
+
+class _Tikhonov(torch.autograd.Function):
+    """Damped least squares; the implicit function theorem for values and image."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        offsets: Tensor,
+        image: Tensor,
+        model: SceneModel,
+        damping: float,
+        shape: tuple[int, int],
+    ) -> Tensor:
+        ctx.model, ctx.at, ctx.damping = model, offsets.detach().numpy().copy(), damping
+        black, setting = np.zeros(shape), model._setting(ctx.at)
+        light = image.detach().double().numpy() - setting.formed(black).expected
+        operator = setting.operator(black)
+        ctx.object = _normal_solution(operator, operator.adjoint(light), damping)
+        ctx.residual = operator.forward(ctx.object) - light
+        return torch.tensor(ctx.object)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
+        black = np.zeros(ctx.object.shape)
+        operator = ctx.model._setting(ctx.at).operator(black)
+        dual = _normal_solution(operator, cotangent.numpy(), ctx.damping)
+        seen = operator.forward(dual)
+        by_value = None
+        if ctx.needs_input_grad[0]:
+
+            def product(setting: _Setting) -> Array:
+                moved = setting.operator(black)
+                image = moved.forward(ctx.object) + setting.formed(black).expected
+                # the normal equations, weighted by the dual solution
+                return -np.sum(moved.forward(dual) * ctx.residual + seen * image)
+
+            by_value = _tensor(ctx.model._rates(ctx.at, product))
+        return by_value, torch.tensor(seen), None, None, None
+
+
+def _normal_solution(operator: ObjectOperator, right: Array, damping: float) -> Array:
+    """Solve the damped normal equations by conjugate gradients."""
+    size, shape = right.size, right.shape
+
+    def normal(flat: Array) -> Array:
+        picture = flat.reshape(shape)
+        result = operator.adjoint(operator.forward(picture)) + damping**2 * picture
+        return np.asarray(result).ravel()
+
+    matrix = scipy.sparse.linalg.LinearOperator((size, size), matvec=normal, dtype=np.float64)
+    solution, _ = scipy.sparse.linalg.cg(matrix, right.ravel(), rtol=1e-9, maxiter=10 * size)
+    return np.asarray(solution).reshape(shape)
 
 
 def _picture(object_image: Tensor | None) -> Array | None:
     if object_image is None:
         return None
     return object_image.detach().cpu().double().numpy().copy()
+
+
+def _tensor(rates: Iterable[Any]) -> Tensor:
+    return torch.tensor([float(rate) for rate in rates], dtype=torch.float64)
 
 
 def _norm(values: ArrayLike) -> float:

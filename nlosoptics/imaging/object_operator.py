@@ -1,4 +1,4 @@
-"""Adjoint of the camera image with respect to the picture of the hidden object."""
+"""Camera image as a linear operator on the picture of the hidden object."""
 
 from __future__ import annotations
 
@@ -24,34 +24,55 @@ from .images import mirror_image, point_background
 from .lit_walls import lit_transports
 from .radiometry import Chebyshev
 from .shadows import Shadows
+from .wall_transport import WallTransport
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class ObjectAdjoint:
-    """Adjoint of the object's image with respect to its picture.
+class ObjectOperator:
+    """Object's part of the mean image as a linear function of its picture, and the adjoint.
 
-    The mirror-like image is linear in the picture, and its adjoint is exact. Diffuse light is that
-    of patches, whose places depend a little on the picture (see `objects.object_patches`); its
-    adjoint is that of the exact sum, to some 1e-4 of this light.
+    The mirror-like image is linear in the picture. Diffuse light of `form_image` is that of
+    patches, whose places depend a little on the picture (see `objects.object_patches`); here it is
+    the exact sum, from which it differs by some 1e-4.
     """
 
-    scene: Scene  # with the picture
+    scene: Scene  # with a picture of the right shape
     spread: PointSpread | PointSpreadField | None
     shadows: Shadows | None  # without interpolation; None without occluders
     tol: float = 1e-6  # of the diffuse light as a function of places on the picture
     most_cells: int = 32  # of a picture along each side, past occluders
 
-    def apply(self, values: Array) -> Array:
+    def forward(self, picture: Array) -> Array:
+        """Return the electrons (ny, nx) of a picture's light."""
+        result = np.zeros(self.scene.camera.shape)
+        if self.spread is not None:
+            model, footprints, white = self._mirror
+            result += model.forward(white * footprints.average(picture))
+        if self.scene.wall_material.diffuse is None:
+            return result
+        if self.shadows is None:
+            (rows, columns), images = self._nodes
+            return result + np.tensordot(rows.T @ picture @ columns, images)
+        cells, blocks = self._cells
+        means = picture.reshape(cells[0], blocks[0], cells[1], blocks[1]).mean(axis=(1, 3))
+        return result + sum(scale * one.forward(means) for one, scale in self._transports)
+
+    def adjoint(self, values: Array) -> Array:
         """Return values of the texels from values (ny, nx) of the pixels."""
         result = np.zeros(self._hidden.reflectance.shape)
         if self.spread is not None:
             model, footprints, white = self._mirror
             result += footprints.adjoint(white * model.adjoint(values))
-        if self.scene.wall_material.diffuse is not None:
-            result += self._open(values) if self.shadows is None else self._shadowed(values)
-        return result
+        if self.scene.wall_material.diffuse is None:
+            return result
+        if self.shadows is None:
+            (rows, columns), images = self._nodes
+            return result + rows @ np.tensordot(images, values) @ columns.T
+        _, blocks = self._cells
+        total = sum(scale * one.adjoint(values) for one, scale in self._transports)
+        return np.asarray(result + np.kron(total, np.ones(blocks)) / math.prod(blocks))
 
     @property
     def _hidden(self) -> PlanarObject:
@@ -90,27 +111,25 @@ class ObjectAdjoint:
         row, column = np.meshgrid(axes[0].nodes, axes[1].nodes, indexing="ij")
         points = picture_points(hidden, column.ravel(), row.ravel())
         area = math.prod(hidden.size) / hidden.reflectance.size
-        images = point_background(self.scene, points, area).reshape(*row.shape, -1)
+        images = point_background(self.scene, points, area).reshape(
+            *row.shape, *self.scene.camera.shape
+        )
         # means over the texels, by three Gauss points
         inside, weights = np.polynomial.legendre.leggauss(3)
         texels = [np.arange(n)[:, None] + (1.0 + inside) / 2 for n in hidden.reflectance.shape]
         means = [(weights / 2) @ axis.basis(at) for axis, at in zip(axes, texels, strict=True)]
         return means, images
 
-    def _open(self, values: Array) -> Array:
-        """Return the adjoint of the diffuse light without occluders."""
-        (rows, columns), images = self._nodes
-        return np.asarray(rows @ (images @ values.ravel()) @ columns.T)
-
-    def _shadowed(self, values: Array) -> Array:
-        """Return the adjoint of the diffuse light past occluders."""
-        shape = self._hidden.reflectance.shape
+    @cached_property
+    def _cells(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Rows and columns of cells, and the texels in each, past occluders."""
+        texels = self._hidden.reflectance.shape
         rows, columns = (
-            max(k for k in range(1, min(n, self.most_cells) + 1) if n % k == 0) for n in shape
+            max(k for k in range(1, min(n, self.most_cells) + 1) if n % k == 0) for n in texels
         )
-        sources = lit_transports(
-            self.scene, cells=(rows, columns), material=self.scene.wall_material.diffuse
-        )
-        total = sum(scale * one.adjoint(values) for one, scale in sources)
-        blocks = shape[0] // rows, shape[1] // columns
-        return np.kron(total, np.ones(blocks)) / math.prod(blocks)
+        return (rows, columns), (texels[0] // rows, texels[1] // columns)
+
+    @cached_property
+    def _transports(self) -> list[tuple[WallTransport, float]]:
+        material = self.scene.wall_material.diffuse
+        return lit_transports(self.scene, cells=self._cells[0], material=material)
