@@ -41,7 +41,7 @@ class ObjectOperator:
     scene: Scene  # with a picture of the right shape
     spread: PointSpread | PointSpreadField | None
     shadows: Shadows | None  # without interpolation; None without occluders
-    tol: float = 1e-6  # of the diffuse light as a function of places on the picture
+    tol: float = 1e-5  # of the diffuse light as a function of places on the picture
     most_cells: int = 32  # of a picture along each side, past occluders
 
     def forward(self, picture: Array) -> Array:
