@@ -33,7 +33,7 @@ from .geometry import (
     pixel_edges,
     wall_visibility,
 )
-from .objects import Patches, mesh_hits
+from .objects import Patches, mesh_hits, plate
 from .radiometry import (
     LaserSpot,
     ambient_radiance,
@@ -419,7 +419,7 @@ def point_background(scene: Scene, points: Array, area: float) -> Array:
     They are at ``points`` (n, 3), m, and each has the ``area``, m^2. Occluders are left out.
     """
     spot, rays, visible, gain = _view(scene, scene.camera.exposure)
-    normal, seen = scene.hidden.axes[2][None], visible > 0
+    normal, seen = plate(scene)[1][2][None], visible > 0
     pieces = [Patches(points=p[None], normals=normal, areas=np.array([area])) for p in points]
     return np.stack([gain * background_radiance(scene, spot, p, rays, seen) for p in pieces])
 

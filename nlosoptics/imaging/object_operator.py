@@ -57,7 +57,7 @@ class ObjectOperator:
             return result + np.tensordot(rows.T @ picture @ columns, images)
         cells, blocks = self._cells
         means = picture.reshape(cells[0], blocks[0], cells[1], blocks[1]).mean(axis=(1, 3))
-        return result + sum(scale * one.forward(means) for one, scale in self._transports)
+        return np.asarray(result + sum(t.forward(means) * scale for t, scale in self._transports))
 
     def adjoint(self, values: Array) -> Array:
         """Return values of the texels from values (ny, nx) of the pixels."""
@@ -71,7 +71,7 @@ class ObjectOperator:
             (rows, columns), images = self._nodes
             return result + rows @ np.tensordot(images, values) @ columns.T
         _, blocks = self._cells
-        total = sum(scale * one.adjoint(values) for one, scale in self._transports)
+        total = sum(t.adjoint(values) * scale for t, scale in self._transports)
         return np.asarray(result + np.kron(total, np.ones(blocks)) / math.prod(blocks))
 
     @property
@@ -90,7 +90,9 @@ class ObjectOperator:
             at = picture_positions(self._hidden, rays)
         model = ForwardModel(self.spread, shape=image.shape, at=at)
         corners = chief_rays(scene, *pixel_edges(scene.camera))
-        footprints = Footprints(ones.shape, *picture_coordinates(self._hidden, corners))
+        footprints = Footprints(
+            (len(ones), ones.shape[1]), *picture_coordinates(self._hidden, corners)
+        )
         share = footprints.average(ones)
         white = np.divide(image, share, out=np.zeros_like(image), where=share > 0.0)
         return model, footprints, white

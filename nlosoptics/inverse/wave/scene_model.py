@@ -182,7 +182,8 @@ class SceneModel(nn.Module):
             room = torch.as_tensor(room_light(setting.scene))
             variance = variance + (contrast * (mean - dark - room)).square()
         normal = torch.randn(mean.shape, dtype=mean.dtype, generator=generator)
-        return (mean + variance.sqrt() * normal).clamp(max=native * camera.full_well)
+        noisy: Tensor = mean + variance.sqrt() * normal
+        return noisy.clamp(max=native * camera.full_well)
 
     def evaluate(self, figure: Figure) -> Tensor:
         """Return a function of the scene with its gradient, such as a figure of merit.
@@ -191,7 +192,9 @@ class SceneModel(nn.Module):
         ``lambda scene: psf.scene_point_spread(scene, 1e-4).point_spread.intensity.max()``. A
         backward pass calls it once for each free value.
         """
-        result: Tensor = _Figure.apply(self.offsets, self, figure)
+        result: Tensor = _Figure.apply(  # type: ignore[no-untyped-call]
+            self.offsets, self, figure
+        )
         return result
 
     def tikhonov(
@@ -226,7 +229,9 @@ class SceneModel(nn.Module):
                 f"image has shape {tuple(np.shape(image))}, must be a tensor {wanted}; give "
                 "one image of the camera"
             )
-        result: Tensor = _Tikhonov.apply(self.offsets, image, self, damping, shape or wanted)
+        result: Tensor = _Tikhonov.apply(  # type: ignore[no-untyped-call]
+            self.offsets, image, self, damping, shape or wanted
+        )
         return result
 
     def _image(self, object_image: Tensor | None) -> Tensor:
@@ -235,7 +240,9 @@ class SceneModel(nn.Module):
                 f"object_image of type {type(object_image).__name__} is not a tensor; give "
                 "torch.from_numpy(picture)"
             )
-        result: Tensor = _Image.apply(self.offsets, object_image, self)
+        result: Tensor = _Image.apply(  # type: ignore[no-untyped-call]
+            self.offsets, object_image, self
+        )
         return result
 
     def _setting(self, offsets: Array, moved: int | None = None) -> _Setting:
@@ -250,10 +257,12 @@ class SceneModel(nn.Module):
             self._settings.popitem(last=False)
         return self._settings[key]
 
-    def _rates(self, offsets: Array, figure: Callable[[_Setting], Array]) -> Iterator[Array]:
-        """Yield the derivative of a figure by each offset."""
+    def _rates(
+        self, offsets: Array, figure: Callable[[_Setting], Array], here: Array | None = None
+    ) -> Iterator[Array]:
+        """Yield the derivative of a figure by each offset, given its value ``here`` if known."""
         base = self._setting(offsets)
-        here = figure(base)
+        here = figure(base) if here is None else here
 
         def change(index: int, step: float) -> Array:
             moved = offsets.copy()
@@ -389,15 +398,15 @@ class _Figure(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, offsets: Tensor, model: SceneModel, figure: Figure) -> Tensor:
         ctx.model, ctx.figure, ctx.at = model, figure, offsets.detach().numpy().copy()
-        value = figure(model._setting(ctx.at).scene)
-        return torch.tensor(np.asarray(value, dtype=np.float64))
+        ctx.here = np.asarray(figure(model._setting(ctx.at).scene), dtype=np.float64)
+        return torch.tensor(ctx.here)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
         weight = cotangent.numpy()
         rates = ctx.model._rates(
-            ctx.at, lambda setting: np.asarray(ctx.figure(setting.scene), dtype=np.float64)
+            ctx.at, lambda setting: np.asarray(ctx.figure(setting.scene), np.float64), ctx.here
         )
         return _tensor((weight * rate).sum() for rate in rates), None, None
 
@@ -459,7 +468,8 @@ def _normal_solution(operator: ObjectOperator, right: Array, damping: float) -> 
 def _picture(object_image: Tensor | None) -> Array | None:
     if object_image is None:
         return None
-    return object_image.detach().cpu().double().numpy().copy()
+    picture: Array = object_image.detach().cpu().double().numpy().copy()
+    return picture
 
 
 def _tensor(rates: Iterable[Any]) -> Tensor:
