@@ -61,7 +61,7 @@ class ObjectOperator:
 
     def adjoint(self, values: Array) -> Array:
         """Return values of the texels from values (ny, nx) of the pixels."""
-        result = np.zeros(self._hidden.reflectance.shape)
+        result = np.zeros(self._texels)
         if self.spread is not None:
             model, footprints, white = self._mirror
             result += footprints.adjoint(white * model.adjoint(values))
@@ -79,10 +79,15 @@ class ObjectOperator:
         assert isinstance(self.scene.hidden, PlanarObject)  # checked by SceneModel
         return self.scene.hidden
 
+    @property
+    def _texels(self) -> tuple[int, int]:
+        rows, columns = self._hidden.reflectance.shape
+        return rows, columns
+
     @cached_property
     def _mirror(self) -> tuple[ForwardModel, Footprints, Array]:
         """Blur, footprints of the pixels, and the electrons of a white object before the blur."""
-        scene, ones = self.scene, np.ones(self._hidden.reflectance.shape)
+        scene, ones = self.scene, np.ones(self._texels)
         bright = replace(scene, hidden=replace(self._hidden, image=ones))
         rays, image = mirror_image(bright, self.shadows)
         at = None
@@ -109,23 +114,23 @@ class ObjectOperator:
         drop = (hidden.size[0] * abs(right[2]) + hidden.size[1] * abs(up[2])) / 2
         near = 2.0 * (hidden.position[2] - drop) / max(hidden.size)
         count = math.ceil(-math.log(self.tol) / math.asinh(near))
-        axes = [Chebyshev(np.array([0.0, n]), min(count, 16)) for n in hidden.reflectance.shape]
+        axes = [Chebyshev(np.array([0.0, n]), min(count, 16)) for n in self._texels]
         row, column = np.meshgrid(axes[0].nodes, axes[1].nodes, indexing="ij")
         points = picture_points(hidden, column.ravel(), row.ravel())
-        area = math.prod(hidden.size) / hidden.reflectance.size
+        area = math.prod(hidden.size) / math.prod(self._texels)
         images = point_background(self.scene, points, area).reshape(
             *row.shape, *self.scene.camera.shape
         )
         # means over the texels, by three Gauss points
         inside, weights = np.polynomial.legendre.leggauss(3)
-        texels = [np.arange(n)[:, None] + (1.0 + inside) / 2 for n in hidden.reflectance.shape]
+        texels = [np.arange(n)[:, None] + (1.0 + inside) / 2 for n in self._texels]
         means = [(weights / 2) @ axis.basis(at) for axis, at in zip(axes, texels, strict=True)]
         return means, images
 
     @cached_property
     def _cells(self) -> tuple[tuple[int, int], tuple[int, int]]:
         """Rows and columns of cells, and the texels in each, past occluders."""
-        texels = self._hidden.reflectance.shape
+        texels = self._texels
         rows, columns = (
             max(k for k in range(1, min(n, self.most_cells) + 1) if n % k == 0) for n in texels
         )

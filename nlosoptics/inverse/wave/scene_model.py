@@ -445,7 +445,7 @@ class _Tikhonov(torch.autograd.Function):
                 moved = setting.operator(black)
                 image = moved.forward(ctx.object) + setting.formed(black).expected
                 # the normal equations, weighted by the dual solution
-                return -np.sum(moved.forward(dual) * ctx.residual + seen * image)
+                return np.asarray(-np.sum(moved.forward(dual) * ctx.residual + seen * image))
 
             by_value = _tensor(ctx.model._rates(ctx.at, product))
         return by_value, torch.tensor(seen), None, None, None
