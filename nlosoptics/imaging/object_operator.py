@@ -20,8 +20,8 @@ from .geometry import (
     picture_positions,
     pixel_edges,
 )
-from .images import mirror_image, point_background
-from .lit_walls import lit_transports
+from .images import diffuse_background, mirror_image, point_background
+from .lit_walls import lit_transports, picture_cells
 from .radiometry import Chebyshev
 from .shadows import Shadows
 from .wall_transport import WallTransport
@@ -55,9 +55,7 @@ class ObjectOperator:
         if self.shadows is None:
             (rows, columns), images = self._nodes
             return result + np.tensordot(rows.T @ picture @ columns, images)
-        cells, blocks = self._cells
-        means = picture.reshape(cells[0], blocks[0], cells[1], blocks[1]).mean(axis=(1, 3))
-        return np.asarray(result + sum(t.forward(means) * scale for t, scale in self._transports))
+        return result + self._scale * self._transported(picture)
 
     def adjoint(self, values: Array) -> Array:
         """Return values of the texels from values (ny, nx) of the pixels."""
@@ -71,6 +69,7 @@ class ObjectOperator:
             (rows, columns), images = self._nodes
             return result + rows @ np.tensordot(images, values) @ columns.T
         _, blocks = self._cells
+        values = self._scale * values
         total = sum(t.adjoint(values) * scale for t, scale in self._transports)
         return np.asarray(result + np.kron(total, np.ones(blocks)) / math.prod(blocks))
 
@@ -139,4 +138,24 @@ class ObjectOperator:
     @cached_property
     def _transports(self) -> list[tuple[WallTransport, float]]:
         material = self.scene.wall_material.diffuse
-        return lit_transports(self.scene, cells=self._cells[0], material=material)
+        assert material is not None  # see forward
+        # as many points of the wall as the shadows of images take
+        cells = picture_cells(self.scene, material, self._texels)
+        samples = WallTransport(self.scene, cells=cells, material=material)._samples
+        cells = self._cells[0]
+        return lit_transports(self.scene, cells=cells, material=material, samples=samples)
+
+    def _transported(self, picture: Array) -> Array:
+        """Return the diffuse light (ny, nx) of a picture by `WallTransport`."""
+        cells, blocks = self._cells
+        means = picture.reshape(cells[0], blocks[0], cells[1], blocks[1]).mean(axis=(1, 3))
+        return np.asarray(sum(t.forward(means) * scale for t, scale in self._transports))
+
+    @cached_property
+    def _scale(self) -> Array | float:
+        """Diffuse light of `form_image`, which is that of pixel centres, over that of pixels."""
+        if not self._hidden.reflectance.any():
+            return 1.0
+        image = diffuse_background(self.scene, shadows=self.shadows)
+        light = self._transported(self._hidden.reflectance)
+        return np.divide(image, light, out=np.ones_like(light), where=light > 0.0)

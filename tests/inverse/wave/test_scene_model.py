@@ -36,9 +36,7 @@ CASES = [
     pytest.param(
         "letter_wavy", {"wall.amplitude": 1e-3, "hidden.position[1]": 0.07}, marks=thorough
     ),
-    pytest.param(
-        "letter_rough", {"wall.roughness.height_rms": 1e-6, "laser.aim[0]": 3.0}, marks=thorough
-    ),
+    pytest.param("letter_rough", {"hidden.position[2]": 0.1, "laser.aim[0]": 3.0}, marks=thorough),
     pytest.param(
         "shadows", {"occluder[0].position[0]": 0.2, "hidden.position[2]": 0.4}, marks=thorough
     ),
@@ -84,7 +82,8 @@ def test_a_jump_of_the_image_is_no_gradient():
 def test_gradient_of_the_object_is_that_of_the_image(name):
     random = np.random.default_rng(0)
     picture = torch.from_numpy(random.uniform(0.2, 0.8, (24, 32))).requires_grad_()
-    model = SceneModel(scene_of(name))
+    # light from plane to wall is that of pixel centres, and its shadows are those of pixels
+    model = SceneModel(scene_of(name, 64 if name == "shadows" else 16))
     image = model(picture)
     weight = torch.from_numpy(random.standard_normal(image.shape))
     (weight * image).sum().backward()
@@ -147,9 +146,11 @@ def test_gradients_through_a_solver(name):
         model.offsets.data -= step
         return float((weight * result).sum())
 
-    slope = (weighted(1e-3, 0.0) - weighted(-1e-3, 0.0)) / 2e-3
+    slope = (weighted(1e-4, 0.0) - weighted(-1e-4, 0.0)) / 2e-4
     assert float(model.offsets.grad[0]) == pytest.approx(slope, rel=1e-3)  # truncation
-    change = torch.from_numpy(np.random.default_rng(1).standard_normal(image.shape))
+    change = (
+        10.0 * damping * torch.from_numpy(np.random.default_rng(1).standard_normal(image.shape))
+    )
     slope = (weighted(0.0, change) - weighted(0.0, -change)) / 2.0
     assert float((image.grad * change).sum()) == pytest.approx(slope, rel=1e-5)
 
