@@ -268,7 +268,7 @@ def background_radiance(
     x, y = x[window[1]], y[window[0]]
     heights = rays.points[window][..., 2]
     heights = np.where(inside, heights, heights[inside].mean())
-    axes = [_Chebyshev(y, NODES), _Chebyshev(x, NODES), _Chebyshev(heights, NODES_HEIGHT)]
+    axes = [Chebyshev(y, NODES), Chebyshev(x, NODES), Chebyshev(heights, NODES_HEIGHT)]
     node_y, node_x, node_height = np.meshgrid(*(a.nodes for a in axes), indexing="ij")
     shape = node_y.shape
     nodes = Nodes(scene, node_x.ravel(), node_y.ravel(), node_height.ravel())
@@ -418,7 +418,7 @@ def _grouped_flux(
     return flux
 
 
-class _Chebyshev:
+class Chebyshev:
     """Chebyshev interpolation over the range of given values; one node if they are all equal."""
 
     def __init__(self, values: Array, count: int) -> None:
