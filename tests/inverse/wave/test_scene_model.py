@@ -129,7 +129,8 @@ def test_noise_and_full_well():
     assert float(model.offsets.grad[0]) == 0.0
 
 
-@pytest.mark.parametrize("name", ["letter_flat", pytest.param("shadows", marks=thorough)])
+@thorough
+@pytest.mark.parametrize("name", ["letter_flat", "shadows"])
 def test_gradients_through_a_solver(name):
     """The implicit function theorem against differences of whole solutions."""
     address = "hidden.position[2]" if name == "letter_flat" else "occluder[0].position[0]"
