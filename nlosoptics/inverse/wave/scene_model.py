@@ -15,8 +15,8 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
-from ..._checks import expect, in_range, positive, whole
-from ...errors import NlosError, SceneError
+from ..._checks import expect, in_range, positive, whole, whole_pair
+from ...errors import NlosError, SamplingError, SceneError
 from ...imaging import SpeckleImage, form_image
 from ...imaging.images import room_light
 from ...imaging.object_operator import ObjectOperator
@@ -230,8 +230,11 @@ class SceneModel(nn.Module):
                 f"image has shape {tuple(np.shape(image))}, must be a tensor {wanted}; give "
                 "one image of the camera"
             )
+        if not bool(torch.isfinite(image).all()):
+            raise SceneError("image has values that are not finite, limit 0; replace them")
+        shape = whole_pair("shape", shape or wanted, (4096, 4096))
         result: Tensor = _Tikhonov.apply(  # type: ignore[no-untyped-call]
-            self.offsets, image, self, damping, shape or wanted
+            self.offsets, image, self, damping, shape
         )
         return result
 
@@ -273,7 +276,7 @@ class SceneModel(nn.Module):
             before, after = (
                 self._start[index] + self.scales[index] * at[index] for at in (offsets, moved)
             )
-            return (figure(setting) - here) * (self.scales[index] / (after - before))
+            return np.asarray((figure(setting) - here) * (self.scales[index] / (after - before)))
 
         for index in range(len(self.free)):
             value = self._start[index] + self.scales[index] * offsets[index]
@@ -467,7 +470,13 @@ def _normal_solution(operator: ObjectOperator, right: Array, damping: float) -> 
         return np.asarray(result).ravel()
 
     matrix = scipy.sparse.linalg.LinearOperator((size, size), matvec=normal, dtype=np.float64)
-    solution, _ = scipy.sparse.linalg.cg(matrix, right.ravel(), rtol=1e-9, maxiter=10 * size)
+    most = 10 * size
+    solution, ended = scipy.sparse.linalg.cg(matrix, right.ravel(), rtol=1e-9, maxiter=most)
+    if ended != 0:
+        raise SamplingError(
+            f"damping = {damping:g} is too small to solve for the object in {most} steps; use a "
+            "larger one"
+        )
     return np.asarray(solution).reshape(shape)
 
 
