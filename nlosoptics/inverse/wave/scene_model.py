@@ -15,8 +15,8 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
-from ..._checks import expect, in_range, positive, whole
-from ...errors import NlosError, SceneError
+from ..._checks import expect, in_range, positive, whole, whole_pair
+from ...errors import NlosError, SamplingError, SceneError
 from ...imaging import SpeckleImage, form_image
 from ...imaging.images import room_light
 from ...imaging.object_operator import ObjectOperator
@@ -42,6 +42,7 @@ class Steps:
     """
 
     width: float = 1e-8
+    rounding: float = 1e-9  # least step relative to the value
     jump: float = 30.0  # ratio of the relative change to ``width`` from which it is a jump
     first: float = 1e-3  # relative change of a value by which its scale is measured
     change: float = 1e-2  # relative change of the image that measures a scale well
@@ -145,13 +146,13 @@ class SceneModel(nn.Module):
     @property
     def values(self) -> dict[str, float]:
         """Current values by address, SI units."""
-        values = self._start + self.scales * self.offsets.detach().numpy()
+        values = self._start + self.scales * _numbers(self.offsets)
         return dict(zip(self.free, values.tolist(), strict=True))
 
     @property
     def scene(self) -> Scene:
         """Scene with the current values."""
-        return self._setting(self.offsets.detach().numpy()).scene
+        return self._setting(_numbers(self.offsets)).scene
 
     def forward(self, object_image: Tensor | None = None) -> Tensor:
         """Compute the mean image in electrons, (ny, nx), float64.
@@ -171,7 +172,7 @@ class SceneModel(nn.Module):
         variance, drawn from ``generator`` (reparametrisation). Values end at the full well.
         """
         mean = self._image(object_image)
-        setting = self._setting(self.offsets.detach().numpy())
+        setting = self._setting(_numbers(self.offsets))
         camera = setting.scene.camera
         native = camera.binning**2
         step = camera.full_well / 2**camera.bit_depth
@@ -229,8 +230,11 @@ class SceneModel(nn.Module):
                 f"image has shape {tuple(np.shape(image))}, must be a tensor {wanted}; give "
                 "one image of the camera"
             )
+        if not bool(torch.isfinite(image).all()):
+            raise SceneError("image has values that are not finite, limit 0; replace them")
+        shape = whole_pair("shape", shape or wanted, (4096, 4096))
         result: Tensor = _Tikhonov.apply(  # type: ignore[no-untyped-call]
-            self.offsets, image, self, damping, shape or wanted
+            self.offsets, image, self, damping, shape
         )
         return result
 
@@ -269,12 +273,17 @@ class SceneModel(nn.Module):
             moved[index] += step
             setting = self._setting(moved)
             setting.follow(base, self.free[index])
-            return (figure(setting) - here) / step
+            before, after = (
+                self._start[index] + self.scales[index] * at[index] for at in (offsets, moved)
+            )
+            return np.asarray((figure(setting) - here) * (self.scales[index] / (after - before)))
 
         for index in range(len(self.free)):
-            rate = change(index, STEPS.width)
+            value = self._start[index] + self.scales[index] * offsets[index]
+            step = max(STEPS.width, STEPS.rounding * abs(value) / self.scales[index])
+            rate = change(index, step)
             if _norm(rate) > STEPS.jump * _norm(here):
-                rate = min(rate, change(index, -STEPS.width), key=_norm)
+                rate = min(rate, change(index, -step), key=_norm)
             yield rate
 
     def _scale(self, index: int) -> float:
@@ -374,7 +383,7 @@ class _Image(torch.autograd.Function):
     def forward(
         ctx: Any, offsets: Tensor, object_image: Tensor | None, model: SceneModel
     ) -> Tensor:
-        ctx.model, ctx.at = model, offsets.detach().numpy().copy()
+        ctx.model, ctx.at = model, _numbers(offsets)
         ctx.picture, ctx.dtype = _picture(object_image), getattr(object_image, "dtype", None)
         return torch.tensor(model._setting(ctx.at).formed(ctx.picture).expected)
 
@@ -397,7 +406,7 @@ class _Figure(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, offsets: Tensor, model: SceneModel, figure: Figure) -> Tensor:
-        ctx.model, ctx.figure, ctx.at = model, figure, offsets.detach().numpy().copy()
+        ctx.model, ctx.figure, ctx.at = model, figure, _numbers(offsets)
         ctx.here = np.asarray(figure(model._setting(ctx.at).scene), dtype=np.float64)
         return torch.tensor(ctx.here)
 
@@ -423,7 +432,7 @@ class _Tikhonov(torch.autograd.Function):
         damping: float,
         shape: tuple[int, int],
     ) -> Tensor:
-        ctx.model, ctx.at, ctx.damping = model, offsets.detach().numpy().copy(), damping
+        ctx.model, ctx.at, ctx.damping = model, _numbers(offsets), damping
         black, setting = np.zeros(shape), model._setting(ctx.at)
         light = image.detach().double().numpy() - setting.formed(black).expected
         operator = setting.operator(black)
@@ -461,7 +470,13 @@ def _normal_solution(operator: ObjectOperator, right: Array, damping: float) -> 
         return np.asarray(result).ravel()
 
     matrix = scipy.sparse.linalg.LinearOperator((size, size), matvec=normal, dtype=np.float64)
-    solution, _ = scipy.sparse.linalg.cg(matrix, right.ravel(), rtol=1e-9, maxiter=10 * size)
+    most = 10 * size
+    solution, ended = scipy.sparse.linalg.cg(matrix, right.ravel(), rtol=1e-9, maxiter=most)
+    if ended != 0:
+        raise SamplingError(
+            f"damping = {damping:g} is too small to solve for the object in {most} steps; use a "
+            "larger one"
+        )
     return np.asarray(solution).reshape(shape)
 
 
@@ -470,6 +485,11 @@ def _picture(object_image: Tensor | None) -> Array | None:
         return None
     picture: Array = object_image.detach().cpu().double().numpy().copy()
     return picture
+
+
+def _numbers(offsets: Tensor) -> Array:
+    numbers: Array = offsets.detach().double().numpy().copy()
+    return numbers
 
 
 def _tensor(rates: Iterable[Any]) -> Tensor:

@@ -71,12 +71,12 @@ def test_gradients_of_values_are_central_differences(name, free):
 def test_a_jump_of_the_image_is_no_gradient():
     """At 1 m the number of patches of the object changes, and with it the image by 1e-4."""
     scene, rates = scene_of("letter_concave"), []
-    for distance in (1.0, 1.0 + 1e-6):
+    for distance in (1.0 - 5e-10, 1.0 - 1e-6):  # a step of 1e-9 crosses 1 m from the first
         moved = scene.with_values({"hidden.position[2]": distance})
         model = SceneModel(moved, {"hidden.position[2]": 0.1})
         model().sum().backward()
         rates.append(float(model.offsets.grad[0]))
-    assert rates[0] == pytest.approx(rates[1], rel=1e-3)  # two numbers of patches
+    assert rates[0] == pytest.approx(rates[1], rel=1e-4)
 
 
 @pytest.mark.parametrize("name", ["letter_flat", pytest.param("shadows", marks=thorough)])
@@ -129,7 +129,8 @@ def test_noise_and_full_well():
     assert float(model.offsets.grad[0]) == 0.0
 
 
-@pytest.mark.parametrize("name", ["letter_flat", pytest.param("shadows", marks=thorough)])
+@thorough
+@pytest.mark.parametrize("name", ["letter_flat", "shadows"])
 def test_gradients_through_a_solver(name):
     """The implicit function theorem against differences of whole solutions."""
     address = "hidden.position[2]" if name == "letter_flat" else "occluder[0].position[0]"
