@@ -84,9 +84,9 @@ def smooth_cost(
     inner = inner_parts(residual, pitch, shape, tol)
     whole = Cost(0.0, 0.0)
     if inner is not None:
-        n, parts = inner
+        n, parts, tol = inner
         whole = Cost(3e-8 * n**2 + 2e-7 * math.prod(shape), 32.0 * n**2 + 60.0 * math.prod(shape))
-        pitch, shape, tol = pitch / parts, (n, n), tol / 30
+        pitch, shape = pitch / parts, (n, n)
     rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape))
     task = Task(residual, tol, pitch, shape, rule)
     if cells:
