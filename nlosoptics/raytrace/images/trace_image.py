@@ -15,6 +15,7 @@ from ..._html import Figures, Shown
 from ..._nouns import Noun
 from ..._photons import photon_rate
 from ..._progress import Progress
+from ..._xarray import Labelled, Labels, pixels, variable
 from ...errors import SceneError
 from ...kernels.codes import GROUPS
 from ...scene import Scene
@@ -87,7 +88,7 @@ class PathHistogram(Noun):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TracedImage(Noun, Shown):
+class TracedImage(Noun, Shown, Labelled):
     """Camera image by Monte Carlo ray tracing, with the standard error of every pixel.
 
     `trace_image` computes it. The arrays are read-only and ordered [y, x], with row 0 at the lowest
@@ -177,6 +178,34 @@ class TracedImage(Noun, Shown):
         # the factor of Student's distribution as for all other errors
         spread = float(((one - ratio * other) ** 2).sum()) / (groups * (groups - 3))
         return ratio, math.sqrt(spread) / mean
+
+    def _labels(self) -> Labels:
+        names = {
+            "expected": ("electrons", "mean reading of one exposure"),
+            "power": ("W", "light that met the hidden object"),
+            "by_bounce": ("W", "light that met the hidden object, by number of reflections"),
+            "stray": ("W", "light that never met the hidden object"),
+        }
+        bounces = np.arange(len(self.by_bounce))
+        axes = {"bounces": variable(["bounces"], bounces, "1", "number of reflections")}
+        axes |= pixels(self.expected.shape, self.pitch)
+        tables: list[tuple[str, TracedImage | PathHistogram, list[str]]]
+        tables = [("", self, ["bounces", "y", "x"])]
+        if (paths := self.histogram) is not None:
+            middles = (paths.edges[1:] + paths.edges[:-1]) / 2
+            axes["path"] = variable(["path"], middles, "m", "optical path")
+            tables.append(("path_", paths, ["bounces", "path"]))
+        arrays = {}
+        for prefix, noun, dimensions in tables:
+            for name, (unit, meaning) in names.items():
+                for suffix, doubt in ("", ""), ("_error", ", standard error"):
+                    values = getattr(noun, name + suffix, None)
+                    if values is not None:  # a histogram has no electrons
+                        its = dimensions[-values.ndim :]
+                        arrays[prefix + name + suffix] = variable(
+                            its, values, unit, meaning + doubt
+                        )
+        return Labels(arrays, axes, {"pitch": self.pitch, "exposure": self.exposure})
 
     def _figures(self) -> Figures:
         ny, nx = self.expected.shape
