@@ -47,10 +47,10 @@ CaptureFile = Annotated[
     Path, typer.Argument(metavar="CAPTURE", help="Capture file: HDF5, .mat, .npy or .npz.")
 ]
 ArrayName = Annotated[
-    str, typer.Option(help="Name of the array with the counts in a file of another layout.")
+    str, typer.Option(help="Name of the array of counts, in a file whose layout is not recognised.")
 ]
 Axes = Annotated[
-    str, typer.Option(help="Order of its axes, such as y,x,t; -y is an axis that runs downward.")
+    str, typer.Option(help="Order of this array's axes, such as y,x,t; -y runs downward.")
 ]
 Side = Annotated[str, typer.Option(help="Side of the scanned wall in such a file, such as 0.7m.")]
 BinWidth = Annotated[
@@ -117,7 +117,8 @@ def transient_command(
     quantity: Annotated[
         str,
         typer.Option(
-            help="Quantity to store at each wall point: irradiance, radiance or radiosity."
+            help="Quantity to store at each wall point, per W of laser power: irradiance (1/m^2), "
+            "radiosity (light that leaves the wall, 1/m^2) or radiance (1/(m^2 sr))."
         ),
     ] = "irradiance",
     photons: Annotated[
@@ -194,7 +195,11 @@ def image_command(
     capture_file: CaptureFile,
     out: Out = None,
     method: Annotated[
-        str, typer.Option(help="Method: phasor, fk, lct or backprojection.")
+        str,
+        typer.Option(
+            help="phasor (phasor field), fk (f-k migration), lct (light-cone transform) or "
+            "backprojection."
+        ),
     ] = "phasor",
     camera: Annotated[
         str | None,
@@ -212,7 +217,7 @@ def image_command(
     ] = "",
     wl_sigma: Annotated[
         str,
-        typer.Option(help="Length (sigma) of phasor's virtual pulse; by default wl-mean/sqrt(2)."),
+        typer.Option(help="Length (sigma) of this pulse, such as 4cm; by default wl-mean/sqrt(2)."),
     ] = "",
     near: Annotated[
         str, typer.Option(help="Distance of the first image plane from the wall, such as 0.4m.")
@@ -227,7 +232,7 @@ def image_command(
         str,
         typer.Option(
             help="Use only wall points in a central square with this side, such as 1m; by default "
-            "all. For phasor."
+            "all. For phasor only."
         ),
     ] = "",
     array: ArrayName = "",

@@ -46,7 +46,8 @@ Full = Annotated[
 Channel = Annotated[
     str | None,
     typer.Option(
-        help="Channel of a picture in colour: red, green, blue, grey (their mean) or rgb (all)."
+        help="Channel to use of a picture in colour: red, green, blue, grey (their mean) or rgb "
+        "(all; the default of deblur)."
     ),
 ]
 Gamma = Annotated[
@@ -145,6 +146,7 @@ def deblur_command(
 ) -> None:
     """Sharpen a photograph whose blur is known, by total-variation deconvolution.
 
+    State the blur by one of --psf, --disc and --gaussian.
     Of all pictures whose blurred image agrees with the photograph, the result is the one with the
     fewest and weakest edges. Colours are sharpened one by one. The output folder gets the picture
     (object.png), its values (object.npz), an overview and result.json.
