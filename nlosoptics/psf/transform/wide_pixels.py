@@ -106,8 +106,9 @@ def inner_parts(
         return None
     parts = math.ceil(pitch / (2 * unit)) | 1
     n = 2 * math.ceil(half * parts / pitch) + 1
-    # Errors of the parts^2 samples of a pixel have both signs; their sum grows as parts.
-    return n, parts, tol / max(30, 2 * min(parts, n))
+    # Errors of the parts^2 samples of a pixel have both signs; their sum grows as parts. The tail
+    # takes a quarter of tol.
+    return n, parts, tol / max(30, 1.5 * min(parts, n))
 
 
 def binned(fine: Array, parts: int, shape: tuple[int, int]) -> Array:
