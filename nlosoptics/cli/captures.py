@@ -345,7 +345,8 @@ def _read(options: Mapping[str, Any]) -> TransientCapture:
     try:
         capture = transient.TransientCapture.load(
             options["capture_file"],
-            array=options["array"] or None,
+            array=options["array"]
+            or ("array" if options["capture_file"].suffix == ".npy" else None),
             axes=options["axes"],
             side=lengths["side"],
             delta_t=lengths["bin"],
@@ -355,8 +356,9 @@ def _read(options: Mapping[str, Any]) -> TransientCapture:
             outer_legs=options["outer_legs"],
         )
     except NlosError as error:  # which names the arguments of the call
-        names = r"\b(delta_t|t_start|laser_points|outer_legs)\b"
-        text = re.sub(names, lambda match: _option(match[0].replace("delta_t", "bin")), str(error))
+        names = r"\b(delta_t|t_start|laser_points|outer_legs|sensor_points)\b"
+        others = {"delta_t": "bin", "sensor_points": "side"}
+        text = re.sub(names, lambda found: _option(others.get(found[0], found[0])), str(error))
         raise type(error)(text) from None
     gate = lengths["gate_start"]
     return capture if gate is None else transient.gated(capture, start=gate)

@@ -15,6 +15,7 @@ import typer
 
 from .._checks import lasting
 from .._whole_files import whole_folder
+from ..errors import SceneError
 from .shell import (
     DOES_NOT_FIT,
     Debug,
@@ -222,7 +223,9 @@ def _kernel(psf: Path | None, disc: float | None, gaussian: float | None) -> Any
     from ..imaging.camera_files import read_camera_file
 
     if sum(option is not None for option in (psf, disc, gaussian)) != 1:
-        raise typer.BadParameter("give the blur by one of --psf, --disc and --gaussian")
+        raise SceneError(
+            "the blur has no or several options; give one of --psf, --disc and --gaussian"
+        )
     if psf is not None:
         return read_camera_file(psf, "grey")[0]
     if disc is not None:
