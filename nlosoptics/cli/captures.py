@@ -262,43 +262,22 @@ def image_command(
 
         check_target(folder)
         one_of("--method", method, ("phasor", "fk", "lct", "backprojection"))
-        for name, value in (
-            ("--camera", camera),
-            ("--wl-mean", wl_mean),
-            ("--wl-sigma", wl_sigma),
-            ("--aperture", aperture),
-        ):
-            if value and method != "phasor":
+        for name in ("camera", "wl_mean", "wl_sigma", "aperture"):
+            if (value := context.params[name]) and method != "phasor":
                 raise typer.BadParameter(
                     f"{value!r} is for --method phasor only; with {method}, leave it out",
-                    param_hint=name,
+                    param_hint=_option(name),
                 )
         drawn = can_draw()
-        lengths = {
-            name: _path(_option(name), text)
-            for name, text in (
-                ("wl_mean", wl_mean),
-                ("near", near),
-                ("far", far),
-                ("step", step),
-                ("wl_sigma", wl_sigma),
-                ("aperture", aperture),
-            )
-        }
+        picture, options = (
+            {name: _path(_option(name), context.params[name]) for name in names}
+            for names in (("wl_mean", "near", "far", "step"), ("wl_sigma", "aperture"))
+        )
         capture = _read(context.params)
-        picture = {name: lengths[name] for name in ("wl_mean", "near", "far", "step")}
-        options = {"camera": camera} | {name: lengths[name] for name in ("wl_sigma", "aperture")}
-        options = {name: value for name, value in options.items() if value is not None}
+        options = {n: v for n, v in ({"camera": camera} | options).items() if v is not None}
         with progress_bar(width=32) as progress, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the image's notes repeat the warnings
-            image, depths = _formed(
-                capture,
-                picture,
-                method,
-                seed,
-                progress,
-                **options,
-            )
+            image, depths = _formed(capture, picture, method, seed, progress, **options)
             progress("writing", 1.0)
             report = _report(image, capture, capture_file) | {"command_line": typed(context)}
             with whole_folder(folder) as new:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -189,22 +190,18 @@ class TracedImage(Noun, Shown, Labelled):
         bounces = np.arange(len(self.by_bounce))
         axes = {"bounces": variable(["bounces"], bounces, "1", "number of reflections")}
         axes |= pixels(self.expected.shape, self.pitch)
-        tables: list[tuple[str, TracedImage | PathHistogram, list[str]]]
-        tables = [("", self, ["bounces", "y", "x"])]
-        if (paths := self.histogram) is not None:
-            middles = (paths.edges[1:] + paths.edges[:-1]) / 2
+        if self.histogram is not None:
+            middles = self.histogram.edges[:-1] + self.histogram.delta_t / 2
             axes["path"] = variable(["path"], middles, "m", "optical path")
-            tables.append(("path_", paths, ["bounces", "path"]))
         arrays = {}
-        for prefix, noun, dimensions in tables:
-            for name, (unit, meaning) in names.items():
-                for suffix, doubt in ("", ""), ("_error", ", standard error"):
-                    values = getattr(noun, name + suffix, None)
-                    if values is not None:  # a histogram has no electrons
-                        its = dimensions[-values.ndim :]
-                        arrays[prefix + name + suffix] = variable(
-                            its, values, unit, meaning + doubt
-                        )
+        for prefix, noun, its in ("", self, "yx"), ("path_", self.histogram, ["path"]):
+            for name, suffix in itertools.product(names, ("", "_error")):
+                values = getattr(noun, name + suffix, None)
+                if values is not None:  # a histogram has no electrons
+                    dimensions = ["bounces"][: values.ndim - len(its)] + list(its)
+                    unit, meaning = names[name]
+                    meaning += ", standard error" if suffix else ""
+                    arrays[prefix + name + suffix] = variable(dimensions, values, unit, meaning)
         return Labels(arrays, axes, {"pitch": self.pitch, "exposure": self.exposure})
 
     def _figures(self) -> Figures:
