@@ -46,7 +46,7 @@ from .stages import (
 __all__ = ["FIELD", "Plan", "Stage", "looked_at", "plan"]
 
 MOST_SECONDS = 900.0  # default of max_seconds, s
-HELD = 6e7  # bytes of the modules that a run imports
+HELD = 1.3e8  # bytes of modules and compiled kernels that a run loads
 PIXELS = "read fewer pixels or bin more (camera.pixels, camera.binning)"
 LARGER = "use a larger tol, wider pixels or a smaller stop"
 
