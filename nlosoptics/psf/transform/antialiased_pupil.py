@@ -146,18 +146,22 @@ def rim_of(residual: Residual, wave: SoftWave) -> Rim:
     return Rim(reach, edges, ZONES, landing, antialiased_disc.STEP)
 
 
-def period_of(residual: Residual, rim: Rim, samples: Window, tol: float) -> float:
+def period_of(
+    residual: Residual, rim: Rim, samples: Window, tol: float, pixel: float, most: float
+) -> float:
     """Return the least image period, Airy units, with a predicted error of half ``tol``.
 
     It is found within 1 %. If no period reaches that error, the largest useful one is returned.
+    ``pixel`` is the pixel's side, Airy units (0 for points), and ``most`` a bound of its mean.
     """
     from . import _antialiased_kernels
 
     unit, reach = residual.airy_unit, rim.reach
     far = RINGS * (math.hypot(*samples.reach_from(residual.shift)) / unit)
-    peak = predicted_peak(residual)
+    peak = min(predicted_peak(residual), most)
     # envelope of the field beyond the peak
     light = np.minimum(math.sqrt(peak), error_bounds.tail(np.maximum(far - reach, 0.0)))
+    light *= error_bounds.beat(pixel)
     least = (max(samples.reach_from(residual.shift)) * 2 + samples.pitch) / unit
     widest, goal = 6 * (least + reach) + 400, tol / 2 * peak
     work = np.empty_like(far)

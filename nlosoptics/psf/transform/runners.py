@@ -121,8 +121,12 @@ class Task:
         if found is None:
             return None
         rim = antialiased_pupil.rim_of(self.residual, found)
-        period = antialiased_pupil.period_of(self.residual, rim, self.samples, self.tol)
-        return SoftTask(found, rim, period)
+        return SoftTask(found, rim, self.soft_period(rim, self.tol))
+
+    def soft_period(self, rim: antialiased_pupil.Rim, tol: float) -> float:
+        """Return the image period of a softened grid, Airy units."""
+        most = math.inf if self.rule is None else 1 / self.level  # all energy in one pixel
+        return antialiased_pupil.period_of(self.residual, rim, self.samples, tol, self.pixel, most)
 
     @cached_property
     def coarse(self) -> quadrature.Coarse:
@@ -327,8 +331,7 @@ def _soft(task: Task, soft: SoftTask) -> Image:
     image = _soft_image(task, soft)
     if task.tol < image[1] < 8 * task.tol:
         # The peak is lower than predicted, so that the relative error is larger.
-        period = antialiased_pupil.period_of(task.residual, soft.rim, task.samples, task.tol / 8)
-        image = _soft_image(task, soft._replace(period=period))
+        image = _soft_image(task, soft._replace(period=task.soft_period(soft.rim, task.tol / 8)))
     return image
 
 
