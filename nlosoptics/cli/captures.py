@@ -279,11 +279,11 @@ def image_command(
             for names in (("wl_mean", "near", "far", "step"), ("wl_sigma", "aperture"))
         )
         capture = _read(context.params)
-        options = {n: v for n, v in ({"camera": camera} | options).items() if v is not None}
+        chosen = {n: v for n, v in {"camera": camera, **options}.items() if v is not None}
         with progress_bar(width=32) as progress, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the image's notes repeat the warnings
             with _options_named():
-                image, depths = _formed(capture, picture, method, seed, progress, **options)
+                image, depths = _formed(capture, picture, method, seed, progress, **chosen)
             progress("writing", 1.0)
             report = _report(image, capture, capture_file) | {"command_line": typed(context)}
             with whole_folder(folder) as new:

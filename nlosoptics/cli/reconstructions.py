@@ -111,11 +111,12 @@ def reconstruct_command(
     method: Annotated[
         str | None,
         typer.Option(
-            help="Solver. If the scene file describes the wall: tv (total variation), wiener, "
-            "inverse_filter, richardson_lucy, phase_retrieval. If the wall is unknown and fitted "
-            "too: evidence (Bayesian), wu2024 (network). For a rough wall seen from several camera "
-            "positions, one image each: burst. For a matt wall with occluders: shadows. By default "
-            "shadows for such a wall, else tv."
+            help="Solver. If the scene file describes the wall, from one image or the mean of "
+            "several: tv (total variation), wiener, inverse_filter, richardson_lucy, "
+            "phase_retrieval. If the wall is unknown and fitted too, from one image or several of "
+            "known --defocus: evidence (Bayesian), wu2024 (network). For a rough wall seen from "
+            "several camera positions, one image each: burst. For a matt wall with occluders: "
+            "shadows. By default shadows for such a wall, else tv."
         ),
     ] = None,
     iterations: Annotated[
