@@ -100,10 +100,9 @@ Changes = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Change a value of the scene file: table and key (nlosoptics schema lists all), with "
-        "an index where there are several, and the new value with its unit; quoted if it has a "
-        "space or a bracket, such as 'wall.material[0].albedo=0.7' or 'wall.radius=2 m'. May be "
-        "repeated.",
+        help="Change a value of the scene file: table and key (nlosoptics schema lists all), and "
+        "the new value with its unit, in quotes if there is a space or bracket, such as "
+        "'wall.material[0].albedo=0.7' or 'wall.radius=2 m'. May be repeated.",
     ),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the Python traceback of an error.")]
