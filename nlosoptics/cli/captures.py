@@ -77,11 +77,11 @@ OuterLegs = Annotated[
     typer.Option(
         "--outer-legs/--no-outer-legs",
         help="Whether times include the paths from laser to wall and from wall to sensor; "
-        "replaces the file's. To subtract them, both origins must be known.",
+        "replaces the file's. To subtract them, the two origins below must be known.",
     ),
 ]
 Origin = Annotated[
-    str, typer.Option(help="Its position off the wall, 'x, y, z' in m; replaces the file's.")
+    str, typer.Option(help="Position of this device, 'x, y, z' in m; replaces the file's.")
 ]
 GateStart = Annotated[
     str, typer.Option(help="Drop all earlier bins, to remove direct light; time or optical path.")
@@ -91,7 +91,6 @@ captures = typer.Typer(
     cls=Group,
     help="Check a file with a time-resolved capture.",
     short_help="Check a file with a time-resolved capture.",
-    rich_markup_mode=None,
 )
 app.add_typer(captures, name="capture")
 

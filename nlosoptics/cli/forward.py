@@ -47,8 +47,6 @@ def plan_command(
 ) -> None:
     """List what a run will compute and skip, with reasons, predicted times and errors.
 
-    Times are those of one core without compiling (see nlosoptics warmup), loading and drawing.
-
     Example: nlosoptics plan corner --size 64
     """
     with errors_told(debug):
