@@ -232,8 +232,8 @@ def warmup_command(
 ) -> None:
     """Compile the functions that a run uses, so that the first run is as fast as later ones.
 
-    The compiled code is kept on the disk. A run compiles by itself what is missing. Without a scene,
-    this takes some minutes the first time.
+    The compiled code is kept on the disk. A run compiles by itself what is missing. Without a
+    scene, this takes some minutes the first time.
 
     Example: nlosoptics warmup corner
     """
