@@ -6,7 +6,7 @@ import re
 import time
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,10 +15,11 @@ import typer
 from .._checks import lasting, one_of
 from .._whole_files import whole_folder
 from ..errors import NlosError
-from ..runs.record import arrays, now, peak_memory, scene_hash, versions, write_record
+from ..runs.record import arrays, peak_memory, scene_hash, versions, write_record
 from .shell import (
     Changes,
     Debug,
+    Group,
     Out,
     SceneFile,
     Seed,
@@ -55,41 +56,41 @@ Axes = Annotated[
 Side = Annotated[str, typer.Option(help="Side of the scanned wall in such a file, such as 0.7m.")]
 BinWidth = Annotated[
     str,
-    typer.Option(help="Width of a time bin, as time (16ps) or path (4.8mm), if not in the file."),
+    typer.Option(help="Width of a time bin, as time (16ps) or path (4.8mm); replaces the file's."),
 ]
-Start = Annotated[
-    str, typer.Option(help="Start of bin 0, as time or path, if the file does not state it.")
-]
+Start = Annotated[str, typer.Option(help="Start of bin 0, as time or path; replaces the file's.")]
 Pairs = Annotated[
     str | None,
     typer.Option(
-        help="Which laser and sensor points belong together, if the file does not state it: "
-        "all (every pair) or confocal (the same point for both)."
+        help="Which laser and sensor points belong together: all (every pair) or confocal "
+        "(the same point for both); replaces the file's."
     ),
 ]
 LaserPoint = Annotated[
     str,
     typer.Option(
-        help="Position of the only laser point, 'x, y, z' in m, if the file does not state it."
+        help="Position of the only laser point, 'x, y, z' in m; replaces the file's points."
     ),
 ]
 OuterLegs = Annotated[
     bool | None,
     typer.Option(
         "--outer-legs/--no-outer-legs",
-        help="Whether times include the paths from laser to wall and from wall to sensor, if "
-        "the file does not state it.",
+        help="Whether times include the paths from laser to wall and from wall to sensor; "
+        "replaces the file's. To subtract them, the two origins below must be known.",
     ),
+]
+Origin = Annotated[
+    str, typer.Option(help="Position of this device, 'x, y, z' in m; replaces the file's.")
 ]
 GateStart = Annotated[
     str, typer.Option(help="Drop all earlier bins, to remove direct light; time or optical path.")
 ]
 
 captures = typer.Typer(
+    cls=Group,
     help="Check a file with a time-resolved capture.",
     short_help="Check a file with a time-resolved capture.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
 )
 app.add_typer(captures, name="capture")
 
@@ -105,8 +106,8 @@ def transient_command(
     tol: Annotated[
         float,
         typer.Option(
-            help="Largest relative error of light with three reflections: sum of the magnitudes of "
-            "the errors of all time bins, divided by the sum of the bins."
+            help="Tolerance of light with three reflections: sum of the magnitudes of the errors "
+            "of all time bins, divided by the sum of the bins."
         ),
     ] = 1e-3,
     tol_multiple: Annotated[
@@ -149,7 +150,7 @@ def transient_command(
         start = time.perf_counter()
         if photons is None and (jitter_ps or dark_counts):
             raise typer.BadParameter(
-                "is missing, but --jitter-ps and --dark-counts need it", param_hint="--photons"
+                "is missing; give it for --jitter-ps and --dark-counts", param_hint="--photons"
             )
         path = Path(f"{scene_file.stem}.hdf5") if out is None else out
         from .. import transient
@@ -186,7 +187,8 @@ def transient_command(
             )
             capture.save(path, compression=compression)
         seconds = ("run time", lasting(time.perf_counter() - start))
-        print_table([*_capture_rows(capture), seconds, ("written to", str(path))])
+        files = (("written to", str(path)), ("next", f"nlosoptics image {path}"))
+        print_table([*_capture_rows(capture), seconds, *files])
 
 
 @app.command("image", short_help="Form an image of the hidden scene from a time-resolved capture.")
@@ -243,6 +245,8 @@ def image_command(
     pairing: Pairs = None,
     laser_points: LaserPoint = "",
     outer_legs: OuterLegs = None,
+    laser_origin: Origin = "",
+    sensor_origin: Origin = "",
     gate_start: GateStart = "",
     seed: Seed = 0,
     debug: Debug = False,
@@ -250,9 +254,9 @@ def image_command(
     """Form an image of the hidden scene from a time-resolved capture.
 
     Gate, background, wavelength and planes that neither the file nor an option states are chosen
-    from the capture: two halves of its photons must agree on the front view. The output folder gets
-    the volume with depths (volume.npz), views from the front, the top and the side, a map of
-    depths, and result.json.
+    from the capture: two halves of its photons must agree on the front view. A length without unit
+    is in m. The output folder gets the volume with depths (volume.npz), views from the front, the
+    top and the side, a map of depths, and result.json.
 
     Example: nlosoptics image flash.hdf5 --out flash
     """
@@ -274,10 +278,11 @@ def image_command(
             for names in (("wl_mean", "near", "far", "step"), ("wl_sigma", "aperture"))
         )
         capture = _read(context.params)
-        options = {n: v for n, v in ({"camera": camera} | options).items() if v is not None}
+        chosen = {n: v for n, v in {"camera": camera, **options}.items() if v is not None}
         with progress_bar(width=32) as progress, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the image's notes repeat the warnings
-            image, depths = _formed(capture, picture, method, seed, progress, **options)
+            with _options_named():
+                image, depths = _formed(capture, picture, method, seed, progress, **chosen)
             progress("writing", 1.0)
             report = _report(image, capture, capture_file) | {"command_line": typed(context)}
             with whole_folder(folder) as new:
@@ -287,7 +292,7 @@ def image_command(
                 write_record(report, new)
         for note in report["notes"]:
             typer.echo(f"nlosoptics: {note}", err=True)
-        print_table(_picture_rows(report, folder))
+        print_table([*_picture_rows(report, folder), ("next", f"nlosoptics report {folder}")])
 
 
 @captures.command("check", short_help="Say what a capture file holds, and what can image it.")
@@ -302,12 +307,15 @@ def check_command(
     pairing: Pairs = None,
     laser_points: LaserPoint = "",
     outer_legs: OuterLegs = None,
+    laser_origin: Origin = "",
+    sensor_origin: Origin = "",
     gate_start: GateStart = "",
     debug: Debug = False,
 ) -> None:
     """Say what a capture file holds: points, bins, light of the hidden scene, fitting methods.
 
     A file that cannot be read, or that lacks a value, is refused with the option that supplies it.
+    A length without unit is in m.
 
     Example: nlosoptics capture check flash.hdf5
     """
@@ -320,8 +328,9 @@ def _read(options: Mapping[str, Any]) -> TransientCapture:
     """Read a capture file, with what the options state, and drop the bins before the gate."""
     from .. import transient
 
+    places = ("laser_points", "laser_origin", "sensor_origin")
     lengths = {n: _path(_option(n), options[n]) for n in ("side", "bin", "t_start", "gate_start")}
-    try:
+    with _options_named():
         capture = transient.TransientCapture.load(
             options["capture_file"],
             array=options["array"]
@@ -331,16 +340,27 @@ def _read(options: Mapping[str, Any]) -> TransientCapture:
             delta_t=lengths["bin"],
             t_start=lengths["t_start"],
             pairing=options["pairing"],
-            laser_points=numbers("--laser-points", options["laser_points"]) or None,
+            **{name: numbers(_option(name), options[name]) or None for name in places},
             outer_legs=options["outer_legs"],
         )
-    except NlosError as error:  # which names the arguments of the call
-        names = r"\b(delta_t|t_start|laser_points|outer_legs|sensor_points)\b"
-        others = {"delta_t": "bin", "sensor_points": "side"}
-        text = re.sub(names, lambda found: _option(others.get(found[0], found[0])), str(error))
-        raise type(error)(text) from None
     gate = lengths["gate_start"]
     return capture if gate is None else transient.gated(capture, start=gate)
+
+
+@contextmanager
+def _options_named() -> Iterator[None]:
+    """Replace the arguments that an error names by the options of the command."""
+    try:
+        yield
+    except NlosError as error:
+        raise type(error)(_with_options(error)) from None
+
+
+def _with_options(error: NlosError) -> str:
+    """Return the text of an error with options instead of arguments."""
+    names = r"\b(delta_t|t_start|laser_points|outer_legs|sensor_points|(laser|sensor)_origin)\b"
+    others = {"delta_t": "bin", "sensor_points": "side"}
+    return re.sub(names, lambda found: _option(others.get(found[0], found[0])), str(error))
 
 
 def _option(name: str) -> str:
@@ -440,10 +460,7 @@ def _report(image: VolumeImage | None, capture: TransientCapture, path: Path) ->
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     details = {} if image is None else image.details
     return {
-        "program": "nlosoptics",
         "command": "image",
-        "status": "done",
-        "finished": now(),
         "figures": figures,
         **{name: getattr(image, name, None) for name in ("camera", *_LENGTHS)},
         "notes": list(getattr(image, "notes", ())),
@@ -452,7 +469,6 @@ def _report(image: VolumeImage | None, capture: TransientCapture, path: Path) ->
         "capture_sha256": digest,
         "capture_run": dict(ran) if isinstance(ran, dict) else None,
         "seconds": {} if image is None else {"reconstruction": image.seconds},
-        "versions": versions(),
     }
 
 
@@ -502,7 +518,7 @@ def _light_rows(capture: TransientCapture) -> Iterator[tuple[str, str]]:
     try:
         light = transient.hidden_light(capture)
     except NlosError as error:
-        yield ("light of the scene", str(error).split(";")[0])
+        yield ("light of the scene", _with_options(error).split(";")[0])
         return
     facts: Any = light.details["hidden_light"]
     yield (
@@ -518,7 +534,7 @@ def _light_rows(capture: TransientCapture) -> Iterator[tuple[str, str]]:
         confocal_grid(whole, "fk")
         methods += ", fk, lct" if whole is light else ", fk, lct (after normal moveout)"
     except NlosError as error:
-        methods += f"; not fk, lct: {str(error).split(';')[0]}"
+        methods += f"; not fk, lct: {_with_options(error).split(';')[0]}"
     yield ("methods", methods)
 
 

@@ -48,12 +48,15 @@ Channel = Annotated[
     str | None,
     typer.Option(
         help="Channel to use of a picture in colour: red, green, blue, grey (their mean) or rgb "
-        "(all; the default of deblur)."
+        "(all). By default rgb for deblur; reconstruct needs one for a picture in colour."
     ),
 ]
 Gamma = Annotated[
     str,
-    typer.Option(help="How the file stores light: linear, or srgb as JPEGs and most PNGs do."),
+    typer.Option(
+        help="How the file stores light: linear as raw data, or srgb as "
+        "pictures of phones, JPEGs and most PNGs do."
+    ),
 ]
 Crop = Annotated[
     str,
@@ -149,8 +152,9 @@ def deblur_command(
 
     State the blur by one of --psf, --disc and --gaussian.
     Of all pictures whose blurred image agrees with the photograph, the result is the one with the
-    fewest and weakest edges. Colours are sharpened one by one. The output folder gets the picture
-    (object.png), its values (object.npz), an overview and result.json.
+    fewest and weakest edges. Colours are sharpened one by one. The output folder, by default
+    IMAGE_deblurred, gets the picture (object.png), its values (object.npz), an overview and
+    result.json.
 
     Example: nlosoptics deblur photo.jpg --disc 3 --gamma srgb
     """
@@ -159,10 +163,10 @@ def deblur_command(
         import numpy as np
 
         from .. import imaging, inverse
-        from ..runs.record import now, versions, write_record
+        from ..runs.record import write_record
         from .figures import displayed, write_photograph
 
-        folder = Path(images[0].stem) if out is None else out
+        folder = Path(f"{images[0].stem}_deblurred") if out is None else out
         check_target(folder)
         kernel = _kernel(psf, disc, gaussian)
         with warnings_told():
@@ -176,11 +180,8 @@ def deblur_command(
             maps = {name: value for name, value in values.items() if np.ndim(value) > 1}
             veil = float(maps["veil"].mean() / photo.values.mean()) if "veil" in maps else 0.0
             report = {
-                "program": "nlosoptics",
                 "command": "deblur",
                 "command_line": typed(context),
-                "status": "done",
-                "finished": now(),
                 "figures": {
                     "reconstruction_status": answer.status,
                     "reconstruction_reasons": list(answer.reasons),
@@ -192,7 +193,6 @@ def deblur_command(
                     "image_shape": list(photo.values.shape),
                 },
                 "seconds": {"solver": answer.seconds, "total": time.perf_counter() - started},
-                "versions": versions(),
             }
             with whole_folder(folder) as new:
                 (new / "object.png").write_bytes(displayed(answer.object, gamma))

@@ -60,8 +60,10 @@ def feasibility_command(
 ) -> None:
     """Predict whether the object can be reconstructed, and which detail its image can show.
 
-    The first line is the verdict, with what is missing if the object is not recoverable. No image
-    and no reconstruction is needed.
+    The first line is the verdict, with what is missing if the object is not recoverable. Zernike
+    terms Z4, Z5, ... of the wall's wave are in Noll's order. The last lines give, for stripes of so
+    many cycles/m on the object, their contrast in the image (modulation) and in the light of a matt
+    wall, each with its signal to noise. No image and no reconstruction is needed.
 
     Example: nlosoptics feasibility corner --out forecast.png
     """
@@ -109,11 +111,12 @@ def reconstruct_command(
     method: Annotated[
         str | None,
         typer.Option(
-            help="Solver. If the scene file describes the wall: tv (total variation), wiener, "
-            "inverse_filter, richardson_lucy, phase_retrieval. If the wall is unknown and fitted "
-            "too: evidence (Bayesian), wu2024 (network). For a rough wall seen from several camera "
-            "positions, one image each: burst. For a matt wall with occluders: shadows. By default "
-            "shadows for such a wall, else tv."
+            help="Solver. If the scene file describes the wall, from one image or the mean of "
+            "several: tv (total variation), wiener, inverse_filter, richardson_lucy, "
+            "phase_retrieval. If the wall is unknown and fitted too, from one image or several of "
+            "known --defocus: evidence (Bayesian), wu2024 (network). For a rough wall seen from "
+            "several camera positions, one image each: burst. For a matt wall with occluders: "
+            "shadows. By default shadows for such a wall, else tv."
         ),
     ] = None,
     iterations: Annotated[
@@ -123,8 +126,9 @@ def reconstruct_command(
     defocus: Annotated[
         str,
         typer.Option(
-            help="Known additional defocus of each image, in wavelengths rms, for example '0, 0.5' "
-            "for two images. Only for methods evidence and wu2024."
+            help="Known additional defocus of each image, in wavelengths rms over the pupil (Noll "
+            "4), positive if the detector is too close to the lens, for example '0, 0.5' for two "
+            "images. Only for methods evidence and wu2024."
         ),
     ] = "",
     tol: Tol = 1e-3,
@@ -143,9 +147,10 @@ def reconstruct_command(
     """Reconstruct the hidden object from camera images.
 
     Several images are averaged, or fitted together by methods evidence and burst. Ctrl-C ends the
-    fit, writes the best object so far and exits with code 130; --resume continues.
+    fit, writes the best object so far and exits with code 130; --resume continues. nlosoptics new
+    photo.toml --kind photo writes both files of the example.
 
-    Example: nlosoptics reconstruct photo.png --scene room.toml
+    Example: nlosoptics reconstruct photo.png --scene photo.toml
     """
     with errors_told(debug):
         if method not in (None, "tv", "shadows"):

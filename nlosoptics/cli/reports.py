@@ -17,7 +17,11 @@ from .shell import Debug, app, check_file, errors_told, progress_bar
 def report_command(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="RESULT_DIR", help="Folder written by run, reconstruct or image."),
+        typer.Argument(
+            metavar="RESULT_DIR",
+            help="Folder written by run, reconstruct or image; for a "
+            "study use nlosoptics study report.",
+        ),
     ],
     out: Annotated[
         Path | None, typer.Option(help=f"HTML file to write; by default RESULT_DIR/{PAGE}.")

@@ -69,18 +69,23 @@ SceneFile = Annotated[
     Path,
     typer.Argument(
         metavar="SCENE",
-        help="Scene file (TOML) of laser, wall, object and camera, or the name of an example, such "
-        "as corner. nlosoptics new FILE writes a scene file to start from.",
+        help="Scene file (TOML) of laser, wall, object and camera, which nlosoptics new writes, or "
+        "the name of an example: corner, design, photo, shadows, transient, letter_flat, "
+        "letter_wavy and others, all of which the error of a wrong name lists.",
     ),
 ]
 Out = Annotated[
-    Path | None, typer.Option(help="Output folder; by default named after the input file.")
+    Path | None,
+    typer.Option(
+        help="Output folder; by default the name of the input file without its ending, to which "
+        "analyse, deblur and trace add _analysis, _deblurred and _trace."
+    ),
 ]
 Tol = Annotated[
     float,
     typer.Option(
-        help="Largest error of the point spread (image of a point) relative to its peak, 1e-12 to "
-        "0.1. The error of the wall's diffuse light in the image is fixed at 1e-3."
+        help="Tolerance of the point spread (image of a point): largest error relative to its "
+        "peak, 1e-12 to 0.1."
     ),
 ]
 Size = Annotated[
@@ -96,7 +101,8 @@ Changes = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Change a value of the scene file: table and key (nlosoptics schema lists all), and "
-        "the new value with its unit, such as wall.radius=2m. May be repeated.",
+        "the new value with its unit, in quotes if there is a space or bracket, such as "
+        "'wall.material[0].albedo=0.7' or 'wall.radius=2 m'. May be repeated.",
     ),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the Python traceback of an error.")]

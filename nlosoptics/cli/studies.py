@@ -49,7 +49,9 @@ class _RunByDefault(Group):
 studies = typer.Typer(
     cls=_RunByDefault,
     help="Compute many variants of a scene: design studies. They are sweeps, tolerances, yields "
-    "and searches for the best design. `nlosoptics study FILE` runs or resumes a study.",
+    "and searches for the best design. `nlosoptics study FILE` runs or resumes a study, "
+    "such as the examples read_a_letter, tolerances and light_or_sharpness (a search). "
+    "Example: nlosoptics study read_a_letter",
     short_help="Compute many variants of a scene: design studies.",
 )
 app.add_typer(studies, name="study")
@@ -59,7 +61,7 @@ StudyFile = Annotated[
     typer.Argument(
         metavar="FILE",
         help="Study file (TOML) of scene, values that change and figures of merit, or the name of "
-        "an example, such as read_a_letter.",
+        "an example: read_a_letter, tolerances or light_or_sharpness (a search).",
     ),
 ]
 StoreFolder = Annotated[
@@ -79,7 +81,9 @@ def run_command(
     only_plan: Annotated[
         bool,
         typer.Option(
-            "--plan", help="Only print what the study will compute, with predicted time and size."
+            "--plan",
+            help="Only print what the study will compute, with predicted time and size; "
+            "without compiling and loading.",
         ),
     ] = False,
     workers: Annotated[
@@ -308,7 +312,7 @@ def optimum_command(
 
     The picture shows the Pareto front of several objectives, or one objective over the trials.
 
-    Example: nlosoptics study optimum search.zarr --out optimum.png
+    Example: nlosoptics study optimum light_or_sharpness.zarr --out optimum.png
     """
     with errors_told(debug):
         require("matplotlib", "views")

@@ -12,7 +12,7 @@ import typer
 
 from .._checks import counted
 from .._whole_files import whole_folder
-from ..runs.record import arrays, now, peak_memory, scene_hash, versions, write_record
+from ..runs.record import arrays, peak_memory, scene_hash, write_record
 from .shell import (
     Changes,
     Debug,
@@ -51,8 +51,8 @@ def trace_command(
     tol: Annotated[
         float | None,
         typer.Option(
-            help="End when the relative standard error of the hidden object's light on the whole "
-            "detector is this small, 1e-6 to 1. Single pixels have larger errors."
+            help="Tolerance of the hidden object's light on the whole detector: end when its "
+            "relative standard error is this small, 1e-6 to 1. Single pixels have larger errors."
         ),
     ] = None,
     max_seconds: Annotated[
@@ -168,10 +168,7 @@ def _report(image: TracedImage) -> dict[str, Any]:
     }
     ledger = {name: (power, paths.ledger_error[name]) for name, power in paths.ledger.items()}
     return {
-        "program": "nlosoptics",
         "command": "trace",
-        "status": "done",
-        "finished": now(),
         "figures": {
             "power": {name: _value(*pair) for name, pair in values.items()},
             "ledger": {name: _value(*pair) for name, pair in ledger.items()},
@@ -185,7 +182,6 @@ def _report(image: TracedImage) -> dict[str, Any]:
         "uncertain": list(paths.uncertain),
         "unreached": list(paths.unreached),
         "seconds": {"tracing": paths.seconds},
-        "versions": versions(),
     }
 
 

@@ -31,10 +31,12 @@ def verify_command(
 ) -> None:
     """Compare results on this machine with closed forms, published values and invariants.
 
-    Each line gives the error, the largest error that rounding, quadrature or chance may cause, and
-    where the expected value comes from. The exit code is 1 if an error is larger.
+    Each line gives passed or FAILED, the error, the largest error that rounding, quadrature or
+    chance may cause, the quantity, and where the expected value comes from. The exit code is 1 if
+    an error is larger. The checks take about 15 s.
+    A table of Zernike coefficients is compared by --zernikes zernikes.txt --rms 0.0714.
 
-    Example: nlosoptics verify --zernikes zernikes.txt --rms 0.0714
+    Example: nlosoptics verify
     """
     with errors_told(debug):
         from ..runs.record import versions

@@ -134,7 +134,8 @@ class Plan:
     @property
     def _rows(self) -> list[tuple[str, str, str, str]]:
         runs = [(s.name, f"{s.seconds:.2f}", s.error, s.reason) for s in self.stages]
-        return [*runs, *((s.name, "skipped", "", s.reason) for s in self.skipped)]
+        total = ("total", f"{self.seconds:.2f}", "", "without compiling, loading and drawing")
+        return [*runs, total, *((s.name, "skipped", "", s.reason) for s in self.skipped)]
 
     def _repr_html_(self) -> str:
         """Return a table of all stages as HTML."""

@@ -22,8 +22,10 @@ DECIDING = ("numpy", "scipy", "numba", "ducc0", "torch", "trimesh", "pillow")
 
 
 def write_record(record: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Write ``result.json``, which also lists every file of its folder; return its contents."""
-    record = record | {"files": sorted({*(path.name for path in folder.iterdir()), RECORD})}
+    """Write ``result.json``, with the program and the folder's files; return its contents."""
+    program = {"program": "nlosoptics", "status": "done", "finished": now(), "versions": versions()}
+    files = sorted({*(path.name for path in folder.iterdir()), RECORD})
+    record = program | record | {"files": files}
     (folder / RECORD).write_bytes(record_text(record))
     return record
 

@@ -21,7 +21,7 @@ from ..imaging.objects import resampled
 from ..psf.pupil.exit_pupil import ExitPupil
 from ..scene import PlanarObject, Scene
 from .plan import Plan
-from .record import now, peak_memory, scene_hash, versions, write_record
+from .record import peak_memory, scene_hash, write_record
 
 if TYPE_CHECKING:
     from ..imaging import SpeckleImage
@@ -263,10 +263,7 @@ def write_result(result: Result, folder: Path) -> dict[str, Any]:
 def _account(result: Result) -> dict[str, Any]:
     """Contents of ``result.json``: figures, plan, times, versions."""
     return {
-        "program": "nlosoptics",
         "command": "run",
-        "status": "done",
-        "finished": now(),
         "figures": _finite(_figures(result)),
         "seed": result.seed,
         "tol": result.plan.tol,
@@ -276,7 +273,6 @@ def _account(result: Result) -> dict[str, Any]:
             "stages": [asdict(stage) for stage in result.plan.stages],
             "skipped": [asdict(stage) for stage in result.plan.skipped],
         },
-        "versions": versions(),
     }
 
 

@@ -279,7 +279,7 @@ def left_out(scene: Scene) -> Iterator[Stage]:
     """Yield the effects that `simulate` does not compute for this scene."""
     yield skipped(
         "interreflection",
-        "wall-to-wall light is not part of the image; raytrace.trace computes its amount"
+        "wall-to-wall light is not part of the image; nlosoptics trace (raytrace.trace) computes it"
         if ray_plan(scene).wall_to_wall
         else "no part of the wall sees another",
     )

@@ -119,33 +119,39 @@ class Engine:
         return point, lost(point)
 
 
+def connected(address: str) -> Any:
+    """Return a client of the dask scheduler at ``address``, which must have workers."""
+    try:
+        import distributed
+    except ModuleNotFoundError:
+        raise MissingExtraError(
+            "dask.distributed is not installed; run pip install 'nlosoptics[study]'"
+        ) from None
+    client: Any = distributed.Client  # without annotations
+    try:
+        found = client(address, timeout=10)
+    except (OSError, ValueError) as error:
+        raise SceneError(
+            f"scheduler {address!r} does not answer ({error}); give the address that dask "
+            "scheduler prints, such as tcp://host:8786"
+        ) from None
+    if not found.nthreads():
+        found.close()
+        raise SceneError(f"scheduler {address!r} has no workers; start some with dask worker")
+    return found
+
+
 class Cluster(Engine):
     """Workers of a dask scheduler at ``address``."""
 
     def __init__(self, study: Study, address: str) -> None:
-        try:
-            import distributed
-        except ModuleNotFoundError:
-            raise MissingExtraError(
-                "dask.distributed is not installed; run pip install 'nlosoptics[study]'"
-            ) from None
-        client: Any = distributed.Client  # without annotations
         self.key = uuid.uuid4().hex
-        try:
-            self._client = client(address, timeout=10)
-        except (OSError, ValueError) as error:
-            raise SceneError(
-                f"scheduler {address!r} does not answer ({error}); give the address that dask "
-                "scheduler prints, such as tcp://host:8786"
-            ) from None
+        self._client = connected(address)
         from .dask_plugin import Preparation
 
         packed = pickle.dumps(replace(study, dimensions=()))
         self._client.register_plugin(Preparation(self.key, packed), name=self.key)
-        threads: dict[str, int] = self._client.nthreads()
-        if not threads:
-            raise SceneError(f"scheduler {address!r} has no workers; start some with dask worker")
-        self.workers = sum(threads.values())
+        self.workers = sum(self._client.nthreads().values())
         self._executor = self._start()
 
     def _start(self) -> Executor:

@@ -12,7 +12,7 @@ from .._progress import Progress
 from ..errors import SceneError
 from .blocks import open_blocks, prepared
 from .design.study import Study
-from .engine import Cluster, Engine
+from .engine import Cluster, Engine, connected
 from .planning import plan_study
 from .results import Results, results_at
 from .searching import Trials
@@ -105,6 +105,8 @@ def run_study(
             "again does not go with a search, whose points depend on those that failed; use "
             "another folder"
         )
+    if scheduler is not None and not path.exists():
+        connected(scheduler).close()  # before a store is made
     with only_writer(path):
         with reading(path):
             store, study = prepared(study, path)

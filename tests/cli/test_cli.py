@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -111,8 +113,8 @@ def test_version(run: Run) -> None:
     assert run("--version") == (0, f"nlosoptics {nlosoptics.__version__}\n", "")
 
 
-def test_help_of_every_command_has_an_example_with_its_options() -> None:
-    """Names of command and options in the example are known."""
+def test_help_of_every_command_has_an_example_that_can_be_typed() -> None:
+    """Names of command, options and scene in the example are known, and its values are valid."""
     from typer.main import get_command
 
     from nlosoptics.cli.shell import app
@@ -125,11 +127,16 @@ def test_help_of_every_command_has_an_example_with_its_options() -> None:
             yield command, words
 
     for command, words in each(get_command(app), ["nlosoptics"]):
-        example = command.help.partition("Example: ")[2].split()
+        example = shlex.split(command.help.partition("Example: ")[2])
         # `run` may be left out after `study`
         assert example[: len(words)] == words or words[1:] == ["study", "run"]
         options = {name for parameter in command.params for name in parameter.opts}
         assert {word for word in example if word.startswith("--")} <= options
+        typed = example[len(words) if example[: len(words)] == words else 2 :]
+        typed = list(itertools.takewhile(lambda word: word != ">", typed))
+        values = command.make_context("", typed).params  # parses all of them
+        if "changes" in values and not values["scene_file"].suffix:
+            shell.load(values["scene_file"], None, values["changes"])
         assert all(getattr(p, "help", None) for p in command.params if p.name != "help"), words
 
 

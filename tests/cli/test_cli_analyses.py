@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 import nlosoptics as nlos
 from nlosoptics import psf
 from nlosoptics.cli import main
+from nlosoptics.cli.shell import check_target
 
 pytest.importorskip("matplotlib")
 
@@ -21,6 +24,7 @@ def test_tables_of_a_scene(scene, perfect, examples, tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["analyse", str(examples / "scenes" / f"{scene}.toml"), "--out", str(tmp_path / "a")])
     assert not ended.value.code, capsys.readouterr().err
+    check_target(tmp_path / "a")  # a second call may replace the folder
     tables = {
         path.stem: np.loadtxt(path, delimiter=",", skiprows=1)
         for path in (tmp_path / "a").glob("*.csv")
@@ -35,6 +39,8 @@ def test_tables_of_a_scene(scene, perfect, examples, tmp_path, capsys):
     out = capsys.readouterr().out
     assert waves == pytest.approx(_printed(out, "wave aberration"), rel=0.02, abs=1e-9)
     focus = psf.best_focus(psf.wavefront(nlos.example(scene)))
+    report = json.loads((tmp_path / "a" / "result.json").read_text())
+    assert report["figures"]["best_focus"] == pytest.approx(focus, rel=1e-3, abs=1e-9)
     assert 1e-3 * _printed(out, "best focus") == pytest.approx(focus, rel=1e-3, abs=1e-9)
 
 

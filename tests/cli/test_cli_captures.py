@@ -162,7 +162,16 @@ def test_a_check_says_what_a_file_holds(run):
     assert "40 of 60 mm, 0.8 to 3.2 m" in out
     assert "1 in each bin and pair" in out
     assert "phasor, backprojection, fk, lct\n" in out
-    code, out, _ = run("capture", "check", "scan.npz", *given, "--laser-points", "0, 0, 0")
+    given += ["--laser-points", "0, 0, 0"]
+    code, out, _ = run("capture", "check", "scan.npz", *given)
+    assert (code, "fk, lct (after normal moveout)" in out) == (0, True)
+    code, out, _ = run("capture", "check", "scan.npz", *given, "--outer-legs")
+    assert (code, "--laser-origin and --sensor-origin not given" in out) == (0, True)
+    code, _, err = run("image", "scan.npz", *given, "--outer-legs", "--sensor-origin", "0, 1, 1")
+    assert (code, "give --laser-origin and --sensor-origin, or" in err) == (2, True)
+    # of 1001 m, whatever the point on the wall
+    given += ["--laser-origin", "0, 0, 1", "--sensor-origin", "0, 0, 1000", "--t-start", 1001.8]
+    code, out, _ = run("capture", "check", "scan.npz", *given, "--outer-legs")
     assert (code, "fk, lct (after normal moveout)" in out) == (0, True)
     np.savez("scan.npz", counts=np.ones((40, 8, 8)))
     code, out, _ = run("capture", "check", "scan.npz", *given)

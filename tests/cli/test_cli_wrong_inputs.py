@@ -82,7 +82,7 @@ deblur noise.png --disc 3 --flat grey.png | 32 x 32; take both with the same fra
 deblur noise.png --disc 3 --crop 1,2 | crop; width
 transient design | no [transient]; add the table
 transient transient --quantity foo | 'foo' is unknown; irradiance, radiance
-transient transient --jitter-ps 3 | --photons; need it
+transient transient --jitter-ps 3 | --photons; give it for
 image nowhere.hdf5 | missing; give the path
 image grey.png | neither HDF5; give a capture in such a format
 image cube.npy --near 1parsec | '1parsec'; give such as 4.8mm or 16ps

@@ -418,6 +418,7 @@ def test_a_dask_scheduler_gives_the_same_bits(tmp_path: Path) -> None:
     assert same(there, run_study(study, tmp_path / "here", workers=0))
     with pytest.raises(SceneError, match="does not answer"):
         run_study(study, tmp_path / "none", scheduler="tcp://127.0.0.1:1")
+    assert not (tmp_path / "none").exists()
 
 
 def test_workers_load_only_what_points_need() -> None:

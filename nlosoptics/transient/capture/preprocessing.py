@@ -316,7 +316,7 @@ def outer_legs(capture: TransientCapture) -> Array:
     if missing:
         raise SceneError(
             f"outer_legs = True and {' and '.join(missing)} not given, so the outer legs cannot "
-            "be subtracted; give both origins, or a capture without outer legs"
+            "be subtracted; give laser_origin and sensor_origin, or a capture without outer legs"
         )
     sides: list[Array] = []
     for name in ("laser", "sensor"):
