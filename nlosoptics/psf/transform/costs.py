@@ -11,10 +11,8 @@ import math
 import numpy as np
 
 from ..wave.detilted import Residual
-from ..window.grids import grid_size
 from ..window.window import Window
 from . import quadrature
-from .antialiased_fft import Grid
 from .geometric import MOST_RAYS, most_cells, patch_rays, ray_counts
 
 #: Overhead of any transform, s: calls, checks, small arrays and the wave's regime.
@@ -32,23 +30,9 @@ def sum_over_nodes(n_nodes: float, window: Window) -> float:
 
 
 def coarse_sum(coarse: quadrature.Coarse, window: Window) -> float:
-    """Predict the seconds of ``fft`` for a wave on cells."""
+    """Predict the seconds of ``fft`` for a wave on rings or cells."""
     digits = -math.log10(coarse.epsilon)
     return 6e-4 + (3e-8 + 1e-9 * digits**2) * math.prod(coarse.counts) + 1.2e-8 * _points(window)
-
-
-def soft_grid(residual: Residual, window: Window, pupil_pitch: float) -> float:
-    """Predict the seconds of a polar wave resampled to a pupil grid."""
-    n = grid_size(residual.wavefront.pupil_radius, pupil_pitch)
-    each = 1.1e-7 if residual.is_uniform else 1.6e-7
-    return 1e-2 + each * n * n + map_sums(n, window)
-
-
-def soft_padded(window: Window, grid: Grid) -> float:
-    """Predict the seconds of a polynomial wave on a softened grid by padded FFTs."""
-    size = round(grid.period / window.pitch)
-    columns = min(size, 2 * grid.centre) + window.shape[1]
-    return CALL + 3e-8 * grid.radius**2 + 5e-10 * size * columns * math.log2(size)
 
 
 def map_sums(n: int, window: Window) -> float:

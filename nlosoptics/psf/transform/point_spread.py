@@ -184,12 +184,11 @@ def point_spread(
         ``auto`` selects the fastest method whose estimated error is at most ``tol``. "Layout" below
         is the arrangement of the wave's sample points, see `Wavefront`.
 
-        - ``quadrature`` integrates over the pupil by Gauss quadrature, for the layouts "polar" and
-          "cells". It uses as many points as the window requires.
-        - ``fft`` transforms as few samples of the pupil as ``tol`` allows: for the layout "polar"
-          by FFTs of a grid, whose rim is softened, for "cells" by a non-uniform FFT, and for "grid"
-          by a chirp transform, for any pitch.
-        - ``mdft`` is the same, but not available for the layout "cells".
+        - ``quadrature`` integrates over the pupil by Gauss quadrature and a non-uniform FFT, for
+          the layouts "polar" and "cells". It uses as many points as the window requires.
+        - ``fft`` is the same with as few points as ``tol`` allows; for the layout "grid" it is
+          ``mdft``.
+        - ``mdft`` is a chirp transform to any pitch, for the layout "grid".
         - ``nufft`` is a non-uniform FFT of scattered sample points, such as traced rays; for other
           layouts it is ``quadrature`` or ``mdft``.
         - ``airy`` is the closed form of a wave without aberration.

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +13,12 @@ from numpy.typing import NDArray
 from ..._checks import fits_memory
 from ...errors import SamplingError
 from ..wave.detilted import Residual
-from ..window import antialiased_disc, error_bounds
-from ..window.grids import PupilGrid, pupil_grid, pupil_grid_from_polar
+from ..window import error_bounds
+from ..window.grids import PupilGrid, pupil_grid
 from ..window.pixels import PixelRule
 from ..window.window import Window
 from . import (
     airy,
-    antialiased_fft,
-    antialiased_pupil,
     geometric,
     high_aperture,
     mdft,
@@ -32,32 +29,13 @@ from . import (
 Array = NDArray[np.float64]
 #: Methods for each layout; the first sums over nodes of the wave and computes any part of an image.
 ABLE = {
-    "polar": ("quadrature", "nufft", "fft", "mdft", "airy", "geometric"),
+    "polar": ("quadrature", "nufft", "fft", "airy", "geometric"),
     "cells": ("quadrature", "nufft", "fft", "geometric"),
     "grid": ("mdft", "nufft", "fft", "geometric"),
     "scattered": ("nufft", "geometric"),
 }
-#: Least number of samples across the pupil if a polar wave is resampled to a grid.
-LEAST_SAMPLES = 512
 #: Pixel side, Airy units, up to which errors are assumed not to average out over a pixel.
 NO_BEATS = 0.8
-
-
-class SoftTask(NamedTuple):
-    """Polynomial wave, what its rim's errors depend on, and its image period in Airy units."""
-
-    wave: antialiased_pupil.SoftWave
-    rim: antialiased_pupil.Rim
-    period: float
-
-    def grid(self, task: Task) -> antialiased_fft.Grid:
-        """Return the pupil grid."""
-        reach = antialiased_disc.SHORT_REACH if task.tol >= 1e-4 else antialiased_disc.REACH
-        return antialiased_fft.padded(task.residual, task.samples, self.period, reach)
-
-    def n_bytes(self, task: Task) -> float:
-        """Return the peak memory of the transform, bytes."""
-        return antialiased_fft.n_bytes(task.samples, self.grid(task), task.rule)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,30 +93,19 @@ class Task:
         return pixel if self.residual.wavefront.aperture is None else min(pixel, NO_BEATS)
 
     @cached_property
-    def soft(self) -> SoftTask | None:
-        """Input of the softened-grid transform; None if the wave is not polynomial."""
-        found = antialiased_pupil.soft_wave(self.residual, self.tol)
-        if found is None:
-            return None
-        rim = antialiased_pupil.rim_of(self.residual, found)
-        period = antialiased_pupil.period_of(self.residual, rim, self.samples, self.tol)
-        return SoftTask(found, rim, period)
+    def coarse(self) -> quadrature.Coarse:
+        """Nodes of a polar or cells wave that suffice for ``tol``, in a window with a dark edge."""
+        return quadrature.coarse(self.residual, self.samples, self.tol, self.growth)
 
     @cached_property
-    def coarse(self) -> quadrature.Coarse:
-        """Nodes of a wave on cells that suffice for ``tol`` in a window with a dark edge."""
-        residual, samples = self.residual, self.samples
-        peak = antialiased_pupil.predicted_peak(residual)
-        reach = min(samples.shape) * samples.pitch / 2 - math.hypot(*residual.shift)
-        beyond = np.asarray(max(reach - residual.rays.reach, 0.0)) / residual.airy_unit
-        # Straight edges of a rim make spikes, with a field above that of a clear disc.
-        dark = min(3 * float(error_bounds.tail(beyond)), math.sqrt(peak))
-        return quadrature.coarse(residual, samples, self.tol, peak, dark)
+    def growth(self) -> Array:
+        """Error of the nodes of a polar or cells wave without image point and count."""
+        return quadrature.growth(self.residual)
 
     @cached_property
     def counts(self) -> tuple[int, ...]:
         """Shape of the nodes of a polar or cells wave that the window needs."""
-        counts = quadrature.node_counts(self.residual, self.samples)
+        counts = quadrature.node_counts(self.residual, self.samples, self.growth)
         if self.polarisation is None:
             return counts
         more = high_aperture.more_nodes(self.residual)
@@ -175,7 +142,7 @@ class Task:
             nufft.field(self.residual, nodes, self.samples, epsilon, weight)
             for weight in self.weights(nodes.u, nodes.v)
         )
-        mean = self.averaged(reduce(np.add, (field.real**2 + field.imag**2 for field in fields)))
+        mean = self.averaged(reduce(np.add, map(nufft.squares, fields)))
         mean /= peak
         return mean, peak, secant
 
@@ -295,67 +262,48 @@ def _quadrature(task: Task) -> Image:
 
 def _fft(task: Task) -> Image:
     """Compute mean intensity and error bound by as few samples of the pupil as ``tol`` allows."""
-    return _cells(task) if task.residual.wavefront.layout == "cells" else _mdft(task)
-
-
-def _cells(task: Task) -> Image:
-    """Compute mean intensity and error bound by a sum over as few nodes as ``tol`` allows."""
-    nodes = task.coarse
-    image = _cells_image(task, nodes)
-    bright = antialiased_pupil.predicted_peak(task.residual)
+    if not task.residual.wavefront.is_spectral:
+        return _mdft(task)
+    image = _coarse(task, task.coarse)
     if image[1] > task.tol:  # the edge may be brighter than predicted
-        more = quadrature.coarse(task.residual, task.samples, task.tol, bright, math.sqrt(bright))
-        if more.counts != nodes.counts:
-            image = _cells_image(task, more)
+        more = quadrature.coarse(task.residual, task.samples, task.tol, task.growth, sure=True)
+        if more.counts != task.coarse.counts:
+            image = _coarse(task, more)
     return image
 
 
-def _cells_image(task: Task, coarse: quadrature.Coarse) -> Image:
-    """Return the image of a wave on cells, and its error bound from that of each block."""
+def _coarse(task: Task, coarse: quadrature.Coarse) -> Image:
+    """Return the image by a sum over few nodes, and its error bound from that of each block."""
     residual = task.residual
     nodes = quadrature.nodes(residual, task.samples, coarse.counts)
-    mean = task.sum(nodes, coarse.epsilon)[0]
+    fine = nufft.squares(nufft.field(residual, nodes, task.samples, coarse.epsilon))
+    mean = task.averaged(fine)
+    strongest, far = _blocks(task, mean)
+    noise = nufft.noise(residual, nodes, task.samples, fine, coarse.epsilon, strongest.shape)
+    error = residual.truncation + coarse.field_errors(residual, far) + noise
+    return mean, task.bound(strongest, error, math.inf), 1.0
+
+
+def _blocks(task: Task, intensity: Array) -> tuple[Array, Array]:
+    """Return the largest intensity in each of 8 x 8 blocks of a window, and their distances.
+
+    Distances, m, are those of the farthest edge of a pixel from the tilt's image point.
+    """
+    window, shift = task.pixels, task.residual.shift
+    starts = [np.arange(min(n, 8)) * n // min(n, 8) for n in window.shape]
+    strongest = np.maximum.reduceat(intensity, starts[0], axis=0)
+    strongest = np.maximum.reduceat(strongest, starts[1], axis=1)
+    axes = window.y - shift[1], window.x - shift[0]
+    far = [np.maximum.reduceat(np.abs(v), at) for v, at in zip(axes, starts, strict=True)]
     half = 0.0 if task.rule is None else task.pitch / 2
-    strongest, far = antialiased_pupil.block_maxima(residual, task.pixels, mean, half)
-    error = residual.truncation + coarse.field_errors(residual, far)
-    rounding = 2 * task.transform_error(mean, coarse.epsilon)
-    return mean, task.bound(strongest, error, math.inf) + rounding, 1.0
-
-
-def _soft(task: Task, soft: SoftTask) -> Image:
-    """Transform a polynomial wave by FFTs of a grid with softened rims."""
-    image = _soft_image(task, soft)
-    if task.tol < image[1] < 8 * task.tol:
-        # The peak is lower than predicted, so that the relative error is larger.
-        period = antialiased_pupil.period_of(task.residual, soft.rim, task.samples, task.tol / 8)
-        image = _soft_image(task, soft._replace(period=period))
-    return image
-
-
-def _soft_image(task: Task, soft: SoftTask) -> Image:
-    """Return the image of a polynomial wave from its softened grid, and its error bound."""
-    residual, wave, grid = task.residual, soft.wave, soft.grid(task)
-    mean = antialiased_fft.image(residual, wave, task.samples, grid, task.rule)
-    half = 0.0 if task.rule is None else task.pitch / 2
-    strongest, far = antialiased_pupil.block_maxima(residual, task.pixels, mean, half)
-    rings, unit = antialiased_pupil.RINGS * far.max(), residual.airy_unit
-    ring = np.minimum(np.searchsorted(rings, far), rings.size - 1)
-    error = soft.rim.errors(rings / unit, grid.period / unit)[ring]
-    lost = residual.truncation + wave.misfit * wave.strength + grid.error
-    return mean, task.bound(strongest, error + lost, math.inf), 1.0
+    return strongest, np.hypot(far[0][:, None], far[1]) + math.sqrt(2) * half
 
 
 def _mdft(task: Task) -> Image:
-    """Compute mean intensity and error bound by a transform of a grid to any pitch."""
+    """Compute mean intensity and error bound by a chirp transform of a grid."""
     residual, samples = task.residual, task.samples
-    if task.soft is not None:
-        return _soft(task, task.soft)
-    if residual.wavefront.layout == "polar":
-        grid = pupil_grid_from_polar(residual, polar_pitch(task))
-        _check_jump(task, grid.jump, None)
-    else:
-        check_sampling(task)
-        grid = pupil_grid(residual)
+    check_sampling(task)
+    grid = pupil_grid(residual)
     n = grid.values.shape[0]
     fits_memory(
         f"the transform of {n} samples to {samples.shape[0]} x {samples.shape[1]}",
@@ -436,40 +384,24 @@ def grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
 
 def check_sampling(task: Task) -> None:
     """Refuse grid or scattered nodes that are too few for the wave or for the window."""
-    _check_jump(task, *task.residual.grid_jump())
-    _check_period(task)
-
-
-def polar_pitch(task: Task) -> float:
-    """Return the pitch of the pupil grid, m, to which a polar wave is resampled."""
     residual, wave = task.residual, task.residual.wavefront
-    # Three lower limits of the image's period: twice the window's reach; the spot's diameter and a
-    # margin for the step of `antialiased_disc.leak`; `LEAST_SAMPLES` across the pupil.
-    period = max(
-        2 * max(task.samples.reach_from(residual.shift)),
-        4.4 * residual.rays.reach + 16 * residual.airy_unit,
-        LEAST_SAMPLES * residual.airy_unit,
-    )
-    return wave.wavelength * abs(wave.image_distance) / period
-
-
-def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:
-    """Refuse a wave whose aberration steps by more than half a wave between neighbours."""
+    n, (jump, node), share = wave.u.shape[0], residual.grid_jump(), _period_share(task)
+    # numbers of scattered nodes grow as the square of their density
+    power = 2 if wave.layout == "scattered" else 1
     if jump > 0.5:
-        wave = task.residual.wavefront
-        n = wave.u.shape[0]
-        where, need = "", math.ceil(n * jump / 0.5)
-        if wave.layout != "polar":
-            where = f" at {'pixel' if wave.layout == 'grid' else 'node'} {pixel}"
-            power = 2 if wave.layout == "scattered" else 1
-            # The remedy must also satisfy `_check_period`.
-            more = max(jump / 0.5, _period_share(task))
-            # A margin: in a denser set of scattered nodes, another pair may be the farthest apart.
-            more *= 1.2 if power == 2 else 1.0
-            need = math.ceil(n * more**power)
+        # A margin: in a denser set of scattered nodes, another pair may be the farthest apart.
+        need = math.ceil(n * max(jump / 0.5, share) ** power * (1.0 if power == 1 else 1.44))
+        where = f"{'pixel' if power == 1 else 'node'} {node}"
         raise SamplingError(
-            f"aberration jumps {jump:.2f} waves{where}, limit 0.50; use {need} or more pupil "
+            f"aberration jumps {jump:.2f} waves at {where}, limit 0.50; use {need} or more pupil "
             f"samples (now {n}), or polar nodes"
+        )
+    if share > 1 + 1e-9:
+        period = wave.wavelength * abs(wave.image_distance) / residual.spacing
+        raise SamplingError(
+            f"the pupil samples repeat the spot every {period:.3g} m, inside the window, which "
+            f"needs {share * period:.3g} m; use {math.ceil(n * share**power)} or more pupil "
+            f"samples (now {n}), or a smaller shape"
         )
 
 
@@ -481,22 +413,6 @@ def _period_share(task: Task) -> float:
     if task.rule is not None:  # up to the edges of the pixels, and the core of the repeat
         need += task.pitch / 2 + residual.airy_unit
     return need * residual.spacing / (wave.wavelength * abs(wave.image_distance))
-
-
-def _check_period(task: Task) -> None:
-    """Refuse a window that overlaps a repeat of the spot due to the pupil's sampling."""
-    residual = task.residual
-    wave = residual.wavefront
-    period = wave.wavelength * abs(wave.image_distance) / residual.spacing
-    need = _period_share(task) * period
-    if need > period * (1 + 1e-9):
-        n = wave.u.shape[0]
-        more = (need / period) ** (2 if wave.layout == "scattered" else 1)
-        raise SamplingError(
-            f"the pupil samples repeat the spot every {period:.3g} m, inside the window, which "
-            f"needs {need:.3g} m; use {math.ceil(n * more)} or more pupil samples (now "
-            f"{n}), or a smaller shape"
-        )
 
 
 def _waves(residual: Residual) -> float:

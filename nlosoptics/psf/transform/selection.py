@@ -11,13 +11,10 @@ from ..wave.regime import Regime
 from ..window import error_bounds
 from ..window.error_bounds import rounded_up
 from . import airy, costs, geometric
-from .runners import ABLE, Result, Task, polar_pitch, transform
+from .runners import ABLE, Result, Task, transform
 
 #: Aberration, waves peak to valley, up to which the geometric method is not tried.
 MANY_WAVES = 20
-#: A transform is ruled out if its predicted error exceeds this multiple of tol. The margin is
-#: wide, since the error is relative to the peak, which is only known after the transform.
-DOUBT = 10.0
 
 
 @dataclass(frozen=True, order=True)
@@ -99,23 +96,20 @@ def able(task: Task, regime: Regime) -> list[Candidate]:
 
 def candidates(task: Task, regime: Regime) -> list[Candidate]:
     """Return all transforms available for the wave's layout, with predicted times."""
-    layout, samples = task.residual.wavefront.layout, task.samples
+    wave, samples = task.residual.wavefront, task.samples
     if task.polarisation is not None:
         found = [_components(task)]
-    elif layout == "polar":
+    elif wave.is_spectral:
         closed = _airy(task)
         if not closed.ruled_out:
             return [closed]  # no other transform is faster
         seconds = costs.sum_over_nodes(math.prod(task.counts), samples)
-        found = [closed, _nodes(task, "quadrature", seconds), _soft_grid(task)]
-    elif layout == "cells":
-        seconds = costs.sum_over_nodes(math.prod(task.counts), samples)
         few = _nodes(task, "fft", costs.coarse_sum(task.coarse, samples), task.coarse.core)
-        found = [_nodes(task, "quadrature", seconds), few]
-    elif layout == "scattered":
+        found = [closed, _nodes(task, "quadrature", seconds), few]
+    elif wave.layout == "scattered":
         found = [Candidate(costs.scattered_sum(task.residual, samples), "nufft")]
     else:
-        found = [Candidate(costs.map_sums(len(task.residual.wavefront.u), samples), "mdft")]
+        found = [Candidate(costs.map_sums(len(wave.u), samples), "mdft")]
     return [*found, _rays(task, regime)]
 
 
@@ -148,24 +142,6 @@ def _nodes(task: Task, method: str, seconds: float, missing: float = 0.0) -> Can
     least = 2 * error_bounds.beat(task.pixel) * (task.residual.truncation + missing)
     ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
     return Candidate(seconds, method, ruled_out)
-
-
-def _soft_grid(task: Task) -> Candidate:
-    """Return the transform of a polar wave on a grid with a softened rim."""
-    residual = task.residual
-    if task.soft is not None:
-        grid = task.soft.grid(task)
-        ruled_out = f"error of its rim {2 * grid.error:g}" if task.tol < 2 * grid.error else ""
-        return Candidate(costs.soft_padded(task.samples, grid), "fft", ruled_out)
-    pitch = polar_pitch(task)
-    # peak if the energy were uniform over the disc of the rays, at most 1
-    reach = max(residual.rays.reach / residual.airy_unit, 1.0)
-    peak = min(1.0, 4 / (math.pi * reach) ** 2)
-    rim = error_bounds.soft_rim_error(residual, pitch, 0.0)
-    field = float(rim) + residual.truncation
-    expected = 2 * error_bounds.beat(task.pixel) * field / math.sqrt(peak)
-    ruled_out = f"error of its rim about {expected:.2g}" if expected > DOUBT * task.tol else ""
-    return Candidate(costs.soft_grid(residual, task.samples, pitch), "fft", ruled_out)
 
 
 def _rays(task: Task, regime: Regime) -> Candidate:
@@ -230,15 +206,12 @@ def _too_long(
 ) -> SamplingError:
     """Return the error for transforms that exceed ``max_seconds``; check the memory first."""
     ny, nx = task.samples.shape
-    n_bytes = 32.0 * ny * nx
-    if task.soft is not None and cheapest.method == "fft":
-        n_bytes = task.soft.n_bytes(task)
     smaller = "use a smaller shape"
     if task.rule is not None and regime.peak_to_valley > MANY_WAVES:
         smaller += ", or on wide pixels a larger tol, so that geometric rays suffice"
     fits_memory(
         f"a point spread that needs {ny} x {nx} samples",
-        n_bytes,
+        32.0 * ny * nx,
         smaller,
     )
     remedies = [f"max_seconds = {rounded_up(cheapest.seconds)}"]

@@ -25,13 +25,12 @@ from ..rough.scattered_light import (
 )
 from ..rough.view import RoughView
 from ..transform import costs, geometric, nufft
-from ..transform.runners import Task, polar_pitch
+from ..transform.runners import Task
 from ..transform.selection import able
 from ..transform.wide_pixels import inner_parts
 from ..wave.detilted import Residual
 from ..wave.regime import regime
 from ..window import error_bounds
-from ..window.grids import grid_size
 from ..window.pixels import pixel_rule
 from ..window.window import Window, peak_pixel
 from .lobe_psf import lobes_of
@@ -108,14 +107,10 @@ def _transform_bytes(task: Task, method: str) -> float:
         if task.residual.wavefront.layout == "polar":
             return held + 250.0 * math.prod(geometric.ray_counts(task.residual, task.pixels))
         return held + 1e9
-    if method == "quadrature":
-        return held + nufft.n_bytes(math.prod(task.counts), task.samples)
-    if task.soft is not None:
-        return held + task.soft.n_bytes(task)
-    n = task.residual.wavefront.u.shape[0]
-    if task.residual.wavefront.layout == "polar":
-        n = grid_size(task.residual.wavefront.pupil_radius, polar_pitch(task))
-    return _grid_bytes(task, n)
+    if task.residual.wavefront.is_spectral:
+        counts = task.counts if method == "quadrature" else task.coarse.counts
+        return held + nufft.n_bytes(math.prod(counts), task.samples)
+    return _grid_bytes(task, len(task.residual.wavefront.u))
 
 
 def _grid_bytes(task: Task, cells: int) -> float:
