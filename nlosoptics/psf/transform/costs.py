@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ..wave.detilted import Residual
 from ..window.window import Window
 from . import quadrature
-from .geometric import MOST_RAYS, most_cells, patch_rays, ray_counts
 
 #: Overhead of any transform, s: calls, checks, small arrays and the wave's regime.
 CALL = 1.2e-3
@@ -53,23 +50,15 @@ def scattered_sum(residual: Residual, window: Window) -> float:
     )
 
 
-def rays(residual: Residual, window: Window) -> float:
+def map_bytes(n: int, window: Window) -> float:
+    """Predict the peak memory of `map_sums`, bytes, including that of preparing the wave."""
+    ny, nx = map(float, window.shape)
+    return max(48.0 * n * (n + max(ny, nx)) + 24.0 * ny * nx, 140.0 * n**2)
+
+
+def rays(count: float) -> float:
     """Predict the seconds of ``geometric``: two passes, the second for the error estimate."""
-    if residual.wavefront.layout == "polar":
-        n_r, n_theta = ray_counts(residual, window)
-        return 3e-3 + 4e-7 * n_r * n_theta
-    wave = residual.wavefront
-    if wave.layout == "cells":
-        return 3e-3 + 4e-7 * len(wave.u) * patch_rays(residual, window) ** 2
-    if wave.layout == "scattered":
-        n_nodes, cells = len(residual.local.indices), most_cells(residual, window)
-    else:
-        # An upper bound without the local fits, which would take longer than the prediction.
-        n_nodes = int(np.count_nonzero(wave.amplitude * wave.weights))
-        step = 8 * residual.rays.reach / len(wave.u)
-        most = math.isqrt(max(1, MOST_RAYS // n_nodes))
-        cells = max(min(most, math.ceil(2 * step / window.pitch)), 1)
-    return 5e-3 + (3e-5 + 1e-6 * cells**2) * n_nodes
+    return 3e-3 + 4e-7 * count
 
 
 def scattered(cells: float, nodes: float, points: float, pixels: float) -> float:

@@ -61,7 +61,6 @@ def test_defocus_in_numbers(layout):
     assert found.reach == approx(4 * waves, rel=rel)
     assert found.pixel == approx(0.25)
     assert found.fresnel_number == approx(RADIUS**2 / (WAVELENGTH * 50e-3))
-    assert not found.folded
     assert (found.rayleigh_parameter, found.coherent_fraction) == (0.0, 1.0)
     if layout == "polar":
         assert found.slope_per_sample is None
@@ -78,32 +77,11 @@ def test_an_annulus_has_less_of_it():
     assert psf.point_spread(wave).regime.peak_to_valley == approx(5 * 0.84, rel=1e-9)
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize(
-    ("waves", "folded"),
-    [
-        ({4: 1.0}, False),
-        ({4: -1.0}, False),
-        ({6: 1.0}, False),  # a saddle everywhere: one sheet, turned over
-        ({8: 1.0}, True),
-        ({11: 1.0}, True),
-        # beyond the paraxial focus: rho^2 + rho^4 alone
-        ({4: (1 + 1) / (2 * math.sqrt(3)), 11: 1 / (6 * math.sqrt(5))}, False),
-        # a fold where 1 - 6 rho^2/2 changes its sign
-        ({4: (1 - 0.5) / (2 * math.sqrt(3)), 11: -0.5 / (6 * math.sqrt(5))}, True),
-    ],
-)
-def test_rays_fold_where_their_jacobian_changes_sign(layout, waves, folded):
-    wave = LAYOUTS[layout](lambda **k: zernike_wave(waves, **k))
-    assert regime(split(wave), UNIT).folded is folded
-
-
 def test_piston_and_tilt_are_no_part_of_it():
     found = psf.point_spread(zernike_wave({1: 3.0, 2: 4.0}), pitch=UNIT / 4, shape=151).regime
     # of 4 waves rms
     assert found.peak_to_valley < 1e-9
     assert found.reach < 1e-9
-    assert not found.folded
 
 
 # the reason
