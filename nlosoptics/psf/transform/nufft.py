@@ -164,22 +164,21 @@ def noise(
 ) -> Array:
     """Estimate the largest error of the modulus of `field` by the transform, in each block.
 
-    Row and column of the brightest sample are computed again, a hundred times as accurate. The
-    transform's kernel is a product over both directions, so that the errors along them add; twice
-    their sum allows for samples beyond these lines.
+    The row of the brightest sample, or the column if that is longer, is computed again, a hundred
+    times as accurate. The transform's kernel is a product over both directions, so that the errors
+    along them add; twice their sum allows for samples beyond this line.
     """
     row, column = np.unravel_index(int(intensity.argmax()), window.shape)
     (ny, nx), (x, y), pitch = window.shape, window.first, window.pitch
-    lines = (
-        (Window(pitch, (ny, 1), (x + float(column) * pitch, y)), intensity[:, column]),
-        (Window(pitch, (1, nx), (x, y + float(row) * pitch)), intensity[row]),
-    )
-    worst = []
-    for (line, coarse), count in zip(lines, blocks, strict=True):
-        fine = field(residual, nodes, line, max(epsilon / 100, BEST))
-        error = np.abs(np.abs(fine.ravel()) - np.sqrt(coarse))
-        worst.append(np.maximum.reduceat(error, np.arange(count) * coarse.size // count))
-    return 2 * np.add.outer(*worst)
+    line, coarse = Window(pitch, (1, nx), (x, y + float(row) * pitch)), intensity[row]
+    if ny > nx:
+        line = Window(pitch, (ny, 1), (x + float(column) * pitch, y))
+        coarse = intensity[:, column]
+    fine = field(residual, nodes, line, max(epsilon / 100, BEST))
+    error = np.abs(np.abs(fine.ravel()) - np.sqrt(coarse))
+    # of the shorter side, as far from its middle
+    sides = (np.linspace(0, error.size, n + 1).astype(int)[:-1] for n in blocks)
+    return 2 * np.add.outer(*(np.maximum.reduceat(error, starts) for starts in sides))
 
 
 def own_nodes(residual: Residual) -> Nodes:

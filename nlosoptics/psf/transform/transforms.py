@@ -288,9 +288,9 @@ def _blocks(task: Task, intensity: Array) -> tuple[Array, Array]:
     Distances, m, are those of the farthest edge of a pixel from the tilt's image point.
     """
     window, shift = task.pixels, task.residual.shift
-    starts = [np.arange(min(n, 8)) * n // min(n, 8) for n in window.shape]
-    strongest = np.maximum.reduceat(intensity, starts[0], axis=0)
-    strongest = np.maximum.reduceat(strongest, starts[1], axis=1)
+    starts = [np.linspace(0, n, min(n, 8) + 1).astype(int)[:-1] for n in window.shape]
+    rows = np.array([part.max(axis=0) for part in np.split(intensity, starts[0][1:])])
+    strongest = np.maximum.reduceat(rows, starts[1], axis=1)
     axes = window.y - shift[1], window.x - shift[0]
     far = [np.maximum.reduceat(np.abs(v), at) for v, at in zip(axes, starts, strict=True)]
     half = 0.0 if task.rule is None else task.pitch / 2
