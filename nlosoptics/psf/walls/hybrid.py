@@ -140,7 +140,8 @@ def wave_parts(
     residual = mirror.aimed.residual
     check_rays(residual, pitch, shape)
     side = window_side(residual, pitch, tol, mirror.aimed.outline)
-    fluxes, reasons = [0.0, 0.0], ["waves for the mirror image, rays for all other paths"]
+    smooth, scattered = 0.0, 0.0
+    reasons = ["waves for the mirror image, rays for all other paths"]
     for reflectance, given in lobes:
         view = _view(seen, residual.wavefront, given)
         # in units of `RoughView.halo`, for a Gaussian C and for any other
@@ -155,10 +156,10 @@ def wave_parts(
             error + peak * mean.error_estimate,
             model_error + peak * mean.model_error,
         )
-        fluxes[0] += watts * view.coherent_fraction
-        fluxes[1] += watts * view.scattered_fraction
+        smooth += watts * view.coherent_fraction
+        scattered += watts * view.scattered_fraction
         reasons.append(mean.reason)
-    return WaveParts(coherent, halo, error, *fluxes, "; ".join(reasons), model_error)
+    return WaveParts(coherent, halo, error, smooth, scattered, "; ".join(reasons), model_error)
 
 
 def _view(seen: PointOptics, wave: Wavefront, given: Roughness | MirrorLobe) -> RoughView:

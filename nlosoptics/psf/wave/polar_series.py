@@ -88,7 +88,8 @@ class PolarSpectrum:
         sizes = self._sizes[:n_k, :n_m].copy()
         sizes[:, 1:] *= 2
         degree = 2 * np.arange(n_k)[:, None] + np.arange(n_m) % 2
-        return np.bincount(degree.ravel(), weights=sizes.ravel()), sizes.sum(axis=0)
+        radial: Array = np.bincount(degree.ravel(), weights=sizes.ravel())
+        return radial, sizes.sum(axis=0)
 
     def least_nodes(self, *counts: int) -> tuple[int, int]:
         """Return numbers of nodes at which the series can be evaluated, not below ``counts``."""
