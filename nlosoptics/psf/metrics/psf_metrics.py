@@ -76,9 +76,7 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     nodes = nufft.own_nodes(residual)
     if residual.wavefront.is_spectral:
         centre = Window.centred(residual.airy_unit, (1, 1))
-        nodes = quadrature.nodes(
-            residual, centre, quadrature.node_counts(residual, centre, quadrature.growth(residual))
-        )
+        nodes = quadrature.nodes(residual, centre, quadrature.node_counts(residual, centre))
     return float(abs(np.sum(_phasors(residual, nodes))) ** 2)
 
 
@@ -498,9 +496,7 @@ def _energies_within(residual: Residual, radii: Array) -> Array:
     # A square window with the circle's radius as half its diagonal, to count the nodes.
     half = radius / math.sqrt(2)
     window = Window(2 * half, (2, 2), (-half, -half))
-    nodes = quadrature.nodes(
-        residual, window, quadrature.node_counts(residual, window, quadrature.growth(residual))
-    )
+    nodes = quadrature.nodes(residual, window, quadrature.node_counts(residual, window))
     # phase at the rim, and twice the nodes that integrals over the whole disc need, for the series
     v = math.pi * radius / residual.airy_unit
     n, n_angle = 2 * math.ceil(0.58 * v + 12), 2 * math.ceil(v + 12 * v ** (1 / 3) + 12)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..aperture.quadrature_nodes import frozen
 from ..wave.detilted import Residual
 from ..window import error_bounds
-from ..window.window import Window, predicted_peak
+from ..window.window import Window
 from . import nufft
 
 Array = NDArray[np.float64]
@@ -27,12 +27,16 @@ MOST = 1e-2
 BRIGHT = 2.0
 
 
-def node_counts(residual: Residual, window: Window, growth: Array) -> tuple[int, ...]:
-    """Return the shape of the nodes for which the quadrature has converged to rounding error."""
+def node_counts(residual: Residual, window: Window, own: Array | None = None) -> tuple[int, ...]:
+    """Return the shape of the nodes for which the quadrature has converged to rounding error.
+
+    ``own`` is the result of `growth`, if it is known.
+    """
+    own = growth(residual) if own is None else own
     farthest = math.hypot(*window.reach_from(residual.shift))
-    counts = _counts(residual, growth, [farthest], [NEGLIGIBLE])
-    own = residual.wavefront.u.shape
-    return *own[:-2], *np.maximum(counts, own[-2:]).tolist()
+    counts = _counts(residual, own, [farthest], [NEGLIGIBLE])
+    shape = residual.wavefront.u.shape
+    return *shape[:-2], *np.maximum(counts, shape[-2:]).tolist()
 
 
 class Coarse(NamedTuple):
@@ -109,6 +113,15 @@ def _rates(n: int) -> Array:
 def _logs(n: int) -> Array:
     """Return ``k ln(rho)`` for k < n and each of `RHO`, up to a bound that no sum needs."""
     return np.asarray(np.minimum(np.arange(n)[:, None] * LOG, 300.0))
+
+
+def predicted_peak(residual: Residual) -> float:
+    """Predict the largest intensity from the rms aberration and the rays, 1 at the ideal peak."""
+    rms = residual.heights.rms * residual.wavenumber
+    rays, unit = residual.rays, residual.airy_unit
+    side = max(rays.reach / 10, 1.25 * unit)
+    densest = rays.densest(side) / side**2
+    return min(max(math.exp(-(rms**2)), densest * 4 / math.pi * unit**2), 1.0)
 
 
 def _image_growth(residual: Residual, distance: Array) -> Array:

@@ -36,8 +36,6 @@ Regime = Literal["aberration", "diffraction", "mean"]
 
 #: Radii (with four times as many angles) or cells per side at which a relief's wave is sampled.
 RELIEF_NODES: Final = {"polar": 48, "grid": 1024}
-#: Longest predicted run time of a phase screen, s.
-LONGEST: Final = 60.0
 #: Most scales of the heights across the wall that the lens sees. Finer roughness scatters to angles
 #: far outside any image.
 MOST_ACROSS: Final = 2000
@@ -160,11 +158,12 @@ def _choice(seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float)
     if found.error <= tol:
         return found
     screen = _screen(residual, view, pitch, shape)
-    if screen.seconds > LONGEST or screen.n_bytes > memory_limit():
+    longest = 60.0
+    if screen.seconds > longest or screen.n_bytes > memory_limit():
         raise SamplingError(
             f"{_steepness(view)} need a phase screen of {screen.cells} x {screen.cells} points, "
             f"{lasting(screen.seconds)} and {screen.n_bytes / 2**30:.3g} GiB, limits "
-            f"{LONGEST:g} s and {memory_limit() / 2**30:.3g} GiB; use realisation = 'mean', a "
+            f"{longest:g} s and {memory_limit() / 2**30:.3g} GiB; use realisation = 'mean', a "
             "smaller slope_rms, or rays alone by raytrace.trace_image"
         )
     return screen

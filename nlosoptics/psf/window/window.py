@@ -277,15 +277,6 @@ def peak_pixel(residual: Residual, pitch: float) -> float:
     return float(min(rays.densest(side) * min(1.0, (pitch / side) ** 2), airy))
 
 
-def predicted_peak(residual: Residual) -> float:
-    """Predict the largest intensity from the rms aberration and the rays, 1 at the ideal peak."""
-    rms = residual.heights.rms * residual.wavenumber
-    rays, unit = residual.rays, residual.airy_unit
-    side = max(rays.reach / 10, 1.25 * unit)
-    densest = rays.densest(side) / side**2
-    return min(max(math.exp(-(rms**2)), densest * 4 / math.pi * unit**2), 1.0)
-
-
 def ray_reach(residual: Residual) -> float:
     """Half the side of the square about the axis that contains every ray, m."""
     shift = residual.shift

@@ -75,9 +75,7 @@ def test_airy_width():
 
 def field(residual, window):
     """Complex field of the quadrature."""
-    nodes = quadrature.nodes(
-        residual, window, quadrature.node_counts(residual, window, quadrature.growth(residual))
-    )
+    nodes = quadrature.nodes(residual, window, quadrature.node_counts(residual, window))
     return nufft.field(residual, nodes, window)
 
 
