@@ -54,9 +54,9 @@ FAULTS = (
     ),
     (
         "FFT turned round",
-        "psf/transform/antialiased_fft.py",
-        "forward = residual.wavefront.image_distance > 0",
-        "forward = residual.wavefront.image_distance < 0",
+        "psf/transform/nufft.py",
+        "points=points, coord=coord, forward=True",
+        "points=points, coord=coord, forward=False",
     ),
     (
         "obscuration-free Airy field",

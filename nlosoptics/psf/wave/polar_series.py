@@ -88,7 +88,7 @@ class PolarSpectrum:
         sizes = self._sizes[:n_k, :n_m].copy()
         sizes[:, 1:] *= 2
         degree = 2 * np.arange(n_k)[:, None] + np.arange(n_m) % 2
-        radial: Array = np.bincount(degree.ravel(), weights=sizes.ravel())
+        radial = np.bincount(degree.ravel(), weights=sizes.ravel()).astype(np.float64)
         return radial, sizes.sum(axis=0)
 
     def least_nodes(self, *counts: int) -> tuple[int, int]:

@@ -90,7 +90,7 @@ def test_estimate_bounds_the_error_at_every_tolerance(waves, changes):
 @pytest.mark.parametrize("obscuration", [0.0, 0.2])
 @pytest.mark.parametrize("tol", [1e-2, 1e-6, 1e-9, 1e-11])
 def test_pupils_of_few_cells_keep_their_estimate(obscuration, tol):
-    """A small window needs so few cells that the softened rims reach the centre."""
+    """A small window needs few nodes, of which rings still resolve the rim."""
     wave = zernike_wave({}, obscuration=obscuration)
     kwargs = {"pitch": 0.1 * UNIT, "shape": (3, 12)}
     reference = psf.point_spread(wave, method="quadrature", tol=1e-13, **kwargs)
