@@ -46,11 +46,12 @@ from nlosoptics import psf
 from nlosoptics.errors import NlosError
 from nlosoptics.psf.aperture import cell_nodes
 from nlosoptics.psf.aperture import quadrature_nodes as keepers
-from nlosoptics.psf.transform import quadrature
+from nlosoptics.psf.transform import antialiased_fft, quadrature
 from nlosoptics.psf.wave import (
     cell_series,
     detilted,
     polar_series,
+    pupil_polynomials,
     zernikes,
 )
 from nlosoptics.psf.wave import (
@@ -203,7 +204,9 @@ def forget():
     """Drop all that nlosoptics keeps between calls."""
     kept = (
         keepers,
+        pupil_polynomials,
         detilted,
+        antialiased_fft,
         quadrature,
         cell_nodes,
         cell_series,

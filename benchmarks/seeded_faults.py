@@ -54,9 +54,9 @@ FAULTS = (
     ),
     (
         "FFT turned round",
-        "psf/transform/nufft.py",
-        "points=points, coord=coord, forward=True",
-        "points=points, coord=coord, forward=False",
+        "psf/transform/antialiased_fft.py",
+        "forward = residual.wavefront.image_distance > 0",
+        "forward = residual.wavefront.image_distance < 0",
     ),
     (
         "obscuration-free Airy field",

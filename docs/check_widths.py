@@ -19,7 +19,8 @@ WIDTHS = {
 }
 CUT = """
 const cut = [...document.querySelectorAll(arguments[0])].filter(
-  element => element.scrollWidth > element.clientWidth + 1 && element.clientWidth > 0)
+  element => element.clientWidth > 0 && (element.scrollWidth > element.clientWidth + 1 ||
+    element.scrollHeight > element.clientHeight + 1))
 if (document.documentElement.scrollWidth > window.innerWidth + 1) cut.push(document.body)
 return cut.map(element => `${element.tagName} ${element.innerText.trim().slice(0, 50)}`)
 """

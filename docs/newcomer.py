@@ -127,7 +127,8 @@ def walked(work: Path, installed: bool) -> bool:
         tool = folder / "nlosoptics"
         tool.write_text(f"#!/bin/sh\nexec {shlex.quote(sys.executable)} -c '{program}' \"$@\"\n")
         tool.chmod(0o755)
-        walk._variables["PATH"] = f"{folder}{os.pathsep}{os.environ['PATH']}"
+        python = Path(sys.executable).parent  # for the steps in Python
+        walk._variables["PATH"] = os.pathsep.join([str(folder), str(python), os.environ["PATH"]])
     else:
         walk("environment", f"{shlex.quote(sys.executable)} -m venv {work / 'env'}")
         walk("wheel", f"pip wheel -q --no-deps --wheel-dir {work} {shlex.quote(str(ROOT))}")

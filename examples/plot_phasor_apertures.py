@@ -28,12 +28,14 @@ square.apply_translation((0.0, 0.0, distance))
 points = transient.wall_grid(1.96, 49)
 capture = transient.render(
     [(square, scene.Lambert(0.8))],
-    laser_points=points,
-    sensor_points=points,
-    pairing="confocal",
-    t_start=1.9,
-    delta_t=0.01,
-    n_bins=220,
+    transient.Scan(
+        laser_points=points,
+        sensor_points=points,
+        pairing="confocal",
+        t_start=1.9,
+        delta_t=0.01,
+        n_bins=220,
+    ),
     max_bounces=3,
     tol=1e-2,
 )

@@ -36,7 +36,7 @@ for count, one in ((0, bare), (3, scene)):
 # -------------------------
 # The shadows are faint: the second picture is the light on the wall over that of the same scene
 # without discs. Penumbrae overlap and hide the letter from the eye, but not from the fit, which
-# knows the discs. It is shown as the wall sees it.
+# knows the discs. It is shown as a viewer at the wall sees it.
 
 result = nlos.simulate(scene, reconstruct=True)
 lit, unshaded = (imaging.form_image(one, None).background for one in (scene, bare))
@@ -45,14 +45,12 @@ fit = result.reconstruction
 pictures = {
     "photograph of the wall": result.image.electrons,
     "light with over without discs": np.where(unshaded > unshaded.max() / 20, lit / unshaded, 0.0),
-    f"from its shadows: {fit.status}": fit.object[:, ::-1],
-    "letter": scene.hidden.reflectance[:, ::-1],
+    f"from its shadows: {fit.status}": fit.object,
+    "letter": scene.hidden.reflectance,
 }
 figure, axes = plt.subplots(1, 4, figsize=(12, 3.4), layout="constrained")
 for axis, (title, picture) in zip(axes, pictures.items(), strict=True):
-    axis.imshow(
-        picture, vmin=0.0, origin="lower" if "disc" in title or "wall" in title else "upper"
-    )
+    axis.imshow(picture, vmin=0.0)
     axis.set(title=title, xticks=[], yticks=[])
 plt.show()
 

@@ -39,11 +39,13 @@ letter = [bar(-0.25, -0.4, 0.15, 0.8), bar(-0.1, -0.4, 0.35, 0.15)]
 
 capture = transient.render(
     [(part, scene.Lambert(0.8)) for part in letter],
-    laser_points=(0.0, 0.0, 0.0),
-    sensor_points=transient.wall_grid(2.0, 48),
-    t_start=1.9,
-    delta_t=0.01,
-    n_bins=100,
+    transient.Scan(
+        laser_points=(0.0, 0.0, 0.0),
+        sensor_points=transient.wall_grid(2.0, 48),
+        t_start=1.9,
+        delta_t=0.01,
+        n_bins=100,
+    ),
     max_bounces=3,
     tol=1e-2,
 )

@@ -3,7 +3,8 @@ One letter and four wall shapes
 ===============================
 
 The hidden letter, the camera and the laser are fixed; only the shape of the relay wall changes.
-Every wall gives another wavefront, another point spread function and another image.
+Every wall gives another wavefront, another point spread function and another image. All four have
+a faint gloss, which makes the image; a matt wall of any shape makes none.
 """
 
 from dataclasses import replace

@@ -11,6 +11,7 @@ import json
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -188,3 +189,20 @@ def test_the_logger_tells_the_seconds_of_each_stage(flat_scene, caplog) -> None:
     told = [re.sub(r"\d+\.\d\d", "0", record.getMessage()) for record in caplog.records]
     stages = ("exit pupil", "wave aberration", "point spread", "image")
     assert told == [f"{name}: 0 s" for name in stages]
+
+
+def test_conda_recipe_asks_what_pip_asks() -> None:
+    """Version and lowest versions of the packages are those of ``pyproject.toml``."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    needed = project["dependencies"], extras["views"] + extras["inverse"]
+    names = {"torch": "pytorch", "matplotlib": "matplotlib-base"}  # on conda-forge
+    recipe = (ROOT / "conda" / "recipe.yaml").read_text()
+    _, run, constraints = re.split(r"  run(?:_constraints)?:.*\n", recipe)
+    for section, packages in zip((run, constraints), needed, strict=True):
+        asked = dict(re.findall(r"^    - (\S+) (>=\S+)$", section, re.M))
+        asked.pop("python", None)
+        pairs = (re.match(r"(\w+)(>=[^;]+)", package) for package in packages)
+        wanted = {names.get(pair[1], pair[1]): pair[2] for pair in pairs if pair}
+        assert asked == wanted
+    assert f'version: "{nlosoptics.__version__}"' in recipe

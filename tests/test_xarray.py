@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import nlosoptics as nlos
-from nlosoptics import psf, transient
+from nlosoptics import psf, raytrace, transient
 
 WAVE = {"wavelength": 5e-7, "pupil_radius": 5e-3, "image_distance": 0.1}
 
@@ -84,3 +84,21 @@ def test_a_volume_has_its_axes_and_the_field() -> None:
     assert np.array_equal(table.z, volume.z)
     assert np.array_equal(table.path, image.times)
     assert units(table) | {"x": "m", "z": "m", "path": "m"} == units(table)
+
+
+def test_a_traced_image_and_its_rays(scene) -> None:
+    small = scene.resized(8)
+    traced = raytrace.trace_image(small, n_rays=64, t_start=2.0, delta_t=0.5, n_bins=6)
+    table = traced.to_xarray()
+    assert np.array_equal(table.by_bounce.sel(bounces=2), traced.by_bounce[2])
+    assert np.allclose(table.path, 2.25 + 0.5 * np.arange(6), rtol=1e-14)
+    assert np.array_equal(table.path_by_bounce, traced.histogram.by_bounce)
+    assert np.array_equal(table.x, small.camera.image_pitch * (np.arange(8) - 3.5))
+    assert units(table) | {"expected": "electrons", "path_stray": "W"} == units(table)
+    paths = raytrace.trace(small, n_rays=64)
+    table = paths.to_xarray()
+    assert np.array_equal(table.z, paths.points[..., 2])
+    assert table.surface.dims == ("path", "vertex")
+    assert units(table) | {"z": "m", "path_length": "m", "weight": "W"} == units(table)
+    assert table.attrs["flux"] == paths.flux
+    assert "lobe" not in raytrace.pupil_rays(small, n_rays=16).to_xarray()

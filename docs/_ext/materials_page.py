@@ -6,11 +6,18 @@ from tables import table, write
 
 from nlosoptics.scene import material_library
 from nlosoptics.scene.parts.library import MaterialValue
+from nlosoptics.scene.parts.materials import Material
 
 
 def pages(target: Path) -> None:
     """Write the table and the list of sources into a folder."""
     write(target / "materials.md", materials())
+
+
+def blur(material: Material) -> str:
+    """Return the rms width to which the sharpest mirror-like lobe spreads a point 1 m away."""
+    slopes = [lobe.slope_rms for lobe in material.mirror_lobes]
+    return f"{2000 * min(slopes):.3g} mm" if slopes else "no image"
 
 
 def materials() -> str:
@@ -27,9 +34,10 @@ def materials() -> str:
         (
             f"`{material.name}`",
             f"{material.what}. {material.note}".strip(),
+            blur(material.material),
             "<br>".join(cell(value) for value in material.values),
         )
         for material in material_library().values()
     ]
     listed = "".join(f"{number}. {source}\n" for source, number in sources.items())
-    return f"{table(('name', 'surface', 'values, spread, basis'), body)}\n{listed}"
+    return f"{table(('name', 'surface', 'blur at 1 m', 'values, spread, basis'), body)}\n{listed}"

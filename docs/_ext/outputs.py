@@ -27,7 +27,7 @@ NOT_RUN = re.compile(r"# not run in the tests: \S")
 #: Ends of a directive that holds any printed text.
 BLOCK = "`" * 8
 #: Pages whose code is run at each build, by the start of their names.
-SHOWN = ("tutorial", "validation", "doors/", "howto/")
+SHOWN = ("tutorial", "limits", "validation", "doors/", "howto/")
 
 
 def blocks(text: str, folder: Path) -> Iterator[tuple[int, str, list[Path]]]:

@@ -39,7 +39,10 @@ const LIVE = (() => {
             const light = (size / 2 / (1 + (wx - x) ** 2 + (wy - y) ** 2)) ** 2;
             // where the line from wall to cell passes the disc's height, from the disc's centre
             const px = wx * (1 - disc.z) + x * disc.z - disc.x, py = wy * (1 - disc.z) + y * disc.z - disc.y;
-            const r = Math.hypot(px, py) || 1e-12, distance = (disc.radius - r) / (size * disc.z);
+            const r = Math.hypot(px, py) || 1e-12, shadow = size * disc.z;
+            // the rim is straight here, less its mean sagitta over the part of a cell
+            const chord = shadow / Math.max(Math.abs(px), Math.abs(py)) * r;
+            const distance = (disc.radius - r - chord ** 2 / (24 * disc.radius)) / shadow;
             const part = Math.abs(distance) > 0.71 ? +(distance < 0) : beyond(distance, px / r, py / r);
             A[pixel * cells ** 2 + (j >> 1) * cells + (k >> 1)] += light * part;
             image[pixel] += light * part * picture[j * 2 * cells + k];
@@ -158,12 +161,13 @@ document.addEventListener("DOMContentLoaded", () => {
   const say = (name, answer, truth) => {
     part(name).value = `correlation with the letter ${LIVE.correlation(answer, truth).toFixed(2)}`;
   };
-  const disc = { x: 0, y: 0 };
+  const disc = { x: 0, y: 0 }, space = part("space"), turn = { across: -50, up: -15 };
   function show() {
     Object.assign(disc, { z: value("height") / 100, radius: value("radius") / 100 });
     const photons = 10 ** value("photons");
     const matt = LIVE.matt(disc, photons), glossy = LIVE.glossy(value("slope") / 1000, photons);
     draw("matt", matt.photograph);
+    draw("wall", matt.photograph);
     draw("shadows", matt.answer, [0, 1]);
     draw("glossy", glossy.photograph);
     draw("sharpened", glossy.answer, [0, 1]);
@@ -176,8 +180,28 @@ document.addEventListener("DOMContentLoaded", () => {
     circle.setAttribute("cx", 100 + 200 * disc.x);
     circle.setAttribute("cy", 100 - 200 * disc.y);
     circle.setAttribute("r", 200 * disc.radius);
+    for (const [name, number] of Object.entries(disc)) space.style.setProperty(`--${name}`, number);
   }
   page.querySelectorAll("input").forEach((input) => input.addEventListener("input", show));
+  // The room in 3-D is turned by its style sheet.
+  const turned = (across, up) => {
+    turn.across = Math.max(-85, Math.min(85, turn.across + across));
+    turn.up = Math.max(-85, Math.min(85, turn.up + up));
+    space.style.setProperty("--across", `${turn.across}deg`);
+    space.style.setProperty("--up", `${turn.up}deg`);
+  };
+  space.addEventListener("pointerdown", (event) => space.setPointerCapture(event.pointerId));
+  space.addEventListener("pointermove", (event) => {
+    if (space.hasPointerCapture(event.pointerId)) turned(event.movementX / 2, -event.movementY / 2);
+  });
+  const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+  const onArrows = (element, act) => element.addEventListener("keydown", (event) => {
+    if (!arrows[event.key]) return;
+    event.preventDefault();
+    act(...arrows[event.key]);
+  });
+  onArrows(space, (x, y) => turned(5 * x, 5 * y));
+  turned(0, 0);
   const board = part("board");
   const move = (event) => {
     const box = board.getBoundingClientRect();
@@ -191,12 +215,9 @@ document.addEventListener("DOMContentLoaded", () => {
     board.addEventListener("pointermove", move);
   });
   board.addEventListener("pointerup", () => board.removeEventListener("pointermove", move));
-  board.addEventListener("keydown", (event) => {
-    const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
-    if (!step) return;
-    event.preventDefault();
-    disc.x += 0.02 * step[0];
-    disc.y += 0.02 * step[1];
+  onArrows(board, (x, y) => {
+    disc.x += 0.02 * x;
+    disc.y += 0.02 * y;
     show();
   });
   show();

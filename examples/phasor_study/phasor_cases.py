@@ -86,17 +86,19 @@ def _rendered(key: Key, seed: int | None) -> transient.TransientCapture:
     end = longest + 4.0 * key["longest"] / math.sqrt(2.0)
     return transient.render(
         scenes.surfaces(key["scene"], key["material"], cell=key["cell"]),
-        laser_points=transient.wall_grid(scenes.SIDE, key["points"]),
-        sensor_points=np.zeros(3),
-        t_start=BEGIN,
-        delta_t=key["bin"],
-        n_bins=math.ceil((end - BEGIN) / key["bin"]),
+        transient.Scan(
+            laser_points=transient.wall_grid(scenes.SIDE, key["points"]),
+            sensor_points=np.zeros(3),
+            t_start=BEGIN,
+            delta_t=key["bin"],
+            n_bins=math.ceil((end - BEGIN) / key["bin"]),
+            wall_size=scenes.ROOM[:2],
+        ),
         min_bounces=3 if seed is None else 4,
         max_bounces=key["max_bounces"],
         tol=key["tol"],
         tol_multiple=1e-2,
         n_rays=key["n_rays"] or None,
-        wall_size=scenes.ROOM[:2],
         seed=seed or 0,
     )
 

@@ -41,9 +41,9 @@ def analyse_command(
 ) -> None:
     """Analyse the optics of a scene for one object point, by way of the wall's mirror-like part.
 
-    The output folder gets one page (analysis.png) with wave aberration, point spread, spot diagram,
-    MTF (contrast of fine stripes), encircled energy and quality through focus, and its numbers as
-    CSV files, with the Zernike coefficients (shape of the aberration).
+    The output folder, by default SCENE_analysis, gets one page (analysis.png) with wave aberration,
+    point spread, spot diagram, MTF (contrast of fine stripes), encircled energy and quality through
+    focus, and its numbers as CSV files, with the Zernike coefficients (shape of the aberration).
 
     Example: nlosoptics analyse design --out optics
     """

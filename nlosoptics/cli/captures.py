@@ -47,10 +47,10 @@ CaptureFile = Annotated[
     Path, typer.Argument(metavar="CAPTURE", help="Capture file: HDF5, .mat, .npy or .npz.")
 ]
 ArrayName = Annotated[
-    str, typer.Option(help="Name of the array with the counts in a file of another layout.")
+    str, typer.Option(help="Name of the array of counts, in a file whose layout is not recognised.")
 ]
 Axes = Annotated[
-    str, typer.Option(help="Order of its axes, such as y,x,t; -y is an axis that runs downward.")
+    str, typer.Option(help="Order of this array's axes, such as y,x,t; -y runs downward.")
 ]
 Side = Annotated[str, typer.Option(help="Side of the scanned wall in such a file, such as 0.7m.")]
 BinWidth = Annotated[
@@ -117,7 +117,8 @@ def transient_command(
     quantity: Annotated[
         str,
         typer.Option(
-            help="Quantity to store at each wall point: irradiance, radiance or radiosity."
+            help="Quantity to store at each wall point, per W of laser power: irradiance (1/m^2), "
+            "radiosity (light that leaves the wall, 1/m^2) or radiance (1/(m^2 sr))."
         ),
     ] = "irradiance",
     photons: Annotated[
@@ -194,7 +195,11 @@ def image_command(
     capture_file: CaptureFile,
     out: Out = None,
     method: Annotated[
-        str, typer.Option(help="Method: phasor, fk, lct or backprojection.")
+        str,
+        typer.Option(
+            help="phasor (phasor field), fk (f-k migration), lct (light-cone transform) or "
+            "backprojection."
+        ),
     ] = "phasor",
     camera: Annotated[
         str | None,
@@ -212,7 +217,7 @@ def image_command(
     ] = "",
     wl_sigma: Annotated[
         str,
-        typer.Option(help="Length (sigma) of phasor's virtual pulse; by default wl-mean/sqrt(2)."),
+        typer.Option(help="Length (sigma) of this pulse, such as 4cm; by default wl-mean/sqrt(2)."),
     ] = "",
     near: Annotated[
         str, typer.Option(help="Distance of the first image plane from the wall, such as 0.4m.")
@@ -227,7 +232,7 @@ def image_command(
         str,
         typer.Option(
             help="Use only wall points in a central square with this side, such as 1m; by default "
-            "all. For phasor."
+            "all. For phasor only."
         ),
     ] = "",
     array: ArrayName = "",
@@ -257,43 +262,22 @@ def image_command(
 
         check_target(folder)
         one_of("--method", method, ("phasor", "fk", "lct", "backprojection"))
-        for name, value in (
-            ("--camera", camera),
-            ("--wl-mean", wl_mean),
-            ("--wl-sigma", wl_sigma),
-            ("--aperture", aperture),
-        ):
-            if value and method != "phasor":
+        for name in ("camera", "wl_mean", "wl_sigma", "aperture"):
+            if (value := context.params[name]) and method != "phasor":
                 raise typer.BadParameter(
                     f"{value!r} is for --method phasor only; with {method}, leave it out",
-                    param_hint=name,
+                    param_hint=_option(name),
                 )
         drawn = can_draw()
-        lengths = {
-            name: _path(_option(name), text)
-            for name, text in (
-                ("wl_mean", wl_mean),
-                ("near", near),
-                ("far", far),
-                ("step", step),
-                ("wl_sigma", wl_sigma),
-                ("aperture", aperture),
-            )
-        }
+        picture, options = (
+            {name: _path(_option(name), context.params[name]) for name in names}
+            for names in (("wl_mean", "near", "far", "step"), ("wl_sigma", "aperture"))
+        )
         capture = _read(context.params)
-        picture = {name: lengths[name] for name in ("wl_mean", "near", "far", "step")}
-        options = {"camera": camera} | {name: lengths[name] for name in ("wl_sigma", "aperture")}
-        options = {name: value for name, value in options.items() if value is not None}
+        options = {n: v for n, v in ({"camera": camera} | options).items() if v is not None}
         with progress_bar(width=32) as progress, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the image's notes repeat the warnings
-            image, depths = _formed(
-                capture,
-                picture,
-                method,
-                seed,
-                progress,
-                **options,
-            )
+            image, depths = _formed(capture, picture, method, seed, progress, **options)
             progress("writing", 1.0)
             report = _report(image, capture, capture_file) | {"command_line": typed(context)}
             with whole_folder(folder) as new:
@@ -340,7 +324,8 @@ def _read(options: Mapping[str, Any]) -> TransientCapture:
     try:
         capture = transient.TransientCapture.load(
             options["capture_file"],
-            array=options["array"] or None,
+            array=options["array"]
+            or ("array" if options["capture_file"].suffix == ".npy" else None),
             axes=options["axes"],
             side=lengths["side"],
             delta_t=lengths["bin"],
@@ -350,8 +335,9 @@ def _read(options: Mapping[str, Any]) -> TransientCapture:
             outer_legs=options["outer_legs"],
         )
     except NlosError as error:  # which names the arguments of the call
-        names = r"\b(delta_t|t_start|laser_points|outer_legs)\b"
-        text = re.sub(names, lambda match: _option(match[0].replace("delta_t", "bin")), str(error))
+        names = r"\b(delta_t|t_start|laser_points|outer_legs|sensor_points)\b"
+        others = {"delta_t": "bin", "sensor_points": "side"}
+        text = re.sub(names, lambda found: _option(others.get(found[0], found[0])), str(error))
         raise type(error)(text) from None
     gate = lengths["gate_start"]
     return capture if gate is None else transient.gated(capture, start=gate)

@@ -45,9 +45,9 @@ def _figures(result: Result) -> Iterator[tuple[str, Any]]:
     if result.pupil_field is not None:
         yield "pupil_phase", views.wavefront(result.pupil_field)
     yield "image", views.image(result.image, object_scale=scale)
-    fit, truth, pitch = shown_fit(result)
+    fit, truth, options = shown_fit(result)
     if fit is not None:
-        yield "reconstruction", views.reconstruction(fit, truth, pitch=pitch)
+        yield "reconstruction", views.reconstruction(fit, truth, **options)
 
 
 def write_photograph(image: Any, kernel: Any, answer: Any, gamma: str, folder: Path) -> None:

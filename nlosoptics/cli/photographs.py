@@ -15,6 +15,7 @@ import typer
 
 from .._checks import lasting
 from .._whole_files import whole_folder
+from ..errors import SceneError
 from .shell import (
     DOES_NOT_FIT,
     Debug,
@@ -46,7 +47,8 @@ Full = Annotated[
 Channel = Annotated[
     str | None,
     typer.Option(
-        help="Channel of a picture in colour: red, green, blue, grey (their mean) or rgb (all)."
+        help="Channel to use of a picture in colour: red, green, blue, grey (their mean) or rgb "
+        "(all; the default of deblur)."
     ),
 ]
 Gamma = Annotated[
@@ -145,6 +147,7 @@ def deblur_command(
 ) -> None:
     """Sharpen a photograph whose blur is known, by total-variation deconvolution.
 
+    State the blur by one of --psf, --disc and --gaussian.
     Of all pictures whose blurred image agrees with the photograph, the result is the one with the
     fewest and weakest edges. Colours are sharpened one by one. The output folder gets the picture
     (object.png), its values (object.npz), an overview and result.json.
@@ -220,7 +223,9 @@ def _kernel(psf: Path | None, disc: float | None, gaussian: float | None) -> Any
     from ..imaging.camera_files import read_camera_file
 
     if sum(option is not None for option in (psf, disc, gaussian)) != 1:
-        raise typer.BadParameter("give the blur by one of --psf, --disc and --gaussian")
+        raise SceneError(
+            "the blur has no or several options; give one of --psf, --disc and --gaussian"
+        )
     if psf is not None:
         return read_camera_file(psf, "grey")[0]
     if disc is not None:

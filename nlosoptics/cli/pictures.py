@@ -56,7 +56,7 @@ def view_command(
     ] = 500,
     bounces: Annotated[
         int | None,
-        typer.Option(min=1, max=64, help="Draw only light paths with this number of reflections."),
+        typer.Option(min=1, max=64, help="Draw only paths of this many reflections; default: all."),
     ] = None,
     colour: Annotated[
         Colour,

@@ -95,8 +95,8 @@ Changes = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Change a value of the scene file: table and key, and the new value with its unit, "
-        "such as wall.radius=2m. May be repeated.",
+        help="Change a value of the scene file: table and key (nlosoptics schema lists all), and "
+        "the new value with its unit, such as wall.radius=2m. May be repeated.",
     ),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the Python traceback of an error.")]

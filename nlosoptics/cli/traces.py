@@ -94,9 +94,10 @@ def trace_command(
 
     The light takes any number of reflections between wall, object and room, without diffraction.
     Rooms that scatter light and walls on which rays cross (caustics) can be traced; waves cannot
-    model them. The output folder gets pictures (PNG), all pixels (image.npz) and result.json with
-    the power balance. With --wavelengths-nm, there are such files for each wavelength,
-    450nm_image.npz for example. An existing folder is replaced only if an earlier command wrote it.
+    model them. The output folder, by default SCENE_trace, gets pictures (PNG), all pixels
+    (image.npz) and result.json with the power balance. With --wavelengths-nm, there are such files
+    for each wavelength, 450nm_image.npz for example. An existing folder is replaced only if an
+    earlier command wrote it.
 
     Example: nlosoptics trace corner --size 64 --n-rays 100000
     """

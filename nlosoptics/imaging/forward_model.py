@@ -72,7 +72,7 @@ class ForwardModel(Noun):
 
     See Also
     --------
-    nlosoptics.inverse.TorchForwardModel : Image model in torch.
+    nlosoptics.inverse.SceneModel : Differentiable image of a scene, in torch.
     nlosoptics.psf.scene_point_spread : Wave and PSF of a scene.
     nlosoptics.psf.point_spread_field : PSFs over the hidden object.
 

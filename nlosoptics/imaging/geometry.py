@@ -8,6 +8,7 @@ hidden picture upright and mirror-reversed if the camera is upright.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from ..raytrace import intersect
 from ..scene import Camera, PlanarObject, Scene, SumWall, Wall
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -185,9 +187,14 @@ def picture_points(hidden: PlanarObject, column: Array, row: Array) -> Array:
 
 
 def area_average(picture: Array, column: Array, row: Array) -> Array:
-    """Average a picture of square texels over quadrilateral footprints.
+    """Average a picture of square texels over quadrilateral footprints, see `Footprints`."""
+    return Footprints((picture.shape[0], picture.shape[1]), column, row).average(picture)
 
-    Returns the mean over each footprint; zero if a corner is undefined.
+
+class Footprints:
+    """Quadrilateral footprints of pixels on a picture of ``shape`` (rows, columns) square texels.
+
+    ``column`` and ``row`` (ny + 1, nx + 1) are texel coordinates of the corners; NaN if undefined.
 
     By Green's theorem the integral over a footprint is the integral of F dy along its outline,
     where F(x, y) is the picture integrated along the row up to x. Between texel borders F is
@@ -195,37 +202,71 @@ def area_average(picture: Array, column: Array, row: Array) -> Array:
     share their outlines, so that no light is lost or counted twice. A footprint that is folded or
     has no area is sampled at its centre.
     """
-    ny, nx = column.shape[0] - 1, column.shape[1] - 1
-    result = np.zeros((ny, nx))
-    known = np.isfinite(column) & np.isfinite(row)
-    whole = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
-    touched = whole & _touches(column, picture.shape[1]) & _touches(row, picture.shape[0])
-    if not touched.any():
-        return result
-    i, j = np.nonzero(touched)
-    rows, columns = slice(i.min(), i.max() + 1), slice(j.min(), j.max() + 1)
-    rows_on, columns_on = slice(i.min(), i.max() + 2), slice(j.min(), j.max() + 2)
-    touched = touched[rows, columns]
-    x, y = (np.where(known, c, 0.0)[rows_on, columns_on] for c in (column, row))
-    summed = np.zeros((picture.shape[0], picture.shape[1] + 1))
-    np.cumsum(picture, axis=1, out=summed[:, 1:])
-    across = _outline_integral(summed, x[:, :-1], y[:, :-1], x[:, 1:], y[:, 1:])
-    upward = _outline_integral(summed, x[:-1], y[:-1], x[1:], y[1:])
-    light, area = (
-        across[k][:-1] + upward[k][:, 1:] - across[k][1:] - upward[k][:, :-1] for k in (0, 1)
-    )
-    turned = _turn(x, y)
-    sound = touched & ((turned > 0).all(axis=0) | (turned < 0).all(axis=0))
-    average = np.zeros(touched.shape)
-    np.divide(light, area, out=average, where=sound)
-    folded = touched & ~sound
-    if folded.any():
+
+    def __init__(self, shape: tuple[int, int], column: Array, row: Array) -> None:
+        self.shape, self._pixels = shape, (column.shape[0] - 1, column.shape[1] - 1)
+        known = np.isfinite(column) & np.isfinite(row)
+        whole = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
+        touched = whole & _touches(column, shape[1]) & _touches(row, shape[0])
+        i, j = np.nonzero(touched)
+        if not i.size:
+            i = j = np.zeros(1, dtype=np.intp)
+        self._window = slice(i.min(), i.max() + 1), slice(j.min(), j.max() + 1)
+        corners = slice(i.min(), i.max() + 2), slice(j.min(), j.max() + 2)
+        touched = touched[self._window]
+        x, y = (np.where(known, c, 0.0)[corners] for c in (column, row))
+        self._across = x[:, :-1], y[:, :-1], x[:, 1:], y[:, 1:]
+        self._upward = x[:-1], y[:-1], x[1:], y[1:]
+        turned = _turn(x, y)
+        self._sound = touched & ((turned > 0).all(axis=0) | (turned < 0).all(axis=0))
+        self._folded = touched & ~self._sound
         middle = [c[:-1, :-1] + c[1:, :-1] + c[:-1, 1:] + c[1:, 1:] for c in (x, y)]
-        u, v = (np.floor(c[folded] / 4).astype(np.intp) for c in middle)
-        within = (u >= 0) & (u < picture.shape[1]) & (v >= 0) & (v < picture.shape[0])
-        average[folded] = np.where(within, picture[v * within, u * within], 0.0)
-    result[rows, columns] = average
-    return result
+        u, v = (np.floor(c[self._folded] / 4).astype(np.intp) for c in middle)
+        within = (u >= 0) & (u < shape[1]) & (v >= 0) & (v < shape[0])
+        self._centres = v * within, u * within, within
+        # of the trapezia between each segment and x = 0
+        across, upward = (
+            (x0 + (x1 - x0) / 2) * (y1 - y0) for x0, y0, x1, y1 in (self._across, self._upward)
+        )
+        self._area = across[:-1] + upward[:, 1:] - across[1:] - upward[:, :-1]
+
+    def average(self, picture: Array) -> Array:
+        """Return the mean of a picture over each footprint, (ny, nx); 0 if it is undefined."""
+        result = np.zeros(self._pixels)
+        if not (self._sound.any() or self._folded.any()):
+            return result
+        summed = np.zeros((self.shape[0], self.shape[1] + 1))
+        np.cumsum(picture, axis=1, out=summed[:, 1:])
+        across, upward = (
+            _outline_integral(summed, *segments) for segments in (self._across, self._upward)
+        )
+        light = across[:-1] + upward[:, 1:] - across[1:] - upward[:, :-1]
+        average = np.zeros(light.shape)
+        np.divide(light, self._area, out=average, where=self._sound)
+        rows, columns, within = self._centres
+        average[self._folded] = np.where(within, picture[rows, columns], 0.0)
+        result[self._window] = average
+        return result
+
+    def adjoint(self, values: Array) -> Array:
+        """Return the adjoint of `average`: values of the texels from values (ny, nx) of pixels."""
+        values = values[self._window]
+        share = np.zeros(values.shape)
+        np.divide(values, self._area, out=share, where=self._sound)
+        across = np.pad(share, ((0, 1), (0, 0))) - np.pad(share, ((1, 0), (0, 0)))
+        upward = np.pad(share, ((0, 0), (1, 0))) - np.pad(share, ((0, 0), (0, 1)))
+        summed = np.zeros((self.shape[0], self.shape[1] + 1))
+        for light, segments in ((across, self._across), (upward, self._upward)):
+            for part, rise, (i, j), right, weight in _outline_parts(self.shape, *segments):
+                weight *= (light.ravel()[part] * rise)[:, None]
+                for column, factor in ((j, 1.0 - right), (j + 1, right)):
+                    at = (i * summed.shape[1] + column).ravel()
+                    total = np.bincount(at, (factor * weight).ravel(), summed.size)
+                    summed += total.reshape(summed.shape)
+        result = np.ascontiguousarray(summed[:, :0:-1].cumsum(axis=1)[:, ::-1])
+        rows, columns, within = self._centres
+        np.add.at(result, (rows, columns), within * values[self._folded])
+        return result
 
 
 def _touches(c: Array, count: int) -> NDArray[np.bool_]:
@@ -250,19 +291,31 @@ def _turn(x: Array, y: Array) -> Array:
     return np.stack(corners)
 
 
-def _outline_integral(
-    summed: Array, x0: Array, y0: Array, x1: Array, y1: Array
-) -> tuple[Array, Array]:
-    """Return the integrals of F dy and x dy along straight segments.
+def _outline_integral(summed: Array, x0: Array, y0: Array, x1: Array, y1: Array) -> Array:
+    """Return the integrals of F dy along straight segments, in their shape.
 
     ``summed`` is the picture summed along its rows, from which F(x, y) follows. The segments go
-    from (x0, y0) to (x1, y1), in texels. Results have their shape.
+    from (x0, y0) to (x1, y1), in texels.
     """
-    rows, columns = summed.shape[0], summed.shape[1] - 1
-    shape = x0.shape
+    total = np.zeros(x0.size)
+    texels = summed.shape[0], summed.shape[1] - 1
+    for part, rise, (i, j), right, weight in _outline_parts(texels, x0, y0, x1, y1):
+        low = summed[i, j]
+        total[part] = ((low + right * (summed[i, j + 1] - low)) * weight).sum(axis=1) * rise
+    return total.reshape(x0.shape)
+
+
+def _outline_parts(
+    shape: tuple[int, int], x0: Array, y0: Array, x1: Array, y1: Array
+) -> Iterator[tuple[Index, Array, tuple[Index, Index], Array, Array]]:
+    """Yield segments, their dy, and where the integrals along them sample the summed picture.
+
+    F is interpolated between the columns j and j + 1 of row i, with the share of the right one.
+    Weights are parts of the segment, 0 outside the picture.
+    """
+    rows, columns = shape
     x0, y0, dx, dy = (a.ravel() for a in (x0, y0, x1 - x0, y1 - y0))
     counts = _crossings(x0, dx, columns)[1] + _crossings(y0, dy, rows)[1]
-    total = np.zeros(x0.size)
     order = np.argsort(-counts, kind="stable")  # group segments with similar numbers of cuts
     start = 0
     while start < order.size:
@@ -275,11 +328,8 @@ def _outline_integral(
         inside = (v > 0.0) & (v < rows)
         i = np.where(inside, v, 0.0).astype(np.intp)
         j = np.minimum(u.astype(np.intp), columns - 1)
-        low = summed[i, j]
-        value = np.where(inside, low + (u - j) * (summed[i, j + 1] - low), 0.0)
-        total[part] = (value * step).sum(axis=1) * dy[part]
+        yield part, dy[part], (i, j), u - j, np.where(inside, step, 0.0)
         start = stop
-    return total.reshape(shape), ((x0 + dx / 2) * dy).reshape(shape)
 
 
 def _crossings(start: Array, change: Array, count: int) -> tuple[Array, NDArray[np.intp]]:

@@ -33,7 +33,7 @@ from .geometry import (
     pixel_edges,
     wall_visibility,
 )
-from .objects import mesh_hits
+from .objects import Patches, mesh_hits, plate
 from .radiometry import (
     LaserSpot,
     ambient_radiance,
@@ -213,10 +213,10 @@ def light_levels(
     )
 
 
-def mirror_image(scene: Scene) -> tuple[ChiefRays, Array]:
+def mirror_image(scene: Scene, shadows: Shadows | None = None) -> tuple[ChiefRays, Array]:
     """Return the chief rays, and the electrons (ny, nx) of mirror-like light without blur."""
     spot, rays, visible, gain = _view(scene, scene.camera.exposure)
-    shadows = _shadows(scene, None)
+    shadows = _shadows(scene, shadows)
     ideal = gain * _mirrored_radiance(scene, spot, rays, visible > 0)
     return rays, ideal if shadows is None else ideal * shadows.image
 
@@ -411,6 +411,17 @@ def diffuse_background(
     if shadows is not None:
         diffuse *= shadows.view * shadows.veil
     return np.asarray(diffuse)
+
+
+def point_background(scene: Scene, points: Array, area: float) -> Array:
+    """Return electrons (n, ny, nx) of diffuse light from white pieces of the picture's plane.
+
+    They are at ``points`` (n, 3), m, and each has the ``area``, m^2. Occluders are left out.
+    """
+    spot, rays, visible, gain = _view(scene, scene.camera.exposure)
+    normal, seen = plate(scene)[1][2][None], visible > 0
+    pieces = [Patches(points=p[None], normals=normal, areas=np.array([area])) for p in points]
+    return np.stack([gain * background_radiance(scene, spot, p, rays, seen) for p in pieces])
 
 
 def room_light(scene: Scene, exposure: float | None = None) -> Array | float:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from .._photons import photon_rate
 from .._vectors import dot
 from ..errors import SceneError
-from ..kernels.codes import BECKMANN, GGX, LAMBERT
+from ..kernels.codes import BECKMANN, GGX, LAMBERT, RETROREFLECTOR
 from ..psf.pupil.exit_pupil import working_f_number
 from ..raytrace import intersect, occluded
 from ..raytrace.intersection.meshes import worker_pool
@@ -268,7 +268,7 @@ def background_radiance(
     x, y = x[window[1]], y[window[0]]
     heights = rays.points[window][..., 2]
     heights = np.where(inside, heights, heights[inside].mean())
-    axes = [_Chebyshev(y, NODES), _Chebyshev(x, NODES), _Chebyshev(heights, NODES_HEIGHT)]
+    axes = [Chebyshev(y, NODES), Chebyshev(x, NODES), Chebyshev(heights, NODES_HEIGHT)]
     node_y, node_x, node_height = np.meshgrid(*(a.nodes for a in axes), indexing="ij")
     shape = node_y.shape
     nodes = Nodes(scene, node_x.ravel(), node_y.ravel(), node_height.ravel())
@@ -394,7 +394,7 @@ def _groups(patches: Patches, diffuse: Material) -> NDArray[np.intp]:
     else:
         # a glossy lobe varies over angles of half its slope
         glossy = diffuse.lobe_table()
-        slopes = glossy[glossy[:, 0] >= BECKMANN, 2]
+        slopes = glossy[glossy[:, 0] >= RETROREFLECTOR, 2]
         cell *= min(1.0, 0.5 * float(slopes.min(initial=1.0)))
     cells = np.floor((patches.points - patches.points.min(axis=0)) / cell).astype(np.intp)
     return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel(), dtype=np.intp)
@@ -418,7 +418,7 @@ def _grouped_flux(
     return flux
 
 
-class _Chebyshev:
+class Chebyshev:
     """Chebyshev interpolation over the range of given values; one node if they are all equal."""
 
     def __init__(self, values: Array, count: int) -> None:

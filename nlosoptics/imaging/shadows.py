@@ -130,7 +130,11 @@ def cast_shadows(scene: Scene) -> Shadows:
 
     The laser spot is treated as a point, and its image is dimmed uniformly.
     """
-    scene = expect("scene", scene, "Scene")
+    return shadows_of(expect("scene", scene, "Scene"))
+
+
+def shadows_of(scene: Scene, *, exact: bool = False) -> Shadows:
+    """Return the result of `cast_shadows`; if ``exact``, no pixel of the veil is interpolated."""
     ny, nx = scene.camera.shape
     fits_memory(
         f"the shadows of {nx} x {ny} pixels (camera.pixels, camera.binning)",
@@ -154,7 +158,7 @@ def cast_shadows(scene: Scene) -> Shadows:
     return Shadows(
         image=image,
         view=view,
-        veil=_veil_share(scene, mesh, rays, seen),
+        veil=_veil_share(scene, mesh, rays, seen, exact),
         spot=1.0 if spot is None else 1.0 - float(occluded(mesh, spot.point, lens).mean()),
     )
 
@@ -237,10 +241,13 @@ def _object_points(scene: Scene, rays: ChiefRays, use: Mask) -> tuple[Array, Mas
     return picture_points(hidden, column[hit], row[hit]), hit
 
 
-def _veil_share(scene: Scene, mesh: trimesh.Trimesh, rays: ChiefRays, seen: Mask) -> Array:
+def _veil_share(
+    scene: Scene, mesh: trimesh.Trimesh, rays: ChiefRays, seen: Mask, exact: bool = False
+) -> Array:
     """Return the unblocked fraction (ny, nx) of diffuse light from the object to the wall.
 
-    ``rays`` are those of the pixel centres, and ``seen`` marks pixels that look at the wall.
+    ``rays`` are those of the pixel centres, and ``seen`` marks pixels that look at the wall. If
+    ``exact``, no pixel is interpolated.
     """
     diffuse, hidden = scene.wall_material.diffuse, scene.hidden
     if diffuse is None or not seen.any():
@@ -278,6 +285,8 @@ def _veil_share(scene: Scene, mesh: trimesh.Trimesh, rays: ChiefRays, seen: Mask
                 result[used] = _ratio(free.sum(axis=-1), light.sum(axis=-1))
             return result
 
+    if exact:
+        return share(*np.indices(seen.shape).reshape(2, -1)).reshape(seen.shape)
     # the hard shadow of the object's centre shows where narrow occluders are
     shadow = np.zeros(seen.shape, dtype=bool)
     shadow[seen] = occluded(mesh, rays.points[seen], scene.object_point)

@@ -25,7 +25,7 @@ from .._checks import (
 from .._nouns import Noun
 from .._random import generator
 from ..errors import SamplingError
-from ..kernels.codes import BECKMANN, LAMBERT
+from ..kernels.codes import LAMBERT, RETROREFLECTOR
 from ..raytrace import occluded
 from ..scene import Material, Occluder, Scene
 from .geometry import chief_rays
@@ -474,7 +474,7 @@ class WallTransport(Noun):
         tables = [self._wall_lobes]
         if self.source == "laser":
             tables.append(self.scene.hidden.material.lobe_table())
-        slopes = [row[2] for table in tables for row in table if row[0] >= BECKMANN]
+        slopes = [row[2] for table in tables for row in table if row[0] >= RETROREFLECTOR]
         step = nearest * min(1.0 / FINE, *(slope / 2 for slope in slopes), 1.0)
         parts = []
         for count, side in zip(self.cells, size[::-1], strict=True):

@@ -2,7 +2,6 @@ from .blind.evidence import evidence_fit as evidence_fit
 from .blind.evidence import pcin as pcin
 from .burst.burst_fit import burst_fit as burst_fit
 from .data.driver import Stop as Stop
-from .data.forward import TorchForwardModel as TorchForwardModel
 from .data.measurement import Measurement as Measurement
 from .data.noise import estimate_noise as estimate_noise
 from .data.reconstruction import Reconstruction as Reconstruction
@@ -18,3 +17,4 @@ from .published.wu2024 import wu2024_fit as wu2024_fit
 from .shadows.occluder_fit import occluder_fit as occluder_fit
 from .shadows.shadow_fit import shadow_fit as shadow_fit
 from .wave.pupil_psf import PupilPSF as PupilPSF
+from .wave.scene_model import SceneModel as SceneModel

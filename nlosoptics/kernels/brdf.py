@@ -16,6 +16,7 @@ from .codes import (
     GGX,
     LAMBERT,
     OREN_NAYAR_FULL,
+    RETROREFLECTOR,
     WARD_1992,
     WARD_BOUNDED,
     WARD_DUER,
@@ -144,11 +145,27 @@ def ward(mu_i, mu_o, cos_between, albedo, alpha, kind):
 
 
 @njit(cache=True)
+def retroreflected(cos_between, angle):
+    """Return the von Mises-Fisher density about the incident direction, 1/sr."""
+    sharp = 1.0 / (angle * angle)
+    return sharp * math.exp(sharp * (cos_between - 1.0)) / (-2.0 * math.pi * math.expm1(-2 * sharp))
+
+
+@njit(cache=True)
+def retroreflector(mu_i, mu_o, cos_between, albedo, angle):
+    """Return the retroreflecting lobe f_r, 1/sr; no incident direction gains energy."""
+    if mu_i < 0.0 or mu_o < 0.0:
+        return 0.0
+    return 2.0 * albedo * retroreflected(cos_between, angle) / max(mu_i + mu_o, TINY)
+
+
+@njit(cache=True)
 def lobe(lobes, j, mu_i, mu_o, cos_between):
     """Return f_r of lobe ``j``, 1/sr.
 
-    Columns of ``lobes`` (n, 7): kind, strength, slope rms (alpha for Ward), constant factor, the
-    strength by which samples choose a lobe, and refractive index n and k, 0 if unknown.
+    Columns of ``lobes`` (n, 7): kind, strength, slope rms (alpha for Ward, angle for
+    retroreflectors), constant factor, the strength by which samples choose a lobe, and refractive
+    index n and k, 0 if unknown (size, m, and 0 for retroreflectors).
     """
     kind, strength, slope, factor = int(lobes[j, 0]), lobes[j, 1], lobes[j, 2], lobes[j, 3]
     if kind == LAMBERT:
@@ -157,6 +174,8 @@ def lobe(lobes, j, mu_i, mu_o, cos_between):
         f = microfacet(mu_i, mu_o, cos_between, strength, slope, kind == GGX)
     elif kind >= WARD_1992:
         f = ward(mu_i, mu_o, cos_between, strength, slope, kind)
+    elif kind == RETROREFLECTOR:
+        f = retroreflector(mu_i, mu_o, cos_between, strength, slope)
     else:
         f = oren_nayar(mu_i, mu_o, cos_between, strength, slope, kind == OREN_NAYAR_FULL)
     return factor * f
@@ -186,6 +205,8 @@ def evaluate(lobes: Any, mu_i: Any, mu_o: Any, cos_between: Any, out: Any) -> No
             )
         elif kind >= WARD_1992:
             _add_ward(mu_i, mu_o, cos_between, strength, slope, int(kind), factor, out)
+        elif kind == RETROREFLECTOR:
+            _add_retroreflector(mu_i, mu_o, cos_between, strength, slope, factor, out)
         else:
             full = bool(kind == OREN_NAYAR_FULL)
             _add_oren_nayar(mu_i, mu_o, cos_between, strength, slope, full, factor, out)
@@ -203,6 +224,13 @@ def _add_ward(mu_i, mu_o, cos_between, albedo, alpha, kind, factor, out):
     """Add a Ward lobe times a factor to ``out`` (m,)."""
     for i in range(out.size):
         out[i] += factor * ward(mu_i[i], mu_o[i], cos_between[i], albedo, alpha, kind)
+
+
+@njit(cache=True, nogil=True)
+def _add_retroreflector(mu_i, mu_o, cos_between, albedo, angle, factor, out):
+    """Add a retroreflecting lobe times a factor to ``out`` (m,)."""
+    for i in range(out.size):
+        out[i] += factor * retroreflector(mu_i[i], mu_o[i], cos_between[i], albedo, angle)
 
 
 @njit(cache=True, nogil=True)
@@ -227,6 +255,8 @@ def lobe_pdf(lobes, j, mu_i, mu_o, cos_between):
     kind, slope = int(lobes[j, 0]), lobes[j, 2]
     if mu_i < 0.0 or is_mirror(lobes, j):
         return 0.0
+    if kind == RETROREFLECTOR:
+        return retroreflected(cos_between, slope)
     if kind < BECKMANN:
         return max(0.0, mu_o) / math.pi
     cos_sq = _half_cos_sq(mu_i, mu_o, cos_between)
@@ -306,6 +336,23 @@ def _cosine_weighted(u, v):
 
 
 @njit(cache=True)
+def _about_incident(ix, iy, iz, angle, u, v):
+    """Draw a direction of density `retroreflected` about the incident direction."""
+    sharp = 1.0 / (angle * angle)
+    drop = -math.log1p(u * math.expm1(-2.0 * sharp)) / sharp  # 1 - cos(angle between)
+    radius, turn = math.sqrt(drop * (2.0 - drop)), 2.0 * math.pi * v
+    a, b, c = radius * math.cos(turn), radius * math.sin(turn), 1.0 - drop
+    # tangents of Duff et al., J. Comput. Graph. Tech. 6(1), 2017, for iz >= 0
+    p = -1.0 / (1.0 + iz)
+    q = ix * iy * p
+    return (
+        a * (1.0 + ix * ix * p) + b * q + c * ix,
+        a * q + b * (1.0 + iy * iy * p) + c * iy,
+        -a * ix - b * iy + c * iz,
+    )
+
+
+@njit(cache=True)
 def sample_lobe(lobes, j, ix, iy, iz, u, v):
     """Draw an exitant direction (x, y, z) from lobe ``j``; return it and its weight f cos/pdf.
 
@@ -314,6 +361,9 @@ def sample_lobe(lobes, j, ix, iy, iz, u, v):
     kind, strength = int(lobes[j, 0]), lobes[j, 1] * lobes[j, 3]
     if iz < 0.0:
         return 0.0, 0.0, 1.0, 0.0
+    if kind == RETROREFLECTOR:
+        x, y, z = _about_incident(ix, iy, iz, lobes[j, 2], u, v)
+        return x, y, z, 2.0 * strength * z / (iz + z) if z > 0.0 else 0.0
     if kind < BECKMANN:
         x, y, z = _cosine_weighted(u, v)
         f = lobe(lobes, j, iz, z, ix * x + iy * y + iz * z)

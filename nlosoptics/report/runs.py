@@ -227,8 +227,8 @@ def _fit(result: Any, figures: dict[str, Any]) -> Iterator[Html]:
     from .. import views
     from ..views.run_overview import shown_fit
 
-    fit, truth, pitch = shown_fit(result)
-    yield from _card(fit, lambda fit: views.reconstruction(fit, truth, pitch=pitch))
+    fit, truth, options = shown_fit(result)
+    yield from _card(fit, lambda fit: views.reconstruction(fit, truth, **options))
     yield _outcome(figures)
 
 
@@ -279,7 +279,8 @@ def _reconstruction(folder: Path, figures: dict[str, Any]) -> Iterator[Html]:
             object=values, status=figures.get("reconstruction_status", "unfinished")
         )
         alt = "Reconstructed object."
-        yield plot(figure_file(views.reconstruction(fit)), "Reconstruction", alt)
+        axes = views.reconstruction(fit, mirrored=figures.get("method") != "shadows")
+        yield plot(figure_file(axes), "Reconstruction", alt)
     elif preview.exists():
         yield plot(preview.read_bytes(), "Last saved state", "Object so far.")
     yield _outcome(figures)

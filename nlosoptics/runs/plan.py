@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import shutil
+import textwrap
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -43,7 +46,7 @@ from .stages import (
 __all__ = ["FIELD", "Plan", "Stage", "looked_at", "plan"]
 
 MOST_SECONDS = 900.0  # default of max_seconds, s
-HELD = 6e7  # bytes of the modules that a run imports
+HELD = 1.3e8  # bytes of modules and compiled kernels that a run loads
 PIXELS = "read fewer pixels or bin more (camera.pixels, camera.binning)"
 LARGER = "use a larger tol, wider pixels or a smaller stop"
 
@@ -115,24 +118,30 @@ class Plan:
         return any(stage.name == name for stage in self.stages)
 
     def __str__(self) -> str:
-        """Return a table of all stages as text."""
-        rows = [("stage", "", "seconds", "error", "why")]
-        for s in self.stages:
-            rows.append((s.name, "runs", f"{s.seconds:.2f}", s.error, s.reason))
-        for s in self.skipped:
-            rows.append((s.name, "skipped", "", "", s.reason))
-        widths = [*(max(len(row[i]) for row in rows) for i in range(4)), 0]
-        lines = ("  ".join(map(str.ljust, row, widths)) for row in rows)
-        return "\n".join(line.rstrip() for line in lines)
+        """Return a table of all stages as text, wrapped to the width of a terminal."""
+        rows = [("stage", "seconds", "error", "why"), *self._rows]
+        wide = shutil.get_terminal_size((10_000, 24)).columns  # files keep their lines
+        widths = [max(len(row[i]) for row in rows) for i in range(4)]
+        widths[2] = min(widths[2], max(16, wide // 4))
+        widths[3] = min(widths[3], max(24, wide - sum(widths[:3]) - 6))
+        lines = []
+        for row in rows:
+            cells = [textwrap.wrap(*cell) for cell in zip(row, widths, strict=True)]
+            for parts in itertools.zip_longest(*cells, fillvalue=""):
+                lines.append("  ".join(map(str.ljust, parts, widths)).rstrip())
+        return "\n".join(lines)
+
+    @property
+    def _rows(self) -> list[tuple[str, str, str, str]]:
+        runs = [(s.name, f"{s.seconds:.2f}", s.error, s.reason) for s in self.stages]
+        return [*runs, *((s.name, "skipped", "", s.reason) for s in self.skipped)]
 
     def _repr_html_(self) -> str:
         """Return a table of all stages as HTML."""
-        runs = [(s.name, f"{s.seconds:.2f}", s.error, s.reason) for s in self.stages]
-        skipped = [(s.name, "skipped", "", s.reason) for s in self.skipped]
         return table(
             f"Plan: {lasting(self.seconds)} predicted, to {self.tol:g} of the peak",
             [Column(head) for head in ("stage", "seconds", "error", "why")],
-            [*runs, *skipped],
+            self._rows,
             styled=True,
         )
 

@@ -5,7 +5,15 @@ from .parts.camera import Camera
 from .parts.hidden import MeshObject, PlanarObject
 from .parts.laser import Laser
 from .parts.library import material_library, named_material
-from .parts.materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
+from .parts.materials import (
+    Lambert,
+    Material,
+    OrenNayar,
+    Retroreflector,
+    SpecularMicrofacet,
+    SumMaterial,
+    Ward,
+)
 from .parts.occluders import Occluder
 from .parts.spectrum import Spectrum
 from .parts.transient_scan import TransientScan
@@ -34,6 +42,7 @@ __all__ = [
     "Occluder",
     "OrenNayar",
     "PlanarObject",
+    "Retroreflector",
     "Scene",
     "Spectrum",
     "SpecularMicrofacet",

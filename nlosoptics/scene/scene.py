@@ -17,6 +17,7 @@ from .._checks import counted, in_range, path_of
 from .._html import Figures, Shown
 from .._nouns import Noun
 from ..errors import SceneError
+from ..kernels.codes import RETROREFLECTOR
 from .parts._material import MirrorLobe
 from .parts._sources import bare_mesh
 from .parts.burst import Burst
@@ -132,6 +133,11 @@ class Scene(Noun, Shown):
             if not isinstance(value, allowed):
                 wanted = " or ".join(kind.__name__ for kind in allowed if kind is not NoneType)
                 raise SceneError(f"scene.{name} is a {type(value).__name__}; give a {wanted}")
+        if (self.wall_material.lobe_table()[:, 0] == RETROREFLECTOR).any():
+            raise SceneError(
+                "wall.material is a retroreflector, which a relay wall must not be, because it "
+                "returns light to the laser; give it to the hidden object, or a Lambert to the wall"
+            )
         ambient = in_range("ambient.irradiance", self.ambient_irradiance, 0.0, 1e18, unit="W/m^2")
         object.__setattr__(self, "ambient_irradiance", ambient)
         object.__setattr__(self, "occluders", checked_occluders(self.occluders))

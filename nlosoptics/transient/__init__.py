@@ -18,11 +18,13 @@ from .imaging.light_cone_transform import lct
 from .imaging.phasor_camera import phasor_image
 from .imaging.volume import PhasorImage, Volume, VolumeImage
 from .rendering.render import render
+from .rendering.scan import Scan
 from .rendering.scene import render_scene
 
 __all__ = [
     "Detector",
     "PhasorImage",
+    "Scan",
     "TransientCapture",
     "Volume",
     "VolumeImage",

@@ -25,16 +25,15 @@ def light_of_a_patch() -> tuple[float, float]:
     """Light of a small patch, relative, in its bin: z^4/(pi^2 r1^4 r2^4)."""
     side, at = 1e-3, (0.4, 0.2, 0.8)
     laser, sensor = np.array([0.1, -0.2, 0.0]), np.array([0.3, 0.4, 0.0])
-    capture = transient.render(
-        [(_plate(side, at), Lambert(0.7))],
+    scan = transient.Scan(
         laser_points=laser,
         sensor_points=sensor,
         wall_albedo=0.5,
-        max_bounces=3,
         t_start=0.5,
         delta_t=0.1,
         n_bins=30,
     )
+    capture = transient.render([(_plate(side, at), Lambert(0.7))], scan, max_bounces=3)
     r1, r2 = (np.linalg.norm(p - at) for p in (laser, sensor))
     expected = np.zeros(30)
     expected[int((r1 + r2 - 0.5) / 0.1)] = 0.35 * side**2 * 0.8**4 / (np.pi**2 * r1**4 * r2**4)
@@ -43,17 +42,10 @@ def light_of_a_patch() -> tuple[float, float]:
 
 def light_of_a_plane() -> tuple[float, float]:
     """Light of a wide plane over time, relative: [(2z/t0)^6 - (2z/t1)^6]/(3 pi z^2)."""
-    z = 0.8
-    capture = transient.render(
-        [(_plate(60.0, (0.0, 0.0, z)), Lambert(1.0))],
-        laser_points=(0.2, 0.1, 0.0),
-        sensor_points=(0.2, 0.1, 0.0),
-        max_bounces=3,
-        t_start=1.5,
-        delta_t=0.05,
-        n_bins=50,
-        tol=1e-5,
-    )
+    z, at = 0.8, (0.2, 0.1, 0.0)
+    scan = transient.Scan(laser_points=at, sensor_points=at, t_start=1.5, delta_t=0.05, n_bins=50)
+    plane = _plate(60.0, (0.0, 0.0, z))
+    capture = transient.render([(plane, Lambert(1.0))], scan, max_bounces=3, tol=1e-5)
     t = np.maximum(capture.edges, 2 * z)
     expected = ((2 * z / t[:-1]) ** 6 - (2 * z / t[1:]) ** 6) / (3 * math.pi * z**2)
     return abs(capture.H.ravel() - expected).sum() / expected.sum(), 2e-5

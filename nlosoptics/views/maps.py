@@ -353,6 +353,7 @@ def reconstruction(
     truth: ArrayLike | None = None,
     *,
     pitch: float | None = None,
+    mirrored: bool = True,
     axes: Sequence[Axes] | None = None,
 ) -> tuple[Axes, ...]:
     """Draw a reconstruction, next to the ground truth if that is known.
@@ -367,6 +368,9 @@ def reconstruction(
     pitch : float, optional
         Side of a pixel on the hidden object, m. The axes are then in metres about the middle of the
         image. None: the axes count pixels.
+    mirrored : bool
+        Whether the columns of the reconstruction are those of an image mirrored by the wall. False
+        for the answers of `nlosoptics.inverse.shadow_fit` and for photographs without a wall.
     axes : sequence of matplotlib Axes, optional
         Axes to draw on: one, or two with a truth. A new figure by default.
 
@@ -405,14 +409,14 @@ def reconstruction(
         ny, nx = picture.shape
         if pitch is None:
             drawn = where.imshow(picture, cmap="gray", interpolation="nearest")
-            where.invert_xaxis()
+            if mirrored:
+                where.invert_xaxis()
             where.set(xlabel="column (pixels)", ylabel="row (pixels)")
         else:
             right, top = nx / 2 * pitch, ny / 2 * pitch
             extent = (-right, right, -top, top)
-            drawn = where.imshow(
-                picture[:, ::-1], cmap="gray", extent=extent, interpolation="nearest"
-            )
+            upright = picture[:, ::-1] if mirrored else picture
+            drawn = where.imshow(upright, cmap="gray", extent=extent, interpolation="nearest")
             where.set(xlabel="right (m on the object)", ylabel="up (m on the object)")
         relative = np.isclose(picture.max(), 1.0)
         colour_bar(where, drawn, "relative brightness" if relative else "object units")

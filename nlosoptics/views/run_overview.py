@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +55,7 @@ def overview(result: Result) -> tuple[Axes, ...]:
     result = expect("result", result, "Result")
     from ..limits import object_scale  # loads scipy; views alone is light
 
-    fit, truth, pitch = shown_fit(result)
+    fit, truth, options = shown_fit(result)
     waves = 0 if result.point_spread is None else 2
     count = waves + (2 if fit is None else 3 if truth is None else 4)
     axes = new_axes(count, width=16.5 if waves else 11.0, height=9.6, columns=3 if waves else 2)
@@ -71,14 +70,14 @@ def overview(result: Result) -> tuple[Axes, ...]:
         at.set_title(f"camera image, 1 of {len(result.burst)}")
     if fit is not None:
         # the truth comes first in `reconstruction`, and is drawn on the right here
-        reconstruction(fit, truth, pitch=pitch, axes=axes[: 1 + waves : -1])
+        reconstruction(fit, truth, **options, axes=axes[: 1 + waves : -1])
     return axes
 
 
 def shown_fit(
     result: Result,
-) -> tuple[Reconstruction | None, NDArray[np.float64] | None, float]:
-    """Return the reconstruction and the true object as images of the camera, and a pixel's side, m.
+) -> tuple[Reconstruction | None, NDArray[np.float64] | None, dict[str, Any]]:
+    """Return the reconstruction, the true object and the options with which both are drawn.
 
     An object from shadows is on cells of its plane, which the wall has not mirrored.
     """
@@ -90,7 +89,5 @@ def shown_fit(
     if truth is not None:
         truth = truth / float(truth.max())
     if result.point_spread is not None or fit is None:
-        return fit, truth, object_scale(result.scene) * result.image.pitch
-    turned = np.ascontiguousarray(np.asarray(fit.object)[:, ::-1])
-    pitch = plate(result.scene)[2][0] / turned.shape[1]
-    return replace(fit, object=turned), None if truth is None else truth[:, ::-1], pitch
+        return fit, truth, {"pitch": object_scale(result.scene) * result.image.pitch}
+    return fit, truth, {"pitch": plate(result.scene)[2][0] / fit.object.shape[1], "mirrored": False}

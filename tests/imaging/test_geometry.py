@@ -9,6 +9,7 @@ import pytest
 from scipy import optimize
 
 from nlosoptics.imaging.geometry import (
+    Footprints,
     area_average,
     chief_rays,
     picture_coordinates,
@@ -228,3 +229,15 @@ def test_wall_edge_fades_like_the_footprint_of_the_lens(flat_scene):
         share = (abs(wall_x) < 0.08).mean()
         # grid of 400 over the lens, and the footprint taken as affine: (stop/distance)^2
         assert visible[i, j] == pytest.approx(share, abs=3e-3)
+
+
+def test_adjoint_of_footprints_is_their_transpose():
+    random = np.random.default_rng(0)
+    row, column = np.meshgrid(np.linspace(-3, 12, 9), np.linspace(2, 17, 8), indexing="ij")
+    bent = (column + random.uniform(-0.6, 0.6, row.shape), row + 0.3 * column)
+    bent[0][3, 3] += 5.0  # folds its footprints
+    bent[1][0, 0] = np.nan
+    footprints = Footprints((10, 14), *bent)
+    picture, values = random.random((10, 14)), random.standard_normal((8, 7))
+    left = np.vdot(footprints.average(picture), values)
+    assert np.vdot(picture, footprints.adjoint(values)) == pytest.approx(left, rel=1e-12)

@@ -56,8 +56,12 @@ def light(seed):
     plate.apply_translation((0.0, 0.0, 0.5))
     points = transient.wall_grid(0.5, 4)
     capture = transient.render(
-        [(plate, Lambert(1.0))], laser_points=points, sensor_points=points, pairing="confocal",
-        t_start=0.8, delta_t=0.02, n_bins=64, max_bounces=3, tol=0.05,
+        [(plate, Lambert(1.0))],
+        transient.Scan(
+            laser_points=points, sensor_points=points, pairing="confocal", t_start=0.8,
+            delta_t=0.02, n_bins=64,
+        ),
+        max_bounces=3, tol=0.05,
     )
     axis = np.linspace(-0.2, 0.2, 4)
     volume = transient.Volume(axis, axis, np.linspace(0.4, 0.6, 4))

@@ -16,8 +16,8 @@ import zarr
 
 from nlosoptics import imaging, limits, psf
 from nlosoptics.errors import SceneError, ValidityWarning
+from nlosoptics.scene.file.addresses import NOT_IN_POINT_SPREAD
 from nlosoptics.study import Results, Study, plan_study, run_study
-from nlosoptics.study.design.point import NOT_IN_POINT_SPREAD
 from nlosoptics.study.store import Store
 
 HERE = Path(__file__).parent

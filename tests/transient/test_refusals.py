@@ -91,11 +91,14 @@ VOLUMES = {
         lambda: phasor_image(capture(t_start=9.0), VOLUME, wl_mean=0.2),
         "outside the capture's 9 to 11 m; give another volume, or check t_start",
     ),
-    "laser not named": (lambda: lasers(2), "needs laser for a capture of 2 laser points"),
+    "laser not named": (lambda: lasers(2), "needs one laser point, the capture has 2"),
     "laser after the last": (
-        lambda: lasers(2, laser=2),
-        "laser = 2 is out of range, must be from 0 to 1",
+        lambda: capture(H=np.ones((40, 2, 4, 4)), laser_points=GRID[0, :2], pairing="all").of_laser(
+            2
+        ),
+        "index = 2 is out of range, must be from 0 to 1",
     ),
+    "laser of pairs": (lambda: capture().of_laser(0), "a confocal capture has no laser point for"),
     "square of no point": (
         lambda: lasers(1, aperture=0.2499),
         "aperture = 0.2499 m contains none of 16 wall points; give a larger one",
@@ -123,7 +126,6 @@ LAST = {
     "one plane": lambda: Volume.facing(GRID, (0.5, 0.5, 0.1)),
     "short pulse": lambda: phasor_image(capture(), VOLUME, wl_mean=0.2, wl_sigma=0.0125),
     "light of nothing": lambda: Detector().expected(capture(H=np.zeros((40, 4, 4)))),
-    "last laser": lambda: lasers(2, laser=1),
     "square of four points": lambda: lasers(1, aperture=0.2501),
 }
 
@@ -134,12 +136,13 @@ def test_the_last_value_is_accepted(name):
 
 
 def test_a_laser_is_named_by_its_index():
-    """The picture is that of a capture with this laser point alone."""
+    """Its part is the capture with this laser point alone."""
     light = np.random.default_rng(3).random((40, 2, 3, 4, 4))
     spots = 0.2 * GRID[:2, :3]
-    whole = {"H": light, "laser_points": spots}
+    whole = capture(H=light, laser_points=spots, pairing="all", by_bounce={3: light})
     for row, column in ((0, 0), (0, 2), (1, 1)):
-        alone = {"H": light[:, row, column], "laser_points": spots[row, column]}
-        wanted = lasers(1, changes=alone).field
-        found = lasers(6, changes=whole, laser=3 * row + column).field
-        assert found == pytest.approx(wanted, rel=1e-12, abs=1e-12)
+        alone = whole.of_laser(3 * row + column)
+        assert np.array_equal(alone.H, light[:, row, column])
+        assert np.array_equal(alone.by_bounce[3], alone.H)
+        assert np.array_equal(alone.laser_points, spots[row, column])
+        assert phasor_image(alone, VOLUME, camera="transient", times=[0.0], wl_mean=0.5)

@@ -158,9 +158,12 @@ def test_scale_bar_has_a_round_length_on_the_object() -> None:
 def test_reconstruction_reads() -> None:
     """The wall's mirror is undone: a mirror-reversed object is drawn the right way round."""
     seen = letter()[:, ::-1]
-    found = SimpleNamespace(object=seen, status="converged")
-    for axes in views.reconstruction(found, seen):  # type: ignore[arg-type]
-        np.testing.assert_array_equal(shown(axes), letter())
+    for mirrored, values in ((True, seen), (False, letter())):
+        found = SimpleNamespace(object=values, status="converged")
+        for pitch in (None, 1e-3):
+            drawn: Any = views.reconstruction(found, values, pitch=pitch, mirrored=mirrored)  # type: ignore[arg-type]
+            for axes in drawn:
+                np.testing.assert_array_equal(shown(axes), letter())
 
 
 def test_reconstruction_names_its_scale() -> None:

@@ -237,8 +237,8 @@ def _light_faults(errors: float) -> Iterator[str]:
     if errors > LIMITS.errors:
         yield (
             f"beyond the optics' cut-off the image has light, {errors:.3g} standard errors above "
-            f"white noise, limit {LIMITS.errors:g}; the image is not of this scene, its noise is "
-            "correlated, or the camera's response differs from the model"
+            f"white noise, limit {LIMITS.errors:g}; its noise is correlated, as compression makes "
+            "it, the camera's response differs from the model, or the image is of another scene"
         )
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..._checks import fits_memory, memory_limit
 from ..aperture.quadrature_nodes import gauss_legendre
-from ..transform.wide_pixels import binned, tail_pixels
+from ..transform.wide_pixels import MODEL, binned, tail_pixels
 from ..wave.detilted import Residual
 from ..window.rim_tails import edge_ratio
 from ..window.window import Window, peak_pixel, ray_reach
@@ -77,6 +77,8 @@ class Halo:
         ``fineness`` scales all numbers.
         """
         x, y = self.window.reach_from(self.residual.shift)
+        if self.pixel_integrated:  # up to the edges of the pixels
+            x, y = x + self.window.pitch / 2, y + self.window.pitch / 2
         out_u, out_v, last_lag = self._outermost(math.pi * np.arange(64) / 64)
         last = float(np.hypot(out_u, out_v).max())
         v = abs(self.per_metre) * math.hypot(x, y) * last
@@ -274,10 +276,12 @@ def inner_halves(
     reach = ray_reach(residual) + view.halo(residual.wavefront)
     # The tail outside has the energy 2/(pi^2 half), with the relative error reach^2/half^2.
     half = max(reach + FAR * unit, math.cbrt(reach**2 * unit / (math.pi**2 * tol / 4)))
+    blur, alone = _blur(residual, view, window.pitch)
+    peak = 1 / (1 / alone + 1 / peak_pixel(residual, window.pitch))
+    # The tail's model must leave a fifth of the permitted error to all else.
+    half = max(half, MODEL * _tail_energy(unit) / (0.4 * tol * peak))
     if view.has_tails:
         # A halo with long tails has the fraction (blur/half)^2 or more outside.
-        blur, alone = _blur(residual, view, window.pitch)
-        peak = 1 / (1 / alone + 1 / peak_pixel(residual, window.pitch))
         half = max(half, math.sqrt(2) * blur / math.sqrt(0.5 * tol * peak))
     while 2 * half < WORTH * window.pitch * min(window.shape):
         yield half
@@ -317,11 +321,16 @@ def _about_the_light(
     half = inner.shape[0] * inner.pitch / 2
     missing = max(share - float(light.sum()), 0.0)
     unit, reach = residual.airy_unit, ray_reach(residual) + view.halo(residual.wavefront)
-    tail = share * edge_ratio(residual.wavefront) * 4 * math.sqrt(2) * unit / (math.pi**3 * half)
-    error += min(missing, tail) * min(1.0, 0.01 + (reach / half) ** 2) + abs(missing - tail)
+    tail = share * edge_ratio(residual.wavefront) * _tail_energy(unit) / half
+    error += min(missing, tail) * min(1.0, MODEL + (reach / half) ** 2) + abs(missing - tail)
     found = binned(light, parts, window.shape)
     found += missing * tail_pixels(window.shape, ((half / window.pitch,) * 2,) * 2)
     return found, error
+
+
+def _tail_energy(unit: float) -> float:
+    """Return a clear disc's diffracted energy beyond a square, times half the square's side, m."""
+    return 4 * math.sqrt(2) * unit / math.pi**3
 
 
 def _transfer_error(

@@ -11,6 +11,7 @@ import math
 from ..wave.detilted import Residual
 from ..window.window import Window
 from . import quadrature
+from .antialiased_fft import Grid
 
 #: Overhead of any transform, s: calls, checks, small arrays and the wave's regime.
 CALL = 1.2e-3
@@ -30,6 +31,13 @@ def coarse_sum(coarse: quadrature.Coarse, window: Window) -> float:
     """Predict the seconds of ``fft`` for a wave on rings or cells."""
     digits = -math.log10(coarse.epsilon)
     return 6e-4 + (3e-8 + 1e-9 * digits**2) * math.prod(coarse.counts) + 1.2e-8 * _points(window)
+
+
+def soft_padded(window: Window, grid: Grid) -> float:
+    """Predict the seconds of a polynomial wave on a softened grid by padded FFTs."""
+    size = round(grid.period / window.pitch)
+    columns = min(size, 2 * grid.centre) + window.shape[1]
+    return CALL + 3e-8 * grid.radius**2 + 5e-10 * size * columns * math.log2(size)
 
 
 def map_sums(n: int, window: Window) -> float:

@@ -28,8 +28,6 @@ SMALL = 200_000
 BEST, FAST = 2e-13, 1e-8
 #: Coarsest accuracy used of chosen nodes: beyond it the largest error exceeds twice the requested.
 COARSEST = 1e-3
-#: Accuracy from which the transform is in single precision, in three quarters of the time.
-SINGLE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +139,6 @@ def field(
     for k, axis in enumerate(axes):
         coord[:, k] = (nodes.v, nodes.u)[axis].ravel()
     coord *= 2 * math.pi * window.pitch * per_metre
-    if epsilon >= SINGLE:
-        points, coord = points.astype(np.complex64), coord.astype(np.float32)
     image = np.empty([window.shape[axis] for axis in axes], dtype=points.dtype)
     ducc0.nufft.nu2u(
         points=points, coord=coord, forward=True, epsilon=epsilon, nthreads=1, out=image

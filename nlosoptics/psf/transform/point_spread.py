@@ -185,8 +185,9 @@ def point_spread(
 
         - ``quadrature`` integrates over the pupil by Gauss quadrature and a non-uniform FFT, for
           the layouts "polar" and "cells". It uses as many points as the window requires.
-        - ``fft`` is the same with as few points as ``tol`` allows; for the layout "grid" it is
-          ``mdft``.
+        - ``fft`` transforms as few samples of the pupil as ``tol`` allows: for the layout "polar"
+          by FFTs of a grid with a softened rim if polynomials of a degree up to 10 describe the
+          wave, otherwise, and for "cells", as ``quadrature`` does; for "grid" it is ``mdft``.
         - ``mdft`` is a chirp transform to any pitch, for the layout "grid".
         - ``nufft`` is a non-uniform FFT of scattered sample points, such as traced rays; for other
           layouts it is ``quadrature`` or ``mdft``.

@@ -5,20 +5,29 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property, reduce
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..wave.detilted import Residual
 from ..wave.regime import Regime, regime
-from ..window import error_bounds
+from ..window import antialiased_disc, error_bounds
 from ..window.pixels import PixelRule
 from ..window.window import Window
-from . import high_aperture, nufft, quadrature
+from . import antialiased_fft, antialiased_pupil, high_aperture, nufft, quadrature
 
 Array = NDArray[np.float64]
 #: Pixel side, Airy units, up to which errors are assumed not to average out over a pixel.
 NO_BEATS = 0.8
+
+
+class Soft(NamedTuple):
+    """Polynomial wave, what the errors of its softened rims depend on, and its grid."""
+
+    wave: antialiased_pupil.SoftWave
+    rim: antialiased_pupil.Rim
+    grid: antialiased_fft.Grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +88,25 @@ class Task:
     def coarse(self) -> quadrature.Coarse:
         """Nodes of a polar or cells wave that suffice for ``tol``, in a window with a dark edge."""
         return quadrature.coarse(self.residual, self.samples, self.tol, self.growth)
+
+    @cached_property
+    def soft(self) -> Soft | None:
+        """Polynomial of a polar wave on a grid; None if there is none or its rim exceeds tol."""
+        wave = antialiased_pupil.soft_wave(self.residual, self.tol)
+        if wave is None:
+            return None
+        rim = antialiased_pupil.rim_of(self.residual, wave)
+        grid = self.soft_grid(rim, self.tol)
+        return Soft(wave, rim, grid) if 2 * grid.error <= self.tol else None
+
+    def soft_grid(self, rim: antialiased_pupil.Rim, tol: float) -> antialiased_fft.Grid:
+        """Return the grid with softened rims for an error of half of ``tol``."""
+        most = math.inf if self.rule is None else 1 / self.level  # all energy in one pixel
+        period = antialiased_pupil.period_of(
+            self.residual, rim, self.samples, tol, self.pixel, most
+        )
+        reach = antialiased_disc.SHORT_REACH if self.tol >= 1e-4 else antialiased_disc.REACH
+        return antialiased_fft.padded(self.residual, self.samples, period, reach)
 
     @cached_property
     def growth(self) -> Array:

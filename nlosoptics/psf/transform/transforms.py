@@ -12,8 +12,8 @@ from ..._checks import fits_memory
 from ...errors import SamplingError
 from ..window import error_bounds
 from ..window.grids import PupilGrid, pupil_grid
-from . import airy, costs, geometric, mdft, nufft, quadrature
-from .task import Array, Image, Result, Task
+from . import airy, antialiased_fft, antialiased_pupil, costs, geometric, mdft, nufft, quadrature
+from .task import Array, Image, Result, Soft, Task
 
 #: Aberration, waves peak to valley, up to which the geometric method is not tried.
 MANY_WAVES: Final = 20
@@ -131,6 +131,35 @@ class FewNodes(Transform):
         return image
 
 
+class SoftGrid(FewNodes):
+    """FFTs of a grid with softened rims for waves that are polynomials, else few nodes."""
+
+    def refusal(self, task: Task) -> str:
+        """Return why ``tol`` is out of reach."""
+        return super().refusal(task) if task.soft is None else ""
+
+    def seconds(self, task: Task) -> float:
+        """Predict the run time, s."""
+        soft = task.soft
+        return super().seconds(task) if soft is None else costs.soft_padded(task.samples, soft.grid)
+
+    def n_bytes(self, task: Task) -> float:
+        """Predict the peak memory, bytes."""
+        if task.soft is None:
+            return super().n_bytes(task)
+        return antialiased_fft.n_bytes(task.samples, task.soft.grid, task.rule)
+
+    def image(self, task: Task) -> Image:
+        """Compute the image and its error."""
+        if task.soft is None:
+            return super().image(task)
+        image = _soft(task, task.soft)
+        if image[1] > task.tol:  # the peak is lower than predicted
+            finer = task.soft_grid(task.soft.rim, task.tol / 8)
+            image = _soft(task, task.soft._replace(grid=finer))
+        return image if image[1] <= task.tol else super().image(task)
+
+
 class Chirp(Transform):
     """Chirp transform of a grid to any pitch."""
 
@@ -237,7 +266,7 @@ _rings["nufft"] = _rings["quadrature"]
 _grid = Chirp()
 #: Transforms for each layout by their names; the first computes any part of an image.
 ABLE: Final[dict[str, dict[str, Transform]]] = {
-    "polar": {**_rings, "airy": Airy()},
+    "polar": {**_rings, "fft": SoftGrid(), "airy": Airy()},
     "cells": _rings,
     "grid": {"mdft": _grid, "nufft": _grid, "fft": _grid},
     "scattered": {"nufft": Scattered()},
@@ -280,6 +309,18 @@ def _coarse(task: Task, coarse: quadrature.Coarse) -> Image:
     noise = nufft.noise(residual, nodes, task.samples, fine, coarse.epsilon, strongest.shape)
     error = residual.truncation + coarse.field_errors(residual, far) + noise
     return mean, task.bound(strongest, error, math.inf), 1.0
+
+
+def _soft(task: Task, soft: Soft) -> Image:
+    """Return the image of a polynomial wave from its softened grid, and its error bound."""
+    residual, unit = task.residual, task.residual.airy_unit
+    mean = antialiased_fft.image(residual, soft.wave, task.samples, soft.grid, task.rule)
+    strongest, far = _blocks(task, mean)
+    rings = antialiased_pupil.RINGS * far.max()
+    ring = np.minimum(np.searchsorted(rings, far), rings.size - 1)
+    error = soft.rim.errors(rings / unit, soft.grid.period / unit)[ring]
+    lost = residual.truncation + soft.wave.misfit * soft.wave.strength + soft.grid.error
+    return mean, task.bound(strongest, error + lost, math.inf), 1.0
 
 
 def _blocks(task: Task, intensity: Array) -> tuple[Array, Array]:

@@ -55,14 +55,14 @@ def detilted_wide_spread(
     inner = inner_parts(residual, pitch, shape, tol)
     if inner is None or model == "high-aperture":
         return whole(model=model)
-    n, parts = inner
+    n, parts, finer = inner
     unit, reach = residual.airy_unit, ray_reach(residual)
     fine = point_spread(
         residual,
         pitch=pitch / parts,
         shape=n,
         pixel_integrated=True,
-        tol=tol / 30,
+        tol=finer,
         model="scalar",
     )
     missing = max(1.0 - fine.enclosed_energy, 0.0)
@@ -70,7 +70,6 @@ def detilted_wide_spread(
     intensity = binned(fine.intensity, parts, shape)
     intensity += missing * tail_pixels(shape, ((half / pitch,) * 2,) * 2)
     peak = float(intensity.max())
-    # Errors of the parts^2 samples of a pixel have both signs; their sum grows as parts.
     error = fine.error_estimate * min(parts, n) * float(fine.intensity.max())
     error = (error + missing * min(1.0, MODEL + (reach / half) ** 2)) / peak
     omitted = wide_pixel_error(residual, peak)
@@ -91,8 +90,8 @@ def detilted_wide_spread(
 
 def inner_parts(
     residual: Residual, pitch: float, shape: tuple[int, int], tol: float
-) -> tuple[int, int] | None:
-    """Return the side of the fine square in parts, and the parts per pixel side.
+) -> tuple[int, int, float] | None:
+    """Return the side of the fine square in parts, the parts per pixel side, and their tolerance.
 
     None if the method does not apply or would not be faster.
     """
@@ -106,7 +105,10 @@ def inner_parts(
     if 4 * half > pitch * min(shape):  # no gain
         return None
     parts = math.ceil(pitch / (2 * unit)) | 1
-    return 2 * math.ceil(half * parts / pitch) + 1, parts
+    n = 2 * math.ceil(half * parts / pitch) + 1
+    # Errors of the parts^2 samples of a pixel have both signs; their sum grows as parts. The tail
+    # takes a quarter of tol.
+    return n, parts, tol / max(30, 1.5 * min(parts, n))
 
 
 def binned(fine: Array, parts: int, shape: tuple[int, int]) -> Array:

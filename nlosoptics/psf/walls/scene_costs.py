@@ -83,9 +83,9 @@ def smooth_cost(
     inner = inner_parts(residual, pitch, shape, tol)
     whole = Cost(0.0, 0.0)
     if inner is not None:
-        n, parts = inner
+        n, parts, tol = inner
         whole = Cost(3e-8 * n**2 + 2e-7 * math.prod(shape), 32.0 * n**2 + 60.0 * math.prod(shape))
-        pitch, shape, tol = pitch / parts, (n, n), tol / 30
+        pitch, shape = pitch / parts, (n, n)
     rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape))
     task = Task(residual, tol, pitch, shape, rule)
     if cells:
@@ -110,24 +110,26 @@ def _scattered_cost(
     half = next(inner_halves(residual, view, window, tol), None)
     inner = window if half is None else inner_window(window, half)[0]
     halo = Halo(residual, view, inner, True, edge)
-    # 2.25: two more steps, which small errors may take
-    steps = (0.7 * FIRST, FIRST, 2.25 * FIRST)
+    # two more steps, which small errors may take, and which a narrow halo takes
+    steps = (0.7 * FIRST, FIRST, 1.5 * FIRST, 2.25 * FIRST)
     nodes = [sum(runs) * n for runs, n in map(halo.counts, steps)]
     points = math.prod(inner.shape)
     lattices = across**2 * (1.25 if polar else 2.0)
-    # a narrow halo does not damp the errors at long separations, so that cells are halved once
+    # it does not damp the errors at long separations, so that cells are halved once as well
     on_wall = edge * math.sqrt(abs(float(np.linalg.det(view.footprint))))
     waves = edge * residual.rays.slope / residual.wavefront.wavelength
-    finer = polar and waves > 1.0 and view.last_lag(1e-3) > on_wall
+    narrow = view.last_lag(1e-3) > on_wall
+    finer = polar and waves > 1.0 and narrow
     lattices *= 5.0 if finer else 1.0
-    again = nodes[0] + nodes[1] * (2.0 if polar else 1.0)
+    taken = nodes if narrow else nodes[:2]
+    again = sum(taken) + (taken[-1] if polar else 0.0)
     seconds = costs.scattered(
         lattices, again, points, 0 if half is None else math.prod(window.shape)
     )
-    seconds += view.term_seconds * (nodes[0] + nodes[1])
+    seconds += view.term_seconds * sum(taken)
     # then some waves need finer cells, which take up to five times as long
     seconds *= 1.4 if tol < 1e-4 else 1.0
-    most = nodes[2] if tol < 6e-4 else nodes[1]
+    most = nodes[3] if tol < 6e-4 or narrow else nodes[1]
     wide = across * (3.0 if finer else 2.0 if tol < 3e-4 and polar else 1.0)
     n_bytes = max(CELL_BYTES * wide**2, NODE_BYTES * most + PIXEL_BYTES * points)
     return Cost(seconds, n_bytes + PIXEL_BYTES * math.prod(window.shape))

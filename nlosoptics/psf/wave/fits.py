@@ -27,3 +27,14 @@ def fitted_terms(aberration: Array, weights: Array, terms: Array) -> Array:
     moments = np.einsum("ip,jp,p->ij", flat, flat, weights)
     right = np.einsum("ip,p,p->i", flat, weights, aberration.ravel())
     return np.asarray(np.linalg.pinv(moments, hermitian=True) @ right)
+
+
+def projection(terms: Array, weights: Array) -> Array:
+    """Return the matrix (n_terms, nodes) from an aberration to the result of `fitted_terms`.
+
+    ``terms`` (n_terms, ...) are given at the nodes, ``weights`` (...) are amplitude times area.
+    """
+    flat = terms.reshape(len(terms), -1)
+    moments = np.einsum("ip,jp,p->ij", flat, flat, weights.ravel())
+    inverse = np.linalg.pinv(moments, hermitian=True)
+    return np.asarray(np.einsum("ij,jp,p->ip", inverse, flat, weights.ravel()))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._nouns import Noun
+from ..._xarray import Labelled, Labels, variable
 
 Array = NDArray[np.float64]
 
@@ -20,7 +21,7 @@ NO_SURFACE, ON_WALL, ON_OBJECT, ON_OCCLUDER = range(-1, 3)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RayPaths(Noun):
+class RayPaths(Noun, Labelled):
     """Light paths through a scene, and the power of the light, sorted by how its paths end.
 
     `trace` returns the paths from the laser to the detector, and `pupil_rays` those from one object
@@ -145,3 +146,23 @@ class RayPaths(Noun):
         if not self.surface.size:
             return np.zeros(len(self.weight), dtype=bool)
         return np.asarray((self.surface == ON_OBJECT).any(axis=1))
+
+    def _labels(self) -> Labels:
+        arrays = {
+            axis: variable(["path", "vertex"], self.points[..., i], "m", f"vertex {axis}")
+            for i, axis in enumerate("xyz")
+        }
+        names = {
+            "path_length": ("m", "length from source to end"),
+            "weight": ("W", "power at the end"),
+            "n_bounces": ("1", "number of reflections"),
+            "status": ("1", "end of the path: 0 for the detector"),
+            "surface": ("1", "0: wall, 1: object, 2: occluder"),
+            "lobe": ("1", "index of the material's lobe"),
+        }
+        for name, (unit, meaning) in names.items():
+            values = getattr(self, name)
+            if len(values) == len(self.points):  # fans from one point have no surface and lobe
+                arrays[name] = variable(["path", "vertex"][: values.ndim], values, unit, meaning)
+        totals = ("flux", "standard_error", "stray", "stray_error", "mean_path_length", "n_rays")
+        return Labels(arrays, {}, {name: getattr(self, name) for name in totals})

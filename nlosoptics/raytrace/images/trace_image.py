@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ from ..._html import Figures, Shown
 from ..._nouns import Noun
 from ..._photons import photon_rate
 from ..._progress import Progress
+from ..._xarray import Labelled, Labels, pixels, variable
 from ...errors import SceneError
 from ...kernels.codes import GROUPS
 from ...scene import Scene
@@ -87,7 +89,7 @@ class PathHistogram(Noun):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TracedImage(Noun, Shown):
+class TracedImage(Noun, Shown, Labelled):
     """Camera image by Monte Carlo ray tracing, with the standard error of every pixel.
 
     `trace_image` computes it. The arrays are read-only and ordered [y, x], with row 0 at the lowest
@@ -177,6 +179,30 @@ class TracedImage(Noun, Shown):
         # the factor of Student's distribution as for all other errors
         spread = float(((one - ratio * other) ** 2).sum()) / (groups * (groups - 3))
         return ratio, math.sqrt(spread) / mean
+
+    def _labels(self) -> Labels:
+        names = {
+            "expected": ("electrons", "mean reading of one exposure"),
+            "power": ("W", "light that met the hidden object"),
+            "by_bounce": ("W", "light that met the hidden object, by number of reflections"),
+            "stray": ("W", "light that never met the hidden object"),
+        }
+        bounces = np.arange(len(self.by_bounce))
+        axes = {"bounces": variable(["bounces"], bounces, "1", "number of reflections")}
+        axes |= pixels(self.expected.shape, self.pitch)
+        if self.histogram is not None:
+            middles = self.histogram.edges[:-1] + self.histogram.delta_t / 2
+            axes["path"] = variable(["path"], middles, "m", "optical path")
+        arrays = {}
+        for prefix, noun, its in ("", self, "yx"), ("path_", self.histogram, ["path"]):
+            for name, suffix in itertools.product(names, ("", "_error")):
+                values = getattr(noun, name + suffix, None)
+                if values is not None:  # a histogram has no electrons
+                    dimensions = ["bounces"][: values.ndim - len(its)] + list(its)
+                    unit, meaning = names[name]
+                    meaning += ", standard error" if suffix else ""
+                    arrays[prefix + name + suffix] = variable(dimensions, values, unit, meaning)
+        return Labels(arrays, axes, {"pitch": self.pitch, "exposure": self.exposure})
 
     def _figures(self) -> Figures:
         ny, nx = self.expected.shape

@@ -26,6 +26,24 @@ _ALTERNATIVES = (
     *(("camera", (one,), (other,)) for one, other in CAMERA_PAIRS),
 )
 
+#: Values that change neither the wave nor the point spread at the object's reference point.
+NOT_IN_POINT_SPREAD = (
+    "laser.power",
+    "laser.beam_diameter",
+    "laser.independent_patterns",
+    "hidden.image",
+    "hidden.size",
+    "hidden.material",
+    "camera.exposure",
+    "camera.quantum_efficiency",
+    "camera.transmission",
+    "camera.full_well",
+    "camera.read_noise",
+    "camera.dark_current",
+    "camera.bit_depth",
+    "camera.glare_fraction",
+)
+
 
 def parsed(changes: list[str]) -> dict[str, Any]:
     """Return changes such as ``wall.radius=2 m`` as values by address.

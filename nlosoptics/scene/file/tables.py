@@ -70,7 +70,7 @@ def _quantity(kind: Kind, count: int | None = None) -> Any:
         if count is None:
             return one(text, info)
         if not isinstance(text, list):
-            raise ValueError("is not a list")
+            raise ValueError(f"is not a list; write for example {[kind.example] * count}")
         if len(text) != count:
             raise ValueError(f"has {counted(len(text), 'component')}, must have {count}")
         return tuple(one(component, info) for component in text)

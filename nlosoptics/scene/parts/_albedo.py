@@ -44,6 +44,20 @@ def over_exitant_angles(material: Material, theta: float) -> float:
     return 2 * float((f * np.sin(p) * np.cos(p) * polar_weights[:, None] * turn_weights).sum())
 
 
+def around_incident(theta: float, angle: float) -> float:
+    """Integrate f cos(theta) of a retroreflecting lobe of albedo 1 over cones about theta."""
+    sharp = angle**-2
+    polar, weights = _panels(np.linspace(0.0, min(8.5 * angle, math.pi), 9))
+    weights *= sharp * np.exp(-2 * sharp * np.sin(polar / 2) ** 2) * np.sin(polar)
+    # azimuths from the horizon, where the exitant cosine is 0, to that of the steepest exitant
+    level, across = math.cos(theta) * np.cos(polar), max(math.sin(theta), 1e-300) * np.sin(polar)
+    first = np.arccos(np.clip(level / across, -1.0, 1.0))
+    turn, turn_weights = _panels(np.linspace(first, math.pi, 3))
+    mu = np.maximum(level - across * np.cos(turn), 0.0)
+    inside = (turn_weights * mu / np.maximum(math.cos(theta) + mu, 1e-300)).sum(axis=0)
+    return float(2.0 * inside @ weights / (-math.pi * math.expm1(-2.0 * sharp)))
+
+
 def over_slopes(material: Material, theta: float, scale: float, *, smooth: bool = True) -> float:
     """Integrate f cos(theta) of a half-vector lobe over the facet slopes (p, q), for one angle.
 

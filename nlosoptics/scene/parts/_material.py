@@ -39,7 +39,8 @@ class Material:
             One row per lobe. Columns: code of the kind of lobe (a constant of `kernels.codes`);
             albedo or reflectance; rms slope or alpha, rad; factor by which the lobe's reflectance
             is multiplied; strength by which samples choose a lobe; real and imaginary part of the
-            refractive index, 0 where none is given. The factor is 1, except for an
+            refractive index, 0 where none is given (size, m, and 0 for a `Retroreflector`). The
+            factor is 1, except for an
             `OrenNayar` lobe with ``normalised=True`` that would reflect more light than it
             receives. The strength is albedo times factor or, for a `Spectrum`, the mean of its
             values, so that samples are the same at all wavelengths.
@@ -203,10 +204,10 @@ class Material:
         Notes
         -----
         Lambert and Oren-Nayar lobes are sampled by the cosine to the normal, Ward lobes by the half
-        vector (Walter, Notes on the Ward BRDF, 2005), and microfacet lobes by their visible
-        normals (Heitz and d'Eon 2014, Heitz 2018). A mirror has one exitant direction. A sum of
-        materials draws one lobe in proportion to its albedo and weights the sample with the f_r
-        and the density of the whole sum.
+        vector (Walter, Notes on the Ward BRDF, 2005), microfacet lobes by their visible normals
+        (Heitz and d'Eon 2014, Heitz 2018), and retroreflectors by their own density. A mirror
+        has one exitant direction. A sum of materials draws one lobe in proportion to its albedo and
+        weights the sample with the f_r and the density of the whole sum.
         """
         from ...kernels import brdf
 

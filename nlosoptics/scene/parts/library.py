@@ -15,12 +15,21 @@ from types import MappingProxyType
 from typing import Any
 
 from ...errors import SceneError
-from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
+from .materials import (
+    Lambert,
+    Material,
+    OrenNayar,
+    Retroreflector,
+    SpecularMicrofacet,
+    SumMaterial,
+    Ward,
+)
 
 #: Material class of each kind of lobe in a scene file.
 LOBE_CLASSES: dict[str, type[Material]] = {
     "lambert": Lambert,
     "oren_nayar": OrenNayar,
+    "retroreflector": Retroreflector,
     "specular": SpecularMicrofacet,
     "ward": Ward,
 }

@@ -21,13 +21,14 @@ from ...kernels.codes import (
     LAMBERT,
     OREN_NAYAR,
     OREN_NAYAR_FULL,
+    RETROREFLECTOR,
     WARD_1992,
     WARD_BOUNDED,
     WARD_DUER,
 )
-from ._albedo import directional_albedo, over_exitant_angles, over_slopes
+from ._albedo import around_incident, directional_albedo, over_exitant_angles, over_slopes
 from ._material import MIRROR_SLOPE, Array, Material, MirrorLobe, check_angle
-from ._quantities import Angle
+from ._quantities import Angle, Length
 from .spectrum import Spectrum
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "Lambert",
     "Material",
     "OrenNayar",
+    "Retroreflector",
     "SpecularMicrofacet",
     "SumMaterial",
     "Ward",
@@ -199,6 +201,83 @@ class OrenNayar(Material):
         direct = 1 - 0.5 * s2 / (s2 + 0.33) + 0.45 * s2 / (s2 + 0.09) / math.pi * bracket
         total = self.rho * direct + 0.17 * self.rho**2 * s2 / (s2 + 0.13)
         return np.asarray(total / self._excess())
+
+
+@dataclass(frozen=True, init=False)
+class Retroreflector(Material):
+    """Sheeting of glass beads or corner cubes: returns light to where it comes from.
+
+    Most charts of measured confocal captures are of this kind.
+
+    Parameters
+    ----------
+    albedo : float or Spectrum
+        Returned fraction of the incident power, 0 to 1.
+    angle : float
+        Standard deviation of the returned directions along each axis, rad, 1e-4 to 1: about 0.005
+        for road signs.
+    size : float
+        Standard deviation of the sideways shift of the returned light along each axis, m: that of
+        the corner cubes, to which laser spot and detector's view on the wall can be added in
+        quadrature. Only three bounces of `nlosoptics.transient.render` need it, where light comes
+        from a point and returns to a point; other computations integrate over areas.
+
+    Attributes
+    ----------
+    rho : float
+        The given albedo, that at the wavelength of the spectrum if it depends on the wavelength.
+    spectrum : Spectrum or None
+        The given table of albedos; None if the albedo does not depend on the wavelength.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range.
+
+    See Also
+    --------
+    Lambert : Ideal diffuse reflection.
+    SumMaterial : Sum of several lobes.
+
+    Notes
+    -----
+    ``f_r = 2 albedo p/(cos_i + cos_o)``, with i and o the angles of incidence and exit and p the
+    von Mises-Fisher density about the incident direction [1]_. This is reciprocal and creates no
+    energy. At a distance d, a confocal intensity is proportional to ``1/(d^2 (size^2 + angle^2
+    d^2))``: it falls as d^-2 as long as the returned light stays within the size, then as d^-4.
+
+    References
+    ----------
+    .. [1] Fisher, Dispersion on a sphere, Proc. R. Soc. Lond. A 217, 295 (1953).
+
+    Examples
+    --------
+    >>> from nlosoptics.scene import Retroreflector
+    >>> sheet = Retroreflector(0.5, 0.01)
+    >>> up, aside = (0.0, 0.0, 1.0), (0.6, 0.0, 0.8)
+    >>> [round(float(sheet.evaluate(i, aside, up)), 1) for i in (aside, up)]
+    [994.7, 0.0]
+    """
+
+    rho: float
+    angle: float
+    size: float = 0.0
+    _: KW_ONLY
+    spectrum: Spectrum | None = field(default=None, repr=False)
+
+    def __init__(self, albedo: float | Spectrum, angle: Angle, size: Length = 0.0) -> None:
+        self._set_strength("rho", "albedo", albedo)
+        object.__setattr__(self, "angle", in_range("angle", angle, 1e-4, 1.0, unit="rad"))
+        object.__setattr__(self, "size", in_range("size", size, 0.0, unit="m"))
+
+    def lobe_table(self) -> Array:
+        """Return the parameters of the lobe for the compiled code, see `Material.lobe_table`."""
+        return self._lobe(RETROREFLECTOR, self.rho, self.angle, index=complex(self.size))
+
+    def albedo(self, theta: ArrayLike) -> Array:
+        """Return the albedo at the angle of incidence ``theta``, rad; see `Material.albedo`."""
+        t = check_angle(theta)
+        return self.rho * directional_albedo(t, lambda a: around_incident(a, self.angle))
 
 
 @dataclass(frozen=True, init=False)

@@ -9,31 +9,13 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from ...errors import NlosError, ValidityWarning
-from ...scene.file.addresses import changed, value_at
+from ...scene.file.addresses import NOT_IN_POINT_SPREAD, changed, value_at
 
 if TYPE_CHECKING:
     from ...limits import Feasibility
     from ...psf import ScenePointSpread
     from ...scene import Scene
     from .base import Base
-
-#: Values that change neither the wave nor the point spread at the object's reference point.
-NOT_IN_POINT_SPREAD = (
-    "laser.power",
-    "laser.beam_diameter",
-    "laser.independent_patterns",
-    "hidden.image",
-    "hidden.size",
-    "hidden.material",
-    "camera.exposure",
-    "camera.quantum_efficiency",
-    "camera.transmission",
-    "camera.full_well",
-    "camera.read_noise",
-    "camera.dark_current",
-    "camera.bit_depth",
-    "camera.glare_fraction",
-)
 
 
 def point_spread_key(delta: Mapping[str, Any]) -> str:

@@ -251,6 +251,43 @@ class TransientCapture(Noun, Shown, Labelled):
         """
         return replace(self, details={**self.details, **more})
 
+    def of_laser(self, index: int) -> TransientCapture:
+        """Return the part of one laser point, as the virtual camera "transient" needs it.
+
+        Parameters
+        ----------
+        index : int
+            Index of the laser point, counted over the rows of a grid.
+
+        Returns
+        -------
+        TransientCapture
+            Capture of this laser point at all sensor points.
+
+        Raises
+        ------
+        SceneError
+            If the capture has pairs of points, or no such laser point.
+        """
+        if self.pairing == "confocal":
+            raise SceneError("a confocal capture has no laser point for all sensors; omit of_laser")
+        count = self.laser_points.size // 3
+        which = np.unravel_index(whole("index", index, 0, count - 1), self.laser_shape)
+
+        def part(values: Any) -> Any:
+            return None if values is None else values[(slice(None), *which)]
+
+        normals = self.laser_normals
+        return replace(
+            self,
+            H=part(self.H),
+            laser_points=self.laser_points[which],
+            laser_normals=None if normals is None else normals[which],
+            by_bounce={n: part(light) for n, light in self.by_bounce.items()},
+            standard_error=part(self.standard_error),
+            details={},
+        )
+
     def save(self, path: str | Path, *, compression: int = 0) -> None:
         """Write the capture to an HDF5 file, in the layout of the transient imaging library y-tal.
 

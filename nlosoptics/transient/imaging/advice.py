@@ -46,7 +46,8 @@ class Advice(Noun):
     image : PhasorImage, optional
         Image at the shortest wavelength at which the halves agree. None: no object above the noise.
     depths : DepthMap, optional
-        Depths of ``image``; its confidence is how well the halves agree in each cell, -1 to 1.
+        Depths of ``image``; its confidence is how well the halves agree in each cell, -1 to 1, and
+        its ``standard_error`` is that of photon noise and of surfaces wider than the resolution.
 
     See Also
     --------
@@ -98,8 +99,9 @@ def advise(capture: TransientCapture, *, seed: int = 0, progress: Progress | Non
     Notes
     -----
     A capture whose values are not whole numbers has no photon noise, and its halves agree fully.
-    Planes lie a quarter of a wavelength apart. A cell has a depth if its amplitude is at least 0.3
-    of the largest one.
+    Planes lie a quarter of a wavelength apart. Intervals of 1.96 standard errors of the depths hold
+    about 95 % of the true ones, more with many photons. A cell has a depth if its amplitude is at
+    least 0.3 of the largest one.
 
     Examples
     --------
@@ -134,12 +136,13 @@ def advise(capture: TransientCapture, *, seed: int = 0, progress: Progress | Non
         if progress is not None:
             progress(f"wavelength {wl_mean:.3g} m", k / len(WAVELENGTHS))
         step = 0.25 * wl_mean
-        near = max(0.5 * facts["start"], step)
+        # one plane before the light, between which and the next a depth is interpolated
+        near = max(0.5 * facts["start"] - step, step)
         far = max(0.5 * facts["stop"], near)
         volume = Volume.facing(grid_of(capture), (near, far, step))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ValidityWarning)  # far planes are darker at the rim
-            images = [phasor_image(h, volume, wl_mean=wl_mean, dtype="float32") for h in halves]
+            images = [phasor_image(h, volume, wl_mean=wl_mean) for h in halves]
         views = [image.projection().ravel() for image in images]
         agreement[float(wl_mean)] = float(np.corrcoef(views[0], views[-1])[0, 1])
         if agreement[float(wl_mean)] >= AGREEMENT:
@@ -197,4 +200,35 @@ def _depths(image: PhasorImage, images: list[PhasorImage]) -> DepthMap:
     a, b = (np.take_along_axis(field, best, axis=0)[0] for field in (first, last))
     power = np.abs(a) ** 2 + np.abs(b) ** 2
     agreement = 2.0 * (a * b.conj()).real / np.where(power > 0.0, power, 1.0)
-    return replace(depths, confidence=agreement.astype(np.float64))
+    noise = _depth_noise(image, first - last, np.isfinite(depths.depth))
+    # light from beside a voxel comes later: letters F and O lie 1/40 wavelength off, rms
+    error = np.hypot(noise, image.wl_mean / 40.0)
+    return replace(depths, confidence=agreement.astype(np.float64), standard_error=error)
+
+
+def _depth_noise(
+    image: PhasorImage, noise: NDArray[np.complexfloating], seen: NDArray[np.bool_]
+) -> Array:
+    """Return the standard deviation of interpolated depths due to photon noise, (ny, nx), m.
+
+    ``noise`` is the difference of the fields of both halves: it has the noise of their sum, without
+    its signal. To first order, a depth changes by the real part of ``sum_j c_j noise_j/field_j``
+    over the brightest plane and its neighbours, with c_j from the vertex of the parabola. The
+    median over the cells ``seen`` gives the level of this noise, which is inversely proportional to
+    the amplitude.
+    """
+    z = image.volume.z
+    if len(z) < 3 or not seen.any():
+        return np.full(seen.shape, np.nan)
+    best = np.clip(image.intensity.argmax(axis=0), 1, len(z) - 2)
+    planes = best + np.array([-1, 0, 1])[:, None, None]
+    field, other = (np.take_along_axis(a, planes, axis=0)[:, seen] for a in (image.field, noise))
+    light = np.log(np.abs(field) ** 2)
+    bend = 2.0 * light[1] - light[0] - light[2]
+    shift = 0.5 * (light[2] - light[0]) / bend
+    slopes = np.stack([shift - 0.5, -2.0 * shift, shift + 0.5]) / bend
+    changes = np.abs((2.0 * slopes * other / field).sum(axis=0)) * np.abs(field[1])
+    # half of a squared modulus is that of a real part, and its mean the median over log(2)
+    level = np.sqrt(0.5 * np.median(changes**2) / np.log(2.0)) * (z[1] - z[0])
+    amplitude = np.sqrt(image.intensity.max(axis=0))
+    return np.asarray(level / np.where(seen, amplitude, np.nan), dtype=np.float64)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import is_single, positive, whole
+from ..._checks import is_single, positive
 from ...errors import SamplingError, SceneError
 from ..capture.capture import TransientCapture
 from ..capture.preprocessing import outer_legs
@@ -135,12 +135,10 @@ class Setup:
         return np.asarray(paths[..., None] + moments)
 
 
-def camera_setup(capture: TransientCapture, camera: str, laser: int | None) -> Setup:
+def camera_setup(capture: TransientCapture, camera: str) -> Setup:
     """Assign laser and sensor points to a virtual camera."""
     lasers, sensors = capture.laser_points.reshape(-1, 3), capture.sensor_points.reshape(-1, 3)
     outer = outer_legs(capture)
-    if camera != "transient" and laser is not None:
-        raise SceneError(f"laser is for camera = 'transient', not {camera!r}; omit it")
     if capture.pairing == "confocal":
         if camera == "transient":
             raise SamplingError(
@@ -161,13 +159,11 @@ def camera_setup(capture: TransientCapture, camera: str, laser: int | None) -> S
     grid, sides, far_shape = capture.sensor_points, ("sensor", "laser"), capture.laser_shape
     far: Array
     if camera == "transient":
-        if laser is None and len(lasers) > 1:
+        if len(lasers) > 1:
             raise SceneError(
-                f"camera = 'transient' needs laser for a capture of {len(lasers)} laser points; "
-                "give the index of one of them"
+                f"camera = 'transient' needs one laser point, the capture has {len(lasers)}; give "
+                "capture.of_laser(index)"
             )
-        row = whole("laser", 0 if laser is None else laser, 0, len(lasers) - 1)
-        lasers, columns, outer = lasers[[row]], columns[[row]], outer[[row]]
         far, far_shape = np.empty((0, 3)), ()
     # by reciprocity, one sensor with many lasers equals one laser with many sensors
     elif len(sensors) == 1 and len(lasers) > 1:

@@ -39,6 +39,8 @@ class DepthMap(Noun):
         (nx,) and (ny,): cell centres, world frame, m.
     threshold : float
         Confidence below which a cell is taken as empty, 0 to 1.
+    standard_error : ndarray, optional
+        (ny, nx): standard deviation of the error of ``depth``, m, from `advise`.
 
     See Also
     --------
@@ -51,6 +53,7 @@ class DepthMap(Noun):
     x: Array
     y: Array
     threshold: float
+    standard_error: Array | None = None
 
     @property
     def coverage(self) -> float:

@@ -42,11 +42,9 @@ def phasor_image(
     wl_mean: float,
     wl_sigma: float | None = None,
     times: ArrayLike | None = None,
-    laser: int | None = None,
     aperture: float | None = None,
     tol: float = 1e-3,
     method: str = "auto",
-    dtype: str = "float64",
     progress: Progress | None = None,
 ) -> PhasorImage:
     """Image a hidden volume by phasor fields: a virtual camera in place of the relay wall.
@@ -64,8 +62,9 @@ def phasor_image(
       on x, where the pulse arrives at t = 0.
     - "direct_light": the same at t = 0, so that light that the hidden scene has reflected once, at
       x, is in focus. It equals "confocal_time_gated" with ``times=None``.
-    - "transient": ``sum_s (H_ls * K)(|x-s| + t)`` for one laser point l. A camera focused on x
-      films a pulse that leaves l at t = 0.
+    - "transient": ``sum_s (H_ls * K)(|x-s| + t)`` for the only laser point l. A camera focused on
+      x films a pulse that leaves l at t = 0. Of a capture with several laser points, give the part
+      of one, `TransientCapture.of_laser`.
 
     Parameters
     ----------
@@ -85,23 +84,18 @@ def phasor_image(
     times : array_like, optional
         Times t of the field, (n_times,), m of optical path. Required for "transient", not accepted
         for "direct_light". None: t = 0 alone.
-    laser : int, optional
-        Index of the laser point l for "transient", counted over the rows of a grid; required if
-        there are several.
     aperture : float, optional
         Part of the wall that is used: side of a square about the centre of the laser points and of
         the sensor points, m. None: all points. A single laser or sensor point is always used.
     tol : float
         Largest error of the computed pulse, relative to the peak of K, 1e-14 to 0.1. The pulse is
         computed as a sum of harmonic waves of different wavelengths. Their number, and with it the
-        computing time, grows at most as log(1/tol).
+        computing time, grows at most as log(1/tol). Transforms have single precision from 1e-5 on.
     method : {"auto", "fft", "direct"}
         "direct" sums over all paths. "fft" convolves plane by plane, usually much faster. For
         "fft", the x and y pitch of the volume must equal that of the sensor grid (of the laser grid
         if there is a single sensor point), or one must be a whole multiple of the other;
         `Volume.facing` makes such a volume. "auto" selects "fft" if possible and faster.
-    dtype : {"float64", "float32"}
-        Precision of the transforms; sums of "direct" are always float64.
     progress : callable(str, float), optional
         Called with a line of text and the completed fraction, 0 to 1.
 
@@ -137,6 +131,9 @@ def phasor_image(
 
     Notes
     -----
+    Transforms of up to 256 MB that a confocal volume needs are kept for the next capture of the
+    same points, bins and wavelength, which then takes a third of the time.
+
     The cameras follow [1]_, where paths have equal weights, since 1/r varies little over the wall.
     The falloff of the real light with distance and its cosines are not compensated.
 
@@ -169,13 +166,14 @@ def phasor_image(
     started = time.perf_counter()
     one_of("camera", camera, get_args(Camera))
     one_of("method", method, ("auto", "fft", "direct"))
-    one_of("dtype", dtype, ("float64", "float32"))
     wl_mean = positive("wl_mean", wl_mean, unit="m")
     wl_sigma = wl_mean / np.sqrt(2.0) if wl_sigma is None else positive("wl_sigma", wl_sigma)
     tol = in_range("tol", tol, 1e-14, 0.1)
+    # single precision errs by about 1e-6
+    dtype = "float32" if tol >= 1e-5 and method != "direct" else "float64"
     volume.check_before_wall()
     moments = _times(camera, times)
-    setup = camera_setup(capture, camera, laser)
+    setup = camera_setup(capture, camera)
     setup = setup.cut(*apertures(setup, aperture))
     first, last, sample = setup.paths(volume, moments)
     notes = _notes(capture, volume, setup, wl_mean, sample)

@@ -8,13 +8,16 @@ points coincide in x and y, the kernel is even and a cosine transform of one qua
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._checks import fits_memory
 from ...errors import SamplingError
 from .rayleigh_sommerfeld import Advance, Legs
 from .virtual_pulse import Band, blocks
@@ -169,6 +172,11 @@ def plane_by_plane(
     # with one set of spectra, transform the wall once for all planes; for many lasers the
     # transforms would take too much memory
     only = room.wall(walls[:, 0]) if walls.shape[1] == 1 else None
+    if only is not None and legs.twice and len(times) == 1 and room.can_keep(kind):
+        turns = np.exp(1j * band.wavenumbers * times[0]).astype(kind)
+        fields[0] = room.all_planes(only * turns[:, None, None])
+        advance(1.0)
+        return fields
     n_planes = max(1, int(PLANES // (len(band.numbers) * room.size * kind.itemsize)))
     work = len(band.numbers) * room.size * len(volume.z) * walls.shape[1]
     if work > FEW:
@@ -231,23 +239,32 @@ class Room:
 
     def kernels(self, away: Array, kind: np.dtype) -> ComplexArray:
         """Return transforms of exp(i k r), (n, nz, y, x), for planes at distances ``away``, m."""
-        import ducc0
-
-        from . import _phasor_kernels
-
-        up, across = (axis.steps(self.mirrored) for axis in self.grid.axes)
-        shape = (len(self.band.numbers), len(away), len(up), len(across))
-        values = np.empty(shape, dtype=kind)
+        waves = self.band.wavenumbers[0], self.band.step, len(self.band.numbers)
         ways = 2 if self.legs.twice else 1
-        first, step = self.band.wavenumbers[0], self.band.step
-        _phasor_kernels.fill_kernels(across, up, away, ways, first, step, values)
-        if self.mirrored:
-            # the transform of an even kernel is the cosine transform of one quadrant
-            real = values.view(values.real.dtype).reshape(*shape, 2)
-            ducc0.fft.dct(real, 1, axes=(2, 3), out=real)
-        else:
-            ducc0.fft.c2c(values, axes=(2, 3), out=values)
-        return values
+        return _kernels(self.grid.axes, self.mirrored, away, ways, waves, kind)
+
+    def can_keep(self, kind: np.dtype) -> bool:
+        """Whether kernels of all planes fill at most 256 MB, and products are not folded."""
+        quadrant = math.prod(len(axis.steps(True)) for axis in self.grid.axes)
+        size = len(self.band.numbers) * len(self.volume.z) * quadrant * kind.itemsize
+        return self.mirrored and self.coarse == self.shape and size <= 2**28
+
+    def all_planes(self, wall: ComplexArray) -> ComplexArray:
+        """Return planes (nz, ny, nx) of all waves, by kernels that are kept between captures.
+
+        Each kernel of one quadrant serves the four mirrored frequencies of the wall.
+        """
+        waves = self.band.wavenumbers[0], self.band.step, len(self.band.numbers)
+        away = tuple(self.volume.z - self.grid.depth)
+        kernels = _kept_kernels(self.grid.axes, away, waves, wall.dtype)
+        y, x = (np.arange(count) for count in kernels.shape[:2])
+        corners = [(i[:, None], j) for i in (y, -y) for j in (x, -x)]
+        spectra = np.stack([wall[:, i, j] for i, j in corners], axis=-1)
+        light = np.matmul(kernels, spectra.transpose(1, 2, 0, 3))
+        products = np.empty((len(away), *self.shape), dtype=wall.dtype)
+        for k, (i, j) in enumerate(corners):
+            products[:, i, j] = light[..., k].transpose(2, 0, 1)
+        return self.planes(products)
 
     def wall(self, spectra: ComplexArray) -> ComplexArray:
         """Return padded transforms (n, Y, X) of the wall's spectra (n, y, x).
@@ -310,3 +327,44 @@ class Room:
             np.exp(1j * np.outer(times, waves)),
             fields[:, part],
         )
+
+
+def _kernels(
+    axes: tuple[Axis, Axis],
+    mirrored: bool,
+    away: Array,
+    ways: int,
+    waves: tuple[float, float, int],
+    kind: np.dtype,
+) -> ComplexArray:
+    """Return `Room.kernels`, for ``waves`` by first wavenumber, step and number."""
+    import ducc0
+
+    from . import _phasor_kernels
+
+    up, across = (axis.steps(mirrored) for axis in axes)
+    shape = (waves[2], len(away), len(up), len(across))
+    values = np.empty(shape, dtype=kind)
+    _phasor_kernels.fill_kernels(across, up, away, ways, waves[0], waves[1], values)
+    if mirrored:
+        # the transform of an even kernel is the cosine transform of one quadrant
+        real = values.view(values.real.dtype).reshape(*shape, 2)
+        ducc0.fft.dct(real, 1, axes=(2, 3), out=real)
+    else:
+        ducc0.fft.c2c(values, axes=(2, 3), out=values)
+    return values
+
+
+@lru_cache(maxsize=1)
+def _kept_kernels(
+    axes: tuple[Axis, Axis], away: tuple[float, ...], waves: tuple[float, float, int], kind: Any
+) -> ComplexArray:
+    """Return kernels of confocal planes, (y, x, nz, n), of one quadrant."""
+    quadrant = tuple(len(axis.steps(True)) for axis in axes)
+    shape = (*quadrant, len(away), waves[2])
+    fits_memory("kernels of all planes", math.prod(shape) * kind.itemsize, "ask for fewer voxels")
+    kernels = np.empty(shape, dtype=kind)
+    for k, z in enumerate(away):
+        plane = _kernels(axes, True, np.array([z]), 2, waves, kind)[:, 0]
+        kernels[:, :, k] = plane.transpose(1, 2, 0)
+    return kernels

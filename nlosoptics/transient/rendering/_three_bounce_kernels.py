@@ -13,8 +13,8 @@ import math
 import numpy as np
 from numba import prange
 
-from ...kernels.brdf import lobe
-from ...kernels.codes import LAMBERT
+from ...kernels.brdf import lobe, retroreflected
+from ...kernels.codes import LAMBERT, RETROREFLECTOR
 from ...kernels.compiling import njit
 from ...kernels.parallel import threaded
 from ._visibility_kernels import (
@@ -42,6 +42,22 @@ COLUMNS = 17
 
 
 @njit(cache=True, error_model="numpy")
+def _returned(angle, shift_sq, turn, sine_sq):
+    """Return the density of a retroreflecting lobe blurred by a shift along the wall, 1/sr.
+
+    The Gaussians of ``angle`` and shift are convolved. ``shift_sq`` is the squared angle of the
+    shift seen from the surface, which an incidence of squared sine ``sine_sq`` on the wall makes
+    narrower along one axis. ``turn`` is the difference of the unit vectors to laser and sensor.
+    """
+    across = angle * angle + shift_sq
+    along = across - shift_sq * sine_sq
+    square = turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2]
+    square = square / across + turn[2] * turn[2] * shift_sq / (across * along)
+    peak = retroreflected(1.0, angle) * angle * angle / math.sqrt(across * along)
+    return peak * math.exp(-0.5 * square)
+
+
+@njit(cache=True, error_model="numpy")
 def _node(x, y, z, pair, lobes, begin, end):
     """Return path r1 + r2, integrand in 1/m^4, r1, r2 and the half vector's cosine at a point.
 
@@ -59,7 +75,13 @@ def _node(x, y, z, pair, lobes, begin, end):
         mu1, mu2 = h1 / r1, h2 / r2
         between = (dx * ex + dy * ey + z * z) / (r1 * r2)
         for j in range(begin, end):
-            f += lobe(lobes, j, mu1, mu2, between)
+            if lobes[j, 0] == RETROREFLECTOR and lobes[j, 5] > 0.0:
+                turn = (dx / r1 - ex / r2, dy / r1 - ey / r2, z / r1 - z / r2)
+                sine_sq = 1.0 - (z / r1 + z / r2) ** 2 / (2.0 + 2.0 * between)
+                p = _returned(lobes[j, 2], lobes[j, 5] ** 2 / (r1 * r2), turn, sine_sq)
+                f += 2.0 * lobes[j, 1] * lobes[j, 3] * p / (mu1 + mu2)
+            else:
+                f += lobe(lobes, j, mu1, mu2, between)
         half = (mu1 + mu2) / math.sqrt(2.0 + 2.0 * between)
     return r1 + r2, z * z * (h1 * h2) * f / (both * both) / math.pi, r1, r2, half
 

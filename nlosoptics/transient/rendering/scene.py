@@ -15,6 +15,7 @@ from ...scene.parts.occluders import joined
 from ..capture.capture import TransientCapture
 from ..capture.wall_points import wall_grid
 from .render import render
+from .scan import Scan
 
 if TYPE_CHECKING:
     import trimesh
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 def render_scene(
     scene: Scene,
     *,
+    outer_legs: bool = False,
     tol: float = 1e-3,
     seed: int = 0,
     progress: Progress | None = None,
@@ -46,6 +48,8 @@ def render_scene(
     ----------
     scene : Scene
         Scene with ``transient``, a flat Lambertian wall, and a mesh or a black-and-white image.
+    outer_legs : bool
+        Whether times include the paths from the laser to the wall and from the wall to the camera.
     tol : float
         Error allowed for three bounces, for each pair of points: sum of the absolute errors of all
         bins, relative to the sum of the values.
@@ -54,8 +58,8 @@ def render_scene(
     progress : callable(str, float), optional
         Called with a line of text and the completed fraction, 0 to 1.
     **options
-        Further arguments of `render`: ``quantity``, ``outer_legs``, ``tol_multiple``,
-        ``min_bounces``, ``n_rays``. All others follow from the scene.
+        Further arguments of `render`: ``quantity``, ``tol_multiple``, ``min_bounces``, ``n_rays``.
+        All others follow from the scene.
 
     Returns
     -------
@@ -117,17 +121,20 @@ def render_scene(
     grid = wall_grid(scan.side, scan.count)
     capture = render(
         surfaces,
-        laser_points=scene.laser.aim if scan.scan == "single" else grid,
-        sensor_points=grid,
-        pairing="confocal" if scan.scan == "confocal" else "all",
-        wall_albedo=albedo,
-        t_start=scan.t_start,
-        delta_t=scan.delta_t,
-        n_bins=scan.n_bins,
+        Scan(
+            laser_points=scene.laser.aim if scan.scan == "single" else grid,
+            sensor_points=grid,
+            pairing="confocal" if scan.scan == "confocal" else "all",
+            t_start=scan.t_start,
+            delta_t=scan.delta_t,
+            n_bins=scan.n_bins,
+            outer_legs=outer_legs,
+            laser_origin=scene.laser.position,
+            sensor_origin=scene.camera.position,
+            wall_albedo=albedo,
+            wall_size=_wall_between(scene, scan),
+        ),
         max_bounces=scan.max_bounces,
-        wall_size=_wall_between(scene, scan),
-        laser_origin=scene.laser.position,
-        sensor_origin=scene.camera.position,
         tol=tol,
         seed=seed,
         progress=progress,

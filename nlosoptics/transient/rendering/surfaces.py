@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..._checks import counted
 from ...errors import SceneError
-from ...kernels.codes import BECKMANN, GGX, OREN_NAYAR_FULL
+from ...kernels.codes import BECKMANN, GGX
 from ...raytrace import intersect_mesh
 from ...scene import Lambert, Material
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import trimesh
 
     from ._bounce_kernels import Surfaces
+    from .scan import Frame
 
 Array = NDArray[np.float64]
 
@@ -158,15 +159,17 @@ class HiddenSurfaces:
         return np.array(self.mesh.vertices[self.mesh.faces], dtype=np.float64)
 
 
-def hidden_surfaces(surfaces: Iterable[tuple[trimesh.Trimesh, Material]]) -> HiddenSurfaces:
-    """Check and join hidden meshes."""
+def hidden_surfaces(
+    surfaces: Iterable[tuple[trimesh.Trimesh, Material]], frame: Frame | None = None
+) -> HiddenSurfaces:
+    """Check and join hidden meshes, in the frame of a wall, by default that of the world."""
     import trimesh
 
     pairs = _pairs(surfaces)
     vertices, faces, lobes, spans, alphas = [], [], [], [], []
     n_vertices = n_lobes = 0
     for number, (mesh, material) in enumerate(pairs):
-        points = _checked(number, mesh)
+        points = _checked(number, mesh, frame)
         rows = _lobes(number, material)
         triangles = np.asarray(mesh.faces, dtype=np.int64)
         vertices.append(points)
@@ -195,7 +198,7 @@ def _pairs(surfaces: Any) -> list[tuple[Any, Any]]:
     return pairs
 
 
-def _checked(number: int, mesh: Any) -> Array:
+def _checked(number: int, mesh: Any, frame: Frame | None) -> Array:
     """Return the vertices of a mesh after checking them."""
     import trimesh
 
@@ -203,6 +206,8 @@ def _checked(number: int, mesh: Any) -> Array:
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise SceneError(f"{name} of type {type(mesh).__name__} holds no triangles; give a Trimesh")
     points = np.array(mesh.vertices, dtype=np.float64)
+    if frame is not None:
+        points = frame.inside(points)
     corners = points[np.asarray(mesh.faces)]
     bad = np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))
     if len(bad):
@@ -238,7 +243,7 @@ def _lobes(number: int, material: Any) -> Array:
     if not isinstance(material, Material):
         raise SceneError(
             f"surfaces[{number}] has the material {type(material).__name__}; give scene.Lambert, "
-            "OrenNayar, Ward, SpecularMicrofacet or SumMaterial"
+            "OrenNayar, Ward, SpecularMicrofacet, Retroreflector or SumMaterial"
         )
     rows = material.lobe_table()
     mirror = np.isin(rows[:, 0], (BECKMANN, GGX)) & (rows[:, 2] == 0.0) & (rows[:, 1] > 0.0)
@@ -254,6 +259,6 @@ def _narrowest(rows: Array) -> float:
     """Return the least alpha of the reflecting lobes, at most 1, which counts as wide."""
     alphas = [1.0]
     for kind, strength, slope in rows[:, :3]:
-        if kind > OREN_NAYAR_FULL and strength > 0.0 and slope > 0.0:
+        if kind >= BECKMANN and strength > 0.0 and slope > 0.0:
             alphas.append(float(slope) * (math.sqrt(2.0) if kind in (BECKMANN, GGX) else 1.0))
     return min(alphas)

@@ -9,7 +9,12 @@ import pytest
 from pytest import approx
 
 from nlosoptics import psf
-from nlosoptics.psf.transform.wide_pixels import binned, detilted_wide_spread, tail_pixels
+from nlosoptics.psf.transform.wide_pixels import (
+    binned,
+    detilted_wide_spread,
+    inner_parts,
+    tail_pixels,
+)
 from nlosoptics.psf.wave.detilted import split
 
 WAVELENGTH, UNIT = 632.8e-9, 2 * 632.8e-9  # lambda N
@@ -53,6 +58,23 @@ def test_estimate_bounds_the_error(waves, tol):
     assert found.regime.pixel == approx(41.3)
     if tol == 1e-3 and 4 not in waves and 5 not in waves:
         assert found.method.endswith("+ tail")
+
+
+@pytest.mark.parametrize(("pixel", "tol"), [(306.0, 3e-5), (41.3, 1e-4)])
+def test_parts_of_wide_pixels_add_up_to_the_tolerance(pixel, tol):
+    """Otherwise all samples of these pixels would be computed after the fine ones."""
+    residual = split(wave_of({5: 0.2}))
+    n, parts, fine = inner_parts(residual, pixel * UNIT, (9, 9), tol)
+    assert fine * min(n, parts) < 0.75 * tol
+    assert detilted_wide_spread(residual, pixel * UNIT, (9, 9), tol).method == "fft + tail"
+
+
+@pytest.mark.parametrize(("pixel", "tol"), [(6.27, 7e-7), (16.9, 1.5e-6)])
+def test_one_fft_is_fine_enough_for_the_mean_over_a_wide_pixel(pixel, tol):
+    options = {"pitch": pixel * UNIT, "shape": 31, "tol": tol, "pixel_integrated": True}
+    found = psf.point_spread(wave_of({4: 0.01}), **options, model="scalar")
+    assert found.reason.startswith("fft is the cheapest")
+    assert "ran first" not in found.reason
 
 
 def test_narrow_pixels_and_grids_go_the_usual_way():

@@ -1,4 +1,4 @@
-"""Sums over as few nodes of rings as a tolerance allows, and the closed form."""
+"""As few samples of round pupils as a tolerance allows, and the closed form."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from pytest import approx
 from scipy.special import j1
 
 from nlosoptics import psf
-from nlosoptics.psf.transform import airy
+from nlosoptics.psf.transform import airy, antialiased_pupil
 from nlosoptics.psf.wave import _wave_kernels
 from nlosoptics.psf.wave.detilted import split
 from nlosoptics.psf.window.window import Window
@@ -61,6 +61,24 @@ def test_uneven_amplitude_within_the_estimate(waves, tol):
     assert found.error_estimate < max(300 * error, tol / 50, 1e-10)
 
 
+@pytest.mark.parametrize("tol", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize(
+    "wave",
+    [
+        uneven({4: 1.0}, lambda u, v: 1 - 0.4 * u * u),
+        uneven({4: 1.0}, lambda u, v: 1 - 0.1 * np.cos(20 * u)),
+        zernike_wave({4: 1.0, 79: 0.02}),
+    ],
+    ids=["steep", "bumpy", "degree 11"],
+)
+def test_waves_that_are_no_polynomials_within_the_estimate(wave, tol):
+    assert antialiased_pupil.soft_wave(split(wave), tol / 1e3) is None
+    options = {"shape": 200, "pitch": UNIT / 2}
+    exact = psf.point_spread(wave, method="quadrature", tol=1e-12, **options)
+    found = psf.point_spread(wave, method="fft", tol=tol, **options)
+    assert error(found, exact) <= found.error_estimate <= tol
+
+
 WAVES = [
     ({}, {}),
     (MIX, {}),
@@ -90,7 +108,7 @@ def test_estimate_bounds_the_error_at_every_tolerance(waves, changes):
 @pytest.mark.parametrize("obscuration", [0.0, 0.2])
 @pytest.mark.parametrize("tol", [1e-2, 1e-6, 1e-9, 1e-11])
 def test_pupils_of_few_cells_keep_their_estimate(obscuration, tol):
-    """A small window needs few nodes, of which rings still resolve the rim."""
+    """A small window needs so few cells that the softened rims reach the centre."""
     wave = zernike_wave({}, obscuration=obscuration)
     kwargs = {"pitch": 0.1 * UNIT, "shape": (3, 12)}
     reference = psf.point_spread(wave, method="quadrature", tol=1e-13, **kwargs)

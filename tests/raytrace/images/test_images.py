@@ -31,7 +31,7 @@ from nlosoptics.scene import (
     SumMaterial,
     WavyWall,
 )
-from nlosoptics.transient import render
+from nlosoptics.transient import Scan, render
 from nlosoptics.transient.rendering.scene import cut_out
 
 #: No symmetry, so that a turned or mirrored image is seen.
@@ -168,16 +168,18 @@ def test_histogram_of_three_reflections_agrees_with_the_quadrature(outer_legs):
     rays = chief_rays(scene, *pixel_centres(fine))
     capture = render(
         [(cut_out(hidden), hidden.material)],
-        laser_points=laser.aim,
-        sensor_points=rays.points,
-        wall_albedo=0.6,
+        Scan(
+            laser_points=laser.aim,
+            sensor_points=rays.points,
+            wall_albedo=0.6,
+            outer_legs=outer_legs,
+            laser_origin=laser.position,
+            sensor_origin=camera.position,
+            **bins,
+        ),
         quantity="radiance",
-        outer_legs=outer_legs,
-        laser_origin=laser.position,
-        sensor_origin=camera.position,
         max_bounces=3,
         tol=1e-3,
-        **bins,
     )
     f_number = working_f_number(camera.stop_diameter / 2, scene.image_distance)
     area = fine.image_pitch**2 * math.pi * camera.transmission / (4 * f_number**2)

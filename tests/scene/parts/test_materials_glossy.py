@@ -12,7 +12,14 @@ import pytest
 from pytest import approx
 
 from nlosoptics.kernels.brdf import masked_cosine
-from nlosoptics.scene import Lambert, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
+from nlosoptics.scene import (
+    Lambert,
+    OrenNayar,
+    Retroreflector,
+    SpecularMicrofacet,
+    SumMaterial,
+    Ward,
+)
 
 TRUTHS = json.loads((Path(__file__).parents[2] / "truths" / "materials.json").read_text())
 NORMAL = np.array([0.0, 0.0, 1.0])
@@ -108,6 +115,7 @@ CONSERVING = [
     *(SpecularMicrofacet(1.0, slope) for slope in (0.01, 0.1, 0.3, 0.7)),
     *(SpecularMicrofacet(1.0, slope, distribution="ggx") for slope in (0.001, 0.1, 0.3, 0.7)),
     *(Ward(1.0, alpha, variant="bounded") for alpha in (0.02, 0.2, 0.5, 1.0)),
+    *(Retroreflector(1.0, angle) for angle in (1e-3, 0.1, 0.5)),
     *(OrenNayar(1.0, slope, normalised=True) for slope in (0.1, 0.346, 1.0)),
     *(OrenNayar(1.0, slope, model="full", normalised=True) for slope in (0.1, 0.3, 1.0)),
     SumMaterial(OrenNayar(0.6, 0.3), SpecularMicrofacet(0.35, 0.3)),

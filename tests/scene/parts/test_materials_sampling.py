@@ -11,7 +11,14 @@ from pytest import approx
 from scipy import stats
 
 from nlosoptics.errors import SceneError
-from nlosoptics.scene import Lambert, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
+from nlosoptics.scene import (
+    Lambert,
+    OrenNayar,
+    Retroreflector,
+    SpecularMicrofacet,
+    SumMaterial,
+    Ward,
+)
 
 NORMAL = np.array([0.0, 0.0, 1.0])
 MATERIALS = [
@@ -30,6 +37,7 @@ MATERIALS = [
     Ward(0.9, 1.0),
     Ward(0.9, 0.4, variant="duer"),
     Ward(0.9, 1.0, variant="bounded"),
+    Retroreflector(0.9, 0.3),
     SumMaterial(OrenNayar(0.6, 0.3), SpecularMicrofacet(0.2, 0.1), Ward(0.2, 0.5)),
 ]
 ANGLES = [0.0, 0.6, 1.2, 1.5]
@@ -57,12 +65,22 @@ def is_diffuse(material) -> bool:
     return isinstance(material, Lambert | OrenNayar)
 
 
+def about_incident(theta: float):
+    """Rows of a frame with the incident direction as its z axis."""
+    c, s = math.cos(theta), math.sin(theta)
+    return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+
+
 def coordinates(material, theta: float, exitant):
     """Polar angle and azimuth, of exitants of diffuse lobes, else of their half vectors.
 
+    Those of retroreflectors are about the incident direction.
+
     Half vectors of the upper hemisphere and exitants of the whole sphere are one to one.
     """
-    if not is_diffuse(material):
+    if isinstance(material, Retroreflector):
+        exitant = exitant @ about_incident(theta).T
+    elif not is_diffuse(material):
         exitant = exitant + direction(theta)
         exitant = exitant * np.sign(exitant[:, 2:])
     x, y, z = exitant.T
@@ -80,7 +98,9 @@ def shares(material, theta: float, rings, panels: int, turns: int):
     weight = (half * weights).ravel() * np.sin(angle)
     turn = (np.arange(N_AZIMUTHS * turns) + 0.5) * 2 * math.pi / (N_AZIMUTHS * turns)
     exitant, stretch = direction(angle[:, None], turn), 1.0
-    if not is_diffuse(material):
+    if isinstance(material, Retroreflector):
+        exitant = exitant @ about_incident(theta)
+    elif not is_diffuse(material):
         facet, along = exitant, exitant @ direction(theta)
         exitant = 2 * along[..., None] * facet - direction(theta)
         stretch = 4 * np.abs(along)  # dOmega_o = 4 |i.h| dOmega_h

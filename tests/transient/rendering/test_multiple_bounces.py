@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -425,12 +426,14 @@ def test_light_that_misses_the_bins_is_no_convergence():
 def test_render_keeps_bounces_apart():
     capture = transient.render(
         CORRIDOR[:3],
-        laser_points=LASER,
-        sensor_points=POINTS,
-        wall_albedo=0.8,
-        t_start=0.0,
-        delta_t=0.5,
-        n_bins=16,
+        transient.Scan(
+            laser_points=LASER,
+            sensor_points=POINTS,
+            wall_albedo=0.8,
+            t_start=0.0,
+            delta_t=0.5,
+            n_bins=16,
+        ),
         max_bounces=5,
         quantity="radiosity",
         tol=0.05,
@@ -451,28 +454,23 @@ def test_render_keeps_bounces_apart():
 
 @pytest.mark.thorough
 def test_further_bounces_alone_are_those_of_all():
-    setting = {
-        "laser_points": LASER,
-        "sensor_points": POINTS,
-        "t_start": 0.0,
-        "delta_t": 0.5,
-        "n_bins": 16,
-        "tol": 0.05,
-        "tol_multiple": 0.3,
-        "seed": 4,
-    }
-    whole = transient.render(CORRIDOR[:3], max_bounces=5, **setting)
-    more = transient.render(CORRIDOR[:3], min_bounces=4, max_bounces=5, **setting)
+    scan = transient.Scan(
+        laser_points=LASER, sensor_points=POINTS, t_start=0.0, delta_t=0.5, n_bins=16
+    )
+    setting = {"tol": 0.05, "tol_multiple": 0.3, "seed": 4}
+    whole = transient.render(CORRIDOR[:3], scan, max_bounces=5, **setting)
+    more = transient.render(CORRIDOR[:3], scan, min_bounces=4, max_bounces=5, **setting)
     assert sorted(more.by_bounce) == [4, 5]
     for n in (4, 5):
         assert np.array_equal(more.by_bounce[n], whole.by_bounce[n])
     assert np.array_equal(more.H, more.by_bounce[4] + more.by_bounce[5])
     assert np.array_equal(more.standard_error, whole.standard_error)
     assert "error_estimate" not in more.details
+    short = replace(scan, n_bins=1, delta_t=0.1)
     with pytest.raises(SamplingError, match="no light of 4 to 5 bounces arrives in the bins"):
-        transient.render(CORRIDOR[:3], min_bounces=4, **setting | {"n_bins": 1, "delta_t": 0.1})
+        transient.render(CORRIDOR[:3], short, min_bounces=4, **setting)
     with pytest.raises(SceneError, match="max_bounces = 5 is out of range, must be from 6 to 32"):
-        transient.render(CORRIDOR[:3], min_bounces=6, **setting)
+        transient.render(CORRIDOR[:3], scan, min_bounces=6, **setting)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import trimesh
 
 from nlosoptics import scene
 from nlosoptics.errors import SamplingError, SceneError
-from nlosoptics.transient import render, wall_grid
+from nlosoptics.transient import Scan, Volume, phasor_image, render, wall_grid
 
 from .three_bounce_quadrature import brute_force
 
@@ -51,7 +52,10 @@ def light(surfaces, **changes):
         "max_bounces": 3,
         **BINS,
     }
-    return render(surfaces, **{**given, **changes})
+    options = {**given, **changes}
+    names = {field.name for field in fields(Scan)}
+    scan = {name: options.pop(name) for name in list(options) if name in names}
+    return render(surfaces, Scan(**scan), **options)
 
 
 def edges(capture):
@@ -347,6 +351,38 @@ def test_both_sides_scatter_alike():
     assert light([(one, WHITE)]).H == pytest.approx(light([(other, WHITE)]).H, rel=1e-12)
 
 
+def test_a_tilted_wall_is_that_of_brute_force():
+    """Within 1 % of a sum in world coordinates; a phasor field finds the plate where it is."""
+    turn = trimesh.transformations.rotation_matrix(0.4, (0.3, 1.0, 0.2))[:3, :3]
+    grid = wall_grid(1.0, 8) @ turn.T + (0.1, 0.2, -0.3)
+    normal = turn @ (0.0, 0.0, 2.0)
+    target = plate(0.2, 0.2, grid.mean(axis=(0, 1)) + 0.4 * normal, -0.1)
+    outer = {"laser_origin": (0.2, -0.3, 1.0), "sensor_origin": (0.0, 0.5, 0.9)}
+    bins = {"t_start": 1.5, "delta_t": 0.02, "n_bins": 200}
+    points = {"laser_points": grid[4, 4], "sensor_points": grid, "wall_normal": normal}
+    capture = light([(target, WHITE)], **bins, **points)
+    for i, j in ((0, 0), (7, 2)):
+        true = brute_force(
+            [(target, WHITE)], grid[4, 4], grid[i, j], capture.edges, 600, wall_normal=normal / 2.0
+        )
+        assert relative(capture.H[:, i, j], true) < 0.01
+    ends = zip((grid[4, 4], grid), outer.values(), strict=True)
+    legs = sum(np.linalg.norm(p - o, axis=-1) for p, o in ends)
+    late = light([(target, WHITE)], outer_legs=True, **outer, **bins, **points)
+    shift = ((late.H - capture.H) * capture.times[:, None, None]).sum(axis=0)
+    assert shift / capture.H.sum(axis=0) == pytest.approx(legs, abs=0.01)
+    capture = light([(target, WHITE)], **bins | {"t_start": 1.0, "n_bins": 120}, **points)
+    volume = Volume.box(target.centroid, (0.6, 0.6, 0.4), 0.05)
+    image = phasor_image(capture, volume, wl_mean=0.25, method="direct")
+    where = np.unravel_index(image.intensity.argmax(), volume.shape)
+    assert volume.points[where] == pytest.approx(target.centroid, abs=0.06)
+    with pytest.raises(SceneError, match="off the plane of the first laser point"):
+        light([(target, WHITE)], **bins, **points | {"laser_points": grid[4, 4] + 0.1})
+    behind = outer | {"laser_origin": (0.0, 0.0, -2.0), "outer_legs": True}
+    with pytest.raises(SceneError, match="height of laser_origin over the wall = -"):
+        light([(target, WHITE)], **bins, **points, **behind)
+
+
 def test_progress_ends_at_one():
     told = []
     light([(letter(), WHITE)], progress=lambda text, share: told.append((share, text)))
@@ -452,12 +488,14 @@ def test_peer_transient(name):
     grid = wall_grid(2.0, meta["n"])
     found = render(
         surfaces,
-        laser_points=grid if meta["capture"] == "confocal" else (0, 0, 0),
-        sensor_points=grid,
-        pairing="confocal" if meta["capture"] == "confocal" else "all",
-        t_start=meta["start_opl_m"],
-        delta_t=meta["bin_width_opl_m"],
-        n_bins=meta["bins"],
+        Scan(
+            laser_points=grid if meta["capture"] == "confocal" else (0, 0, 0),
+            sensor_points=grid,
+            pairing="confocal" if meta["capture"] == "confocal" else "all",
+            t_start=meta["start_opl_m"],
+            delta_t=meta["bin_width_opl_m"],
+            n_bins=meta["bins"],
+        ),
         max_bounces=3,
         quantity="radiosity",
     )
@@ -484,19 +522,17 @@ def test_peer_corridor():
         (trimesh.load(path / "meshes" / f"{k}.obj", process=False), scene.Lambert(0.6))
         for k in meta["extra"]
     ]
-    setting = {
-        "laser_points": (0, 0, 0),
-        "sensor_points": wall_grid(2.0, 16),
-        "t_start": 0.0,
-        "delta_t": 0.01,
-        "n_bins": 800,
-        "max_bounces": 3,
-        "quantity": "radiosity",
-        "tol": 1e-2,
-    }
+    scan = Scan(
+        laser_points=(0, 0, 0),
+        sensor_points=wall_grid(2.0, 16),
+        t_start=0.0,
+        delta_t=0.01,
+        n_bins=800,
+    )
+    options = {"max_bounces": 3, "quantity": "radiosity", "tol": 1e-2}
     power = lamp(meta, np.zeros(3))
-    letter_alone = power * render([z], **setting).H
-    rest = power * render([z, *walls], **setting).H - letter_alone
+    letter_alone = power * render([z], scan, **options).H
+    rest = power * render([z, *walls], scan, **options).H - letter_alone
     shares = np.linalg.lstsq(np.stack([letter_alone.ravel(), rest.ravel()], 1), H.ravel())[0]
     # the peer's noise in 205 000 bins, some of it in fireflies
     assert shares[1] == pytest.approx(1.0, abs=0.01)

@@ -24,7 +24,7 @@ from nlosoptics.scene import (
     TransientScan,
     WallRoughness,
 )
-from nlosoptics.transient import Volume, render, render_scene, wall_grid
+from nlosoptics.transient import Scan, Volume, render, render_scene, wall_grid
 from nlosoptics.transient.rendering.scene import cut_out
 
 SCAN = TransientScan(side=2.0, count=3, t_start=1.5, delta_t=0.02, n_bins=120)
@@ -85,12 +85,14 @@ def test_a_scene_is_rendered_as_its_parts_are():
     bins = {"t_start": 1.5, "delta_t": 0.02, "n_bins": 120}
     same = render(
         [(mesh, Lambert(0.6))],
-        laser_points=(0, 0, 0),
-        sensor_points=wall_grid(2.0, 3),
-        wall_albedo=0.8,
+        Scan(
+            laser_points=(0, 0, 0),
+            sensor_points=wall_grid(2.0, 3),
+            wall_albedo=0.8,
+            **bins,
+        ),
         max_bounces=3,
         tol=1e-3,
-        **bins,
     )
     assert np.array_equal(ours.H, same.H)
     assert ours.laser_origin == (-0.5, 0.0, 0.25)
@@ -128,12 +130,14 @@ def test_occluders_with_a_material_give_light_too():
     lit = render_scene(scene(occluders=(Occluder(side, material=Lambert(0.4)),)), tol=1e-2)
     same = render(
         [(cut_out(hidden), hidden.material), (side, Lambert(0.4))],
-        laser_points=(0, 0, 0),
-        sensor_points=wall_grid(2.0, 3),
-        wall_albedo=0.8,
-        t_start=1.5,
-        delta_t=0.02,
-        n_bins=120,
+        Scan(
+            laser_points=(0, 0, 0),
+            sensor_points=wall_grid(2.0, 3),
+            wall_albedo=0.8,
+            t_start=1.5,
+            delta_t=0.02,
+            n_bins=120,
+        ),
         max_bounces=3,
         tol=1e-2,
     )

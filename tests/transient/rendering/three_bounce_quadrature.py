@@ -18,7 +18,7 @@ def middles(corners, n):
     return o + u[:, None] * a + v[:, None] * b, area
 
 
-def brute_force(surfaces, laser, sensor, edges, n, *, shadows=None):
+def brute_force(surfaces, laser, sensor, edges, n, *, shadows=None, wall_normal=(0, 0, 1)):
     """G over bins; ``shadows`` is the mesh that may stand in between."""
     laser, sensor = np.asarray(laser, float), np.asarray(sensor, float)
     total = np.zeros(len(edges) - 1)
@@ -32,8 +32,14 @@ def brute_force(surfaces, laser, sensor, edges, n, *, shadows=None):
             to_l, to_c = to_l / r1[:, None], to_c / r2[:, None]
             mu_1, mu_2 = to_l @ normal, to_c @ normal
             facing = np.where(mu_1 > 0.0, 1.0, -1.0)[:, None] * normal
-            # the cosines at the wall, whose normal is +z, are those of the way back
-            value = -to_l[:, 2] * -to_c[:, 2] * np.abs(mu_1 * mu_2) / (r1 * r2) ** 2 / np.pi
+            # the cosines at the wall are those of the way back
+            value = (
+                (to_l @ wall_normal)
+                * (to_c @ wall_normal)
+                * np.abs(mu_1 * mu_2)
+                / (r1 * r2) ** 2
+                / np.pi
+            )
             value *= material.evaluate(to_l, to_c, facing) * area
             value[mu_1 * mu_2 <= 0.0] = 0.0
             if shadows is not None:
