@@ -6,10 +6,8 @@ They are padded to a period of a whole number of samples.
 from __future__ import annotations
 
 import math
-import threading
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import ducc0
 import numpy as np
@@ -28,8 +26,6 @@ Array = NDArray[np.float64]
 
 #: Points per cell in the table of a softened rim; six-point interpolation then has error 2e-15.
 STEPS = 256
-
-_own = threading.local()
 
 
 @dataclass(frozen=True)
@@ -114,8 +110,8 @@ def image(
         """Return the transform of rows, padded to the period, to ``count`` samples."""
 
         def transform(lines: NDArray[np.complex128]) -> NDArray[np.complex128]:
-            work = _workspace("padded", (len(lines), size), complex)
-            work[:, :rows], work[:, rows:] = lines, 0.0
+            work = np.zeros((len(lines), size), dtype=np.complex128)
+            work[:, :rows] = lines
             ducc0.fft.c2c(work, axes=(1,), forward=forward, out=work, nthreads=1)
             return work[:, :count]
 
@@ -184,18 +180,3 @@ def _rim_table(radius: float, reach: int) -> tuple[float, float, Array]:
     table = chebyshev.chebval(place, disc.series)
     table.setflags(write=False)
     return disc.low, disc.high, table
-
-
-def _workspace(name: str, shape: tuple[int, ...], kind: type = float) -> NDArray[Any]:
-    """Return a thread's own array, which later calls use again if it is small.
-
-    New pages of memory would take a third of a small transform's time.
-    """
-    need = math.prod(shape) * np.dtype(kind).itemsize
-    if need > 2**22:
-        return np.empty(shape, dtype=kind)
-    kept = getattr(_own, name, None)
-    if kept is None or kept.nbytes < need:
-        kept = np.empty(need, dtype=np.uint8)
-        setattr(_own, name, kept)
-    return np.asarray(kept[:need].view(kind).reshape(shape))

@@ -20,6 +20,7 @@ from ..wave.polar_series import PolarSpectrum
 from ..wave.pupil_polynomials import polynomial_of
 from ..window import antialiased_disc, error_bounds
 from ..window.window import Window
+from .quadrature import predicted_peak
 
 Array = NDArray[np.float64]
 
@@ -166,41 +167,3 @@ def period_of(
     widest, goal = 6 * (least + reach) + 400, tol / 2 * peak
     work = np.empty_like(far)
     return float(_antialiased_kernels.least_period(least, widest, light, goal, work, far, *rim))
-
-
-def predicted_peak(residual: Residual) -> float:
-    """Predict the largest intensity from the rms aberration and the rays, 1 at the ideal peak."""
-    rms = residual.heights.rms * residual.wavenumber
-    rays, unit = residual.rays, residual.airy_unit
-    side = max(rays.reach / 10, 1.25 * unit)
-    densest = rays.densest(side) / side**2
-    return max(math.exp(-(rms**2)), densest * 4 / math.pi * unit**2)
-
-
-def block_maxima(
-    residual: Residual, window: Window, intensity: Array, half: float
-) -> tuple[Array, Array]:
-    """Return the largest intensity in each of 8 x 8 blocks of a window, and their distances.
-
-    Parameters
-    ----------
-    residual : Residual
-        Wave without piston and tilt.
-    window : Window
-        Image points.
-    intensity : ndarray, (ny, nx)
-        Image in the window.
-    half : float
-        Half a pixel's side, m, since errors are largest at its far edge; 0 for points.
-
-    Returns
-    -------
-    strongest, far : ndarray, (blocks, blocks)
-        At most 8 per side; ``far`` is a block's largest distance from the tilt's image point, m.
-    """
-    starts = [np.arange(min(n, 8)) * n // min(n, 8) for n in window.shape]
-    strongest = np.maximum.reduceat(intensity, starts[0], axis=0)
-    strongest = np.maximum.reduceat(strongest, starts[1], axis=1)
-    axes = window.y - residual.shift[1], window.x - residual.shift[0]
-    far = [np.maximum.reduceat(np.abs(v), at) for v, at in zip(axes, starts, strict=True)]
-    return strongest, np.hypot(far[0][:, None], far[1]) + math.sqrt(2) * half

@@ -8,14 +8,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ..wave.detilted import Residual
-from ..window.grids import grid_size
 from ..window.window import Window
 from . import quadrature
 from .antialiased_fft import Grid
-from .geometric import MOST_RAYS, most_cells, patch_rays, ray_counts
 
 #: Overhead of any transform, s: calls, checks, small arrays and the wave's regime.
 CALL = 1.2e-3
@@ -32,16 +28,9 @@ def sum_over_nodes(n_nodes: float, window: Window) -> float:
 
 
 def coarse_sum(coarse: quadrature.Coarse, window: Window) -> float:
-    """Predict the seconds of ``fft`` for a wave on cells."""
+    """Predict the seconds of ``fft`` for a wave on rings or cells."""
     digits = -math.log10(coarse.epsilon)
     return 6e-4 + (3e-8 + 1e-9 * digits**2) * math.prod(coarse.counts) + 1.2e-8 * _points(window)
-
-
-def soft_grid(residual: Residual, window: Window, pupil_pitch: float) -> float:
-    """Predict the seconds of a polar wave resampled to a pupil grid."""
-    n = grid_size(residual.wavefront.pupil_radius, pupil_pitch)
-    each = 1.1e-7 if residual.is_uniform else 1.6e-7
-    return 1e-2 + each * n * n + map_sums(n, window)
 
 
 def soft_padded(window: Window, grid: Grid) -> float:
@@ -69,23 +58,15 @@ def scattered_sum(residual: Residual, window: Window) -> float:
     )
 
 
-def rays(residual: Residual, window: Window) -> float:
+def map_bytes(n: int, window: Window) -> float:
+    """Predict the peak memory of `map_sums`, bytes, including that of preparing the wave."""
+    ny, nx = map(float, window.shape)
+    return max(48.0 * n * (n + max(ny, nx)) + 24.0 * ny * nx, 140.0 * n**2)
+
+
+def rays(count: float) -> float:
     """Predict the seconds of ``geometric``: two passes, the second for the error estimate."""
-    if residual.wavefront.layout == "polar":
-        n_r, n_theta = ray_counts(residual, window)
-        return 3e-3 + 4e-7 * n_r * n_theta
-    wave = residual.wavefront
-    if wave.layout == "cells":
-        return 3e-3 + 4e-7 * len(wave.u) * patch_rays(residual, window) ** 2
-    if wave.layout == "scattered":
-        n_nodes, cells = len(residual.local.indices), most_cells(residual, window)
-    else:
-        # An upper bound without the local fits, which would take longer than the prediction.
-        n_nodes = int(np.count_nonzero(wave.amplitude * wave.weights))
-        step = 8 * residual.rays.reach / len(wave.u)
-        most = math.isqrt(max(1, MOST_RAYS // n_nodes))
-        cells = max(min(most, math.ceil(2 * step / window.pitch)), 1)
-    return 5e-3 + (3e-5 + 1e-6 * cells**2) * n_nodes
+    return 3e-3 + 4e-7 * count
 
 
 def scattered(cells: float, nodes: float, points: float, pixels: float) -> float:

@@ -16,11 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
-from ...errors import SamplingError
 from ..aperture.quadrature_nodes import gauss_legendre
 from ..wave.cell_series import NEAREST
 from ..wave.detilted import Residual
-from ..wave.scattered_fits import LocalFits, terms
 from ..window.window import Window
 
 Array = NDArray[np.float64]
@@ -31,9 +29,8 @@ FRESNEL, AIRY = 1.5, 2.0
 RIM: Final = 2.0
 #: Factor from the change due to the blur to the error estimate.
 SAFETY: Final = 2.0
-#: Limits of the rings of a polar mesh, and of all rays from a grid or from scattered nodes.
+#: Most rings of a polar mesh.
 MOST_RADII: Final = 700
-MOST_RAYS: Final = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,16 +134,7 @@ def _boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]
     """Yield the boxes of all rays; ``share`` scales the number of rays along each direction."""
     if residual.is_flat:
         return iter([_single_box(residual)])
-    if residual.wavefront.layout == "polar":
-        return _polar_boxes(residual, window, share)
-    if residual.wavefront.layout == "cells":
-        return _cell_boxes(residual, window, share)
-    if residual.wavefront.aperture is not None and len(residual.wavefront.aperture.cells) > 1:
-        raise SamplingError(
-            "geometric rays need slopes between neighbouring nodes, and this grid's aperture has "
-            f"{len(residual.wavefront.aperture.cells)} separate cells; sample it with nodes='cells'"
-        )
-    return _local_boxes(residual, window, share)
+    return (_cell_boxes if residual.wavefront.aperture else _polar_boxes)(residual, window, share)
 
 
 def _single_box(residual: Residual) -> _Boxes:
@@ -160,6 +148,13 @@ def ray_counts(residual: Residual, window: Window, share: float = 1.0) -> tuple[
     n_r = 4 * residual.rays.reach / window.pitch + 64
     n_r = max(residual.series.n_r, math.ceil(share * min(n_r, MOST_RADII)))
     return n_r, max(residual.series.n_theta, 4 * n_r)
+
+
+def ray_count(residual: Residual, window: Window) -> float:
+    """Return the number of rays of `density`."""
+    if residual.wavefront.aperture is None:
+        return math.prod(map(float, ray_counts(residual, window)))
+    return len(residual.aberration) * float(patch_rays(residual, window)) ** 2
 
 
 def _polar_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
@@ -251,56 +246,6 @@ def patch_rays(residual: Residual, window: Window, share: float = 1.0) -> int:
     n = 4 * residual.rays.reach / window.pitch + 64
     wanted = math.ceil(share * min(n, 2 * MOST_RADII / math.sqrt(n_patches)))
     return int(max(*own, wanted))
-
-
-def _local_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
-    """Yield the boxes of square cells around grid or scattered nodes, divided to suit the pixels.
-
-    Each yield holds one part of every node's cell.
-    """
-    wave, fits = residual.wavefront, residual.local
-    weights = wave.weights.ravel()[fits.indices]
-    energy = weights * wave.amplitude.ravel()[fits.indices] ** 2
-    energy /= energy.sum()
-    side = np.sqrt(weights)
-    d = wave.image_distance
-    uu, uv, vv = fits.bends.T
-    wide = side * np.hypot(uu, uv), side * np.hypot(uv, vv)
-    cells = most_cells(residual, window, share)
-    doubt = abs(d) * fits.misfit / side.clip(min=1e-12 * wave.pupil_radius)
-    blur = _blur(residual, uu, uv, vv, doubt)
-    steps = (np.arange(cells) + 0.5) / cells - 0.5
-    for a in steps:
-        for b in steps:
-            du, dv = _slopes(fits, a * side / fits.scale, b * side / fits.scale)
-            width_x, width_y = (abs(d) * w / cells for w in wide)
-            yield _Boxes(d * du, d * dv, width_x, width_y, blur, energy / cells**2)
-
-
-def most_cells(residual: Residual, window: Window, share: float = 1.0) -> int:
-    """Return how many parts per side of a node's cell make rays land half a pixel apart."""
-    wave, fits = residual.wavefront, residual.local
-    uu, uv, vv = fits.bends.T
-    wide = np.maximum(np.hypot(uu, uv), np.hypot(uv, vv))
-    widest = float(np.max(np.sqrt(wave.weights.ravel()[fits.indices]) * wide))
-    cells = math.ceil(2 * abs(wave.image_distance) * widest / window.pitch)
-    most = math.isqrt(max(1, MOST_RAYS // len(fits.indices)))
-    return max(math.ceil(share * min(most, cells)), 1)
-
-
-def _slopes(fits: LocalFits, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return dW/du and dW/dv (n,) of the local fits at steps (x, y) from their nodes.
-
-    Steps are in units of each fit's scale.
-    """
-    one, zero, square = np.ones_like(x), np.zeros_like(x), terms(x, y)
-    _, _, _, xx, xy, yy = square[:6]
-    along_u = np.stack([zero, one, zero, 2 * x, y, zero, 3 * xx, 2 * xy, yy, zero])
-    along_v = np.stack([zero, zero, one, zero, x, 2 * y, zero, xx, 2 * xy, 3 * yy])
-    return (
-        np.einsum("tn,tn->n", along_u, fits.aberration) / fits.scale,
-        np.einsum("tn,tn->n", along_v, fits.aberration) / fits.scale,
-    )
 
 
 def _blur(residual: Residual, uu: Array, uv: Array, vv: Array, doubt: Array | float) -> Array:

@@ -10,12 +10,12 @@ from typing import Final, Literal
 from ..._checks import one_of
 from ...errors import SceneError
 from ..wave.detilted import Residual
-from ..wave.regime import Regime
 from ..window.window import peak_pixel
 from . import high_aperture, nufft
 from .high_aperture import Polarisation
-from .runners import Result, Task, transform
 from .selection import automatic
+from .task import Result, Task
+from .transforms import transform
 
 Model = Literal["auto", "scalar", "high-aperture"]
 MODELS: Final = ("auto", "scalar", "high-aperture")
@@ -64,7 +64,6 @@ def check_scalar(model: Model, wall: str) -> None:
 
 def modelled(
     task: Task,
-    kind: Regime,
     method: str,
     model: Model,
     polarisation: Polarisation,
@@ -77,8 +76,6 @@ def modelled(
     ----------
     task : Task
         Wave and window, for the scalar model.
-    kind : Regime
-        Regime of the wave.
     method, model, normalisation
         Options of `point_spread`.
     polarisation : "unpolarised" or float
@@ -89,7 +86,7 @@ def modelled(
 
     def run(task: Task) -> Result:
         if method == "auto":
-            return automatic(task, kind, max_seconds)
+            return automatic(task, max_seconds)
         return replace(transform(task, method), reason=f"{method} was requested")
 
     why = "the high-aperture model was requested"

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import ducc0
 import numpy as np
@@ -19,7 +20,7 @@ from ..wave.detilted import Residual
 from ..window.window import Window
 
 Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 #: Number of nodes plus points up to which the transform uses the accuracy `BEST`.
 SMALL = 200_000
@@ -127,19 +128,58 @@ def field(
         per_metre * (shift - first - (n // 2) * window.pitch)
         for shift, first, n in zip(residual.shift, window.first, window.shape[::-1], strict=True)
     )
-    points = np.empty(nodes.u.size, dtype=np.complex128)
+    points: ComplexArray = np.empty(nodes.u.size, dtype=np.complex128)
     parts = nodes.u, nodes.v, nodes.path, nodes.share * weight
     _wave_kernels.tilted_wave(
         *(read_only(part.ravel()) for part in parts), along, across, 1 / wave.wavelength, points
     )
-    coord = np.empty((nodes.u.size, 2))
-    coord[:, 0], coord[:, 1] = nodes.v.ravel(), nodes.u.ravel()
+    # a single row or column is a transform in one dimension
+    axes = [axis for axis, n in enumerate(window.shape) if n > 1] or [0]
+    coord: NDArray[np.floating[Any]] = np.empty((nodes.u.size, len(axes)))
+    for k, axis in enumerate(axes):
+        coord[:, k] = (nodes.v, nodes.u)[axis].ravel()
     coord *= 2 * math.pi * window.pitch * per_metre
-    image = np.empty(window.shape, dtype=np.complex128)
+    image = np.empty([window.shape[axis] for axis in axes], dtype=points.dtype)
     ducc0.nufft.nu2u(
         points=points, coord=coord, forward=True, epsilon=epsilon, nthreads=1, out=image
     )
-    return image
+    return image.reshape(window.shape)
+
+
+def squares(field: ComplexArray) -> Array:
+    """Return the squared modulus of a field."""
+    from ..wave import _wave_kernels
+
+    intensity = np.empty(field.shape)
+    _wave_kernels.squares(field, intensity)
+    return intensity
+
+
+def noise(
+    residual: Residual,
+    nodes: Nodes,
+    window: Window,
+    intensity: Array,
+    epsilon: float,
+    blocks: tuple[int, int],
+) -> Array:
+    """Estimate the largest error of the modulus of `field` by the transform, in each block.
+
+    The row of the brightest sample, or the column if that is longer, is computed again, a hundred
+    times as accurate. The transform's kernel is a product over both directions, so that the errors
+    along them add; twice their sum allows for samples beyond this line.
+    """
+    row, column = np.unravel_index(int(intensity.argmax()), window.shape)
+    (ny, nx), (x, y), pitch = window.shape, window.first, window.pitch
+    line, coarse = Window(pitch, (1, nx), (x, y + float(row) * pitch)), intensity[row]
+    if ny > nx:
+        line = Window(pitch, (ny, 1), (x + float(column) * pitch, y))
+        coarse = intensity[:, column]
+    fine = field(residual, nodes, line, max(epsilon / 100, BEST))
+    error = np.abs(np.abs(fine.ravel()) - np.sqrt(coarse))
+    # of the shorter side, as far from its middle
+    sides = (np.linspace(0, error.size, n + 1).astype(int)[:-1] for n in blocks)
+    return 2 * np.add.outer(*(np.maximum.reduceat(error, starts) for starts in sides))
 
 
 def own_nodes(residual: Residual) -> Nodes:

@@ -15,7 +15,7 @@ from ..._nouns import Noun
 from ..._xarray import Labelled, Labels, variable
 from ...errors import SamplingError
 from ..wave.detilted import Residual, split
-from ..wave.regime import Regime, regime
+from ..wave.regime import Regime
 from ..wave.wavefront import Wavefront
 from ..window.pixels import pixel_rule
 from ..window.window import (
@@ -28,7 +28,8 @@ from ..window.window import (
 )
 from .high_aperture import Polarisation, check_cone
 from .models import Model, check_model, modelled
-from .runners import ABLE, Task
+from .task import Task
+from .transforms import ABLE
 
 Array = NDArray[np.float64]
 Method = Literal["auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric"]
@@ -140,8 +141,6 @@ class PointSpread(Noun, Shown, Labelled):
         ny, nx = self.shape
         kind = self.regime
         waves = f"{kind.peak_to_valley:.3g} waves peak to valley, {kind.rms:.3g} rms"
-        if kind.folded:
-            waves += ", folded by a caustic"
         if kind.rayleigh_parameter > 0.0:
             waves += f", Rayleigh parameter {kind.rayleigh_parameter:.3g}"
         samples = "pixels" if self.pixel_integrated else "samples"
@@ -184,12 +183,12 @@ def point_spread(
         ``auto`` selects the fastest method whose estimated error is at most ``tol``. "Layout" below
         is the arrangement of the wave's sample points, see `Wavefront`.
 
-        - ``quadrature`` integrates over the pupil by Gauss quadrature, for the layouts "polar" and
-          "cells". It uses as many points as the window requires.
+        - ``quadrature`` integrates over the pupil by Gauss quadrature and a non-uniform FFT, for
+          the layouts "polar" and "cells". It uses as many points as the window requires.
         - ``fft`` transforms as few samples of the pupil as ``tol`` allows: for the layout "polar"
-          by FFTs of a grid, whose rim is softened, for "cells" by a non-uniform FFT, and for "grid"
-          by a chirp transform, for any pitch.
-        - ``mdft`` is the same, but not available for the layout "cells".
+          by FFTs of a grid with a softened rim if polynomials of a degree up to 10 describe the
+          wave, otherwise, and for "cells", as ``quadrature`` does; for "grid" it is ``mdft``.
+        - ``mdft`` is a chirp transform to any pitch, for the layout "grid".
         - ``nufft`` is a non-uniform FFT of scattered sample points, such as traced rays; for other
           layouts it is ``quadrature`` or ``mdft``.
         - ``airy`` is the closed form of a wave without aberration.
@@ -334,9 +333,8 @@ def point_spread(
         32.0 * shape[0] * shape[1],
         "use a smaller shape",
     )
-    kind = regime(residual, pitch)
     longest = seconds_limit(60.0) if max_seconds is None else max_seconds
-    result = modelled(task, kind, method, model, polarisation, normalisation, longest)
+    result = modelled(task, method, model, polarisation, normalisation, longest)
     scale = 1.0
     if normalisation != "ideal-peak":
         scale = result.level * (wave.flux if normalisation == "flux" else 1.0)
@@ -352,7 +350,7 @@ def point_spread(
         f_number=wave.f_number,
         pixel_integrated=pixel_integrated,
         enclosed_energy=float(np.sum(result.mean)) * result.level,
-        regime=kind,
+        regime=task.regime,
         reason=result.reason,
         model=result.model,
         model_error=result.model_error,
@@ -368,12 +366,10 @@ def _model_figure(model: str, error: float) -> str:
 
 def _check_part(residual: Residual, method: str, pitch: float, shape: tuple[int, int]) -> None:
     """Refuse a window that loses rays, unless a method that sums the field at points is named."""
-    sums = ABLE[residual.wavefront.layout]
-    if method == "nufft" or method == sums[0]:
-        return
-    check_rays(
-        residual, pitch, shape, f", or method='{sums[0]}', which computes any part of the image"
-    )
+    first = next(iter(ABLE[residual.wavefront.layout]))
+    if method not in ("nufft", first):
+        part = f", or method='{first}', which computes any part of the image"
+        check_rays(residual, pitch, shape, part)
 
 
 def _sampling(

@@ -7,17 +7,10 @@ from dataclasses import dataclass, replace
 
 from ..._checks import fits_memory, lasting
 from ...errors import MemoryLimitError, NlosError, SamplingError
-from ..wave.regime import Regime
-from ..window import error_bounds
 from ..window.error_bounds import rounded_up
-from . import airy, costs, geometric
-from .runners import ABLE, Result, Task, polar_pitch, transform
-
-#: Aberration, waves peak to valley, up to which the geometric method is not tried.
-MANY_WAVES = 20
-#: A transform is ruled out if its predicted error exceeds this multiple of tol. The margin is
-#: wide, since the error is relative to the peak, which is only known after the transform.
-DOUBT = 10.0
+from . import geometric
+from .task import Result, Task
+from .transforms import MANY_WAVES, able, transform
 
 
 @dataclass(frozen=True, order=True)
@@ -39,7 +32,7 @@ class Candidate:
     ruled_out: str = ""
 
 
-def automatic(task: Task, regime: Regime, max_seconds: float) -> Result:
+def automatic(task: Task, max_seconds: float) -> Result:
     """Run transforms in order of predicted time until one reaches tol.
 
     A method is skipped if the total predicted time would exceed ``max_seconds``.
@@ -59,7 +52,7 @@ def automatic(task: Task, regime: Regime, max_seconds: float) -> Result:
     refusals: list[NlosError] = []
     too_long: list[Candidate] = []
     reached, spent = math.inf, 0.0
-    ordered = sorted(candidates(task, regime))
+    ordered = candidates(task)
     for i, found in enumerate(ordered):
         if found.ruled_out:
             notes.append(f"{found.method} ruled out: {found.ruled_out}")
@@ -79,10 +72,26 @@ def automatic(task: Task, regime: Regime, max_seconds: float) -> Result:
         spent += found.seconds
         reached = min(reached, result.error)
         notes.append(f"{found.method} ran first, with an error of {result.error:.2g}")
-    raise _refusal(task, regime, reached, too_long, refusals, ordered, max_seconds)
+    raise _refusal(task, reached, too_long, refusals, ordered, max_seconds)
 
 
-def able(task: Task, regime: Regime) -> list[Candidate]:
+def candidates(task: Task) -> list[Candidate]:
+    """Return all transforms of a wave in the order of their predicted seconds."""
+    ways = able(task)
+    closed = ways.pop("airy", None)
+    refusal = "" if closed is None else closed.refusal(task)
+    if closed is not None and not refusal:
+        return [Candidate(closed.seconds(task), "airy")]  # no other transform is faster
+    # a transform of several names is tried once, by the first
+    names = {one: name for name, one in reversed(ways.items())}
+    tried = [Candidate(math.inf, "airy", refusal)] if refusal else []
+    for one, name in names.items():
+        why = one.refusal(task)
+        tried.append(Candidate(math.inf if why else one.seconds(task), name, why))
+    return sorted(tried)
+
+
+def possible(task: Task) -> list[Candidate]:
     """Return the transforms that `automatic` tries, in its order.
 
     Raises
@@ -90,97 +99,10 @@ def able(task: Task, regime: Regime) -> list[Candidate]:
     SamplingError
         If all transforms are ruled out.
     """
-    ordered = sorted(candidates(task, regime))
-    found = [one for one in ordered if not one.ruled_out]
-    if not found:
-        raise _refusal(task, regime, math.inf, [], [], ordered, math.inf)
-    return found
-
-
-def candidates(task: Task, regime: Regime) -> list[Candidate]:
-    """Return all transforms available for the wave's layout, with predicted times."""
-    layout, samples = task.residual.wavefront.layout, task.samples
-    if task.polarisation is not None:
-        found = [_components(task)]
-    elif layout == "polar":
-        closed = _airy(task)
-        if not closed.ruled_out:
-            return [closed]  # no other transform is faster
-        seconds = costs.sum_over_nodes(math.prod(task.counts), samples)
-        found = [closed, _nodes(task, "quadrature", seconds), _soft_grid(task)]
-    elif layout == "cells":
-        seconds = costs.sum_over_nodes(math.prod(task.counts), samples)
-        few = _nodes(task, "fft", costs.coarse_sum(task.coarse, samples), task.coarse.core)
-        found = [_nodes(task, "quadrature", seconds), few]
-    elif layout == "scattered":
-        found = [Candidate(costs.scattered_sum(task.residual, samples), "nufft")]
-    else:
-        found = [Candidate(costs.map_sums(len(task.residual.wavefront.u), samples), "mdft")]
-    return [*found, _rays(task, regime)]
-
-
-def _components(task: Task) -> Candidate:
-    """Return the sums over nodes for each component of the high-aperture model."""
-    wave, samples = task.residual.wavefront, task.samples
-    if wave.layout == "grid":
-        seconds = costs.map_sums(len(wave.u), samples)
-    else:
-        count = math.prod(task.counts) if wave.is_spectral else wave.u.size
-        seconds = costs.sum_over_nodes(count, samples)
-    return Candidate(task.components * seconds, ABLE[wave.layout][0])
-
-
-def _airy(task: Task) -> Candidate:
-    """Return the closed form, ruled out if its error bound exceeds tol."""
-    bound = airy.error_bound(task.residual)
-    ruled_out = "" if bound <= task.tol else "the wave is not flat"
-    if ruled_out and math.isfinite(bound):
-        ruled_out = f"the error of neglecting the aberration is {bound:.2g}"
-    return Candidate(costs.airy(task.samples), "airy", ruled_out)
-
-
-def _nodes(task: Task, method: str, seconds: float, missing: float = 0.0) -> Candidate:
-    """Return a sum over nodes, ruled out if wave or nodes leave too large an error.
-
-    ``missing`` is the field's error because of the number of nodes.
-    """
-    # lower bound of the relative error, since the peak is at most 1
-    least = 2 * error_bounds.beat(task.pixel) * (task.residual.truncation + missing)
-    ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
-    return Candidate(seconds, method, ruled_out)
-
-
-def _soft_grid(task: Task) -> Candidate:
-    """Return the transform of a polar wave on a grid with a softened rim."""
-    residual = task.residual
-    if task.soft is not None:
-        grid = task.soft.grid(task)
-        ruled_out = f"error of its rim {2 * grid.error:g}" if task.tol < 2 * grid.error else ""
-        return Candidate(costs.soft_padded(task.samples, grid), "fft", ruled_out)
-    pitch = polar_pitch(task)
-    # peak if the energy were uniform over the disc of the rays, at most 1
-    reach = max(residual.rays.reach / residual.airy_unit, 1.0)
-    peak = min(1.0, 4 / (math.pi * reach) ** 2)
-    rim = error_bounds.soft_rim_error(residual, pitch, 0.0)
-    field = float(rim) + residual.truncation
-    expected = 2 * error_bounds.beat(task.pixel) * field / math.sqrt(peak)
-    ruled_out = f"error of its rim about {expected:.2g}" if expected > DOUBT * task.tol else ""
-    return Candidate(costs.soft_grid(residual, task.samples, pitch), "fft", ruled_out)
-
-
-def _rays(task: Task, regime: Regime) -> Candidate:
-    """Return the geometric method, ruled out if diffraction matters."""
-    least = geometric.least_error(task.residual, task.pitch)
-    ruled_out = ""
-    if task.rule is None:
-        ruled_out = "rays have no intensity at points"
-    elif regime.peak_to_valley <= MANY_WAVES:
-        ruled_out = f"{regime.peak_to_valley:.3g} waves are too few, limit {MANY_WAVES}"
-    elif least > task.tol:
-        ruled_out = f"error of at least {least:.2g} on pixels of {regime.pixel:.3g} lambda N"
-    if ruled_out:  # not costed: for a map that would need a fit about every node
-        return Candidate(math.inf, "geometric", ruled_out)
-    return Candidate(costs.rays(task.residual, task.pixels), "geometric")
+    ordered = candidates(task)
+    if ordered[0].ruled_out:
+        raise _refusal(task, math.inf, [], [], ordered, math.inf)
+    return [one for one in ordered if not one.ruled_out]
 
 
 def _reason(taken: Candidate, tol: float, notes: list[str], rest: list[Candidate]) -> str:
@@ -197,7 +119,6 @@ def _reason(taken: Candidate, tol: float, notes: list[str], rest: list[Candidate
 
 def _refusal(
     task: Task,
-    regime: Regime,
     reached: float,
     too_long: list[Candidate],
     refusals: list[NlosError],
@@ -206,7 +127,7 @@ def _refusal(
 ) -> NlosError:
     """Return the error to raise if no transform succeeded, with a remedy."""
     if too_long:
-        return _too_long(task, regime, too_long[0], reached, max_seconds)
+        return _too_long(task, too_long[0], reached, max_seconds)
     counts = " x ".join(map(str, task.residual.wavefront.u.shape))
     if math.isfinite(reached):
         # a factor, since callers split their own tolerance; half as much again, since transforms
@@ -225,20 +146,15 @@ def _refusal(
     )
 
 
-def _too_long(
-    task: Task, regime: Regime, cheapest: Candidate, reached: float, max_seconds: float
-) -> SamplingError:
+def _too_long(task: Task, cheapest: Candidate, reached: float, max_seconds: float) -> SamplingError:
     """Return the error for transforms that exceed ``max_seconds``; check the memory first."""
-    ny, nx = task.samples.shape
-    n_bytes = 32.0 * ny * nx
-    if task.soft is not None and cheapest.method == "fft":
-        n_bytes = task.soft.n_bytes(task)
+    (ny, nx), waves = task.samples.shape, task.regime.peak_to_valley
     smaller = "use a smaller shape"
-    if task.rule is not None and regime.peak_to_valley > MANY_WAVES:
+    if task.rule is not None and waves > MANY_WAVES:
         smaller += ", or on wide pixels a larger tol, so that geometric rays suffice"
     fits_memory(
         f"a point spread that needs {ny} x {nx} samples",
-        n_bytes,
+        32.0 * ny * nx,
         smaller,
     )
     remedies = [f"max_seconds = {rounded_up(cheapest.seconds)}"]
@@ -247,14 +163,14 @@ def _too_long(
     least = geometric.least_error(task.residual, task.pitch)
     if math.isfinite(reached):
         remedies.append(f"tol = {rounded_up(reached)}")
-    elif task.rule is not None and regime.peak_to_valley > MANY_WAVES:
+    elif task.rule is not None and waves > MANY_WAVES:
         remedies.append(f"a tol well above {least:.2g}, so that geometric rays suffice")
     if task.polarisation is not None:
         remedies.append("model='scalar'")
     if max(ny, nx) * task.samples.pitch > 3 * task.residual.rays.reach:
         remedies.append("a smaller shape")
     return SamplingError(
-        f"{cheapest.method} of {regime.peak_to_valley:.3g} waves to {ny} x {nx} samples would take "
+        f"{cheapest.method} of {waves:.3g} waves to {ny} x {nx} samples would take "
         f"about {lasting(cheapest.seconds)}, limit max_seconds = {max_seconds:g}; use "
         + ", or ".join(remedies)
     )

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..._checks import expect, fits_memory, in_range, one_of, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed
-from ...errors import SamplingError, SceneError
+from ...errors import SceneError
 from ...raytrace import PointTrace, ray_plan, trace_point
 from ...raytrace.light.trace import MOST, MOST_BOUNCES
 from ...raytrace.light.trace_point import EMISSIONS, Emission, point_normal, point_scene
@@ -21,17 +21,14 @@ from ...scene import Scene
 from ...scene.parts._material import MirrorLobe
 from ..pupil.scene_optics import PointOptics, SceneOptics
 from ..pupil.wall_wavefront import AimedWave
-from ..rough.otf import transfer
+from ..rough.mean import detilted_mean
 from ..rough.roughness import Roughness
-from ..rough.scattered_light import Halo
 from ..rough.source import rough_view
 from ..rough.view import RoughView
-from ..transform.models import wide_pixel_error
-from ..transform.point_spread import PointSpread, point_spread
+from ..transform.point_spread import PointSpread
 from ..wave.regime import regime
 from ..wave.wavefront import Wavefront
-from ..window.error_bounds import rounded_up
-from ..window.window import Window, check_rays, middle, shape_of, window_side
+from ..window.window import check_rays, middle, shape_of, window_side
 from .lobe_psf import ROUGH, lobe_roughness, split_lobes
 
 Array = NDArray[np.float64]
@@ -65,16 +62,19 @@ class WaveParts:
 
 def image_lobes(
     scene: Scene, roughness: Roughness | None
-) -> tuple[float, list[tuple[float, Roughness | MirrorLobe]]]:
-    """Return the reflectance of smooth lobes and (reflectance, statistics) of each rough lobe.
+) -> list[tuple[float, Roughness | MirrorLobe]]:
+    """Return reflectance and statistics of each mirror-like lobe, those without slope as one.
 
     The statistics are the given ``roughness``, or the lobe itself if none is given.
     """
     if roughness is not None:
-        total = scene.wall_material.specular_reflectance
-        return 0.0, [(total, roughness)] if total > 0.0 else []
-    rough, smooth = split_lobes(scene)
-    return smooth, [(lobe.specular_reflectance, lobe) for lobe in rough]
+        lobes: list[tuple[float, Roughness | MirrorLobe]]
+        lobes = [(scene.wall_material.specular_reflectance, roughness)]
+    else:
+        rough, smooth = split_lobes(scene)
+        lobes = [(smooth, Roughness(0.0, 1.0))]
+        lobes += [(lobe.specular_reflectance, lobe) for lobe in rough]
+    return [lobe for lobe in lobes if lobe[0] > 0.0]
 
 
 def mirror_image(seen: PointOptics, aimed: AimedWave, normal: Array | None) -> MirrorImage:
@@ -128,60 +128,38 @@ def _past_the_field_stop(scene: Scene, on_wall: Array, on_lens: Array) -> float:
 def wave_parts(
     seen: PointOptics,
     mirror: MirrorImage,
-    smooth: float,
-    rough: list[tuple[float, Roughness | MirrorLobe]],
+    lobes: list[tuple[float, Roughness | MirrorLobe]],
     pitch: float,
     shape: tuple[int, int],
     tol: float,
 ) -> WaveParts:
     """Compute the coherent part and the halo of a mirror image."""
-    coherent, halo, error = np.zeros(shape), np.zeros(shape), 0.0
-    fluxes = [0.0, 0.0]
-    if mirror.flux == 0.0 or (smooth == 0.0 and not rough):
+    coherent, halo, error, model_error = np.zeros(shape), np.zeros(shape), 0.0, 0.0
+    if mirror.flux == 0.0 or not lobes:
         return WaveParts(coherent, halo, error, 0.0, 0.0, "no mirror image reaches the lens")
     residual = mirror.aimed.residual
     check_rays(residual, pitch, shape)
     side = window_side(residual, pitch, tol, mirror.aimed.outline)
-    core = None
-    wave = residual.wavefront
-    views = [(r * mirror.flux, _view(seen, wave, given)) for r, given in rough]
-    bright, model_error = smooth * mirror.flux, 0.0
-    bright += sum(w * math.exp(-(v.rayleigh_parameter**2)) for w, v in views)
-    if bright > 0.0:
-        inner = (min(side, shape[0]), min(side, shape[1]))
-        core = point_spread(
-            residual, tol=tol, pitch=pitch, shape=inner, pixel_integrated=True, model="scalar"
-        )
-        coherent[middle(shape, inner)] = bright * core.intensity
-        fluxes[0], error = bright, core.error_estimate * float(coherent.max())
-        model_error = core.model_error * float(coherent.max())
-    smooth_transfer = transfer(residual)
-    for watts, view in views:
-        if view.rayleigh_parameter == 0.0:
-            continue
-        named = isinstance(view.roughness.autocorrelation, str)
-        gaussian = named and view.roughness.autocorrelation == "gaussian"
+    smooth, scattered = 0.0, 0.0
+    reasons = ["waves for the mirror image, rays for all other paths"]
+    for reflectance, given in lobes:
+        view = _view(seen, residual.wavefront, given)
         # in units of `RoughView.halo`, for a Gaussian C and for any other
-        half = math.ceil((1.5 if gaussian else 6) * view.halo(wave) / pitch)
-        inner = (min(side + 2 * half, shape[0]), min(side + 2 * half, shape[1]))
-        window = Window.centred(pitch, inner)
-        sum_over = Halo(residual, view, window, True, smooth_transfer.reach)
-        found, nodes, missed = sum_over.converged(smooth_transfer.at, np.zeros(inner), tol)
-        missed += float(np.abs(nodes.factor).sum()) * smooth_transfer.error
-        missed /= float(found.max())
-        if missed > tol:
-            raise SamplingError(
-                f"the halo of the rough mirror has an error of {missed:.2g}, limit tol = "
-                f"{tol:g}; use tol = {rounded_up(1.5 * missed)}"
-            )
-        halo[middle(shape, inner)] += watts * found
-        fluxes[1] += watts * -math.expm1(-(view.rayleigh_parameter**2))
-        error += watts * missed * float(found.max())
-    reason = "waves for the mirror image, rays for all other paths"
-    if core is not None:
-        reason += f"; core: {core.reason}"
-    model_error += wide_pixel_error(residual) * float(halo.max())
-    return WaveParts(coherent, halo, error, fluxes[0], fluxes[1], reason, model_error)
+        half = math.ceil((6 if view.has_tails else 1.5) * view.halo(residual.wavefront) / pitch)
+        inner = min(side + 2 * half, shape[0]), min(side + 2 * half, shape[1])
+        mean = detilted_mean(residual, view, tol, pitch, inner, pixel_integrated=True)
+        watts, where = reflectance * mirror.flux, middle(shape, inner)
+        coherent[where] += watts * mean.coherent
+        halo[where] += watts * mean.diffuse
+        peak = watts * float(mean.intensity.max())
+        error, model_error = (
+            error + peak * mean.error_estimate,
+            model_error + peak * mean.model_error,
+        )
+        smooth += watts * view.coherent_fraction
+        scattered += watts * view.scattered_fraction
+        reasons.append(mean.reason)
+    return WaveParts(coherent, halo, error, smooth, scattered, "; ".join(reasons), model_error)
 
 
 def _view(seen: PointOptics, wave: Wavefront, given: Roughness | MirrorLobe) -> RoughView:
@@ -350,13 +328,13 @@ def hybrid_point_spread(
     pitch = alone.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     size = alone.camera.shape if shape is None else shape_of(shape)
     fits_memory(f"a shape of {size[0]} x {size[1]} pixels", 128.0 * math.prod(size), "use fewer")
-    smooth, rough = image_lobes(alone, roughness)
+    lobes = image_lobes(alone, roughness)
     normal = point_normal(scene) if emission == "lambertian" else None
     seen = SceneOptics(alone).reference
 
     def parts(aimed: AimedWave) -> tuple[MirrorImage, WaveParts]:
         mirror = mirror_image(seen, aimed, normal)
-        return mirror, wave_parts(seen, mirror, smooth, rough, pitch, size, tol)
+        return mirror, wave_parts(seen, mirror, lobes, pitch, size, tol)
 
     mirror, waves = seen.refined(parts)[1]
     run = partial(

@@ -53,20 +53,6 @@ def lobe_roughness(lobe: MirrorLobe, rayleigh_parameter: float, height_rms: floa
     return Roughness(height_rms, length, correlation)
 
 
-def lobe_transfer(distribution: str, phase_rms: Array) -> Array:
-    """Return the transfer function of a lobe in the limit of large heights.
-
-    ``phase_rms`` is the wavenumber times the sum of the cosines, the separation on the wall and the
-    rms slope, rad.
-    """
-    if distribution == "beckmann":
-        return np.asarray(np.exp(-(phase_rms**2) / 2))
-    from scipy.special import k1
-
-    x = np.maximum(math.sqrt(2) * np.abs(phase_rms), 1e-12)  # alpha = sqrt(2) slope_rms
-    return np.asarray(x * k1(x))
-
-
 def halo_radius(lobe: MirrorLobe, view: WallView, wave: Wavefront, tol: float) -> float:
     """Return the image distance, m, at which the blur by a lobe falls to ``tol`` of its peak.
 

@@ -19,23 +19,20 @@ from ..pupil.wall_wavefront import AimedWave, aimed_wave
 from ..rough.aberration import aberration_error, rough_wave
 from ..rough.mean import detilted_mean
 from ..rough.relief import SCREEN_BYTES, STEEPEST, ReliefView, margins, relief_stride
-from ..rough.relief_rays import neglected_diffraction, ray_counts, ray_image
 from ..rough.sample import detilted_sample, grid_pitch, speckle_pupil, speckle_samples
 from ..rough.scattered_light import FAR, WORTH, inner_window
 from ..rough.source import rough_view
 from ..rough.view import RoughView
 from ..transform import costs
-from ..transform.models import wide_pixel_error
 from ..transform.point_spread import PointSpread
 from ..transform.wide_pixels import binned, detilted_wide_spread
 from ..wave.detilted import Residual, split
-from ..wave.regime import regime
 from ..window.grids import grid_size
 from ..window.window import Window, ray_reach, window_side
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-Regime = Literal["aberration", "diffraction", "mean", "rays"]
+Regime = Literal["aberration", "diffraction", "mean"]
 
 #: Radii (with four times as many angles) or cells per side at which a relief's wave is sampled.
 RELIEF_NODES: Final = {"polar": 48, "grid": 1024}
@@ -98,11 +95,10 @@ class PupilField(Noun, Shown):
 class RoughChoice:
     """Regime of the point spread function of a rough wall, with sampling and predicted cost."""
 
-    # {"aberration", "diffraction", "mean", "rays"}: Rays on the relief give the wave aberration;
-    # or the field is propagated from the wall to the pupil; or the mean over all walls in closed
-    # form; or rays alone.
+    # Rays on the relief give the wave aberration; or the field is propagated from the wall to the
+    # pupil; or the mean over all walls in closed form.
     regime: Regime
-    cells: int  # Samples per side: pupil nodes, phase screen or rays; 0 for the mean
+    cells: int  # Samples per side: pupil nodes or phase screen; 0 for the mean
     pitch: float  # Pitch of the phase screen in the pupil, m; 0 otherwise
     # Predicted run time on one core, s, and memory, bytes.
     seconds: float
@@ -162,10 +158,15 @@ def _choice(seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float)
     if found.error <= tol:
         return found
     screen = _screen(residual, view, pitch, shape)
-    # a minute
-    if screen.seconds <= 60 and screen.n_bytes <= memory_limit():
-        return screen
-    return _rays(residual, view, pitch, screen)
+    longest = 60.0
+    if screen.seconds > longest or screen.n_bytes > memory_limit():
+        raise SamplingError(
+            f"{_steepness(view)} need a phase screen of {screen.cells} x {screen.cells} points, "
+            f"{lasting(screen.seconds)} and {screen.n_bytes / 2**30:.3g} GiB, limits "
+            f"{longest:g} s and {memory_limit() / 2**30:.3g} GiB; use realisation = 'mean', a "
+            "smaller slope_rms, or rays alone by raytrace.trace_image"
+        )
+    return screen
 
 
 def _steepness(view: ReliefView) -> str:
@@ -189,23 +190,6 @@ def _aberration(residual: Residual, view: ReliefView) -> RoughChoice:
         error,
         f"wave aberration of this wall by rays: {_steepness(view)} shift them so little that "
         f"diffraction between wall and pupil changes {error:.1g} of the peak",
-    )
-
-
-def _rays(residual: Residual, view: ReliefView, pitch: float, screen: RoughChoice) -> RoughChoice:
-    """Return count, cost and error of rays alone, if a screen would take too much."""
-    wave = residual.wavefront
-    n, _ = ray_counts(view, wave.pupil_radius, wave.wavelength)
-    return RoughChoice(
-        "rays",
-        n,
-        0.0,
-        (view.roughness.ray_seconds / 20 + 3e-7) * n * n,
-        2e8,
-        neglected_diffraction(view, wave, pitch),
-        f"rays on this wall without diffraction: {_steepness(view)} would need a phase screen of "
-        f"{screen.cells} x {screen.cells} points, {lasting(screen.seconds)} and "
-        f"{screen.n_bytes / 2**30:.3g} GiB",
     )
 
 
@@ -278,8 +262,6 @@ def rough_image(
             return *_by_aberration(seen, view, pitch, shape, tol, choice.reason), None
         except (CausticError, SamplingError):
             pass  # the relief is too fine for the wave's nodes; propagation samples it as needed
-    if choice.regime == "rays":
-        return seen.first, _by_rays(seen, view, pitch, shape, choice.reason), None
     return _by_diffraction(seen, view, pitch, shape, choice.reason)
 
 
@@ -330,31 +312,3 @@ def _by_diffraction(
     kept = slice(grid.centre % step, None, step)
     values = through.values[kept, kept] * area
     return aimed, spread, PupilField(values=values, pitch=step * grid.pitch)
-
-
-def _by_rays(
-    seen: PointOptics, view: ReliefView, pitch: float, shape: tuple[int, int], reason: str
-) -> PointSpread:
-    """Compute the image by rays on the relief, without diffraction."""
-    residual = seen.first.residual
-    wave = residual.wavefront
-    if wave.layout != "polar":
-        raise SamplingError(
-            "the wall's edge cuts the cone of light, so that rays on its relief are not supported; "
-            "use realisation = 'mean', a smaller slope_rms, a larger wall or a smaller stop"
-        )
-    energy, error = ray_image(residual, view, Window.centred(pitch, shape))
-    return PointSpread(
-        intensity=energy,
-        pitch=pitch,
-        method="rays on the relief",
-        error_estimate=error,
-        model_error=wide_pixel_error(residual),
-        normalisation="unit-sum",
-        wavelength=wave.wavelength,
-        f_number=wave.f_number,
-        pixel_integrated=True,
-        enclosed_energy=float(energy.sum()),
-        regime=regime(residual, pitch, rayleigh_parameter=view.rayleigh_parameter),
-        reason=reason,
-    )

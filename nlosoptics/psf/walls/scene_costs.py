@@ -24,14 +24,13 @@ from ..rough.scattered_light import (
     inner_window,
 )
 from ..rough.view import RoughView
-from ..transform import costs, geometric, nufft
-from ..transform.runners import Task, polar_pitch
-from ..transform.selection import able
+from ..transform import costs
+from ..transform.selection import possible
+from ..transform.task import Task
+from ..transform.transforms import able
 from ..transform.wide_pixels import inner_parts
 from ..wave.detilted import Residual
-from ..wave.regime import regime
 from ..window import error_bounds
-from ..window.grids import grid_size
 from ..window.pixels import pixel_rule
 from ..window.window import Window, peak_pixel
 from .lobe_psf import lobes_of
@@ -90,39 +89,15 @@ def smooth_cost(
     rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape))
     task = Task(residual, tol, pitch, shape, rule)
     if cells:
-        return Cost(costs.map_sums(cells, task.samples), _grid_bytes(task, cells))
+        n_bytes = costs.map_bytes(cells, task.samples)
+        return Cost(costs.map_sums(cells, task.samples), n_bytes + 32.0 * math.prod(shape))
+    held = whole.n_bytes + 32.0 * math.prod(shape)
+    every = able(task)
     ways = [
-        Cost(way.seconds + whole.seconds, _transform_bytes(task, way.method) + whole.n_bytes)
-        for way in able(task, regime(residual, pitch))
+        Cost(way.seconds + whole.seconds, every[way.method].n_bytes(task) + held)
+        for way in possible(task)
     ]
     return next((way for way in ways if way.n_bytes <= memory_limit()), ways[0])
-
-
-def _transform_bytes(task: Task, method: str) -> float:
-    """Return the peak memory of a transform, bytes."""
-    samples = float(math.prod(task.samples.shape))
-    held = 32.0 * math.prod(task.shape)
-    if method == "airy":
-        return held + 64.0 * samples
-    if method == "geometric":
-        if task.residual.wavefront.layout == "polar":
-            return held + 250.0 * math.prod(geometric.ray_counts(task.residual, task.pixels))
-        return held + 1e9
-    if method == "quadrature":
-        return held + nufft.n_bytes(math.prod(task.counts), task.samples)
-    if task.soft is not None:
-        return held + task.soft.n_bytes(task)
-    n = task.residual.wavefront.u.shape[0]
-    if task.residual.wavefront.layout == "polar":
-        n = grid_size(task.residual.wavefront.pupil_radius, polar_pitch(task))
-    return _grid_bytes(task, n)
-
-
-def _grid_bytes(task: Task, cells: int) -> float:
-    """Return the peak memory for a wave on a grid of ``cells`` x ``cells`` nodes, bytes."""
-    samples = task.samples.shape
-    sums = 48.0 * cells * (cells + max(samples)) + 24.0 * math.prod(samples)
-    return max(sums + 32.0 * math.prod(task.shape), 140.0 * cells**2)  # the latter to prepare it
 
 
 def _scattered_cost(

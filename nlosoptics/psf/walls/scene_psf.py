@@ -120,16 +120,15 @@ def scene_point_spread(
     the wall's edge does. Samples are added until ``tol`` is reached. `simulate` uses the scalar
     model; `plan` says if its error exceeds ``tol``.
 
-    For a wall with `Scene.wall_roughness` one of four methods is used; ``point_spread.reason``
+    For a wall with `Scene.wall_roughness` one of three methods is used; ``point_spread.reason``
     states which.
 
     1. If the roughness has the realisation "mean", the mean over all walls of this roughness is
        computed in closed form.
     2. Otherwise, if diffraction between wall and pupil changes the result by less than ``tol``,
        rays reflected by the rough surface give the wave aberration.
-    3. Otherwise the complex field on the wall is propagated to the pupil.
-    4. If the samples of this field do not fit into memory, or would take more than a minute, the
-       PSF is computed by rays alone, without diffraction.
+    3. Otherwise the complex field on the wall is propagated to the pupil. Walls so steep that this
+       would take more than a minute are refused; `raytrace.trace_image` traces rays on them.
 
     Examples
     --------

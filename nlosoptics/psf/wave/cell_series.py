@@ -64,10 +64,24 @@ class CellSpectrum:
         along_s, along_t = np.nonzero(above.any(axis=1))[0], np.nonzero(above.any(axis=0))[0]
         return int(along_s.max(initial=0)), int(along_t.max(initial=0))
 
+    #: Digits of an integral by n nodes along either coordinate, see `quadrature.growth`.
+    orders = (2, 2)
+
     @property
-    def sizes(self) -> Array:
-        """Largest modulus of each coefficient over all patches, (n_s, n_t), unit of the values."""
-        return self._terms[0]
+    def sides(self) -> tuple[float, float]:
+        """Half the largest change of a pupil coordinate along each coordinate of a patch, m."""
+        along_s, along_t = self.aperture.patch_size
+        return along_s / 2, along_t / 2
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return bounds of the terms of each degree along both coordinates, unit of the values."""
+        sizes = self._terms[0]
+        return sizes.sum(axis=1), sizes.sum(axis=0)
+
+    def least_nodes(self, *counts: int) -> tuple[int, int]:
+        """Return numbers of nodes at which the series can be evaluated, not below ``counts``."""
+        n_s, n_t = counts
+        return n_s, n_t
 
     @cached_property
     def _terms(self) -> tuple[Array, Array]:

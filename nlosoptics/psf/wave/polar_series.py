@@ -74,13 +74,35 @@ class PolarSpectrum:
         radii, orders = np.nonzero(above.any(axis=1))[0], np.nonzero(above.any(axis=0))[0]
         return int(radii.max(initial=0)), int(orders.max(initial=0))
 
+    #: Digits of an integral by n nodes along radius and angle, see `quadrature.growth`.
+    orders = (4, 1)
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        """Largest change of a pupil coordinate along the radius, and half of it on a ring, m."""
+        return self.radius * math.sqrt(1 - self.obscuration**2), self.radius
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return bounds of the terms of each degree in r and of each angular order."""
+        n_k, n_m = self._counts
+        sizes = self._sizes[:n_k, :n_m].copy()
+        sizes[:, 1:] *= 2
+        degree = 2 * np.arange(n_k)[:, None] + np.arange(n_m) % 2
+        radial = np.bincount(degree.ravel(), weights=sizes.ravel()).astype(np.float64)
+        return radial, sizes.sum(axis=0)
+
+    def least_nodes(self, *counts: int) -> tuple[int, int]:
+        """Return numbers of nodes at which the series can be evaluated, not below ``counts``."""
+        n_r, n_theta = counts
+        return n_r, int(ducc0.fft.good_size(max(n_theta, 2 * self._counts[1]), True))
+
     def at_nodes(self, n_r: int, n_theta: int) -> Array:
         """Return the function at the points of another set of `polar_nodes` on the same pupil.
 
         Parameters
         ----------
         n_r, n_theta : int
-            Number of rings and of points per ring, neither below that of the samples.
+            Number of rings, and of points per ring, the latter as `least_nodes` returns it.
 
         Returns
         -------
@@ -209,7 +231,7 @@ class PolarSpectrum:
     @cached_property
     def _counts(self) -> tuple[int, int]:
         """Number of degrees and of orders with terms above the rounding error of the largest."""
-        degree, order = self.degrees(1e-17 * float(self._sizes.max()))
+        degree, order = self.degrees(1e-16 * float(self._sizes.max()))
         return degree + 1, order + 1
 
     def _polynomial(self, rho: Array) -> tuple[ComplexArray, ComplexArray]:
@@ -224,6 +246,7 @@ class PolarSpectrum:
     def _synthesis(self, waves: ComplexArray, n_theta: int) -> Array:
         """Return values on ``n_theta`` uniform angles from angular orders (last axis)."""
         full = np.zeros((*waves.shape[:-1], n_theta // 2 + 1), dtype=np.complex128)
+        waves = waves[..., : full.shape[-1]]
         full[..., : waves.shape[-1]] = waves
         if n_theta % 2 == 0 and waves.shape[-1] == full.shape[-1]:
             full[..., -1] *= 2

@@ -1,4 +1,4 @@
-"""Sampling regime of a wave: aberration in waves, slopes, sampling, pixel size, caustics."""
+"""Sampling regime of a wave: aberration in waves, slopes, sampling, pixel size."""
 
 from __future__ import annotations
 
@@ -6,11 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .detilted import Rays, Residual
-
-Array = NDArray[np.float64]
+from .detilted import Residual
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,10 +36,6 @@ class Regime:
     fresnel_number : float
         Fresnel number of the pupil, ``a^2/(lambda |d|)``, with the pupil radius a and the image
         distance d.
-    folded : bool
-        Whether the map from pupil points to the points at which their rays meet the image plane
-        folds over (its Jacobian changes sign). The image plane then cuts a caustic, where the ray
-        density of geometrical optics is infinite.
     rayleigh_parameter : float
         Rms phase s that a rough wall adds to the wave, rad; 0 for a smooth wall.
 
@@ -58,7 +51,6 @@ class Regime:
     slope_per_sample: float | None
     pixel: float
     fresnel_number: float
-    folded: bool
     rayleigh_parameter: float = 0.0
 
     @property
@@ -95,7 +87,6 @@ def regime(residual: Residual, pitch: float, *, rayleigh_parameter: float = 0.0)
         slope_per_sample=per_sample,
         pixel=pitch / residual.airy_unit,
         fresnel_number=wave.pupil_radius**2 / (wave.wavelength * abs(wave.image_distance)),
-        folded=_folded(residual, rays),
         rayleigh_parameter=rayleigh_parameter,
     )
 
@@ -116,60 +107,3 @@ def _with_rims(residual: Residual, low: float, high: float) -> tuple[float, floa
     ends[1, 1::2] *= residual.wavefront.obscuration
     values = np.fft.irfft(ends, series.n_theta, axis=1, norm="forward")
     return min(low, float(values.min())), max(high, float(values.max()))
-
-
-def _folded(residual: Residual, rays: Rays) -> bool:
-    """Return whether the Jacobian of the landing points has both signs, beyond rounding error."""
-    wave = residual.wavefront
-    if rays.reach <= 1e-6 * residual.airy_unit:
-        return False
-    if wave.layout == "polar":
-        jacobian = _polar_jacobian(residual, rays)
-    elif wave.layout == "scattered":
-        uu, uv, vv = residual.local.bends.T
-        jacobian = uu * vv - uv * uv
-    elif wave.layout == "cells":
-        jacobian = _cell_jacobian(residual, rays)
-    else:
-        jacobian = _grid_jacobian(residual, rays)
-    if not jacobian.size:
-        return False
-    low, high = float(jacobian.min()), float(jacobian.max())
-    # below this share of the largest, rounding and truncation may decide the sign
-    return min(-low, high) > 1e-3 * max(-low, high)
-
-
-def _polar_jacobian(residual: Residual, rays: Rays) -> Array:
-    """Jacobian of the landing points between polar nodes and the rim, up to a factor."""
-    wave = residual.wavefront
-    r = np.append(np.hypot(wave.u[:, 0], wave.v[:, 0]), wave.pupil_radius)
-    # Skip the closest rings, at the rim: differences of the series there are rounding error.
-    apart = np.diff(r) > 1e-4 * wave.pupil_radius
-    x, y = (np.concatenate([a, a[:, :1]], axis=1) for a in (rays.x, rays.y))
-    return np.asarray((_diagonals(x, y) / np.diff(r**2)[:, None])[apart])
-
-
-def _cell_jacobian(residual: Residual, rays: Rays) -> Array:
-    """Jacobian of the landing points between the nodes of each patch, up to a factor."""
-    wave, inner = residual.wavefront, np.s_[:, 1:-1, 1:-1]
-    return _diagonals(rays.x[inner], rays.y[inner]) / _diagonals(wave.u, wave.v)
-
-
-def _diagonals(x: Array, y: Array) -> Array:
-    """Twice the signed area of the quadrangles between neighbours along the last two axes."""
-    first_x, first_y = x[..., 1:, 1:] - x[..., :-1, :-1], y[..., 1:, 1:] - y[..., :-1, :-1]
-    second_x, second_y = x[..., 1:, :-1] - x[..., :-1, 1:], y[..., 1:, :-1] - y[..., :-1, 1:]
-    return first_x * second_y - first_y * second_x
-
-
-def _grid_jacobian(residual: Residual, rays: Rays) -> Array:
-    """Jacobian of the landing points, up to a factor, for grid squares away from dark samples."""
-    wave = residual.wavefront
-    lit = wave.amplitude * wave.weights > 0
-    inner = lit.copy()
-    for axis in (0, 1):
-        for step in (-1, 1):
-            inner &= np.roll(lit, step, axis=axis)
-    inner[[0, -1]] = inner[:, [0, -1]] = False
-    whole = inner[1:, 1:] & inner[1:, :-1] & inner[:-1, 1:] & inner[:-1, :-1]
-    return np.asarray(_diagonals(rays.x, rays.y)[whole])

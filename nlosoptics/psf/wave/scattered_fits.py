@@ -151,11 +151,6 @@ class LocalFits:
         """Gradient of the aberration at the nodes, (n, 2)."""
         return np.asarray((self.aberration[1:3] / self.scale).T)
 
-    @property
-    def bends(self) -> Array:
-        """Second derivatives W_uu, W_uv, W_vv at the nodes, (n, 3), 1/m."""
-        return np.asarray(((2.0, 1.0, 2.0) * self.aberration[3:6].T) / self.scale[:, None] ** 2)
-
     def on_polar(
         self, wave: Wavefront, n_r: int, n_theta: int
     ) -> tuple[Array, Array, Array, Array, Array, Array]:

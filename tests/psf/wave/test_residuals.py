@@ -229,21 +229,6 @@ def test_figures_of_a_regime(name):
         assert found.slope_per_sample == approx(step, rel=1e-12)
 
 
-@pytest.mark.parametrize("name", LAYOUTS)
-def test_folds(name):
-    """The Jacobian of the landing points is ``W_uu W_vv - W_uv^2``: here of one sign, or both."""
-
-    def of(a, b, c):
-        return regime(split(wave_of(name, None, lambda u, v: a * u**2 + b * v**2 + c * v**3)), 1e-6)
-
-    assert not of(1e-2, 2e-2, 0.0).folded
-    assert not of(-1e-2, 2e-2, 0.0).folded
-    assert of(1e-2, 2e-2, 5.0).folded  # changes sign at v = 1.3 mm
-    assert not of(1e-2, 2e-2, 1.0).folded
-    assert not of(0.0, 0.0, 0.0).folded
-    assert of(-1e-2, 2e-2, -5.0).folded
-
-
 def wave_with(**changes):
     options = {"samples": (4, 12)} if "samples" not in changes else {}
     return replace(psf.Wavefront.from_zernike({}, **options, **SYSTEM), **changes)
