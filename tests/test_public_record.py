@@ -121,7 +121,7 @@ def image_past_an_occluder(_: Path) -> dict[str, Any]:
     return {"diffuse": imaging.diffuse_background(scene("letter_occluder"))}
 
 
-@on_record(1e-2)  # iterations stop at changes of 5e-4, and light that differs by 1e-5 moves the stop
+@on_record(1e-2)  # iterations stop at changes of 5e-4: light that differs by 1e-5 moves the stop
 def reconstruction_round_a_corner(_: Path) -> dict[str, Any]:
     result = run("corner", reconstruct=True)
     answer = result.reconstruction
