@@ -284,18 +284,17 @@ def _slice(setup: Setup, grid: Lattice | None, n_waves: int, dtype: str) -> tupl
 def _check_memory(
     setup: Setup, volume: Volume, grid: Lattice | None, band: Band, moments: Array, dtype: str
 ) -> None:
-    size = 8 if dtype == "float32" else 16
     voxels = float(np.prod(volume.shape))
     fits_memory(
         f"a field at {counted(len(moments), 'time')} on {voxels:.3g} voxels",
-        3.25 * size * len(moments) * voxels,
+        52.0 * len(moments) * voxels,  # the result has double precision in any case
         "ask for fewer voxels or times",
     )
     n_waves, each = _slice(setup, grid, len(band.numbers), dtype)
     fits_memory(
         f"spectra of {counted(setup.columns.size, 'pair')}",
         3.0 * each * n_waves,
-        "use a smaller aperture, or dtype='float32'",
+        "use a smaller aperture, or a larger tol",
     )
 
 
