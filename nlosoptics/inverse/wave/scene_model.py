@@ -20,7 +20,7 @@ from ...errors import NlosError, SamplingError, SceneError
 from ...imaging import SpeckleImage, form_image
 from ...imaging.images import room_light
 from ...imaging.object_operator import ObjectOperator
-from ...imaging.shadows import shadows_of
+from ...imaging.shadows import Shadows, shadows_of
 from ...psf import PointSpread, PointSpreadField, point_spread_field, scene_point_spread
 from ...scene import PlanarObject, Scene
 from ...scene.file.addresses import NOT_IN_POINT_SPREAD, value_at
@@ -325,6 +325,7 @@ class _Setting:
     def __init__(self, scene: Scene, tol: float, nodes: int) -> None:
         self.scene, self._tol, self._nodes = scene, tol, nodes
         self._shape: tuple[int, int] | None = None
+        self._lit: tuple[bytes, Scene, Shadows | None] | None = None
         self._formed: tuple[bytes, SpeckleImage] | None = None
         self._operator: tuple[bytes, ObjectOperator] | None = None
 
@@ -348,22 +349,27 @@ class _Setting:
 
     def formed(self, picture: Array | None) -> SpeckleImage:
         """Return the image of a picture, by default the scene's own."""
-        key = b"" if picture is None else picture.tobytes()
+        key, scene, shadows = self._lit_by(picture)
         if self._formed is None or self._formed[0] != key:
-            scene = self._painted(picture)
-            shadows = shadows_of(scene, exact=True) if scene.occluders else None
             self._formed = key, form_image(scene, self.spread, shadows=shadows)
         return self._formed[1]
 
     def operator(self, picture: Array) -> ObjectOperator:
         """Return the linear operator for pictures of a shape; past occluders, for this one."""
-        key = b"" if not self.scene.occluders else picture.tobytes()
-        key += np.array(picture.shape).tobytes()
+        key, scene, shadows = self._lit_by(picture)
+        if shadows is None:
+            key = repr(picture.shape).encode()
         if self._operator is None or self._operator[0] != key:
-            scene = self._painted(picture)
-            shadows = shadows_of(scene, exact=True) if scene.occluders else None
             self._operator = key, ObjectOperator(scene, self.spread, shadows)
         return self._operator[1]
+
+    def _lit_by(self, picture: Array | None) -> tuple[bytes, Scene, Shadows | None]:
+        """Return a key of the picture, the scene with it, and the shadows past its occluders."""
+        key = b"" if picture is None else repr(picture.shape).encode() + picture.tobytes()
+        if self._lit is None or self._lit[0] != key:
+            scene = self._painted(picture)
+            self._lit = key, scene, shadows_of(scene, exact=True) if scene.occluders else None
+        return self._lit
 
     def _painted(self, picture: Array | None) -> Scene:
         if picture is None:

@@ -152,10 +152,8 @@ def wave_parts(
         coherent[where] += watts * mean.coherent
         halo[where] += watts * mean.diffuse
         peak = watts * float(mean.intensity.max())
-        error, model_error = (
-            error + peak * mean.error_estimate,
-            model_error + peak * mean.model_error,
-        )
+        error += peak * mean.error_estimate
+        model_error += peak * mean.model_error
         smooth += watts * view.coherent_fraction
         scattered += watts * view.scattered_fraction
         reasons.append(mean.reason)
