@@ -2,7 +2,8 @@
 
 Each fault is an edit of one line in a copy of the package: a wrong sign, a missing cosine, half a
 pixel. ``python benchmarks/seeded_faults.py`` prints which checks failed for each fault, and ends
-with exit code 1 if a fault passed all checks. It takes about half a minute a fault.
+with exit code 1 if a fault passed all checks, or if a check fails without any. The first run, which
+has no fault, compiles the package for all others; each of them takes about 20 s.
 """
 
 import os
@@ -165,6 +166,8 @@ def failed_checks(package: Path) -> list[str]:
 
 def main() -> int:
     """Print a line for each fault; return the number of those that were not found."""
+    if failing := failed_checks(ROOT / "nlosoptics"):
+        raise SystemExit(f"without a fault these checks fail: {'; '.join(failing)}")
     missed = 0
     for name, file, right, wrong in FAULTS:
         with tempfile.TemporaryDirectory() as folder:
