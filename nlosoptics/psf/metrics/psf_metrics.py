@@ -74,7 +74,7 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     wavefront = expect("wavefront", wavefront, "Wavefront")
     residual = split(_without(wavefront, remove))
     nodes = nufft.own_nodes(residual)
-    if residual.wavefront.is_spectral:
+    if residual.has_series:
         centre = Window.centred(residual.airy_unit, (1, 1))
         nodes = quadrature.nodes(residual, centre, quadrature.node_counts(residual, centre))
     return float(abs(np.sum(_phasors(residual, nodes))) ** 2)
@@ -187,9 +187,9 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     Parameters
     ----------
     source : Wavefront or PointSpread
-        Wave in the exit pupil whose ``layout`` is "polar" (samples on rings, see `Wavefront`), for
-        which the result is accurate to rounding. Or a computed point spread, whose pixels are
-        weighted by their area within the circle.
+        Wave in the exit pupil whose ``layout`` is "polar" or "cells" (see `Wavefront`), for which
+        the result is accurate to rounding. Or a computed point spread, whose pixels are weighted by
+        their area within the circle.
     radius : array_like
         Radii of the circles, m, of any shape. All circles are centred on x = y = 0, where the axis
         meets the image plane.
@@ -204,8 +204,8 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     SceneError
         If a radius is negative or not finite.
     SamplingError
-        If the wave's layout is not "polar", or a circle extends beyond the window of the point
-        spread.
+        If the wave's layout is "grid" or "scattered", or a circle extends beyond the window of the
+        point spread.
 
     See Also
     --------
@@ -233,10 +233,10 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
         raise SceneError(f"radius = {shown(radius)} m; give finite radii of at least 0")
     if isinstance(source, Wavefront):
         residual = split(source)
-        if source.layout != "polar":
+        if not residual.has_series:
             raise SamplingError(
-                f"encircled energy needs a wavefront of layout 'polar', not '{source.layout}'; "
-                "give psf.point_spread(wavefront)"
+                f"a wavefront of layout '{source.layout}' has no series, which encircled energy "
+                "needs; give psf.point_spread(wavefront)"
             )
         return _energies_within(residual, radii.ravel()).reshape(radii.shape)
     edge = min(-source.x[0], source.x[-1], -source.y[0], source.y[-1]) + source.pitch / 2
@@ -389,8 +389,7 @@ def _transfer(
         raise SceneError("frequency is NaN or infinite; give finite numbers in 1/m")
     if isinstance(source, PointSpread):
         values = spectrum_along(source, frequencies.ravel(), azimuth) / source.intensity.sum()
-    elif source.layout == "polar" and source.obscuration == 0:
-        residual = split(source)
+    elif (residual := split(source)).is_disc:
         values = np.array([transfer(residual, f, azimuth) for f in frequencies.ravel().tolist()])
     else:
         raise SamplingError(
@@ -484,7 +483,7 @@ def _phasors(residual: Residual, nodes: nufft.Nodes) -> ComplexArray:
 
 
 def _energies_within(residual: Residual, radii: Array) -> Array:
-    """Return the fractions of the energy of a polar wave within radii (n,), m.
+    """Return the fractions of the energy of a wave with a series within radii (n,), m.
 
     The field is summed on circles, by a non-uniform FFT between the points of pupil and image. The
     energy of each circle, at Gauss-Legendre nodes of the squared radius up to the largest, gives a
@@ -498,7 +497,7 @@ def _energies_within(residual: Residual, radii: Array) -> Array:
     window = Window(2 * half, (2, 2), (-half, -half))
     nodes = quadrature.nodes(residual, window, quadrature.node_counts(residual, window))
     # phase at the rim, and twice the nodes that integrals over the whole disc need, for the series
-    v = math.pi * radius / residual.airy_unit
+    v = residual.wavenumber * residual.farthest * radius / abs(wave.image_distance)
     n, n_angle = 2 * math.ceil(0.58 * v + 12), 2 * math.ceil(v + 12 * v ** (1 / 3) + 12)
     fits_memory(
         f"the field on {n} circles of {n_angle} points", 100.0 * n * n_angle, "use a smaller radius"

@@ -174,7 +174,7 @@ class Chirp(Transform):
     def image(self, task: Task) -> Image:
         """Compute the image and its error."""
         residual, samples = task.residual, task.samples
-        check_sampling(task)
+        _check_sampling(task, 1)
         grid = pupil_grid(residual)
         n = grid.values.shape[0]
         fits_memory(
@@ -207,7 +207,7 @@ class Scattered(Transform):
     def image(self, task: Task) -> Image:
         """Compute the image and its error."""
         residual = task.residual
-        check_sampling(task)
+        _check_sampling(task, 2)
         epsilon = nufft.epsilon(residual.aberration.size, task.samples, task.tol, task.components)
         nodes = nufft.own_nodes(residual)
         mean, peak, secant = task.sum(nodes, epsilon)
@@ -362,12 +362,14 @@ def grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
     return bound + error_bounds.damping_error(task.residual, grid, task.pitch)
 
 
-def check_sampling(task: Task) -> None:
-    """Refuse grid or scattered nodes that are too few for the wave or for the window."""
+def _check_sampling(task: Task, power: int) -> None:
+    """Refuse samples that are too few for the wave or for the window.
+
+    Their number grows as this power of their density: 1 for those along a side of a grid, 2 for
+    all scattered ones.
+    """
     residual, wave = task.residual, task.residual.wavefront
-    n, (jump, node), share = wave.u.shape[0], residual.grid_jump(), _period_share(task)
-    # numbers of scattered nodes grow as the square of their density
-    power = 2 if wave.layout == "scattered" else 1
+    n, (jump, node), share = wave.u.shape[0], residual.jump(), _period_share(task)
     if jump > 0.5:
         # A margin: in a denser set of scattered nodes, another pair may be the farthest apart.
         need = math.ceil(n * max(jump / 0.5, share) ** power * (1.0 if power == 1 else 1.44))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ from ..._vectors import product
 from ..aperture.aperture import Aperture
 from ..aperture.curves import cross
 from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
-from .polar_series import _legendre_slopes, legendre
+from .polar_series import PolarSpectrum, _legendre_slopes, legendre
 
 Array = NDArray[np.float64]
 
@@ -66,6 +67,21 @@ class CellSpectrum:
 
     #: Digits of an integral by n nodes along either coordinate, see `quadrature.growth`.
     orders = (2, 2)
+    #: Points of the result of `slopes` that are nodes.
+    inner = np.s_[:, 1:-1, 1:-1]
+
+    def mesh(self, n: int, most: int) -> tuple[int, int, int]:
+        """Return the shape of a mesh of ``n`` points per side of a patch.
+
+        All patches together have at most the points of ``most`` rings of four times as many.
+        """
+        n = min(n, math.ceil(2 * most / math.sqrt(self.shape[0])))
+        return self.shape[0], n, n
+
+    def on_rims(self) -> Array:
+        """Return the values on the nodes and edges of the patches."""
+        tables = (_edged(n, n, 0.0)[0] for n in self.shape[1:])
+        return _products(self.coefficients, *tables)
 
     @property
     def sides(self) -> tuple[float, float]:
@@ -118,6 +134,15 @@ class CellSpectrum:
         du = by_s * frame.u_of_s + by_t * frame.u_of_t
         dv = by_s * frame.v_of_s + by_t * frame.v_of_t
         return du, dv, frame.share
+
+
+def spectrum(
+    values: Array, radius: float, obscuration: float, outline: Aperture | None
+) -> PolarSpectrum | CellSpectrum:
+    """Return the series of values at nodes of `pupil_points`, whose pupil it takes."""
+    if outline is None:
+        return PolarSpectrum(values, radius, obscuration)
+    return CellSpectrum(values, outline)
 
 
 class _Frame(NamedTuple):

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from ..._xarray import Labels, variable
 from ...errors import SceneError
 from ..aperture.aperture import Aperture
-from ..aperture.cell_nodes import shared_cell_nodes
-from ..aperture.quadrature_nodes import KEPT, kept_polar_nodes, polar_nodes
+from ..aperture.cell_nodes import pupil_points
 
 Array = NDArray[np.float64]
 
@@ -47,26 +46,21 @@ def check_nodes(
     """
     if layout == "scattered":
         return
-    if layout == "cells" and aperture is not None:
-        right_u, right_v, _ = shared_cell_nodes(aperture, *u.shape[1:])
-        if right_u.shape != u.shape:
-            raise SceneError(
-                f"wavefront.u has shape {u.shape}; the aperture's {len(right_u)} patches need "
-                f"{right_u.shape}"
-            )
-        radius, remedy = aperture.bounding_radius, "take them from aperture.nodes"
-    elif layout == "polar":
-        make = kept_polar_nodes if u.size <= KEPT else polar_nodes
-        n_r, n_theta = u.shape
-        right_u, right_v, _ = make(radius, n_r, n_theta, obscuration)
-        remedy = "take them from psf.polar_nodes"
-    else:
+    if layout == "grid":
         rows, columns = u.shape
         if rows != columns or rows < 2:
             raise SceneError(f"a grid wavefront has shape {u.shape}; give a square grid")
         axis = (np.arange(rows) - rows // 2) * grid_pitch(u)
         right_v, right_u = np.meshgrid(axis, axis, indexing="ij")
         remedy = "use (arange(n) - n//2) * pitch, rows along v"
+    else:
+        if aperture is not None and len(aperture.owners) != len(u):
+            raise SceneError(
+                f"wavefront.u has shape {u.shape}; the aperture's {len(aperture.owners)} patches "
+                f"need {(len(aperture.owners), *u.shape[1:])}"
+            )
+        right_u, right_v, _ = pupil_points(radius, obscuration, aperture, u.shape)
+        remedy = f"take them from {'psf.polar_nodes' if aperture is None else 'aperture.nodes'}"
     error = max(float(np.abs(u - right_u).max()), float(np.abs(v - right_v).max()))
     if not error <= 1e-9 * radius:
         raise SceneError(

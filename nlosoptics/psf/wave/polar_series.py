@@ -76,6 +76,18 @@ class PolarSpectrum:
 
     #: Digits of an integral by n nodes along radius and angle, see `quadrature.growth`.
     orders = (4, 1)
+    #: Points of the result of `slopes` that are nodes.
+    inner = np.s_[:-1]
+
+    def mesh(self, n: int, most: int) -> tuple[int, int]:
+        """Return rings and points per ring of a mesh of about ``n`` rings, at most ``most``."""
+        n = min(max(n, 24), most)
+        return n, 4 * n
+
+    def on_rims(self) -> Array:
+        """Return the values on the outer and inner rim, or at the centre."""
+        waves = self._polynomial(np.array([1.0, self.obscuration]))[0]
+        return self._synthesis(waves, self.n_theta)
 
     @property
     def sides(self) -> tuple[float, float]:

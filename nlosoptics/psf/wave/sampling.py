@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..._checks import counted, mapping, one_of, real, whole
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
-from ..aperture.cell_nodes import shared_cell_nodes
-from ..aperture.quadrature_nodes import KEPT, grid_nodes, polar_nodes
-from .cell_series import CellSpectrum
-from .polar_series import PolarSpectrum
+from ..aperture.cell_nodes import pupil_points
+from ..aperture.quadrature_nodes import KEPT, grid_nodes
+from .cell_series import spectrum
 from .zernikes import Ordering, kept_cell_zernikes, zernike_order, zernike_sum
 
 Array = NDArray[np.float64]
@@ -127,12 +126,13 @@ def pupil_nodes(
         if aperture is None:
             return PupilNodes(layout, *grid_nodes(radius, count, obscuration), none)
         return PupilNodes(layout, *aperture.grid_nodes(count))
-    if layout == "cells" and aperture is not None:
-        n_s, n_t = samples if isinstance(samples, tuple) else (samples, samples)
-        nodes = shared_cell_nodes(aperture, n_s, n_t)
-        return PupilNodes(layout, *nodes, aperture.owners[:, None, None])
-    n_r, n_theta = samples if isinstance(samples, tuple) else (samples, 4 * samples)
-    return PupilNodes(layout, *polar_nodes(radius, n_r, n_theta, obscuration), none)
+    if aperture is None:
+        counts = samples if isinstance(samples, tuple) else (samples, 4 * samples)
+        return PupilNodes(layout, *pupil_points(radius, obscuration, None, counts), none)
+    owners = aperture.owners[:, None, None]
+    counts = samples if isinstance(samples, tuple) else (samples, samples)
+    nodes = pupil_points(radius, 0.0, aperture, (len(owners), *counts))
+    return PupilNodes(layout, *nodes, owners)
 
 
 def segment_terms(
@@ -261,10 +261,11 @@ def sampled(
     ``fill`` evaluates both on given nodes. Without ``samples``, the number of nodes is increased
     until the truncation error of both is negligible, or the largest number is reached.
     """
-    for count in _trials(layout, samples, aperture):
+    trials = [*_trials(layout, samples, aperture)]
+    for count in trials:
         nodes = pupil_nodes(layout, count, radius, obscuration, aperture)
         path, amplitude = fill(nodes)
-        if layout == "grid" or samples is not None:
+        if count == trials[-1]:
             break
         lack = 0.0
         for values, scale in ((path, wavenumber), (amplitude, 1.0)):
@@ -272,7 +273,8 @@ def sampled(
                 continue
             # The rounding error of many waves of aberration must not count as truncation.
             least = max(NEGLIGIBLE, 1e-13 * scale * float(np.abs(values).max()))
-            lack = max(lack, scale * _truncation(values, radius, obscuration, aperture) / least)
+            lost = spectrum(values, radius, obscuration, aperture).truncation()
+            lack = max(lack, scale * lost / least)
         if lack <= 1:
             break
     return nodes, path, amplitude
@@ -295,15 +297,6 @@ def _trials(
         yield from (side for side in sides[1:] if n * side**2 <= MOST_NODES)
 
 
-def _truncation(
-    values: Array, radius: float, obscuration: float, aperture: Aperture | None
-) -> float:
-    """Estimate the truncation error of values on polar or cells nodes."""
-    if aperture is None:
-        return PolarSpectrum(values, radius, obscuration).truncation()
-    return CellSpectrum(values, aperture).truncation()
-
-
 def owned(name: str, values: Any, layout: str) -> Array:
     """Copy values to a read-only float64 array; check that they are finite and fit the layout."""
     try:
@@ -319,8 +312,6 @@ def owned(name: str, values: Any, layout: str) -> Array:
             f"wavefront.{name} has shape {array.shape}; layout '{layout}' needs "
             f"{counted(dimension, 'dimension')}"
         )
-    if name == "aberration" and layout == "grid" and array.shape[0] != array.shape[1]:
-        raise SceneError(f"wavefront.{name} has shape {array.shape}; a grid is square")
     finite = np.isfinite(array)
     if not finite.all():
         where = tuple(int(i) for i in np.unravel_index(np.argmin(finite), array.shape))

@@ -16,15 +16,14 @@ from ..._nouns import Noun
 from ..._xarray import Labelled
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
-from ..aperture.cell_nodes import shared_cell_nodes
+from ..aperture.cell_nodes import pupil_points
 from ..aperture.quadrature_nodes import (
     KEPT,
     fitting_pitch,
     grid_nodes,
-    polar_nodes,
     shared_polar_nodes,
 )
-from .cell_series import CellSpectrum
+from .cell_series import CellSpectrum, spectrum
 from .fits import fitted_terms
 from .node_checks import check_aperture, check_nodes, grid_pitch, wave_labels
 from .polar_series import PolarSpectrum
@@ -422,6 +421,8 @@ class Wavefront(Noun, Shown, Labelled):
         positive("pupil_pitch", pupil_pitch, unit="m")
         surface = owned("aberration", aberration, "grid")
         n = surface.shape[0]
+        if surface.shape != (n, n):
+            raise SceneError(f"wavefront.aberration has shape {surface.shape}; a grid is square")
         if amplitude is None:
             amplitude = np.ones_like(surface)
         axis = (np.arange(n) - n // 2) * float(pupil_pitch)
@@ -450,7 +451,7 @@ class Wavefront(Noun, Shown, Labelled):
         """Spacing of the sample points, m; raises `SamplingError` unless the layout is "grid"."""
         if self.layout != "grid":
             raise SamplingError(
-                f"a {self.layout} wavefront has no pupil pitch; sample it on a grid"
+                f"a {self.layout} wavefront has no pupil pitch; sample it with nodes='grid'"
             )
         return grid_pitch(self.u)
 
@@ -490,11 +491,7 @@ class Wavefront(Noun, Shown, Labelled):
             If the layout is "grid" or "scattered".
         """
         self._require_spectral("have more nodes")
-        if self.aperture is not None:
-            n_patches, n_s, n_t = counts
-            whole("the number of patches", n_patches, len(self.u), len(self.u))
-            return shared_cell_nodes(self.aperture, n_s, n_t)
-        return polar_nodes(self.pupil_radius, counts[0], counts[1], self.obscuration)
+        return pupil_points(self.pupil_radius, self.obscuration, self.aperture, counts)
 
     def series(self, values: Array) -> PolarSpectrum | CellSpectrum:
         """Return the polynomial series that interpolates a function known at the sample points.
@@ -515,9 +512,7 @@ class Wavefront(Noun, Shown, Labelled):
             If the layout is "grid" or "scattered".
         """
         self._require_spectral("have a series")
-        if self.aperture is not None:
-            return CellSpectrum(values, self.aperture)
-        return PolarSpectrum(values, self.pupil_radius, self.obscuration)
+        return spectrum(values, self.pupil_radius, self.obscuration, self.aperture)
 
     def resampled(self, *counts: int) -> Wavefront:
         """Return the wave interpolated to more sample points.

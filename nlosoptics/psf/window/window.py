@@ -261,14 +261,8 @@ def peak_pixel(residual: Residual, pitch: float) -> float:
     rays, unit = residual.rays, residual.airy_unit
     # Bins are not finer than the Airy disc, which blurs the rays.
     side = max(pitch, 2 * unit)
-    if residual.wavefront.layout == "polar":
-        # Trace several rays per bin: otherwise a single ray would count as a peak.
-        n_r = min(max(24, math.ceil(4 * rays.reach / side)), 400)
-        rays = residual.traced(n_r, 4 * n_r)
-    elif residual.wavefront.layout == "cells":
-        shape = residual.wavefront.u.shape
-        n = min(max(shape[1], math.ceil(4 * rays.reach / side)), math.ceil(700 / shape[0] ** 0.5))
-        rays = residual.traced(shape[0], n, n)
+    # Several rays per bin: otherwise a single ray would count as a peak.
+    rays = residual.dense_rays(math.ceil(4 * rays.reach / side))
     ratio = pitch / unit
     # A product, since a power of a huge ratio would raise OverflowError.
     airy = min(1.0, math.pi / 4 * (ratio * ratio))

@@ -76,7 +76,12 @@ def test_tilt_is_the_weighted_plane(name, even):
     heights = rest.ravel()
     mean = np.sum(share * heights) / share.sum()
     found = residual.heights
-    assert (found.low, found.high) == approx((heights[lit].min(), heights[lit].max()), rel=1e-12)
+    low, high = heights[lit].min(), heights[lit].max()
+    if residual.has_series:  # which is known on the rims as well
+        assert found.low < low
+        assert found.high > high
+    else:
+        assert (found.low, found.high) == approx((low, high), rel=1e-12)
     assert found.mean == approx(mean, abs=1e-16)
     rms = math.sqrt(np.sum(share * (heights - mean) ** 2) / share.sum())
     assert found.rms == approx(rms, rel=1e-9)
@@ -148,7 +153,7 @@ def test_differences_on_a_grid():
                     step = abs(rest[i + di, j + dj] - rest[i, j])
                     if lit[i + di, j + dj] and step > worst:
                         worst, where = step, (i, j)
-    jump, place = residual.grid_jump()
+    jump, place = residual.jump()
     assert jump == approx(worst / WAVELENGTH, rel=1e-12)
     assert place == where
     assert residual.spacing == pitch
@@ -171,7 +176,7 @@ def test_widths_and_pitches():
     expected = np.abs(narrow.u[lit]).max() + narrow.pupil_pitch / 2
     assert split(narrow).half_width == approx(expected, rel=1e-12)
     with pytest.raises(
-        SamplingError, match="a polar wavefront has no pupil pitch; sample it on a g"
+        SamplingError, match="a polar wavefront has no pupil pitch; sample it with n"
     ):
         _ = wave_of("polar").pupil_pitch
     with pytest.raises(SamplingError, match="aperture is missing; sample it with nodes='cells'"):
@@ -188,7 +193,7 @@ def test_flat_and_plane_waves():
             assert residual.is_plane
             assert residual.tilt == (0.0, 0.0)
             assert tuple(residual.heights) == (0.0, 0.0, 0.0, 0.0)
-            assert residual.is_flat == (name in ("polar", "ring") and size is None)
+            assert residual.is_flat == (size is None)
             rays = residual.rays
             assert (rays.slope, rays.reach, rays.rms) == (0.0, 0.0, 0.0)
             assert rays.energy.sum() == approx(1.0, rel=1e-12)
@@ -207,18 +212,24 @@ def test_figures_of_a_regime(name):
     assert found.rayleigh_parameter == 0.7
     assert found.coherent_fraction == approx(math.exp(-0.49), rel=1e-12)
     assert regime(residual, 1e-6).coherent_fraction == 1.0
-    if name in ("polar", "ring"):
+    if residual.has_series:
         turns = np.linspace(0, 2 * math.pi, 41)[:-1]
         rims = [RADIUS, 0.3 * RADIUS if name == "ring" else 0.0]
         u, v = (np.concatenate([r * f(turns) for r in rims]) for f in (np.cos, np.sin))
+        if name == "cells":  # the sides of the pentagon
+            corners = 3.5e-3 * np.exp(1j * (0.2 + 2 * math.pi * np.arange(6) / 5))
+            sides = np.interp(np.linspace(0, 5, 2001), np.arange(6), corners)
+            u, v = sides.real, sides.imag
         wave = residual.wavefront
         rest = path(u, v) - residual.tilt[0] * u - residual.tilt[1] * v
         # the piston that was removed
-        rest -= (path(wave.u, wave.v) - residual.tilt[0] * wave.u - residual.tilt[1] * wave.v)[0, 0]
-        rest += residual.aberration[0, 0]
-        low = min(residual.heights.low, rest.min())
-        high = max(residual.heights.high, rest.max())
-        assert found.peak_to_valley == approx((high - low) / WAVELENGTH, rel=1e-9)
+        moved = path(wave.u, wave.v) - residual.tilt[0] * wave.u - residual.tilt[1] * wave.v
+        rest += (residual.aberration - moved).flat[0]
+        low = min(residual.aberration.min(), rest.min())
+        high = max(residual.aberration.max(), rest.max())
+        # on the sides of patches the extremes may lie between nodes
+        rel = 1e-2 if name == "cells" else 1e-9
+        assert found.peak_to_valley == approx((high - low) / WAVELENGTH, rel=rel)
     else:
         spread = residual.heights.high - residual.heights.low
         assert found.peak_to_valley == approx(spread / WAVELENGTH, rel=1e-12)
