@@ -107,11 +107,11 @@ def more_nodes(residual: Residual) -> tuple[int, ...]:
     def more(z: float) -> int:
         return math.ceil(-math.log(WEIGHTS) / (2 * math.log(z + math.sqrt(z * z - 1))))
 
-    sine = largest_sine(residual)
-    if residual.wavefront.aperture is None:
+    sine, outline = largest_sine(residual), residual.wavefront.aperture
+    if outline is None:
         return more(2 / sine**2 - 1), 4
-    gap = (1 / sine - 1) * residual.aperture.bounding_radius
-    return 0, *(more(1 + 2 * gap / size) for size in residual.aperture.patch_size)
+    gap = (1 / sine - 1) * residual.farthest
+    return 0, *(more(1 + 2 * gap / size) for size in outline.patch_size)
 
 
 def levels(nodes: Nodes, distance: float, polarisation: Polarisation | None) -> tuple[float, float]:

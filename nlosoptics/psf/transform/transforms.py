@@ -57,7 +57,7 @@ class Airy(Transform):
 
     def seconds(self, task: Task) -> float:
         """Predict the run time, s."""
-        return costs.airy(task.samples)
+        return costs.CALL + 3e-8 * costs.points(task.samples)  # one Bessel function per point
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""
@@ -115,7 +115,10 @@ class FewNodes(Transform):
 
     def seconds(self, task: Task) -> float:
         """Predict the run time, s."""
-        return costs.coarse_sum(task.coarse, task.samples)
+        digits = -math.log10(task.coarse.epsilon)
+        per_node = 3e-8 + 1e-9 * digits**2
+        nodes = math.prod(task.coarse.counts)
+        return 6e-4 + per_node * nodes + 1.2e-8 * costs.points(task.samples)
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""
@@ -140,8 +143,12 @@ class SoftGrid(FewNodes):
 
     def seconds(self, task: Task) -> float:
         """Predict the run time, s."""
-        soft = task.soft
-        return super().seconds(task) if soft is None else costs.soft_padded(task.samples, soft.grid)
+        if task.soft is None:
+            return super().seconds(task)
+        grid, samples = task.soft.grid, task.samples
+        size = round(grid.period / samples.pitch)
+        columns = min(size, 2 * grid.centre) + samples.shape[1]
+        return costs.CALL + 3e-8 * grid.radius**2 + 5e-10 * size * columns * math.log2(size)
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""
@@ -198,7 +205,10 @@ class Scattered(Transform):
 
     def seconds(self, task: Task) -> float:
         """Predict the run time, s."""
-        return task.components * costs.scattered_sum(task.residual, task.samples)
+        own = task.residual.aberration.size
+        reference = math.prod(nufft.reference_counts(task.residual, task.samples))
+        sums = sum(costs.sum_over_nodes(n, task.samples) for n in (own, reference))
+        return task.components * (sums + 1.3e-6 * reference)
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""
@@ -231,11 +241,12 @@ class Rays(Transform):
 
     def seconds(self, task: Task) -> float:
         """Predict the run time, s."""
-        return costs.rays(geometric.ray_count(task.residual, task.pixels))
+        # two passes, the second for the error estimate
+        return 3e-3 + 4e-7 * math.prod(geometric.ray_counts(task.residual, task.pixels))
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""
-        return 400.0 * geometric.ray_count(task.residual, task.pixels)
+        return 400.0 * math.prod(geometric.ray_counts(task.residual, task.pixels))
 
     def image(self, task: Task) -> Image:
         """Compute the image and its error."""

@@ -13,7 +13,7 @@ from ..._vectors import product
 from ..aperture.aperture import Aperture
 from ..aperture.curves import cross
 from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
-from .polar_series import PolarSpectrum, _legendre_slopes, legendre
+from .polar_series import Mesh, PolarSpectrum, _legendre_slopes, legendre
 
 Array = NDArray[np.float64]
 
@@ -112,6 +112,13 @@ class CellSpectrum:
         """Return values on the aperture's nodes of the given shape, (n_patches, n_s, n_t)."""
         tables = (_synthesis(n, count) for n, count in zip(self.shape[1:], (n_s, n_t), strict=True))
         return _products(self.coefficients, *tables)
+
+    def points(self, n_patches: int, n_s: int, n_t: int) -> Mesh:
+        """Return the points of `slopes`, with the coordinates s and t of the patches."""
+        (s, w_s), (t, w_t) = gauss_legendre(n_s), gauss_legendre(n_t)
+        s, t = np.concatenate([[NEAREST], s, [1.0]]), np.concatenate([[0.0], t, [1.0]])
+        u, v = np.moveaxis(self.aperture.map(s, t)[0], -1, 0)
+        return Mesh(u, v, s, t, w_s[:, None], w_t)
 
     def slopes(self, n_patches: int, n_s: int, n_t: int) -> tuple[Array, Array, Array]:
         """Return the gradient on the nodes and on the edges of the patches.

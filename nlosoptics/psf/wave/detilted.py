@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Final, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SamplingError
-from ..aperture.aperture import Aperture
 from .cell_series import CellSpectrum
 from .fits import fitted_terms
 from .polar_series import PolarSpectrum
@@ -22,8 +21,6 @@ from .scattered_fits import LocalFits, local_fits
 from .wavefront import Wavefront
 
 Array = NDArray[np.float64]
-#: Most rings of the rays of `Residual.dense_rays`.
-MOST_RINGS: Final = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,20 +221,6 @@ class Residual:
         return self.wavefront.series(self.wavefront.amplitude)
 
     @property
-    def aperture(self) -> Aperture:
-        """Outline of the pupil.
-
-        Raises
-        ------
-        SamplingError
-            If the wavefront has no aperture.
-        """
-        aperture = self.wavefront.aperture
-        if aperture is None:
-            raise SamplingError("wavefront.aperture is missing; sample it with nodes='cells'")
-        return aperture
-
-    @property
     def polar_series(self) -> tuple[PolarSpectrum, PolarSpectrum | None]:
         """Series of a polar residual aberration, and of the amplitude or None if it is uniform.
 
@@ -283,7 +266,7 @@ class Residual:
 
     def dense_rays(self, n: int) -> Rays:
         """Return rays from about ``n`` nodes across the pupil, as far as a series allows it."""
-        return self.traced(*self.series.mesh(n, MOST_RINGS))
+        return self.traced(*self.series.mesh(n, 400))
 
     def _landing(self, du: Array, dv: Array, energy: Array) -> Rays:
         """Return the rays of given slopes, with their energies normalised to sum 1."""

@@ -159,6 +159,14 @@ class PolarSpectrum:
         dv = ring.sine * d_r + ring.cosine * d_theta
         return du, dv, ring.share
 
+    def points(self, n_r: int, n_theta: int) -> Mesh:
+        """Return the points of `slopes`, with the radius, m, and the angle as coordinates."""
+        ring, (_, weights) = ring_of(n_r, n_theta, self.obscuration), gauss_legendre(n_r)
+        edges = self.radius * rho_of(np.append(0.0, np.cumsum(weights)), self.obscuration)
+        r, turn = self.radius * ring.rho, 2 * math.pi / n_theta
+        along_r, angle = np.diff(edges)[:, None], turn * np.arange(n_theta)
+        return Mesh(r * ring.cosine, r * ring.sine, r[:, 0], angle, along_r, np.array(turn))
+
     def at(self, u: Array, v: Array, epsilon: float) -> Array:
         """Return the function at any points.
 
@@ -322,6 +330,27 @@ def _product(table: Array, waves: ComplexArray) -> ComplexArray:
     """Product of a real and a complex matrix by einsum, bit-identical for any thread count."""
     parts = np.ascontiguousarray(waves).view(np.float64)
     return np.asarray(np.einsum("ij,jk->ik", table, parts)).view(np.complex128)
+
+
+class Mesh(NamedTuple):
+    """Points of a mesh of cells with coordinates s and t, including those on the rims.
+
+    Attributes
+    ----------
+    u, v : ndarray
+        Pupil coordinates, m, of the points of ``slopes`` of a series.
+    s, t : ndarray
+        Coordinates along the last two axes.
+    along_s, along_t : ndarray
+        Sides of the cells about the nodes, in a shape that broadcasts to theirs.
+    """
+
+    u: Array
+    v: Array
+    s: Array
+    t: Array
+    along_s: Array
+    along_t: Array
 
 
 class Ring(NamedTuple):

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import counted, mapping, one_of, real, whole
+from ..._checks import counted, mapping, numbers, one_of, real, whole
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import pupil_points
 from ..aperture.quadrature_nodes import KEPT, grid_nodes
 from .cell_series import spectrum
-from .zernikes import Ordering, kept_cell_zernikes, zernike_order, zernike_sum
+from .zernikes import Ordering, kept_zernikes, zernike_order, zernike_sum
 
 Array = NDArray[np.float64]
 Nodes = Literal["polar", "cells", "grid"]
@@ -112,29 +112,6 @@ def polar_counts(degree: int, samples: int | tuple[int, int] | None) -> tuple[in
     return n_r, n_theta
 
 
-def pupil_nodes(
-    layout: Nodes,
-    samples: int | tuple[int, int],
-    radius: float,
-    obscuration: float,
-    aperture: Aperture | None,
-) -> PupilNodes:
-    """Return the nodes of a layout; ``samples`` is as in `Wavefront.from_function`."""
-    none = np.zeros((), dtype=np.int64)
-    if layout == "grid":
-        count = whole("samples", samples, 2)
-        if aperture is None:
-            return PupilNodes(layout, *grid_nodes(radius, count, obscuration), none)
-        return PupilNodes(layout, *aperture.grid_nodes(count))
-    if aperture is None:
-        counts = samples if isinstance(samples, tuple) else (samples, 4 * samples)
-        return PupilNodes(layout, *pupil_points(radius, obscuration, None, counts), none)
-    owners = aperture.owners[:, None, None]
-    counts = samples if isinstance(samples, tuple) else (samples, samples)
-    nodes = pupil_points(radius, 0.0, aperture, (len(owners), *counts))
-    return PupilNodes(layout, *nodes, owners)
-
-
 def segment_terms(
     aperture: Aperture | None, pistons: ArrayLike | None, tilts: ArrayLike | None
 ) -> Callable[[PupilNodes], Array]:
@@ -167,12 +144,7 @@ def segment_terms(
 
 def _per_cell(name: str, values: ArrayLike | None, shape: tuple[int, ...], unit: str) -> Array:
     """Check one finite value or pair per cell; zeros if None."""
-    if values is None:
-        return np.zeros(shape)
-    try:
-        given = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise SceneError(f"{name} are not numbers; give shape {shape}, {unit}") from None
+    given = np.zeros(shape) if values is None else numbers(name, values)
     if given.shape != shape:
         raise SceneError(f"{name} have shape {given.shape}; give {shape}, {unit} of every cell")
     if not np.isfinite(given).all():
@@ -221,7 +193,11 @@ def zernike_degree(coefficients: Mapping[int, float], ordering: Ordering) -> int
 
 
 def zernike_fill(
-    coefficients: Mapping[int, float], radius: float, ordering: Ordering, aperture: Aperture
+    coefficients: Mapping[int, float],
+    radius: float,
+    ordering: Ordering,
+    obscuration: float,
+    aperture: Aperture | None,
 ) -> Fill:
     """Return the function that gives a sum of Zernike polynomials, m, and a uniform amplitude.
 
@@ -229,72 +205,96 @@ def zernike_fill(
     """
     listed = mapping("coefficients", coefficients, "{index: metres}")
     heights = np.array([real(f"coefficients[{j}]", a) for j, a in listed.items()])
+    # The nodes of discs and rings of any radius are alike.
+    pupil = (1.0, obscuration, None) if aperture is None else (radius, 0.0, aperture)
 
     def fill(nodes: PupilNodes) -> tuple[Array, Array]:
         """Aberration and amplitude on nodes."""
-        if nodes.layout == "cells" and heights.size and nodes.u.size <= KEPT:
-            counts = nodes.u.shape[1:]
-            modes = kept_cell_zernikes(tuple(coefficients), ordering, aperture, *counts, radius)
-            # einsum does not call BLAS, so results are bit-identical for any thread count.
-            path = np.einsum("m,mn->n", heights, modes).reshape(nodes.u.shape)
-            return path, np.ones_like(path)
         path = np.zeros_like(nodes.u)
-        lit = nodes.weights > 0
-        path[lit] = zernike_sum(coefficients, nodes.u[lit], nodes.v[lit], radius, ordering)
+        if nodes.layout != "grid" and heights.size and path.size <= KEPT:
+            modes = kept_zernikes(tuple(coefficients), ordering, *pupil, path.shape)
+            # einsum does not call BLAS, so results are bit-identical for any thread count.
+            path = np.einsum("m,m...->...", heights, modes)
+        elif heights.size:
+            lit = nodes.weights > 0
+            path[lit] = zernike_sum(coefficients, nodes.u[lit], nodes.v[lit], radius, ordering)
         return path, np.ones_like(path)
 
     return fill
 
 
-def sampled(
-    layout: Nodes,
-    samples: int | tuple[int, int] | None,
-    fill: Fill,
-    *,
-    wavenumber: float,
-    radius: float,
-    obscuration: float,
-    aperture: Aperture | None,
-) -> tuple[PupilNodes, Array, Array]:
-    """Return pupil nodes, and aberration (m) and amplitude on them.
+@dataclass(frozen=True, eq=False)
+class Sampling:
+    """How a pupil is sampled.
 
-    ``fill`` evaluates both on given nodes. Without ``samples``, the number of nodes is increased
-    until the truncation error of both is negligible, or the largest number is reached.
+    Parameters
+    ----------
+    layout : {"polar", "cells", "grid"}
+        Layout of the nodes.
+    samples : int or (int, int), optional
+        Their number, as in `Wavefront.from_function`; by default as many as a function needs.
+    radius, obscuration : float
+        Outer radius of a disc or ring, m, and its inner radius divided by the outer.
+    outline : Aperture, optional
+        Outline of a pupil that is neither disc nor ring.
     """
-    trials = [*_trials(layout, samples, aperture)]
-    for count in trials:
-        nodes = pupil_nodes(layout, count, radius, obscuration, aperture)
-        path, amplitude = fill(nodes)
-        if count == trials[-1]:
-            break
-        lack = 0.0
-        for values, scale in ((path, wavenumber), (amplitude, 1.0)):
-            if (values == values.flat[0]).all():
-                continue
-            # The rounding error of many waves of aberration must not count as truncation.
-            least = max(NEGLIGIBLE, 1e-13 * scale * float(np.abs(values).max()))
-            lost = spectrum(values, radius, obscuration, aperture).truncation()
-            lack = max(lack, scale * lost / least)
-        if lack <= 1:
-            break
-    return nodes, path, amplitude
 
+    layout: Nodes
+    samples: int | tuple[int, int] | None
+    radius: float
+    obscuration: float
+    outline: Aperture | None
 
-def _trials(
-    layout: Nodes, samples: int | tuple[int, int] | None, aperture: Aperture | None
-) -> Iterator[int | tuple[int, int]]:
-    """Yield the numbers of samples to try, in order."""
-    if samples is not None:
-        yield samples
-    elif layout == "grid":
-        yield GRID_SAMPLES
-    elif aperture is None:
-        yield from RADII
-    else:
-        n = len(aperture.owners)
-        sides = SIDES[1:] if any(side.turn.any() for side in aperture.patches) else SIDES
-        yield sides[0]
-        yield from (side for side in sides[1:] if n * side**2 <= MOST_NODES)
+    @property
+    def trials(self) -> list[int | tuple[int, int]]:
+        """Numbers of samples to try, in order."""
+        if self.samples is not None:
+            return [self.samples]
+        if self.layout == "grid":
+            return [GRID_SAMPLES]
+        if self.outline is None:
+            return [*RADII]
+        n = len(self.outline.owners)
+        sides = SIDES[1:] if any(side.turn.any() for side in self.outline.patches) else SIDES
+        return [sides[0], *(side for side in sides[1:] if n * side**2 <= MOST_NODES)]
+
+    def nodes(self, samples: int | tuple[int, int]) -> PupilNodes:
+        """Return a number of nodes."""
+        pupil, none = (self.radius, self.obscuration, self.outline), np.zeros((), dtype=np.int64)
+        if self.layout == "grid":
+            count = whole("samples", samples, 2)
+            if self.outline is not None:
+                return PupilNodes(self.layout, *self.outline.grid_nodes(count))
+            return PupilNodes(self.layout, *grid_nodes(self.radius, count, self.obscuration), none)
+        if self.outline is None:
+            counts = samples if isinstance(samples, tuple) else (samples, 4 * samples)
+            return PupilNodes(self.layout, *pupil_points(*pupil, counts), none)
+        owners = self.outline.owners[:, None, None]
+        counts = samples if isinstance(samples, tuple) else (samples, samples)
+        return PupilNodes(self.layout, *pupil_points(*pupil, (len(owners), *counts)), owners)
+
+    def filled(self, fill: Fill, wavenumber: float) -> tuple[PupilNodes, Array, Array]:
+        """Return nodes, and the aberration (m) and amplitude that ``fill`` gives on them.
+
+        Their number is increased until the truncation error of both is negligible.
+        """
+        trials = self.trials
+        for samples in trials:
+            nodes = self.nodes(samples)
+            path, amplitude = fill(nodes)
+            if samples == trials[-1]:
+                break
+            lack = 0.0
+            for values, scale in ((path, wavenumber), (amplitude, 1.0)):
+                if (values == values.flat[0]).all():
+                    continue
+                # The rounding error of many waves of aberration must not count as truncation.
+                least = max(NEGLIGIBLE, 1e-13 * scale * float(np.abs(values).max()))
+                series = spectrum(values, self.radius, self.obscuration, self.outline)
+                lack = max(lack, scale * series.truncation() / least)
+            if lack <= 1:
+                break
+        return nodes, path, amplitude
 
 
 def owned(name: str, values: Any, layout: str) -> Array:

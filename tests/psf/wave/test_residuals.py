@@ -179,11 +179,8 @@ def test_widths_and_pitches():
         SamplingError, match="a polar wavefront has no pupil pitch; sample it with n"
     ):
         _ = wave_of("polar").pupil_pitch
-    with pytest.raises(SamplingError, match="aperture is missing; sample it with nodes='cells'"):
-        _ = split(wave_of("polar")).aperture
     with pytest.raises(SamplingError, match="layout 'cells' cannot be resampled to a grid; sampl"):
         _ = split(wave_of("cells")).polar_series
-    assert split(wave_of("cells")).aperture == PENTAGON
 
 
 def test_flat_and_plane_waves():
