@@ -72,12 +72,15 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     0.6626, 1.0000
     """
     wavefront = expect("wavefront", wavefront, "Wavefront")
-    residual = split(_without(wavefront, remove))
-    nodes = nufft.own_nodes(residual)
+    return intensity_at(split(_without(wavefront, remove)), (0.0, 0.0))
+
+
+def intensity_at(residual: Residual, place: tuple[float, float]) -> float:
+    """Return the intensity at an image point (x, y), m, relative to the peak of a perfect wave."""
+    point, nodes = Window(residual.airy_unit, (1, 1), place), nufft.own_nodes(residual)
     if residual.has_series:
-        centre = Window.centred(residual.airy_unit, (1, 1))
-        nodes = quadrature.nodes(residual, centre, quadrature.node_counts(residual, centre))
-    return float(abs(np.sum(_phasors(residual, nodes))) ** 2)
+        nodes = quadrature.nodes(residual, point, quadrature.node_counts(residual, point))
+    return float(np.abs(nufft.field(residual, nodes, point)[0, 0]) ** 2)
 
 
 def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "tilt")) -> float:
@@ -476,12 +479,6 @@ def _without(wavefront: Wavefront, remove: Iterable[str]) -> Wavefront:
     return replace(wavefront, aberration=wavefront.aberration - np.tensordot(fit, basis, 1))
 
 
-def _phasors(residual: Residual, nodes: nufft.Nodes) -> ComplexArray:
-    """Return what nodes contribute to the field at x = y = 0, of sum 1 without aberration."""
-    path = nodes.path + residual.tilt[0] * nodes.u + residual.tilt[1] * nodes.v
-    return np.asarray(nodes.share * np.exp(1j * residual.wavenumber * path))
-
-
 def _energies_within(residual: Residual, radii: Array) -> Array:
     """Return the fractions of the energy of a wave with a series within radii (n,), m.
 
@@ -505,8 +502,9 @@ def _energies_within(residual: Residual, radii: Array) -> Array:
     share, image_weights = gauss_legendre(n)
     r, angle = radius * np.sqrt(share)[:, None], 2 * math.pi * np.arange(n_angle) / n_angle
     image = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
+    path = nodes.path + residual.tilt[0] * nodes.u + residual.tilt[1] * nodes.v
     field = ducc0.nufft.experimental.nu2nu(
-        points_in=_phasors(residual, nodes).ravel(),
+        points_in=(nodes.share * np.exp(1j * residual.wavenumber * path)).ravel(),
         coord_in=np.stack([nodes.u.ravel(), nodes.v.ravel()], axis=1),
         coord_out=image * (residual.wavenumber / wave.image_distance),
         forward=True,

@@ -13,7 +13,7 @@ from ..._vectors import product
 from ..aperture.aperture import Aperture
 from ..aperture.curves import cross
 from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
-from .polar_series import Mesh, PolarSpectrum, _legendre_slopes, legendre
+from .polar_series import Mesh, PolarSpectrum, _legendre_slopes, analysis, legendre
 
 Array = NDArray[np.float64]
 
@@ -46,9 +46,7 @@ class CellSpectrum:
         self.shape = values.shape
         # Nodes per patch along s and t, under the names that `PolarSpectrum` uses.
         self.n_r, self.n_theta = values.shape[1:]
-        self.coefficients = _products(
-            values, _analysis(values.shape[1]), _analysis(values.shape[2])
-        )
+        self.coefficients = _products(values, analysis(values.shape[1]), analysis(values.shape[2]))
 
     def truncation(self) -> float:
         """Estimate the error between the samples: four times the rms of the highest terms.
@@ -188,13 +186,6 @@ def _norms(n_s: int, n_t: int) -> Array:
     """Return the coefficients (n_s, n_t) of Legendre terms of rms 1."""
     k, m = (np.sqrt(2 * np.arange(n) + 1) for n in (n_s, n_t))
     return frozen(k[:, None] * m)
-
-
-@lru_cache(maxsize=64)
-def _analysis(n: int) -> Array:
-    """Return the matrix (n, n) from values on n Gauss-Legendre nodes to Legendre coefficients."""
-    fraction, weights = gauss_legendre(n)
-    return frozen((2 * np.arange(n) + 1)[:, None] * legendre(n, fraction) * weights)
 
 
 @lru_cache(maxsize=64)

@@ -164,7 +164,7 @@ class PolarSpectrum:
         ring, (_, weights) = ring_of(n_r, n_theta, self.obscuration), gauss_legendre(n_r)
         edges = self.radius * rho_of(np.append(0.0, np.cumsum(weights)), self.obscuration)
         r, turn = self.radius * ring.rho, 2 * math.pi / n_theta
-        along_r, angle = np.diff(edges)[:, None], turn * np.arange(n_theta)
+        along_r, angle = np.diff(edges)[:, None], turn * np.arange(n_theta, dtype=np.float64)
         return Mesh(r * ring.cosine, r * ring.sine, r[:, 0], angle, along_r, np.array(turn))
 
     def at(self, u: Array, v: Array, epsilon: float) -> Array:
@@ -318,7 +318,7 @@ def fraction_of(rho: Array, obscuration: float) -> Array:
     return np.asarray((rho**2 - inner) / (1 - inner))
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def analysis(n: int) -> Array:
     """Matrix (n, n) from samples at ``n`` nodes to Legendre coefficients, cached and read-only."""
     fraction, weights = gauss_legendre(n)
@@ -382,11 +382,10 @@ def _ring(n_r: int, n_theta: int, obscuration: float) -> Ring:
     """Compute the geometry of polar nodes and the rim."""
     fraction, weights = gauss_legendre(n_r)
     fraction, weights = np.append(fraction, 1.0), np.append(weights, 0.0)
-    clear = 1 - obscuration**2
-    rho = np.sqrt(obscuration**2 + clear * fraction)[:, None]
+    rho = rho_of(fraction, obscuration)[:, None]
     angle = 2 * math.pi * np.arange(n_theta) / n_theta
     share = np.repeat(weights[:, None] / n_theta, n_theta, axis=1)
-    parts = fraction, rho, 2 * rho / clear, np.cos(angle), np.sin(angle), share
+    parts = fraction, rho, 2 * rho / (1 - obscuration**2), np.cos(angle), np.sin(angle), share
     return Ring(*map(frozen, parts))
 
 

@@ -225,7 +225,7 @@ def zernike_fill(
 
 @dataclass(frozen=True, eq=False)
 class Sampling:
-    """How a pupil is sampled.
+    """Layout, number and pupil of the sample points of a wave.
 
     Parameters
     ----------

@@ -103,25 +103,8 @@ def default_shape(residual: Residual, pitch: float) -> tuple[int, int]:
     SamplingError
         If it would need more than 4096 samples per side.
     """
-    return square_shape(ray_reach(residual), residual.airy_unit, pitch, 256)
-
-
-def square_shape(reach: float, unit: float, pitch: float, least: int) -> tuple[int, int]:
-    """Return the shape of a window that holds 16 Airy units beyond a distance, as `default_shape`.
-
-    Parameters
-    ----------
-    reach : float
-        Distance from the axis along x or y at which the farthest ray lands, m.
-    unit : float
-        Airy unit, m.
-    pitch : float
-        Pitch of the samples, m.
-    least : int
-        Least samples per side.
-    """
-    half = reach + 16 * unit
-    n = max(least, 2 * math.ceil(half / pitch))
+    half = ray_reach(residual) + 16 * residual.airy_unit
+    n = max(256, 2 * math.ceil(half / pitch))
     if n > WIDEST_DEFAULT:
         raise SamplingError(
             f"the spot reaches {half:.3g} m from the axis, which takes {n} samples of {pitch:.3g} "
