@@ -46,12 +46,6 @@ class Rays:
     slope: float
     reach: float
 
-    @cached_property
-    def rms(self) -> float:
-        """Rms distance of the rays from the image point of the tilt, m."""
-        x, y, energy = (part.ravel() for part in (self.x, self.y, self.energy))
-        return float(np.sqrt(np.vdot(energy * x, x) + np.vdot(energy * y, y)))
-
     def densest(self, side: float) -> float:
         """Return the largest fraction of the energy in a square bin of a side, m."""
         columns, rows = (np.rint(part / side).astype(np.int64) for part in (self.x, self.y))
@@ -199,22 +193,6 @@ class Residual:
         """Polynomial series of the residual aberration; `SamplingError` without `has_series`."""
         return self.wavefront.series(self.aberration)
 
-    def degrees(self, threshold: float) -> tuple[int, int]:
-        """Return the highest degrees of the residual aberration's polynomial series.
-
-        Parameters
-        ----------
-        threshold : float
-            Magnitude of a coefficient, m, below which a term is ignored.
-
-        Returns
-        -------
-        (int, int)
-            For the layout "polar", Legendre degree in r^2 and angular order; for "cells", degrees
-            along the two directions of a patch.
-        """
-        return self.series.degrees(threshold)
-
     @cached_property
     def amplitude_series(self) -> PolarSpectrum | CellSpectrum:
         """Polynomial series of the amplitude; `SamplingError` without `has_series`."""
@@ -237,7 +215,7 @@ class Residual:
             )
         return pair[0], pair[1]
 
-    @property
+    @cached_property
     def truncation(self) -> float:
         """Estimated relative error of the pupil function from too few nodes of its series."""
         amplitude = 0.0
@@ -275,7 +253,7 @@ class Residual:
         reach = float(max(np.abs(x).max(), np.abs(y).max()))
         return Rays(x, y, energy / energy.sum(), slope, reach)
 
-    # What follows is known of a wave between whose samples nothing is known.
+    # Properties of samples; those of a series are here, those of grids and scattered points below.
 
     @cached_property
     def local(self) -> LocalFits:
@@ -307,7 +285,7 @@ class _Sampled(Residual):
 
     has_series = False
 
-    @property
+    @cached_property
     def truncation(self) -> float:
         """Error of interpolation: there is none."""
         return 0.0

@@ -331,7 +331,7 @@ def test_errors_of_a_soft_rim():
         return erfc((0.5 - s) / 0.08) / 2
 
     focus = 2 * leak(reach / period) / max(math.pi * reach / UNIT, 1.0)
-    degree = max(residual.degrees(1e-3 * abs(residual.aberration).max()))
+    degree = max(residual.series.degrees(1e-3 * abs(residual.aberration).max()))
     edge = 0.05 * 2 * math.pi * residual.rays.slope * pitch / WAVELENGTH * degree * (2 / n) ** 2
     distances = np.array([0.0, 4e-5, 1.3e-4])
     found = error_bounds.soft_rim_error(residual, pitch, distances)
