@@ -363,14 +363,12 @@ def _scattered_bound(task: Task, nodes: nufft.Nodes, mean: Array, epsilon: float
 
 
 def grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
-    """Bound the error of a pupil grid's edge, its truncation and its damping."""
+    """Bound the error of a pupil grid's edge and of its damping."""
     half = 0.0 if task.rule is None else task.pitch / 2
     found = error_bounds.edge_errors(task.residual, grid, task.pixels.x, task.pixels.y, half)
-    lost = task.residual.truncation
-    bound = task.bound(mean, found.field + lost, found.energy + lost**2, found.spill)
-    if task.rule is None:
-        return bound
-    return bound + error_bounds.damping_error(task.residual, grid, task.pitch)
+    bound = task.bound(mean, found.field, found.energy, found.spill)
+    damped = 0.0 if task.rule is None else task.pitch
+    return bound + error_bounds.damping_error(task.residual, grid, damped)
 
 
 def _check_sampling(task: Task, power: int) -> None:

@@ -22,18 +22,21 @@ def grid_pitch(u: Array) -> float:
     return float(u[0, axis] - u[0, axis - 1])
 
 
-def check_aperture(layout: str, aperture: Aperture | None, obscuration: float) -> None:
-    """Raise `SceneError` if an aperture is missing, or contradicts the layout or obscuration."""
+def check_aperture(name: str, layout: str, aperture: Aperture | None, obscuration: float) -> None:
+    """Raise `SceneError` if an aperture is missing, or contradicts the layout or obscuration.
+
+    ``name`` is that of the layout's argument, for the message.
+    """
     if aperture is None and layout == "cells":
-        raise SceneError("wavefront.aperture is missing, layout 'cells' needs it; give it")
-    if aperture is not None and layout not in ("cells", "grid"):
         raise SceneError(
-            f"wavefront.layout = '{layout}' cannot follow an aperture; use 'cells' or 'grid'"
+            f"{name} = '{layout}' without an aperture; give one or use 'polar', 'grid'"
         )
+    if aperture is not None and layout not in ("cells", "grid"):
+        raise SceneError(f"{name} = '{layout}' cannot follow an aperture; use 'cells' or 'grid'")
     if aperture is not None and obscuration != 0:
         raise SceneError(
-            f"wavefront.obscuration = {obscuration:g} with an aperture, limit 0; make it part of "
-            "the aperture"
+            f"obscuration = {obscuration:g} with an aperture, limit 0; make the obscuration part "
+            "of the aperture"
         )
 
 

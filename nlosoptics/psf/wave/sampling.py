@@ -15,6 +15,7 @@ from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import pupil_points
 from ..aperture.quadrature_nodes import KEPT, grid_nodes
 from .cell_series import spectrum
+from .node_checks import check_aperture
 from .zernikes import Ordering, kept_zernikes, zernike_order, zernike_sum
 
 Array = NDArray[np.float64]
@@ -79,15 +80,7 @@ def nodes_of(
     if nodes is None:
         nodes = "polar" if aperture is None else "cells"
     one_of("nodes", nodes, ("polar", "cells", "grid"))
-    if aperture is None and nodes == "cells":
-        raise SceneError("nodes = 'cells' without an aperture; give one, or use 'polar' or 'grid'")
-    if aperture is not None and nodes == "polar":
-        raise SceneError("nodes = 'polar' cannot follow an aperture; use 'cells' or 'grid'")
-    if aperture is not None and obscuration != 0:
-        raise SceneError(
-            f"obscuration = {obscuration:g} with an aperture, limit 0; make the obscuration part "
-            "of the aperture"
-        )
+    check_aperture("nodes", nodes, aperture, obscuration)
     if nodes == "grid" and isinstance(samples, tuple):
         raise SceneError(f"samples = {samples}; a grid is square, give one whole number")
     return nodes  # type: ignore[return-value]  # one of its literals

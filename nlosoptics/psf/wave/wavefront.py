@@ -119,7 +119,7 @@ class Wavefront(Noun, Shown, Labelled):
             raise SceneError("wavefront.image_distance = 0 m; the pupil cannot lie in the image")
         for name in ("wavelength", "image_distance", "pupil_radius", "obscuration"):
             put(self, name, float(getattr(self, name)))
-        check_aperture(self.layout, self.aperture, self.obscuration)
+        check_aperture("wavefront.layout", self.layout, self.aperture, self.obscuration)
         for name in ("u", "v", "aberration", "amplitude", "weights"):
             put(self, name, owned(name, getattr(self, name), self.layout))
             if getattr(self, name).shape != self.u.shape:

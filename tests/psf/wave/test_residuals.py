@@ -317,12 +317,12 @@ def test_nodes_of_cells_and_grids():
     patches = rf"\({shape[0] - 1}, {shape[1]}, {shape[2]}\); the aperture's {shape[0]} patches need"
     with pytest.raises(SceneError, match=f"wavefront.u has shape {patches}"):
         replace(cells, **fewer)
-    with pytest.raises(SceneError, match="aperture is missing, layout 'cells' needs it; give it"):
+    with pytest.raises(SceneError, match="layout = 'cells' without an aperture; give one or"):
         replace(cells, aperture=None)
     with pytest.raises(SceneError, match="layout = 'polar' cannot follow an aperture; use 'cells'"):
         wave_with(aperture=PENTAGON)
     with pytest.raises(
-        SceneError, match=r"obscuration = 0\.2 with an aperture, limit 0; make it part"
+        SceneError, match=r"obscuration = 0\.2 with an aperture, limit 0; make the obs"
     ):
         replace(cells, obscuration=0.2)
 
@@ -336,7 +336,7 @@ def test_nodes_of_cells_and_grids():
             ("hexagonal", None, 0.0, None),
             "nodes = 'hexagonal' is unknown, must be one of polar, ce",
         ),
-        (("cells", None, 0.0, None), "nodes = 'cells' without an aperture; give one, or use 'pol"),
+        (("cells", None, 0.0, None), "nodes = 'cells' without an aperture; give one or use 'pol"),
         (("polar", PENTAGON, 0.0, None), "nodes = 'polar' cannot follow an aperture; use 'cells'"),
         ((None, PENTAGON, 0.2, None), "obscuration = 0.2 with an aperture, limit 0; make the obs"),
         (("grid", None, 0.0, (30, 30)), r"samples = \(30, 30\); a grid is square, give one whole"),
