@@ -190,7 +190,7 @@ def test_softened_rim_of_a_wave_of_one_sign():
 
 @pytest.mark.parametrize("factor", [1, 3])
 def test_weights_of_fine_samples(factor):
-    """All ways to apply a filter are one matrix."""
+    """Means along either axis are those of one matrix."""
     rule = pixels.PixelRule(factor, 2, np.random.default_rng(factor).random(factor + 4))
     seen = rule.window(0.6, (5, 4))
     assert seen.shape == (5 * factor + 4, 4 * factor + 4)
@@ -204,7 +204,6 @@ def test_weights_of_fine_samples(factor):
         for k, tap in enumerate(rule.taps):
             table[pixel, pixel * factor + k] = tap
     assert rule.count(fine.shape[1]) == 4
-    assert np.array_equal(rule.matrix(fine.shape[1]), table)
     assert rule.mean(fine) == approx(fine @ table.T, rel=1e-12)
     assert rule.mean_down(fine.T.copy()) == approx(table @ fine.T, rel=1e-12)
 
