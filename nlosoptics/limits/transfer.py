@@ -94,7 +94,7 @@ def image_modulation(optics: SceneOptics, frequency: float, azimuth: float, tol:
     pitch, wave = scene.camera.image_pitch, seen.first.wave
     u, v = frequency * math.cos(azimuth), frequency * math.sin(azimuth)
     pixel = float(np.sinc(pitch * u) * np.sinc(pitch * v))
-    if scene.wall_roughness is not None or wave.layout != "polar" or wave.obscuration > 0:
+    if scene.wall_roughness is not None or not seen.first.residual.is_disc:
         core = scene.laser.wavelength * optics.exit_pupil.f_number
         finer = pitch / min(16, math.ceil(2 * pitch / core))
         fine = scene_point_spread(optics, tol, pitch=finer).point_spread

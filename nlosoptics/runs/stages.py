@@ -77,7 +77,7 @@ class Look:
         scene, seen = optics.scene, optics.reference
         pitch = scene.camera.image_pitch
         side = point_window(seen, pitch, tol)
-        if seen.first.wave.layout == "grid":
+        if not seen.first.residual.has_series:
             samples = grid_samples(seen.first.residual, pitch, side, tol)
             return cls(seen, (), side, side, samples)
         others: tuple[PointOptics, ...] = ()
@@ -102,10 +102,10 @@ class Look:
         rough = max(scene.mirror_slopes)
         swing = turned = 0.0
         for one in self.others:
-            found = one.first.wave
-            if found.layout == own.layout:
-                other = one.first.residual.aberration - first.aberration
-                swing = max(swing, first.wavenumber * float(np.ptp(other)))
+            other = one.first.residual
+            if other.aberration.shape == first.aberration.shape:
+                change = other.aberration - first.aberration
+                swing = max(swing, first.wavenumber * float(np.ptp(change)))
             if rough > 0:
                 turns = [v.cos_sum * v.footprint for v in (self.seen.view, one.view)]
                 off = float(np.linalg.norm(turns[1] - turns[0]) / np.linalg.norm(turns[0]))
@@ -123,7 +123,7 @@ class Look:
     @property
     def cut(self) -> float:
         """Fraction of the corner and edge points whose cone of light the wall's edge cuts."""
-        grids = [one.first.wave.layout == "grid" for one in self.others]
+        grids = [not one.first.residual.has_series for one in self.others]
         return sum(grids) / len(grids) if grids else 0.0
 
 

@@ -53,7 +53,7 @@ REFUSED = {
     ),
     "no cells": (
         lambda _: wave("cells"),
-        "nodes = 'cells' without an aperture; give one, or use 'polar' or 'grid'",
+        "nodes = 'cells' without an aperture; give one or use 'polar', 'grid'",
     ),
     "too few rings": (
         lambda _: wave(samples=(4, 96), coefficients=((37, 1e-8),)),

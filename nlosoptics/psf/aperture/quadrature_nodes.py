@@ -76,30 +76,9 @@ def polar_nodes(
     >>> print(f"{1e6 * weights.sum():.6f} mm^2")
     3.141593 mm^2
     """
-    u, v, weights = shared_polar_nodes(radius, n_r, n_theta, obscuration)
-    if u.size > KEPT:
-        return u, v, weights
-    return u.copy(), v.copy(), weights.copy()
-
-
-def shared_polar_nodes(
-    radius: float, n_r: int, n_theta: int, obscuration: float
-) -> tuple[Array, Array, Array]:
-    """Polar nodes without a copy: cached and read-only if there are at most `KEPT`.
-
-    Arguments and results are those of `polar_nodes`.
-    """
     radius, obscuration = positive("radius", radius, unit="m"), _inner(obscuration)
     n_r, n_theta = whole("n_r", n_r), whole("n_theta", n_theta)
     fits_memory(f"{n_r} x {n_theta} pupil nodes", 80.0 * n_r * n_theta, "use fewer")
-    make = kept_polar_nodes if n_r * n_theta <= KEPT else _polar_nodes
-    return make(radius, n_r, n_theta, obscuration)
-
-
-def _polar_nodes(
-    radius: float, n_r: int, n_theta: int, obscuration: float
-) -> tuple[Array, Array, Array]:
-    """Compute polar nodes of checked arguments."""
     inner = obscuration**2
     fraction, weight = gauss_legendre(n_r)
     r = radius * np.sqrt(inner + (1 - inner) * fraction)
@@ -107,15 +86,6 @@ def _polar_nodes(
     area = math.pi * radius**2 * (1 - inner) / n_theta
     weights = np.repeat((area * weight)[:, None], n_theta, axis=1)
     return r[:, None] * np.cos(angle), r[:, None] * np.sin(angle), weights
-
-
-@lru_cache(maxsize=16)
-def kept_polar_nodes(
-    radius: float, n_r: int, n_theta: int, obscuration: float
-) -> tuple[Array, Array, Array]:
-    """Polar nodes of checked arguments, cached and read-only; at most `KEPT` nodes."""
-    u, v, weights = _polar_nodes(radius, n_r, n_theta, obscuration)
-    return frozen(u), frozen(v), frozen(weights)
 
 
 def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[Array, Array, Array]:

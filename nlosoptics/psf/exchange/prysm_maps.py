@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import expect, positive
-from ...errors import SamplingError, SceneError
+from ...errors import SceneError
 from ..wave.wavefront import Wavefront
 
 Array = NDArray[np.float64]
@@ -97,16 +97,12 @@ def to_prysm(wavefront: Wavefront) -> PrysmPupil:
     (65, 65) 0.6328 um, 0.3846 mm
     """
     wavefront = expect("wavefront", wavefront, "Wavefront")
-    if wavefront.layout != "grid":
-        raise SamplingError(
-            f"wavefront.layout = '{wavefront.layout}' is not a pixel map of the pupil; sample it "
-            "with nodes='grid'"
-        )
+    pitch = wavefront.pupil_pitch
     return PrysmPupil(
-        amplitude=wavefront.amplitude * wavefront.weights / wavefront.pupil_pitch**2,
+        amplitude=wavefront.amplitude * wavefront.weights / pitch**2,
         phase=wavefront.aberration * 1e9,
         wavelength=wavefront.wavelength * 1e6,
-        dx=wavefront.pupil_pitch * 1e3,
+        dx=pitch * 1e3,
     )
 
 

@@ -19,7 +19,7 @@ from ..transform.point_spread import point_spread
 from ..wave.detilted import split
 from ..wave.fits import fitted_terms
 from ..wave.wavefront import Wavefront
-from .psf_metrics import mtf, rms_aberration, spectrum_along, strehl
+from .psf_metrics import intensity_at, mtf, rms_aberration, spectrum_along
 from .spot_diagram import spot_radius
 
 Array = NDArray[np.float64]
@@ -373,18 +373,19 @@ def _metric(
 
 def _strehl(wavefront: Wavefront) -> float:
     """Return the Strehl ratio without tilt; refuse grids and scattered nodes that alias."""
-    if not wavefront.is_spectral and (jump := split(wavefront).grid_jump()[0]) > 0.5:
+    residual = split(wavefront)
+    if (jump := residual.jump()[0]) > 0.5:
         raise SamplingError(
             f"aberration jumps {jump:.2f} waves between neighbours in the image plane at "
             f"{wavefront.image_distance:.6g} m, limit 0.50; give shifts or limits nearer to focus, "
             "or more pupil samples"
         )
-    return strehl(wavefront, remove=("tilt",))
+    return intensity_at(residual, residual.shift)
 
 
 def _mtf(wavefront: Wavefront, frequency: float, azimuth: float) -> float:
     """Return the MTF at one frequency, 1/m, for any outline of the pupil."""
-    if wavefront.layout == "polar" and wavefront.obscuration == 0:
+    if split(wavefront).is_disc:
         return float(mtf(wavefront, frequency, azimuth=azimuth))
     # One method for all planes: a change would make the criterion jump by its error. The energy
     # in the whole plane is 1, so energy outside the window does not raise the result.

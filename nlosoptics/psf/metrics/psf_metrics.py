@@ -72,12 +72,15 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     0.6626, 1.0000
     """
     wavefront = expect("wavefront", wavefront, "Wavefront")
-    residual = split(_without(wavefront, remove))
-    nodes = nufft.own_nodes(residual)
-    if residual.wavefront.is_spectral:
-        centre = Window.centred(residual.airy_unit, (1, 1))
-        nodes = quadrature.nodes(residual, centre, quadrature.node_counts(residual, centre))
-    return float(abs(np.sum(_phasors(residual, nodes))) ** 2)
+    return intensity_at(split(_without(wavefront, remove)), (0.0, 0.0))
+
+
+def intensity_at(residual: Residual, place: tuple[float, float]) -> float:
+    """Return the intensity at an image point (x, y), m, relative to the peak of a perfect wave."""
+    point, nodes = Window(residual.airy_unit, (1, 1), place), nufft.own_nodes(residual)
+    if residual.has_series:
+        nodes = quadrature.nodes(residual, point, quadrature.node_counts(residual, point))
+    return float(np.abs(nufft.field(residual, nodes, point)[0, 0]) ** 2)
 
 
 def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "tilt")) -> float:
@@ -187,9 +190,9 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     Parameters
     ----------
     source : Wavefront or PointSpread
-        Wave in the exit pupil whose ``layout`` is "polar" (samples on rings, see `Wavefront`), for
-        which the result is accurate to rounding. Or a computed point spread, whose pixels are
-        weighted by their area within the circle.
+        Wave in the exit pupil whose ``layout`` is "polar" or "cells" (see `Wavefront`), for which
+        the result is accurate to rounding. Or a computed point spread, whose pixels are weighted by
+        their area within the circle.
     radius : array_like
         Radii of the circles, m, of any shape. All circles are centred on x = y = 0, where the axis
         meets the image plane.
@@ -204,8 +207,8 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     SceneError
         If a radius is negative or not finite.
     SamplingError
-        If the wave's layout is not "polar", or a circle extends beyond the window of the point
-        spread.
+        If the wave's layout is "grid" or "scattered", or a circle extends beyond the window of the
+        point spread.
 
     See Also
     --------
@@ -233,10 +236,10 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
         raise SceneError(f"radius = {shown(radius)} m; give finite radii of at least 0")
     if isinstance(source, Wavefront):
         residual = split(source)
-        if source.layout != "polar":
+        if not residual.has_series:
             raise SamplingError(
-                f"encircled energy needs a wavefront of layout 'polar', not '{source.layout}'; "
-                "give psf.point_spread(wavefront)"
+                f"a wavefront of layout '{source.layout}' has no series, which encircled energy "
+                "needs; give psf.point_spread(wavefront)"
             )
         return _energies_within(residual, radii.ravel()).reshape(radii.shape)
     edge = min(-source.x[0], source.x[-1], -source.y[0], source.y[-1]) + source.pitch / 2
@@ -389,8 +392,7 @@ def _transfer(
         raise SceneError("frequency is NaN or infinite; give finite numbers in 1/m")
     if isinstance(source, PointSpread):
         values = spectrum_along(source, frequencies.ravel(), azimuth) / source.intensity.sum()
-    elif source.layout == "polar" and source.obscuration == 0:
-        residual = split(source)
+    elif (residual := split(source)).is_disc:
         values = np.array([transfer(residual, f, azimuth) for f in frequencies.ravel().tolist()])
     else:
         raise SamplingError(
@@ -477,14 +479,8 @@ def _without(wavefront: Wavefront, remove: Iterable[str]) -> Wavefront:
     return replace(wavefront, aberration=wavefront.aberration - np.tensordot(fit, basis, 1))
 
 
-def _phasors(residual: Residual, nodes: nufft.Nodes) -> ComplexArray:
-    """Return what nodes contribute to the field at x = y = 0, of sum 1 without aberration."""
-    path = nodes.path + residual.tilt[0] * nodes.u + residual.tilt[1] * nodes.v
-    return np.asarray(nodes.share * np.exp(1j * residual.wavenumber * path))
-
-
 def _energies_within(residual: Residual, radii: Array) -> Array:
-    """Return the fractions of the energy of a polar wave within radii (n,), m.
+    """Return the fractions of the energy of a wave with a series within radii (n,), m.
 
     The field is summed on circles, by a non-uniform FFT between the points of pupil and image. The
     energy of each circle, at Gauss-Legendre nodes of the squared radius up to the largest, gives a
@@ -498,7 +494,7 @@ def _energies_within(residual: Residual, radii: Array) -> Array:
     window = Window(2 * half, (2, 2), (-half, -half))
     nodes = quadrature.nodes(residual, window, quadrature.node_counts(residual, window))
     # phase at the rim, and twice the nodes that integrals over the whole disc need, for the series
-    v = math.pi * radius / residual.airy_unit
+    v = residual.wavenumber * residual.farthest * radius / abs(wave.image_distance)
     n, n_angle = 2 * math.ceil(0.58 * v + 12), 2 * math.ceil(v + 12 * v ** (1 / 3) + 12)
     fits_memory(
         f"the field on {n} circles of {n_angle} points", 100.0 * n * n_angle, "use a smaller radius"
@@ -506,8 +502,9 @@ def _energies_within(residual: Residual, radii: Array) -> Array:
     share, image_weights = gauss_legendre(n)
     r, angle = radius * np.sqrt(share)[:, None], 2 * math.pi * np.arange(n_angle) / n_angle
     image = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
+    path = nodes.path + residual.tilt[0] * nodes.u + residual.tilt[1] * nodes.v
     field = ducc0.nufft.experimental.nu2nu(
-        points_in=_phasors(residual, nodes).ravel(),
+        points_in=(nodes.share * np.exp(1j * residual.wavenumber * path)).ravel(),
         coord_in=np.stack([nodes.u.ravel(), nodes.v.ravel()], axis=1),
         coord_out=image * (residual.wavenumber / wave.image_distance),
         forward=True,

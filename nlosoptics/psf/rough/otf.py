@@ -69,7 +69,7 @@ def transfer(residual: Residual, cells: int = 0) -> Transfer:
     else:
         amplitude = wave.amplitude * wave.weights
         pupil = amplitude * np.exp(1j * residual.wavenumber * residual.aberration)
-        ratios, pitch, jump = LatticeRatio(amplitude), wave.pupil_pitch, residual.grid_jump()[0]
+        ratios, pitch, jump = LatticeRatio(amplitude), wave.pupil_pitch, residual.jump()[0]
         lit = np.hypot(wave.u, wave.v)[amplitude > 0].max()
         edge = 2 * (float(lit) + pitch)
         reference = _cells(amplitude, float(np.sum(amplitude * wave.amplitude)) * pitch**2, pitch)

@@ -93,8 +93,6 @@ def error_bound(residual: Residual) -> float:
     s = |c|^2/mean A^2.
     """
     wave = residual.wavefront
-    if wave.layout != "polar":
-        return math.inf
     if residual.is_flat:
         return ROUNDING
     if float(np.ptp(residual.aberration)) * residual.wavenumber > 5:  # the bound would be useless

@@ -64,12 +64,10 @@ class SoftWave:
 def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
     """Fit polynomials to a polar wave without piston and tilt.
 
-    Returns None if the wave is not polar, its amplitude varies by more than `UNEVEN`, or an
+    Returns None if its amplitude varies by more than `UNEVEN`, or an
     intensity error of ``tol`` would need a degree above that of `polynomial_of`.
     """
     wave = residual.wavefront
-    if wave.layout != "polar":
-        return None
     rounding = 1e-14 * float(np.abs(residual.aberration).max())
     threshold = max(1e-3 * tol / residual.wavenumber, rounding)
     series = residual.polar_series[0]

@@ -8,7 +8,7 @@ Where rays cross, boxes overlap, so that no division by the Jacobian is needed.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,8 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
-from ..aperture.quadrature_nodes import gauss_legendre
-from ..wave.cell_series import NEAREST
 from ..wave.detilted import Residual
 from ..window.window import Window
 
@@ -29,8 +27,8 @@ FRESNEL, AIRY = 1.5, 2.0
 RIM: Final = 2.0
 #: Factor from the change due to the blur to the error estimate.
 SAFETY: Final = 2.0
-#: Most rings of a polar mesh.
-MOST_RADII: Final = 700
+#: Most rings of a mesh on a disc.
+MOST_RINGS: Final = 700
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +102,9 @@ def density(residual: Residual, window: Window) -> tuple[Array, float]:
     """
     sharp, soft = np.zeros(window.shape), np.zeros(window.shape)
     # The blurred image has half as many rays per side, so the change includes their discreteness.
-    for boxes in _boxes(residual, window, 1.0):
-        _splat(boxes, residual, window, sharp)
-    for boxes in _boxes(residual, window, 0.5):
-        for part in boxes.spread():
-            _splat(part, residual, window, soft)
+    _splat(_boxes(residual, window, 1.0), residual, window, sharp)
+    for part in _boxes(residual, window, 0.5).spread():
+        _splat(part, residual, window, soft)
     change = float(np.abs(sharp - soft).max() / sharp.max())
     return sharp, SAFETY * change + least_error(residual, window.pitch)
 
@@ -130,122 +126,41 @@ def _splat(boxes: _Boxes, residual: Residual, window: Window, out: Array) -> Non
     )
 
 
-def _boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
-    """Yield the boxes of all rays; ``share`` scales the number of rays along each direction."""
-    if residual.is_flat:
-        return iter([_single_box(residual)])
-    return (_cell_boxes if residual.wavefront.aperture else _polar_boxes)(residual, window, share)
+def ray_counts(residual: Residual, window: Window, share: float = 1.0) -> tuple[int, ...]:
+    """Return the shape of a mesh on which neighbouring rays land a quarter pixel apart.
 
-
-def _single_box(residual: Residual) -> _Boxes:
-    """Return the box of a wave without aberration, whose rays all land in one point."""
-    none = np.zeros(1)
-    return _Boxes(none, none, none, none, _blur(residual, none, none, none, 0.0), np.ones(1))
-
-
-def ray_counts(residual: Residual, window: Window, share: float = 1.0) -> tuple[int, int]:
-    """Return how many rings and spokes make neighbouring rays land a quarter pixel apart."""
-    n_r = 4 * residual.rays.reach / window.pitch + 64
-    n_r = max(residual.series.n_r, math.ceil(share * min(n_r, MOST_RADII)))
-    return n_r, max(residual.series.n_theta, 4 * n_r)
-
-
-def ray_count(residual: Residual, window: Window) -> float:
-    """Return the number of rays of `density`."""
-    if residual.wavefront.aperture is None:
-        return math.prod(map(float, ray_counts(residual, window)))
-    return len(residual.aberration) * float(patch_rays(residual, window)) ** 2
-
-
-def _polar_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
-    """Yield the boxes of the cells of a fine polar mesh."""
-    wave = residual.wavefront
-    n_r, n_theta = ray_counts(residual, window, share)
-    fits_memory(f"{n_r} x {n_theta} rays", 250.0 * n_r * n_theta, "use a wider pitch")
-    rays = residual.traced(n_r, n_theta)
-    fraction, weights = gauss_legendre(n_r)
-    inner = wave.obscuration**2
-    r = wave.pupil_radius * np.sqrt(inner + (1 - inner) * np.append(fraction, 1.0))
-    # width of the rings in r
-    edges = np.sqrt(inner + (1 - inner) * np.append(0.0, np.cumsum(weights)))
-    ring, arc = (wave.pupil_radius * np.diff(edges))[:, None], 2 * math.pi / n_theta
-    angle = arc * np.arange(n_theta)
-    outward = np.stack([np.cos(angle), np.sin(angle)])
-    around = r[:-1, None] * np.stack([-outward[1], outward[0]])[:, None]
-    over_r = [np.gradient(a, r, axis=0)[:-1] for a in (rays.x, rays.y)]
-    over_angle = [
-        (np.roll(a, -1, axis=1) - np.roll(a, 1, axis=1))[:-1] / (2 * arc) for a in (rays.x, rays.y)
-    ]
-    doubt = residual.series.truncation() * residual.series.n_r / wave.pupil_radius
-    places = rays.x[:-1], rays.y[:-1], rays.energy[:-1]
-    yield _mesh_boxes(residual, places, (over_r, over_angle), (outward, around), (ring, arc), doubt)
-
-
-def _cell_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
-    """Yield the boxes of the cells of a fine mesh on every patch of an aperture."""
-    aperture = residual.aperture
-    n = patch_rays(residual, window, share)
-    n_patches = len(residual.aberration)
-    fits_memory(f"{n_patches} x {n} x {n} rays", 400.0 * n_patches * n * n, "use a wider pitch")
-    rays = residual.traced(n_patches, n, n)
-    fraction, weights = gauss_legendre(n)
-    s, t = np.concatenate([[NEAREST], fraction, [1.0]]), np.concatenate([[0.0], fraction, [1.0]])
-    inner = np.s_[:, 1:-1, 1:-1]
-    pupil = [np.moveaxis(a[inner], -1, 0) for a in aperture.map(s, t)[1:]]
-    over_s, over_t = (
-        [np.gradient(a, at, axis=axis)[inner] for a in (rays.x, rays.y)]
-        for axis, at in ((1, s), (2, t))
-    )
-    most, least = max(residual.aberration.shape[1:]), min(aperture.patch_size)
-    doubt = residual.series.truncation() * most / least
-    places = rays.x[inner], rays.y[inner], rays.energy[inner]
-    yield _mesh_boxes(residual, places, (over_s, over_t), pupil, (weights[:, None], weights), doubt)
-
-
-def _mesh_boxes(
-    residual: Residual,
-    places: Sequence[Array],
-    over: Sequence[Sequence[Array]],
-    pupil: Sequence[Array],
-    sides: Sequence[Array | float],
-    doubt: float,
-) -> _Boxes:
-    """Return the boxes of the cells of a mesh with coordinates s and t.
-
-    Parameters
-    ----------
-    residual : Residual
-        Wave without piston and tilt.
-    places : (x, y, energy)
-        Landing points, m, and energies of the rays.
-    over : ((dx/ds, dy/ds), (dx/dt, dy/dt))
-        Derivatives of the landing points.
-    pupil : (along_s, along_t)
-        Derivatives (2, ...) of the pupil point (u, v).
-    sides : (ds, dt)
-        Sides of the cells.
-    doubt : float
-        Error of a slope, rad.
+    ``share`` scales the number of rays along each direction.
     """
-    (x_s, y_s), (x_t, y_t) = over
-    (u_s, v_s), (u_t, v_t) = pupil
+    n = 4 * residual.rays.reach / window.pitch + 64
+    counts = residual.series.mesh(math.ceil(share * n), round(share * MOST_RINGS))
+    return tuple(map(max, counts, residual.aberration.shape))
+
+
+def _boxes(residual: Residual, window: Window, share: float) -> _Boxes:
+    """Return the boxes of the cells of a fine mesh; ``share`` is that of `ray_counts`."""
+    if residual.is_flat:  # all rays land in one point
+        none = np.zeros(1)
+        return _Boxes(none, none, none, none, _blur(residual, none, none, none, 0.0), np.ones(1))
+    counts, series = ray_counts(residual, window, share), residual.series
+    n_rays = math.prod(counts)
+    fits_memory(f"{n_rays} rays", 400.0 * n_rays, "use a wider pitch")
+    rays, mesh = residual.traced(*counts), series.points(*counts)
+    # Derivatives along both coordinates s and t of the mesh.
+    (u_s, v_s, x_s, y_s), (u_t, v_t, x_t, y_t) = (
+        [np.gradient(a, at, axis=axis)[series.inner] for a in (mesh.u, mesh.v, rays.x, rays.y)]
+        for axis, at in ((-2, mesh.s), (-1, mesh.t))
+    )
     d = residual.wavefront.image_distance
     scale = d * (u_s * v_t - v_s * u_t)
     uu, uv, vv = (x_s * v_t - x_t * v_s, x_t * u_s - x_s * u_t, y_t * u_s - y_s * u_t)
     uu, uv, vv = ((bend / scale).ravel() for bend in (uu, uv, vv))
-    x, y, energy = (part.ravel() for part in places)
+    x, y, energy = (part[series.inner].ravel() for part in (rays.x, rays.y, rays.energy))
     width_x, width_y = (
-        np.hypot(a * sides[0], b * sides[1]).ravel() for a, b in ((x_s, x_t), (y_s, y_t))
+        np.hypot(a * mesh.along_s, b * mesh.along_t).ravel() for a, b in ((x_s, x_t), (y_s, y_t))
     )
+    # error of a slope, rad
+    doubt = series.truncation() * residual.aberration.shape[-2] / min(series.sides)
     return _Boxes(x, y, width_x, width_y, _blur(residual, uu, uv, vv, abs(d) * doubt), energy)
-
-
-def patch_rays(residual: Residual, window: Window, share: float = 1.0) -> int:
-    """Return how many rays per side of a patch make neighbours land a quarter pixel apart."""
-    n_patches, *own = residual.aberration.shape
-    n = 4 * residual.rays.reach / window.pitch + 64
-    wanted = math.ceil(share * min(n, 2 * MOST_RADII / math.sqrt(n_patches)))
-    return int(max(*own, wanted))
 
 
 def _blur(residual: Residual, uu: Array, uv: Array, vv: Array, doubt: Array | float) -> Array:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..._checks import one_of, real
 from ...errors import SceneError
 from ..aperture.aperture import Aperture
-from ..aperture.cell_nodes import shared_cell_nodes
+from ..aperture.cell_nodes import pupil_points
 from ..wave.detilted import Residual
 from .nufft import Nodes
 
@@ -37,15 +37,7 @@ def check_polarisation(polarisation: Polarisation) -> Polarisation:
 
 def largest_sine(residual: Residual) -> float:
     """Return the sine of the half angle of the cone of light, over all lit nodes and the rim."""
-    wave = residual.wavefront
-    farthest = wave.pupil_radius
-    if wave.aperture is not None:
-        farthest = wave.aperture.bounding_radius
-    if wave.layout in ("grid", "scattered"):
-        lit = wave.amplitude * wave.weights > 0
-        reach = math.sqrt(float((wave.u[lit] ** 2 + wave.v[lit] ** 2).max()))
-        farthest = reach if wave.layout == "grid" else max(farthest, reach)
-    return farthest / abs(wave.image_distance)
+    return residual.farthest / abs(residual.wavefront.image_distance)
 
 
 def check_cone(residual: Residual) -> float:
@@ -115,11 +107,11 @@ def more_nodes(residual: Residual) -> tuple[int, ...]:
     def more(z: float) -> int:
         return math.ceil(-math.log(WEIGHTS) / (2 * math.log(z + math.sqrt(z * z - 1))))
 
-    sine = largest_sine(residual)
-    if residual.wavefront.aperture is None:
+    sine, outline = largest_sine(residual), residual.wavefront.aperture
+    if outline is None:
         return more(2 / sine**2 - 1), 4
-    gap = (1 / sine - 1) * residual.aperture.bounding_radius
-    return 0, *(more(1 + 2 * gap / size) for size in residual.aperture.patch_size)
+    gap = (1 / sine - 1) * residual.farthest
+    return 0, *(more(1 + 2 * gap / size) for size in outline.patch_size)
 
 
 def levels(nodes: Nodes, distance: float, polarisation: Polarisation | None) -> tuple[float, float]:
@@ -137,11 +129,17 @@ def levels(nodes: Nodes, distance: float, polarisation: Polarisation | None) -> 
     return peak, float(np.sum(nodes.energies / cosine)) / nodes.energy
 
 
-@lru_cache(maxsize=16)
-def cell_levels(aperture: Aperture, n_s: int, n_t: int, distance: float) -> tuple[float, float]:
-    """Return `levels` of an unpolarised wave of uniform amplitude on the nodes of an aperture.
+@lru_cache(maxsize=64)
+def clear_levels(
+    radius: float,
+    obscuration: float,
+    outline: Aperture | None,
+    counts: tuple[int, ...],
+    distance: float,
+) -> tuple[float, float]:
+    """Return `levels` of an unpolarised wave of uniform amplitude on the nodes of a pupil.
 
-    ``n_s`` and ``n_t`` are the nodes along both sides of each patch.
+    The arguments are those of `pupil_points`, and the image distance, m.
     """
-    u, v, areas = shared_cell_nodes(aperture, n_s, n_t)
+    u, v, areas = pupil_points(radius, obscuration, outline, counts)
     return levels(Nodes(u, v, np.zeros_like(u), np.ones_like(u), areas), distance, "unpolarised")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import lru_cache
 from typing import Final, Literal
 
 from ..._checks import one_of
@@ -167,28 +166,11 @@ def _level_error(residual: Residual, level: float) -> float:
 def plane_levels(residual: Residual) -> tuple[float, float]:
     """Return `high_aperture.levels` of an unpolarised wave at its own nodes."""
     wave = residual.wavefront
-    if wave.layout == "polar" and residual.is_uniform:
-        return _ring_levels(high_aperture.largest_sine(residual), wave.obscuration)
     distance = wave.image_distance
-    if wave.layout == "cells" and residual.is_uniform:
-        return high_aperture.cell_levels(residual.aperture, *wave.u.shape[1:], distance)
+    if residual.has_series and residual.is_uniform:
+        pupil = wave.pupil_radius, wave.obscuration, wave.aperture
+        return high_aperture.clear_levels(*pupil, wave.u.shape, distance)
     return high_aperture.levels(nufft.own_nodes(residual), distance, "unpolarised")
-
-
-@lru_cache(maxsize=64)
-def _ring_levels(sine: float, obscuration: float) -> tuple[float, float]:
-    """Return the levels of a clear ring by the integrals of powers of the cosine."""
-    square = sine**2
-    area = square * (1 - obscuration**2)
-
-    def mean(power: float) -> float:
-        """Mean of cos^power over the ring."""
-        half = power / 2 + 1
-        ends = (math.expm1(half * math.log1p(-x * square)) for x in (1.0, obscuration**2))
-        outer, inner = ends
-        return (inner - outer) / (half * area)
-
-    return ((mean(-0.5) + mean(0.5)) / 2) ** 2, mean(-1.0)
 
 
 def axial_share(residual: Residual) -> float:

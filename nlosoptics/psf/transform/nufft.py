@@ -190,22 +190,26 @@ def own_nodes(residual: Residual) -> Nodes:
     return Nodes(*(part[lit] for part in parts))
 
 
+def reference_counts(residual: Residual, window: Window) -> tuple[int, int]:
+    """Return the rings and the points per ring of `reference_nodes`."""
+    v = math.pi * math.hypot(*window.reach_from(residual.shift)) / residual.airy_unit
+    v += residual.wavenumber * residual.rays.slope * residual.wavefront.pupil_radius
+    # twelve further degrees for the variation of a smooth amplitude
+    return math.ceil(0.29 * v + 19), math.ceil(v + 12 * math.cbrt(v) + 24)
+
+
 def reference_nodes(residual: Residual, window: Window) -> tuple[Nodes, float]:
     """Return polar nodes of the pupil that scattered nodes sample, as many as a window needs.
 
     The wave is interpolated to the round or annular pupil. The second result is the error of the
     field due to the interpolation, relative to its ideal peak.
     """
-    wave = residual.wavefront
-    v = math.pi * math.hypot(*window.reach_from(residual.shift)) / residual.airy_unit
-    v += residual.wavenumber * residual.rays.slope * wave.pupil_radius
-    # twelve further degrees for the variation of a smooth amplitude
-    n_r, n_theta = math.ceil(0.29 * v + 19), math.ceil(v + 12 * v ** (1 / 3) + 24)
+    n_r, n_theta = reference_counts(residual, window)
     fits_memory(
         f"the error estimate by {n_r} x {n_theta} nodes",
         600.0 * n_r * n_theta + n_bytes(0, window),
         "use a smaller shape",
     )
-    u, v_, areas, path, amplitude, doubt = residual.local.on_polar(wave, n_r, n_theta)
+    u, v_, areas, path, amplitude, doubt = residual.local.on_polar(residual.wavefront, n_r, n_theta)
     nodes = Nodes(u, v_, path, amplitude, areas)
     return nodes, residual.wavenumber * float(np.sum(nodes.share * doubt))

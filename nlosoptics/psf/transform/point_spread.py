@@ -383,11 +383,8 @@ def _sampling(
     """Return the pitch, m, and the shape (ny, nx), checked if given, by default otherwise."""
     if pitch is not None:
         pitch = in_range("pitch", pitch, 1e-100, 1e100, unit="m")
-    elif method == "fft" and residual.wavefront.layout == "grid" and not pixel_integrated:
-        # twice the pupil, or slightly more: a whole number of samples per period
-        wave = residual.wavefront
-        size = math.ceil(4 * residual.half_width / wave.pupil_pitch - 1e-9)
-        pitch = wave.wavelength * abs(wave.image_distance) / (size * wave.pupil_pitch)
+    elif method == "fft" and not pixel_integrated and (period := residual.full_period):
+        pitch, size = period
         if shape is None:
             return pitch, (size, size)
     else:

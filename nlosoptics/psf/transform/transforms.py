@@ -57,7 +57,7 @@ class Airy(Transform):
 
     def seconds(self, task: Task) -> float:
         """Predict the run time, s."""
-        return costs.airy(task.samples)
+        return costs.CALL + 3e-8 * costs.points(task.samples)  # one Bessel function per point
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""
@@ -115,7 +115,10 @@ class FewNodes(Transform):
 
     def seconds(self, task: Task) -> float:
         """Predict the run time, s."""
-        return costs.coarse_sum(task.coarse, task.samples)
+        digits = -math.log10(task.coarse.epsilon)
+        per_node = 3e-8 + 1e-9 * digits**2
+        nodes = math.prod(task.coarse.counts)
+        return 6e-4 + per_node * nodes + 1.2e-8 * costs.points(task.samples)
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""
@@ -140,8 +143,12 @@ class SoftGrid(FewNodes):
 
     def seconds(self, task: Task) -> float:
         """Predict the run time, s."""
-        soft = task.soft
-        return super().seconds(task) if soft is None else costs.soft_padded(task.samples, soft.grid)
+        if task.soft is None:
+            return super().seconds(task)
+        grid, samples = task.soft.grid, task.samples
+        size = round(grid.period / samples.pitch)
+        columns = min(size, 2 * grid.centre) + samples.shape[1]
+        return costs.CALL + 3e-8 * grid.radius**2 + 5e-10 * size * columns * math.log2(size)
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""
@@ -174,7 +181,7 @@ class Chirp(Transform):
     def image(self, task: Task) -> Image:
         """Compute the image and its error."""
         residual, samples = task.residual, task.samples
-        check_sampling(task)
+        _check_sampling(task, 1)
         grid = pupil_grid(residual)
         n = grid.values.shape[0]
         fits_memory(
@@ -198,7 +205,10 @@ class Scattered(Transform):
 
     def seconds(self, task: Task) -> float:
         """Predict the run time, s."""
-        return task.components * costs.scattered_sum(task.residual, task.samples)
+        own = task.residual.aberration.size
+        reference = math.prod(nufft.reference_counts(task.residual, task.samples))
+        sums = sum(costs.sum_over_nodes(n, task.samples) for n in (own, reference))
+        return task.components * (sums + 1.3e-6 * reference)
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""
@@ -207,7 +217,7 @@ class Scattered(Transform):
     def image(self, task: Task) -> Image:
         """Compute the image and its error."""
         residual = task.residual
-        check_sampling(task)
+        _check_sampling(task, 2)
         epsilon = nufft.epsilon(residual.aberration.size, task.samples, task.tol, task.components)
         nodes = nufft.own_nodes(residual)
         mean, peak, secant = task.sum(nodes, epsilon)
@@ -231,11 +241,12 @@ class Rays(Transform):
 
     def seconds(self, task: Task) -> float:
         """Predict the run time, s."""
-        return costs.rays(geometric.ray_count(task.residual, task.pixels))
+        # two passes, the second for the error estimate
+        return 3e-3 + 4e-7 * math.prod(geometric.ray_counts(task.residual, task.pixels))
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""
-        return 400.0 * geometric.ray_count(task.residual, task.pixels)
+        return 400.0 * math.prod(geometric.ray_counts(task.residual, task.pixels))
 
     def image(self, task: Task) -> Image:
         """Compute the image and its error."""
@@ -352,22 +363,22 @@ def _scattered_bound(task: Task, nodes: nufft.Nodes, mean: Array, epsilon: float
 
 
 def grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
-    """Bound the error of a pupil grid's edge, its truncation and its damping."""
+    """Bound the error of a pupil grid's edge and of its damping."""
     half = 0.0 if task.rule is None else task.pitch / 2
     found = error_bounds.edge_errors(task.residual, grid, task.pixels.x, task.pixels.y, half)
-    lost = task.residual.truncation
-    bound = task.bound(mean, found.field + lost, found.energy + lost**2, found.spill)
-    if task.rule is None:
-        return bound
-    return bound + error_bounds.damping_error(task.residual, grid, task.pitch)
+    bound = task.bound(mean, found.field, found.energy, found.spill)
+    damped = 0.0 if task.rule is None else task.pitch
+    return bound + error_bounds.damping_error(task.residual, grid, damped)
 
 
-def check_sampling(task: Task) -> None:
-    """Refuse grid or scattered nodes that are too few for the wave or for the window."""
+def _check_sampling(task: Task, power: int) -> None:
+    """Refuse samples that are too few for the wave or for the window.
+
+    Their number grows as this power of their density: 1 for those along a side of a grid, 2 for
+    all scattered ones.
+    """
     residual, wave = task.residual, task.residual.wavefront
-    n, (jump, node), share = wave.u.shape[0], residual.grid_jump(), _period_share(task)
-    # numbers of scattered nodes grow as the square of their density
-    power = 2 if wave.layout == "scattered" else 1
+    n, (jump, node), share = wave.u.shape[0], residual.jump(), _period_share(task)
     if jump > 0.5:
         # A margin: in a denser set of scattered nodes, another pair may be the farthest apart.
         need = math.ceil(n * max(jump / 0.5, share) ** power * (1.0 if power == 1 else 1.44))

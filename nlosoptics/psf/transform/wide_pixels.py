@@ -31,7 +31,7 @@ def detilted_wide_spread(
 ) -> PointSpread:
     """Compute a point spread on pixels, quickly if they are much wider than the Airy disc.
 
-    For waves of the layout "polar" on pixels at least 8 Airy units wide, a square around the points
+    For waves of discs and rings on pixels at least 8 Airy units wide, a square around the points
     at which the rays arrive is sampled. The energy outside is distributed as ``1/r^3``, with r the
     distance from the centre, as diffraction at a sharp rim does. In all other cases the result is
     that of `point_spread` with ``pixel_integrated=True``.
@@ -96,7 +96,7 @@ def inner_parts(
     None if the method does not apply or would not be faster.
     """
     unit = residual.airy_unit
-    if residual.wavefront.layout != "polar" or pitch < 8 * unit:
+    if not residual.is_round or pitch < 8 * unit:
         return None
     reach = ray_reach(residual) / unit
     # the energy beyond a half side h, Airy units, is 2/(pi^2 h) of the total

@@ -138,7 +138,7 @@ def _scattered_cost(
 def grid_samples(residual: Residual, pitch: float, side: int, tol: float) -> tuple[int, ...]:
     """Return the cell counts across the pupil grids to try, the last of which should suffice."""
     # aberration across the whole pupil at the steepest slope, waves
-    jump = residual.grid_jump()[0] * len(residual.wavefront.u)
+    jump = residual.jump()[0] * len(residual.wavefront.u)
     reach = side * pitch / 2 + max(map(abs, residual.shift)) + residual.rays.reach
     period = (reach + pitch + residual.airy_unit) / residual.airy_unit
     # Error of the rim: a cell cut by it is treated as if located at the cell's centre.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ from ..._vectors import product
 from ..aperture.aperture import Aperture
 from ..aperture.curves import cross
 from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
-from .polar_series import _legendre_slopes, legendre
+from .polar_series import Mesh, PolarSpectrum, _legendre_slopes, analysis, legendre
 
 Array = NDArray[np.float64]
 
@@ -45,9 +46,7 @@ class CellSpectrum:
         self.shape = values.shape
         # Nodes per patch along s and t, under the names that `PolarSpectrum` uses.
         self.n_r, self.n_theta = values.shape[1:]
-        self.coefficients = _products(
-            values, _analysis(values.shape[1]), _analysis(values.shape[2])
-        )
+        self.coefficients = _products(values, analysis(values.shape[1]), analysis(values.shape[2]))
 
     def truncation(self) -> float:
         """Estimate the error between the samples: four times the rms of the highest terms.
@@ -66,6 +65,21 @@ class CellSpectrum:
 
     #: Digits of an integral by n nodes along either coordinate, see `quadrature.growth`.
     orders = (2, 2)
+    #: Points of the result of `slopes` that are nodes.
+    inner = np.s_[:, 1:-1, 1:-1]
+
+    def mesh(self, n: int, most: int) -> tuple[int, int, int]:
+        """Return the shape of a mesh of ``n`` points per side of a patch.
+
+        All patches together have at most the points of ``most`` rings of four times as many.
+        """
+        n = min(n, math.ceil(2 * most / math.sqrt(self.shape[0])))
+        return self.shape[0], n, n
+
+    def on_rims(self) -> Array:
+        """Return the values on the nodes and edges of the patches."""
+        tables = (_edged(n, n, 0.0)[0] for n in self.shape[1:])
+        return _products(self.coefficients, *tables)
 
     @property
     def sides(self) -> tuple[float, float]:
@@ -97,6 +111,13 @@ class CellSpectrum:
         tables = (_synthesis(n, count) for n, count in zip(self.shape[1:], (n_s, n_t), strict=True))
         return _products(self.coefficients, *tables)
 
+    def points(self, n_patches: int, n_s: int, n_t: int) -> Mesh:
+        """Return the points of `slopes`, with the coordinates s and t of the patches."""
+        (s, w_s), (t, w_t) = gauss_legendre(n_s), gauss_legendre(n_t)
+        s, t = np.concatenate([[NEAREST], s, [1.0]]), np.concatenate([[0.0], t, [1.0]])
+        u, v = np.moveaxis(self.aperture.map(s, t)[0], -1, 0)
+        return Mesh(u, v, s, t, w_s[:, None], w_t)
+
     def slopes(self, n_patches: int, n_s: int, n_t: int) -> tuple[Array, Array, Array]:
         """Return the gradient on the nodes and on the edges of the patches.
 
@@ -118,6 +139,15 @@ class CellSpectrum:
         du = by_s * frame.u_of_s + by_t * frame.u_of_t
         dv = by_s * frame.v_of_s + by_t * frame.v_of_t
         return du, dv, frame.share
+
+
+def spectrum(
+    values: Array, radius: float, obscuration: float, outline: Aperture | None
+) -> PolarSpectrum | CellSpectrum:
+    """Return the series of values at nodes of `pupil_points`, whose pupil it takes."""
+    if outline is None:
+        return PolarSpectrum(values, radius, obscuration)
+    return CellSpectrum(values, outline)
 
 
 class _Frame(NamedTuple):
@@ -156,13 +186,6 @@ def _norms(n_s: int, n_t: int) -> Array:
     """Return the coefficients (n_s, n_t) of Legendre terms of rms 1."""
     k, m = (np.sqrt(2 * np.arange(n) + 1) for n in (n_s, n_t))
     return frozen(k[:, None] * m)
-
-
-@lru_cache(maxsize=64)
-def _analysis(n: int) -> Array:
-    """Return the matrix (n, n) from values on n Gauss-Legendre nodes to Legendre coefficients."""
-    fraction, weights = gauss_legendre(n)
-    return frozen((2 * np.arange(n) + 1)[:, None] * legendre(n, fraction) * weights)
 
 
 @lru_cache(maxsize=64)

@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SamplingError
-from ..aperture.aperture import Aperture
 from .cell_series import CellSpectrum
 from .fits import fitted_terms
 from .polar_series import PolarSpectrum
@@ -46,12 +45,6 @@ class Rays:
     energy: Array
     slope: float
     reach: float
-
-    @cached_property
-    def rms(self) -> float:
-        """Rms distance of the rays from the image point of the tilt, m."""
-        x, y, energy = (part.ravel() for part in (self.x, self.y, self.energy))
-        return float(np.sqrt(np.vdot(energy * x, x) + np.vdot(energy * y, y)))
 
     def densest(self, side: float) -> float:
         """Return the largest fraction of the energy in a square bin of a side, m."""
@@ -88,6 +81,8 @@ class Residual:
     wavefront: Wavefront
     tilt: tuple[float, float]
     aberration: Array
+    #: Whether a polynomial series interpolates the wave between its nodes.
+    has_series: ClassVar[bool] = True
 
     @property
     def wavenumber(self) -> float:
@@ -110,21 +105,27 @@ class Residual:
         """Integral of the amplitude over the pupil, m^2."""
         return float(np.sum(self.wavefront.amplitude * self.wavefront.weights))
 
-    @cached_property
+    @property
     def half_width(self) -> float:
         """Largest ``|u|`` or ``|v|`` at which light passes the pupil, m."""
-        wave = self.wavefront
-        if wave.aperture is not None:
-            return wave.aperture.half_width
-        if wave.layout == "polar":
-            return wave.pupil_radius
-        lit = wave.amplitude * wave.weights > 0
-        farthest = float(max(np.abs(wave.u[lit]).max(), np.abs(wave.v[lit]).max()))
-        if wave.layout == "scattered":
-            return max(farthest, wave.pupil_radius)
-        edge = farthest + wave.pupil_pitch / 2
-        # A rim cell of an area-weighted grid extends beyond the pupil; a map's cells are whole.
-        return edge if np.ptp(wave.weights) == 0 else min(edge, wave.pupil_radius)
+        outline = self.wavefront.aperture
+        return self.wavefront.pupil_radius if outline is None else outline.half_width
+
+    @property
+    def farthest(self) -> float:
+        """Largest distance from the axis at which light passes the pupil, m."""
+        outline = self.wavefront.aperture
+        return self.wavefront.pupil_radius if outline is None else outline.bounding_radius
+
+    @property
+    def is_round(self) -> bool:
+        """Whether the pupil is known to be a disc or ring."""
+        return self.has_series and self.wavefront.aperture is None
+
+    @property
+    def is_disc(self) -> bool:
+        """Whether the pupil is known to be a full disc."""
+        return self.is_round and self.wavefront.obscuration == 0
 
     @property
     def nyquist_pitch(self) -> float:
@@ -165,11 +166,16 @@ class Residual:
 
     @cached_property
     def heights(self) -> Heights:
-        """Extremes, mean and rms of the residual aberration over the lit pupil."""
+        """Extremes, mean and rms of the residual aberration over the lit pupil.
+
+        The extremes include those on the rims, where no node of a series lies.
+        """
         share, path = self.wavefront.amplitude * self.wavefront.weights, self.aberration
         lit, total = path[share > 0], float(np.sum(share))
         mean = float(np.sum(share * path)) / total
         square = float(np.sum(share * (path - mean) ** 2)) / total
+        if self.has_series and not self.is_plane:
+            lit = np.append(lit, self.series.on_rims())
         return Heights(float(lit.min()), float(lit.max()), mean, math.sqrt(square))
 
     @property
@@ -177,50 +183,20 @@ class Residual:
         """Whether the residual is exactly 0."""
         return not self.aberration.any()
 
-    @cached_property
+    @property
     def is_flat(self) -> bool:
-        """Whether a polar wavefront has uniform amplitude and a residual of exactly 0."""
-        return self.wavefront.layout == "polar" and self.is_uniform and self.is_plane
+        """Whether the wave has a uniform amplitude and a residual of exactly 0."""
+        return self.is_uniform and self.is_plane
 
     @cached_property
     def series(self) -> PolarSpectrum | CellSpectrum:
-        """Polynomial series of the residual aberration; for the layouts "polar" and "cells"."""
+        """Polynomial series of the residual aberration; `SamplingError` without `has_series`."""
         return self.wavefront.series(self.aberration)
-
-    def degrees(self, threshold: float) -> tuple[int, int]:
-        """Return the highest degrees of the residual aberration's polynomial series.
-
-        Parameters
-        ----------
-        threshold : float
-            Magnitude of a coefficient, m, below which a term is ignored.
-
-        Returns
-        -------
-        (int, int)
-            For the layout "polar", Legendre degree in r^2 and angular order; for "cells", degrees
-            along the two directions of a patch.
-        """
-        return self.series.degrees(threshold)
 
     @cached_property
     def amplitude_series(self) -> PolarSpectrum | CellSpectrum:
-        """Polynomial series of the amplitude; for the layouts "polar" and "cells"."""
+        """Polynomial series of the amplitude; `SamplingError` without `has_series`."""
         return self.wavefront.series(self.wavefront.amplitude)
-
-    @property
-    def aperture(self) -> Aperture:
-        """Outline of the pupil.
-
-        Raises
-        ------
-        SamplingError
-            If the wavefront has no aperture.
-        """
-        aperture = self.wavefront.aperture
-        if aperture is None:
-            raise SamplingError("wavefront.aperture is missing; sample it with nodes='cells'")
-        return aperture
 
     @property
     def polar_series(self) -> tuple[PolarSpectrum, PolarSpectrum | None]:
@@ -240,23 +216,8 @@ class Residual:
         return pair[0], pair[1]
 
     @cached_property
-    def local(self) -> LocalFits:
-        """Cubic fits about the lit nodes; for grid and scattered layouts."""
-        return local_fits(self.wavefront, self.aberration)
-
-    @cached_property
-    def spacing(self) -> float:
-        """Pitch of a grid, or square root of the mean area of lit scattered nodes, m."""
-        wave = self.wavefront
-        if wave.layout == "grid":
-            return wave.pupil_pitch
-        return float(np.sqrt(wave.weights.ravel()[self.local.indices].mean()))
-
-    @cached_property
     def truncation(self) -> float:
-        """Estimated relative error of the pupil function from too few polar or cells nodes."""
-        if not self.wavefront.is_spectral:
-            return 0.0
+        """Estimated relative error of the pupil function from too few nodes of its series."""
         amplitude = 0.0
         if not self.is_uniform:
             amplitude = self.amplitude_series.truncation() / float(self.wavefront.amplitude.max())
@@ -264,31 +225,26 @@ class Residual:
 
     @cached_property
     def rays(self) -> Rays:
-        """One ray per node; polar and cells layouts add rays from the rims."""
-        wave = self.wavefront
-        if wave.is_spectral:
-            return self.traced(*wave.u.shape)
-        if wave.layout == "scattered":
-            lit = self.local.indices
-            du, dv = self.local.slopes.T
-            return self._landing(du, dv, wave.amplitude[lit] ** 2 * wave.weights[lit])
-        return self._landing(*self._grid_slopes())
+        """One ray per node; of a series, also rays from the rims."""
+        return self.traced(*self.wavefront.u.shape)
 
     def traced(self, *counts: int) -> Rays:
-        """Return rays of a polar or cells wavefront from at least the given number of nodes.
+        """Return rays from at least the given number of nodes of a series, and from the rims.
 
-        ``counts`` is the shape of `Wavefront.nodes`; rays from the rims are added.
+        ``counts`` is the shape of `Wavefront.nodes`.
         """
-        wave = self.wavefront
         if self.is_flat:  # all rays land in one point
             return Rays(np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)), 0.0, 0.0)
-        counts = tuple(max(pair) for pair in zip(counts, wave.u.shape, strict=True))
+        counts = tuple(max(pair) for pair in zip(counts, self.wavefront.u.shape, strict=True))
         du, dv, energy = self.series.slopes(*counts)
         if not self.is_uniform:
-            inner = np.s_[:-1] if self.wavefront.layout == "polar" else np.s_[:, 1:-1, 1:-1]
             energy = energy.copy()
-            energy[inner] *= self.amplitude_series.at_nodes(*counts) ** 2
+            energy[self.series.inner] *= self.amplitude_series.at_nodes(*counts) ** 2
         return self._landing(du, dv, energy)
+
+    def dense_rays(self, n: int) -> Rays:
+        """Return rays from about ``n`` nodes across the pupil, as far as a series allows it."""
+        return self.traced(*self.series.mesh(n, 400))
 
     def _landing(self, du: Array, dv: Array, energy: Array) -> Rays:
         """Return the rays of given slopes, with their energies normalised to sum 1."""
@@ -297,8 +253,131 @@ class Residual:
         reach = float(max(np.abs(x).max(), np.abs(y).max()))
         return Rays(x, y, energy / energy.sum(), slope, reach)
 
+    # Properties of samples; those of a series are here, those of grids and scattered points below.
+
     @cached_property
-    def _grid_cells(self) -> tuple[NDArray[np.int64], float]:
+    def local(self) -> LocalFits:
+        """Cubic fits about the lit nodes."""
+        return local_fits(self.wavefront, self.aberration)
+
+    @property
+    def spacing(self) -> float:
+        """Distance between neighbouring samples, m; 0 for a series."""
+        return 0.0
+
+    @property
+    def full_period(self) -> tuple[float, int] | None:
+        """Pitch, m, and number of samples across a period of the image; None if none is exact."""
+        return None
+
+    @property
+    def mixed_area(self) -> float:
+        """Estimated relative error from samples that several aperture cells share."""
+        return 0.0
+
+    def jump(self) -> tuple[float, tuple[int, ...]]:
+        """Return the largest step between neighbouring samples, waves, and its index."""
+        return 0.0, ()
+
+
+class _Sampled(Residual):
+    """Wave that is known at its samples only: no series interpolates it."""
+
+    has_series = False
+
+    @cached_property
+    def truncation(self) -> float:
+        """Error of interpolation: there is none."""
+        return 0.0
+
+    @property
+    def lit(self) -> NDArray[np.bool_]:
+        """Samples that light passes."""
+        return np.asarray(self.wavefront.amplitude * self.wavefront.weights > 0)
+
+    @property
+    def half_width(self) -> float:
+        """Largest ``|u|`` or ``|v|`` of a lit sample, m."""
+        wave, lit = self.wavefront, self.lit
+        return float(max(np.abs(wave.u[lit]).max(), np.abs(wave.v[lit]).max()))
+
+    @property
+    def farthest(self) -> float:
+        """Largest distance of a lit sample from the axis, m."""
+        wave, lit = self.wavefront, self.lit
+        return math.sqrt(float((wave.u[lit] ** 2 + wave.v[lit] ** 2).max()))
+
+    def dense_rays(self, n: int) -> Rays:
+        """Return the rays of the samples."""
+        return self.rays
+
+
+class ScatteredResidual(_Sampled):
+    """Wave at arbitrary points of a disc or ring."""
+
+    @property
+    def half_width(self) -> float:
+        """Largest ``|u|`` or ``|v|`` of a lit sample or of the rim, m."""
+        return max(super().half_width, self.wavefront.pupil_radius)
+
+    @property
+    def farthest(self) -> float:
+        """Largest distance of a lit sample or of the rim from the axis, m."""
+        return max(super().farthest, self.wavefront.pupil_radius)
+
+    @property
+    def spacing(self) -> float:
+        """Square root of the mean area of lit samples, m."""
+        return float(np.sqrt(self.wavefront.weights.ravel()[self.local.indices].mean()))
+
+    @cached_property
+    def rays(self) -> Rays:
+        """One ray per lit sample."""
+        wave, lit = self.wavefront, self.local.indices
+        du, dv = self.local.slopes.T
+        return self._landing(du, dv, wave.amplitude[lit] ** 2 * wave.weights[lit])
+
+    def jump(self) -> tuple[float, tuple[int, ...]]:
+        """Return the largest step between neighbouring samples, waves, and its index."""
+        node = int(self.local.indices[self.local.jump_at])
+        return self.local.jump / self.wavefront.wavelength, (node,)
+
+
+class GridResidual(_Sampled):
+    """Wave on the squares of a grid."""
+
+    @property
+    def half_width(self) -> float:
+        """Largest ``|u|`` or ``|v|`` at which light passes the pupil, m."""
+        wave = self.wavefront
+        if wave.aperture is not None:
+            return wave.aperture.half_width
+        edge = super().half_width + wave.pupil_pitch / 2
+        # A rim cell of an area-weighted grid extends beyond the pupil; a map's cells are whole.
+        return edge if np.ptp(wave.weights) == 0 else min(edge, wave.pupil_radius)
+
+    @property
+    def spacing(self) -> float:
+        """Pitch of the grid, m."""
+        return self.wavefront.pupil_pitch
+
+    @property
+    def full_period(self) -> tuple[float, int]:
+        """Pitch, m, and number of samples across a period of the image.
+
+        Samples are Nyquist's, or slightly closer: a whole number of them per period.
+        """
+        size = math.ceil(4 * self.half_width / self.spacing - 1e-9)
+        wave = self.wavefront
+        return wave.wavelength * abs(wave.image_distance) / (size * self.spacing), size
+
+    @cached_property
+    def rays(self) -> Rays:
+        """One ray per sample."""
+        return self._landing(*self._slopes())
+
+    @cached_property
+    def _cells(self) -> tuple[NDArray[np.int64], float]:
         """Label of the aperture cell of each grid square, and the value of `mixed_area`.
 
         A square shared by several cells gets a label of its own. Its sample holds the wave of only
@@ -328,18 +407,14 @@ class Residual:
         It is the fraction of the pupil's area that is sampled with another cell's wave, times the
         largest difference of neighbouring cells' pupil functions, which is at most 2.
         """
-        return self._grid_cells[1]
+        return self._cells[1]
 
-    def grid_jump(self) -> tuple[float, tuple[int, ...]]:
+    def jump(self) -> tuple[float, tuple[int, ...]]:
         """Return the largest step of the residual between lit neighbours, waves, and its index.
 
         Steps between different cells of an aperture are not counted: segments may have any piston.
         """
-        wave = self.wavefront
-        if wave.layout == "scattered":
-            node = int(self.local.indices[self.local.jump_at])
-            return self.local.jump / wave.wavelength, (node,)
-        lit, (owners, _) = wave.amplitude * wave.weights > 0, self._grid_cells
+        lit, (owners, _) = self.lit, self._cells
         worst, where = 0.0, (0, 0)
         for axis in (0, 1):
             jump = np.abs(np.diff(self.aberration, axis=axis))
@@ -350,9 +425,9 @@ class Residual:
                 worst = float(jump.max())
                 row, column = np.unravel_index(np.argmax(jump), jump.shape)
                 where = (int(row), int(column))
-        return worst / wave.wavelength, where
+        return worst / self.wavefront.wavelength, where
 
-    def _grid_slopes(self) -> tuple[Array, Array, Array]:
+    def _slopes(self) -> tuple[Array, Array, Array]:
         """Return slopes along u and v on a grid, and the energies of its samples.
 
         Differences are central, one-sided where one neighbour is dark, 0 where both are dark.
@@ -363,7 +438,7 @@ class Residual:
         slopes = []
         for axis in (1, 0):
             surface = np.moveaxis(self.aberration, axis, 1)
-            mask, owner = np.moveaxis(lit, axis, 1), np.moveaxis(self._grid_cells[0], axis, 1)
+            mask, owner = np.moveaxis(lit, axis, 1), np.moveaxis(self._cells[0], axis, 1)
             both = mask[:, 1:] & mask[:, :-1] & (np.diff(owner, axis=1) == 0)
             step = np.where(both, np.diff(surface, axis=1), 0.0)
             count = both.astype(np.float64)
@@ -380,11 +455,12 @@ class Residual:
 def split(wavefront: Wavefront) -> Residual:
     """Remove piston and tilt from a wavefront: its amplitude-weighted least-squares plane."""
     scale = wavefront.pupil_radius
+    made = {"grid": GridResidual, "scattered": ScatteredResidual}.get(wavefront.layout, Residual)
     if not wavefront.aberration.any():
-        return Residual(wavefront, (0.0, 0.0), wavefront.aberration)
+        return made(wavefront, (0.0, 0.0), wavefront.aberration)
     plane = np.stack([np.ones_like(wavefront.u), wavefront.u / scale, wavefront.v / scale])
     fit = fitted_terms(wavefront.aberration, wavefront.amplitude * wavefront.weights, plane)
     aberration = wavefront.aberration - fit[0]
     aberration -= fit[1] * plane[1]
     aberration -= fit[2] * plane[2]
-    return Residual(wavefront, (float(fit[1] / scale), float(fit[2] / scale)), aberration)
+    return made(wavefront, (float(fit[1] / scale), float(fit[2] / scale)), aberration)

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from ..._xarray import Labels, variable
 from ...errors import SceneError
 from ..aperture.aperture import Aperture
-from ..aperture.cell_nodes import shared_cell_nodes
-from ..aperture.quadrature_nodes import KEPT, kept_polar_nodes, polar_nodes
+from ..aperture.cell_nodes import pupil_points
 
 Array = NDArray[np.float64]
 
@@ -23,18 +22,21 @@ def grid_pitch(u: Array) -> float:
     return float(u[0, axis] - u[0, axis - 1])
 
 
-def check_aperture(layout: str, aperture: Aperture | None, obscuration: float) -> None:
-    """Raise `SceneError` if an aperture is missing, or contradicts the layout or obscuration."""
+def check_aperture(name: str, layout: str, aperture: Aperture | None, obscuration: float) -> None:
+    """Raise `SceneError` if an aperture is missing, or contradicts the layout or obscuration.
+
+    ``name`` is that of the layout's argument, for the message.
+    """
     if aperture is None and layout == "cells":
-        raise SceneError("wavefront.aperture is missing, layout 'cells' needs it; give it")
-    if aperture is not None and layout not in ("cells", "grid"):
         raise SceneError(
-            f"wavefront.layout = '{layout}' cannot follow an aperture; use 'cells' or 'grid'"
+            f"{name} = '{layout}' without an aperture; give one or use 'polar', 'grid'"
         )
+    if aperture is not None and layout not in ("cells", "grid"):
+        raise SceneError(f"{name} = '{layout}' cannot follow an aperture; use 'cells' or 'grid'")
     if aperture is not None and obscuration != 0:
         raise SceneError(
-            f"wavefront.obscuration = {obscuration:g} with an aperture, limit 0; make it part of "
-            "the aperture"
+            f"obscuration = {obscuration:g} with an aperture, limit 0; make the obscuration part "
+            "of the aperture"
         )
 
 
@@ -47,26 +49,21 @@ def check_nodes(
     """
     if layout == "scattered":
         return
-    if layout == "cells" and aperture is not None:
-        right_u, right_v, _ = shared_cell_nodes(aperture, *u.shape[1:])
-        if right_u.shape != u.shape:
-            raise SceneError(
-                f"wavefront.u has shape {u.shape}; the aperture's {len(right_u)} patches need "
-                f"{right_u.shape}"
-            )
-        radius, remedy = aperture.bounding_radius, "take them from aperture.nodes"
-    elif layout == "polar":
-        make = kept_polar_nodes if u.size <= KEPT else polar_nodes
-        n_r, n_theta = u.shape
-        right_u, right_v, _ = make(radius, n_r, n_theta, obscuration)
-        remedy = "take them from psf.polar_nodes"
-    else:
+    if layout == "grid":
         rows, columns = u.shape
         if rows != columns or rows < 2:
             raise SceneError(f"a grid wavefront has shape {u.shape}; give a square grid")
         axis = (np.arange(rows) - rows // 2) * grid_pitch(u)
         right_v, right_u = np.meshgrid(axis, axis, indexing="ij")
         remedy = "use (arange(n) - n//2) * pitch, rows along v"
+    else:
+        if aperture is not None and len(aperture.owners) != len(u):
+            raise SceneError(
+                f"wavefront.u has shape {u.shape}; the aperture's {len(aperture.owners)} patches "
+                f"need {(len(aperture.owners), *u.shape[1:])}"
+            )
+        right_u, right_v, _ = pupil_points(radius, obscuration, aperture, u.shape)
+        remedy = f"take them from {'psf.polar_nodes' if aperture is None else 'aperture.nodes'}"
     error = max(float(np.abs(u - right_u).max()), float(np.abs(v - right_v).max()))
     if not error <= 1e-9 * radius:
         raise SceneError(

@@ -76,6 +76,18 @@ class PolarSpectrum:
 
     #: Digits of an integral by n nodes along radius and angle, see `quadrature.growth`.
     orders = (4, 1)
+    #: Points of the result of `slopes` that are nodes.
+    inner = np.s_[:-1]
+
+    def mesh(self, n: int, most: int) -> tuple[int, int]:
+        """Return rings and points per ring of a mesh of about ``n`` rings, at most ``most``."""
+        n = min(max(n, 24), most)
+        return n, 4 * n
+
+    def on_rims(self) -> Array:
+        """Return the values on the outer and inner rim, or at the centre."""
+        waves = self._polynomial(np.array([1.0, self.obscuration]))[0]
+        return self._synthesis(waves, self.n_theta)
 
     @property
     def sides(self) -> tuple[float, float]:
@@ -146,6 +158,14 @@ class PolarSpectrum:
         du = ring.cosine * d_r - ring.sine * d_theta
         dv = ring.sine * d_r + ring.cosine * d_theta
         return du, dv, ring.share
+
+    def points(self, n_r: int, n_theta: int) -> Mesh:
+        """Return the points of `slopes`, with the radius, m, and the angle as coordinates."""
+        ring, (_, weights) = ring_of(n_r, n_theta, self.obscuration), gauss_legendre(n_r)
+        edges = self.radius * rho_of(np.append(0.0, np.cumsum(weights)), self.obscuration)
+        r, turn = self.radius * ring.rho, 2 * math.pi / n_theta
+        along_r, angle = np.diff(edges)[:, None], turn * np.arange(n_theta, dtype=np.float64)
+        return Mesh(r * ring.cosine, r * ring.sine, r[:, 0], angle, along_r, np.array(turn))
 
     def at(self, u: Array, v: Array, epsilon: float) -> Array:
         """Return the function at any points.
@@ -298,7 +318,7 @@ def fraction_of(rho: Array, obscuration: float) -> Array:
     return np.asarray((rho**2 - inner) / (1 - inner))
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def analysis(n: int) -> Array:
     """Matrix (n, n) from samples at ``n`` nodes to Legendre coefficients, cached and read-only."""
     fraction, weights = gauss_legendre(n)
@@ -310,6 +330,27 @@ def _product(table: Array, waves: ComplexArray) -> ComplexArray:
     """Product of a real and a complex matrix by einsum, bit-identical for any thread count."""
     parts = np.ascontiguousarray(waves).view(np.float64)
     return np.asarray(np.einsum("ij,jk->ik", table, parts)).view(np.complex128)
+
+
+class Mesh(NamedTuple):
+    """Points of a mesh of cells with coordinates s and t, including those on the rims.
+
+    Attributes
+    ----------
+    u, v : ndarray
+        Pupil coordinates, m, of the points of ``slopes`` of a series.
+    s, t : ndarray
+        Coordinates along the last two axes.
+    along_s, along_t : ndarray
+        Sides of the cells about the nodes, in a shape that broadcasts to theirs.
+    """
+
+    u: Array
+    v: Array
+    s: Array
+    t: Array
+    along_s: Array
+    along_t: Array
 
 
 class Ring(NamedTuple):
@@ -341,11 +382,10 @@ def _ring(n_r: int, n_theta: int, obscuration: float) -> Ring:
     """Compute the geometry of polar nodes and the rim."""
     fraction, weights = gauss_legendre(n_r)
     fraction, weights = np.append(fraction, 1.0), np.append(weights, 0.0)
-    clear = 1 - obscuration**2
-    rho = np.sqrt(obscuration**2 + clear * fraction)[:, None]
+    rho = rho_of(fraction, obscuration)[:, None]
     angle = 2 * math.pi * np.arange(n_theta) / n_theta
     share = np.repeat(weights[:, None] / n_theta, n_theta, axis=1)
-    parts = fraction, rho, 2 * rho / clear, np.cos(angle), np.sin(angle), share
+    parts = fraction, rho, 2 * rho / (1 - obscuration**2), np.cos(angle), np.sin(angle), share
     return Ring(*map(frozen, parts))
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from .detilted import Residual
 
 
@@ -74,10 +72,8 @@ def regime(residual: Residual, pitch: float, *, rayleigh_parameter: float = 0.0)
     wave = residual.wavefront
     rays = residual.rays
     low, high, _, rms = residual.heights
-    if wave.layout == "polar" and not residual.is_plane:
-        low, high = _with_rims(residual, low, high)
     per_sample = None
-    if not wave.is_spectral:
+    if not residual.has_series:
         per_sample = rays.slope * residual.spacing / wave.wavelength
     return Regime(
         peak_to_valley=(high - low) / wave.wavelength,
@@ -89,21 +85,3 @@ def regime(residual: Residual, pitch: float, *, rayleigh_parameter: float = 0.0)
         fresnel_number=wave.pupil_radius**2 / (wave.wavelength * abs(wave.image_distance)),
         rayleigh_parameter=rayleigh_parameter,
     )
-
-
-def _with_rims(residual: Residual, low: float, high: float) -> tuple[float, float]:
-    """Extend extremes of the residual, m, to the rims and the centre.
-
-    No polar node lies there.
-    """
-    series = residual.series
-    waves = series.coefficients.copy()
-    if series.n_theta % 2 == 0:
-        waves[:, -1] *= 2
-    # Legendre polynomials are 1 at the outer rim and (-1)^k at the inner; odd orders also have a
-    # factor r/radius.
-    inner = np.where(np.arange(series.n_r) % 2, -1.0, 1.0)[:, None] * waves
-    ends = np.stack([waves.sum(axis=0), inner.sum(axis=0)])
-    ends[1, 1::2] *= residual.wavefront.obscuration
-    values = np.fft.irfft(ends, series.n_theta, axis=1, norm="forward")
-    return min(low, float(values.min())), max(high, float(values.max()))

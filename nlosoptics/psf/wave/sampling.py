@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import counted, mapping, one_of, real, whole
+from ..._checks import counted, mapping, numbers, one_of, real, whole
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
-from ..aperture.cell_nodes import shared_cell_nodes
-from ..aperture.quadrature_nodes import KEPT, grid_nodes, polar_nodes
-from .cell_series import CellSpectrum
-from .polar_series import PolarSpectrum
-from .zernikes import Ordering, kept_cell_zernikes, zernike_order, zernike_sum
+from ..aperture.cell_nodes import pupil_points
+from ..aperture.quadrature_nodes import KEPT, grid_nodes
+from .cell_series import spectrum
+from .node_checks import check_aperture
+from .zernikes import Ordering, kept_zernikes, zernike_order, zernike_sum
 
 Array = NDArray[np.float64]
 Nodes = Literal["polar", "cells", "grid"]
@@ -80,15 +80,7 @@ def nodes_of(
     if nodes is None:
         nodes = "polar" if aperture is None else "cells"
     one_of("nodes", nodes, ("polar", "cells", "grid"))
-    if aperture is None and nodes == "cells":
-        raise SceneError("nodes = 'cells' without an aperture; give one, or use 'polar' or 'grid'")
-    if aperture is not None and nodes == "polar":
-        raise SceneError("nodes = 'polar' cannot follow an aperture; use 'cells' or 'grid'")
-    if aperture is not None and obscuration != 0:
-        raise SceneError(
-            f"obscuration = {obscuration:g} with an aperture, limit 0; make the obscuration part "
-            "of the aperture"
-        )
+    check_aperture("nodes", nodes, aperture, obscuration)
     if nodes == "grid" and isinstance(samples, tuple):
         raise SceneError(f"samples = {samples}; a grid is square, give one whole number")
     return nodes  # type: ignore[return-value]  # one of its literals
@@ -111,28 +103,6 @@ def polar_counts(degree: int, samples: int | tuple[int, int] | None) -> tuple[in
             f"{degree // 2 + 1} x {2 * degree + 1} or more"
         )
     return n_r, n_theta
-
-
-def pupil_nodes(
-    layout: Nodes,
-    samples: int | tuple[int, int],
-    radius: float,
-    obscuration: float,
-    aperture: Aperture | None,
-) -> PupilNodes:
-    """Return the nodes of a layout; ``samples`` is as in `Wavefront.from_function`."""
-    none = np.zeros((), dtype=np.int64)
-    if layout == "grid":
-        count = whole("samples", samples, 2)
-        if aperture is None:
-            return PupilNodes(layout, *grid_nodes(radius, count, obscuration), none)
-        return PupilNodes(layout, *aperture.grid_nodes(count))
-    if layout == "cells" and aperture is not None:
-        n_s, n_t = samples if isinstance(samples, tuple) else (samples, samples)
-        nodes = shared_cell_nodes(aperture, n_s, n_t)
-        return PupilNodes(layout, *nodes, aperture.owners[:, None, None])
-    n_r, n_theta = samples if isinstance(samples, tuple) else (samples, 4 * samples)
-    return PupilNodes(layout, *polar_nodes(radius, n_r, n_theta, obscuration), none)
 
 
 def segment_terms(
@@ -167,12 +137,7 @@ def segment_terms(
 
 def _per_cell(name: str, values: ArrayLike | None, shape: tuple[int, ...], unit: str) -> Array:
     """Check one finite value or pair per cell; zeros if None."""
-    if values is None:
-        return np.zeros(shape)
-    try:
-        given = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise SceneError(f"{name} are not numbers; give shape {shape}, {unit}") from None
+    given = np.zeros(shape) if values is None else numbers(name, values)
     if given.shape != shape:
         raise SceneError(f"{name} have shape {given.shape}; give {shape}, {unit} of every cell")
     if not np.isfinite(given).all():
@@ -221,7 +186,11 @@ def zernike_degree(coefficients: Mapping[int, float], ordering: Ordering) -> int
 
 
 def zernike_fill(
-    coefficients: Mapping[int, float], radius: float, ordering: Ordering, aperture: Aperture
+    coefficients: Mapping[int, float],
+    radius: float,
+    ordering: Ordering,
+    obscuration: float,
+    aperture: Aperture | None,
 ) -> Fill:
     """Return the function that gives a sum of Zernike polynomials, m, and a uniform amplitude.
 
@@ -229,79 +198,96 @@ def zernike_fill(
     """
     listed = mapping("coefficients", coefficients, "{index: metres}")
     heights = np.array([real(f"coefficients[{j}]", a) for j, a in listed.items()])
+    # The nodes of discs and rings of any radius are alike.
+    pupil = (1.0, obscuration, None) if aperture is None else (radius, 0.0, aperture)
 
     def fill(nodes: PupilNodes) -> tuple[Array, Array]:
         """Aberration and amplitude on nodes."""
-        if nodes.layout == "cells" and heights.size and nodes.u.size <= KEPT:
-            counts = nodes.u.shape[1:]
-            modes = kept_cell_zernikes(tuple(coefficients), ordering, aperture, *counts, radius)
-            # einsum does not call BLAS, so results are bit-identical for any thread count.
-            path = np.einsum("m,mn->n", heights, modes).reshape(nodes.u.shape)
-            return path, np.ones_like(path)
         path = np.zeros_like(nodes.u)
-        lit = nodes.weights > 0
-        path[lit] = zernike_sum(coefficients, nodes.u[lit], nodes.v[lit], radius, ordering)
+        if nodes.layout != "grid" and heights.size and path.size <= KEPT:
+            modes = kept_zernikes(tuple(coefficients), ordering, *pupil, path.shape)
+            # einsum does not call BLAS, so results are bit-identical for any thread count.
+            path = np.einsum("m,m...->...", heights, modes)
+        elif heights.size:
+            lit = nodes.weights > 0
+            path[lit] = zernike_sum(coefficients, nodes.u[lit], nodes.v[lit], radius, ordering)
         return path, np.ones_like(path)
 
     return fill
 
 
-def sampled(
-    layout: Nodes,
-    samples: int | tuple[int, int] | None,
-    fill: Fill,
-    *,
-    wavenumber: float,
-    radius: float,
-    obscuration: float,
-    aperture: Aperture | None,
-) -> tuple[PupilNodes, Array, Array]:
-    """Return pupil nodes, and aberration (m) and amplitude on them.
+@dataclass(frozen=True, eq=False)
+class Sampling:
+    """Layout, number and pupil of the sample points of a wave.
 
-    ``fill`` evaluates both on given nodes. Without ``samples``, the number of nodes is increased
-    until the truncation error of both is negligible, or the largest number is reached.
+    Parameters
+    ----------
+    layout : {"polar", "cells", "grid"}
+        Layout of the nodes.
+    samples : int or (int, int), optional
+        Their number, as in `Wavefront.from_function`; by default as many as a function needs.
+    radius, obscuration : float
+        Outer radius of a disc or ring, m, and its inner radius divided by the outer.
+    outline : Aperture, optional
+        Outline of a pupil that is neither disc nor ring.
     """
-    for count in _trials(layout, samples, aperture):
-        nodes = pupil_nodes(layout, count, radius, obscuration, aperture)
-        path, amplitude = fill(nodes)
-        if layout == "grid" or samples is not None:
-            break
-        lack = 0.0
-        for values, scale in ((path, wavenumber), (amplitude, 1.0)):
-            if (values == values.flat[0]).all():
-                continue
-            # The rounding error of many waves of aberration must not count as truncation.
-            least = max(NEGLIGIBLE, 1e-13 * scale * float(np.abs(values).max()))
-            lack = max(lack, scale * _truncation(values, radius, obscuration, aperture) / least)
-        if lack <= 1:
-            break
-    return nodes, path, amplitude
 
+    layout: Nodes
+    samples: int | tuple[int, int] | None
+    radius: float
+    obscuration: float
+    outline: Aperture | None
 
-def _trials(
-    layout: Nodes, samples: int | tuple[int, int] | None, aperture: Aperture | None
-) -> Iterator[int | tuple[int, int]]:
-    """Yield the numbers of samples to try, in order."""
-    if samples is not None:
-        yield samples
-    elif layout == "grid":
-        yield GRID_SAMPLES
-    elif aperture is None:
-        yield from RADII
-    else:
-        n = len(aperture.owners)
-        sides = SIDES[1:] if any(side.turn.any() for side in aperture.patches) else SIDES
-        yield sides[0]
-        yield from (side for side in sides[1:] if n * side**2 <= MOST_NODES)
+    @property
+    def trials(self) -> list[int | tuple[int, int]]:
+        """Numbers of samples to try, in order."""
+        if self.samples is not None:
+            return [self.samples]
+        if self.layout == "grid":
+            return [GRID_SAMPLES]
+        if self.outline is None:
+            return [*RADII]
+        n = len(self.outline.owners)
+        sides = SIDES[1:] if any(side.turn.any() for side in self.outline.patches) else SIDES
+        return [sides[0], *(side for side in sides[1:] if n * side**2 <= MOST_NODES)]
 
+    def nodes(self, samples: int | tuple[int, int]) -> PupilNodes:
+        """Return a number of nodes."""
+        pupil, none = (self.radius, self.obscuration, self.outline), np.zeros((), dtype=np.int64)
+        if self.layout == "grid":
+            count = whole("samples", samples, 2)
+            if self.outline is not None:
+                return PupilNodes(self.layout, *self.outline.grid_nodes(count))
+            return PupilNodes(self.layout, *grid_nodes(self.radius, count, self.obscuration), none)
+        if self.outline is None:
+            counts = samples if isinstance(samples, tuple) else (samples, 4 * samples)
+            return PupilNodes(self.layout, *pupil_points(*pupil, counts), none)
+        owners = self.outline.owners[:, None, None]
+        counts = samples if isinstance(samples, tuple) else (samples, samples)
+        return PupilNodes(self.layout, *pupil_points(*pupil, (len(owners), *counts)), owners)
 
-def _truncation(
-    values: Array, radius: float, obscuration: float, aperture: Aperture | None
-) -> float:
-    """Estimate the truncation error of values on polar or cells nodes."""
-    if aperture is None:
-        return PolarSpectrum(values, radius, obscuration).truncation()
-    return CellSpectrum(values, aperture).truncation()
+    def filled(self, fill: Fill, wavenumber: float) -> tuple[PupilNodes, Array, Array]:
+        """Return nodes, and the aberration (m) and amplitude that ``fill`` gives on them.
+
+        Their number is increased until the truncation error of both is negligible.
+        """
+        trials = self.trials
+        for samples in trials:
+            nodes = self.nodes(samples)
+            path, amplitude = fill(nodes)
+            if samples == trials[-1]:
+                break
+            lack = 0.0
+            for values, scale in ((path, wavenumber), (amplitude, 1.0)):
+                if (values == values.flat[0]).all():
+                    continue
+                # The rounding error of many waves of aberration must not count as truncation.
+                least = max(NEGLIGIBLE, 1e-13 * scale * float(np.abs(values).max()))
+                series = spectrum(values, self.radius, self.obscuration, self.outline)
+                lack = max(lack, scale * series.truncation() / least)
+            if lack <= 1:
+                break
+        return nodes, path, amplitude
 
 
 def owned(name: str, values: Any, layout: str) -> Array:
@@ -319,8 +305,6 @@ def owned(name: str, values: Any, layout: str) -> Array:
             f"wavefront.{name} has shape {array.shape}; layout '{layout}' needs "
             f"{counted(dimension, 'dimension')}"
         )
-    if name == "aberration" and layout == "grid" and array.shape[0] != array.shape[1]:
-        raise SceneError(f"wavefront.{name} has shape {array.shape}; a grid is square")
     finite = np.isfinite(array)
     if not finite.all():
         where = tuple(int(i) for i in np.unravel_index(np.argmin(finite), array.shape))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SamplingError
+from ..aperture.curves import cross
 from ..aperture.quadrature_nodes import polar_nodes
 from .wavefront import Wavefront
 
@@ -56,9 +57,9 @@ def cell_areas(sites: Array, radius: float) -> tuple[Array, Array, NDArray[np.in
     for side in (0, 1):
         owner = pairs[:, side]
         a, b = start - points[owner], end - points[owner]
-        cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-        turn = np.sign(cross)
-        whole += np.bincount(owner, np.abs(cross) / 2, minlength=n + RING)
+        swept = cross(a, b)
+        turn = np.sign(swept)
+        whole += np.bincount(owner, np.abs(swept) / 2, minlength=n + RING)
         within += np.bincount(owner, turn * _sectors(start, end), minlength=n + RING)
     inner = (pairs < n).all(axis=1)
     scale = radius**2
@@ -79,18 +80,13 @@ def _sectors(a: Array, b: Array) -> Array:
     crosses &= (enter < 1) & (leave > 0)
     enter, leave = np.clip(enter, 0, 1), np.clip(leave, 0, 1)
     p, q = a + enter[:, None] * d, a + leave[:, None] * d
-    cut = _angle(a, p) / 2 + _cross(p, q) / 2 + _angle(q, b) / 2
+    cut = _angle(a, p) / 2 + cross(p, q) / 2 + _angle(q, b) / 2
     return np.where(crosses, cut, _angle(a, b) / 2)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross product of plane vectors (n, 2)."""
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 def _angle(a: Array, b: Array) -> Array:
     """Signed angle from a to b, rad."""
-    return np.asarray(np.arctan2(_cross(a, b), np.sum(a * b, axis=1)))
+    return np.asarray(np.arctan2(cross(a, b), np.sum(a * b, axis=1)))
 
 
 Indices = NDArray[np.int64]

@@ -16,15 +16,11 @@ from ..._nouns import Noun
 from ..._xarray import Labelled
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
-from ..aperture.cell_nodes import shared_cell_nodes
+from ..aperture.cell_nodes import pupil_points
 from ..aperture.quadrature_nodes import (
-    KEPT,
     fitting_pitch,
-    grid_nodes,
-    polar_nodes,
-    shared_polar_nodes,
 )
-from .cell_series import CellSpectrum
+from .cell_series import CellSpectrum, spectrum
 from .fits import fitted_terms
 from .node_checks import check_aperture, check_nodes, grid_pitch, wave_labels
 from .polar_series import PolarSpectrum
@@ -34,16 +30,16 @@ from .sampling import (
     Nodes,
     PupilFunction,
     PupilNodes,
+    Sampling,
     nodes_of,
     owned,
     polar_counts,
-    sampled,
     segment_terms,
     values_on,
     zernike_degree,
     zernike_fill,
 )
-from .zernikes import ORDERINGS, Ordering, kept_zernikes, zernike_sum
+from .zernikes import ORDERINGS, Ordering
 
 Array = NDArray[np.float64]
 Layout = Literal["polar", "cells", "grid", "scattered"]
@@ -123,7 +119,7 @@ class Wavefront(Noun, Shown, Labelled):
             raise SceneError("wavefront.image_distance = 0 m; the pupil cannot lie in the image")
         for name in ("wavelength", "image_distance", "pupil_radius", "obscuration"):
             put(self, name, float(getattr(self, name)))
-        check_aperture(self.layout, self.aperture, self.obscuration)
+        check_aperture("wavefront.layout", self.layout, self.aperture, self.obscuration)
         for name in ("u", "v", "aberration", "amplitude", "weights"):
             put(self, name, owned(name, getattr(self, name), self.layout))
             if getattr(self, name).shape != self.u.shape:
@@ -231,37 +227,11 @@ class Wavefront(Noun, Shown, Labelled):
         one_of("ordering", ordering, ORDERINGS)
         nodes = nodes_of(nodes, aperture, obscuration, samples)
         positive("pupil_radius", pupil_radius, unit="m")
-        if aperture is not None:
-            fill = zernike_fill(coefficients, pupil_radius, ordering, aperture)
-            given = fill, wavelength, image_distance, pupil_radius
-            return cls._filled(*given, aperture, nodes, samples, 0.0)
-        degree = zernike_degree(coefficients, ordering)
-        if nodes == "grid":
-            cells = 512 if samples is None else whole("samples", samples, 2)
-            u, v, weights = grid_nodes(pupil_radius, cells, obscuration)
-        else:
-            counts = polar_counts(degree, samples)
-            u, v, weights = shared_polar_nodes(pupil_radius, *counts, obscuration)
-        aberration = np.zeros(u.shape)
-        if nodes == "polar" and u.size <= KEPT and coefficients:
-            heights = [real(f"coefficients[{j}]", value) for j, value in coefficients.items()]
-            modes = kept_zernikes(tuple(coefficients), ordering, *u.shape, float(obscuration))
-            # einsum does not call BLAS, so results are bit-identical for any thread count.
-            aberration = np.einsum("m,mrt->rt", np.array(heights), modes)
-        elif coefficients:
-            aberration = zernike_sum(coefficients, u, v, pupil_radius, ordering)
-        return cls(
-            u=u,
-            v=v,
-            aberration=aberration,
-            amplitude=np.ones_like(u),
-            weights=weights,
-            wavelength=wavelength,
-            image_distance=image_distance,
-            pupil_radius=pupil_radius,
-            obscuration=obscuration,
-            layout=nodes,
-        )
+        if nodes == "polar":
+            samples = polar_counts(zernike_degree(coefficients, ordering), samples)
+        fill = zernike_fill(coefficients, pupil_radius, ordering, obscuration, aperture)
+        sampling = Sampling(nodes, samples, pupil_radius, obscuration, aperture)
+        return cls._filled(fill, sampling, wavelength, image_distance)
 
     @classmethod
     def from_function(
@@ -338,43 +308,28 @@ class Wavefront(Noun, Shown, Labelled):
                 return path, np.ones_like(path)
             return path, values_on("amplitude", amplitude, at)
 
-        given = fill, wavelength, image_distance, pupil_radius
-        return cls._filled(*given, aperture, layout, samples, obscuration)
+        sampling = Sampling(layout, samples, pupil_radius, obscuration, aperture)
+        return cls._filled(fill, sampling, wavelength, image_distance)
 
     @classmethod
     def _filled(
-        cls,
-        fill: Fill,
-        wavelength: float,
-        image_distance: float,
-        pupil_radius: float,
-        aperture: Aperture | None,
-        layout: Nodes,
-        samples: int | tuple[int, int] | None,
-        obscuration: float,
+        cls, fill: Fill, sampling: Sampling, wavelength: float, image_distance: float
     ) -> Wavefront:
         """Return the wave whose aberration and amplitude ``fill`` gives on nodes."""
-        found, path, size = sampled(
-            layout,
-            samples,
-            fill,
-            wavenumber=2 * np.pi / positive("wavelength", wavelength, unit="m"),
-            radius=pupil_radius,
-            obscuration=obscuration,
-            aperture=aperture,
-        )
+        wavenumber = 2 * np.pi / positive("wavelength", wavelength, unit="m")
+        nodes, path, size = sampling.filled(fill, wavenumber)
         return cls(
-            u=found.u,
-            v=found.v,
+            u=nodes.u,
+            v=nodes.v,
             aberration=path,
             amplitude=size,
-            weights=found.weights,
+            weights=nodes.weights,
             wavelength=wavelength,
             image_distance=image_distance,
-            pupil_radius=pupil_radius,
-            obscuration=obscuration,
-            layout=layout,
-            aperture=aperture,
+            pupil_radius=sampling.radius,
+            obscuration=sampling.obscuration,
+            layout=nodes.layout,
+            aperture=sampling.outline,
         )
 
     @classmethod
@@ -422,6 +377,8 @@ class Wavefront(Noun, Shown, Labelled):
         positive("pupil_pitch", pupil_pitch, unit="m")
         surface = owned("aberration", aberration, "grid")
         n = surface.shape[0]
+        if surface.shape != (n, n):
+            raise SceneError(f"wavefront.aberration has shape {surface.shape}; a grid is square")
         if amplitude is None:
             amplitude = np.ones_like(surface)
         axis = (np.arange(n) - n // 2) * float(pupil_pitch)
@@ -450,7 +407,7 @@ class Wavefront(Noun, Shown, Labelled):
         """Spacing of the sample points, m; raises `SamplingError` unless the layout is "grid"."""
         if self.layout != "grid":
             raise SamplingError(
-                f"a {self.layout} wavefront has no pupil pitch; sample it on a grid"
+                f"a {self.layout} wavefront has no pupil pitch; sample it with nodes='grid'"
             )
         return grid_pitch(self.u)
 
@@ -490,11 +447,7 @@ class Wavefront(Noun, Shown, Labelled):
             If the layout is "grid" or "scattered".
         """
         self._require_spectral("have more nodes")
-        if self.aperture is not None:
-            n_patches, n_s, n_t = counts
-            whole("the number of patches", n_patches, len(self.u), len(self.u))
-            return shared_cell_nodes(self.aperture, n_s, n_t)
-        return polar_nodes(self.pupil_radius, counts[0], counts[1], self.obscuration)
+        return pupil_points(self.pupil_radius, self.obscuration, self.aperture, counts)
 
     def series(self, values: Array) -> PolarSpectrum | CellSpectrum:
         """Return the polynomial series that interpolates a function known at the sample points.
@@ -515,9 +468,7 @@ class Wavefront(Noun, Shown, Labelled):
             If the layout is "grid" or "scattered".
         """
         self._require_spectral("have a series")
-        if self.aperture is not None:
-            return CellSpectrum(values, self.aperture)
-        return PolarSpectrum(values, self.pupil_radius, self.obscuration)
+        return spectrum(values, self.pupil_radius, self.obscuration, self.aperture)
 
     def resampled(self, *counts: int) -> Wavefront:
         """Return the wave interpolated to more sample points.

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..._checks import numbers, one_of, real, whole
 from ...errors import SceneError
 from ..aperture.aperture import Aperture
-from ..aperture.cell_nodes import shared_cell_nodes
-from ..aperture.quadrature_nodes import frozen, kept_polar_nodes
+from ..aperture.cell_nodes import pupil_points
+from ..aperture.quadrature_nodes import frozen
 
 Array = NDArray[np.float64]
 Ordering = Literal["noll", "osa", "fringe"]
@@ -151,31 +151,18 @@ def zernike_basis(
     return np.stack([zernike(index, rho, theta, ordering=ordering) for index in indices])
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=16)
 def kept_zernikes(
-    indices: tuple[int, ...], ordering: Ordering, n_r: int, n_theta: int, obscuration: float
-) -> Array:
-    """Zernike polynomials (n, n_r, n_theta) on at most `KEPT` polar nodes, cached and read-only."""
-    u, v, _ = kept_polar_nodes(1.0, n_r, n_theta, obscuration)
-    rho, theta = np.hypot(u, v), np.arctan2(v, u)
-    modes = np.empty((len(indices), n_r, n_theta))
-    for mode, index in zip(modes, indices, strict=True):
-        mode[...] = zernike(index, rho, theta, ordering=ordering)
-    return frozen(modes)
-
-
-@lru_cache(maxsize=8)
-def kept_cell_zernikes(
     indices: tuple[int, ...],
     ordering: Ordering,
-    aperture: Aperture,
-    n_s: int,
-    n_t: int,
     radius: float,
+    obscuration: float,
+    outline: Aperture | None,
+    counts: tuple[int, ...],
 ) -> Array:
-    """Zernike polynomials (n, nodes) on at most `KEPT` nodes of patches, cached and read-only."""
-    u, v, _ = shared_cell_nodes(aperture, n_s, n_t)
-    rho, theta = np.hypot(u, v).ravel() / radius, np.arctan2(v, u).ravel()
+    """Zernike polynomials (n, *counts) at nodes of `pupil_points`, cached and read-only."""
+    u, v, _ = pupil_points(radius, obscuration, outline, counts)
+    rho, theta = np.hypot(u, v) / radius, np.arctan2(v, u)
     return frozen(zernike_basis(indices, rho, theta, ordering=ordering))
 
 

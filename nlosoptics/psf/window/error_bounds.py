@@ -236,7 +236,7 @@ def soft_rim_error(residual: Residual, pitch: float, distance: Array | float) ->
     far = np.asarray(distance) + reach
     field = 3 * antialiased_disc.leak(far / period) * tail(far / unit)
     focus = 2 * antialiased_disc.leak(np.asarray(reach / period)) / max(math.pi * reach / unit, 1.0)
-    degree = max(residual.degrees(1e-3 * float(np.abs(residual.aberration).max())))
+    degree = max(residual.series.degrees(1e-3 * float(np.abs(residual.aberration).max())))
     steep = 2 * math.pi * residual.rays.slope * pitch / wave.wavelength
     edge = CONTINUATION * steep * degree * (2 / n) ** 2
     edges = 1 / (1 - wave.obscuration)  # length of both rims over area, 1 for a disc

@@ -113,7 +113,7 @@ def pupil_grid(residual: Residual) -> PupilGrid:
     values = size * np.exp(1j * residual.wavenumber * residual.aberration)
     cut = wave.aperture is not None or np.ptp(wave.weights) > 0
     rim: Literal["cut", "map"] = "cut" if cut else "map"
-    return PupilGrid(values, wave.pupil_pitch, residual.grid_jump()[0], rim)
+    return PupilGrid(values, wave.pupil_pitch, residual.jump()[0], rim)
 
 
 def grid_size(radius: float, pitch: float) -> int:

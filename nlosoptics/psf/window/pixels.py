@@ -72,13 +72,6 @@ class PixelRule:
         """Return pixel means along the first axis of samples (n factor + 2 margin, columns)."""
         return self.mean(np.ascontiguousarray(fine.T)).T
 
-    def matrix(self, samples: int) -> Array:
-        """Return the matrix (pixels, samples) that averages fine samples over pixels."""
-        matrix = np.zeros((self.count(samples), samples))
-        for row, line in enumerate(matrix):
-            line[row * self.factor : row * self.factor + self.taps.size] = self.taps
-        return matrix
-
     def count(self, samples: int) -> int:
         """Return the number of pixels that a number of fine samples gives."""
         return (samples - 2 * self.margin) // self.factor

@@ -103,25 +103,8 @@ def default_shape(residual: Residual, pitch: float) -> tuple[int, int]:
     SamplingError
         If it would need more than 4096 samples per side.
     """
-    return square_shape(ray_reach(residual), residual.airy_unit, pitch, 256)
-
-
-def square_shape(reach: float, unit: float, pitch: float, least: int) -> tuple[int, int]:
-    """Return the shape of a window that holds 16 Airy units beyond a distance, as `default_shape`.
-
-    Parameters
-    ----------
-    reach : float
-        Distance from the axis along x or y at which the farthest ray lands, m.
-    unit : float
-        Airy unit, m.
-    pitch : float
-        Pitch of the samples, m.
-    least : int
-        Least samples per side.
-    """
-    half = reach + 16 * unit
-    n = max(least, 2 * math.ceil(half / pitch))
+    half = ray_reach(residual) + 16 * residual.airy_unit
+    n = max(256, 2 * math.ceil(half / pitch))
     if n > WIDEST_DEFAULT:
         raise SamplingError(
             f"the spot reaches {half:.3g} m from the axis, which takes {n} samples of {pitch:.3g} "
@@ -261,14 +244,8 @@ def peak_pixel(residual: Residual, pitch: float) -> float:
     rays, unit = residual.rays, residual.airy_unit
     # Bins are not finer than the Airy disc, which blurs the rays.
     side = max(pitch, 2 * unit)
-    if residual.wavefront.layout == "polar":
-        # Trace several rays per bin: otherwise a single ray would count as a peak.
-        n_r = min(max(24, math.ceil(4 * rays.reach / side)), 400)
-        rays = residual.traced(n_r, 4 * n_r)
-    elif residual.wavefront.layout == "cells":
-        shape = residual.wavefront.u.shape
-        n = min(max(shape[1], math.ceil(4 * rays.reach / side)), math.ceil(700 / shape[0] ** 0.5))
-        rays = residual.traced(shape[0], n, n)
+    # Several rays per bin: otherwise a single ray would count as a peak.
+    rays = residual.dense_rays(math.ceil(4 * rays.reach / side))
     ratio = pitch / unit
     # A product, since a power of a huge ratio would raise OverflowError.
     airy = min(1.0, math.pi / 4 * (ratio * ratio))

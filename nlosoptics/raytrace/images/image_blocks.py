@@ -83,7 +83,7 @@ class ImagedRays(Rays):
             self.first,
             (np.where(met, bounce, 0), self.job.max_bounces + 1),
             power,
-            # of one layout in memory, so that the kernel is compiled once
+            # of one order in memory, so that the kernel is compiled once
             np.ascontiguousarray(length),
             vertices[0][:, kernels.LENGTH],
             vertices[-1],

@@ -121,7 +121,7 @@ def test_bad_coefficients_are_told_by_their_index():
 
 def test_wavefronts_that_do_not_fit_their_aperture_are_refused():
     wave = psf.Wavefront.from_function(None, aperture=BOX, **SYSTEM)
-    with pytest.raises(SceneError, match="aperture is missing"):
+    with pytest.raises(SceneError, match="without an aperture"):
         replace(wave, aperture=None)
     with pytest.raises(SceneError, match="off the nodes of layout 'cells'"):
         replace(wave, u=wave.u + 1e-6)

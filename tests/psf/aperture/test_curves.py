@@ -10,7 +10,7 @@ from pytest import approx
 
 from nlosoptics import psf
 from nlosoptics.errors import SceneError
-from nlosoptics.psf.aperture import polygons, quadrature_nodes
+from nlosoptics.psf.aperture import cell_nodes, polygons, quadrature_nodes
 
 T = np.linspace(0.0, 1.0, 20001)
 
@@ -59,7 +59,7 @@ def test_polar_nodes_integrate_polynomials(n_r, n_theta, obscuration):
                     1.7 ** (degree + 2) * (1 - obscuration ** (degree + 2)) / (degree + 2) * angle
                 )
             assert np.sum(weights * u**i * v**j) == approx(exact, rel=1e-12, abs=1e-12)
-    shared = quadrature_nodes.shared_polar_nodes(1.7, n_r, n_theta, obscuration)
+    shared = cell_nodes.pupil_points(1.7, obscuration, None, (n_r, n_theta))
     for one, own in zip(shared, (u, v, weights), strict=True):
         assert np.array_equal(one, own)
         assert not one.flags.writeable

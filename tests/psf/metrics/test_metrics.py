@@ -98,8 +98,16 @@ def test_encircled_energy_of_the_dark_rings(row):
     assert psf.encircled_energy(spread, radius) == approx(float(row["value"]), abs=2e-5)
 
 
-def test_encircled_energy_of_an_aberrated_wave():
-    wave = psf.Wavefront.from_zernike({2: 2e-7, 6: 1e-7, 8: 3e-7}, obscuration=0.3, **SYSTEM)
+@pytest.mark.parametrize(
+    "pupil",
+    [
+        {"obscuration": 0.3},
+        {"aperture": psf.Aperture.hexagons(1, 0.6 * SYSTEM["pupil_radius"], 0.0)},
+    ],
+    ids=["ring", "hexagons"],
+)
+def test_encircled_energy_of_an_aberrated_wave(pupil):
+    wave = psf.Wavefront.from_zernike({2: 2e-7, 6: 1e-7, 8: 3e-7}, **pupil, **SYSTEM)
     radii = np.array([[0.0, 1e-6], [4e-6, 2e-5]])
     energy = psf.encircled_energy(wave, radii)
     spread = psf.point_spread(wave, pitch=UNIT / 16, shape=801, model="scalar")

@@ -76,7 +76,12 @@ def test_tilt_is_the_weighted_plane(name, even):
     heights = rest.ravel()
     mean = np.sum(share * heights) / share.sum()
     found = residual.heights
-    assert (found.low, found.high) == approx((heights[lit].min(), heights[lit].max()), rel=1e-12)
+    low, high = heights[lit].min(), heights[lit].max()
+    if residual.has_series:  # which is known on the rims as well
+        assert found.low < low
+        assert found.high > high
+    else:
+        assert (found.low, found.high) == approx((low, high), rel=1e-12)
     assert found.mean == approx(mean, abs=1e-16)
     rms = math.sqrt(np.sum(share * (heights - mean) ** 2) / share.sum())
     assert found.rms == approx(rms, rel=1e-9)
@@ -112,13 +117,13 @@ def test_rays_land_by_their_slopes(name, even):
     size = np.hypot(rays.x, rays.y)
     assert rays.slope == approx(size.max() / abs(DISTANCE), rel=1e-12)
     assert rays.reach == approx(max(np.abs(rays.x).max(), np.abs(rays.y).max()), rel=1e-12)
-    assert rays.rms == approx(math.sqrt(np.sum(rays.energy * size**2)), rel=1e-12)
     if wave.is_spectral:
         more = residual.traced(
             *(n if i < wave.u.ndim - 2 else n + 3 for i, n in enumerate(wave.u.shape))
         )
         assert more.energy.sum() == approx(1.0, rel=1e-12)
-        assert more.rms == approx(rays.rms, rel=1e-9)
+        squares = (np.sum(r.energy * (r.x**2 + r.y**2)) for r in (more, rays))
+        assert next(squares) == approx(next(squares), rel=1e-9)
         assert_allclose(residual.traced(*wave.u.shape[:-2], 2, 2).x, rays.x, atol=1e-15)
 
 
@@ -148,7 +153,7 @@ def test_differences_on_a_grid():
                     step = abs(rest[i + di, j + dj] - rest[i, j])
                     if lit[i + di, j + dj] and step > worst:
                         worst, where = step, (i, j)
-    jump, place = residual.grid_jump()
+    jump, place = residual.jump()
     assert jump == approx(worst / WAVELENGTH, rel=1e-12)
     assert place == where
     assert residual.spacing == pitch
@@ -171,14 +176,11 @@ def test_widths_and_pitches():
     expected = np.abs(narrow.u[lit]).max() + narrow.pupil_pitch / 2
     assert split(narrow).half_width == approx(expected, rel=1e-12)
     with pytest.raises(
-        SamplingError, match="a polar wavefront has no pupil pitch; sample it on a g"
+        SamplingError, match="a polar wavefront has no pupil pitch; sample it with n"
     ):
         _ = wave_of("polar").pupil_pitch
-    with pytest.raises(SamplingError, match="aperture is missing; sample it with nodes='cells'"):
-        _ = split(wave_of("polar")).aperture
     with pytest.raises(SamplingError, match="layout 'cells' cannot be resampled to a grid; sampl"):
         _ = split(wave_of("cells")).polar_series
-    assert split(wave_of("cells")).aperture == PENTAGON
 
 
 def test_flat_and_plane_waves():
@@ -188,9 +190,9 @@ def test_flat_and_plane_waves():
             assert residual.is_plane
             assert residual.tilt == (0.0, 0.0)
             assert tuple(residual.heights) == (0.0, 0.0, 0.0, 0.0)
-            assert residual.is_flat == (name in ("polar", "ring") and size is None)
+            assert residual.is_flat == (size is None)
             rays = residual.rays
-            assert (rays.slope, rays.reach, rays.rms) == (0.0, 0.0, 0.0)
+            assert (rays.slope, rays.reach) == (0.0, 0.0)
             assert rays.energy.sum() == approx(1.0, rel=1e-12)
 
 
@@ -207,18 +209,24 @@ def test_figures_of_a_regime(name):
     assert found.rayleigh_parameter == 0.7
     assert found.coherent_fraction == approx(math.exp(-0.49), rel=1e-12)
     assert regime(residual, 1e-6).coherent_fraction == 1.0
-    if name in ("polar", "ring"):
+    if residual.has_series:
         turns = np.linspace(0, 2 * math.pi, 41)[:-1]
         rims = [RADIUS, 0.3 * RADIUS if name == "ring" else 0.0]
         u, v = (np.concatenate([r * f(turns) for r in rims]) for f in (np.cos, np.sin))
+        if name == "cells":  # the sides of the pentagon
+            corners = 3.5e-3 * np.exp(1j * (0.2 + 2 * math.pi * np.arange(6) / 5))
+            sides = np.interp(np.linspace(0, 5, 2001), np.arange(6), corners)
+            u, v = sides.real, sides.imag
         wave = residual.wavefront
         rest = path(u, v) - residual.tilt[0] * u - residual.tilt[1] * v
         # the piston that was removed
-        rest -= (path(wave.u, wave.v) - residual.tilt[0] * wave.u - residual.tilt[1] * wave.v)[0, 0]
-        rest += residual.aberration[0, 0]
-        low = min(residual.heights.low, rest.min())
-        high = max(residual.heights.high, rest.max())
-        assert found.peak_to_valley == approx((high - low) / WAVELENGTH, rel=1e-9)
+        moved = path(wave.u, wave.v) - residual.tilt[0] * wave.u - residual.tilt[1] * wave.v
+        rest += (residual.aberration - moved).flat[0]
+        low = min(residual.aberration.min(), rest.min())
+        high = max(residual.aberration.max(), rest.max())
+        # on the sides of patches the extremes may lie between nodes
+        rel = 1e-2 if name == "cells" else 1e-9
+        assert found.peak_to_valley == approx((high - low) / WAVELENGTH, rel=rel)
     else:
         spread = residual.heights.high - residual.heights.low
         assert found.peak_to_valley == approx(spread / WAVELENGTH, rel=1e-12)
@@ -309,12 +317,12 @@ def test_nodes_of_cells_and_grids():
     patches = rf"\({shape[0] - 1}, {shape[1]}, {shape[2]}\); the aperture's {shape[0]} patches need"
     with pytest.raises(SceneError, match=f"wavefront.u has shape {patches}"):
         replace(cells, **fewer)
-    with pytest.raises(SceneError, match="aperture is missing, layout 'cells' needs it; give it"):
+    with pytest.raises(SceneError, match="layout = 'cells' without an aperture; give one or"):
         replace(cells, aperture=None)
     with pytest.raises(SceneError, match="layout = 'polar' cannot follow an aperture; use 'cells'"):
         wave_with(aperture=PENTAGON)
     with pytest.raises(
-        SceneError, match=r"obscuration = 0\.2 with an aperture, limit 0; make it part"
+        SceneError, match=r"obscuration = 0\.2 with an aperture, limit 0; make the obs"
     ):
         replace(cells, obscuration=0.2)
 
@@ -328,7 +336,7 @@ def test_nodes_of_cells_and_grids():
             ("hexagonal", None, 0.0, None),
             "nodes = 'hexagonal' is unknown, must be one of polar, ce",
         ),
-        (("cells", None, 0.0, None), "nodes = 'cells' without an aperture; give one, or use 'pol"),
+        (("cells", None, 0.0, None), "nodes = 'cells' without an aperture; give one or use 'pol"),
         (("polar", PENTAGON, 0.0, None), "nodes = 'polar' cannot follow an aperture; use 'cells'"),
         ((None, PENTAGON, 0.2, None), "obscuration = 0.2 with an aperture, limit 0; make the obs"),
         (("grid", None, 0.0, (30, 30)), r"samples = \(30, 30\); a grid is square, give one whole"),

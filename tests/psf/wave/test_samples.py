@@ -14,7 +14,7 @@ from nlosoptics.psf.wave.cell_series import CellSpectrum
 from nlosoptics.psf.wave.detilted import split
 from nlosoptics.psf.wave.polar_series import PolarSpectrum
 from nlosoptics.psf.wave.regime import regime
-from nlosoptics.psf.wave.sampling import _trials, owned, pupil_nodes
+from nlosoptics.psf.wave.sampling import Sampling, owned
 
 WAVELENGTH, RADIUS, DISTANCE = 5.3e-7, 4e-3, 0.07
 SYSTEM = {"wavelength": WAVELENGTH, "pupil_radius": RADIUS, "image_distance": DISTANCE}
@@ -62,7 +62,7 @@ def test_moved_segments(nodes):
             {"tilts": [1e-8, 0]},
             r"tilts have shape \(2,\); give \(2, 2\), slopes dW/du and dW/dv of",
         ),
-        ({"pistons": ["a", "b"]}, r"pistons are not numbers; give shape \(2,\), m"),
+        ({"pistons": ["a", "b"]}, r"pistons = .* is no array of numbers; give floats"),
         ({"pistons": [0, math.inf]}, r"pistons\[1\] = inf; give finite numbers, m"),
         ({"tilts": [[0, math.nan], [0, 0]]}, r"tilts\[0\] = .*nan.*; give finite numbers, slopes"),
         (
@@ -150,36 +150,36 @@ def test_cells_are_divided_until_they_suffice(aperture, turns):
 
 
 def test_trials():
-    assert [*_trials("polar", None, None)] == [24, 48, 96, 192]
-    assert [*_trials("polar", (3, 5), None)] == [(3, 5)]
-    assert [*_trials("grid", None, None)] == [512]
-    assert [*_trials("grid", 17, SEGMENTS)] == [17]
-    assert [*_trials("cells", None, SEGMENTS)] == [8, 12, 16, 24, 32, 48, 64]
-    assert [*_trials("cells", None, ROUND)] == [12, 16, 24, 32, 48, 64]
+    assert Sampling("polar", None, RADIUS, 0.0, None).trials == [24, 48, 96, 192]
+    assert Sampling("polar", (3, 5), RADIUS, 0.0, None).trials == [(3, 5)]
+    assert Sampling("grid", None, RADIUS, 0.0, None).trials == [512]
+    assert Sampling("grid", 17, RADIUS, 0.0, SEGMENTS).trials == [17]
+    assert Sampling("cells", None, RADIUS, 0.0, SEGMENTS).trials == [8, 12, 16, 24, 32, 48, 64]
+    assert Sampling("cells", None, RADIUS, 0.0, ROUND).trials == [12, 16, 24, 32, 48, 64]
     # at most a million nodes after the first trial
     row = psf.Aperture.union(
         *(psf.Aperture.regular(6, 2e-4).moved((5e-4 * i, 0.0)) for i in range(-49, 50))
     )
     n = len(row.owners)
     sides = [8, *(side for side in (12, 16, 24, 32, 48, 64) if n * side**2 <= 1_000_000)]
-    assert [*_trials("cells", None, row)] == sides
+    assert Sampling("cells", None, RADIUS, 0.0, row).trials == sides
     assert len(sides) < 7
 
 
 def test_nodes_by_layout():
-    polar = pupil_nodes("polar", (3, 10), 2.0, 0.3, None)
+    polar = Sampling("polar", None, 2.0, 0.3, None).nodes((3, 10))
     assert_allclose(polar.u, psf.polar_nodes(2.0, 3, 10, 0.3)[0])
-    assert pupil_nodes("polar", 3, 2.0, 0.3, None).u.shape == (3, 12)
-    grid = pupil_nodes("grid", 7, 2.0, 0.3, None)
+    assert Sampling("polar", None, 2.0, 0.3, None).nodes(3).u.shape == (3, 12)
+    grid = Sampling("grid", None, 2.0, 0.3, None).nodes(7)
     assert_allclose(grid.weights, psf.grid_nodes(2.0, 7, 0.3)[2])
-    cells = pupil_nodes("cells", (4, 6), RADIUS, 0.0, SEGMENTS)
+    cells = Sampling("cells", None, RADIUS, 0.0, SEGMENTS).nodes((4, 6))
     assert cells.u.shape[1:] == (4, 6)
-    assert pupil_nodes("cells", 5, RADIUS, 0.0, SEGMENTS).u.shape[1:] == (5, 5)
+    assert Sampling("cells", None, RADIUS, 0.0, SEGMENTS).nodes(5).u.shape[1:] == (5, 5)
     assert_allclose(cells.owners[:, 0, 0], SEGMENTS.owners)
-    lit = pupil_nodes("grid", 30, RADIUS, 0.0, SEGMENTS)
+    lit = Sampling("grid", None, RADIUS, 0.0, SEGMENTS).nodes(30)
     assert lit.weights.sum() == approx(SEGMENTS.area, rel=1e-12)
     with pytest.raises(SceneError, match="samples = 1 is out of range"):
-        pupil_nodes("grid", 1, 2.0, 0.0, None)
+        Sampling("grid", None, 2.0, 0.0, None).nodes(1)
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,6 @@ def test_nodes_by_layout():
         ),
         (np.zeros((4, 4)), "cells", r"has shape \(4, 4\); layout 'cells' needs 3 dimensions"),
         (np.zeros((0, 4)), "polar", r"has shape \(0, 4\); layout 'polar' needs 2 dimensions"),
-        (np.zeros((3, 4)), "grid", r"has shape \(3, 4\); a grid is square"),
         (
             [[0, 1], [math.nan, 0]],
             "grid",
@@ -210,7 +209,7 @@ def test_refused_arrays(values, layout, message):
 
 def test_owned_arrays():
     given = np.ones((3, 4), dtype=np.float32)
-    found = owned("amplitude", given, "grid")  # only the aberration is checked for squares
+    found = owned("amplitude", given, "grid")
     assert (found.dtype, found.shape, found.flags.writeable) == (np.float64, (3, 4), False)
     assert owned("aberration", np.ones((3, 4)), "polar").shape == (3, 4)
 
@@ -306,7 +305,7 @@ def test_squares_of_two_segments():
                     wide = max(wide, abs(phase[a, b] - phase[i, j]))
     assert residual.mixed_area == approx(wide * (total - most).sum() / total.sum(), rel=1e-12)
     # the step between the segments is no slope
-    assert residual.grid_jump()[0] * WAVELENGTH < 0.5e-7
+    assert residual.jump()[0] * WAVELENGTH < 0.5e-7
 
 
 def test_faint_scattered_nodes_are_dark():
