@@ -18,7 +18,6 @@ from ...raytrace import PointTrace, ray_plan, trace_point
 from ...raytrace.light.trace import MOST, MOST_BOUNCES
 from ...raytrace.light.trace_point import EMISSIONS, Emission, point_normal, point_scene
 from ...scene import Scene
-from ...scene.parts._material import MirrorLobe
 from ..pupil.scene_optics import PointOptics, SceneOptics
 from ..pupil.wall_wavefront import AimedWave
 from ..rough.mean import detilted_mean
@@ -27,9 +26,8 @@ from ..rough.source import rough_view
 from ..rough.view import RoughView
 from ..transform.point_spread import PointSpread
 from ..wave.regime import regime
-from ..wave.wavefront import Wavefront
 from ..window.window import check_rays, middle, shape_of, window_side
-from .lobe_psf import ROUGH, lobe_roughness, split_lobes
+from .scene_psf import mirror_lobes
 
 Array = NDArray[np.float64]
 
@@ -58,23 +56,6 @@ class WaveParts:
     halo_flux: float
     reason: str  # Method, for `PointSpread.reason`
     model_error: float = 0.0  # Largest error of the scalar model, W per pixel
-
-
-def image_lobes(
-    scene: Scene, roughness: Roughness | None
-) -> list[tuple[float, Roughness | MirrorLobe]]:
-    """Return reflectance and statistics of each mirror-like lobe, those without slope as one.
-
-    The statistics are the given ``roughness``, or the lobe itself if none is given.
-    """
-    if roughness is not None:
-        lobes: list[tuple[float, Roughness | MirrorLobe]]
-        lobes = [(scene.wall_material.specular_reflectance, roughness)]
-    else:
-        rough, smooth = split_lobes(scene)
-        lobes = [(smooth, Roughness(0.0, 1.0))]
-        lobes += [(lobe.specular_reflectance, lobe) for lobe in rough]
-    return [lobe for lobe in lobes if lobe[0] > 0.0]
 
 
 def mirror_image(seen: PointOptics, aimed: AimedWave, normal: Array | None) -> MirrorImage:
@@ -128,7 +109,7 @@ def _past_the_field_stop(scene: Scene, on_wall: Array, on_lens: Array) -> float:
 def wave_parts(
     seen: PointOptics,
     mirror: MirrorImage,
-    lobes: list[tuple[float, Roughness | MirrorLobe]],
+    lobes: list[tuple[float, RoughView]],
     pitch: float,
     shape: tuple[int, int],
     tol: float,
@@ -142,8 +123,7 @@ def wave_parts(
     side = window_side(residual, pitch, tol, mirror.aimed.outline)
     smooth, scattered = 0.0, 0.0
     reasons = ["waves for the mirror image, rays for all other paths"]
-    for reflectance, given in lobes:
-        view = _view(seen, residual.wavefront, given)
+    for reflectance, view in lobes:
         # in units of `RoughView.halo`, for a Gaussian C and for any other
         half = math.ceil((6 if view.has_tails else 1.5) * view.halo(residual.wavefront) / pitch)
         inner = min(side + 2 * half, shape[0]), min(side + 2 * half, shape[1])
@@ -158,14 +138,6 @@ def wave_parts(
         scattered += watts * view.scattered_fraction
         reasons.append(mean.reason)
     return WaveParts(coherent, halo, error, smooth, scattered, "; ".join(reasons), model_error)
-
-
-def _view(seen: PointOptics, wave: Wavefront, given: Roughness | MirrorLobe) -> RoughView:
-    """Return the view of a roughness, or of the heights that represent a lobe's slopes."""
-    if not isinstance(given, Roughness):
-        per_metre = 2 * math.pi / wave.wavelength * seen.view.cos_sum
-        given = lobe_roughness(given, ROUGH, ROUGH / per_metre)
-    return rough_view(wave, seen.view, given)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -326,9 +298,12 @@ def hybrid_point_spread(
     pitch = alone.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     size = alone.camera.shape if shape is None else shape_of(shape)
     fits_memory(f"a shape of {size[0]} x {size[1]} pixels", 128.0 * math.prod(size), "use fewer")
-    lobes = image_lobes(alone, roughness)
     normal = point_normal(scene) if emission == "lambertian" else None
     seen = SceneOptics(alone).reference
+    lobes = [(lobe.share, lobe.view) for lobe in mirror_lobes(seen)]
+    if roughness is not None:
+        view = rough_view(seen.first.wave, seen.view, roughness)
+        lobes = [(sum(share for share, _ in lobes), view)] if lobes else []
 
     def parts(aimed: AimedWave) -> tuple[MirrorImage, WaveParts]:
         mirror = mirror_image(seen, aimed, normal)
