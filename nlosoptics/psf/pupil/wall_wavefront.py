@@ -261,7 +261,8 @@ def aimed_wave(
     aberration[lit] -= on_lens @ np.array(tilt)
     amplitude[lit] = np.sqrt(rays.spreading[1:] / rays.spreading[0])
     whole = float(weights.sum())
-    weights = weights * _share_on_wall(scene.wall, rays.points[1:], lit, layout)
+    if aperture is None:  # cells already follow the edge
+        weights = weights * _share_on_wall(scene.wall, rays.points[1:], lit, layout)
     if not weights.any():
         raise SceneError(
             f"light from object_point = {tuple(o.tolist())} m is reflected to the lens by no part "
@@ -361,8 +362,6 @@ def _pupil_nodes(
 
 def _share_on_wall(wall: Wall, hits: Array, lit: NDArray[np.bool_], layout: Layout) -> Array:
     """Fraction of each node's area that receives light by the wall, in the shape of ``lit``."""
-    if layout == "cells":
-        return np.ones(lit.shape)  # the cells already follow the edge
     share = np.zeros(lit.shape)
     share[lit] = wall.contains(hits[:, 0], hits[:, 1])
     if layout == "polar" and not share.all():

@@ -20,10 +20,9 @@ Array = NDArray[np.float64]
 NODES: Final = 12
 #: Distance between rows of an equilateral lattice of side 1.
 ROW: Final = math.sqrt(0.75)
-#: Separations, in cells, below which the sum is used, and beyond which the table is periodic.
-OUT = 3
-#: First row and column of the table, in cells; separations below 2 cells lie beyond -2.31.
-FIRST: Final = -2.5
+#: First and last row and column of the table, in cells. It serves separations up to 2 cells, whose
+#: rows and columns lie beyond -2.31, and one period.
+FIRST, LAST = -2.5, 3.0
 #: Points of the table per cell.
 PER_CELL: Final = 32
 
@@ -100,7 +99,7 @@ class FacetView(RoughView):
         row = y / (self.roughness.cell * ROW)
         place = np.stack([row, x / self.roughness.cell - 0.5 * row])
         # the transfer function is periodic there
-        place = np.where(lag > OUT - 1, OUT - 1 + place % 1.0, place)
+        place = np.where(lag > LAST - 1, LAST - 1 + place % 1.0, place)
         close = lag < 1.2
         found[close] = self._summed(x[close], y[close])
         found[~close] = ndimage.map_coordinates(
@@ -124,7 +123,7 @@ class FacetView(RoughView):
         from scipy import ndimage
 
         # a quarter of a cell beyond all points in use, where the spline depends on its boundary
-        steps = FIRST + np.arange((OUT + 0.25 - FIRST) * PER_CELL) / PER_CELL
+        steps = FIRST + np.arange((LAST + 0.25 - FIRST) * PER_CELL) / PER_CELL
         row, column = np.meshgrid(steps, steps, indexing="ij")
         cell = self.roughness.cell
         values = self._summed((column + 0.5 * row) * cell, row * cell * ROW)

@@ -20,8 +20,8 @@ from ..window.rim_tails import edge_ratio
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-#: Peak memory per cell, bytes.
-CELL_BYTES = 400.0
+#: Peak memory per cell, bytes, and least number of cells across the pupil.
+CELL_BYTES, LEAST_CELLS = 400.0, 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def cells_across(residual: Residual, error: float | None = None) -> int:
         return math.ceil(max(512, waves / 0.08))
     step = min(0.25, max(0.08, math.sqrt(math.cbrt(1.5e3 * error)) / (2 * math.pi)))
     rim, slope = math.cbrt(0.025 / error) ** 2, math.sqrt(0.06 * waves / error)
-    return math.ceil(max(128.0, waves / step, rim, slope))
+    return math.ceil(max(LEAST_CELLS, waves / step, rim, slope))
 
 
 def _on_grid(residual: Residual, n: int) -> tuple[ComplexArray, Array, float]:

@@ -20,7 +20,7 @@ from ..transform.wide_pixels import MODEL, binned, tail_pixels
 from ..wave.detilted import Residual
 from ..window.rim_tails import edge_ratio
 from ..window.window import Window, peak_pixel, ray_reach
-from .otf import CELL_BYTES, Transfer, cells_across, transfer
+from .otf import CELL_BYTES, LEAST_CELLS, Transfer, cells_across, transfer
 from .view import RoughView
 
 Array = NDArray[np.float64]
@@ -217,24 +217,29 @@ class Scattering:
 
     def seconds(self, cells: int = 0) -> float:
         """Predict the run time on one core, s; ``cells`` across a pupil grid still to be made."""
-        nodes, points = self._nodes, math.prod(self._inner.shape)
-        lattices = self._across(cells) ** 2 * (1.25 if self.first_cells else 2.0)
-        lattices *= 5.0 if self._is_refined else 1.0
-        taken = nodes if self._is_narrow else nodes[:2]
-        again = sum(taken) + (taken[-1] if self.first_cells else 0.0)
+        taken = self._nodes[: 2 if not self._is_narrow else 3 if self.tol > 1e-4 else 4]
+        if self.residual.is_flat:  # whose transfer function is a closed form
+            lattices, images = 0.0, 0
+        else:
+            lattices = self._across(cells) ** 2 * (1.25 if self.first_cells else 2.0)
+            images = taken[-1] if self.first_cells else 0  # of the coarser cells
+        # finer cells are needed in about half of the cases, and take twice as long
+        again = 1.5 if self._may_refine else 1.0
         pixels = 0 if self._inner is self.window else math.prod(self.window.shape)
-        seconds = costs.scattered(lattices, again, points, pixels)
-        seconds += self.view.term_seconds * sum(taken)
-        # then some waves need finer cells, which take up to five times as long
-        return seconds * (1.4 if self.tol < 1e-4 else 1.0)
+        seconds = costs.scattered(
+            again * lattices, again * (sum(taken) + images), math.prod(self._inner.shape), pixels
+        )
+        return seconds + self.view.term_seconds * sum(taken)
 
     def n_bytes(self, cells: int = 0) -> float:
         """Predict the peak memory, bytes; ``cells`` as for `seconds`."""
         nodes = self._nodes[3 if self.tol < 6e-4 or self._is_narrow else 1]
-        finer = 3.0 if self._is_refined else 2.0 if self.tol < 3e-4 and self.first_cells else 1.0
-        across = self._across(cells) * finer
+        finer = 2.0 if self.tol < 3e-4 and self.first_cells else 1.4 if self._may_refine else 1.0
+        if self._waves > 1.0 and self._is_narrow and self.first_cells:
+            finer = 3.0
         in_sum = NODE_BYTES * nodes + PIXEL_BYTES * math.prod(self._inner.shape)
-        return max(CELL_BYTES * across**2, in_sum) + PIXEL_BYTES * math.prod(self.window.shape)
+        lattice = CELL_BYTES * (finer * self._across(cells)) ** 2
+        return max(lattice, in_sum) + PIXEL_BYTES * math.prod(self.window.shape)
 
     def run(self, coherent: Array) -> tuple[Array, float]:
         """Compute the scattered energy (ny, nx), and its error.
@@ -294,10 +299,17 @@ class Scattering:
         return self.view.last_lag(1e-3) > on_wall
 
     @property
-    def _is_refined(self) -> bool:
-        """Whether the cells are probably halved once."""
-        waves = self._edge * self.residual.rays.slope / self.residual.wavefront.wavelength
-        return self.first_cells > 0 and waves > 1.0 and self._is_narrow
+    def _waves(self) -> float:
+        """Aberration across the pupil at the steepest slope, waves."""
+        return self._edge * self.residual.rays.slope / self.residual.wavefront.wavelength
+
+    @property
+    def _may_refine(self) -> bool:
+        """Whether finer cells are probable: for aberrations, beyond the least number of cells."""
+        if self.first_cells == 0:
+            return False
+        narrow = 5.0 if self._is_narrow else math.inf
+        return self._waves > (1.0 if self.first_cells > LEAST_CELLS else narrow)
 
     @cached_property
     def _blur(self) -> tuple[float, float]:

@@ -204,8 +204,9 @@ class Lobe:
         return far * self.blur
 
 
-#: Lobe without slopes, of reflectance 1.
-SMOOTH: Final = Lobe(1.0, RoughView(Roughness(0.0, 1.0), np.eye(2), 0.0), 0.0)
+def smooth_lobe(share: float) -> Lobe:
+    """Return a lobe without slopes."""
+    return Lobe(share, RoughView(Roughness(0.0, 1.0), np.eye(2), 0.0), 0.0)
 
 
 def mirror_lobes(seen: PointOptics) -> tuple[Lobe, ...]:
@@ -225,7 +226,7 @@ def mirror_lobes(seen: PointOptics) -> tuple[Lobe, ...]:
             turn = cosines * float(np.linalg.norm(seen.view.footprint, 2)) * lobe.slope_rms
             view, blur = rough_view(wave, seen.view, heights), turn * abs(wave.image_distance)
             lobes.append(Lobe(share, view, blur, getattr(lobe, "distribution", "") == "ggx"))
-    return (*lobes, replace(SMOOTH, share=smooth)) if smooth > 0 else tuple(lobes)
+    return (*lobes, smooth_lobe(smooth)) if smooth > 0 else tuple(lobes)
 
 
 def lobe_roughness(lobe: MirrorLobe, height_rms: float) -> Roughness:
@@ -307,7 +308,7 @@ def scene_lobes(seen: PointOptics) -> tuple[Lobe, ...]:
     if seen.scene.wall_roughness is not None:
         view = roughness_view(seen)
         return (Lobe(1.0, view, view.halo(seen.first.wave) / 3),)
-    return mirror_lobes(seen) or (SMOOTH,)
+    return mirror_lobes(seen) or (smooth_lobe(1.0),)
 
 
 def wall_image(
