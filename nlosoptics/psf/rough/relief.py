@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: Walls with given heights.
 Relief = FacetWall | GaussianWall | HeightMapWall
-RELIEFS: Final = (FacetWall, GaussianWall, HeightMapWall)
 
 #: Steepest slope whose light is followed, in rms slopes per axis.
 STEEPEST = 5.0

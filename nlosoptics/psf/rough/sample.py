@@ -25,7 +25,7 @@ from ..window.pixels import PixelRule, pixel_rule
 from ..window.window import Window
 from .mean import image_sampling
 from .phase_screens import Between, Screens, screens, stride, throw, widest_pitch
-from .relief import RELIEFS, Relief, ReliefScreen, ReliefView, relief_screen, relief_stride
+from .relief import Relief, ReliefScreen, ReliefView, relief_screen, relief_stride
 from .roughness import Roughness
 from .source import rough_source
 from .view import RoughView
@@ -171,13 +171,12 @@ def detilted_sample(
         n = grid.values.shape[0]
         screen, step = wall_screen(wave, view, n, grid.pitch)
         between = Between(screen.size, step, n) if step > 1 else None
-        fields = screen.draw(seed)
-        first = next(fields)
-        seen, spill = seen_through(grid, first, between), spilled(first)
-        mean = mdft.intensity_in(residual, seen, samples, rule)
-        for field in islice(fields, patterns - 1):
-            one = seen_through(grid, field, between)
-            mean += mdft.intensity_in(residual, one, samples, rule)
+        mean = np.zeros(shape)
+        for k, field in enumerate(islice(screen.draw(seed), patterns)):
+            through = seen_through(grid, field, between)
+            mean += mdft.intensity_in(residual, through, samples, rule)
+            if k == 0:
+                seen, spill = through, spilled(field)
         mean /= patterns
     level = residual.pixel_share(pitch)
     scale = {"unit-sum": level, "flux": level * wave.flux, "ideal-peak": 1.0}[normalisation]
@@ -200,7 +199,7 @@ def detilted_sample(
 
 def _checked_draw(roughness: Roughness | Relief, seed: int | None, patterns: int) -> int:
     """Return the seed; refuse to draw where the heights are given, or without a seed."""
-    if not isinstance(roughness, RELIEFS):
+    if not isinstance(roughness, Relief):
         if seed is None:
             raise SceneError("seed is missing, which selects the random wall; give seed = 0")
         return whole("seed", seed, 0, 2**64 - 1)
