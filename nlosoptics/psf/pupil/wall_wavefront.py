@@ -353,10 +353,9 @@ def _pupil_nodes(
     one_of("nodes", nodes, ("auto", "polar", "cells", "grid"))
     layout = nodes_of(nodes, aperture, 0.0, samples)
     if samples is None:
-        samples = {"polar": (24, 96), "cells": 24, "grid": 256}[layout]
-    elif not isinstance(samples, tuple):
-        samples = whole("samples", samples)
-    found = pupil_nodes(layout, samples, radius, 0.0, aperture)
+        samples = {"grid": 256}.get(layout, 24)
+    counts = samples if isinstance(samples, tuple) else whole("samples", samples)
+    found = pupil_nodes(layout, counts, radius, 0.0, aperture)
     return layout, found.u, found.v, found.weights
 
 
