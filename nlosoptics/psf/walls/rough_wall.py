@@ -188,7 +188,7 @@ class ByAberration(WallImage):
             wave = rough_wave(aimed.wave, self.view)
             spread = detilted_wide_spread(split(wave), self.pitch, self.shape, self.tol)
         except (CausticError, SamplingError):
-            return ByPropagation(seen, self.pitch, self.shape, self.tol, self.view).run()
+            return _propagation(seen, self.pitch, self.shape, self.tol, self.view).run()
         share = wave.flux / aimed.wave.flux
         spread = replace(
             spread,
@@ -305,12 +305,18 @@ def relief_image(
     seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float, view: ReliefView
 ) -> WallImage:
     """Return the first way to the image by a given wall that holds; refuse if none does."""
-    for kind in (ByAberration, ByPropagation):
-        way = kind(seen, pitch, shape, tol, view)
-        why = way.refusal()
-        if not why:
-            return way
-    raise SamplingError(why)
+    rays = ByAberration(seen, pitch, shape, tol, view)
+    return _propagation(seen, pitch, shape, tol, view) if rays.refusal() else rays
+
+
+def _propagation(
+    seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float, view: ReliefView
+) -> ByPropagation:
+    """Return the propagation from wall to pupil; refuse if its screen is too large."""
+    way = ByPropagation(seen, pitch, shape, tol, view)
+    if why := way.refusal():
+        raise SamplingError(why)
+    return way
 
 
 def roughness_view(seen: PointOptics, *, pattern: bool | None = None) -> RoughView:
