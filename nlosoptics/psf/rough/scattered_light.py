@@ -218,13 +218,9 @@ class Scattering:
     def seconds(self, cells: int = 0) -> float:
         """Predict the run time on one core, s; ``cells`` across a pupil grid still to be made."""
         taken = self._nodes[: 2 if not self._is_narrow else 3 if self.tol > 1e-4 else 4]
-        if self.residual.is_flat:  # whose transfer function is a closed form
-            lattices, images = 0.0, 0
-        else:
-            lattices = self._across(cells) ** 2 * (1.25 if self.first_cells else 2.0)
-            images = taken[-1] if self.first_cells else 0  # of the coarser cells
-        # finer cells are needed in about half of the cases, and take twice as long
-        again = 1.5 if self._may_refine else 1.0
+        lattices = self._across(cells) ** 2 * (1.25 if self.first_cells else 2.0)
+        images = taken[-1] if self.first_cells else 0  # of the coarser cells
+        again = self._growth[0]
         pixels = 0 if self._inner is self.window else math.prod(self.window.shape)
         seconds = costs.scattered(
             again * lattices, again * (sum(taken) + images), math.prod(self._inner.shape), pixels
@@ -234,11 +230,8 @@ class Scattering:
     def n_bytes(self, cells: int = 0) -> float:
         """Predict the peak memory, bytes; ``cells`` as for `seconds`."""
         nodes = self._nodes[3 if self.tol < 6e-4 or self._is_narrow else 1]
-        finer = 2.0 if self.tol < 3e-4 and self.first_cells else 1.4 if self._may_refine else 1.0
-        if self._waves > 1.0 and self._is_narrow and self.first_cells:
-            finer = 3.0
         in_sum = NODE_BYTES * nodes + PIXEL_BYTES * math.prod(self._inner.shape)
-        lattice = CELL_BYTES * (finer * self._across(cells)) ** 2
+        lattice = CELL_BYTES * (self._growth[1] * self._across(cells)) ** 2
         return max(lattice, in_sum) + PIXEL_BYTES * math.prod(self.window.shape)
 
     def run(self, coherent: Array) -> tuple[Array, float]:
@@ -304,12 +297,16 @@ class Scattering:
         return self._edge * self.residual.rays.slope / self.residual.wavefront.wavelength
 
     @property
-    def _may_refine(self) -> bool:
-        """Whether finer cells are probable: for aberrations, beyond the least number of cells."""
-        if self.first_cells == 0:
-            return False
-        narrow = 5.0 if self._is_narrow else math.inf
-        return self._waves > (1.0 if self.first_cells > LEAST_CELLS else narrow)
+    def _growth(self) -> tuple[float, float]:
+        """Cost of all numbers of cells over that of the first, and the last number over it."""
+        least = 2.0 if self.tol < 3e-4 and self.first_cells else 1.0
+        if self.first_cells == 0 or self._waves <= 1.0:
+            return 1.0, least
+        if self._inner is not self.window:  # errors of the cells add up within a wide pixel
+            return 4.0, 4.0
+        # finer cells are needed in about half of these cases, and take twice as long
+        often = self.first_cells > LEAST_CELLS or (self._is_narrow and self._waves > 5.0)
+        return 1.5 if often else 1.0, 3.0 if self._is_narrow else max(least, 1.4)
 
     @cached_property
     def _blur(self) -> tuple[float, float]:
@@ -322,9 +319,11 @@ class Scattering:
         smooth = transfer(self.residual, cells)
         if self.pixel_integrated:
             for half in self._halves():
-                found = self._about_the_light(half, smooth, cells)
-                if found[1] <= 0.5 * self.tol * float(np.max(coherent + found[0])):
-                    return found
+                light, error, by_cells = self._about_the_light(half, smooth, cells)
+                enough = error <= 0.5 * self.tol * float(np.max(coherent + light))
+                # finer cells cost less than a wider square
+                if enough or (by_cells > error / 2 and cells < 4 * self.first_cells):
+                    return light, error
         halo = Halo(self.residual, self.view, self.window, self.pixel_integrated, smooth.reach)
         light, nodes, missed = halo.converged(smooth.at, coherent, self.tol)
         return light, missed + _transfer_error(halo, nodes, light, smooth, cells)
@@ -353,16 +352,19 @@ class Scattering:
         """Image distance within which the rays and the halo arrive, m."""
         return ray_reach(self.residual) + self.view.halo(self.residual.wavefront)
 
-    def _about_the_light(self, half: float, smooth: Transfer, cells: int) -> tuple[Array, float]:
+    def _about_the_light(
+        self, half: float, smooth: Transfer, cells: int
+    ) -> tuple[Array, float, float]:
         """Compute the energy by the sum in an inner window and a tail outside, and its error.
 
-        ``half`` is the inner window's half side, m.
+        ``half`` is the inner window's half side, m. The last number is the error by the cells.
         """
         inner, parts = inner_window(self.window, half)
         halo = Halo(self.residual, self.view, inner, True, smooth.reach)
         light, nodes, missed = halo.converged(smooth.at, np.zeros(inner.shape), self.tol / 10)
-        error = missed + _transfer_error(halo, nodes, light, smooth, cells)
-        error *= min(parts, inner.shape[0])
+        often = min(parts, inner.shape[0])
+        by_cells = often * _transfer_error(halo, nodes, light, smooth, cells)
+        error = often * missed + by_cells
         half, share = inner.shape[0] * inner.pitch / 2, self.view.scattered_fraction
         missing = max(share - float(light.sum()), 0.0)
         tail = share * edge_ratio(self.residual.wavefront) * _tail_energy(self.residual.airy_unit)
@@ -371,7 +373,7 @@ class Scattering:
         error += abs(missing - tail)
         found = binned(light, parts, self.window.shape)
         found += missing * tail_pixels(self.window.shape, ((half / self.window.pitch,) * 2,) * 2)
-        return found, error
+        return found, error, by_cells
 
 
 def inner_window(window: Window, half: float) -> tuple[Window, int]:
