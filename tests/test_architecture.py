@@ -129,7 +129,7 @@ def test_no_folder_holds_more_than_twenty_files() -> None:
 @pytest.mark.parametrize(
     ("path", "source"),
     [
-        ("psf/walls/lobe_psf.py", "from ...imaging import form_image"),
+        ("psf/walls/scene_psf.py", "from ...imaging import form_image"),
         ("psf/transform/fft.py", "from ..rough.mean import mean_point_spread"),
         ("psf/wave/fits.py", "def f():\n    from ..transform import fft"),
         ("psf/transform/fft.py", "from .. import point_spread"),

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..psf import PointSpread, SceneOptics, Wavefront, mtf
+from ..psf.pupil.scene_optics import PointOptics
 from ..psf.rough.view import RoughView
-from ..psf.walls.lobe_psf import MirrorLobes, lobes_of
-from ..psf.walls.scene_psf import scene_point_spread
+from ..psf.transform.wide_pixels import detilted_wide_spread
+from ..psf.walls.scene_psf import scene_lobes, scene_point_spread
+from ..psf.window.window import window_side
 
 Array = NDArray[np.float64]
 
@@ -25,8 +27,7 @@ class Transfer:
     core: PointSpread  # Point spread of the smooth wall, energy per pixel
     # Point spread of a wall with a given roughness, which replaces the lobes
     rough: PointSpread | None
-    smooth: float  # Share of the light in lobes without slope
-    # (float, RoughView): Share and statistics of each lobe with a slope. Their transfer function is
+    # (float, RoughView): Share of the light and statistics of each lobe. Their transfer function is
     # a closed form
     lobes: tuple[tuple[float, RoughView], ...]
     wave: Wavefront  # Wave of the smooth wall
@@ -46,40 +47,22 @@ class Transfer:
         """
         if self.rough is not None:
             return _modulus(self.rough, u, v)
-        if not self.lobes:
-            return self.sharp(u, v)
         shift = self.wave.wavelength * self.wave.image_distance
-        blur = np.full((len(v), len(u)), self.smooth)
-        for share, view in self.lobes:
-            blur += share * view.scattered_transfer(shift * u, shift * v[:, None])
-        return np.asarray(self.sharp(u, v) * blur)
+        return np.asarray(self.sharp(u, v) * _blur(self.lobes, shift * u, shift * v[:, None]))
 
 
 def scene_transfer(optics: SceneOptics) -> Transfer:
     """Return the transfer function at the hidden object's reference point."""
     scene, seen = optics.scene, optics.at()
     pitch = scene.camera.image_pitch
-    smooth = MirrorLobes([], 1.0, None)
-    side = smooth.window(seen.first.residual, pitch, TOL, seen.first.outline)
+    side = window_side(seen.first.residual, pitch, TOL, seen.first.outline)
     aimed, core = seen.refined(
-        lambda wave: smooth.point_spread(wave.residual, pitch, (side, side), TOL)
+        lambda wave: detilted_wide_spread(wave.residual, pitch, (side, side), TOL)
     )
     if scene.wall_roughness is not None:
         rough = scene_point_spread(optics, TOL)
-        return Transfer(
-            core=core, rough=rough.point_spread, smooth=1.0, lobes=(), wave=rough.wavefront
-        )
-    found = lobes_of(scene, lambda: seen.view)
-    total = scene.wall_material.specular_reflectance
-    shares = [lobe.specular_reflectance / total for lobe in found.rough]
-    views = found.views(aimed.residual)
-    return Transfer(
-        core=core,
-        rough=None,
-        smooth=found.smooth / total,
-        lobes=tuple(zip(shares, views, strict=True)),
-        wave=aimed.wave,
-    )
+        return Transfer(core=core, rough=rough.point_spread, lobes=(), wave=rough.wavefront)
+    return Transfer(core=core, rough=None, lobes=_shares(seen), wave=aimed.wave)
 
 
 def image_modulation(optics: SceneOptics, frequency: float, azimuth: float, tol: float) -> float:
@@ -100,13 +83,24 @@ def image_modulation(optics: SceneOptics, frequency: float, azimuth: float, tol:
         fine = scene_point_spread(optics, tol, pitch=finer).point_spread
         pixel /= float(np.sinc(finer * u) * np.sinc(finer * v))
         return pixel * float(mtf(fine, frequency, azimuth=azimuth))
-    lobes = lobes_of(scene, lambda: seen.view)
-    shift, total = wave.wavelength * wave.image_distance, scene.wall_material.specular_reflectance
-    blur = lobes.smooth
-    for lobe, view in zip(lobes.rough, lobes.views(seen.first.residual), strict=True):
-        passed = view.scattered_transfer(np.array(shift * u), np.array(shift * v))
-        blur += lobe.specular_reflectance * float(passed)
-    return pixel * float(mtf(wave, frequency, azimuth=azimuth)) * (blur / total if total else 1.0)
+    shift = wave.wavelength * wave.image_distance
+    blur = float(_blur(_shares(seen), np.array(shift * u), np.array(shift * v)))
+    return pixel * float(mtf(wave, frequency, azimuth=azimuth)) * blur
+
+
+def _shares(seen: PointOptics) -> tuple[tuple[float, RoughView], ...]:
+    """Return the share of the light and the statistics of each lobe of the wall."""
+    lobes = scene_lobes(seen)
+    total = sum(lobe.share for lobe in lobes)
+    return tuple((lobe.share / total, lobe.view) for lobe in lobes)
+
+
+def _blur(lobes: tuple[tuple[float, RoughView], ...], du: Array, dv: Array) -> Array:
+    """Return the factor of lobes on the transfer function at separations (du, dv), m."""
+    parts = [
+        share * (view.coherent_fraction + view.scattered_transfer(du, dv)) for share, view in lobes
+    ]
+    return np.asarray(sum(parts))
 
 
 def _modulus(spread: PointSpread, u: Array, v: Array) -> Array:

@@ -27,9 +27,9 @@ from ..psf.pupil.paraxial import change_over_object
 from ..psf.pupil.scene_optics import PointOptics, SceneOptics
 from ..psf.transform.models import predicted_model_error, wide_pixel_error
 from ..psf.walls.field import picture_point
-from ..psf.walls.rough_wall import rough_choice
-from ..psf.walls.scene_costs import Cost, grid_samples, point_cost
-from ..psf.walls.scene_psf import point_window
+from ..psf.walls.rough_wall import Cost
+from ..psf.walls.scene_costs import grid_samples
+from ..psf.walls.scene_psf import point_window, wall_image
 from ..raytrace import ray_plan
 from ..raytrace.intersection.meshes import threads
 from ..scene import MeshWall, PlanarObject, Scene
@@ -176,8 +176,8 @@ def _aiming_seconds(scene: Scene, nodes: float) -> float:
 
 def spread_cost(scene: Scene, look: Look, side: int, tol: float) -> Cost:
     """Predicted cost of one point spread, including the coarser grids that are tried first."""
-    pitch, shape = scene.camera.image_pitch, (side, side)
-    found = [point_cost(look.seen, pitch, shape, tol, cells=n) for n in look.samples or (0,)]
+    way = wall_image(look.seen, scene.camera.image_pitch, (side, side), tol)
+    found = [way.cost(n) for n in look.samples or (0,)]
     return Cost(sum(c.seconds for c in found), found[-1].n_bytes)
 
 
@@ -202,7 +202,7 @@ def point_spread_stage(scene: Scene, pupil: ExitPupil, look: Look, tol: float) -
     slope = max(scene.mirror_slopes, default=0.0)
     blur = f", blurred by the lobe's slopes of {slope:g} rad" if slope > 0 else ""
     if scene.wall_roughness is not None:
-        blur = f"; {rough_choice(look.seen, pitch, (look.side, look.side), tol).reason}"
+        blur = f"; {wall_image(look.seen, pitch, (look.side, look.side), tol).reason}"
     cost, error = spread_cost(scene, look, look.side, tol), f"{tol:g} of the peak"
     model = model_error(scene, look)
     if model > tol:

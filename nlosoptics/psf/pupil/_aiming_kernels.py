@@ -16,8 +16,8 @@ N_COLUMNS = 8  # x, y, z, excess, spreading, determinant, smaller curvature, sta
 
 
 @njit(cache=True)
-def _stationarity(o, p, x, y, s, side):
-    """Gradient and Hessian over (x, y) of the path |O - X| + side |X - p|, X on the surface.
+def _stationarity(o, p, x, y, s):
+    """Gradient and Hessian over (x, y) of the path |O - X| + |X - p|, X on the surface.
 
     ``s`` holds the surface's height and its derivatives hx, hy, hxx, hxy, hyy at (x, y).
     """
@@ -26,12 +26,12 @@ def _stationarity(o, p, x, y, s, side):
     d1, d2 = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz)
     ax, ay, az = ax / d1, ay / d1, az / d1
     bx, by, bz = bx / d2, by / d2, bz / d2
-    kx, ky, kz = ax - side * bx, ay - side * by, az - side * bz
+    kx, ky, kz = ax - bx, ay - by, az - bz
     gx, gy = kx + kz * s[1], ky + kz * s[2]
     # Components of both legs along the tangents (1, 0, hx) and (0, 1, hy).
     a1, a2 = ax + az * s[1], ay + az * s[2]
     b1, b2 = bx + bz * s[1], by + bz * s[2]
-    i1, i2 = 1.0 / d1, side / d2
+    i1, i2 = 1.0 / d1, 1.0 / d2
     t11, t12, t22 = 1.0 + s[1] * s[1], s[1] * s[2], 1.0 + s[2] * s[2]
     hxx = i1 * (t11 - a1 * a1) + i2 * (t11 - b1 * b1) + kz * s[3]
     hxy = i1 * (t12 - a1 * a2) + i2 * (t12 - b1 * b2) + kz * s[4]
@@ -40,7 +40,7 @@ def _stationarity(o, p, x, y, s, side):
 
 
 @njit(cache=True)
-def stationary_point(terms, tables, o, p, x, y, side):
+def stationary_point(terms, tables, o, p, x, y):
     """Find a wall point at which the path from O by the wall to p is stationary.
 
     Newton's method with backtracking on the path's gradient, from the start (x, y), which must lie
@@ -49,7 +49,7 @@ def stationary_point(terms, tables, o, p, x, y, side):
     s = surface(terms, tables, x, y)
     if math.isnan(s[0]):
         return x, y, OFF_SURFACE
-    gx, gy, hxx, hxy, hyy = _stationarity(o, p, x, y, s, side)
+    gx, gy, hxx, hxy, hyy = _stationarity(o, p, x, y, s)
     norm = math.hypot(gx, gy)
     for _ in range(60):
         if norm == 0.0:
@@ -66,7 +66,7 @@ def stationary_point(terms, tables, o, p, x, y, side):
             xn, yn = x + length * dx, y + length * dy
             sn = surface(terms, tables, xn, yn)
             if not math.isnan(sn[0]):
-                trial = _stationarity(o, p, xn, yn, sn, side)
+                trial = _stationarity(o, p, xn, yn, sn)
                 norm_n = math.hypot(trial[0], trial[1])
                 if norm_n < norm:
                     moved = True
@@ -84,7 +84,7 @@ def stationary_point(terms, tables, o, p, x, y, side):
 def _describe(o, p, x, y, s, axis, row):
     """Fill a row of `aim`, except its status, at the stationary point (x, y)."""
     row[0], row[1], row[2] = x, y, s[0]
-    _, _, hxx, hxy, hyy = _stationarity(o, p, x, y, s, 1.0)
+    _, _, hxx, hxy, hyy = _stationarity(o, p, x, y, s)
     det = hxx * hyy - hxy * hxy
     row[5] = det
     row[6] = 0.5 * (hxx + hyy - math.hypot(hxx - hyy, 2.0 * hxy))
@@ -115,7 +115,7 @@ def aim(terms, tables, o, nodes, starts, axis, out):
     """
     for i in prange(nodes.shape[0]):
         p = nodes[i]
-        x, y, status = stationary_point(terms, tables, o, p, starts[i, 0], starts[i, 1], 1.0)
+        x, y, status = stationary_point(terms, tables, o, p, starts[i, 0], starts[i, 1])
         s = surface(terms, tables, x, y)
         out[i, 0], out[i, 1], out[i, 2] = x, y, s[0]
         if status == FOUND:
@@ -124,12 +124,12 @@ def aim(terms, tables, o, nodes, starts, axis, out):
 
 
 @njit(cache=True)
-def stationarities(o, nodes, points, surfaces, side, out):
+def stationarities(o, nodes, points, surfaces, out):
     """Fill ``out`` (n, 5) with the path's gradient and Hessian at wall points (n, 2)."""
     for i in range(nodes.shape[0]):
         s = surfaces[i]
         out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4] = _stationarity(
-            o, nodes[i], points[i, 0], points[i, 1], s, side
+            o, nodes[i], points[i, 0], points[i, 1], s
         )
 
 

@@ -98,7 +98,7 @@ def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, aimed: Array) -> N
     for node in (0, len(nodes) - 1):
         centre = aimed[node, :2]
         around = centre + np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
-        for x, y, status in stationary_points(wall, o, nodes[node], around, 1.0):
+        for x, y, status in stationary_points(wall, o, nodes[node], around):
             apart = math.hypot(x - centre[0], y - centre[1])
             if status == _aiming_kernels.FOUND and apart > 1e-6 and bool(wall.contains(x, y)):
                 raise CausticError(
@@ -121,25 +121,24 @@ def _caustic(wall: Wall, o: Array, node: Array, hit: Array) -> str:
 
 
 def stationary_points(
-    wall: Wall, o: Array, p: Array, starts: Array, side: float
+    wall: Wall, o: Array, p: Array, starts: Array
 ) -> Iterator[tuple[float, float, int]]:
     """Yield the stationary wall point (x, y, status) of the path from O to p for each start.
 
-    ``o`` and ``p`` (3,) are in the world, m; ``starts`` (n, 2) are first guesses on the wall, m;
-    ``side`` is 1 for p in front of the wall, -1 for a virtual point behind it.
+    ``o`` and ``p`` (3,) are in the world, m; ``starts`` (n, 2) are first guesses on the wall, m.
     """
     from ...kernels.heights import tables_for
     from . import _aiming_kernels, callable_aiming
 
     if isinstance(wall, CallableWall):
         targets = np.broadcast_to(p, (len(starts), 3)).copy()
-        points, status = callable_aiming.stationary_points(wall, o, targets, starts, side)
+        points, status = callable_aiming.stationary_points(wall, o, targets, starts)
         yield from zip(points[:, 0].tolist(), points[:, 1].tolist(), status.tolist(), strict=True)
         return
     terms, tables = wall.compiled()
     tables = tables_for(terms, tables)
     for x, y in starts:
-        yield _aiming_kernels.stationary_point(terms, tables, o, p, x, y, side)
+        yield _aiming_kernels.stationary_point(terms, tables, o, p, x, y)
 
 
 def pupil_points(centre: ArrayLike, axis: Array, nodes: Array) -> Array:

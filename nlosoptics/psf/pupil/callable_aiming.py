@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def stationary_points(
-    wall: Wall, o: Array, nodes: Array, starts: Array, side: float
+    wall: Wall, o: Array, nodes: Array, starts: Array
 ) -> tuple[Array, NDArray[np.int64]]:
     """Find the wall points at which the paths from O by the wall to each node are stationary.
 
@@ -22,7 +22,7 @@ def stationary_points(
     def stationarity(rows: NDArray[np.int64], at: Array) -> Array:
         out = np.empty((len(rows), 5))
         _aiming_kernels.stationarities(
-            o, nodes[rows], at, wall.derivatives(at[:, 0], at[:, 1]), side, out
+            o, nodes[rows], at, wall.derivatives(at[:, 0], at[:, 1]), out
         )
         return out
 
@@ -61,7 +61,7 @@ def stationary_points(
 
 def aim(wall: Wall, o: Array, nodes: Array, starts: Array, axis: Array, out: Array) -> None:
     """Fill ``out`` (n, 8) with the stationary paths; the columns are those of the kernel `aim`."""
-    points, status = stationary_points(wall, o, nodes, starts, 1.0)
+    points, status = stationary_points(wall, o, nodes, starts)
     surfaces = wall.derivatives(points[:, 0], points[:, 1])
     _aiming_kernels.describe(o, nodes, points, surfaces, axis, out)
     out[:, 7] = status

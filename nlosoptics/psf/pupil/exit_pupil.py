@@ -135,6 +135,8 @@ def exit_pupil(scene: Scene) -> ExitPupil:
                 f"the camera's axis meets the wall plane at x = {hit[0]:g} m, y = {hit[1]:g} m, "
                 f"outside wall.size = {scene.wall.size} m; change camera.aim or enlarge the wall"
             )
+    stop: Literal["lens", "wall"] = "lens"
+    centre, radius, distance, entrance = position, lens_radius, image_distance, lens_radius
     if d1 > 0 and edge < lens_radius * d1 / (d1 + d2):
         f = camera.focal_length
         if d2 <= f:
@@ -143,25 +145,16 @@ def exit_pupil(scene: Scene) -> ExitPupil:
                 "move the camera back"
             )
         behind = d2 * f / (d2 - f)
-        radius = edge * f / (d2 - f)
-        distance = image_distance - behind
-        return ExitPupil(
-            centre=position - behind * axis,
-            radius=radius,
-            image_distance=distance,
-            f_number=working_f_number(radius, distance),
-            stop="wall",
-            entrance_radius=edge * (d1 + d2) / d1,
-            vignetting=_vignetting(scene, edge * (d1 + d2) / d1),
-        )
+        stop, centre, radius = "wall", position - behind * axis, edge * f / (d2 - f)
+        distance, entrance = image_distance - behind, edge * (d1 + d2) / d1
     return ExitPupil(
-        centre=position,
-        radius=lens_radius,
-        image_distance=image_distance,
-        f_number=working_f_number(lens_radius, image_distance),
-        stop="lens",
-        entrance_radius=lens_radius,
-        vignetting=_vignetting(scene, lens_radius),
+        centre=centre,
+        radius=radius,
+        image_distance=distance,
+        f_number=working_f_number(radius, distance),
+        stop=stop,
+        entrance_radius=entrance,
+        vignetting=_vignetting(scene, entrance),
     )
 
 

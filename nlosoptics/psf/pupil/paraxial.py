@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...errors import SceneError
 from ...scene import PlanarObject, Scene
 from .exit_pupil import ExitPupil
+from .wall_view import first_order
 
 Array = NDArray[np.float64]
 
@@ -22,26 +23,15 @@ def wave_bends(scene: Scene, points: Array) -> Array:
     of a flat wall. The wall's curvature K is taken at the point that a flat wall would reflect
     from, and its slope there is neglected.
     """
-    e1, e2, axis = scene.camera.frame
     lens = np.array(scene.camera.position)
     mirrored = points * (1.0, 1.0, -1.0)
-    depth = (mirrored - lens) @ axis
-    share = lens[2] / (lens[2] - mirrored[:, 2])
-    hits = lens + share[:, None] * (mirrored - lens)
-    legs = points - hits, lens - hits
-    lengths = [np.linalg.norm(leg, axis=1) for leg in legs]
-    units = [leg / length[:, None] for leg, length in zip(legs, lengths, strict=True)]
-    cos_sum = units[0][:, 2] + units[1][:, 2]
-    flat = np.zeros((len(points), 2, 2))
-    for unit, length in zip(units, lengths, strict=True):
-        inside = unit[:, :2]
-        flat += (np.eye(2) - inside[:, :, None] * inside[:, None, :]) / length[:, None, None]
-    axes = np.stack([e1, e2])
-    across = axes - (units[1] @ axes.T)[:, :, None] * units[1][:, None, :]
-    into = np.swapaxes(across[:, :, :2], 1, 2) / lengths[1][:, None, None]
+    depth = (mirrored - lens) @ scene.camera.axis
     focus = (1 / depth - 1 / scene.focus_distance)[:, None, None] * np.eye(2)
     if scene.wall.is_flat:
         return np.asarray(focus)
+    share = lens[2] / (lens[2] - mirrored[:, 2])
+    hits = lens + share[:, None] * (mirrored - lens)
+    cos_sum, flat, into = first_order(scene, points, hits, np.eye(3)[:2], np.eye(3)[2])
     _, _, _, xx, xy, yy = scene.wall.derivatives(hits[:, 0], hits[:, 1]).T
     bend = np.stack([np.stack([xx, xy], axis=1), np.stack([xy, yy], axis=1)], axis=1)
     first = np.linalg.solve(flat, into)

@@ -9,8 +9,8 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import vector
-from ...errors import SamplingError, SceneError
+from ..._checks import expect, vector
+from ...errors import SamplingError
 from ...scene import Scene
 from .exit_pupil import ExitPupil, exit_pupil
 from .wall_view import WallView, view_along
@@ -121,16 +121,11 @@ class SceneOptics:
     """
 
     def __init__(self, scene: Scene, pupil: ExitPupil | None = None) -> None:
-        if not isinstance(scene, Scene):
-            raise SceneError(
-                f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()"
-            )
-        if not isinstance(pupil, ExitPupil | None):
-            raise SceneError(
-                f"pupil is a {type(pupil).__name__}; give an ExitPupil, or leave it out"
-            )
+        self.scene: Scene = expect("scene", scene, "Scene")
+        if pupil is not None:
+            expect("pupil", pupil, "ExitPupil")
         scene.check_black_occluders()
-        self.scene, self._pupil = scene, pupil
+        self._pupil = pupil
         self._kept: dict[tuple[float, ...], PointOptics] = {}
 
     @cached_property

@@ -99,13 +99,12 @@ def wavefront_from_slopes(
     >>> print(f"{1e9 * np.ptp(wave.aberration[4]):.0f} nm", residual < 1e-15)
     16 nm True
     """
-    table, inside = _checked(slopes, mask)
-    if table.shape[0] != table.shape[1]:
-        raise SceneError(f"slopes have shape {table.shape}; a wave front's grid is square")
-    aberration, residual = integrated_slopes(table, pitch, inside)
+    aberration, residual = integrated_slopes(slopes, pitch, mask)
+    if aberration.shape[0] != aberration.shape[1]:
+        raise SceneError(f"slopes have shape {np.shape(slopes)}; a wave front's grid is square")
     wavefront = Wavefront.from_map(
         aberration,
-        inside.astype(np.float64),
+        np.asarray(mask, dtype=np.float64),
         wavelength=wavelength,
         pupil_pitch=float(pitch),
         image_distance=image_distance,

@@ -117,26 +117,38 @@ def view_along(scene: Scene, zoom: float, object_point: Array, hit: Array) -> Wa
     The ray meets the wall at ``hit`` (3,), m. ``zoom`` is the size of the exit pupil over
     that of the cone on the lens, negative for an inverted image of the wall.
     """
-    axes = scene.camera.frame
     tangents, normal, bend = _wall_frame(scene.wall, hit)
-    legs = object_point - hit, np.array(scene.camera.position) - hit
-    lengths = [float(np.linalg.norm(leg)) for leg in legs]
-    units = [leg / length for leg, length in zip(legs, lengths, strict=True)]
-    cosines = sum(float(unit @ normal) for unit in units)
-    total = -cosines * bend
-    for unit, length in zip(units, lengths, strict=True):
-        inside = tangents @ unit
-        total += (np.eye(2) - np.outer(inside, inside)) / length
-    # E_ab = t_a (I - s_o s_o^T) e_b
-    across = axes[:2] - np.outer(axes[:2] @ units[1], units[1])
-    into = tangents @ across.T / lengths[1]
+    cosines, flat, into = first_order(scene, object_point[None], hit[None], tangents, normal)
+    total = flat[0] - cosines[0] * bend
     return WallView(
-        footprint=np.asarray(np.linalg.solve(total, into) / zoom, dtype=np.float64),
-        cos_sum=cosines,
+        footprint=np.asarray(np.linalg.solve(total, into[0]) / zoom, dtype=np.float64),
+        cos_sum=float(cosines[0]),
         effective_distance=np.asarray(np.linalg.inv(total), dtype=np.float64),
         point=np.array(hit),
         tangents=tangents,
     )
+
+
+def first_order(
+    scene: Scene, points: Array, hits: Array, tangents: Array, normal: Array
+) -> tuple[Array, Array, Array]:
+    """Return first-order terms of the paths from points by wall points ``hits`` to the lens.
+
+    Both are (n, 3), m. The terms are ``cos_i + cos_o`` (n,), and the matrices (n, 2, 2) of
+    `wall_view`: ``P_i/d1 + P_o/d2``, and E/d2.
+    """
+    frame = scene.camera.frame
+    cosines, flat = np.zeros(len(hits)), np.zeros((len(hits), 2, 2))
+    for ends in (points, np.array(scene.camera.position)):
+        leg = ends - hits
+        length = np.linalg.norm(leg, axis=1)
+        unit = leg / length[:, None]
+        cosines += unit @ normal
+        inside = unit @ tangents.T
+        flat += (np.eye(2) - inside[:, :, None] * inside[:, None, :]) / length[:, None, None]
+    # E_ab = t_a (I - s_o s_o^T) e_b, for the leg to the lens, which comes last
+    across = frame[:2] - (unit @ frame[:2].T)[:, :, None] * unit[:, None, :]
+    return cosines, flat, tangents @ np.swapaxes(across, 1, 2) / length[:, None, None]
 
 
 def _wall_frame(wall: Wall, point: Array) -> tuple[Array, Array, Array]:

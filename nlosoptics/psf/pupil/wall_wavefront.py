@@ -14,9 +14,9 @@ from ..._checks import expect, numbers, one_of, vector, whole
 from ...errors import NotWaveGradeError, SamplingError, SceneError
 from ...scene import MeshWall, Scene, Wall
 from ..aperture.aperture import Aperture
-from ..aperture.quadrature_nodes import grid_nodes, polar_nodes
 from ..wave.detilted import Residual, split
 from ..wave.removed import Removed
+from ..wave.sampling import nodes_of, pupil_nodes
 from ..wave.wavefront import Layout, Wavefront
 from .aiming import AimedRays, aim, pupil_points
 from .exit_pupil import ExitPupil, exit_pupil
@@ -261,7 +261,8 @@ def aimed_wave(
     aberration[lit] -= on_lens @ np.array(tilt)
     amplitude[lit] = np.sqrt(rays.spreading[1:] / rays.spreading[0])
     whole = float(weights.sum())
-    weights = weights * _share_on_wall(scene.wall, rays.points[1:], lit, layout)
+    if aperture is None:  # cells already follow the edge
+        weights = weights * _share_on_wall(scene.wall, rays.points[1:], lit, layout)
     if not weights.any():
         raise SceneError(
             f"light from object_point = {tuple(o.tolist())} m is reflected to the lens by no part "
@@ -269,7 +270,7 @@ def aimed_wave(
             "camera"
         )
     outline = aperture
-    if layout == "grid" and scene.wall.is_flat and weights.sum() < whole:
+    if scene.wall.is_flat and weights.sum() < whole:
         with suppress(SamplingError):  # raised if the edge has no closed image
             outline = _aperture(scene, o, radius, zoom)
     wave = Wavefront(
@@ -350,28 +351,16 @@ def _pupil_nodes(
         area = math.pi * radius**2 / len(u)
         return "scattered", u, v, np.where(np.hypot(u, v) <= radius * (1 + 1e-9), area, 0.0)
     one_of("nodes", nodes, ("auto", "polar", "cells", "grid"))
-    if isinstance(samples, tuple) and len(samples) != 2:
-        raise SceneError(f"samples = {samples}; give one whole number or two")
-    if samples is not None and not isinstance(samples, tuple):
-        samples = whole("samples", samples)
-    if aperture is not None:
-        samples = (24, 24) if samples is None else samples
-        n_s, n_t = samples if isinstance(samples, tuple) else (samples, samples)
-        return "cells", *aperture.nodes(n_s, n_t)
-    if nodes == "grid":
-        if isinstance(samples, tuple):
-            raise SceneError(f"samples = {samples}; a grid is square, give one whole number")
-        return "grid", *grid_nodes(radius, 256 if samples is None else samples)
+    layout = nodes_of(nodes, aperture, 0.0, samples)
     if samples is None:
-        samples = (24, 96)
-    n_r, n_theta = samples if isinstance(samples, tuple) else (samples, 4 * samples)
-    return "polar", *polar_nodes(radius, n_r, n_theta)
+        samples = {"grid": 256}.get(layout, 24)
+    counts = samples if isinstance(samples, tuple) else whole("samples", samples)
+    found = pupil_nodes(layout, counts, radius, 0.0, aperture)
+    return layout, found.u, found.v, found.weights
 
 
 def _share_on_wall(wall: Wall, hits: Array, lit: NDArray[np.bool_], layout: Layout) -> Array:
     """Fraction of each node's area that receives light by the wall, in the shape of ``lit``."""
-    if layout == "cells":
-        return np.ones(lit.shape)  # the cells already follow the edge
     share = np.zeros(lit.shape)
     share[lit] = wall.contains(hits[:, 0], hits[:, 1])
     if layout == "polar" and not share.all():

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Final, Literal
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...scene import FacetWall
 from ..aperture.quadrature_nodes import gauss_legendre
-from ..wave.wavefront import Wavefront
 from .view import RoughView
 
 Array = NDArray[np.float64]
@@ -22,8 +20,9 @@ Array = NDArray[np.float64]
 NODES: Final = 12
 #: Distance between rows of an equilateral lattice of side 1.
 ROW: Final = math.sqrt(0.75)
-#: Separations, in cells, below which the sum is used, and beyond which the table is periodic.
-OUT = 3
+#: First and last row and column of the table, in cells. It serves separations up to 2 cells, whose
+#: rows and columns lie beyond -2.31, and one period.
+FIRST, LAST = -2.5, 3.0
 #: Points of the table per cell.
 PER_CELL: Final = 32
 
@@ -90,18 +89,22 @@ class FacetView(RoughView):
 
     def on_wall(self, x: Array, y: Array) -> Array:
         """Return `scattered_transfer` at distances (x, y), m, between wall points."""
+        from scipy import ndimage
+
         x, y = np.broadcast_arrays(x, y)
         if x.size <= 50_000:
             return self._summed(x, y)
         found = np.empty(x.shape)
         lag = np.hypot(x, y) / self.roughness.cell
         row = y / (self.roughness.cell * ROW)
-        column = x / self.roughness.cell - 0.5 * row
-        close, far = lag < 1.2, lag > OUT - 1
+        place = np.stack([row, x / self.roughness.cell - 0.5 * row])
+        # the transfer function is periodic there
+        place = np.where(lag > LAST - 1, LAST - 1 + place % 1.0, place)
+        close = lag < 1.2
         found[close] = self._summed(x[close], y[close])
-        near = ~close & ~far
-        found[near] = self._near(row[near], column[near])
-        found[far] = self._far(row[far] % 1.0, column[far] % 1.0)
+        found[~close] = ndimage.map_coordinates(
+            self._table, (place[:, ~close] - FIRST) * PER_CELL, order=3, prefilter=False
+        )
         return found
 
     def _summed(self, x: Array, y: Array) -> Array:
@@ -115,31 +118,16 @@ class FacetView(RoughView):
         return out.reshape(x.shape) - self.coherent_fraction
 
     @cached_property
-    def _near(self) -> Callable[[Array, Array], Array]:
-        """Interpolated transfer function up to `OUT` cells, of lattice coordinates."""
-        return self._table(np.arange(-OUT * PER_CELL, OUT * PER_CELL + 1) / PER_CELL, "nearest")
-
-    @cached_property
-    def _far(self) -> Callable[[Array, Array], Array]:
-        """Interpolated transfer function beyond, which is periodic in lattice coordinates."""
-        return self._table(2 * OUT + np.arange(PER_CELL) / PER_CELL, "grid-wrap")
-
-    def _table(
-        self, steps: Array, mode: Literal["nearest", "grid-wrap"]
-    ) -> Callable[[Array, Array], Array]:
-        """Tabulate the transfer function at lattice coordinates and return its interpolation."""
+    def _table(self) -> Array:
+        """Cubic spline of the transfer function at steps of rows and columns of the lattice."""
         from scipy import ndimage
 
+        # a quarter of a cell beyond all points in use, where the spline depends on its boundary
+        steps = FIRST + np.arange((LAST + 0.25 - FIRST) * PER_CELL) / PER_CELL
         row, column = np.meshgrid(steps, steps, indexing="ij")
         cell = self.roughness.cell
         values = self._summed((column + 0.5 * row) * cell, row * cell * ROW)
-        start = steps[0] % 1.0 if mode == "grid-wrap" else steps[0]
-
-        def at(row: Array, column: Array) -> Array:
-            place = np.stack([row - start, column - start]) * PER_CELL
-            return np.asarray(ndimage.map_coordinates(values, place, order=3, mode=mode))
-
-        return at
+        return np.asarray(ndimage.spline_filter(values))
 
     def scattered_transfer(self, du: Array, dv: Array) -> Array:
         """Return the scattered part of the transfer function at separations in the pupil, m."""
@@ -165,13 +153,3 @@ class FacetView(RoughView):
         if not above.size:
             return float(lags[1])
         return math.inf if above[-1] == lags.size - 1 else float(lags[above[-1] + 1])
-
-    def halo(self, wave: Wavefront) -> float:
-        """Return the radius of the halo in the image, m: about 3 standard deviations."""
-        if self.rayleigh_parameter == 0:
-            return 0.0
-        lags, found = self._decay
-        lag = lags[int(np.argmax(found < math.exp(-1)))]
-        step = lag / float(np.linalg.norm(self.footprint, 2))
-        scale = wave.wavelength * abs(wave.image_distance)
-        return float(3 * math.sqrt(2) * scale / (2 * math.pi * step))

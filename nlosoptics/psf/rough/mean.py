@@ -28,7 +28,7 @@ from ..window.error_bounds import rounded_up
 from ..window.window import WIDEST_DEFAULT, Window, check_rays, default_shape, shape_of
 from .relief import Relief
 from .roughness import Roughness
-from .scattered_light import EPSILON, PIXEL_BYTES, scattered_light
+from .scattered_light import EPSILON, PIXEL_BYTES, Scattering
 from .source import rough_source
 from .view import RoughView
 
@@ -225,8 +225,8 @@ def detilted_mean(
     coherent = np.zeros(shape) if core is None else share * core.intensity
     diffuse, error = np.zeros(shape), 0.0
     if view.rayleigh_parameter > 0:
-        window = Window.centred(pitch, shape)
-        diffuse, error = scattered_light(residual, view, window, pixel_integrated, coherent, part)
+        halo = Scattering(residual, view, Window.centred(pitch, shape), pixel_integrated, part)
+        diffuse, error = halo.run(coherent)
     # A mean of intensities is at least 0; negative values are within the error.
     total = np.maximum(coherent + diffuse, 0.0)
     peak = float(total.max())

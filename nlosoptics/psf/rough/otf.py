@@ -12,7 +12,6 @@ import scipy  # loads scipy.ndimage on first use
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
-from ...errors import SamplingError
 from ..aperture.quadrature_nodes import grid_nodes
 from ..wave.detilted import Residual
 from ..wave.polar_series import values_at
@@ -21,8 +20,8 @@ from ..window.rim_tails import edge_ratio
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-#: Peak memory per cell, bytes.
-CELL_BYTES = 400.0
+#: Peak memory per cell, bytes, and least number of cells across the pupil.
+CELL_BYTES, LEAST_CELLS = 400.0, 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,39 +46,33 @@ def transfer(residual: Residual, cells: int = 0) -> Transfer:
     that ratio.
     """
     wave = residual.wavefront
-    if wave.layout not in ("polar", "grid"):
-        raise SamplingError(
-            "the transfer function needs a polar or grid wavefront, not one of layout "
-            f"'{wave.layout}'; sample it with nodes='grid'"
-        )
+    reference: Callable[[Array, Array], Array]
     if wave.layout == "polar":
         radius, inner = wave.pupil_radius, wave.obscuration * wave.pupil_radius
 
         def clear(du: Array, dv: Array) -> Array:
             return annulus_overlap(np.hypot(du, dv), radius, inner)
 
-        reference: Callable[[Array, Array], Array] = clear
+        reference = clear
         # removing a pure tilt leaves only rounding errors
         flat = residual.wavenumber * float(np.abs(residual.aberration).max()) < 1e-12
         if residual.is_uniform and flat:
             return Transfer(lambda du, dv: clear(du, dv).astype(np.complex128), 2 * radius, 1e-14)
-        pupil, ratios, pitch = _on_grid(residual, cells or cells_across(residual))
-        jump = residual.rays.slope * pitch / wave.wavelength
-        edge = 2 * radius
+        pupil, weights, pitch = _on_grid(residual, cells or cells_across(residual))
+        jump, edge, cusp = residual.rays.slope * pitch / wave.wavelength, 2 * radius, 0.0
     else:
-        amplitude = wave.amplitude * wave.weights
-        pupil = amplitude * np.exp(1j * residual.wavenumber * residual.aberration)
-        ratios, pitch, jump = LatticeRatio(amplitude), wave.pupil_pitch, residual.jump()[0]
-        lit = np.hypot(wave.u, wave.v)[amplitude > 0].max()
-        edge = 2 * (float(lit) + pitch)
-        reference = _cells(amplitude, float(np.sum(amplitude * wave.amplitude)) * pitch**2, pitch)
-    ratio = ratios.of(pupil, pitch)
+        weights, pitch = wave.amplitude * wave.weights, wave.pupil_pitch
+        pupil = weights * np.exp(1j * residual.wavenumber * residual.aberration)
+        lit = np.hypot(wave.u, wave.v)[weights > 0].max()
+        jump, edge = residual.jump()[0], 2 * (float(lit) + pitch)
+        reference = _cells(weights, float(np.sum(weights * wave.amplitude)) * pitch**2, pitch)
+        # the cells' rounded cusp at separation 0
+        cusp = (0.3 if wave.aperture is None else 0.6) * edge_ratio(wave)
+    ratio = _lattice_ratio(pupil, weights, pitch)
     centre = float(ratio(np.zeros(1), np.zeros(1))[0].real)
     n = 2 * wave.pupil_radius / pitch
-    # The spline's error for a phase step of jump waves per cell; the cells' rounded cusp at 0.
-    cusp = (0.3 if wave.aperture is None else 0.6) * edge_ratio(wave) / n
-    cusp = cusp if wave.layout == "grid" else 0.0
-    error = (2 * math.pi * jump) ** 6 / 3e4 + cusp
+    # the spline's error for a phase step of jump waves per cell
+    error = (2 * math.pi * jump) ** 6 / 3e4 + cusp / n
     # Error of the ratio, measured on low-order aberrations: where the rims touch, and along them.
     error += residual.truncation + 0.25 / n**1.5 + 0.6 * jump / n
 
@@ -120,11 +113,11 @@ def cells_across(residual: Residual, error: float | None = None) -> int:
         return math.ceil(max(512, waves / 0.08))
     step = min(0.25, max(0.08, math.sqrt(math.cbrt(1.5e3 * error)) / (2 * math.pi)))
     rim, slope = math.cbrt(0.025 / error) ** 2, math.sqrt(0.06 * waves / error)
-    return math.ceil(max(128.0, waves / step, rim, slope))
+    return math.ceil(max(LEAST_CELLS, waves / step, rim, slope))
 
 
-def _on_grid(residual: Residual, n: int) -> tuple[ComplexArray, LatticeRatio, float]:
-    """Return the pupil function of a polar wave on n or n + 1 cells across, its ratio and pitch, m.
+def _on_grid(residual: Residual, n: int) -> tuple[ComplexArray, Array, float]:
+    """Return the pupil function of a polar wave on n or n + 1 cells across, areas and pitch, m.
 
     The pupil function includes the areas of the cells, in squares of the pupil's radius.
     """
@@ -139,7 +132,7 @@ def _on_grid(residual: Residual, n: int) -> tuple[ComplexArray, LatticeRatio, fl
     pupil[lit] = weights[lit] * np.exp(1j * residual.wavenumber * path)
     if size is not None:
         pupil[lit] *= size
-    return pupil, LatticeRatio(weights), wave.pupil_radius * float(u[0, 1] - u[0, 0])
+    return pupil, weights, wave.pupil_radius * float(u[0, 1] - u[0, 0])
 
 
 def _correlation(values: NDArray[np.complex128] | Array) -> ComplexArray:
@@ -158,39 +151,27 @@ def _correlation(values: NDArray[np.complex128] | Array) -> ComplexArray:
     return np.asarray(np.fft.fftshift(padded))
 
 
-class LatticeRatio:
-    """Autocorrelation of a pupil function relative to that of its weights, by spline.
+def _lattice_ratio(
+    pupil: ComplexArray, weights: Array, pitch: float
+) -> Callable[[Array, Array], ComplexArray]:
+    """Return the autocorrelation of a pupil function over that of its weights, by a spline.
 
-    Parameters
-    ----------
-    weights : ndarray, (n, n)
-        Weights of the cells, in any unit. They are negative only at a softened rim.
+    Both are (n, n) on cells of a pitch, m; ``pupil`` includes the weights. The result is a function
+    of separations (du, dv), m. It is 0 where the autocorrelation of the weights is negligible.
     """
+    plain, centre = _correlation(weights).real, weights.shape[0]
+    table = np.zeros(plain.shape, dtype=np.complex128)
+    lit = plain > 1e-5 * plain[centre, centre]
+    np.divide(_correlation(pupil), plain, out=table, where=lit)
+    spline = scipy.ndimage.spline_filter(table, 5, output=np.complex128, mode="mirror")
 
-    def __init__(self, weights: Array) -> None:
-        self.plain = _correlation(weights).real
-        self.centre = weights.shape[0]
-        self.seen = self.plain > 1e-5 * self.plain[self.centre, self.centre]
+    def at(du: Array, dv: Array) -> ComplexArray:
+        place = np.stack([dv, du]) / pitch + centre
+        return np.asarray(
+            scipy.ndimage.map_coordinates(spline, place, order=5, prefilter=False, mode="mirror")
+        )
 
-    def of(self, pupil: ComplexArray, pitch: float) -> Callable[[Array, Array], ComplexArray]:
-        """Return the ratio for a pupil function (n, n), as a function of separations (du, dv), m.
-
-        ``pupil`` includes the weights, in their unit, and ``pitch`` is that of the cells, m. The
-        ratio is 0 where the autocorrelation of the weights is negligible.
-        """
-        table = np.zeros(self.plain.shape, dtype=np.complex128)
-        np.divide(_correlation(pupil), self.plain, out=table, where=self.seen)
-        spline = scipy.ndimage.spline_filter(table, 5, output=np.complex128, mode="mirror")
-
-        def at(du: Array, dv: Array) -> ComplexArray:
-            place = np.stack([dv, du]) / pitch + self.centre
-            return np.asarray(
-                scipy.ndimage.map_coordinates(
-                    spline, place, order=5, prefilter=False, mode="mirror"
-                )
-            )
-
-        return at
+    return at
 
 
 def _cells(amplitude: Array, energy: float, pitch: float) -> Callable[[Array, Array], Array]:

@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: Walls with given heights.
 Relief = FacetWall | GaussianWall | HeightMapWall
-RELIEFS: Final = (FacetWall, GaussianWall, HeightMapWall)
 
 #: Steepest slope whose light is followed, in rms slopes per axis.
 STEEPEST = 5.0
@@ -135,6 +134,11 @@ class ReliefScreen:
 
     def field(self) -> ComplexArray:
         """Return the complex field (size, size) at the pupil points, 1 for a smooth wall."""
+        fits_memory(
+            f"a phase screen of {self.size} x {self.size} cells of {self.pitch:.3g} m in the pupil",
+            SCREEN_BYTES * float(self.size) ** 2,
+            "use a smaller slope_rms, or realisation = 'mean', which needs no screen",
+        )
         per_metre = self.view.rayleigh_parameter / self.view.roughness.height_rms
         field = phase_field(self.heights(), per_metre)
         return propagated(field, spreading_matrix(self.view), self.pitch, self.wavelength)
@@ -165,13 +169,7 @@ def relief_screen(
     the pupil's axis.
     """
     margin, band = margins(view, pitch, wavelength)
-    least = cells + 2 * (margin + band)
-    fits_memory(
-        f"a phase screen of {least} x {least} cells of {pitch:.3g} m in the pupil",
-        SCREEN_BYTES * float(least) ** 2,
-        "use a smaller slope_rms, or realisation = 'mean', which needs no screen",
-    )
-    size = int(ducc0.fft.good_size(least))
+    size = int(ducc0.fft.good_size(cells + 2 * (margin + band)))
     return ReliefScreen(view, size, cells, margin, pitch, wavelength, centre)
 
 

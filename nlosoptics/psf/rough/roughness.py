@@ -173,18 +173,18 @@ class Roughness(Noun):
         float
             Lag, m; infinite if C never falls that far.
         """
-        lags = self.correlation_length * np.geomspace(1e-8, 1e3, 1101)
+        from scipy.optimize import brentq
+
+        lags = self.correlation_length * np.append(0.0, np.geomspace(1e-8, 1e3, 1101))
         passed = np.nonzero(self.structure(lags) >= structure)[0]
         if not passed.size:
             return math.inf
-        low, high = (0.0 if passed[0] == 0 else lags[passed[0] - 1]), lags[passed[0]]
-        for _ in range(40):
-            middle = (low + high) / 2
-            if self.structure(middle) >= structure:
-                high = middle
-            else:
-                low = middle
-        return float(high)
+        low, high = lags[max(passed[0] - 1, 0)], lags[passed[0]]
+
+        def miss(lag: float) -> float:
+            return float(self.structure(lag)) - structure
+
+        return float(brentq(miss, low, high, xtol=1e-13 * high)) if high > 0 else 0.0
 
     @property
     def _is_gaussian(self) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from itertools import islice
 
 import ducc0
@@ -26,7 +25,7 @@ from ..window.pixels import PixelRule, pixel_rule
 from ..window.window import Window
 from .mean import image_sampling
 from .phase_screens import Between, Screens, screens, stride, throw, widest_pitch
-from .relief import RELIEFS, Relief, ReliefScreen, ReliefView, relief_screen, relief_stride
+from .relief import Relief, ReliefScreen, ReliefView, relief_screen, relief_stride
 from .roughness import Roughness
 from .source import rough_source
 from .view import RoughView
@@ -169,13 +168,15 @@ def detilted_sample(
     if view.rayleigh_parameter == 0:
         mean = mdft.intensity_in(residual, grid, samples, rule)
     else:
-        fields, between = wall_fields(residual, view, grid, seed)
-        first = next(fields)
-        seen, spill = seen_through(grid, first, between), spilled(first)
-        mean = mdft.intensity_in(residual, seen, samples, rule)
-        for field in islice(fields, patterns - 1):
-            one = seen_through(grid, field, between)
-            mean += mdft.intensity_in(residual, one, samples, rule)
+        n = grid.values.shape[0]
+        screen, step = wall_screen(wave, view, n, grid.pitch)
+        between = Between(screen.size, step, n) if step > 1 else None
+        mean = np.zeros(shape)
+        for k, field in enumerate(islice(screen.draw(seed), patterns)):
+            through = seen_through(grid, field, between)
+            mean += mdft.intensity_in(residual, through, samples, rule)
+            if k == 0:
+                seen, spill = through, spilled(field)
         mean /= patterns
     level = residual.pixel_share(pitch)
     scale = {"unit-sum": level, "flux": level * wave.flux, "ideal-peak": 1.0}[normalisation]
@@ -198,7 +199,7 @@ def detilted_sample(
 
 def _checked_draw(roughness: Roughness | Relief, seed: int | None, patterns: int) -> int:
     """Return the seed; refuse to draw where the heights are given, or without a seed."""
-    if not isinstance(roughness, RELIEFS):
+    if not isinstance(roughness, Relief):
         if seed is None:
             raise SceneError("seed is missing, which selects the random wall; give seed = 0")
         return whole("seed", seed, 0, 2**64 - 1)
@@ -236,14 +237,23 @@ def finest_pitch(view: RoughView, wavelength: float) -> float:
     return view.widest_pitch(wavelength) if isinstance(view, ReliefView) else widest_pitch(view)
 
 
-def grid_pitch(wave: Wavefront, finest: float, far: float) -> float:
-    """Return the pupil pitch, m, of an image that reaches ``far``, m, from the axis.
+def reach(residual: Residual, view: RoughView, samples: Window) -> float:
+    """Return the distance, m, from the axis to the end of the window, with rays and halo."""
+    halo = view.halo(residual.wavefront)
+    return max(samples.reach_from(residual.shift)) + residual.rays.reach + halo
 
-    The pitch ``finest``, m, that resolves the wall's field is a multiple of it, so that the field
-    can be computed on the coarser lattice.
+
+def pupil_pitch(residual: Residual, view: RoughView, samples: Window) -> float:
+    """Return the pupil pitch, m, for the image of a rough wall in a window.
+
+    The pitch that resolves the wall's field is a multiple of it, so that the field can be computed
+    on the coarser lattice.
     """
-    # A period of 3 far keeps the leak of the softened rim outside, see `antialiased_disc`.
-    widest = wave.wavelength * abs(wave.image_distance) / (3 * far)
+    wave = residual.wavefront
+    finest = finest_pitch(view, wave.wavelength)
+    # A period of 3 reaches keeps the leak of the softened rim outside, see `antialiased_disc`.
+    scale = wave.wavelength * abs(wave.image_distance)
+    widest = scale / (3 * reach(residual, view, samples))
     pitch = min(finest, widest, 2 * wave.pupil_radius / 256)
     return pitch if math.isinf(finest) else finest / math.ceil(finest / pitch * (1 - 1e-9))
 
@@ -251,53 +261,44 @@ def grid_pitch(wave: Wavefront, finest: float, far: float) -> float:
 def speckle_pupil(residual: Residual, view: RoughView, samples: Window) -> PupilGrid:
     """Return the smooth pupil function on a grid fine enough for the screen, halo and window."""
     wave = residual.wavefront
-    halo = view.halo(wave)
-    far = max(samples.reach_from(residual.shift)) + residual.rays.reach + halo
-    finest = finest_pitch(view, wave.wavelength)
-    scale = wave.wavelength * abs(wave.image_distance)
-    if wave.layout == "polar":
-        return pupil_grid_from_polar(residual, grid_pitch(wave, finest, far))
+    if wave.is_spectral:
+        return pupil_grid_from_polar(residual, pupil_pitch(residual, view, samples))
+    far = reach(residual, view, samples)
+    limit = min(
+        finest_pitch(view, wave.wavelength), wave.wavelength * abs(wave.image_distance) / far
+    )
     n = wave.u.shape[0]
-    if wave.pupil_pitch > finest * (1 + 1e-9):
+    if wave.pupil_pitch > limit * (1 + 1e-9):
         raise SamplingError(
-            f"the pupil's pitch is {wave.pupil_pitch:.3g} m, limit {finest:.3g} m for a wall of "
-            f"Rayleigh parameter {view.rayleigh_parameter:.3g}; use a wavefront of "
-            f"{math.ceil(n * wave.pupil_pitch / finest) + 1} or more pupil samples (now {n}), or "
-            "of polar nodes"
-        )
-    if far > scale / wave.pupil_pitch:
-        need = math.ceil(n * far * wave.pupil_pitch / scale) + 1
-        raise SamplingError(
-            f"the pupil samples repeat the image every {scale / wave.pupil_pitch:.3g} m, but "
-            f"window and halo need {far:.3g} m; use a smaller shape, or a wavefront of {need} or "
-            f"more pupil samples (now {n}) or of polar nodes"
+            f"the pupil's pitch is {wave.pupil_pitch:.3g} m, limit {limit:.3g} m for a wall of "
+            f"Rayleigh parameter {view.rayleigh_parameter:.3g} whose image reaches {far:.3g} m; "
+            "use a smaller shape, or a wavefront of "
+            f"{math.ceil(n * wave.pupil_pitch / limit) + 1} or more pupil samples (now {n}), or of "
+            "polar nodes"
         )
     return pupil_grid(residual)
 
 
-def wall_fields(
-    residual: Residual, view: RoughView, grid: PupilGrid, seed: int
-) -> tuple[Iterator[ComplexArray], Between | None]:
-    """Return an iterator over the fields (n, n) of walls, and their interpolation to the grid.
+def wall_screen(
+    wave: Wavefront, view: RoughView, n: int, pitch: float
+) -> tuple[Screens | ReliefScreen, int]:
+    """Return the phase screen of a wall for n x n pupil points of a pitch, m.
 
-    The interpolation is None if the periodic lattice of the fields coincides with the grid.
+    The second result is the spacing of its lattice in pupil points.
     """
-    wave = residual.wavefront
-    n = grid.values.shape[0]
+    wavelength = wave.wavelength
     if isinstance(view, ReliefView):
-        step = relief_stride(view, grid.pitch, wave.wavelength)
-    else:
-        step = stride(view, grid.pitch)
-    # one more point than intervals, so that the lattice encloses the last pupil point
-    cells = n if step == 1 else -(-n // step) + 1
-    pitch = step * grid.pitch
-    walls: Screens | ReliefScreen
-    if isinstance(view, ReliefView):
-        walls = relief_screen(view, cells, pitch, wave.wavelength, n // 2 / step)
-    else:
-        reach = throw(view, view.halo(wave) / abs(wave.image_distance))
-        walls = screens(view, cells, pitch, wave.wavelength, reach)
-    return walls.draw(seed), (Between(walls.size, step, n) if step > 1 else None)
+        step = relief_stride(view, pitch, wavelength)
+        centre = n // 2 / step
+        return relief_screen(view, _lattice(n, step), step * pitch, wavelength, centre), step
+    step = stride(view, pitch)
+    spread = throw(view, view.halo(wave) / abs(wave.image_distance))
+    return screens(view, _lattice(n, step), step * pitch, wavelength, spread), step
+
+
+def _lattice(n: int, step: int) -> int:
+    """Return the lattice points per side that enclose n pupil points, at every ``step``-th."""
+    return n if step == 1 else -(-n // step) + 1
 
 
 def seen_through(grid: PupilGrid, field: ComplexArray, between: Between | None) -> PupilGrid:

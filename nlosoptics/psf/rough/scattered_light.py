@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Final
 
@@ -14,11 +15,12 @@ from numpy.typing import NDArray
 
 from ..._checks import fits_memory, memory_limit
 from ..aperture.quadrature_nodes import gauss_legendre
+from ..transform import costs
 from ..transform.wide_pixels import MODEL, binned, tail_pixels
 from ..wave.detilted import Residual
 from ..window.rim_tails import edge_ratio
 from ..window.window import Window, peak_pixel, ray_reach
-from .otf import CELL_BYTES, Transfer, cells_across, transfer
+from .otf import CELL_BYTES, LEAST_CELLS, Transfer, cells_across, transfer
 from .view import RoughView
 
 Array = NDArray[np.float64]
@@ -196,96 +198,182 @@ class Halo:
         return [*edges, last]
 
 
-def scattered_light(
-    residual: Residual,
-    view: RoughView,
-    window: Window,
-    pixel_integrated: bool,
-    coherent: Array,
-    tol: float,
-) -> tuple[Array, float]:
-    """Compute the halo of a rough wall, that is the mean intensity of the scattered light.
+@dataclass(frozen=True, eq=False)
+class Scattering:
+    """Halo of a rough wall in a window of the image: its predicted cost, and its computation.
 
-    The transfer function is refined to at most four times the first number of cells. If the halo
-    is much narrower than a pixel, it is computed on fine samples in a small square around the
-    centre only. The energy outside this square is distributed over the pixels as ``1/r^3``, with r
-    the distance from the centre, as diffraction at the rim does. Missing energy that this law does
-    not explain counts as error.
+    The halo is the mean intensity of the light that roughness scatters. If it is much narrower
+    than a pixel, it is computed on fine samples in a small square around the centre only. The
+    energy outside this square is distributed over the pixels as ``1/r^3``, with r the distance from
+    the centre, as diffraction at the rim does. Missing energy that this law does not explain counts
+    as error.
     """
-    n = first = first_cells(residual, view, window.pitch, tol)
-    best = _with_cells(residual, view, window, pixel_integrated, coherent, tol, n)
-    while n < 4 * first:
-        excess = best[1] / (0.7 * tol * float(np.max(coherent + best[0])))
-        # the error falls about as the square of the cells' size; a tenth is to spare
-        n = min(4 * first, math.ceil(max(1.25, 1.1 * math.sqrt(excess)) * n))
-        if excess <= 1.0 or CELL_BYTES * n**2 > memory_limit():
-            break
-        finer = _with_cells(residual, view, window, pixel_integrated, coherent, tol, n)
-        best = min(best, finer, key=lambda result: result[1])
-    return best
 
+    residual: Residual  # Wave of the smooth wall, without piston and tilt
+    view: RoughView  # Statistics and geometry of the roughness
+    window: Window  # Image samples or pixels
+    pixel_integrated: bool  # Whether to integrate over pixels instead of sampling at their centres
+    tol: float  # Largest error, relative to the peak of the whole image
 
-def first_cells(residual: Residual, view: RoughView, pitch: float, tol: float) -> int:
-    """Return the number of grid squares across the pupil to try first in `transfer`.
+    def seconds(self, cells: int = 0) -> float:
+        """Predict the run time on one core, s; ``cells`` across a pupil grid still to be made."""
+        taken = self._nodes[: 2 if not self._is_narrow else 3 if self.tol > 1e-4 else 4]
+        lattices = self._across(cells) ** 2 * (1.25 if self.first_cells else 2.0)
+        images = taken[-1] if self.first_cells else 0  # of the coarser cells
+        again = self._growth[0]
+        pixels = 0 if self._inner is self.window else math.prod(self.window.shape)
+        seconds = costs.scattered(
+            again * lattices, again * (sum(taken) + images), math.prod(self._inner.shape), pixels
+        )
+        return seconds + self.view.term_seconds * sum(taken)
 
-    The result is 0 for a wave on a grid, whose own squares are used.
-    """
-    if residual.wavefront.layout != "polar":
-        return 0
-    # The error is relative to the halo's peak, which the image's width lowers by 1 + alone/peak.
-    alone = _blur(residual, view, pitch)[1]
-    return cells_across(residual, tol / (1 + alone / peak_pixel(residual, pitch)))
+    def n_bytes(self, cells: int = 0) -> float:
+        """Predict the peak memory, bytes; ``cells`` as for `seconds`."""
+        nodes = self._nodes[3 if self.tol < 6e-4 or self._is_narrow else 1]
+        in_sum = NODE_BYTES * nodes + PIXEL_BYTES * math.prod(self._inner.shape)
+        lattice = CELL_BYTES * (self._growth[1] * self._across(cells)) ** 2
+        return max(lattice, in_sum) + PIXEL_BYTES * math.prod(self.window.shape)
 
+    def run(self, coherent: Array) -> tuple[Array, float]:
+        """Compute the scattered energy (ny, nx), and its error.
 
-def _blur(residual: Residual, view: RoughView, pitch: float) -> tuple[float, float]:
-    """Return the halo's standard deviation, m, and its energy fraction in the central pixel."""
-    blur = view.halo(residual.wavefront) / 3
-    return blur, 1.0 if blur == 0 else min(1.0, pitch**2 / (2 * math.pi * blur**2))
+        ``coherent`` is the rest of the image. The transfer function is refined to at most four
+        times the first number of cells.
+        """
+        n = first = self.first_cells
+        best = self._with_cells(n, coherent)
+        while n < 4 * first:
+            excess = best[1] / (0.7 * self.tol * float(np.max(coherent + best[0])))
+            # the error falls about as the square of the cells' size; a tenth is to spare
+            n = min(4 * first, math.ceil(max(1.25, 1.1 * math.sqrt(excess)) * n))
+            if excess <= 1.0 or CELL_BYTES * n**2 > memory_limit():
+                break
+            finer = self._with_cells(n, coherent)
+            best = min(best, finer, key=lambda result: result[1])
+        return best
 
+    @cached_property
+    def first_cells(self) -> int:
+        """Number of grid squares across the pupil to try first in `transfer`.
 
-def _with_cells(
-    residual: Residual,
-    view: RoughView,
-    window: Window,
-    pixel_integrated: bool,
-    coherent: Array,
-    tol: float,
-    cells: int,
-) -> tuple[Array, float]:
-    """Compute `scattered_light` by a transfer function from ``cells`` across the pupil."""
-    smooth = transfer(residual, cells)
-    if pixel_integrated:
-        share = view.scattered_fraction
-        for half in inner_halves(residual, view, window, tol):
-            found = _about_the_light(residual, view, window, half, share, smooth, tol, cells)
-            if found[1] <= 0.5 * tol * float(np.max(coherent + found[0])):
-                return found
-    halo = Halo(residual, view, window, pixel_integrated, smooth.reach)
-    light, nodes, missed = halo.converged(smooth.at, coherent, tol)
-    return light, missed + _transfer_error(halo, nodes, light, smooth, cells)
+        It is 0 for a wave on a grid, whose own squares are used.
+        """
+        if not self.residual.wavefront.is_spectral:
+            return 0
+        # The error is relative to the halo's peak; the image's width lowers it by 1 + alone/peak.
+        alone, peak = self._blur[1], peak_pixel(self.residual, self.window.pitch)
+        return cells_across(self.residual, self.tol / (1 + alone / peak))
 
+    def _across(self, cells: int) -> int:
+        return self.first_cells or cells or len(self.residual.wavefront.u)
 
-def inner_halves(
-    residual: Residual, view: RoughView, window: Window, tol: float
-) -> Iterator[float]:
-    """Yield the half sides, m, of the finely sampled squares to try, see `scattered_light`.
+    @cached_property
+    def _inner(self) -> Window:
+        """Finely sampled window to try first; the whole window if it would not be faster."""
+        half = next(self._halves(), None)
+        return self.window if half is None else inner_window(self.window, half)[0]
 
-    Nothing is yielded if they would not be faster than sampling all pixels.
-    """
-    unit = residual.airy_unit
-    reach = ray_reach(residual) + view.halo(residual.wavefront)
-    # The tail outside has the energy 2/(pi^2 half), with the relative error reach^2/half^2.
-    half = max(reach + FAR * unit, math.cbrt(reach**2 * unit / (math.pi**2 * tol / 4)))
-    blur, alone = _blur(residual, view, window.pitch)
-    peak = 1 / (1 / alone + 1 / peak_pixel(residual, window.pitch))
-    # The tail's model must leave a fifth of the permitted error to all else.
-    half = max(half, MODEL * _tail_energy(unit) / (0.4 * tol * peak))
-    if view.has_tails:
-        # A halo with long tails has the fraction (blur/half)^2 or more outside.
-        half = max(half, math.sqrt(2) * blur / math.sqrt(0.5 * tol * peak))
-    while 2 * half < WORTH * window.pitch * min(window.shape):
-        yield half
-        half *= 3
+    @cached_property
+    def _nodes(self) -> list[int]:
+        """Numbers of nodes that are tried in turn."""
+        halo = Halo(self.residual, self.view, self._inner, True, self._edge)
+        # two more steps, which small errors may take, and which a narrow halo takes
+        steps = (0.7 * FIRST, FIRST, 1.5 * FIRST, 2.25 * FIRST)
+        return [sum(runs) * n for runs, n in map(halo.counts, steps)]
+
+    @property
+    def _edge(self) -> float:
+        return 2 * self.residual.wavefront.pupil_radius
+
+    @property
+    def _is_narrow(self) -> bool:
+        """Whether roughness does not damp the errors at long separations."""
+        on_wall = self._edge * math.sqrt(abs(float(np.linalg.det(self.view.footprint))))
+        return self.view.last_lag(1e-3) > on_wall
+
+    @property
+    def _waves(self) -> float:
+        """Aberration across the pupil at the steepest slope, waves."""
+        return self._edge * self.residual.rays.slope / self.residual.wavefront.wavelength
+
+    @property
+    def _growth(self) -> tuple[float, float]:
+        """Cost of all numbers of cells over that of the first, and the last number over it."""
+        least = 2.0 if self.tol < 3e-4 and self.first_cells else 1.0
+        if self.first_cells == 0 or self._waves <= 1.0:
+            return 1.0, least
+        if self._inner is not self.window:  # errors of the cells add up within a wide pixel
+            return 4.0, 4.0
+        # finer cells are needed in about half of these cases, and take twice as long
+        often = self.first_cells > LEAST_CELLS or (self._is_narrow and self._waves > 5.0)
+        return 1.5 if often else 1.0, 3.0 if self._is_narrow else max(least, 1.4)
+
+    @cached_property
+    def _blur(self) -> tuple[float, float]:
+        """Standard deviation of the halo, m, and its energy fraction in the central pixel."""
+        blur, pitch = self.view.halo(self.residual.wavefront) / 3, self.window.pitch
+        return blur, 1.0 if blur == 0 else min(1.0, pitch**2 / (2 * math.pi * blur**2))
+
+    def _with_cells(self, cells: int, coherent: Array) -> tuple[Array, float]:
+        """Compute `run` by a transfer function from ``cells`` across the pupil."""
+        smooth = transfer(self.residual, cells)
+        if self.pixel_integrated:
+            for half in self._halves():
+                light, error, by_cells = self._about_the_light(half, smooth, cells)
+                enough = error <= 0.5 * self.tol * float(np.max(coherent + light))
+                # finer cells cost less than a wider square
+                if enough or (by_cells > error / 2 and cells < 4 * self.first_cells):
+                    return light, error
+        halo = Halo(self.residual, self.view, self.window, self.pixel_integrated, smooth.reach)
+        light, nodes, missed = halo.converged(smooth.at, coherent, self.tol)
+        return light, missed + _transfer_error(halo, nodes, light, smooth, cells)
+
+    def _halves(self) -> Iterator[float]:
+        """Yield the half sides, m, of the finely sampled squares to try.
+
+        Nothing is yielded if they would not be faster than sampling all pixels.
+        """
+        unit, pitch, tol = self.residual.airy_unit, self.window.pitch, self.tol
+        (blur, alone), reach = self._blur, self._reach
+        # The tail outside has the energy 2/(pi^2 half), with the relative error reach^2/half^2.
+        half = max(reach + FAR * unit, math.cbrt(reach**2 * unit / (math.pi**2 * tol / 4)))
+        peak = 1 / (1 / alone + 1 / peak_pixel(self.residual, pitch))
+        # The tail's model must leave a fifth of the permitted error to all else.
+        half = max(half, MODEL * _tail_energy(unit) / (0.4 * tol * peak))
+        if self.view.has_tails:
+            # A halo with long tails has the fraction (blur/half)^2 or more outside.
+            half = max(half, math.sqrt(2) * blur / math.sqrt(0.5 * tol * peak))
+        while 2 * half < WORTH * pitch * min(self.window.shape):
+            yield half
+            half *= 3
+
+    @property
+    def _reach(self) -> float:
+        """Image distance within which the rays and the halo arrive, m."""
+        return ray_reach(self.residual) + self.view.halo(self.residual.wavefront)
+
+    def _about_the_light(
+        self, half: float, smooth: Transfer, cells: int
+    ) -> tuple[Array, float, float]:
+        """Compute the energy by the sum in an inner window and a tail outside, and its error.
+
+        ``half`` is the inner window's half side, m. The last number is the error by the cells.
+        """
+        inner, parts = inner_window(self.window, half)
+        halo = Halo(self.residual, self.view, inner, True, smooth.reach)
+        light, nodes, missed = halo.converged(smooth.at, np.zeros(inner.shape), self.tol / 10)
+        often = min(parts, inner.shape[0])
+        by_cells = often * _transfer_error(halo, nodes, light, smooth, cells)
+        error = often * missed + by_cells
+        half, share = inner.shape[0] * inner.pitch / 2, self.view.scattered_fraction
+        missing = max(share - float(light.sum()), 0.0)
+        tail = share * edge_ratio(self.residual.wavefront) * _tail_energy(self.residual.airy_unit)
+        tail /= half
+        error += min(missing, tail) * min(1.0, MODEL + (self._reach / half) ** 2)
+        error += abs(missing - tail)
+        found = binned(light, parts, self.window.shape)
+        found += missing * tail_pixels(self.window.shape, ((half / self.window.pitch,) * 2,) * 2)
+        return found, error, by_cells
 
 
 def inner_window(window: Window, half: float) -> tuple[Window, int]:
@@ -296,36 +384,6 @@ def inner_window(window: Window, half: float) -> tuple[Window, int]:
     parts = max(1, math.ceil(4 * window.pitch / half)) | 1
     n = 2 * math.ceil(half * parts / window.pitch) + 1
     return Window.centred(window.pitch / parts, (n, n)), parts
-
-
-def _about_the_light(
-    residual: Residual,
-    view: RoughView,
-    window: Window,
-    half: float,
-    share: float,
-    smooth: Transfer,
-    tol: float,
-    cells: int,
-) -> tuple[Array, float]:
-    """Compute the scattered energy by the sum in an inner window and a tail outside, and its error.
-
-    ``half`` is the inner window's half side, m, and ``share`` the scattered fraction of the energy.
-    """
-    inner, parts = inner_window(window, half)
-    halo = Halo(residual, view, inner, True, smooth.reach)
-    light, nodes, missed = halo.converged(smooth.at, np.zeros(inner.shape), tol / 10)
-    error = min(parts, inner.shape[0]) * (
-        missed + _transfer_error(halo, nodes, light, smooth, cells)
-    )
-    half = inner.shape[0] * inner.pitch / 2
-    missing = max(share - float(light.sum()), 0.0)
-    unit, reach = residual.airy_unit, ray_reach(residual) + view.halo(residual.wavefront)
-    tail = share * edge_ratio(residual.wavefront) * _tail_energy(unit) / half
-    error += min(missing, tail) * min(1.0, MODEL + (reach / half) ** 2) + abs(missing - tail)
-    found = binned(light, parts, window.shape)
-    found += missing * tail_pixels(window.shape, ((half / window.pitch,) * 2,) * 2)
-    return found, error
 
 
 def _tail_energy(unit: float) -> float:
@@ -345,7 +403,7 @@ def _transfer_error(
     """
     bound = float(np.abs(nodes.factor).sum()) * smooth.error
     # Below 1e-12 the cost of another lattice outweighs the tighter estimate.
-    if halo.residual.wavefront.layout != "polar" or smooth.error < 1e-12:
+    if cells == 0 or smooth.error < 1e-12:
         return bound
     coarse = transfer(halo.residual, max(cells // 2, 16))
     change = halo.image(nodes, coarse.at(nodes.du, nodes.dv)) - light

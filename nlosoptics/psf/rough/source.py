@@ -18,7 +18,7 @@ from ..pupil.wall_view import WallView
 from ..wave.detilted import Residual, split
 from ..wave.wavefront import Wavefront
 from .facets import FacetView
-from .relief import RELIEFS, Relief, ReliefView
+from .relief import Relief, ReliefView
 from .roughness import Roughness
 from .view import RoughView
 
@@ -113,7 +113,7 @@ def _view(
     axes: ArrayLike = ((1.0, 0.0), (0.0, 1.0)),
 ) -> RoughView:
     """Return the view of a roughness; ``per_metre`` is the phase per height, rad/m."""
-    if pattern and isinstance(roughness, RELIEFS):
+    if pattern and isinstance(roughness, Relief):
         s = per_metre * roughness.height_rms
         places = np.array(origin, dtype=np.float64), np.array(axes, dtype=np.float64)
         return ReliefView(roughness, footprint, s, distance, *places)

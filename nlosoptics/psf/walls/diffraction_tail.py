@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import expect, fits_memory, in_range, whole
+from ..._checks import expect, fits_memory, in_range
 from ...errors import SamplingError, SceneError
 from ..rough.mean import RoughPointSpread
 from ..transform.point_spread import PointSpread
@@ -69,6 +69,11 @@ def widened(
     wide = min(math.ceil(side * max(missing, 0.0) / tol), 2 * max(shape) - 1) | 1
     if wide <= side:
         return point_spreads
+    fits_memory(
+        f"a window of {wide} x {wide} pixels",
+        40.0 * wide**2,
+        "use a larger tol, or an image of fewer pixels",
+    )
     if isinstance(point_spreads, PointSpreadField):
         return field_with_tail(point_spreads, wide)
     return with_tail(point_spreads, wide)
@@ -93,7 +98,6 @@ def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
             f"point_spread.normalisation = {point_spread.normalisation!r}, from which the missing "
             "energy is not known; compute it with normalisation='unit-sum'"
         )
-    side = _checked(side, point_spread.shape)
     missing = max(1.0 - float(point_spread.intensity.sum()), 0.0)
     intensity = _padded(point_spread.intensity, side)
     intensity += missing * tail_pixels((side, side), _sides(point_spread.shape))
@@ -106,7 +110,6 @@ def field_with_tail(field: PointSpreadField, side: int) -> PointSpreadField:
     The result has one more mode, the tail.
     """
     shape = field.modes.shape[1], field.modes.shape[2]
-    side = _checked(side, shape)
     sums = field.modes.sum(axis=(1, 2))
     missing = np.maximum(1.0 - np.tensordot(sums, field.weights, 1), 0.0)
     modes = [_padded(mode, side) for mode in field.modes]
@@ -121,22 +124,6 @@ def _sides(shape: tuple[int, int]) -> Sides:
     """Return the distances of a window's sides from its middle pixel, in pixels."""
     below, left = ((n // 2 + 0.5, n - n // 2 - 0.5) for n in shape)
     return below, left
-
-
-def _checked(side: int, shape: tuple[int, int]) -> int:
-    """Check that a window's side is not below that of ``shape`` and fits into memory."""
-    side = whole("side", side)
-    if side < max(shape):
-        raise SamplingError(
-            f"side = {side} pixels is narrower than the point spread's window of {shape}; give a "
-            f"side of {max(shape)} or more"
-        )
-    fits_memory(
-        f"a window of {side} x {side} pixels",
-        40.0 * side**2,
-        "use a larger tol, or an image of fewer pixels",
-    )
-    return side
 
 
 def _padded(intensity: Array, side: int) -> Array:

@@ -19,7 +19,7 @@ from ...raytrace.intersection.meshes import worker_pool
 from ...scene import PlanarObject, Scene
 from ..pupil.scene_optics import PointOptics, SceneOptics, optics_of
 from ..transform.point_spread import PointSpread
-from .scene_psf import point_image, point_window
+from .scene_psf import point_window, wall_image
 
 Array = NDArray[np.float64]
 #: Coordinates of an object point across and up, -1 to 1 from edge to edge.
@@ -306,7 +306,7 @@ class SampledSpreads:
 
     def _compute(self, place: Place) -> PointSpread:
         window = self.side, self.side
-        return point_image(self._optics_at(place), self.pitch, window, self.tol)[1]
+        return wall_image(self._optics_at(place), self.pitch, window, self.tol).run()[1]
 
     def at(self, places: list[Place], progress: Progress | None = None) -> list[PointSpread]:
         """Return the point spreads at coordinates across and up, -1 to 1, on all cores."""

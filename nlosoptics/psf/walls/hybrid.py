@@ -18,18 +18,16 @@ from ...raytrace import PointTrace, ray_plan, trace_point
 from ...raytrace.light.trace import MOST, MOST_BOUNCES
 from ...raytrace.light.trace_point import EMISSIONS, Emission, point_normal, point_scene
 from ...scene import Scene
-from ...scene.parts._material import MirrorLobe
 from ..pupil.scene_optics import PointOptics, SceneOptics
 from ..pupil.wall_wavefront import AimedWave
-from ..rough.mean import detilted_mean
+from ..rough.mean import RoughPointSpread, detilted_mean
 from ..rough.roughness import Roughness
 from ..rough.source import rough_view
 from ..rough.view import RoughView
 from ..transform.point_spread import PointSpread
 from ..wave.regime import regime
-from ..wave.wavefront import Wavefront
 from ..window.window import check_rays, middle, shape_of, window_side
-from .lobe_psf import ROUGH, lobe_roughness, split_lobes
+from .scene_psf import mirror_lobes
 
 Array = NDArray[np.float64]
 
@@ -43,38 +41,6 @@ class MirrorImage:
     # (float, float); Position at which the chief ray meets the detector, from the camera's axis,
     # m.
     image: tuple[float, float]
-
-
-@dataclass(frozen=True, eq=False)
-class WaveParts:
-    """Mirror image computed by waves."""
-
-    # (ny, nx); Parts of the smooth mirror and of scattering by its roughness, W per pixel.
-    coherent: Array
-    halo: Array
-    error: float  # Largest error of their sum, W per pixel
-    # Power of both parts in the whole image plane, W.
-    coherent_flux: float
-    halo_flux: float
-    reason: str  # Method, for `PointSpread.reason`
-    model_error: float = 0.0  # Largest error of the scalar model, W per pixel
-
-
-def image_lobes(
-    scene: Scene, roughness: Roughness | None
-) -> list[tuple[float, Roughness | MirrorLobe]]:
-    """Return reflectance and statistics of each mirror-like lobe, those without slope as one.
-
-    The statistics are the given ``roughness``, or the lobe itself if none is given.
-    """
-    if roughness is not None:
-        lobes: list[tuple[float, Roughness | MirrorLobe]]
-        lobes = [(scene.wall_material.specular_reflectance, roughness)]
-    else:
-        rough, smooth = split_lobes(scene)
-        lobes = [(smooth, Roughness(0.0, 1.0))]
-        lobes += [(lobe.specular_reflectance, lobe) for lobe in rough]
-    return [lobe for lobe in lobes if lobe[0] > 0.0]
 
 
 def mirror_image(seen: PointOptics, aimed: AimedWave, normal: Array | None) -> MirrorImage:
@@ -125,47 +91,29 @@ def _past_the_field_stop(scene: Scene, on_wall: Array, on_lens: Array) -> float:
     return float(passed.all())
 
 
-def wave_parts(
-    seen: PointOptics,
+def mirrored(
     mirror: MirrorImage,
-    lobes: list[tuple[float, Roughness | MirrorLobe]],
+    lobes: list[tuple[float, RoughView]],
     pitch: float,
     shape: tuple[int, int],
     tol: float,
-) -> WaveParts:
-    """Compute the coherent part and the halo of a mirror image."""
-    coherent, halo, error, model_error = np.zeros(shape), np.zeros(shape), 0.0, 0.0
+) -> list[tuple[float, RoughPointSpread]]:
+    """Return the power of each lobe's mirror image, W, and its point spread by waves.
+
+    The point spreads cover the middle of the window, as far as they are not negligible.
+    """
     if mirror.flux == 0.0 or not lobes:
-        return WaveParts(coherent, halo, error, 0.0, 0.0, "no mirror image reaches the lens")
-    residual = mirror.aimed.residual
+        return []
+    residual, parts = mirror.aimed.residual, []
     check_rays(residual, pitch, shape)
     side = window_side(residual, pitch, tol, mirror.aimed.outline)
-    smooth, scattered = 0.0, 0.0
-    reasons = ["waves for the mirror image, rays for all other paths"]
-    for reflectance, given in lobes:
-        view = _view(seen, residual.wavefront, given)
+    for reflectance, view in lobes:
         # in units of `RoughView.halo`, for a Gaussian C and for any other
         half = math.ceil((6 if view.has_tails else 1.5) * view.halo(residual.wavefront) / pitch)
         inner = min(side + 2 * half, shape[0]), min(side + 2 * half, shape[1])
         mean = detilted_mean(residual, view, tol, pitch, inner, pixel_integrated=True)
-        watts, where = reflectance * mirror.flux, middle(shape, inner)
-        coherent[where] += watts * mean.coherent
-        halo[where] += watts * mean.diffuse
-        peak = watts * float(mean.intensity.max())
-        error += peak * mean.error_estimate
-        model_error += peak * mean.model_error
-        smooth += watts * view.coherent_fraction
-        scattered += watts * view.scattered_fraction
-        reasons.append(mean.reason)
-    return WaveParts(coherent, halo, error, smooth, scattered, "; ".join(reasons), model_error)
-
-
-def _view(seen: PointOptics, wave: Wavefront, given: Roughness | MirrorLobe) -> RoughView:
-    """Return the view of a roughness, or of the heights that represent a lobe's slopes."""
-    if not isinstance(given, Roughness):
-        per_metre = 2 * math.pi / wave.wavelength * seen.view.cos_sum
-        given = lobe_roughness(given, ROUGH, ROUGH / per_metre)
-    return rough_view(wave, seen.view, given)
+        parts.append((reflectance * mirror.flux, mean))
+    return parts
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -326,15 +274,18 @@ def hybrid_point_spread(
     pitch = alone.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     size = alone.camera.shape if shape is None else shape_of(shape)
     fits_memory(f"a shape of {size[0]} x {size[1]} pixels", 128.0 * math.prod(size), "use fewer")
-    lobes = image_lobes(alone, roughness)
     normal = point_normal(scene) if emission == "lambertian" else None
     seen = SceneOptics(alone).reference
+    lobes = [(lobe.share, lobe.view) for lobe in mirror_lobes(seen)]
+    if roughness is not None:
+        view = rough_view(seen.first.wave, seen.view, roughness)
+        lobes = [(sum(share for share, _ in lobes), view)] if lobes else []
 
-    def parts(aimed: AimedWave) -> tuple[MirrorImage, WaveParts]:
+    def waves(aimed: AimedWave) -> tuple[MirrorImage, list[tuple[float, RoughPointSpread]]]:
         mirror = mirror_image(seen, aimed, normal)
-        return mirror, wave_parts(seen, mirror, lobes, pitch, size, tol)
+        return mirror, mirrored(mirror, lobes, pitch, size, tol)
 
-    mirror, waves = seen.refined(parts)[1]
+    mirror, parts = seen.refined(waves)[1]
     run = partial(
         trace_point,
         scene,
@@ -351,7 +302,7 @@ def hybrid_point_spread(
     if check:
         # the rays of the check must be independent of those of the result
         every = run(shape=(1, 1), seed=seed ^ 1 << 63)
-    found = _assembled(mirror, waves, traced, every, pitch, normalisation)
+    found = _assembled(mirror, parts, traced, every, pitch, size, normalisation)
     if progress is not None:
         progress("hybrid", 1.0)
     return found
@@ -359,18 +310,25 @@ def hybrid_point_spread(
 
 def _assembled(
     mirror: MirrorImage,
-    waves: WaveParts,
+    parts: list[tuple[float, RoughPointSpread]],
     traced: PointTrace | None,
     every: PointTrace | None,
     pitch: float,
+    shape: tuple[int, int],
     normalisation: str,
 ) -> HybridPointSpread:
     """Combine all parts in the unit of ``normalisation``."""
-    dark = np.zeros(waves.coherent.shape)
+    coherent, halo, dark = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    for watts, mean in parts:
+        where = middle(shape, mean.shape)
+        coherent[where] += watts * mean.coherent
+        halo[where] += watts * mean.diffuse
+    coherent_flux = sum(watts * mean.coherent_fraction for watts, mean in parts)
+    halo_flux = sum(watts * (1.0 - mean.coherent_fraction) for watts, mean in parts)
     diffuse, spread = (dark, dark) if traced is None else (traced.energy, traced.energy_error)
     diffuse_flux = (0.0, 0.0) if traced is None else (traced.flux, traced.flux_error)
     found = (0.0, math.inf) if every is None else (every.flux, every.flux_error)
-    flux = waves.coherent_flux + waves.halo_flux + diffuse_flux[0]
+    flux = coherent_flux + halo_flux + diffuse_flux[0]
     if flux == 0.0:
         raise SceneError(
             "no light from the object point passes the lens; check camera.aim, wall_material and "
@@ -381,29 +339,35 @@ def _assembled(
         raise SceneError(
             "normalisation = 'flux' needs a mirror image, but none reaches the lens; use 'unit-sum'"
         )
-    total = waves.coherent + waves.halo + diffuse
+    reasons = ["waves for the mirror image, rays for all other paths"]
+    total = coherent + halo + diffuse
+    peaks = [watts * float(mean.intensity.max() / total.max()) for watts, mean in parts]
     return HybridPointSpread(
         intensity=total / unit,
         pitch=pitch,
         method="hybrid",
-        error_estimate=waves.error / float(total.max()) if waves.error > 0.0 else 0.0,
-        model_error=waves.model_error / float(total.max()) if waves.model_error > 0.0 else 0.0,
+        error_estimate=sum(
+            (p * m.error_estimate for p, (_, m) in zip(peaks, parts, strict=True)), 0.0
+        ),
+        model_error=sum((p * m.model_error for p, (_, m) in zip(peaks, parts, strict=True)), 0.0),
         normalisation=normalisation,
         wavelength=mirror.aimed.wave.wavelength,
         f_number=mirror.aimed.wave.f_number,
         pixel_integrated=True,
         enclosed_energy=float(total.sum()) / flux,
-        coherent=waves.coherent / unit,
-        halo=waves.halo / unit,
+        coherent=coherent / unit,
+        halo=halo / unit,
         diffuse=diffuse / unit,
         standard_error=spread / unit,
-        coherent_flux=waves.coherent_flux / unit,
-        halo_flux=waves.halo_flux / unit,
+        coherent_flux=coherent_flux / unit,
+        halo_flux=halo_flux / unit,
         diffuse_flux=diffuse_flux[0] / unit,
         diffuse_flux_error=diffuse_flux[1] / unit,
         traced_flux=found[0] / unit,
         traced_flux_error=found[1] / unit,
         flux=flux,
         regime=regime(mirror.aimed.residual, pitch),
-        reason=waves.reason,
+        reason="; ".join([*reasons, *(mean.reason for _, mean in parts)])
+        if parts
+        else "no mirror image reaches the lens",
     )

@@ -1,10 +1,10 @@
-"""Point spread function of a scene whose wall has a roughness, and the choice of its regime."""
+"""Ways to the image of an object point by one given rough wall: by rays, and by propagation."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,28 +17,31 @@ from ...scene import FacetWall
 from ..pupil.scene_optics import PointOptics
 from ..pupil.wall_wavefront import AimedWave, aimed_wave
 from ..rough.aberration import aberration_error, rough_wave
-from ..rough.mean import detilted_mean
-from ..rough.relief import SCREEN_BYTES, STEEPEST, ReliefView, margins, relief_stride
-from ..rough.sample import detilted_sample, grid_pitch, speckle_pupil, speckle_samples
+from ..rough.relief import SCREEN_BYTES, STEEPEST, ReliefView, relief_stride
+from ..rough.sample import (
+    detilted_sample,
+    pupil_pitch,
+    speckle_pupil,
+    speckle_samples,
+    wall_screen,
+)
 from ..rough.scattered_light import FAR, WORTH, inner_window
 from ..rough.source import rough_view
 from ..rough.view import RoughView
 from ..transform import costs
 from ..transform.point_spread import PointSpread
 from ..transform.wide_pixels import binned, detilted_wide_spread
-from ..wave.detilted import Residual, split
+from ..wave.detilted import split
 from ..window.grids import grid_size
-from ..window.window import Window, ray_reach, window_side
+from ..window.window import Window, ray_reach
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-Regime = Literal["aberration", "diffraction", "mean"]
 
-#: Radii (with four times as many angles) or cells per side at which a relief's wave is sampled.
-RELIEF_NODES: Final = {"polar": 48, "grid": 1024}
-#: Most scales of the heights across the wall that the lens sees. Finer roughness scatters to angles
-#: far outside any image.
-MOST_ACROSS: Final = 2000
+#: Radii, or cells per side, at which a relief's wave is sampled, and the nodes over their square.
+RELIEF_NODES: Final = {"polar": (48, 4), "grid": (1024, 1)}
+#: Memory of Python and numpy besides the arrays, bytes.
+HELD: Final = 4e6
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -92,19 +95,228 @@ class PupilField(Noun, Shown):
 
 
 @dataclass(frozen=True)
-class RoughChoice:
-    """Regime of the point spread function of a rough wall, with sampling and predicted cost."""
+class Cost:
+    """Predicted cost of a computation."""
 
-    # Rays on the relief give the wave aberration; or the field is propagated from the wall to the
-    # pupil; or the mean over all walls in closed form.
-    regime: Regime
-    cells: int  # Samples per side: pupil nodes or phase screen; 0 for the mean
-    pitch: float  # Pitch of the phase screen in the pupil, m; 0 otherwise
-    # Predicted run time on one core, s, and memory, bytes.
-    seconds: float
-    n_bytes: float
-    error: float  # Expected error relative to the peak
-    reason: str  # Regime, sampling and reason in words
+    seconds: float  # Run time on one core, s
+    n_bytes: float  # Peak memory, bytes
+
+
+#: Wave, image, and pupil function if the field was propagated from the wall. The image is the
+#: energy per pixel relative to that of the smooth wall.
+Image = tuple[AimedWave, PointSpread, PupilField | None]
+
+
+@dataclass(frozen=True, eq=False)
+class WallImage:
+    """One way to the image of an object point by a wall: its limits, cost and computation.
+
+    A plan and its run ask the same object.
+    """
+
+    seen: PointOptics  # Optics of the object point
+    pitch: float  # Pixel side, m
+    shape: tuple[int, int]  # Pixels (ny, nx)
+    tol: float  # Largest error relative to the peak
+
+    @property
+    def reason(self) -> str:
+        """Way, sampling and reason in words."""
+        raise NotImplementedError
+
+    def refusal(self) -> str:
+        """Return why this way is not used; empty if it may be."""
+        return ""
+
+    def cost(self, cells: int = 0) -> Cost:
+        """Predict the cost without refinement of the pupil nodes.
+
+        ``cells`` is the number of cells across a pupil grid that is still to be made; 0 for the
+        wave's own nodes. Raises `NlosError` if the transforms would raise it before they compute
+        anything.
+        """
+        raise NotImplementedError
+
+    def run(self) -> Image:
+        """Compute wave and image."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class ByAberration(WallImage):
+    """Rays on the relief give the wave aberration; valid if they are hardly diffracted."""
+
+    view: ReliefView  # View of the wall
+
+    @cached_property
+    def error(self) -> float:
+        """Change of the image by diffraction between wall and pupil, relative to the peak."""
+        return aberration_error(self.view, self.seen.first.wave.wavelength)
+
+    @property
+    def reason(self) -> str:
+        """Way and reason in words."""
+        return (
+            f"wave aberration of this wall by rays: {steepness(self.view)} shift them so little "
+            f"that diffraction between wall and pupil changes {self.error:.1g} of the peak"
+        )
+
+    def refusal(self) -> str:
+        """Return how much diffraction changes, if that exceeds ``tol``."""
+        if self.error <= self.tol:
+            return ""
+        return f"diffraction between wall and pupil changes {self.error:.2g} of the peak"
+
+    @property
+    def _layout(self) -> str:
+        """Layout of the pupil nodes; creases of facets have no short series."""
+        facets = isinstance(self.view.roughness, FacetWall)
+        return "grid" if facets else self.seen.first.wave.layout
+
+    def cost(self, cells: int = 0) -> Cost:
+        """Predict the cost of the rays."""
+        n, along = RELIEF_NODES[self._layout]
+        nodes = float(along * n * n)
+        return Cost(self.view.roughness.ray_seconds * nodes, HELD + 2e3 * nodes)
+
+    def run(self) -> Image:
+        """Compute wave and image by rays, or by propagation if the relief is too fine for them."""
+        layout, seen = self._layout, self.seen
+        samples = RELIEF_NODES[layout][0]
+        try:
+            aimed = aimed_wave(seen.scene, seen.exit_pupil, seen.object_point, layout, samples)
+            wave = rough_wave(aimed.wave, self.view)
+            spread = detilted_wide_spread(split(wave), self.pitch, self.shape, self.tol)
+        except (CausticError, SamplingError):
+            return _propagation(seen, self.pitch, self.shape, self.tol, self.view).run()
+        share = wave.flux / aimed.wave.flux
+        spread = replace(
+            spread,
+            intensity=spread.intensity * share,
+            enclosed_energy=spread.enclosed_energy * share,
+            reason=f"{self.reason}; {spread.reason}",
+        )
+        return replace(aimed, wave=wave), spread, None
+
+
+@dataclass(frozen=True, eq=False)
+class ByPropagation(WallImage):
+    """The field on the wall, a phase screen, is propagated to the pupil."""
+
+    view: ReliefView  # View of the wall
+
+    @cached_property
+    def _light(self) -> tuple[Window, int]:
+        """Window of the light within a window of wide pixels, and its parts per pixel.
+
+        Wide pixels are divided. Where the light fills the window, it is the window itself.
+        """
+        residual, window = self.seen.first.residual, Window.centred(self.pitch, self.shape)
+        steep = STEEPEST * self.view.turn(residual.wavefront.wavelength)
+        half = ray_reach(residual) + steep * abs(residual.wavefront.image_distance)
+        half += FAR * residual.airy_unit
+        if 2 * half >= WORTH * self.pitch * min(self.shape):
+            return window, 1
+        return inner_window(window, half)
+
+    @cached_property
+    def _samples(self) -> Window:
+        return speckle_samples(self.seen.first.residual, self._light[0], True)[0]
+
+    @cached_property
+    def _screen(self) -> tuple[int, int, float, int]:
+        """Points per side of pupil and screen, the screen's pitch, m, and pitch in pupil points."""
+        residual = self.seen.first.residual
+        pitch = pupil_pitch(residual, self.view, self._samples)
+        n = grid_size(residual.wavefront.pupil_radius, pitch)
+        screen, step = wall_screen(residual.wavefront, self.view, n, pitch)
+        return n, screen.size, screen.pitch, step
+
+    @property
+    def reason(self) -> str:
+        """Way, sampling and reason in words."""
+        _, size, pitch, _ = self._screen
+        return (
+            f"this wall's field, propagated from wall to pupil: {steepness(self.view)} need a "
+            f"phase screen of {size} x {size} points of {1e6 * pitch:.3g} um in the pupil"
+        )
+
+    def cost(self, cells: int = 0) -> Cost:
+        """Predict the cost of screen, propagation and transform."""
+        n, size, _, step = self._screen
+        seconds = self.view.roughness.screen_seconds * float(size) ** 2
+        seconds += costs.map_sums(n, self._samples) + 5e-8 * float(n) ** 2
+        if step > 1:
+            # interpolation from a coarser screen
+            seconds += 6.5e-9 * step * size * (float(size) + n)
+        held = SCREEN_BYTES * float(size) ** 2 + 48.0 * n * (n + max(self._samples.shape))
+        return Cost(seconds, HELD + held)
+
+    def refusal(self) -> str:
+        """Return why the screen is too large; empty if it is not."""
+        cost, size, longest = self.cost(), self._screen[1], 60.0
+        if cost.seconds <= longest and cost.n_bytes <= memory_limit():
+            return ""
+        return (
+            f"{steepness(self.view)} need a phase screen of {size} x {size} points, "
+            f"{lasting(cost.seconds)} and {cost.n_bytes / 2**30:.3g} GiB, limits "
+            f"{longest:g} s and {memory_limit() / 2**30:.3g} GiB; use realisation = 'mean', a "
+            "smaller slope_rms, or rays alone by raytrace.trace_image"
+        )
+
+    def run(self) -> Image:
+        """Compute wave, image and pupil function."""
+        light, parts = self._light
+        aimed, grid = self.seen.refined(
+            lambda found: speckle_pupil(found.residual, self.view, self._samples)
+        )
+        spread, through = detilted_sample(
+            aimed.residual,
+            grid,
+            self.view,
+            light.pitch,
+            light.shape,
+            pixel_integrated=True,
+            reason=self.reason,
+        )
+        if light.shape != self.shape:
+            fine = float(spread.intensity.max())
+            wide = binned(spread.intensity, parts, self.shape)
+            # errors of the fine pixels are speckle, independent of each other
+            error = spread.error_estimate * parts * fine / float(wide.max())
+            spread = replace(spread, intensity=wide, pitch=self.pitch, error_estimate=error)
+        # the pupil function's samples add up to 1 for a smooth wall
+        wave = aimed.wave
+        area = float(np.sum(wave.weights * wave.amplitude)) / grid.pitch**2
+        # the field is resolved by a coarser lattice than that of the image
+        step = relief_stride(self.view, grid.pitch, wave.wavelength)
+        kept = slice(grid.centre % step, None, step)
+        field = PupilField(values=through.values[kept, kept] * area, pitch=step * grid.pitch)
+        return aimed, spread, field
+
+
+def steepness(view: ReliefView) -> str:
+    """Return the slopes of a relief in words."""
+    what = "facets" if isinstance(view.roughness, FacetWall) else "slopes"
+    return f"{what} of {view.roughness.slope_rms:.2g} rad"
+
+
+def relief_image(
+    seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float, view: ReliefView
+) -> WallImage:
+    """Return the first way to the image by a given wall that holds; refuse if none does."""
+    rays = ByAberration(seen, pitch, shape, tol, view)
+    return _propagation(seen, pitch, shape, tol, view) if rays.refusal() else rays
+
+
+def _propagation(
+    seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float, view: ReliefView
+) -> ByPropagation:
+    """Return the propagation from wall to pupil; refuse if its screen is too large."""
+    way = ByPropagation(seen, pitch, shape, tol, view)
+    if why := way.refusal():
+        raise SamplingError(why)
+    return way
 
 
 def roughness_view(seen: PointOptics, *, pattern: bool | None = None) -> RoughView:
@@ -117,198 +329,3 @@ def roughness_view(seen: PointOptics, *, pattern: bool | None = None) -> RoughVi
     if pattern is None:
         pattern = rough.realisation == "pattern"
     return rough_view(seen.first.wave, seen.view, rough.heights, pattern=pattern)
-
-
-def rough_window(seen: PointOptics, pitch: float, tol: float) -> int:
-    """Return the odd side of a window outside which the mean image is below ``tol`` of its peak.
-
-    Raises `SamplingError` if the roughness is so fine that the window would be too wide.
-    """
-    residual = seen.first.residual
-    side = window_side(residual, pitch, tol, seen.first.outline)
-    view = roughness_view(seen)
-    if view.rayleigh_parameter > 0:
-        patch = 2 * residual.wavefront.pupil_radius * float(np.linalg.norm(view.footprint, 2))
-        if patch > MOST_ACROSS * view.length:
-            raise SamplingError(
-                f"the wall's roughness changes over {view.length:.3g} m, {patch / view.length:.3g} "
-                f"times within the {patch:.3g} m that the lens sees, limit {MOST_ACROSS}; use a "
-                "larger cell or correlation_length, or a mirror-like lobe with slope_rms instead"
-            )
-    halo = view.halo(residual.wavefront) / 3 * math.sqrt(2 * math.log(1 / tol))
-    return side + 2 * math.ceil(halo / pitch)
-
-
-def rough_choice(
-    seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float
-) -> RoughChoice:
-    """Choose how the point spread function of a scene's rough wall is computed.
-
-    The optics keep the choice, so that a plan and its run share it.
-    """
-    return seen.once(("rough choice", pitch, shape, tol), lambda: _choice(seen, pitch, shape, tol))
-
-
-def _choice(seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float) -> RoughChoice:
-    """Return the first regime that holds for a rough wall, see `rough_choice`."""
-    view, residual = roughness_view(seen), seen.first.residual
-    if not isinstance(view, ReliefView):
-        return RoughChoice("mean", 0, 0.0, 0.0, 0.0, tol, "mean over all walls in closed form")
-    found = _aberration(residual, view)
-    if found.error <= tol:
-        return found
-    screen = _screen(residual, view, pitch, shape)
-    longest = 60.0
-    if screen.seconds > longest or screen.n_bytes > memory_limit():
-        raise SamplingError(
-            f"{_steepness(view)} need a phase screen of {screen.cells} x {screen.cells} points, "
-            f"{lasting(screen.seconds)} and {screen.n_bytes / 2**30:.3g} GiB, limits "
-            f"{longest:g} s and {memory_limit() / 2**30:.3g} GiB; use realisation = 'mean', a "
-            "smaller slope_rms, or rays alone by raytrace.trace_image"
-        )
-    return screen
-
-
-def _steepness(view: ReliefView) -> str:
-    """Return the slopes of a relief in words."""
-    what = "facets" if isinstance(view.roughness, FacetWall) else "slopes"
-    return f"{what} of {view.roughness.slope_rms:.2g} rad"
-
-
-def _aberration(residual: Residual, view: ReliefView) -> RoughChoice:
-    """Return nodes, cost and error of the wave aberration by rays on the relief."""
-    error = aberration_error(view, residual.wavefront.wavelength)
-    layout = relief_layout(residual.wavefront.layout, view)
-    n = RELIEF_NODES[layout]
-    nodes = float(n * n if layout == "grid" else 4 * n * n)
-    return RoughChoice(
-        "aberration",
-        n,
-        0.0,
-        view.roughness.ray_seconds * nodes,
-        2e3 * nodes,
-        error,
-        f"wave aberration of this wall by rays: {_steepness(view)} shift them so little that "
-        f"diffraction between wall and pupil changes {error:.1g} of the peak",
-    )
-
-
-def _light_window(
-    residual: Residual, view: ReliefView, pitch: float, shape: tuple[int, int]
-) -> tuple[Window, int]:
-    """Return the window of the light within a window of wide pixels, and its parts per pixel.
-
-    Wide pixels are divided. Where the light fills the window, it is the window itself.
-    """
-    window = Window.centred(pitch, shape)
-    steep = STEEPEST * view.turn(residual.wavefront.wavelength)
-    half = ray_reach(residual) + steep * abs(residual.wavefront.image_distance)
-    half += FAR * residual.airy_unit
-    if 2 * half >= WORTH * pitch * min(shape):
-        return window, 1
-    return inner_window(window, half)
-
-
-def _screen(
-    residual: Residual, view: ReliefView, pitch: float, shape: tuple[int, int]
-) -> RoughChoice:
-    """Return sampling and cost of the propagation from wall to pupil."""
-    wave = residual.wavefront
-    samples = speckle_samples(residual, _light_window(residual, view, pitch, shape)[0], True)[0]
-    far = max(samples.reach_from(residual.shift)) + residual.rays.reach + view.halo(wave)
-    step = grid_pitch(wave, view.widest_pitch(wave.wavelength), far)
-    n = grid_size(wave.pupil_radius, step)
-    stride = relief_stride(view, step, wave.wavelength)
-    size = n // stride + 2 * sum(margins(view, stride * step, wave.wavelength))
-    seconds = view.roughness.screen_seconds * float(size) ** 2
-    seconds += costs.map_sums(n, samples) + 5e-8 * float(n) ** 2
-    if stride > 1:
-        # interpolation from a coarser screen
-        seconds += 6.5e-9 * stride * size * (float(size) + n)
-    held = SCREEN_BYTES * float(size) ** 2 + 48.0 * n * (n + max(samples.shape))
-    reason = (
-        f"this wall's field, propagated from wall to pupil: {_steepness(view)} need a phase screen "
-        f"of {size} x {size} points of {1e6 * stride * step:.3g} um in the pupil"
-    )
-    return RoughChoice("diffraction", size, stride * step, seconds, held, 1e-3, reason)
-
-
-def relief_layout(layout: str, view: ReliefView) -> str:
-    """Return the layout of the pupil nodes for a relief; creases of facets have no short series."""
-    return "grid" if isinstance(view.roughness, FacetWall) else layout
-
-
-def rough_image(
-    seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float
-) -> tuple[AimedWave, PointSpread, PupilField | None]:
-    """Compute wave, image and pupil function of an object point seen by a rough wall.
-
-    The wave is that of this wall if it is defined, or else of the smooth wall. The image is the
-    energy per pixel relative to that of the smooth wall. The pupil function is None unless the
-    field was propagated from the wall.
-    """
-    choice = rough_choice(seen, pitch, shape, tol)
-    if choice.regime == "mean":
-        view = roughness_view(seen)
-
-        def mean(aimed: AimedWave) -> PointSpread:
-            return detilted_mean(aimed.residual, view, tol, pitch, shape, pixel_integrated=True)
-
-        return *seen.refined(mean), None
-    view = roughness_view(seen)
-    assert isinstance(view, ReliefView)
-    if choice.regime == "aberration":
-        try:
-            return *_by_aberration(seen, view, pitch, shape, tol, choice.reason), None
-        except (CausticError, SamplingError):
-            pass  # the relief is too fine for the wave's nodes; propagation samples it as needed
-    return _by_diffraction(seen, view, pitch, shape, choice.reason)
-
-
-def _by_aberration(
-    seen: PointOptics,
-    view: ReliefView,
-    pitch: float,
-    shape: tuple[int, int],
-    tol: float,
-    reason: str,
-) -> tuple[AimedWave, PointSpread]:
-    """Compute the image by the wave aberration of the relief."""
-    layout = relief_layout(seen.first.wave.layout, view)
-    aimed = aimed_wave(seen.scene, seen.exit_pupil, seen.object_point, layout, RELIEF_NODES[layout])
-    wave = rough_wave(aimed.wave, view)
-    spread = detilted_wide_spread(split(wave), pitch, shape, tol)
-    share = wave.flux / aimed.wave.flux
-    spread = replace(
-        spread,
-        intensity=spread.intensity * share,
-        enclosed_energy=spread.enclosed_energy * share,
-        reason=f"{reason}; {spread.reason}",
-    )
-    return replace(aimed, wave=wave), spread
-
-
-def _by_diffraction(
-    seen: PointOptics, view: ReliefView, pitch: float, shape: tuple[int, int], reason: str
-) -> tuple[AimedWave, PointSpread, PupilField]:
-    """Compute the image by propagation of the wall's field to the pupil."""
-    light, parts = _light_window(seen.first.residual, view, pitch, shape)
-    samples = speckle_samples(seen.first.residual, light, True)[0]
-    aimed, grid = seen.refined(lambda found: speckle_pupil(found.residual, view, samples))
-    residual, wave = aimed.residual, aimed.wave
-    spread, through = detilted_sample(
-        residual, grid, view, light.pitch, light.shape, pixel_integrated=True, reason=reason
-    )
-    if light.shape != shape:
-        fine = float(spread.intensity.max())
-        wide = binned(spread.intensity, parts, shape)
-        # errors of the fine pixels are speckle, independent of each other
-        error = spread.error_estimate * parts * fine / float(wide.max())
-        spread = replace(spread, intensity=wide, pitch=pitch, error_estimate=error)
-    # the pupil function's samples add up to 1 for a smooth wall
-    area = float(np.sum(wave.weights * wave.amplitude)) / grid.pitch**2
-    # the field is resolved by a coarser lattice than that of the image
-    step = relief_stride(view, grid.pitch, wave.wavelength)
-    kept = slice(grid.centre % step, None, step)
-    values = through.values[kept, kept] * area
-    return aimed, spread, PupilField(values=values, pitch=step * grid.pitch)

@@ -1,24 +1,44 @@
-"""Point spread function of a scene, including the choice of the pupil's sampling."""
+"""Point spread function of a scene: all lobes of its wall, and the choice of the way."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from typing import Final
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import fits_memory, in_range, one_of
 from ..._nouns import Noun
 from ..._progress import Progress
+from ...errors import SamplingError
 from ...scene import Scene
+from ...scene.parts._material import MirrorLobe
 from ..pupil.exit_pupil import ExitPupil
 from ..pupil.scene_optics import PointOptics, SceneOptics, optics_of
-from ..pupil.wall_wavefront import AimedWave
+from ..rough.mean import NO_CORE, detilted_mean
+from ..rough.relief import ReliefView
+from ..rough.roughness import Roughness
+from ..rough.scattered_light import Scattering
+from ..rough.source import rough_view
+from ..rough.view import RoughView
 from ..transform.models import MODELS, Model, check_scalar
 from ..transform.point_spread import PointSpread
+from ..transform.wide_pixels import detilted_wide_spread
+from ..wave.detilted import Residual
 from ..wave.wavefront import Wavefront
-from ..window.window import shape_of
-from .lobe_psf import lobes_of
-from .rough_wall import PupilField, rough_image, rough_window
+from ..window.window import Window, check_rays, middle, shape_of, window_side
+from .rough_wall import HELD, Cost, Image, PupilField, WallImage, relief_image, roughness_view
+from .scene_costs import smooth_cost
+
+Array = NDArray[np.float64]
+#: Rms phase s, rad, of the heights that represent a lobe. Its point spread then equals that of the
+#: lobe's slopes up to a relative error of 1/s^2.
+ROUGH: Final = 1e3
+#: Most scales of the heights across the wall that the lens sees. Finer roughness scatters to angles
+#: far outside any image.
+MOST_ACROSS: Final = 2000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -159,34 +179,201 @@ def scene_point_spread(
         shape, remedy = (side, side), "use a larger tol, a wider pitch or a shape"
     ny, nx = shape
     fits_memory(f"a point spread of {ny:.3g} x {nx:.3g} pixels", 32.0 * ny * nx, remedy)
-    if optics.scene.wall_roughness is None:
-        aimed, spread = point_image(seen, pitch, shape, tol, model)
-        field = None
-    else:
-        check_scalar(model, "roughness")
-        aimed, spread, field = rough_image(seen, pitch, shape, tol)
+    aimed, spread, field = wall_image(seen, pitch, shape, tol, model).run()
     return ScenePointSpread(
         exit_pupil=optics.exit_pupil, wavefront=aimed.wave, point_spread=spread, pupil_field=field
     )
 
 
-def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
-    """Return the odd side, pixels, of a window outside which an image is below ``tol``."""
+@dataclass(frozen=True, eq=False)
+class Lobe:
+    """Mirror-like lobe of a wall."""
+
+    share: float  # Reflectance
+    view: RoughView  # Heights that blur the reflection, or that represent the slopes of microfacets
+    blur: float  # Rms blur of the image along its widest axis, m
+    is_ggx: bool = False  # Whether the slopes have the distribution of GGX, not of Gauss
+
+    def halo(self, tol: float) -> float:
+        """Return the image distance, m, at which the blur falls to ``tol`` of its peak.
+
+        Slopes t have the density exp(-t^2/(2 sigma^2)), or (1 + t^2/alpha^2)^-2 for GGX. They tilt
+        the wave by (cos_i + cos_o) M^T t.
+        """
+        far = math.sqrt(2 * (tol**-0.5 - 1) if self.is_ggx else 2 * math.log(1 / tol))
+        return far * self.blur
+
+
+def smooth_lobe(share: float) -> Lobe:
+    """Return a lobe without slopes."""
+    return Lobe(share, RoughView(Roughness(0.0, 1.0), np.eye(2), 0.0), 0.0)
+
+
+def mirror_lobes(seen: PointOptics) -> tuple[Lobe, ...]:
+    """Return the mirror-like lobes of the wall's material; those without slope are one.
+
+    The ``slope_rms`` of a lobe is the rms slope of its microfacets, which represent heights of many
+    wavelengths. A lobe with a slope is therefore the limit of large heights.
+    """
+    lobes, smooth, wave = [], 0.0, seen.first.wave
+    for lobe in seen.scene.mirror_lobes:
+        share = lobe.specular_reflectance
+        if lobe.slope_rms == 0:
+            smooth += share
+        elif share > 0:
+            cosines = seen.view.cos_sum
+            heights = lobe_roughness(lobe, ROUGH * wave.wavelength / (2 * math.pi * cosines))
+            turn = cosines * float(np.linalg.norm(seen.view.footprint, 2)) * lobe.slope_rms
+            view, blur = rough_view(wave, seen.view, heights), turn * abs(wave.image_distance)
+            lobes.append(Lobe(share, view, blur, getattr(lobe, "distribution", "") == "ggx"))
+    return (*lobes, smooth_lobe(smooth)) if smooth > 0 else tuple(lobes)
+
+
+def lobe_roughness(lobe: MirrorLobe, height_rms: float) -> Roughness:
+    """Return height statistics whose slopes are those of a lobe, in the limit of large heights.
+
+    ``height_rms``, m, causes the rms phase s = `ROUGH`, rad. The autocorrelation is Gaussian except
+    for GGX, whose slopes have the characteristic function x K1(x), x = alpha times the wave number,
+    so that C = 1 + ln(x K1(x))/s^2.
+    """
+    length = math.sqrt(2) * height_rms / lobe.slope_rms
+    if getattr(lobe, "distribution", "beckmann") == "beckmann":
+        return Roughness(height_rms, length)
+
+    def correlation(lags: Array) -> Array:
+        from scipy.special import k1e
+
+        # alpha = sqrt(2) slope_rms, and s/height_rms is the wave number times both cosines
+        x = np.maximum(2 * ROUGH * np.asarray(lags) / length, 1e-12)
+        fall = np.log(x * k1e(x)) - x
+        return np.where(np.asarray(lags) == 0, 1.0, np.maximum(1 + fall / ROUGH**2, 0))
+
+    return Roughness(height_rms, length, correlation)
+
+
+@dataclass(frozen=True, eq=False)
+class ByMean(WallImage):
+    """Sum of all lobes, each the mean over walls of its heights in closed form."""
+
+    lobes: tuple[Lobe, ...]
+    model: Model = "scalar"
+
+    @property
+    def reason(self) -> str:
+        """Way in words."""
+        return "mean over all walls in closed form"
+
+    def cost(self, cells: int = 0) -> Cost:
+        """Predict the cost of the halo of each lobe, and of the image that all share."""
+        residual, window = self.seen.first.residual, Window.centred(self.pitch, self.shape)
+        rough = [lobe.view for lobe in self.lobes if lobe.view.rayleigh_parameter > 0]
+        halos = [Scattering(residual, view, window, True, self.tol) for view in rough]
+        found = [Cost(halo.seconds(cells), halo.n_bytes(cells)) for halo in halos]
+        if any(lobe.view.coherent_fraction > NO_CORE for lobe in self.lobes):
+            found.append(smooth_cost(residual, self.pitch, self.shape, self.tol, cells))
+        return Cost(sum(c.seconds for c in found), HELD + max(c.n_bytes for c in found))
+
+    def run(self) -> Image:
+        """Compute wave and image, with as many pupil nodes as ``tol`` requires."""
+        return *self.seen.refined(lambda aimed: self._image(aimed.residual)), None
+
+    def _image(self, residual: Residual) -> PointSpread:
+        """Compute the image of all lobes, integrated over pixels, from the smooth wave."""
+        pitch, shape, tol = self.pitch, self.shape, self.tol
+        if self.seen.scene.wall_roughness is not None:
+            check_scalar(self.model, "roughness")
+            view = self.lobes[0].view
+            return detilted_mean(residual, view, tol, pitch, shape, pixel_integrated=True)
+        if all(lobe.view.rayleigh_parameter == 0 for lobe in self.lobes):
+            return detilted_wide_spread(residual, pitch, shape, tol, self.model)
+        check_scalar(self.model, "a lobe with a slope")
+        check_rays(residual, pitch, shape)
+        return _together([(lobe.share, self._part(residual, lobe.view)) for lobe in self.lobes])
+
+    def _part(self, residual: Residual, view: RoughView) -> PointSpread:
+        """Compute the image of one lobe; that of a smooth one is 0 where it is below ``tol``."""
+        pitch, shape, tol = self.pitch, self.shape, self.tol
+        if view.rayleigh_parameter > 0:
+            return detilted_mean(residual, view, tol, pitch, shape, pixel_integrated=True)
+        side = window_side(residual, pitch, tol)
+        ny, nx = (min(n, side + (n - side) % 2) for n in shape)
+        core = detilted_wide_spread(residual, pitch, (ny, nx), tol)
+        intensity = np.zeros(shape)
+        intensity[middle(shape, core.shape)] = core.intensity
+        return replace(core, intensity=intensity)
+
+
+def scene_lobes(seen: PointOptics) -> tuple[Lobe, ...]:
+    """Return the lobes of a scene's wall: its roughness, or those of its material, or a mirror."""
     if seen.scene.wall_roughness is not None:
-        return rough_window(seen, pitch, tol)
-    lobes = lobes_of(seen.scene, lambda: seen.view)
-    return lobes.window(seen.first.residual, pitch, tol, seen.first.outline)
+        view = roughness_view(seen)
+        return (Lobe(1.0, view, view.halo(seen.first.wave) / 3),)
+    return mirror_lobes(seen) or (smooth_lobe(1.0),)
 
 
-def point_image(
+def wall_image(
     seen: PointOptics,
     pitch: float,
     shape: tuple[int, int],
     tol: float,
     model: Model = "scalar",
-) -> tuple[AimedWave, PointSpread]:
-    """Compute wave and image of an object point, with as many pupil nodes as ``tol`` requires."""
-    if seen.scene.wall_roughness is not None:
-        return rough_image(seen, pitch, shape, tol)[:2]
-    lobes = lobes_of(seen.scene, lambda: seen.view)
-    return seen.refined(lambda aimed: lobes.point_spread(aimed.residual, pitch, shape, tol, model))
+) -> WallImage:
+    """Return the way to the image of an object point, integrated over pixels.
+
+    The optics store it, so that a plan and its run share it.
+    """
+
+    def chosen() -> WallImage:
+        lobes = scene_lobes(seen)
+        view = lobes[0].view
+        if isinstance(view, ReliefView):
+            check_scalar(model, "roughness")
+            return relief_image(seen, pitch, shape, tol, view)
+        return ByMean(seen, pitch, shape, tol, lobes, model)
+
+    return seen.once(("wall image", pitch, shape, tol, model), chosen)
+
+
+def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
+    """Return the odd side, pixels, of a window outside which an image is below ``tol``.
+
+    ``tol`` is relative to the peak. Raises `SamplingError` if the wall's roughness is so fine that
+    the window would be too wide.
+    """
+    residual, lobes = seen.first.residual, scene_lobes(seen)
+    wave = residual.wavefront
+    side = window_side(residual, pitch, tol, seen.first.outline)
+    view = lobes[0].view
+    if seen.scene.wall_roughness is not None and view.rayleigh_parameter > 0:
+        patch = 2 * wave.pupil_radius * float(np.linalg.norm(view.footprint, 2))
+        if patch > MOST_ACROSS * view.length:
+            raise SamplingError(
+                f"the wall's roughness changes over {view.length:.3g} m, {patch / view.length:.3g} "
+                f"times within the {patch:.3g} m that the lens sees, limit {MOST_ACROSS}; use a "
+                "larger cell or correlation_length, or a mirror-like lobe with slope_rms instead"
+            )
+    return side + 2 * math.ceil(max(lobe.halo(tol) for lobe in lobes) / pitch)
+
+
+def _together(parts: list[tuple[float, PointSpread]]) -> PointSpread:
+    """Return the weighted mean of (weight, point spread) pairs on the same pixels."""
+    total = sum(share for share, _ in parts)
+    intensity = np.sum([share / total * part.intensity for share, part in parts], axis=0)
+    first = parts[0][1]
+    peaks = [share * float(part.intensity.max()) for share, part in parts]
+    peak = total * float(intensity.max())
+    return PointSpread(
+        intensity=intensity,
+        pitch=first.pitch,
+        method=" + ".join(dict.fromkeys(part.method for _, part in parts)),
+        error_estimate=sum(n * p.error_estimate for n, (_, p) in zip(peaks, parts, strict=True))
+        / peak,
+        model_error=sum(n * p.model_error for n, (_, p) in zip(peaks, parts, strict=True)) / peak,
+        normalisation=first.normalisation,
+        wavelength=first.wavelength,
+        f_number=first.f_number,
+        pixel_integrated=True,
+        enclosed_energy=float(intensity.sum()),
+        regime=first.regime,
+        reason="; ".join(dict.fromkeys(part.reason for _, part in parts)),
+    )

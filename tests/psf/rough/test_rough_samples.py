@@ -328,7 +328,12 @@ def test_scene_is_sampled(flat_scene):
         ({"independent_patterns": 0}, wall(1, 2e-3), SceneError, "independent_patterns"),
         ({"pitch": UNIT}, wall(1, 2e-3), SamplingError, "Nyquist"),
         ({}, wall(3, 1e-3), SamplingError, "pupil's pitch"),
-        ({"shape": 400}, wall(3, 3e-3), SamplingError, "repeat the image"),
+        (
+            {"shape": 400},
+            wall(3, 3e-3),
+            SamplingError,
+            "whose image reaches",
+        ),
         ({"effective_distance": 1e6}, wall(1, 2e-3), MemoryLimitError, "screen of"),
         (
             {},

@@ -192,7 +192,7 @@ def test_pitch_of_a_grid_wave(factor):
         f"the pupil's pitch is {residual.wavefront.pupil_pitch:.3g} m, limit {finest:.3g} m for"
     )
     with pytest.raises(
-        SamplingError, match=f"{message} a wall of Rayleigh parameter 0.4; "
+        SamplingError, match=f"{message} a wall of Rayleigh parameter 0.4 whose image reaches"
     ) as refusal:
         sample.speckle_pupil(residual, view, window)
     assert "wavefront of 33 or more pupil samples (now 31), or of polar nodes" in str(refusal.value)

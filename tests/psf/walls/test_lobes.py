@@ -10,7 +10,7 @@ from pytest import approx
 from scipy.special import ndtr
 
 from nlosoptics import psf
-from nlosoptics.psf.walls.lobe_psf import halo_radius
+from nlosoptics.psf.walls.scene_psf import mirror_lobes
 from nlosoptics.scene import Lambert, SpecularMicrofacet, SumMaterial, Ward
 
 
@@ -106,9 +106,9 @@ def test_halo_ends_where_the_slopes_density_is_tol(flat_scene, distribution, tol
     scene = rough(flat_scene, SpecularMicrofacet(0.05, 0.003, distribution=distribution))
     scene = replace(scene, hidden=replace(scene.hidden, position=(x, y + 0.6, z)))
     wave = psf.wavefront(scene)
-    lobe = scene.wall_material.mirror_lobes[0]
-    far = halo_radius(lobe, psf.wall_view(scene), wave, tol)
-    variance = np.linalg.eigvalsh(blur(scene, wave, lobe.slope_rms)).max()
+    (lobe,) = mirror_lobes(psf.SceneOptics(scene).at())
+    far = lobe.halo(tol)
+    variance = np.linalg.eigvalsh(blur(scene, wave, 0.003)).max()
     square = far**2 / (2 * variance)  # of slopes, in units of alpha^2 = 2 sigma^2
     density = np.exp(-square) if distribution == "beckmann" else (1 + square) ** -2.0
     assert density == approx(tol, rel=1e-9)
