@@ -86,7 +86,10 @@ class PolarSpectrum:
 
     def on_rims(self) -> Array:
         """Return the values on the outer and inner rim, or at the centre."""
-        waves = self._polynomial(np.array([1.0, self.obscuration]))[0]
+        # Legendre polynomials are 1 at the outer rim and (-1)^k at the inner.
+        inner = np.where(np.arange(self.n_r) % 2, -1.0, 1.0)[:, None] * self.coefficients
+        waves = np.stack([self.coefficients.sum(axis=0), inner.sum(axis=0)])
+        waves[1, 1::2] *= self.obscuration  # odd orders have a factor r/radius
         return self._synthesis(waves, self.n_theta)
 
     @property
