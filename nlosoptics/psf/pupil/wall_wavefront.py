@@ -16,7 +16,7 @@ from ...scene import MeshWall, Scene, Wall
 from ..aperture.aperture import Aperture
 from ..wave.detilted import Residual, split
 from ..wave.removed import Removed
-from ..wave.sampling import nodes_of, pupil_nodes
+from ..wave.sampling import Sampling, nodes_of
 from ..wave.wavefront import Layout, Wavefront
 from .aiming import AimedRays, aim, pupil_points
 from .exit_pupil import ExitPupil, exit_pupil
@@ -355,7 +355,7 @@ def _pupil_nodes(
     if samples is None:
         samples = {"grid": 256}.get(layout, 24)
     counts = samples if isinstance(samples, tuple) else whole("samples", samples)
-    found = pupil_nodes(layout, counts, radius, 0.0, aperture)
+    found = Sampling(layout, None, radius, 0.0, aperture).nodes(counts)
     return layout, found.u, found.v, found.weights
 
 
