@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import time
-from functools import lru_cache
 from typing import Final, Literal
 
 import numpy as np
@@ -21,6 +19,7 @@ from .confocal_grids import (
     waves_along,
     waves_kind,
 )
+from .gridding import PER_TAP, Gridding
 from .volume import Volume, VolumeImage
 
 Array = NDArray[np.floating]
@@ -33,8 +32,8 @@ Amplitude = Literal["root", "light"]
 FALLOFF: Final = {"diffuse": 4, "retroreflective": 2}
 
 ROWS: Final = 8  # lateral frequencies along y per step, to bound the memory
-TAPS: Final = 8  # width of the gridding kernel, in samples of a twofold oversampled grid
-PER_TAP: Final = 2048  # steps of the kernel's table per sample
+TAPS: Final = 8
+GRIDDING: Final = Gridding(TAPS, 2.0)
 
 
 def fk_migration(
@@ -176,7 +175,6 @@ def _migrated(
     n_waves = int(0.5 / grid.pitch * n * pitch) + 1
     nz, ny, nx = volume.shape
     n_rows, width, n_f = spectrum.shape
-    table = _kernel_table()
     field: Waves = np.zeros((ny, nx * nz), dtype=kind)
     for first in range(0, len(ky), ROWS):
         rows = slice(first, first + ROWS)
@@ -192,7 +190,7 @@ def _migrated(
             size,
             centre,
             volume.z[0],
-            table,
+            GRIDDING.table,
             TAPS,
             PER_TAP,
             n_waves,
@@ -228,34 +226,12 @@ def _gridded(wave: Array, grid: ConfocalGrid, kind: type) -> tuple[Waves, int, f
     size = next_size(2 * max(n_bins, TAPS))
     middle = n_bins // 2
     series = wave.astype(np.float32 if kind is np.complex64 else np.float64)
-    series = series * _kernel_transform((np.arange(n_bins) - middle) / size)[:, None, None].astype(
-        series.dtype
-    )
+    series = series * GRIDDING.correction((np.arange(n_bins) - middle) / size)[
+        :, None, None
+    ].astype(series.dtype)
     found = scipy.fft.rfft(np.ascontiguousarray(series.transpose(1, 2, 0)), size, axis=2)
     turns = np.arange(size // 2 + 1) * middle % size
     found *= np.exp(2j * np.pi * turns / size).astype(kind)
     below = found[:, :, TAPS:0:-1].conj()
     above = found[:, :, -2 : -2 - TAPS : -1].conj()
     return np.concatenate([below, found, above], axis=2), size, float(grid.depths[middle])
-
-
-def _bell(x: Array) -> Array:
-    """Return the kernel exp(beta (sqrt(1 - x^2) - 1)), Barnett et al. 2019; 0 beyond TAPS/2."""
-    inside = np.clip(1.0 - (2.0 * x / TAPS) ** 2, 0.0, None)
-    return np.asarray(np.where(inside > 0.0, np.exp(2.3 * TAPS * (np.sqrt(inside) - 1.0)), 0.0))
-
-
-@lru_cache(maxsize=1)
-def _kernel_table() -> Array:
-    """Return the kernel from -TAPS/2 to TAPS/2 in steps of 1/PER_TAP, and one further value."""
-    table = _bell(np.arange(TAPS * PER_TAP + 2) / PER_TAP - 0.5 * TAPS)
-    table.flags.writeable = False
-    return table
-
-
-def _kernel_transform(frequencies: Array) -> Array:
-    """Return the inverse of the kernel's Fourier transform, by Gauss-Legendre quadrature."""
-    nodes, weights = np.polynomial.legendre.leggauss(64)
-    x, w = 0.25 * TAPS * (nodes + 1.0), 0.5 * TAPS * weights
-    waves = np.cos(2.0 * math.pi * frequencies[:, None] * x)
-    return np.asarray(1.0 / (waves @ (w * _bell(x))))
