@@ -86,12 +86,14 @@ def bell(u, taps, beta):
 
 
 @njit(cache=True, nogil=True)
-def fill_kernels(across, up, away, ways, wave, pitch, first, taps, beta, kernels):
+def fill_kernels(across, up, away, ways, sampling, first, kernels):
     """Fill ``kernels`` (n, 2, y, x) with exp(i wave r), gridded to the distances of n samples.
 
     r is ``ways`` times the length of the vector (across[x], up[y], away), m. Sample j is the
-    distance (first + j) pitch. Real and imaginary part are apart.
+    distance (first + j) pitch. Real and imaginary part are apart. ``sampling`` is (wave, pitch,
+    taps, beta), the last two for `bell`.
     """
+    wave, pitch, taps, beta = sampling
     kernels[:] = 0.0
     for y in range(len(up)):
         square = up[y] ** 2 + away**2
@@ -153,12 +155,14 @@ def _add_four(kernel, wall, j, i, t, sums):
 
 
 @njit(cache=True, nogil=True)
-def add_moments(fields, xs, ys, z, far, times, wave, pitch, first, taps, beta, total):
+def add_moments(fields, place, times, sampling, first, total):
     """Add fields, interpolated to each voxel's leg from ``far`` plus t, to ``total`` (t, y, x).
 
     ``fields`` (n, y, x) are gridded samples at the moments (first + j) pitch, m, without the
-    carrier exp(i wave t). The leg is 0 if ``far`` is empty.
+    carrier exp(i wave t). ``place`` is (xs, ys, z, far) of the voxels. The leg is 0 if ``far``
+    is empty.
     """
+    (xs, ys, z, far), (wave, pitch, taps, beta) = place, sampling
     for y in range(len(ys)):
         for x in range(len(xs)):
             leg = 0.0

@@ -178,6 +178,8 @@ def _migrated(
     n_waves = int(0.5 / grid.pitch * n * pitch) + 1
     nz, ny, nx = volume.shape
     n_rows, width, n_f = spectrum.shape
+    scales = (n * pitch, grid.pitch, size, centre, volume.z[0])
+    bell = (GRIDDING.table, TAPS, PER_TAP)
     field: Waves = np.zeros((ny, nx * nz), dtype=kind)
     for first in range(0, len(ky), ROWS):
         rows = slice(first, first + ROWS)
@@ -185,20 +187,7 @@ def _migrated(
         waves = np.matmul(to_kx, waves)
         deep: Waves = np.empty((len(waves), len(kx), n), dtype=kind)
         lateral_sq = ky[rows, None] ** 2 + kx**2
-        kernels.stolt(
-            waves,
-            lateral_sq,
-            n * pitch,
-            grid.pitch,
-            size,
-            centre,
-            volume.z[0],
-            GRIDDING.table,
-            TAPS,
-            PER_TAP,
-            n_waves,
-            deep,
-        )
+        kernels.stolt(waves, lateral_sq, scales, bell, n_waves, deep)
         deep = scipy.fft.ifft(deep, axis=2, overwrite_x=True)[:, :, :nz]
         part = np.matmul(from_kx, deep)  # (rows, nx, nz)
         field += from_ky[:, rows] @ part.reshape(len(part), -1)

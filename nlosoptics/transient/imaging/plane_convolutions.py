@@ -265,6 +265,11 @@ class Room:
         width = self.band.step * max(1, len(self.band.numbers) - 1)
         return float(2.0 * math.pi / (self.gridding.oversampling * width))
 
+    @property
+    def sampling(self) -> tuple[float, float, int, float]:
+        """Carrier, pitch, and taps and beta of the gridding, for the kernels."""
+        return self.carrier, self.pitch, self.gridding.taps, self.gridding.beta
+
     @cached_property
     def ways(self) -> int:
         """How often a path covers the distance from the wall to a voxel."""
@@ -273,7 +278,7 @@ class Room:
     @property
     def key(self) -> tuple[Any, ...]:
         """What the kernels depend on, apart from the planes and the precision."""
-        return self.grid.axes, self.grid.depth, self.ways, self.carrier, self.pitch, self.gridding
+        return self.grid.axes, self.grid.depth, self.ways, self.sampling
 
     def far(self, j: int) -> Array:
         """Return laser point j, (1, 3), or (0, 3) if paths have one leg, or equal ones."""
@@ -340,18 +345,8 @@ class Room:
         up, across = self.steps
         first, count = self.distances(z)
         values = np.empty((count + count % 2, 2, *self.quadrant), np.empty(0, kind).real.dtype)
-        _phasor_kernels.fill_kernels(
-            across,
-            up,
-            z - self.grid.depth,
-            self.ways,
-            self.carrier,
-            self.pitch,
-            first,
-            self.gridding.taps,
-            self.gridding.beta,
-            values,
-        )
+        away = z - self.grid.depth
+        _phasor_kernels.fill_kernels(across, up, away, self.ways, self.sampling, first, values)
         if self.mirrored:
             # the transform of an even kernel is the cosine transform of one quadrant
             ducc0.fft.dct(values, 1, axes=(2, 3), out=values)
@@ -434,20 +429,8 @@ class Room:
         if self.at_once:
             fields[0] += samples[0]
             return
-        _phasor_kernels.add_moments(
-            samples,
-            volume.x,
-            volume.y,
-            z,
-            self.far(j),
-            self.times,
-            self.carrier,
-            self.pitch,
-            first,
-            self.gridding.taps,
-            self.gridding.beta,
-            fields,
-        )
+        place = (volume.x, volume.y, z, self.far(j))
+        _phasor_kernels.add_moments(samples, place, self.times, self.sampling, first, fields)
 
 
 def _blocks(values: Array) -> Array:
