@@ -29,9 +29,9 @@ SPECTRA = 2**29
 
 #: Number of paths in a direct sum that cost as much time as one element of a plane's transforms.
 PATHS = 8
-#: Products of voxels, wall points and waves, about 10 s of a core, beyond which a direct sum that
-#: transforms could replace is warned of.
-LARGE = 1e9
+#: Products of voxels, wall points and waves beyond which a direct sum that transforms could replace
+#: is warned of, and that a core sums in a second.
+LARGE, SPEED = 1e9, 3.5e8
 
 
 def phasor_image(
@@ -183,10 +183,11 @@ def phasor_image(
     _check_memory(setup, volume, grid, band, moments, dtype)
     paths = volume.points.size / 3 * len(setup.legs.near)
     asked = reason in ("requested", "few voxels")
-    if grid is None and not asked and paths * len(band.numbers) > LARGE:
+    work = paths * len(band.numbers)
+    if grid is None and not asked and work > LARGE:
         warnings.warn(
-            f"{reason}. Each path is summed, often a hundred times the work of transforms; "
-            "method='direct' sums without this warning",
+            f"{reason}. Each path is summed, about {work / SPEED:.2g} s of a core, often a hundred "
+            "times the work of transforms; method='direct' sums without this warning",
             PerformanceWarning,
             stacklevel=2,
         )

@@ -272,12 +272,12 @@ class Room:
 
     @cached_property
     def ways(self) -> int:
-        """How often a path covers the distance from the wall to a voxel."""
+        """Number of times that a path covers the distance from the wall to a voxel."""
         return 2 if self.legs.twice else 1
 
     @property
     def key(self) -> tuple[Any, ...]:
-        """What the kernels depend on, apart from the planes and the precision."""
+        """Values that kernels depend on, apart from the planes and the precision."""
         return self.grid.axes, self.grid.depth, self.ways, self.sampling
 
     def far(self, j: int) -> Array:
