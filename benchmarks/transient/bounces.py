@@ -8,8 +8,8 @@ relative L1 error of one at a sensor is what they differ by, summed over the bin
 2 and the light. Errors fall as the root of the samples, here checked for both by a second number of
 them, so that the seconds to 1 % are those of a run times (error/1 %)^2. The median and the largest
 over the sensors are given. Seconds are those of the processor here, of the clock for mitransient.
-Totals are compared, too. mitransient follows paths along the lobes: aiming at hidden geometry counts
-the letter twice, see peers/mitransient_scene.py.
+Totals are compared, too. mitransient follows paths along the lobes: aiming at hidden geometry
+counts the letter twice, see peers/mitransient_scene.py.
 """
 
 from __future__ import annotations

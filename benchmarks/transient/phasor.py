@@ -62,9 +62,8 @@ def main():
         for row, picture in found:
             rows.append({"wall": count, **row, "iou": overlap(picture)})
             print("{wall:3d}  {method:44s} {seconds:8.4f} s  IoU {iou:.3f}".format(**rows[-1]))
-    light = rendered(64)
     options.planes, options.wl_mean = 64, 4.0 * SIDE / 64
-    for row, picture in ours(light, options):
+    for row, picture in ours(rendered(64), options):
         rows.append({"wall": 64, **row, "iou": overlap(picture)})
         print("{wall:3d}  {method:44s} {seconds:8.4f} s  IoU {iou:.3f}".format(**rows[-1]))
     if options.json:
@@ -75,20 +74,10 @@ def rendered(count):
     """Bins (t, y, x) of the letter at 1 m, one laser point in the middle."""
     import trimesh
 
-    a, b, c, d, e, f, g, h, i, j = (np.append(corner, 1.0) for corner in LETTER)
-    corners = [[a, b, c, d], [f, g, h, i], [e, d, j, i]]
-    letter = trimesh.Trimesh(
-        np.concatenate(corners),
-        np.array([[4 * k + m for m in face] for k in range(3) for face in ((0, 1, 2), (0, 2, 3))]),
-        process=False,
-    )
-    scan = transient.Scan(
-        laser_points=(0.0, 0.0, 0.0),
-        sensor_points=transient.wall_grid(SIDE, count),
-        t_start=START,
-        delta_t=WIDTH,
-        n_bins=300,
-    )
+    faces = [[0, 1, 2], [0, 2, 3], [5, 6, 7], [5, 7, 8], [4, 3, 9], [4, 9, 8]]
+    letter = trimesh.Trimesh(np.insert(LETTER, 2, 1.0, axis=1), faces, process=False)
+    wall, bins = transient.wall_grid(SIDE, count), {"t_start": START, "delta_t": WIDTH}
+    scan = transient.Scan(laser_points=(0.0, 0.0, 0.0), sensor_points=wall, n_bins=300, **bins)
     return transient.render([(letter, Lambert(0.8))], scan, max_bounces=3).H
 
 

@@ -30,10 +30,10 @@ SECTIONS = (
         "Four and five bounces compared with mitransient",
         "Time-resolved light with four and five reflections, from a letter in a corridor, at 32 x "
         "32 or 12 x 12 sensor points in bins of 1 cm. The error of a sensor point is the sum of "
-        "absolute differences between two runs with different seeds, relative to the light, divided "
-        "by the square root of 2. The last column is the time to an error of 1 %. It is computed from "
-        "time and error, which falls with the square root of the samples. Times of nlosoptics are "
-        "processor time, those of mitransient wall time.",
+        "absolute differences between two runs with different seeds, relative to the light, "
+        "divided by the square root of 2. The last column is the time to an error of 1 %. It is "
+        "computed from time and error, which falls with the square root of the samples. Times of "
+        "nlosoptics are processor time, those of mitransient wall time.",
         "python benchmarks/transient/bounces.py --peer-python PEER/bin/python --json {file}",
         table={
             "program, sensor points, reflections, samples": "{name}, {size} x {size}, {bounces}, "

@@ -423,8 +423,8 @@ class Room:
         if products.shape[1:] != (rows, columns):
             # summing b periods of a transform gives b times the transform of every b-th sample, so
             # that the inverse transform returns only the samples at voxels
-            products = products.reshape(count, -1, rows, self.shape[1])
-            products = products.sum(axis=1).reshape(count, rows, -1, columns).sum(axis=2)
+            folded = products.reshape(count, -1, rows, self.shape[1]).sum(axis=1)
+            products = folded.reshape(count, rows, -1, columns).sum(axis=2)
         samples = self.planes(products)
         if self.at_once:
             fields[0] += samples[0]
