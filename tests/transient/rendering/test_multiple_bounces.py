@@ -505,7 +505,7 @@ def test_a_corridor_is_the_peers(data):
                 delta_t=0.01,
                 n_bins=800,
                 tol=None,
-                n_rays=1 << 16,
+                n_rays=1 << 18,
             ).by_bounce
         )
     for order in (4, 5):
