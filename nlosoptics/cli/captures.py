@@ -426,11 +426,11 @@ def _formed(
     elif method == "backprojection":
         image = transient.backprojection(capture, volume, progress=progress)
     elif method == "fk":  # the root of noise would be brighter than the noise
-        image = transient.fk_migration(capture, volume, amplitude="light", progress=progress)
+        image = transient.fk_migration(capture, volume, amplitude="albedo", progress=progress)
     else:
         image = transient.lct(capture, volume, progress=progress)
     # the rim of an even surface lies at half its light; intensities of waves are squares
-    share = AMPLITUDE if method == "phasor" else 0.5
+    share = {"phasor": AMPLITUDE, "fk": 0.4}.get(method, 0.5)
     power = 2 if method in ("phasor", "fk") else 1
     return image, transient.depth_map(image, threshold=share**power)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..._checks import counted, expect, real, whole
 from ...errors import SamplingError, SceneError
 from .capture import TransientCapture
+from .wall_points import UNEVEN, even_axes
 
 Array = NDArray[np.floating]
 
@@ -222,38 +223,45 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
 
 
 def normal_moveout(capture: TransientCapture) -> TransientCapture:
-    """Convert a capture of a single laser point to an approximately confocal one.
+    """Convert a capture of a single laser point to a confocal one, by dip moveout.
 
-    Light of a path t between two wall points at a distance s arrives at the midpoint of both as by
-    a confocal path of ``sqrt(t^2 - s^2)``. Thus `fk_migration` and `lct` can image the capture.
+    Light of a path t between two wall points comes from an ellipsoid with these as foci, which
+    confocal spheres about the points between them touch. The light is spread over these spheres.
+    Thus `fk_migration` and `lct` can image the capture.
 
     Parameters
     ----------
     capture : TransientCapture
-        Capture with a single laser point, or a single sensor point. Outer legs are subtracted.
+        Capture with a single laser point and an even grid of sensor points, or the reverse. Outer
+        legs are subtracted.
 
     Returns
     -------
     TransientCapture
         Confocal capture at the midpoints, which span half the side of the grid, with bins of the
-        same width. The light of each pair is kept, apart from bins before path 0; ``by_bounce`` and
-        ``standard_error`` are not.
+        same width. Its values may be below 0, in arbitrary units; ``by_bounce`` and
+        ``standard_error`` are not kept.
 
     Raises
     ------
     SamplingError
-        If there are several laser points and several sensor points.
+        If there are several laser points and several sensor points, or no even grid.
 
     See Also
     --------
-    phasor_image : Image without this approximation.
+    phasor_image : Image of the capture as it is.
 
     Notes
     -----
-    The points of equal path are an ellipsoid with the two wall points as foci; they are replaced by
-    the sphere that touches it in front of the midpoint, the normal moveout of seismics (Lindell,
-    Wetzstein, O'Toole, ACM Trans. Graph. 38, 116 (2019)). A point at a depth z, a distance
-    x from the midpoint along the line of both, appears nearer by about ``x^2 s^2/(2 z t^2)``.
+    Let s be the distance of both wall points and x that of a confocal point from their middle. The
+    confocal path is ``sqrt((t^2 - s^2) (1 - 4 x^2/s^2))``, the normal moveout and the dip moveout
+    of seismics [1]_. All sensor points along a line from the laser point through the confocal
+    point count equally. Of the paths to one hidden point, the longest has its true distance, and
+    the others trail before it as 1/sqrt(time); half a derivative over time makes this a pulse.
+
+    References
+    ----------
+    .. [1] Hale, Dip-moveout by Fourier transform, Geophysics 49, 741 (1984).
 
     Examples
     --------
@@ -270,35 +278,52 @@ def normal_moveout(capture: TransientCapture) -> TransientCapture:
     >>> confocal.pairing, round(float(np.ptp(confocal.sensor_points[..., 0])), 4)
     ('confocal', 0.4375)
     """
+    import scipy.fft
+
+    from . import _moveout_kernels as kernels
+
     expect("capture", capture, "TransientCapture")
     capture = without_outer_legs(capture)
-    lasers, sensors = capture.laser_points, capture.sensor_points
-    if capture.pairing != "all" or min(lasers.size, sensors.size) > 3:
-        raise SamplingError(
-            f"normal_moveout needs a single laser point or a single sensor point, the capture has "
-            f"{lasers.size // 3} and {sensors.size // 3} with pairing = {capture.pairing!r}; give "
-            "the part of one laser point, or use phasor_image"
-        )
+    lasers, sensors, width = capture.laser_points, capture.sensor_points, capture.delta_t
     alone, grid = (sensors, lasers) if sensors.size == 3 else (lasers, sensors)
+    even = grid.ndim == 3 and min(grid.shape[:2]) > 1 and even_axes(grid)[2] <= UNEVEN
+    if capture.pairing != "all" or alone.size > 3 or not even:
+        raise SamplingError(
+            f"normal_moveout needs a single laser point or a single sensor point and an even grid "
+            f"(ny, nx) of the others, the capture has {lasers.shape[:-1]} and {sensors.shape[:-1]} "
+            f"with pairing = {capture.pairing!r}; give the part of one laser point, or use "
+            "phasor_image"
+        )
     points = 0.5 * (alone.reshape(3) + grid)
-    apart = straight_paths(capture).ravel()
-    first = math.sqrt(max(float(capture.edges[0]) ** 2 - float(apart.max()) ** 2, 0.0))
-    n_bins = math.ceil((capture.edges[-1] - first) / capture.delta_t - 1e-9)
-    edges = first + capture.delta_t * np.arange(n_bins + 1)
-    light = np.zeros((capture.n_bins + 1, apart.size))
-    np.cumsum(capture.H.reshape(capture.n_bins, -1), axis=0, out=light[1:])
-    moved = np.empty((n_bins, apart.size))
-    for j, distance in enumerate(apart):
-        moved[:, j] = np.diff(np.interp(np.hypot(edges, distance), capture.edges, light[:, j]))
+    apart = float(straight_paths(capture).max())
+    first = math.sqrt(max(float(capture.edges[0]) ** 2 - apart**2, 0.0))
+    n_bins = math.ceil((capture.edges[-1] - first) / width - 1e-9)
+    corner, pitch = (grid[0, 0] - alone.reshape(3))[:2], (grid[1, 1] - grid[0, 0])[:2]
+    moved = np.empty((points[..., 0].size, n_bins))
+    kernels.dip_moveout(
+        np.ascontiguousarray(capture.H.reshape(capture.n_bins, *grid.shape[:2]).transpose(1, 2, 0)),
+        corner,
+        pitch,
+        (points - alone.reshape(3)).reshape(-1, 3)[:, :2],
+        0.5 * float(np.abs(pitch).min()),
+        capture.t_start,
+        width,
+        first,
+        moved,
+    )
+    size = scipy.fft.next_fast_len(2 * n_bins, real=True)
+    waves = scipy.fft.rfft(moved, size) * np.sqrt(-1j * np.arange(size // 2 + 1))
+    moved = scipy.fft.irfft(waves, size)[:, :n_bins].T
     return replace(
         capture,
-        H=moved.reshape(n_bins, *grid.shape[:-1]),
+        H=moved.reshape(n_bins, *grid.shape[:2]),
         laser_points=points,
         sensor_points=points,
         laser_normals=None,
         sensor_normals=None,
         t_start=first,
         pairing="confocal",
+        quantity="unknown",
         by_bounce={},
         standard_error=None,
     )

@@ -11,28 +11,18 @@ from ...kernels.parallel import threaded
 
 
 @threaded()
-def stolt(
-    spectrum,
-    lateral_sq,
-    period,
-    bin_width,
-    grid_size,
-    centre,
-    first_depth,
-    table,
-    taps,
-    per_tap,
-    n_waves,
-    out,
-):
+def stolt(spectrum, lateral_sq, scales, gridding, n_waves, out):
     """Fill ``out`` (b, kx, n) with the spectrum over depth, kz = j/period in element j mod n.
 
     ``spectrum`` (b, kx, n_f + 2 taps) is the oversampled spectrum over half the path, with
     frequency m/(grid_size bin_width) at index m + taps. ``lateral_sq`` (b, kx) is kx^2 + ky^2,
     1/m^2. The value at kz is the spectrum at f = sqrt(kx^2 + ky^2 + kz^2) times df/dkz = kz/f, and
     0 beyond the Nyquist frequency of the bins. ``table`` holds the gridding kernel from -taps/2 to
-    taps/2.
+    taps/2. ``scales`` is (period, bin_width, grid_size, centre, first_depth) and ``gridding``
+    (table, taps, per_tap).
     """
+    period, bin_width, grid_size, centre, first_depth = scales
+    table, taps, per_tap = gridding
     n = out.shape[2]
     half = 0.5 * taps
     limit = 0.5 / bin_width
@@ -64,17 +54,19 @@ def stolt(
 
 
 @threaded()
-def backproject(
-    series, lasers, sensors, laser_of, sensor_of, legs, x, y, z, start, width, power, out, seen
-):
+def backproject(series, pairs, axes, window, power, out, seen):
     """Fill ``out`` (ny, nx, nz) with the sum over pairs of the intensity at the path over a voxel.
 
     ``series`` (n_paths, n_bins + 2) is the intensity of pair p over time, with an empty bin before
-    and after. The path goes from ``lasers[laser_of[p]]`` over the voxel to
-    ``sensors[sensor_of[p]]``; recorded times are longer by ``legs[p]``. Values are interpolated
-    linearly between bin centres and weighted by (r1 r2)^power with power -2, 0, 1 or 2. ``seen``
-    (ny, nx, nz) tells whether any path of a voxel lies within the bins.
+    and after. ``pairs`` is (lasers, sensors, laser_of, sensor_of, legs), ``axes`` the voxels'
+    (x, y, z), and ``window`` (start, width) of the bins. The path goes from ``lasers[laser_of[p]]``
+    over the voxel to ``sensors[sensor_of[p]]``; recorded times are longer by ``legs[p]``. Values
+    are interpolated linearly between bin centres and weighted by (r1 r2)^power with power -2, 0, 1
+    or 2. ``seen`` (ny, nx, nz) tells whether any path of a voxel lies within the bins.
     """
+    lasers, sensors, laser_of, sensor_of, legs = pairs
+    x, y, z = axes
+    start, width = window
     last = series.shape[1] - 1.0
     nz = z.shape[0]
     per_bin = 1.0 / width

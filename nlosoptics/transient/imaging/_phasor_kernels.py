@@ -78,103 +78,103 @@ def direct_sum(voxels, near, far, legs, first, step, spectrum, turns, fields):
             fields[t, v] = total
 
 
-@njit(cache=True, nogil=True)
-def fill_kernels(across, up, away, ways, first, step, kernels):
-    """Fill ``kernels`` (k, z, y, x) with exp(i ways k r).
+@njit(cache=True)
+def bell(u, taps, beta):
+    """Return the gridding kernel at a distance u in samples."""
+    inside = 1.0 - (2.0 * u / taps) ** 2
+    return math.exp(beta * (math.sqrt(inside) - 1.0)) if inside > 0.0 else 0.0
 
-    r is the length of the vector (across[x], up[y], away[z]), m. Each wavenumber follows from the
-    one before by a factor exp(i step ways r).
+
+@njit(cache=True, nogil=True)
+def fill_kernels(across, up, away, ways, sampling, first, kernels):
+    """Fill ``kernels`` (n, 2, y, x) with exp(i wave r), gridded to the distances of n samples.
+
+    r is ``ways`` times the length of the vector (across[x], up[y], away), m. Sample j is the
+    distance (first + j) pitch. Real and imaginary part are apart. ``sampling`` is (wave, pitch,
+    taps, beta), the last two for `bell`.
     """
-    values = np.empty(len(across), np.complex128)
-    turns = np.empty(len(across), np.complex128)
-    for flat in range(len(away) * len(up)):
-        z, y = flat // len(up), flat % len(up)
+    wave, pitch, taps, beta = sampling
+    kernels[:] = 0.0
+    for y in range(len(up)):
+        square = up[y] ** 2 + away**2
         for x in range(len(across)):
-            path = ways * math.sqrt(across[x] ** 2 + up[y] ** 2 + away[z] ** 2)
-            values[x] = complex(math.cos(first * path), math.sin(first * path))
-            turns[x] = complex(math.cos(step * path), math.sin(step * path))
-        for k in range(kernels.shape[0]):
-            for x in range(len(across)):
-                kernels[k, z, y, x] = values[x]
-                values[x] *= turns[x]
+            r = ways * math.sqrt(across[x] ** 2 + square)
+            real, imaginary = math.cos(wave * r), math.sin(wave * r)
+            u = r / pitch - first
+            low = int(math.ceil(u - 0.5 * taps))
+            for j in range(low, low + taps):
+                w = bell(u - j, taps, beta)
+                kernels[j, 0, y, x] = w * real
+                kernels[j, 1, y, x] = w * imaginary
 
 
 @njit(cache=True, nogil=True)
-def multiply_row(spectrum, kernel, row):
-    """Fill ``row`` with spectrum times kernel; a half kernel is continued by its mirror image."""
-    count = len(row)
-    half = min(count, len(kernel))
-    for x in range(half):
-        row[x] = spectrum[x] * kernel[x]
-    for x in range(half, count):
-        row[x] = spectrum[x] * kernel[count - x]
+def correlate(kernels, walls, start, products):
+    """Fill ``products`` (t, c, blocks, p) with the sum over j of kernel j times wall start + j + t.
 
-
-@njit(cache=True, nogil=True)
-def add_product(spectrum, kernel, row, product):
-    """Add spectrum * kernel to ``product``, folded to the period of ``product``.
-
-    Summing b periods of a transform gives b times the transform of every b-th sample, so that the
-    inverse transform returns only the samples at voxels.
+    ``kernels`` (blocks, n, 2, p) and ``walls`` (blocks, c, m, 2, p) are transforms in blocks of p
+    frequencies, with real and imaginary part apart; c counts the quadrants that share a kernel. n
+    is even.
     """
-    rows, columns = product.shape
-    height, width = spectrum.shape
-    for y in range(height):
-        multiply_row(spectrum[y], kernel[y if y < len(kernel) else height - y], row)
-        line = product[y % rows]
-        for start in range(0, width, columns):
-            for x in range(columns):
-                line[x] += row[start + x]
+    n_times = products.shape[0]
+    sums = np.empty((n_times, 2, kernels.shape[3]), kernels.dtype)
+    for block in range(kernels.shape[0]):
+        for c in range(walls.shape[1]):
+            sums[:] = 0.0
+            for t in range(0, n_times - 1, 2):
+                for j in range(0, kernels.shape[1], 2):
+                    _add_four(kernels[block], walls[block, c], j, start + j + t, t, sums)
+            if n_times % 2:
+                for j in range(kernels.shape[1]):
+                    t = n_times - 1
+                    _add_one(kernels[block], walls[block, c], j, start + j + t, t, sums)
+            for t in range(n_times):
+                for x in range(sums.shape[2]):
+                    products[t, c, block, x] = complex(sums[t, 0, x], sums[t, 1, x])
+
+
+@njit(cache=True)
+def _add_one(kernel, wall, j, i, t, sums):
+    """Add kernel j times wall i to sum t."""
+    for x in range(sums.shape[2]):
+        sums[t, 0, x] += kernel[j, 0, x] * wall[i, 0, x] - kernel[j, 1, x] * wall[i, 1, x]
+        sums[t, 1, x] += kernel[j, 0, x] * wall[i, 1, x] + kernel[j, 1, x] * wall[i, 0, x]
+
+
+@njit(cache=True)
+def _add_four(kernel, wall, j, i, t, sums):
+    """Add kernels j and j + 1 to sums t and t + 1 at once, which saves reading and writing."""
+    for x in range(sums.shape[2]):
+        a, b, c, d = kernel[j, 0, x], kernel[j, 1, x], kernel[j + 1, 0, x], kernel[j + 1, 1, x]
+        p, q, r, s = wall[i, 0, x], wall[i, 1, x], wall[i + 1, 0, x], wall[i + 1, 1, x]
+        v, w = wall[i + 2, 0, x], wall[i + 2, 1, x]
+        sums[t, 0, x] += a * p - b * q + c * r - d * s
+        sums[t, 1, x] += a * q + b * p + c * s + d * r
+        sums[t + 1, 0, x] += a * r - b * s + c * v - d * w
+        sums[t + 1, 1, x] += a * s + b * r + c * w + d * v
 
 
 @njit(cache=True, nogil=True)
-def multiply_waves(spectra, kernels, products):
-    """Set products[k, z] to spectra[k] * kernels[k, z], folded to the period of the product."""
-    height, width = spectra.shape[1:]
-    row = np.empty(width, products.dtype)
-    for k in range(products.shape[0]):
-        for z in range(products.shape[1]):
-            product, kernel = products[k, z], kernels[k, z]
-            if product.shape == (height, width):
-                for y in range(height):
-                    other = kernel[y if y < len(kernel) else height - y]
-                    multiply_row(spectra[k, y], other, product[y])
-            else:
-                product[:] = 0.0
-                add_product(spectra[k], kernel, row, product)
+def add_moments(fields, place, times, sampling, first, total):
+    """Add fields, interpolated to each voxel's leg from ``far`` plus t, to ``total`` (t, y, x).
 
-
-@njit(cache=True, nogil=True)
-def sum_waves(spectra, kernels, products):
-    """Set products[z] to the sum over k of spectra[k] * kernels[k, z], folded to its period."""
-    row = np.empty(spectra.shape[2], products.dtype)
-    products[:] = 0.0
-    for k in range(kernels.shape[0]):
-        for z in range(kernels.shape[1]):
-            add_product(spectra[k], kernels[k, z], row, products[z])
-
-
-@njit(cache=True, nogil=True)
-def add_waves(fields, xs, ys, zs, far, first, step, turns, total):
-    """Add the sum over k of fields[k] turns[t, k] exp(i k r) to ``total`` (t, z, y, x).
-
-    Wavenumbers are k = first + j step. r is the distance of a voxel from the point ``far`` (1, 3),
-    m, and 0 if ``far`` is empty.
+    ``fields`` (n, y, x) are gridded samples at the moments (first + j) pitch, m, without the
+    carrier exp(i wave t). ``place`` is (xs, ys, z, far) of the voxels. The leg is 0 if ``far``
+    is empty.
     """
-    legs = far.shape[0] > 0
-    for flat in range(len(zs) * len(ys)):
-        z, y = flat // len(ys), flat % len(ys)
-        values = np.ones(len(xs), np.complex128)
-        steps = np.ones(len(xs), np.complex128)
-        if legs:
-            square = (ys[y] - far[0, 1]) ** 2 + (zs[z] - far[0, 2]) ** 2
-            for x in range(len(xs)):
+    (xs, ys, z, far), (wave, pitch, taps, beta) = place, sampling
+    for y in range(len(ys)):
+        for x in range(len(xs)):
+            leg = 0.0
+            if far.shape[0] > 0:
+                square = (ys[y] - far[0, 1]) ** 2 + (z - far[0, 2]) ** 2
                 leg = math.sqrt((xs[x] - far[0, 0]) ** 2 + square)
-                values[x] = complex(math.cos(first * leg), math.sin(first * leg))
-                steps[x] = complex(math.cos(step * leg), math.sin(step * leg))
-        for k in range(fields.shape[0]):
-            for t in range(total.shape[0]):
-                for x in range(len(xs)):
-                    total[t, z, y, x] += fields[k, z, y, x] * values[x] * turns[t, k]
-            for x in range(len(xs)):
-                values[x] *= steps[x]
+            for t in range(len(times)):
+                moment = leg + times[t]
+                u = moment / pitch - first
+                low = int(math.ceil(u - 0.5 * taps))
+                field = 0j
+                for j in range(taps):
+                    field += bell(u - low - j, taps, beta) * fields[low + j, y, x]
+                turn = complex(math.cos(wave * moment), math.sin(wave * moment))
+                total[t, y, x] += field * turn

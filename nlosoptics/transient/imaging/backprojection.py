@@ -157,27 +157,14 @@ def _sums(
         laser_of, sensor_of = np.divmod(np.arange(n_paths), len(sensors))
     series = np.zeros((n_paths, capture.n_bins + 2), dtype=np.float32)
     series[:, 1:-1] = capture.H.reshape(capture.n_bins, n_paths).T
-    legs = outer_legs(capture).ravel()
+    pairs = (lasers, sensors, laser_of, sensor_of, outer_legs(capture).ravel())
+    window = (capture.t_start, capture.delta_t)
     found = np.empty((ny, nx, nz))
     seen = np.empty((ny, nx, nz), dtype=np.bool_)
     for first in range(0, ny, 8):  # rows between calls of progress
         rows = slice(first, first + 8)
-        kernels.backproject(
-            series,
-            lasers,
-            sensors,
-            laser_of,
-            sensor_of,
-            legs,
-            volume.x,
-            volume.y[rows],
-            volume.z,
-            capture.t_start,
-            capture.delta_t,
-            power,
-            found[rows],
-            seen[rows],
-        )
+        axes = (volume.x, volume.y[rows], volume.z)
+        kernels.backproject(series, pairs, axes, window, power, found[rows], seen[rows])
         if progress is not None:
             progress("backprojection", min(1.0, (first + 8) / ny))
     unseen = np.flatnonzero(~seen.all(axis=(0, 1)))

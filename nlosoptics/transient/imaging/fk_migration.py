@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import time
-from functools import lru_cache
 from typing import Final, Literal
 
 import numpy as np
@@ -21,20 +19,21 @@ from .confocal_grids import (
     waves_along,
     waves_kind,
 )
+from .gridding import PER_TAP, Gridding
 from .volume import Volume, VolumeImage
 
 Array = NDArray[np.floating]
 Waves = NDArray[np.complexfloating]
 Target = Literal["diffuse", "retroreflective"]
 Precision = Literal["float32", "float64"]
-Amplitude = Literal["root", "light"]
+Amplitude = Literal["root", "light", "albedo"]
 
 #: Exponent of the falloff of a target's confocal intensity with distance.
 FALLOFF: Final = {"diffuse": 4, "retroreflective": 2}
 
 ROWS: Final = 8  # lateral frequencies along y per step, to bound the memory
-TAPS: Final = 8  # width of the gridding kernel, in samples of a twofold oversampled grid
-PER_TAP: Final = 2048  # steps of the kernel's table per sample
+TAPS: Final = 8
+GRIDDING: Final = Gridding(TAPS, 2.0)
 
 
 def fk_migration(
@@ -64,11 +63,12 @@ def fk_migration(
     target : {"diffuse", "retroreflective"}
         Kind of hidden surface. It sets the falloff of the intensity that is undone: the fourth or
         the second power of the distance.
-    amplitude : {"root", "light"}
+    amplitude : {"root", "light", "albedo"}
         Wave to propagate back. "root": the square root of the falloff-corrected intensity [1]_,
         with its sign; the image scales linearly with the capture. "light": the corrected intensity
         itself; the waves of several objects then add linearly, and weak objects appear darker in
-        the image.
+        the image. "albedo": its derivative over time, the wave of sources as strong as the albedo:
+        sharper, and more sensitive to noise.
     dtype : {"float32", "float64"}
         Precision of the waves; the error of float32 is about 1e-6 of the brightest voxel.
     progress : callable(str, float), optional
@@ -131,7 +131,7 @@ def fk_migration(
     capture = expect("capture", capture, "TransientCapture")
     begun = time.perf_counter()
     one_of("target", target, FALLOFF)
-    one_of("amplitude", amplitude, ("root", "light"))
+    one_of("amplitude", amplitude, ("root", "light", "albedo"))
     kind = waves_kind(dtype)
     grid = confocal_grid(capture, "fk_migration")
     volume = reached_volume(grid, volume, "fk_migration")
@@ -146,6 +146,8 @@ def fk_migration(
     )
     light = capture.H * grid.depths[:, None, None] ** FALLOFF[target]
     wave = np.sign(light) * np.sqrt(np.abs(light)) if amplitude == "root" else light
+    if amplitude == "albedo":
+        wave = np.gradient(light, grid.pitch, axis=0)
     field = _migrated(wave, grid, volume, kind, progress)
     intensity = field.real**2 + field.imag**2
     details = {"target": target, "amplitude": amplitude, "dtype": dtype}
@@ -176,7 +178,8 @@ def _migrated(
     n_waves = int(0.5 / grid.pitch * n * pitch) + 1
     nz, ny, nx = volume.shape
     n_rows, width, n_f = spectrum.shape
-    table = _kernel_table()
+    scales = (n * pitch, grid.pitch, size, centre, volume.z[0])
+    bell = (GRIDDING.table, TAPS, PER_TAP)
     field: Waves = np.zeros((ny, nx * nz), dtype=kind)
     for first in range(0, len(ky), ROWS):
         rows = slice(first, first + ROWS)
@@ -184,20 +187,7 @@ def _migrated(
         waves = np.matmul(to_kx, waves)
         deep: Waves = np.empty((len(waves), len(kx), n), dtype=kind)
         lateral_sq = ky[rows, None] ** 2 + kx**2
-        kernels.stolt(
-            waves,
-            lateral_sq,
-            n * pitch,
-            grid.pitch,
-            size,
-            centre,
-            volume.z[0],
-            table,
-            TAPS,
-            PER_TAP,
-            n_waves,
-            deep,
-        )
+        kernels.stolt(waves, lateral_sq, scales, bell, n_waves, deep)
         deep = scipy.fft.ifft(deep, axis=2, overwrite_x=True)[:, :, :nz]
         part = np.matmul(from_kx, deep)  # (rows, nx, nz)
         field += from_ky[:, rows] @ part.reshape(len(part), -1)
@@ -228,34 +218,12 @@ def _gridded(wave: Array, grid: ConfocalGrid, kind: type) -> tuple[Waves, int, f
     size = next_size(2 * max(n_bins, TAPS))
     middle = n_bins // 2
     series = wave.astype(np.float32 if kind is np.complex64 else np.float64)
-    series = series * _kernel_transform((np.arange(n_bins) - middle) / size)[:, None, None].astype(
-        series.dtype
-    )
+    series = series * GRIDDING.correction((np.arange(n_bins) - middle) / size)[
+        :, None, None
+    ].astype(series.dtype)
     found = scipy.fft.rfft(np.ascontiguousarray(series.transpose(1, 2, 0)), size, axis=2)
     turns = np.arange(size // 2 + 1) * middle % size
     found *= np.exp(2j * np.pi * turns / size).astype(kind)
     below = found[:, :, TAPS:0:-1].conj()
     above = found[:, :, -2 : -2 - TAPS : -1].conj()
     return np.concatenate([below, found, above], axis=2), size, float(grid.depths[middle])
-
-
-def _bell(x: Array) -> Array:
-    """Return the kernel exp(beta (sqrt(1 - x^2) - 1)), Barnett et al. 2019; 0 beyond TAPS/2."""
-    inside = np.clip(1.0 - (2.0 * x / TAPS) ** 2, 0.0, None)
-    return np.asarray(np.where(inside > 0.0, np.exp(2.3 * TAPS * (np.sqrt(inside) - 1.0)), 0.0))
-
-
-@lru_cache(maxsize=1)
-def _kernel_table() -> Array:
-    """Return the kernel from -TAPS/2 to TAPS/2 in steps of 1/PER_TAP, and one further value."""
-    table = _bell(np.arange(TAPS * PER_TAP + 2) / PER_TAP - 0.5 * TAPS)
-    table.flags.writeable = False
-    return table
-
-
-def _kernel_transform(frequencies: Array) -> Array:
-    """Return the inverse of the kernel's Fourier transform, by Gauss-Legendre quadrature."""
-    nodes, weights = np.polynomial.legendre.leggauss(64)
-    x, w = 0.25 * TAPS * (nodes + 1.0), 0.5 * TAPS * weights
-    waves = np.cos(2.0 * math.pi * frequencies[:, None] * x)
-    return np.asarray(1.0 / (waves @ (w * _bell(x))))

@@ -2,8 +2,11 @@
 
 If the planes have the pitch of the wall grid, or one pitch is a whole multiple of the other, the
 sum of `rayleigh_sommerfeld` over near points is a convolution with ``exp(i k r)``. Zero padding
-prevents wrap-around, so that the result equals the direct sum up to rounding. If voxels and wall
-points coincide in x and y, the kernel is even and a cosine transform of one quadrant suffices.
+prevents wrap-around. If voxels and wall points coincide in x and y, the kernel is even and a cosine
+transform of one quadrant suffices.
+
+The sum over waves is done first, for the samples of the pulse over time that a plane needs: their
+number is that of its range of paths, whereas that of the waves is that of all paths of the volume.
 """
 
 from __future__ import annotations
@@ -11,14 +14,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import fits_memory
 from ...errors import SamplingError
+from .gridding import Gridding
 from .rayleigh_sommerfeld import Advance, Legs
 from .virtual_pulse import Band, blocks
 from .volume import Volume
@@ -26,10 +29,14 @@ from .volume import Volume
 Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 
-#: Bytes of transformed planes that one thread holds at a time, about the cache of a core.
-PLANES = 2**21
-#: Number of elements to transform below which threads cost more time than they save.
-FEW = 2**18
+#: Bytes of kernels that one thread holds at a time.
+PLANES = 2**25
+#: Frequencies that are multiplied at a time, from the cache of a core.
+BLOCK = 128
+#: Largest bytes of kernels of all planes that are kept for the next capture.
+KEPT = 2**28
+#: Bytes of kernels, times lasers, below which threads cost more time than they save.
+FEW = 2**21
 #: Largest deviation of points from an even grid, as a fraction of the wavelength.
 UNEVEN = 1e-4
 
@@ -156,48 +163,53 @@ def plane_by_plane(
     legs: Legs,
     grid: Lattice,
     band: Band,
+    waves: slice,
     spectra: ComplexArray,
     times: Array,
+    tol: float,
     advance: Advance,
 ) -> ComplexArray:
     """Return the field at each voxel by FFT convolution from the wall to each plane.
 
-    Returns (t, nz, ny, nx) complex, in the precision of ``spectra``.
+    Returns (t, nz, ny, nx) complex, in the precision of ``spectra``, which are those of some
+    ``waves``. The pulse is interpolated to a tenth of ``tol``.
     """
     kind = spectra.dtype
     fields = np.zeros((len(times), *volume.shape), dtype=kind)
     walls = grid.walls(spectra)
-    mirrored = all(axis.can_mirror for axis in grid.axes)
-    room = Room(volume, legs, grid, band, mirrored)
-    # with one set of spectra, transform the wall once for all planes; for many lasers the
-    # transforms would take too much memory
-    only = room.wall(walls[:, 0]) if walls.shape[1] == 1 else None
-    if only is not None and legs.twice and len(times) == 1 and room.can_keep(kind):
-        turns = np.exp(1j * band.wavenumbers * times[0]).astype(kind)
-        fields[0] = room.all_planes(only * turns[:, None, None])
-        advance(1.0)
-        return fields
-    n_planes = max(1, int(PLANES // (len(band.numbers) * room.size * kind.itemsize)))
-    work = len(band.numbers) * room.size * len(volume.z) * walls.shape[1]
-    if work > FEW:
-        n_planes = min(n_planes, -(-len(volume.z) // 2))
-    parts = list(blocks(len(volume.z), n_planes))
+    # the error falls by exp(-pi sqrt(1 - 1/oversampling)) a tap, Barnett et al. 2019, eq. 4.12
+    taps = max(4, math.ceil(math.log(3.0 / tol) / (math.pi * math.sqrt(0.2))))
+    room = Room(volume, legs, grid, band, waves, times, Gridding(taps, 1.25))
+    # one laser's wall is transformed once for all planes; of many, those would take much memory
+    n_lasers, n_planes = walls.shape[1], len(volume.z)
+    only = room.wall(walls[:, 0], 0, slice(0, n_planes)) if n_lasers == 1 else None
+    size = math.prod((room.distances(volume.z[-1])[1], *room.quadrant)) * kind.itemsize
+    keeps = size * n_planes <= KEPT
+    kept = _kept(room.key, tuple(volume.z), kind) if keeps else {}
+    step = max(1, PLANES // size)
+    if size * n_planes * n_lasers > FEW:
+        step = min(step, -(-n_planes // 2))
 
     def carry(part: slice) -> slice:
-        response = room.kernels(volume.z[part] - grid.depth, kind)
-        for j in range(walls.shape[1]):
-            wall = room.wall(walls[:, j]) if only is None else only
-            if legs.twice and len(times) == 1:
-                turns = np.exp(1j * band.wavenumbers * times[0]).astype(kind)
-                fields[0, part] = room.together(wall * turns[:, None, None], response)
-            else:
-                far = np.empty((0, 3)) if legs.paired else legs.far[j : j + 1]
-                room.add(wall, response, far, part, times, fields)
+        planes = range(part.start, part.stop)
+        kernels = {k: kept[k] if k in kept else room.kernel(volume.z[k], kind) for k in planes}
+        if keeps:
+            kept.update(kernels)
+        for j in range(n_lasers):
+            wall = only or room.wall(walls[:, j], j, part)
+            for k, kernel in kernels.items():
+                room.add(kernel, wall, j, k, fields[:, k])
         return part
 
-    for part in _threaded(carry, parts):
-        advance(part.stop / len(volume.z))
+    for part in _threaded(carry, list(blocks(n_planes, step))):
+        advance(part.stop / n_planes)
     return fields
+
+
+@lru_cache(maxsize=1)
+def _kept(key: Any, depths: tuple[float, ...], kind: Any) -> dict[int, Array]:
+    """Return the kernels by number of plane that are kept for the next capture."""
+    return {}
 
 
 def _threaded(carry: Any, parts: list[slice]) -> Iterable[slice]:
@@ -210,15 +222,27 @@ def _threaded(carry: Any, parts: list[slice]) -> Iterable[slice]:
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """Padded transforms between a wall and planes; ``mirrored`` uses the symmetry of kernels."""
+    """Padded transforms between a wall and planes.
+
+    A plane's field is a sum over wall points at distances r from a voxel, at the moment t that the
+    other leg gives it. Both are gridded to multiples of one pitch, so that the wall's pulse is
+    needed at multiples of it only: sample j + t of the wall meets sample j of the kernel.
+    """
 
     volume: Volume
     legs: Legs
     grid: Lattice
     band: Band
-    mirrored: bool
+    waves: slice
+    times: Array
+    gridding: Gridding
 
-    @property
+    @cached_property
+    def mirrored(self) -> bool:
+        """Whether the symmetry of kernels is used."""
+        return all(axis.can_mirror for axis in self.grid.axes)
+
+    @cached_property
     def shape(self) -> tuple[int, int]:
         """Lengths of the forward transforms, (y, x)."""
         y, x = self.grid.axes
@@ -231,54 +255,140 @@ class Room:
         return self.shape[0] // y.voxel_step, self.shape[1] // x.voxel_step
 
     @property
-    def size(self) -> int:
-        """Number of elements in one plane's kernel or inverse transform, whichever is larger."""
-        y, x = self.grid.axes
-        kernel = len(y.steps(self.mirrored)) * len(x.steps(self.mirrored))
-        return max(kernel, self.coarse[0] * self.coarse[1])
+    def carrier(self) -> float:
+        """Middle of the wavenumbers, rad/m."""
+        return float(self.band.step * 0.5 * (self.band.numbers[0] + self.band.numbers[-1]))
 
-    def kernels(self, away: Array, kind: np.dtype) -> ComplexArray:
-        """Return transforms of exp(i k r), (n, nz, y, x), for planes at distances ``away``, m."""
-        waves = self.band.wavenumbers[0], self.band.step, len(self.band.numbers)
-        ways = 2 if self.legs.twice else 1
-        return _kernels(self.grid.axes, self.mirrored, away, ways, waves, kind)
+    @property
+    def pitch(self) -> float:
+        """Spacing of the samples, m of optical path."""
+        width = self.band.step * max(1, len(self.band.numbers) - 1)
+        return float(2.0 * math.pi / (self.gridding.oversampling * width))
 
-    def can_keep(self, kind: np.dtype) -> bool:
-        """Whether kernels of all planes fill at most 256 MB, and products are not folded."""
-        quadrant = math.prod(len(axis.steps(True)) for axis in self.grid.axes)
-        size = len(self.band.numbers) * len(self.volume.z) * quadrant * kind.itemsize
-        return self.mirrored and self.coarse == self.shape and size <= 2**28
+    @property
+    def sampling(self) -> tuple[float, float, int, float]:
+        """Carrier, pitch, and taps and beta of the gridding, for the kernels."""
+        return self.carrier, self.pitch, self.gridding.taps, self.gridding.beta
 
-    def all_planes(self, wall: ComplexArray) -> ComplexArray:
-        """Return planes (nz, ny, nx) of all waves, by kernels that are kept between captures.
+    @cached_property
+    def ways(self) -> int:
+        """Number of times that a path covers the distance from the wall to a voxel."""
+        return 2 if self.legs.twice else 1
 
-        Each kernel of one quadrant serves the four mirrored frequencies of the wall.
-        """
-        waves = self.band.wavenumbers[0], self.band.step, len(self.band.numbers)
-        away = tuple(self.volume.z - self.grid.depth)
-        kernels = _kept_kernels(self.grid.axes, away, waves, wall.dtype)
-        y, x = (np.arange(count) for count in kernels.shape[:2])
-        corners = [(i[:, None], j) for i in (y, -y) for j in (x, -x)]
-        spectra = np.stack([wall[:, i, j] for i, j in corners], axis=-1)
-        light = np.matmul(kernels, spectra.transpose(1, 2, 0, 3))
-        products = np.empty((len(away), *self.shape), dtype=wall.dtype)
-        for k, (i, j) in enumerate(corners):
-            products[:, i, j] = light[..., k].transpose(2, 0, 1)
-        return self.planes(products)
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """Values that kernels depend on, apart from the planes and the precision."""
+        return self.grid.axes, self.grid.depth, self.ways, self.sampling
 
-    def wall(self, spectra: ComplexArray) -> ComplexArray:
-        """Return padded transforms (n, Y, X) of the wall's spectra (n, y, x).
+    def far(self, j: int) -> Array:
+        """Return laser point j, (1, 3), or (0, 3) if paths have one leg, or equal ones."""
+        return np.empty((0, 3)) if self.legs.paired else self.legs.far[j : j + 1]
 
-        They are divided by the steps per voxel, because the inverse transforms are shorter by that
-        factor, see `coarse`.
+    @property
+    def at_once(self) -> bool:
+        """Whether all voxels have the same moment, which needs no interpolation."""
+        return len(self.times) == 1 and not len(self.far(0))
+
+    def _samples(self, low: float, high: float) -> tuple[int, int]:
+        """Return the first sample, and their number, from which a range is interpolated."""
+        half = 0.5 * self.gridding.taps
+        first = math.ceil(low / self.pitch - half - 1e-9)
+        return first, math.ceil(high / self.pitch - half + 1e-9) + self.gridding.taps - first
+
+    def distances(self, z: float) -> tuple[int, int]:
+        """Return the samples of the distances between the wall and a plane, see `_samples`."""
+        away = z - self.grid.depth
+        return self._samples(self.ways * away, self.ways * math.hypot(away, *self.reach))
+
+    def moments(self, j: int, z: float) -> tuple[int, int]:
+        """Return the samples of the moments of a plane's voxels, see `_samples`."""
+        if self.at_once:
+            return 0, 1
+        low = high = 0.0
+        for x, y, depth in self.far(j):
+            sides = (np.abs(self.volume.x - x), np.abs(self.volume.y - y))
+            low = math.hypot(z - depth, *(side.min() for side in sides))
+            high = math.hypot(z - depth, *(side.max() for side in sides))
+        return self._samples(low + float(self.times.min()), high + float(self.times.max()))
+
+    @cached_property
+    def steps(self) -> tuple[Array, Array]:
+        """Coordinates of kernels, (y, x), m."""
+        y, x = (axis.steps(self.mirrored) for axis in self.grid.axes)
+        return y, x
+
+    @cached_property
+    def reach(self) -> list[float]:
+        """Largest distances along y and x between voxels and wall points, padding included, m."""
+        return [float(np.abs(step).max()) for step in self.steps]
+
+    @cached_property
+    def quadrant(self) -> tuple[int, int]:
+        """Numbers of frequencies of a kernel, (y, x)."""
+        return len(self.steps[0]), len(self.steps[1])
+
+    def corners(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice]]]:
+        """Return the parts of a transform, and the parts of a kernel that they share."""
+        ways = []
+        for count, size in zip(self.quadrant, self.shape, strict=True):
+            own = slice(0, count)
+            ways.append([(own, own), (slice(count, size), slice(count - 2, 0, -1))])
+        y, x = ways if self.mirrored else (way[:1] for way in ways)
+        return [((i, j), (m, n)) for i, m in y for j, n in x]
+
+    def kernel(self, z: float, kind: np.dtype) -> Array:
+        """Return the transformed kernel of a plane, see `_phasor_kernels.correlate`."""
+        import ducc0
+
+        from . import _phasor_kernels
+
+        up, across = self.steps
+        first, count = self.distances(z)
+        values = np.empty((count + count % 2, 2, *self.quadrant), np.empty(0, kind).real.dtype)
+        away = z - self.grid.depth
+        _phasor_kernels.fill_kernels(across, up, away, self.ways, self.sampling, first, values)
+        if self.mirrored:
+            # the transform of an even kernel is the cosine transform of one quadrant
+            ducc0.fft.dct(values, 1, axes=(2, 3), out=values)
+        else:
+            whole = ducc0.fft.c2c(values[:, 0] + 1j * values[:, 1], axes=(1, 2))
+            values = np.stack([whole.real, whole.imag], axis=1)
+        return np.ascontiguousarray(np.moveaxis(_blocks(values), 2, 0))
+
+    def wall(self, spectra: ComplexArray, j: int, part: slice) -> tuple[Array, int]:
+        """Return padded transforms of the pulse on the wall, and the first sample.
+
+        ``spectra`` (n, y, x) are those of laser j. The transforms, see `_phasor_kernels.correlate`,
+        are divided by the steps per voxel, because inverse transforms are shorter, see `coarse`.
         """
         import ducc0
 
-        padded = np.zeros((len(spectra), *self.shape), dtype=spectra.dtype)
-        rows, columns = (axis.places(self.mirrored) for axis in self.grid.axes)
+        ends = []
+        for z in self.volume.z[part]:
+            r, t = self.distances(z), self.moments(j, z)
+            ends.append((r[0] + t[0], r[0] + t[0] + r[1] + t[1] - 1))
+        # one more than is needed, since `correlate` takes samples in pairs
+        first, last = min(a for a, _ in ends), max(b for _, b in ends) + 1
+        waves, pitch = self.band.wavenumbers[self.waves], self.pitch
+        slow = waves - self.carrier
+        share = self.gridding.correction(slow * pitch / (2.0 * math.pi))
+        # distances are gridded, and moments if there are several
+        turns = share * np.exp(1j * waves * self.times[0]) if self.at_once else share**2
         steps = self.shape[0] * self.shape[1] // (self.coarse[0] * self.coarse[1])
-        padded[:, rows[:, None], columns] = spectra / spectra.dtype.type(steps)
-        return np.asarray(ducc0.fft.c2c(padded, axes=(1, 2), out=padded))
+        sums = np.exp(1j * np.outer(pitch * np.arange(first, last), slow)) * (turns / steps)
+        samples = sums.astype(spectra.dtype) @ spectra.reshape(len(spectra), -1)
+        padded = np.zeros((last - first, *self.shape), dtype=spectra.dtype)
+        rows, columns = (axis.places(self.mirrored) for axis in self.grid.axes)
+        padded[:, rows[:, None], columns] = samples.reshape(-1, *spectra.shape[1:])
+        ducc0.fft.c2c(padded, axes=(1, 2), out=padded)
+        corners = self.corners()
+        parts = np.zeros((len(corners), len(padded), 2, *self.quadrant), padded.real.dtype)
+        for own, (whole, shared) in zip(parts, corners, strict=True):
+            own[:, 0, *shared], own[:, 1, *shared] = (
+                padded.real[:, *whole],
+                padded.imag[:, *whole],
+            )
+        return np.ascontiguousarray(np.moveaxis(_blocks(parts), 3, 0)), first
 
     def planes(self, products: ComplexArray) -> ComplexArray:
         """Return the voxels (..., ny, nx) of the inverse transform.
@@ -293,78 +403,39 @@ class Room:
         kept = ducc0.fft.c2c(products[..., :rows, :], axes=(across,), forward=False, inorm=2)
         return np.asarray(kept[..., :columns])
 
-    def together(self, wall: ComplexArray, response: ComplexArray) -> ComplexArray:
-        """Return planes (nz, ny, nx), summing all waves before one inverse transform per plane."""
-        from . import _phasor_kernels
-
-        products = np.empty((response.shape[1], *self.coarse), dtype=response.dtype)
-        _phasor_kernels.sum_waves(wall, response, products)
-        return self.planes(products)
-
     def add(
-        self,
-        wall: ComplexArray,
-        response: ComplexArray,
-        far: Array,
-        part: slice,
-        times: Array,
-        fields: ComplexArray,
+        self, kernel: Array, wall: tuple[Array, int], j: int, k: int, fields: ComplexArray
     ) -> None:
-        """Add each wave, with the phase of its leg from ``far``, to ``fields`` (t, nz, ny, nx)."""
+        """Add the light of laser j to the fields (t, ny, nx) of plane k."""
         from . import _phasor_kernels
 
-        volume, waves = self.volume, self.band.wavenumbers
-        products = np.empty((*response.shape[:2], *self.coarse), dtype=response.dtype)
-        _phasor_kernels.multiply_waves(wall, response, products)
-        _phasor_kernels.add_waves(
-            self.planes(products),
-            volume.x,
-            volume.y,
-            volume.z[part],
-            far,
-            waves[0],
-            self.band.step,
-            np.exp(1j * np.outer(times, waves)),
-            fields[:, part],
-        )
+        volume, z = self.volume, self.volume.z[k]
+        first, count = self.moments(j, z)
+        start = self.distances(z)[0] + first - wall[1]
+        sums = np.empty((count, wall[0].shape[1], len(kernel), BLOCK), dtype=fields.dtype)
+        _phasor_kernels.correlate(kernel, wall[0], start, sums)
+        y, x = self.quadrant
+        sums = sums.reshape(*sums.shape[:2], -1)[..., : y * x].reshape(*sums.shape[:2], y, x)
+        products = np.empty((count, *self.shape), dtype=fields.dtype)
+        for c, (whole, shared) in enumerate(self.corners()):
+            products[:, *whole] = sums[:, c, *shared]
+        rows, columns = self.coarse
+        if products.shape[1:] != (rows, columns):
+            # summing b periods of a transform gives b times the transform of every b-th sample, so
+            # that the inverse transform returns only the samples at voxels
+            folded = products.reshape(count, -1, rows, self.shape[1]).sum(axis=1)
+            products = folded.reshape(count, rows, -1, columns).sum(axis=2)
+        samples = self.planes(products)
+        if self.at_once:
+            fields[0] += samples[0]
+            return
+        place = (volume.x, volume.y, z, self.far(j))
+        _phasor_kernels.add_moments(samples, place, self.times, self.sampling, first, fields)
 
 
-def _kernels(
-    axes: tuple[Axis, Axis],
-    mirrored: bool,
-    away: Array,
-    ways: int,
-    waves: tuple[float, float, int],
-    kind: np.dtype,
-) -> ComplexArray:
-    """Return `Room.kernels`, for ``waves`` by first wavenumber, step and number."""
-    import ducc0
-
-    from . import _phasor_kernels
-
-    up, across = (axis.steps(mirrored) for axis in axes)
-    shape = (waves[2], len(away), len(up), len(across))
-    values = np.empty(shape, dtype=kind)
-    _phasor_kernels.fill_kernels(across, up, away, ways, waves[0], waves[1], values)
-    if mirrored:
-        # the transform of an even kernel is the cosine transform of one quadrant
-        real = values.view(values.real.dtype).reshape(*shape, 2)
-        ducc0.fft.dct(real, 1, axes=(2, 3), out=real)
-    else:
-        ducc0.fft.c2c(values, axes=(2, 3), out=values)
-    return values
-
-
-@lru_cache(maxsize=1)
-def _kept_kernels(
-    axes: tuple[Axis, Axis], away: tuple[float, ...], waves: tuple[float, float, int], kind: Any
-) -> ComplexArray:
-    """Return kernels of confocal planes, (y, x, nz, n), of one quadrant."""
-    quadrant = tuple(len(axis.steps(True)) for axis in axes)
-    shape = (*quadrant, len(away), waves[2])
-    fits_memory("kernels of all planes", math.prod(shape) * kind.itemsize, "ask for fewer voxels")
-    kernels = np.empty(shape, dtype=kind)
-    for k, z in enumerate(away):
-        plane = _kernels(axes, True, np.array([z]), 2, waves, kind)[:, 0]
-        kernels[:, :, k] = plane.transpose(1, 2, 0)
-    return kernels
+def _blocks(values: Array) -> Array:
+    """Return (..., y, x) as (..., blocks, BLOCK), filled up with zeros."""
+    flat = values.reshape(*values.shape[:-2], -1)
+    more = -flat.shape[-1] % BLOCK
+    flat = np.pad(flat, [(0, 0)] * (flat.ndim - 1) + [(0, more)])
+    return flat.reshape(*flat.shape[:-1], -1, BLOCK)

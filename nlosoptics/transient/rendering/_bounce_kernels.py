@@ -193,7 +193,7 @@ def _plain(lobes):
 
 
 @njit(cache=True, nogil=True)
-def leave(surfaces, sampler, first, number, aimed, views, vertices, leaving, origins, directions):
+def leave(surfaces, draws, aimed, views, vertices, leaving, rays):
     """Sample the directions of the next leg, from a lobe or towards a point of the hidden area.
 
     ``views`` (vertices, VIEWS, 3) is given for first vertices and empty otherwise. The lobe of a
@@ -203,6 +203,7 @@ def leave(surfaces, sampler, first, number, aimed, views, vertices, leaving, ori
     cosine (for first vertices the cosine only); the distance of the point aimed at, or -1; and the
     cosine.
     """
+    (sampler, first, number), (origins, directions) = draws, rays
     seen = views.shape[0] > 0
     for i in range(vertices.shape[0]):
         vertex, out = vertices[i], leaving[i]
@@ -248,11 +249,12 @@ def leave(surfaces, sampler, first, number, aimed, views, vertices, leaving, ori
 
 
 @njit(cache=True, nogil=True)
-def arrive(surfaces, aimed, old, leaving, directions, distance, triangle, new):
+def arrive(surfaces, aimed, old, leaving, hits, new):
     """Fill ``new`` with the vertices at which paths arrive.
 
     Lobes and aiming at the area are combined by the balance heuristic.
     """
+    directions, distance, triangle = hits
     hidden = surfaces.shares.size - 1
     for i in range(old.shape[0]):
         new[i, TRIANGLE] = -1.0
@@ -303,14 +305,17 @@ def connect(surfaces, laser, vertices, value, length):
 
 
 @njit(cache=True, nogil=True)
-def gather(surfaces, seen, spread, first, factor, sensor, away, value, length, start, rate, bins):
+def gather(surfaces, paths, place, found, start, rate, bins):
     """Add all paths to the bins of one sensor.
 
-    Paths ``spread[j]`` to ``spread[j + 1] - 1`` leave the first vertex ``seen[j]`` in directions
-    ``first`` (paths, 3). They have weight ``value`` and length ``length`` (paths,) from the vertex
-    to the laser. ``factor`` and ``away`` (vertices,) are filled by `seen_from` for this ``sensor``.
-    ``start`` is the start of bin 0, m, and ``rate`` the number of bins per m.
+    ``paths`` is (seen, spread, first): paths ``spread[j]`` to ``spread[j + 1] - 1`` leave the first
+    vertex ``seen[j]`` in directions ``first`` (paths, 3). ``found`` is their weight and length
+    (paths,) from the vertex to the laser. ``place`` is the sensor, with its factor and distance
+    (vertices,) from `seen_from`. ``start`` is the start of bin 0, m, and ``rate`` the number of
+    bins per m.
     """
+    (seen, spread, first), (value, length) = paths, found
+    sensor, factor, away = place
     n_bins = bins.size
     for j in range(seen.shape[0]):
         if factor[j] <= 0.0:
@@ -326,9 +331,8 @@ def gather(surfaces, seen, spread, first, factor, sensor, away, value, length, s
         )
         mu, shift = dot(to, n), away[j] - start
         for k in range(spread[j], spread[j + 1]):
-            v = value[k]
-            t = (length[k] + shift) * rate
-            if v <= 0.0 or t < 0.0 or t >= n_bins:
+            v, t = value[k], (length[k] + shift) * rate
+            if t < 0.0 or t >= n_bins:
                 continue
             if not plain:
                 d = three(first[k], 0)
@@ -336,37 +340,35 @@ def gather(surfaces, seen, spread, first, factor, sensor, away, value, length, s
             bins[int(t)] += v * scale
 
 
+@njit(cache=True)
+def _lit(spread, first, value, length):
+    """Return the paths of positive weight: their spread, first directions, weights and lengths."""
+    kept = np.flatnonzero(value > 0.0)
+    return np.searchsorted(kept, spread), first[kept], value[kept], length[kept]
+
+
 @njit(cache=True, nogil=True)
-def gather_pairs(surfaces, paths, rows, starts, rate, table, sensors, found, total, squares):
+def gather_pairs(surfaces, paths, pairs, table, found, total, squares):
     """Add the bins of one batch and their squares, for each pair of laser and sensor.
 
-    ``paths`` is (seen, spread, first) of `gather`. ``rows`` (pairs, 2) holds the indices (laser,
-    sensor) of the pairs in ``total`` and ``squares`` (orders, pairs, n_bins), and ``starts``
-    (pairs,) the start of bin 0, m. ``table`` is (factor, away) and ``found`` (value, length) for
-    all sensors, lasers and orders.
+    ``paths`` is that of `gather`. ``pairs`` is (rows, starts, rate): indices (laser, sensor) of the
+    pairs in ``total`` and ``squares`` (orders, pairs, n_bins), sorted by laser; start of bin 0, m,
+    of each pair; and bins per m. ``table`` is (factor, away, sensors) and ``found`` (value, length)
+    for all sensors, lasers and orders.
     """
-    factor, away = table
-    value, length = found
-    seen, spread, first = paths
+    (rows, starts, rate), (factor, away, sensors) = pairs, table
+    (value, length), (seen, spread, first) = found, paths
     bins = np.empty(total.shape[2])
-    for a in range(rows.shape[0]):
-        at, c = rows[a]
-        for n in range(total.shape[0]):
+    for n in range(total.shape[0]):
+        lit = _lit(spread, first, value[0, n], length[0, n])
+        last = 0
+        for a in range(rows.shape[0]):
+            at, c = rows[a]
+            if at != last:
+                lit, last = _lit(spread, first, value[at, n], length[at, n]), at
             bins[:] = 0.0
-            gather(
-                surfaces,
-                seen,
-                spread,
-                first,
-                factor[c],
-                sensors[c],
-                away[c],
-                value[at, n],
-                length[at, n],
-                starts[a],
-                rate,
-                bins,
-            )
+            place = sensors[c], factor[c], away[c]
+            gather(surfaces, (seen, lit[0], lit[1]), place, lit[2:], starts[a], rate, bins)
             for b in range(bins.size):
                 total[n, a, b] += bins[b]
                 squares[n, a, b] += bins[b] * bins[b]

@@ -58,7 +58,7 @@ def _returned(angle, shift_sq, turn, sine_sq):
 
 
 @njit(cache=True, error_model="numpy")
-def _node(x, y, z, pair, lobes, begin, end):
+def _node(x, y, z, pair, lobes):
     """Return path r1 + r2, integrand in 1/m^4, r1, r2 and the half vector's cosine at a point.
 
     ``pair`` holds x and y of laser and sensor point, and their heights above the triangle, m.
@@ -69,12 +69,12 @@ def _node(x, y, z, pair, lobes, begin, end):
     r1, r2 = math.sqrt(s1), math.sqrt(s2)
     both = s1 * s2
     f, half = 0.0, 1.0
-    if end == begin + 1 and lobes[begin, 0] == LAMBERT:
-        f = lobes[begin, 1] * lobes[begin, 3] / math.pi
+    if len(lobes) == 1 and lobes[0, 0] == LAMBERT:
+        f = lobes[0, 1] * lobes[0, 3] / math.pi
     else:
         mu1, mu2 = h1 / r1, h2 / r2
         between = (dx * ex + dy * ey + z * z) / (r1 * r2)
-        for j in range(begin, end):
+        for j in range(len(lobes)):
             if lobes[j, 0] == RETROREFLECTOR and lobes[j, 5] > 0.0:
                 turn = (dx / r1 - ex / r2, dy / r1 - ey / r2, z / r1 - z / r2)
                 sine_sq = 1.0 - (z / r1 + z / r2) ** 2 / (2.0 + 2.0 * between)
@@ -161,7 +161,7 @@ def _square(s, i, j):
 
 
 @njit(cache=True, error_model="numpy")
-def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, stack):
+def _piece(piece, pair, own, limit, time, bins, stack):
     """Add one triangle to the bins, bisected until parts err by at most ``limit``; count the parts.
 
     The error of a part is estimated from the difference between its centroid and the mean of its
@@ -170,22 +170,22 @@ def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, sta
     the narrowest lobe. An infinite limit only makes parts small compared with their distance and
     with that lobe.
     """
+    (lobes, sharp), (start, delta) = own, time
     last = bins.size - 1
     leaves, top = 0, 1
     first = stack[0]
     for k in range(9):
         first[k] = piece[k]
     for k in range(3):
-        first[TAU + k], first[F + k], _, _, _ = _node(
-            first[3 * k], first[3 * k + 1], first[3 * k + 2], pair, lobes, begin, end
-        )
+        x, y, z = first[3 * k], first[3 * k + 1], first[3 * k + 2]
+        first[TAU + k], first[F + k], _, _, _ = _node(x, y, z, pair, lobes)
     first[AREA], first[DEPTH] = piece[9], 0.0
     nearest = min(piece[10], piece[11])
     while top > 0:
         top -= 1
         s = stack[top]
         x, y, z = (s[0] + s[3] + s[6]) / 3.0, (s[1] + s[4] + s[7]) / 3.0, (s[2] + s[5] + s[8]) / 3.0
-        t, f, r1, r2, half = _node(x, y, z, pair, lobes, begin, end)
+        t, f, r1, r2, half = _node(x, y, z, pair, lobes)
         sides = (_square(s, 0, 3), _square(s, 3, 6), _square(s, 6, 0))
         longest = max(sides[0], sides[1], sides[2])
         shift = 0.75 * (t - (s[TAU] + s[TAU + 1] + s[TAU + 2]) / 3.0)
@@ -212,18 +212,9 @@ def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, sta
                 split = wrong > limit
         if not split:
             leaves += 1
-            spread(
-                s[TAU] + shift,
-                s[TAU + 1] + shift,
-                s[TAU + 2] + shift,
-                s[F] + lift,
-                s[F + 1] + lift,
-                s[F + 2] + lift,
-                area,
-                start,
-                delta,
-                bins,
-            )
+            times = s[TAU] + shift, s[TAU + 1] + shift, s[TAU + 2] + shift
+            values = s[F] + lift, s[F + 1] + lift, s[F + 2] + lift
+            spread(*times, *values, area, start, delta, bins)
             continue
         i = 0 if sides[0] == longest else (1 if sides[1] == longest else 2)
         j = (i + 1) % 3
@@ -232,7 +223,7 @@ def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, sta
             0.5 * (s[3 * i + 1] + s[3 * j + 1]),
             0.5 * (s[3 * i + 2] + s[3 * j + 2]),
         )
-        t, f, _, _, _ = _node(x, y, z, pair, lobes, begin, end)
+        t, f, _, _, _ = _node(x, y, z, pair, lobes)
         other = stack[top + 1]
         for k in range(COLUMNS):
             other[k] = s[k]
@@ -363,46 +354,35 @@ def _is_whole(polygon, size):
 
 
 @njit(cache=True, error_model="numpy")
-def _pass(pieces, count, p, q, lobes, spans, sharp, limit, most, start, delta, bins, stack):
+def _pass(pieces, count, p, q, world, limit, most, time, bins, stack):
     """Fill the bins by one pass over all pieces; return the number of parts.
 
     The pass is abandoned as soon as the number exceeds ``most``.
     """
+    lobes, spans, sharp = world
     bins[:] = 0.0
     leaves = 0
     for i in range(count):
         piece = pieces[i]
         t = int(piece[12])
         pair = (p[0], p[1], q[0], q[1], piece[10], piece[11])
-        leaves += _piece(
-            piece,
-            pair,
-            lobes,
-            spans[t, 0],
-            spans[t, 1],
-            sharp[t],
-            limit,
-            start,
-            delta,
-            bins,
-            stack,
-        )
+        own = lobes[spans[t, 0] : spans[t, 1]], sharp[t]
+        leaves += _piece(piece, pair, own, limit, time, bins, stack)
         if leaves > most:
             return leaves
     return leaves
 
 
 @njit(cache=True, error_model="numpy")
-def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, stack, report):
+def _pair(pieces, count, p, q, world, limits, start, work, report):
     """Integrate one pair of points, by passes with falling error limit until two agree to ``tol``.
 
-    Fills ``bins`` and ``report``; ``before`` and ``stack`` are working arrays.
+    ``work`` is (bins, before, stack), where bins are filled like ``report``.
     """
-    lobes, spans, sharp = world
+    (tol, most, delta), (bins, before, stack) = limits, work
+    time = start, delta
     report[STATUS], report[ERROR] = DONE, 0.0
-    leaves = _pass(
-        pieces, count, p, q, lobes, spans, sharp, math.inf, most, start, delta, bins, stack
-    )
+    leaves = _pass(pieces, count, p, q, world, math.inf, most, time, bins, stack)
     strict = 0.5 * tol
     for number in range(1, 40):
         total = bins.sum()
@@ -414,21 +394,7 @@ def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, sta
         fewer = leaves
         # errors are relative to the contribution within the window, unless it is negligible
         scale = within if within > 1e-6 * total else total
-        leaves = _pass(
-            pieces,
-            count,
-            p,
-            q,
-            lobes,
-            spans,
-            sharp,
-            strict * scale,
-            most,
-            start,
-            delta,
-            bins,
-            stack,
-        )
+        leaves = _pass(pieces, count, p, q, world, strict * scale, most, time, bins, stack)
         if leaves > most:
             bins[:] = before
             report[STATUS] = TOO_MANY
@@ -445,31 +411,17 @@ def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, sta
 
 
 @threaded(error_model="numpy")
-def three_bounces(
-    mesh,
-    clear,
-    world,
-    lasers,
-    sensors,
-    turned,
-    sight,
-    known,
-    starts,
-    delta,
-    tol,
-    most,
-    blocks,
-    out,
-    report,
-):
+def three_bounces(mesh, clear, world, pairs, known, limits, blocks, out, report):
     """Fill ``out`` (pairs, bins + 2) with G of each pair and ``report`` (pairs, REPORT).
 
+    ``pairs`` is (lasers, sensors, turned, sight, starts) and ``limits`` (tol, most parts, delta).
     The first and last of the bins collect paths outside the window. Block i consists of the pairs
     ``blocks[i]`` to ``blocks[i + 1] - 1``. Row ``sight[i]`` of ``known`` is the visibility from the
     laser point of pair i; the last element of ``known`` tells whether this is complete. If
     ``turned[i]``, shadows of the sensor point are cut out first. Each pair is summed by one thread,
     so that results do not depend on the number of threads.
     """
+    lasers, sensors, turned, sight, starts = pairs
     for block in prange(blocks.size - 1):
         room = (
             np.empty((PIECES, 2 * CORNERS)),
@@ -497,18 +449,5 @@ def three_bounces(
             if count == OVERFLOW:
                 report[i, STATUS] = TOO_FINE
                 continue
-            _pair(
-                pieces,
-                count,
-                p,
-                q,
-                world,
-                tol,
-                most,
-                starts[i],
-                delta,
-                out[i],
-                before,
-                stack,
-                report[i],
-            )
+            bins = out[i], before, stack
+            _pair(pieces, count, p, q, world, limits, starts[i], bins, report[i])

@@ -181,18 +181,8 @@ def _leg(
     origins, directions = np.zeros((len(vertices), 3)), np.zeros((len(vertices), 3))
 
     def send(part: slice) -> None:
-        kernels.leave(
-            kernel,
-            sampler,
-            part.start,
-            number,
-            aimed,
-            views[part],
-            vertices[part],
-            leaving[part],
-            origins[part],
-            directions[part],
-        )
+        draws, rays = (sampler, part.start, number), (origins[part], directions[part])
+        kernels.leave(kernel, draws, aimed, views[part], vertices[part], leaving[part], rays)
 
     on_threads(send, len(vertices), 1)
     live = leaving[:, kernels.SENT] > 0.0
@@ -202,16 +192,8 @@ def _leg(
     new = np.zeros_like(vertices)
 
     def land(part: slice) -> None:
-        kernels.arrive(
-            kernel,
-            aimed,
-            vertices[part],
-            leaving[part],
-            directions[part],
-            distance[part],
-            triangle[part],
-            new[part],
-        )
+        hits = (directions[part], distance[part], triangle[part])
+        kernels.arrive(kernel, aimed, vertices[part], leaving[part], hits, new[part])
 
     on_threads(land, len(vertices), 1)
     return new, directions
@@ -252,20 +234,11 @@ def _gather(
     starts = job.starts[span]
     into, again = total[:, span], squares[:, span]
     walked = (paths.seen, paths.spread, paths.first)
+    table = (*paths.table, job.sensors)
 
     def work(part: slice) -> None:
-        kernels.gather_pairs(
-            job.around.kernel,
-            walked,
-            rows[part],
-            starts[part],
-            job.rate,
-            paths.table,
-            job.sensors,
-            found,
-            into[:, part],
-            again[:, part],
-        )
+        pairs, sums = (rows[part], starts[part], job.rate), (into[:, part], again[:, part])
+        kernels.gather_pairs(job.around.kernel, walked, pairs, table, found, *sums)
 
     on_threads(work, len(rows), len(paths.first))
 

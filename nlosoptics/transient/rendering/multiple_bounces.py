@@ -84,9 +84,12 @@ def multiple_bounces(
         32.0 * len(chosen) * len(rows) * n_bins,
         "give fewer points, bins or orders",
     )
-    if n_rays is None:  # ten minutes of a core, from measured costs of legs and connections, ns
-        each = 1000.0 + 150.0 * min(len(lasers), len(sensors)) + 2.0 * len(rows)
-        n_rays = int(min(max(6e11 / (len(chosen) * each), 1 << 16), 1 << 27))
+    if n_rays is None:  # most of a minute of a core, from measured costs in ns
+        ends = sorted((len(lasers), len(sensors)))
+        hit = 150.0 * max(1.0, math.log2(len(surfaces.mesh.faces)) / 4.0)
+        each = len(chosen) * (5.0 * hit + hit * ends[0] + 2.5 * len(rows))
+        each += hit * ends[1] / _sizes(ends[1], 1 << 40)[1]
+        n_rays = int(min(max(4e10 / each, 1 << 16), 1 << 27))
     begins = np.ascontiguousarray(np.broadcast_to(np.asarray(starts, float).ravel(), len(rows)))
     job, back = _job(
         surfaces,
@@ -216,8 +219,8 @@ def _sizes(n_sensors: int, budget: int) -> tuple[int, int]:
 
     A vertex costs one shadow ray per sensor. The paths that continue from it cost about the same.
     """
-    n_each = min(max(1, n_sensors // 16), 64)
-    n_seen = min(max(64, (1 << 20) // n_sensors), 1 << 14)
+    n_each = min(max(1, n_sensors // 2), 64)
+    n_seen = min(max(64, (1 << 18) // n_sensors), 1 << 14)
     each = max(1, budget // LEAST)
     n_each = min(n_each, max(1, each // 16))
     return max(1, min(n_seen, each // n_each)), n_each

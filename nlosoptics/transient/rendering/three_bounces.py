@@ -85,26 +85,13 @@ def three_bounces(
     if not shared:
         lights, sight = lights[:1], np.zeros_like(sight)
     known = _sights(mesh, clear, lights, shared and not clear.all())
-    step = min(64 + count // 50, 1 << 16)
+    step, limits = min(64 + count // 50, 1 << 16), (tol, MOST_PARTS, delta_t)
     for first in range(0, count, step):
         part = slice(first, min(first + step, count))
         blocks = np.unique(np.linspace(0, part.stop - first, 65).astype(np.int64))  # of threads
+        pairs = (lasers[part], sensors[part], turned[part], sight[part], starts[part])
         kernels.three_bounces(
-            mesh,
-            clear,
-            world,
-            lasers[part],
-            sensors[part],
-            turned[part],
-            sight[part],
-            known,
-            starts[part],
-            delta_t,
-            tol,
-            MOST_PARTS,
-            blocks,
-            out[part],
-            report[part],
+            mesh, clear, world, pairs, known, limits, blocks, out[part], report[part]
         )
         _check_done(report[part], lasers[part], sensors[part], tol)
         if progress is not None:

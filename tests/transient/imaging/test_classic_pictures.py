@@ -201,6 +201,17 @@ def test_waves_of_light_add_up():
     assert picture == pytest.approx(np.abs(both) ** 2, rel=1e-9)
 
 
+def test_the_wave_of_the_albedo_is_sharper():
+    fine = np.linspace(-0.2, 0.2, 101)
+    light = capture(point_light((0.0, 0.0, 0.6), pulse=2 * PULSE))
+    widths = []
+    for amplitude in ("light", "albedo"):
+        image = fk_migration(light, Volume(fine, [0.0], [0.6]), amplitude=amplitude)
+        widths.append(half_width(fine, image.intensity[0, 0]))
+    # along f, the spectrum exp(-a f^2) is replaced by f exp(-a f^2), of thrice the mean square
+    assert 0.5 < widths[1] / widths[0] < 0.85
+
+
 def test_the_window_may_begin_late():
     light = capture(point_light(POINT))
     volume = around(POINT, count=11)

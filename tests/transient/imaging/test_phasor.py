@@ -115,14 +115,15 @@ def test_cameras_are_the_sum_over_bins_and_points(capture, options, brute, metho
     assert image.intensity == pytest.approx(np.abs(field) ** 2, rel=1e-12)
 
 
-@pytest.mark.parametrize("tol", [1e-2, 1e-4])
-def test_tol_bounds_the_pulse(tol):
+@pytest.mark.parametrize("method", ["direct", "fft"])
+@pytest.mark.parametrize("tol", [0.1, 1e-2, 1e-4])
+def test_tol_bounds_the_pulse(tol, method):
     """One bin of light shows the pulse itself."""
     light = np.zeros((220, 1, 1))
     light[100] = 1.0
     capture = noise_capture(CENTRE, np.zeros((1, 1, 3)), H=light)
     volume = Volume([0.0], [0.0], 0.2 + 0.01 * np.arange(220))
-    image = quiet(capture, volume, wl_mean=0.3, tol=tol)
+    image = quiet(capture, volume, wl_mean=0.3, tol=tol, method=method)
     expected = pulse(2.0 * volume.z - capture.times[100], 0.3, 0.3 / math.sqrt(2.0))
     error = np.abs(image.field[:, 0, 0] - expected).max()
     assert 1e-3 * tol < error < tol
@@ -142,8 +143,13 @@ TWO = noise_capture(np.array([[0.1, 0.0, 0.0], [-0.2, 0.3, 0.0]]))
 )
 def test_transforms_and_sums_agree_in_both_precisions(capture):
     volume = VOLUMES["between"]
-    # rounding of transforms of a few hundred numbers
-    for tol, kind, least in ((9e-6, np.complex128, 1e-13), (1e-5, np.complex64, 1e-5)):
+    # a tenth of tol for the interpolation of the pulse, and rounding
+    for tol, kind, least in (
+        (1e-13, np.complex128, 3e-14),
+        (9e-6, np.complex128, 9e-7),
+        (1e-5, np.complex64, 2e-6),
+        (1e-3, np.complex64, 1e-4),
+    ):
         options = {"wl_mean": 0.3, "tol": tol}
         direct = quiet(capture, volume, method="direct", **options)
         fast = quiet(capture, volume, method="fft", **options)
@@ -173,7 +179,7 @@ def test_start_of_bins_is_a_phase_and_no_padding():
 def test_falling_grids_and_single_precision_bins():
     flipped = noise_capture(sensor_points=wall_grid(1.0, 6)[::-1, ::-1])
     volume = VOLUMES["between"]
-    options = {"wl_mean": 0.3, "tol": 1e-6}
+    options = {"wl_mean": 0.3, "tol": 1e-13}
     fast, direct = (quiet(flipped, volume, method=m, **options) for m in ("fft", "direct"))
     assert relative(fast.field, direct.field) < 1e-13
     single = noise_capture(H=flipped.H.astype(np.float32), sensor_points=flipped.sensor_points)
@@ -186,7 +192,7 @@ def test_waves_done_in_slices_add_up(monkeypatch, n_slices):
     from nlosoptics.transient.imaging import phasor_camera
 
     volume = VOLUMES["before"]
-    whole = quiet(EXHAUSTIVE, volume, wl_mean=0.3, tol=1e-6)
+    whole = quiet(EXHAUSTIVE, volume, wl_mean=0.3, tol=1e-6, method="direct")
     waves = whole.details["n_waves"]
     monkeypatch.setattr(
         phasor_camera, "SPECTRA", 16 * EXHAUSTIVE.H[0].size * math.ceil(waves / n_slices)
@@ -204,7 +210,8 @@ def test_waves_done_in_slices_add_up(monkeypatch, n_slices):
     assert told[-1][0] == pytest.approx(1.0)
     told.clear()
     fast = quiet(EXHAUSTIVE, volume, method="fft", **options)
-    assert relative(fast.field, whole.field) < 1e-13
+    # a tenth of tol
+    assert relative(fast.field, whole.field) < 1e-7
     assert len({text for _, text in told}) > n_slices
 
 
@@ -322,7 +329,7 @@ def test_slow_sums_are_warned_of(monkeypatch):
         warnings.simplefilter("error", PerformanceWarning)
         assert phasor_image(large, off, wl_mean=0.4).details["sum"] == "direct"
     monkeypatch.setattr(phasor_camera, "LARGE", 1e5)
-    words = "steps by 0.0420833 m and the wall's points by 0.0416667 m.*a hundred times the work"
+    words = "steps by 0.0420833 m and the wall's points by 0.0416667 m.*about 0.0.* s of a core"
     with pytest.warns(PerformanceWarning, match=words) as caught:
         phasor_image(large, off, wl_mean=0.4)
     assert caught[0].filename == __file__

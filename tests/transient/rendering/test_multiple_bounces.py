@@ -333,15 +333,12 @@ def test_first_legs_have_the_density_that_they_are_weighted_by(material):
     columns, shifts = scrambled_sobol(3, 7, 1)
     kernels.leave(
         around.kernel,
-        (np.uint64(3), columns.copy(), shifts.copy()),
-        0,
-        kernels.DRAWS_SEEN,
+        ((np.uint64(3), columns.copy(), shifts.copy()), 0, kernels.DRAWS_SEEN),
         0.0,
         np.tile(views, (n, 1, 1)),
         vertices,
         leaving,
-        np.empty((n, 3)),
-        np.empty((n, 3)),
+        (np.empty((n, 3)), np.empty((n, 3))),
     )
     sent = leaving[:, kernels.SENT] > 0.0
     # the cosine's integral over the hemisphere, to a percent with these Sobol points
@@ -508,7 +505,7 @@ def test_a_corridor_is_the_peers(data):
                 delta_t=0.01,
                 n_bins=800,
                 tol=None,
-                n_rays=1 << 16,
+                n_rays=1 << 18,
             ).by_bounce
         )
     for order in (4, 5):
