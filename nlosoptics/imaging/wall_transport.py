@@ -351,17 +351,49 @@ class WallTransport(Noun):
         SceneError
             If ``f`` has another shape or is not finite, or ``occluder`` is out of range.
         """
+        index = whole("occluder", occluder, 0, len(self.scene.occluders) - 1)
+        values = checked_planes("f", f, self.cells).reshape(1, -1)
+        rates = self._rates(values, np.zeros(self.shape[0], dtype=np.int64))[:, index]
+        return np.ascontiguousarray(rates.T).reshape(6, *self.pixel_shape)
+
+    def pose_gradient(self, weights: ArrayLike) -> Array:
+        """Return the derivatives of the sum of ``weights * matrix`` by all poses of occluders.
+
+        With ``weights`` the derivatives of a figure of merit by the elements of the matrix, these
+        are the derivatives of the figure, for about the time of another matrix.
+
+        Parameters
+        ----------
+        weights : array_like, (n_pixels, n_cells)
+            Weight of each element of the matrix.
+
+        Returns
+        -------
+        ndarray, (n_occluders, 6)
+            Derivatives by the shift of each occluder along x, y and z, 1/m, and by its turns about
+            these axes, 1/rad; see `pose_derivative`.
+
+        Raises
+        ------
+        SceneError
+            If ``weights`` has another shape or is not finite.
+        """
+        values = checked_planes("weights", weights, self.shape).reshape(-1, *self.shape).sum(axis=0)
+        return self._rates(values, np.arange(len(values))).sum(axis=0)
+
+    def _rates(self, values: Array, which: NDArray[np.int64]) -> Array:
+        """Return derivatives (n_pixels, n_occluders, 6) of the pixels' light by poses.
+
+        Of ``values`` (k, n_cells), each pixel has its own.
+        """
         from . import _penumbra_kernels
 
-        index = whole("occluder", occluder, 0, len(self.scene.occluders) - 1)
-        values = checked_planes("f", f, self.cells)
-        for axis, parts in enumerate(self._parts):
-            values = np.repeat(values, parts, axis=axis)
-        speeds = self._edges.rigid(index, self._centre(index))
-        rates = np.empty((self.shape[0], 6))
-        arguments = self._arguments(self._open_paths(slice(None)), speeds)
-        in_bands(_penumbra_kernels.fill_rates, *arguments, values, rates)
-        return np.ascontiguousarray(rates.T).reshape(6, *self.pixel_shape)
+        out = np.zeros((len(which), len(self.scene.occluders), 6))
+        *nodes, lens = self._open_paths(slice(None))
+        _, *arguments = self._arguments((), self._edges.rigid())
+        nodes = (*nodes, which, lens)
+        in_bands(_penumbra_kernels.fill_rates, nodes, *arguments, self._parts, values, out)
+        return out
 
     def _applied(
         self,
@@ -424,7 +456,7 @@ class WallTransport(Noun):
 
     def _arguments(
         self,
-        nodes: tuple[Array, Array, Array, Array],
+        nodes: tuple[Array, ...],
         speeds: Array,
         finer: tuple[int, int] = (1, 1),
     ) -> tuple[Any, ...]:
@@ -441,7 +473,7 @@ class WallTransport(Noun):
         if self.source == "laser":
             most = len(arrays[2]) + 5 * len(arrays[1])
         spot: Any = (
-            np.empty((most, 4)),
+            np.empty((most, 5)),
             np.empty(most, np.int64),
             np.empty((most, speeds.shape[1], 4)),
         )
