@@ -187,9 +187,7 @@ def outline(point, frame, shape, mesh, speeds, edges, weights, rates, count):
                 weight += turned[k] * turn[sides[k]]
             if weight != 0:
                 a, b = ends[e, 0], ends[e, 1]
-                count = _append(
-                    flat, flat_rate, a, b, weight, g, edges, weights, rates, count
-                )
+                count = _append(flat, flat_rate, a, b, weight, g, edges, weights, rates, count)
     return count
 
 
