@@ -17,10 +17,9 @@ from torch import Tensor, nn
 
 from ..._checks import expect, in_range, positive, whole, whole_pair
 from ...errors import NlosError, SamplingError, SceneError
-from ...imaging import SpeckleImage, form_image
+from ...imaging import Shadows, SpeckleImage, cast_shadows, form_image
 from ...imaging.images import room_light
 from ...imaging.object_operator import ObjectOperator
-from ...imaging.shadows import Shadows, shadows_of
 from ...psf import PointSpread, PointSpreadField, point_spread_field, scene_point_spread
 from ...scene import PlanarObject, Scene
 from ...scene.file.addresses import NOT_IN_POINT_SPREAD, value_at
@@ -103,10 +102,10 @@ class SceneModel(nn.Module):
     depend share it. If the image jumps within the step, because another number of samples is used,
     the other side is taken.
 
-    Without occluders the image has the bits of `form_image`. Past occluders, no pixel of the
-    shadows of diffuse light is interpolated; it is then `form_image` with such `Shadows`, and
-    differs from the default by up to 5e-3 of the brightest pixel. The view from lens to wall, and
-    the shadows on mirror-like images, are counts of 16 paths; they contribute no gradient.
+    Without occluders the image has the bits of `form_image`. Past occluders it has those of
+    `form_image` with ``shadows=cast_shadows(scene, exact=True)``; the default differs from it by up
+    to 5e-3 of the brightest pixel. The view from lens to wall, and the shadows on mirror-like
+    images, are counts of 16 paths; they contribute no gradient.
 
     Examples
     --------
@@ -368,7 +367,7 @@ class _Setting:
         key = b"" if picture is None else repr(picture.shape).encode() + picture.tobytes()
         if self._lit is None or self._lit[0] != key:
             scene = self._painted(picture)
-            self._lit = key, scene, shadows_of(scene, exact=True) if scene.occluders else None
+            self._lit = key, scene, cast_shadows(scene, exact=True) if scene.occluders else None
         return self._lit
 
     def _painted(self, picture: Array | None) -> Scene:

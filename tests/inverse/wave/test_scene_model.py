@@ -8,7 +8,6 @@ import torch
 
 from nlosoptics import Scene, imaging, psf
 from nlosoptics.errors import SceneError
-from nlosoptics.imaging.shadows import shadows_of
 from nlosoptics.inverse import SceneModel
 
 thorough = pytest.mark.thorough
@@ -22,7 +21,7 @@ def expected(scene, tol=1e-3):
     """Mean image by the public functions; of shadows without interpolation."""
     mirror = scene.wall_material.specular_reflectance > 0.0
     spread = psf.scene_point_spread(scene, tol).point_spread if mirror else None
-    shadows = shadows_of(scene, exact=True) if scene.occluders else None
+    shadows = imaging.cast_shadows(scene, exact=True) if scene.occluders else None
     return imaging.form_image(scene, spread, shadows=shadows).expected
 
 
