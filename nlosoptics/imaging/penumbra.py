@@ -87,7 +87,7 @@ class Edges(Noun):
         return speeds
 
 
-def in_bands(kernel: Any, nodes: tuple[Array, ...], *arguments: Any) -> None:
+def in_bands(kernel: Any, nodes: tuple[NDArray[Any], ...], *arguments: Any) -> None:
     """Run a kernel for bands of the pixels in several threads; the last argument is its output.
 
     The last of ``nodes`` are points of the lens, and the others are divided into the bands.

@@ -379,7 +379,7 @@ class WallTransport(Noun):
             If ``weights`` has another shape or is not finite.
         """
         values = checked_planes("weights", weights, self.shape).reshape(-1, *self.shape).sum(axis=0)
-        return self._rates(values, np.arange(len(values))).sum(axis=0)
+        return np.asarray(self._rates(values, np.arange(len(values))).sum(axis=0))
 
     def _rates(self, values: Array, which: NDArray[np.int64]) -> Array:
         """Return derivatives (n_pixels, n_occluders, 6) of the pixels' light by poses.
@@ -389,9 +389,8 @@ class WallTransport(Noun):
         from . import _penumbra_kernels
 
         out = np.zeros((len(which), len(self.scene.occluders), 6))
-        *nodes, lens = self._open_paths(slice(None))
-        _, *arguments = self._arguments((), self._edges.rigid())
-        nodes = (*nodes, which, lens)
+        *paths, lens = self._open_paths(slice(None))
+        nodes, *arguments = self._arguments((*paths, which, lens), self._edges.rigid())
         in_bands(_penumbra_kernels.fill_rates, nodes, *arguments, self._parts, values, out)
         return out
 
@@ -456,7 +455,7 @@ class WallTransport(Noun):
 
     def _arguments(
         self,
-        nodes: tuple[Array, ...],
+        nodes: tuple[NDArray[Any], ...],
         speeds: Array,
         finer: tuple[int, int] = (1, 1),
     ) -> tuple[Any, ...]:

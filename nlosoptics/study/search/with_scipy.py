@@ -83,6 +83,7 @@ def gradient(problem: Problem, ask: Ask) -> str:
     first = at(start)
     scale = float(np.abs(np.nan_to_num(first[1][0])).max()) or 1.0
     limits: Any = ()
+    options: Any = {"ftol": 1e-9, "maxiter": problem.evaluations}
     if len(first[0]) > 1:
         limits = {"type": "ineq", "fun": lambda x: at(x)[0][1:], "jac": lambda x: at(x)[1][1:]}
     result = scipy.optimize.minimize(
@@ -92,7 +93,7 @@ def gradient(problem: Problem, ask: Ask) -> str:
         method="SLSQP",
         bounds=scipy.optimize.Bounds(np.zeros(len(start)), np.ones(len(start))),
         constraints=limits,
-        options={"ftol": 1e-9, "maxiter": problem.evaluations},
+        options=options,
     )
     return str(result.message)
 

@@ -164,11 +164,8 @@ def test_a_large_weight_of_the_variation_leaves_a_uniform_object():
     """It has the least residual of all uniform objects, which a tiny damping shifts by 1e-6."""
     model = SceneModel(scene_of("letter_flat"))
     image, damping = model().detach(), 1.0
-    found = (
-        model.tikhonov(image, damping, (6, 6), variation=float(image.square().sum()))
-        .detach()
-        .numpy()
-    )
+    weight = 100.0 * float(image.square().sum())
+    found = model.tikhonov(image, damping, (6, 6), variation=weight).detach().numpy()
     assert np.ptp(found) < 1e-3 * found.mean()
     black, grey = (
         model(torch.full((6, 6), v, dtype=torch.float64)).detach().numpy() for v in (0.0, 0.5)
