@@ -23,7 +23,6 @@ from .._checks import (
     whole_pair,
 )
 from .._nouns import Noun
-from .._random import generator
 from ..errors import SamplingError
 from ..kernels.codes import LAMBERT, RETROREFLECTOR
 from ..raytrace import occluded
@@ -40,6 +39,7 @@ from .radiometry import (
     wall_lobes,
     wall_paths,
 )
+from .thin_factors import thin_factors
 
 if TYPE_CHECKING:
     import trimesh
@@ -256,21 +256,7 @@ class WallTransport(Noun):
         SceneError
             If ``tol`` is out of range.
         """
-        in_range("tol", tol, 1e-12, 0.5)
-        n_pixels, n_cells = self.shape
-        count, most = 32, min(self.shape)
-        while True:
-            count = min(2 * count, most)
-            trial = generator(0, 611).standard_normal((count, *self.cells))
-            base = np.linalg.qr(self.forward(trial).reshape(count, n_pixels).T)[0]
-            again = self.adjoint(base.T.reshape(-1, *self.pixel_shape))
-            base = np.linalg.qr(self.forward(again).reshape(-1, n_pixels).T)[0]
-            small = self.adjoint(base.T.reshape(-1, *self.pixel_shape)).reshape(-1, n_cells)
-            left, values, right = np.linalg.svd(small, full_matrices=False)
-            rank = int(np.count_nonzero(values > tol * values[0]))
-            # the last of the trial's values are too small
-            if rank <= 0.8 * count or count == most:
-                return base @ (left[:, :rank] * values[:rank]), right[:rank]
+        return thin_factors(self, in_range("tol", tol, 1e-12, 0.5))
 
     def with_occluders(self, occluders: Sequence[Occluder | trimesh.Trimesh]) -> WallTransport:
         """Return the operator with other occluders; wall points of the pixels are shared.
@@ -359,13 +345,10 @@ class WallTransport(Noun):
     def pose_gradient(self, weights: ArrayLike) -> Array:
         """Return the derivatives of the sum of ``weights * matrix`` by all poses of occluders.
 
-        With ``weights`` the derivatives of a figure of merit by the elements of the matrix, these
-        are the derivatives of the figure, for about the time of another matrix.
-
         Parameters
         ----------
         weights : array_like, (n_pixels, n_cells)
-            Weight of each element of the matrix.
+            Weights, such as the derivatives of a figure of merit by the elements of the matrix.
 
         Returns
         -------
@@ -382,10 +365,7 @@ class WallTransport(Noun):
         return np.asarray(self._rates(values, np.arange(len(values))).sum(axis=0))
 
     def _rates(self, values: Array, which: NDArray[np.int64]) -> Array:
-        """Return derivatives (n_pixels, n_occluders, 6) of the pixels' light by poses.
-
-        Of ``values`` (k, n_cells), each pixel has its own.
-        """
+        """Return rates (n_pixels, n_occluders, 6) of each pixel's light from ``values[which]``."""
         from . import _penumbra_kernels
 
         out = np.zeros((len(which), len(self.scene.occluders), 6))
