@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._random import generator
 
-if TYPE_CHECKING:
-    from .wall_transport import WallTransport
-
 Array = NDArray[np.float64]
 
 
-def thin_factors(operator: WallTransport, tol: float) -> tuple[Array, Array]:
+def thin_factors(operator: Any, tol: float) -> tuple[Array, Array]:
     """Return matrices of low rank whose product is an operator, see `WallTransport.factors`."""
     cells, pixels = operator.cell_shape, operator.pixel_shape
     n_pixels, n_cells = operator.shape
