@@ -83,17 +83,17 @@ def gradient(problem: Problem, ask: Ask) -> str:
     first = at(start)
     scale = float(np.abs(np.nan_to_num(first[1][0])).max()) or 1.0
     limits: Any = ()
-    options: Any = {"ftol": 1e-9, "maxiter": problem.evaluations}
+    minimise: Any = scipy.optimize.minimize  # no overload of its stubs takes these arguments
     if len(first[0]) > 1:
         limits = {"type": "ineq", "fun": lambda x: at(x)[0][1:], "jac": lambda x: at(x)[1][1:]}
-    result = scipy.optimize.minimize(
+    result = minimise(
         lambda x: at(x)[0][0] / scale,
         start,
         jac=lambda x: at(x)[1][0] / scale,
         method="SLSQP",
         bounds=scipy.optimize.Bounds(np.zeros(len(start)), np.ones(len(start))),
         constraints=limits,
-        options=options,
+        options={"ftol": 1e-9, "maxiter": problem.evaluations},
     )
     return str(result.message)
 
