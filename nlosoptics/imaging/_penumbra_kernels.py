@@ -49,9 +49,9 @@ def _project(places, speeds, i, point, frame, at, height, out, out_rate):
 
 
 @njit(cache=True)
-def _append(flat, flat_rate, a, b, weight, edges, weights, rates, count):
-    """Append the edge between two projected places; return the new count."""
-    weights[count] = weight
+def _append(flat, flat_rate, a, b, weight, mesh, edges, weights, rates, count):
+    """Append the edge between two projected places of a mesh; return the new count."""
+    weights[count], edges[count, 4] = weight, mesh
     for k in range(2):
         edges[count, k], edges[count, 2 + k] = flat[a, 1 + k], flat[b, 1 + k]
         for m in range(rates.shape[1]):
@@ -104,7 +104,8 @@ def outline(point, frame, shape, mesh, speeds, edges, weights, rates, count):
     """Append the projected edges of a mesh that do not cancel; return the new count.
 
     ``mesh`` is `penumbra.Edges.arrays`; ``speeds`` (n_vertices, m, 3) are velocities of its
-    vertices. Edges (u, v, u, v) have the covered side on their left ``weights`` times.
+    vertices. Edges (u, v, u, v, number of the mesh) have the covered side on their left ``weights``
+    times.
     """
     vertices, faces, ends, starts, sides, turned, groups = mesh
     n_rates = speeds.shape[1]
@@ -174,6 +175,7 @@ def outline(point, frame, shape, mesh, speeds, edges, weights, rates, count):
                     i,
                     (i + 1) % n,
                     1 if area > 0.0 else -1,
+                    g,
                     edges,
                     weights,
                     rates,
@@ -185,7 +187,7 @@ def outline(point, frame, shape, mesh, speeds, edges, weights, rates, count):
                 weight += turned[k] * turn[sides[k]]
             if weight != 0:
                 a, b = ends[e, 0], ends[e, 1]
-                count = _append(flat, flat_rate, a, b, weight, edges, weights, rates, count)
+                count = _append(flat, flat_rate, a, b, weight, g, edges, weights, rates, count)
     return count
 
 
@@ -386,7 +388,10 @@ def _cover_row(covered, light, row, x0, x1, height, columns):
 
 @njit(cache=True)
 def cover_rates(edges, rates, pieces, n_pieces, values, out):
-    """Subtract from ``out`` (m,) the rate of the sum of ``values`` (rows, columns) times cover."""
+    """Subtract from ``out`` (meshes, m) rates of the sum of ``values`` (rows, columns) times cover.
+
+    Each mesh alone moves with its m velocities.
+    """
     rows, columns = values.shape
     for p in range(n_pieces):
         e = int(pieces[p, 0])
@@ -420,7 +425,7 @@ def cover_rates(edges, rates, pieces, n_pieces, values, out):
             for m in range(rates.shape[1]):
                 u_rate = rates[e, m, 0] + far * (rates[e, m, 2] - rates[e, m, 0])
                 v_rate = rates[e, m, 1] + far * (rates[e, m, 3] - rates[e, m, 1])
-                out[m] += weight * (u_rate * dv - v_rate * du)
+                out[int(edges[e, 4]), m] += weight * (u_rate * dv - v_rate * du)
             at = until
 
 
@@ -503,12 +508,12 @@ def _buffers(mesh, spot):
     """Return space for all edges, their weights and rates, the first of them those of the spot."""
     first = len(spot[0])
     most = first + len(mesh[2]) + 5 * len(mesh[1])
-    edges, weights = np.empty((most, 4)), np.empty(most, np.int64)
+    edges, weights = np.empty((most, 5)), np.empty(most, np.int64)
     rates = np.empty((most, spot[2].shape[1], 4))
     for e in range(first):
         weights[e] = spot[1][e]
+        edges[e] = spot[0][e]
         for k in range(4):
-            edges[e, k] = spot[0][e, k]
             for m in range(rates.shape[1]):
                 rates[e, m, k] = spot[2][e, m, k]
     return edges, weights, rates
@@ -566,22 +571,26 @@ def fill_rows(nodes, frame, plane, mesh, speeds, spot, wall, source, parts, out)
 
 
 @njit(cache=True, nogil=True)
-def fill_rates(nodes, frame, plane, mesh, speeds, spot, wall, source, values, out):
-    """Fill ``out`` (n, m) with the rates of the radiance of wall points as occluders move.
+def fill_rates(nodes, frame, plane, mesh, speeds, spot, wall, source, parts, values, out):
+    """Fill ``out`` (n, meshes, m) with rates of the radiance of wall points as occluders move.
 
-    ``values`` (rows, columns) is the factor of each sample's light.
+    ``nodes`` also holds, before the points of the lens, which of the ``values`` (k, n_cells) are
+    the factors of each point's light from the cells; see `fill_rows` for ``parts``.
     """
-    points, normals, weights, lens = nodes
+    points, normals, weights, which, lens = nodes
     shape = source[0].shape
+    columns = shape[1] // parts[1]
     buffers, pieces, light = _buffers(mesh, spot), np.empty((256, 4)), np.empty(shape)
     for p in range(len(points)):
         out[p] = 0.0
+        factors = values[which[p]]
         for k in range(points.shape[1]):
             if weights[p, k] == 0.0:
                 continue
             pieces, n = _shadow(points, p, k, frame, shape, mesh, speeds, spot, buffers, pieces)
             _light(points[p, k], normals[p, k], lens[k], plane, wall, source, light)
             for row in range(shape[0]):
+                first = row // parts[0] * columns
                 for column in range(shape[1]):
-                    light[row, column] *= values[row, column] * weights[p, k]
+                    light[row, column] *= factors[first + column // parts[1]] * weights[p, k]
             cover_rates(buffers[0], buffers[2], pieces, n, light, out[p])

@@ -73,27 +73,30 @@ class Edges(Noun):
         """Return the velocities of vertices of which none is asked for, (n, 0, 3)."""
         return np.zeros((len(self.vertices), 0, 3))
 
-    def rigid(self, mesh: int, centre: Array) -> Array:
-        """Return the velocities (n, 6, 3) of vertices as one mesh is shifted or turned.
+    def rigid(self) -> Array:
+        """Return the velocities (n, 6, 3) of vertices as their mesh is shifted or turned.
 
-        Shifts along the axes come first, per metre, then turns about them through ``centre``, per
-        radian.
+        Shifts along the axes come first, per metre, then turns about them through the mean of the
+        mesh's vertices, per radian.
         """
         speeds = np.zeros((len(self.vertices), 6, 3))
-        first, last = self.groups[mesh, :2]
-        arm = self.vertices[first:last, None] - centre
-        speeds[first:last, :3] = np.eye(3)
-        speeds[first:last, 3:] = np.cross(np.eye(3), arm)
+        speeds[:, :3] = np.eye(3)
+        for first, last in self.groups[:, :2]:
+            arm = self.vertices[first:last] - self.vertices[first:last].mean(axis=0)
+            speeds[first:last, 3:] = np.cross(np.eye(3), arm[:, None])
         return speeds
 
 
-def in_bands(kernel: Any, nodes: tuple[Array, ...], *arguments: Any) -> None:
-    """Run a kernel for bands of the pixels in several threads; the last argument is its output."""
+def in_bands(kernel: Any, nodes: tuple[NDArray[Any], ...], *arguments: Any) -> None:
+    """Run a kernel for bands of the pixels in several threads; the last argument is its output.
+
+    The last of ``nodes`` are points of the lens, and the others are divided into the bands.
+    """
     *others, out = arguments
 
     def band(start: int) -> None:
         rows = slice(start, start + 32)
-        kernel(tuple(array[rows] for array in nodes[:3]) + nodes[3:], *others, out[rows])
+        kernel((*(array[rows] for array in nodes[:-1]), nodes[-1]), *others, out[rows])
 
     list(worker_pool().map(band, range(0, len(out), 32)))
 

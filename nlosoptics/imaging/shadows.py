@@ -84,13 +84,15 @@ class Shadows(Noun):
             array.flags.writeable = False
 
 
-def cast_shadows(scene: Scene) -> Shadows:
+def cast_shadows(scene: Scene, *, exact: bool = False) -> Shadows:
     """Compute which fractions of the light the occluders of a scene let through.
 
     Parameters
     ----------
     scene : Scene
         Scene with occluders; without any, all fractions are 1.
+    exact : bool
+        Whether to compute ``veil`` in all pixels of a picture's image, without interpolation.
 
     Returns
     -------
@@ -126,15 +128,12 @@ def cast_shadows(scene: Scene) -> Shadows:
     ``Shadows.veil`` concerns diffuse light on its way via the object to the wall. For a picture, it
     is the ratio of two sums, `WallTransport.forward` with and without occluders, whose shadows have
     exact edges. For a mesh, it is a sum over 1024 points, with an error of a few thousandths.
-    Pixels are left out where interpolation between others agrees to some 1e-3 of the mean.
+    Unless ``exact``, pixels are left out where interpolation between others agrees to some 1e-3 of
+    the mean.
 
     The laser spot is treated as a point, and its image is dimmed uniformly.
     """
-    return shadows_of(expect("scene", scene, "Scene"))
-
-
-def shadows_of(scene: Scene, *, exact: bool = False) -> Shadows:
-    """Return the result of `cast_shadows`; if ``exact``, no pixel of the veil is interpolated."""
+    scene = expect("scene", scene, "Scene")
     ny, nx = scene.camera.shape
     fits_memory(
         f"the shadows of {nx} x {ny} pixels (camera.pixels, camera.binning)",

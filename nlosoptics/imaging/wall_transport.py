@@ -23,7 +23,6 @@ from .._checks import (
     whole_pair,
 )
 from .._nouns import Noun
-from .._random import generator
 from ..errors import SamplingError
 from ..kernels.codes import LAMBERT, RETROREFLECTOR
 from ..raytrace import occluded
@@ -40,6 +39,7 @@ from .radiometry import (
     wall_lobes,
     wall_paths,
 )
+from .thin_factors import thin_factors
 
 if TYPE_CHECKING:
     import trimesh
@@ -256,21 +256,7 @@ class WallTransport(Noun):
         SceneError
             If ``tol`` is out of range.
         """
-        in_range("tol", tol, 1e-12, 0.5)
-        n_pixels, n_cells = self.shape
-        count, most = 32, min(self.shape)
-        while True:
-            count = min(2 * count, most)
-            trial = generator(0, 611).standard_normal((count, *self.cells))
-            base = np.linalg.qr(self.forward(trial).reshape(count, n_pixels).T)[0]
-            again = self.adjoint(base.T.reshape(-1, *self.pixel_shape))
-            base = np.linalg.qr(self.forward(again).reshape(-1, n_pixels).T)[0]
-            small = self.adjoint(base.T.reshape(-1, *self.pixel_shape)).reshape(-1, n_cells)
-            left, values, right = np.linalg.svd(small, full_matrices=False)
-            rank = int(np.count_nonzero(values > tol * values[0]))
-            # the last of the trial's values are too small
-            if rank <= 0.8 * count or count == most:
-                return base @ (left[:, :rank] * values[:rank]), right[:rank]
+        return thin_factors(self, in_range("tol", tol, 1e-12, 0.5))
 
     def with_occluders(self, occluders: Sequence[Occluder | trimesh.Trimesh]) -> WallTransport:
         """Return the operator with other occluders; wall points of the pixels are shared.
@@ -351,17 +337,42 @@ class WallTransport(Noun):
         SceneError
             If ``f`` has another shape or is not finite, or ``occluder`` is out of range.
         """
+        index = whole("occluder", occluder, 0, len(self.scene.occluders) - 1)
+        values = checked_planes("f", f, self.cells).reshape(1, -1)
+        rates = self._rates(values, np.zeros(self.shape[0], dtype=np.int64))[:, index]
+        return np.ascontiguousarray(rates.T).reshape(6, *self.pixel_shape)
+
+    def pose_gradient(self, weights: ArrayLike) -> Array:
+        """Return the derivatives of the sum of ``weights * matrix`` by all poses of occluders.
+
+        Parameters
+        ----------
+        weights : array_like, (n_pixels, n_cells)
+            Weights, such as the derivatives of a figure of merit by the elements of the matrix.
+
+        Returns
+        -------
+        ndarray, (n_occluders, 6)
+            Derivatives by the shift of each occluder along x, y and z, 1/m, and by its turns about
+            these axes, 1/rad; see `pose_derivative`.
+
+        Raises
+        ------
+        SceneError
+            If ``weights`` has another shape or is not finite.
+        """
+        values = checked_planes("weights", weights, self.shape).reshape(-1, *self.shape).sum(axis=0)
+        return np.asarray(self._rates(values, np.arange(len(values))).sum(axis=0))
+
+    def _rates(self, values: Array, which: NDArray[np.int64]) -> Array:
+        """Return rates (n_pixels, n_occluders, 6) of each pixel's light from ``values[which]``."""
         from . import _penumbra_kernels
 
-        index = whole("occluder", occluder, 0, len(self.scene.occluders) - 1)
-        values = checked_planes("f", f, self.cells)
-        for axis, parts in enumerate(self._parts):
-            values = np.repeat(values, parts, axis=axis)
-        speeds = self._edges.rigid(index, self._centre(index))
-        rates = np.empty((self.shape[0], 6))
-        arguments = self._arguments(self._open_paths(slice(None)), speeds)
-        in_bands(_penumbra_kernels.fill_rates, *arguments, values, rates)
-        return np.ascontiguousarray(rates.T).reshape(6, *self.pixel_shape)
+        out = np.zeros((len(which), len(self.scene.occluders), 6))
+        *paths, lens = self._open_paths(slice(None))
+        nodes, *arguments = self._arguments((*paths, which, lens), self._edges.rigid())
+        in_bands(_penumbra_kernels.fill_rates, nodes, *arguments, self._parts, values, out)
+        return out
 
     def _applied(
         self,
@@ -424,7 +435,7 @@ class WallTransport(Noun):
 
     def _arguments(
         self,
-        nodes: tuple[Array, Array, Array, Array],
+        nodes: tuple[NDArray[Any], ...],
         speeds: Array,
         finer: tuple[int, int] = (1, 1),
     ) -> tuple[Any, ...]:
@@ -441,7 +452,7 @@ class WallTransport(Noun):
         if self.source == "laser":
             most = len(arrays[2]) + 5 * len(arrays[1])
         spot: Any = (
-            np.empty((most, 4)),
+            np.empty((most, 5)),
             np.empty(most, np.int64),
             np.empty((most, speeds.shape[1], 4)),
         )

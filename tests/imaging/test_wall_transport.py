@@ -303,14 +303,15 @@ def test_tensors_give_tensors_with_gradients(small):
 
 @pytest.mark.parametrize("occluder", [0, 1], ids=["disc", "box through the plane"])
 def test_derivative_by_the_pose_is_that_of_differences(small, occluder):
-    f = np.random.default_rng(0).random((6, 7))
+    f, weights = np.random.default_rng(0).random((6, 7)), np.random.default_rng(1).random((20, 42))
     rates, step = small.pose_derivative(f, occluder), 1e-6
+    gradient = small.pose_gradient(weights)[occluder]
     for k, change in enumerate(step * np.eye(6)):
-        ahead, back = (
-            small.moved(occluder, s * change[:3], s * change[3:]).forward(f) for s in (1, -1)
-        )
-        error = (ahead - back) / (2 * step) - rates[k]
+        ahead, back = (small.moved(occluder, s * change[:3], s * change[3:]) for s in (1, -1))
+        error = (ahead.forward(f) - back.forward(f)) / (2 * step) - rates[k]
         assert abs(error).max() < 1e-5 * abs(rates).max()
+        error = (weights * (ahead.matrix - back.matrix)).sum() / (2 * step) - gradient[k]
+        assert abs(error) < 1e-5 * abs(gradient).max()
     assert abs(rates).max() > 0
 
 

@@ -19,7 +19,12 @@ SCRIPTS = sorted(EXAMPLES.glob("plot_*.py"))
 #: Scripts that draw in three dimensions.
 ROOMS = {"plot_ray_paths"}
 #: Scripts that need torch.
-TORCH = {"plot_blind_fit", "plot_exposure"}
+TORCH = {
+    "plot_blind_fit",
+    "plot_design_by_gradient",
+    "plot_exposure",
+    "plot_occluder_by_gradient",
+}
 LIMIT = 240  # s; under a minute on two free cores, and tests share theirs
 
 

@@ -12,7 +12,7 @@ CONCAVE = str(SCENES / "letter_concave.toml")
 POWER = {"laser.power": {"from": "0.1 mW", "to": "10 mW"}}
 PLANE = POWER | {"camera.exposure": {"from": "1 ms", "to": "2 s"}}
 OFF = {"figure": "own_figures:off", "power": 3.0, "name": "off"}
-METHODS = ("cobyqa", "differential-evolution", "tpe", "nsga-ii")
+METHODS = ("cobyqa", "gradient", "differential-evolution", "tpe", "nsga-ii")
 
 
 def made(figures, objectives, method="cobyqa", evaluations=60, **tables) -> Study:

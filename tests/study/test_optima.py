@@ -15,7 +15,7 @@ from nlosoptics.study import (
     run_study,
 )
 
-from .searches import CONCAVE, HERE, METHODS, OFF, POWER, SCENES, made, run
+from .searches import CONCAVE, HERE, METHODS, OFF, PLANE, POWER, SCENES, made, run
 
 FLAT = str(SCENES / "letter_flat.toml")
 
@@ -25,12 +25,14 @@ def si(value: str) -> float:
 
 
 @pytest.mark.thorough
-def test_stop_is_as_wide_as_defocus_allows(tmp_path: Path) -> None:
+@pytest.mark.parametrize("method", ["cobyqa", "gradient"])
+def test_stop_is_as_wide_as_defocus_allows(method: str, tmp_path: Path) -> None:
     """The best diffraction-limited resolution: rms of defocus, D^2 / (16 sqrt 3) (1/s - 1/z)."""
     stop = {"figure": "value", "address": "camera.stop_diameter"}
     study = made(
         ["aberration_rms", stop],
         [{"figure": "camera_stop_diameter", "goal": "maximise"}],
+        method,
         scene=FLAT,
         set={"camera.focus_distance": "1.8 m"},
         constraints=[{"figure": "aberration_rms", "at_most": 0.07}],
@@ -49,10 +51,12 @@ def test_stop_is_as_wide_as_defocus_allows(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_focus_is_at_the_mirrored_object(tmp_path: Path) -> None:
+@pytest.mark.parametrize("method", ["cobyqa", "gradient"])
+def test_focus_is_at_the_mirrored_object(method: str, tmp_path: Path) -> None:
     study = made(
         ["aberration_rms"],
         ["aberration_rms"],
+        method,
         scene=FLAT,
         set={"camera.f_number": 8},
         variables={"camera.focus_distance": {"from": "1.5 m", "to": "3 m"}},
@@ -186,6 +190,21 @@ def test_share_of_a_constraint(tmp_path: Path) -> None:
         found = optimum(run_study(study, tmp_path / f"{share}", workers=0))
         # the constraint may be missed by 1e-6 of its limit; the population has shrunk to 3 %
         assert power - 2e-9 <= found.objectives[found.best, 0] < 1.03 * power
+
+
+def test_gradients_of_a_step_are_computed_with_it(tmp_path: Path) -> None:
+    """A quadratic figure ends at its minimum, within a limit of its own; three points a step."""
+    study = made([OFF], ["off"], "gradient", variables=PLANE)
+    found = optimum(run(study, tmp_path / "free"))
+    # SLSQP ends where a step changes the figure by 1e-9 of its slope at the start
+    assert si(found.values()["laser.power"]) == approx(3e-3, abs=1e-6)
+    assert si(found.values()["camera.exposure"]) == approx(1.0, abs=1e-3)
+    assert len(found.objectives) in range(3, 30, 3)
+    limit = [{"figure": "power", "at_most": 2e-3}]
+    power = {"figure": "value", "address": "laser.power", "name": "power"}
+    study = made([OFF, power], ["off"], "gradient", variables=PLANE, constraints=limit)
+    found = optimum(run(study, tmp_path / "limited"))
+    assert found.objectives[found.best, 0] == approx(1.0, rel=1e-5)
 
 
 @pytest.mark.thorough

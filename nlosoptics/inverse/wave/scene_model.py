@@ -17,10 +17,9 @@ from torch import Tensor, nn
 
 from ..._checks import expect, in_range, positive, whole, whole_pair
 from ...errors import NlosError, SamplingError, SceneError
-from ...imaging import SpeckleImage, form_image
+from ...imaging import Shadows, SpeckleImage, cast_shadows, form_image
 from ...imaging.images import room_light
 from ...imaging.object_operator import ObjectOperator
-from ...imaging.shadows import Shadows, shadows_of
 from ...psf import PointSpread, PointSpreadField, point_spread_field, scene_point_spread
 from ...scene import PlanarObject, Scene
 from ...scene.file.addresses import NOT_IN_POINT_SPREAD, value_at
@@ -50,6 +49,9 @@ class Steps:
 
 
 STEPS = Steps()
+SMOOTH = 0.01  # reflectance below which the total variation is rounded off
+SOLVED = 1e-10  # of the gradient at the minimum, relative to that of a black object
+NEWTON = 100  # steps of Newton's method at most
 
 
 class SceneModel(nn.Module):
@@ -103,10 +105,10 @@ class SceneModel(nn.Module):
     depend share it. If the image jumps within the step, because another number of samples is used,
     the other side is taken.
 
-    Without occluders the image has the bits of `form_image`. Past occluders, no pixel of the
-    shadows of diffuse light is interpolated; it is then `form_image` with such `Shadows`, and
-    differs from the default by up to 5e-3 of the brightest pixel. The view from lens to wall, and
-    the shadows on mirror-like images, are counts of 16 paths; they contribute no gradient.
+    Without occluders the image has the bits of `form_image`. Past occluders it has those of
+    `form_image` with ``shadows=cast_shadows(scene, exact=True)``; the default differs from it by up
+    to 5e-3 of the brightest pixel. The view from lens to wall, and the shadows on mirror-like
+    images, are counts of 16 paths; they contribute no gradient.
 
     Examples
     --------
@@ -199,7 +201,12 @@ class SceneModel(nn.Module):
         return result
 
     def tikhonov(
-        self, image: Tensor, damping: float, shape: tuple[int, int] | None = None
+        self,
+        image: Tensor,
+        damping: float,
+        shape: tuple[int, int] | None = None,
+        *,
+        variation: float = 0.0,
     ) -> Tensor:
         """Reconstruct the object with the current values, differentiable by both.
 
@@ -211,19 +218,24 @@ class SceneModel(nn.Module):
             Rms noise of the image over the expected rms reflectance, electrons.
         shape : (int, int), optional
             Rows and columns of the object; by default those of the image.
+        variation : float
+            Weight of the object's total variation V, electrons^2, which keeps edges sharp. It is
+            the sum over all texels of ``sqrt(|g|^2 + 0.01^2)``, with the differences g to the next
+            texel along both axes.
 
         Returns
         -------
         Tensor, (rows, columns)
-            Object x that minimises ``|image(x) - image|^2 + damping^2 |x|^2``, without limits to
-            its reflectances, by conjugate gradients.
+            Object x that minimises ``|image(x) - image|^2 + damping^2 |x|^2 + 2 variation V(x)``,
+            without limits to its reflectances, by conjugate gradients and Newton's method.
 
         Notes
         -----
-        The gradient follows from the normal equations by the implicit function theorem, which needs
-        one more solution of them, and no memory for iterations.
+        The gradient follows from the conditions of the minimum by the implicit function theorem,
+        which needs one more linear solution, and no memory for iterations.
         """
         damping = positive("damping", damping)
+        variation = in_range("variation", variation, 0.0)
         wanted = self._scene.camera.shape
         if not isinstance(image, Tensor) or tuple(image.shape) != wanted:
             raise SceneError(
@@ -234,7 +246,7 @@ class SceneModel(nn.Module):
             raise SceneError("image has values that are not finite, limit 0; replace them")
         shape = whole_pair("shape", shape or wanted, (4096, 4096))
         result: Tensor = _Tikhonov.apply(  # type: ignore[no-untyped-call]
-            self.offsets, image, self, damping, shape
+            self.offsets, image, self, (damping, variation), shape
         )
         return result
 
@@ -368,7 +380,7 @@ class _Setting:
         key = b"" if picture is None else repr(picture.shape).encode() + picture.tobytes()
         if self._lit is None or self._lit[0] != key:
             scene = self._painted(picture)
-            self._lit = key, scene, shadows_of(scene, exact=True) if scene.occluders else None
+            self._lit = key, scene, cast_shadows(scene, exact=True) if scene.occluders else None
         return self._lit
 
     def _painted(self, picture: Array | None) -> Scene:
@@ -427,7 +439,7 @@ class _Figure(torch.autograd.Function):
 
 
 class _Tikhonov(torch.autograd.Function):
-    """Damped least squares; the implicit function theorem for values and image."""
+    """Least squares with penalties; the implicit function theorem for values and image."""
 
     @staticmethod
     def forward(
@@ -435,14 +447,14 @@ class _Tikhonov(torch.autograd.Function):
         offsets: Tensor,
         image: Tensor,
         model: SceneModel,
-        damping: float,
+        penalty: tuple[float, float],
         shape: tuple[int, int],
     ) -> Tensor:
-        ctx.model, ctx.at, ctx.damping = model, _numbers(offsets), damping
+        ctx.model, ctx.at, ctx.penalty = model, _numbers(offsets), penalty
         black, setting = np.zeros(shape), model._setting(ctx.at)
         light = image.detach().double().numpy() - setting.formed(black).expected
         operator = setting.operator(black)
-        ctx.object = _normal_solution(operator, operator.adjoint(light), damping)
+        ctx.object = _minimum(operator, operator.adjoint(light), penalty)
         ctx.residual = operator.forward(ctx.object) - light
         return torch.tensor(ctx.object)
 
@@ -451,7 +463,7 @@ class _Tikhonov(torch.autograd.Function):
     def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
         black = np.zeros(ctx.object.shape)
         operator = ctx.model._setting(ctx.at).operator(black)
-        dual = _normal_solution(operator, cotangent.numpy(), ctx.damping)
+        dual = _newton_step(operator, cotangent.numpy(), ctx.object, ctx.penalty)
         seen = operator.forward(dual)
         by_value = None
         if ctx.needs_input_grad[0]:
@@ -466,24 +478,78 @@ class _Tikhonov(torch.autograd.Function):
         return by_value, torch.tensor(seen), None, None, None
 
 
-def _normal_solution(operator: ObjectOperator, right: Array, damping: float) -> Array:
-    """Solve the damped normal equations by conjugate gradients."""
-    size, shape = right.size, right.shape
+def _minimum(operator: ObjectOperator, right: Array, penalty: tuple[float, float]) -> Array:
+    """Return the object at which the least squares with penalties are smallest."""
+    damping, variation = penalty
+    found = _newton_step(operator, right, np.zeros_like(right), (damping, 0.0))
+    if variation == 0.0:
+        return found
 
-    def normal(flat: Array) -> Array:
+    def cost(picture: Array) -> tuple[float, Array]:
+        """Return half of what is minimised, up to a constant, and its gradient."""
+        steps, length = _steps(picture)
+        inner = operator.adjoint(operator.forward(picture)) + damping**2 * picture
+        slope = inner - right + variation * _steps_adjoint(steps / length)
+        return float((picture * (inner / 2 - right)).sum() + variation * length.sum()), slope
+
+    value, slope = cost(found)
+    for _ in range(NEWTON):
+        if _norm(slope) <= SOLVED * _norm(right):
+            return found
+        step, part = _newton_step(operator, -slope, found, penalty, 1e-3), 1.0
+        ahead, steeper = cost(found + step)
+        while ahead > value + 1e-12 * abs(value) and part > 1e-6:
+            part /= 2
+            ahead, steeper = cost(found + part * step)
+        found, value, slope = found + part * step, ahead, steeper
+    raise SamplingError(
+        f"variation = {variation:g} has no solution after {NEWTON} steps; use a smaller one, or a "
+        "larger damping"
+    )
+
+
+def _newton_step(
+    operator: ObjectOperator,
+    right: Array,
+    at: Array,
+    penalty: tuple[float, float],
+    tol: float = 1e-9,
+) -> Array:
+    """Solve the linear equations of a Newton step at an object by conjugate gradients."""
+    (damping, variation), size, shape = penalty, right.size, right.shape
+    steps, length = _steps(at)
+
+    def curvature(flat: Array) -> Array:
         picture = flat.reshape(shape)
         result = operator.adjoint(operator.forward(picture)) + damping**2 * picture
+        if variation > 0.0:
+            ahead = _steps(picture)[0]
+            ahead = ahead / length - steps * ((steps * ahead).sum(axis=0) / length**3)
+            result += variation * _steps_adjoint(ahead)
         return np.asarray(result).ravel()
 
-    matrix = scipy.sparse.linalg.LinearOperator((size, size), matvec=normal, dtype=np.float64)
+    matrix = scipy.sparse.linalg.LinearOperator((size, size), matvec=curvature, dtype=np.float64)
     most = 10 * size
-    solution, ended = scipy.sparse.linalg.cg(matrix, right.ravel(), rtol=1e-9, maxiter=most)
+    solution, ended = scipy.sparse.linalg.cg(matrix, right.ravel(), rtol=tol, maxiter=most)
     if ended != 0:
         raise SamplingError(
             f"damping = {damping:g} is too small to solve for the object in {most} steps; use a "
             "larger one"
         )
     return np.asarray(solution).reshape(shape)
+
+
+def _steps(picture: Array) -> tuple[Array, Array]:
+    """Return the differences (2, rows, columns) to the next texels, and their smooth length."""
+    steps = np.stack([np.diff(picture, axis=k, append=picture.take([-1], k)) for k in (0, 1)])
+    return steps, np.sqrt((steps**2).sum(axis=0) + SMOOTH**2)
+
+
+def _steps_adjoint(steps: Array) -> Array:
+    """Apply the adjoint of the differences, the last of which are 0."""
+    down, across = steps.copy()
+    down[-1], across[:, -1] = 0.0, 0.0
+    return np.asarray(-np.diff(down, axis=0, prepend=0.0) - np.diff(across, axis=1, prepend=0.0))
 
 
 def _picture(object_image: Tensor | None) -> Array | None:

@@ -113,7 +113,7 @@ class Constraint(Within):
 class Optimise(_Table):
     """Search for the best values."""
 
-    method: Literal["cobyqa", "differential-evolution", "tpe", "nsga-ii"]
+    method: Literal["cobyqa", "gradient", "differential-evolution", "tpe", "nsga-ii"]
     evaluations: int = Field(ge=1, le=100_000)
     population: int | None = Field(None, ge=1, le=10_000)
     objectives: list[Objective] = Field(min_length=1)

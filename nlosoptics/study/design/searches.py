@@ -6,7 +6,7 @@ from ...errors import SceneError
 from .file import Optimise, Within
 from .variables import Variable
 
-#: Least population of the methods that choose from lists; cobyqa chooses one point at a time.
+#: Least population of the methods that choose from lists; others choose by themselves.
 LEAST = {"differential-evolution": 5, "tpe": 1, "nsga-ii": 2}
 
 

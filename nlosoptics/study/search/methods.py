@@ -7,7 +7,7 @@ from ..design.file import Optimise
 from ..design.study import Study
 from .problem import Ask, Problem, population
 from .with_optuna import sampled
-from .with_scipy import cobyqa, evolution
+from .with_scipy import cobyqa, evolution, gradient
 
 
 def search(study: Study, ask: Ask) -> str:
@@ -22,6 +22,8 @@ def search(study: Study, ask: Ask) -> str:
     )
     if table.method == "cobyqa":
         return cobyqa(problem, ask)
+    if table.method == "gradient":
+        return gradient(problem, ask)
     if table.method == "differential-evolution":
         return evolution(problem, ask)
     return sampled(problem, ask, table.method)

@@ -89,6 +89,15 @@ class Problem:
         addresses = (variable.address for variable in self.variables)
         return dict(zip(addresses, map(float, coordinates), strict=True))
 
+    def rounded(self, coordinates: Array) -> Array:
+        """Return coordinates (..., n) of the values that a scene gets, which have ten digits."""
+        found = [
+            variable.coordinate(variable.value(one))
+            for row in coordinates.reshape(-1, len(self.variables))
+            for variable, one in zip(self.variables, row, strict=True)
+        ]
+        return np.array(found, dtype=np.float64).reshape(coordinates.shape)
+
 
 #: Returns the outcomes of points, which are computed together.
 Ask = Callable[[Sequence[Point]], list[Outcome]]

@@ -1,4 +1,4 @@
-"""Methods of scipy: COBYQA, which is local, and differential evolution, which is global."""
+"""Methods of scipy: COBYQA and gradients, which are local, and differential evolution."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import scipy  # its parts are loaded lazily, on first use
 from .problem import Array, Ask, Outcome, Problem
 
 MISSED = -1e6  # margin of a failed point
+STEP = 1e-6  # of differences, as a part of the ranges
 
 
 def cobyqa(problem: Problem, ask: Ask) -> str:
@@ -50,6 +51,66 @@ def cobyqa(problem: Problem, ask: Ask) -> str:
         },
     )
     return str(result.message)
+
+
+def gradient(problem: Problem, ask: Ask) -> str:
+    """Follow gradients by differences from the scene's own values.
+
+    A point is computed together with those for its gradient.
+
+    References
+    ----------
+    .. [1] D. Kraft, A Software Package for Sequential Quadratic Programming, DFVLR-FB 88-28, 1988.
+    """
+    known: dict[bytes, tuple[Array, Array]] = {}
+    best: list[Any] = [math.inf]  # objective, coordinates and gradient of the best point
+    start = problem.start
+
+    def at(x: Array) -> tuple[Array, Array]:
+        """Return objective and margins (1 + m,), and their derivatives (1 + m, n)."""
+        if x.tobytes() not in known:
+            known[x.tobytes()] = found = _with_derivatives(problem, ask, x)
+            if np.isfinite(found[0]).all() and found[0][0] < best[0]:
+                best[:] = found[0][0], x.copy(), found[1]
+            elif not np.isfinite(found[0]).all() and len(best) > 1:
+                # a rise that turns a line search back to the best point
+                way = x - best[1]
+                slope = 10.0 * np.linalg.norm(best[2][0]) * way / np.linalg.norm(way)
+                found[0][:], found[1][:] = best[0] + slope @ way, slope
+                found[0][1:], found[1][1:] = MISSED, 0.0
+        return known[x.tobytes()]
+
+    first = at(start)
+    scale = float(np.abs(np.nan_to_num(first[1][0])).max()) or 1.0
+    limits: Any = ()
+    minimise: Any = scipy.optimize.minimize  # no overload of its stubs takes these arguments
+    if len(first[0]) > 1:
+        limits = {"type": "ineq", "fun": lambda x: at(x)[0][1:], "jac": lambda x: at(x)[1][1:]}
+    result = minimise(
+        lambda x: at(x)[0][0] / scale,
+        start,
+        jac=lambda x: at(x)[1][0] / scale,
+        method="SLSQP",
+        bounds=scipy.optimize.Bounds(np.zeros(len(start)), np.ones(len(start))),
+        constraints=limits,
+        options={"ftol": 1e-9, "maxiter": problem.evaluations},
+    )
+    return str(result.message)
+
+
+def _with_derivatives(problem: Problem, ask: Ask, x: Array) -> tuple[Array, Array]:
+    """Return objective and margins (1 + m,) and their derivatives (1 + m, n) by coordinates."""
+    x = np.clip(x, 0.0, 1.0)
+    moved = x + np.diag(np.where(x < 0.5, STEP, -STEP))
+    here, *others = (
+        np.array([*outcome.values, *outcome.margins])
+        for outcome in ask([problem.point(one) for one in (x, *moved)])
+    )
+    # values are rounded, by which the steps differ a little
+    widths = np.diag(problem.rounded(moved) - problem.rounded(x))
+    with np.errstate(invalid="ignore"):
+        rates = (np.array(others) - here).T / widths
+    return here, np.where(np.isfinite(rates), rates, 0.0)
 
 
 def evolution(problem: Problem, ask: Ask) -> str:

@@ -8,7 +8,6 @@ import torch
 
 from nlosoptics import Scene, imaging, psf
 from nlosoptics.errors import SceneError
-from nlosoptics.imaging.shadows import shadows_of
 from nlosoptics.inverse import SceneModel
 
 thorough = pytest.mark.thorough
@@ -22,7 +21,7 @@ def expected(scene, tol=1e-3):
     """Mean image by the public functions; of shadows without interpolation."""
     mirror = scene.wall_material.specular_reflectance > 0.0
     spread = psf.scene_point_spread(scene, tol).point_spread if mirror else None
-    shadows = shadows_of(scene, exact=True) if scene.occluders else None
+    shadows = imaging.cast_shadows(scene, exact=True) if scene.occluders else None
     return imaging.form_image(scene, spread, shadows=shadows).expected
 
 
@@ -130,31 +129,51 @@ def test_noise_and_full_well():
 
 
 @thorough
+@pytest.mark.parametrize("variation", [0.0, 0.5])
 @pytest.mark.parametrize("name", ["letter_flat", "shadows"])
-def test_gradients_through_a_solver(name):
+def test_gradients_through_a_solver(name, variation):
     """The implicit function theorem against differences of whole solutions."""
     address = "hidden.position[2]" if name == "letter_flat" else "occluder[0].position[0]"
     model = SceneModel(scene_of(name), {address: 0.2})
     model.offsets.data += 1e-3
     image = model().detach().requires_grad_()
     damping = 0.05 * float(image.detach().std())
-    found = model.tikhonov(image, damping, (8, 8))
+    variation *= damping**2
+    found = model.tikhonov(image, damping, (8, 8), variation=variation)
     weight = torch.from_numpy(np.random.default_rng(0).standard_normal(found.shape))
     (weight * found).sum().backward()
 
     def weighted(step, change):
         model.offsets.data += step
-        result = model.tikhonov(image.detach() + change, damping, (8, 8)).detach()
+        given = image.detach() + change
+        result = model.tikhonov(given, damping, (8, 8), variation=variation).detach()
         model.offsets.data -= step
         return float((weight * result).sum())
 
     slope = (weighted(1e-4, 0.0) - weighted(-1e-4, 0.0)) / 2e-4
     assert float(model.offsets.grad[0]) == pytest.approx(slope, rel=1e-3)  # truncation
-    change = (
-        10.0 * damping * torch.from_numpy(np.random.default_rng(1).standard_normal(image.shape))
-    )
+    size = damping * (10.0 if variation == 0.0 else 1e-3)  # the variation is not quadratic
+    change = size * torch.from_numpy(np.random.default_rng(1).standard_normal(image.shape))
     slope = (weighted(0.0, change) - weighted(0.0, -change)) / 2.0
-    assert float((image.grad * change).sum()) == pytest.approx(slope, rel=1e-5)
+    # the minimum with variation is found to 1e-10 of its right side
+    within = 1e-5 if variation == 0.0 else 1e-3
+    assert float((image.grad * change).sum()) == pytest.approx(slope, rel=within)
+
+
+def test_a_large_weight_of_the_variation_leaves_a_uniform_object():
+    """It has the least residual of all uniform objects, which a tiny damping shifts by 1e-6."""
+    model = SceneModel(scene_of("letter_flat"))
+    image, damping = model().detach(), 1.0
+    weight = 100.0 * float(image.square().sum())
+    found = model.tikhonov(image, damping, (6, 6), variation=weight).detach().numpy()
+    assert np.ptp(found) < 1e-3 * found.mean()
+    black, grey = (
+        model(torch.full((6, 6), v, dtype=torch.float64)).detach().numpy() for v in (0.0, 0.5)
+    )
+    light = (grey - black) / 0.5
+    best = (light * (image.numpy() - black)).sum() / (light * light).sum()
+    # diffuse light of the operator is that of the image to 1e-4
+    assert found.mean() == pytest.approx(best, rel=1e-3)
 
 
 def test_figures_have_gradients():
