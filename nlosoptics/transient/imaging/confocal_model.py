@@ -103,9 +103,11 @@ def direct_pulse(
 ) -> tuple[tuple[Array, Array] | None, Array]:
     """Return the response of laser and detector, and the background of each bin.
 
-    Direct light of a confocal capture is the laser's pulse as the detector sees it. Files often
-    begin at its peak; before it, a Gaussian is assumed, `RISE` times as wide as one that falls to
-    3/4 like the later side, which makes measured captures most likely. Its tail adds to the background ``level`` after the scene's light begins in bin ``start``.
+    Direct light of a confocal capture is the laser's pulse as the detector sees it. Files that
+    begin at its peak lack its rise. A Gaussian is assumed then, `RISE` times as wide as one that
+    falls to 3/4 like the later side; this width makes measured captures most likely. The tail of
+    the direct light adds to the background ``level`` after the scene's light begins in bin
+    ``start``.
     """
     mean = capture.H.mean(axis=(1, 2)) - level
     background = np.full(len(mean), level)
@@ -113,13 +115,17 @@ def direct_pulse(
     if start - peak < 8 or mean[peak] < mean[start:].max():
         return None, background
     fall = np.maximum(mean[peak:start], 0.0)
-    sigma = RISE * max(float(np.argmax(fall < 0.75 * fall[0])) / np.sqrt(2.0 * np.log(4.0 / 3.0)), 0.5)
-    rise = fall[0] * np.exp(-0.5 * (np.arange(-int(4 * sigma), 0) / sigma) ** 2)
+    rise = np.maximum(mean[:peak], 0.0)
+    if not peak:
+        narrow = float(np.argmax(fall < 0.75 * fall[0])) / np.sqrt(2.0 * np.log(4.0 / 3.0))
+        sigma = RISE * max(narrow, 0.5)
+        rise = fall[0] * np.exp(-0.5 * (np.arange(-int(4 * sigma), 0) / sigma) ** 2)
     tail = fall[-len(fall) // 4 :] + 1e-6 * fall[0]
     slope, height = np.polyfit(np.arange(len(tail)) - len(tail), np.log(tail), 1)
     later = np.arange(len(mean) - start)
     background[start:] += np.exp(height + min(slope, 0.0) * later)
-    path = (np.arange(len(rise) + len(fall) + 1) - len(rise) - 0.5) * capture.delta_t
+    # the path of direct light along the wall is 0
+    path = capture.t_start + capture.delta_t * np.arange(peak - len(rise), start + 1)
     total = np.concatenate([[0.0], np.cumsum(np.concatenate([rise, fall]))])
     if total[-1] <= 0.0:
         raise SamplingError("the capture's direct light is 0; gate it away with transient.gated")
