@@ -267,16 +267,11 @@ def image_command(
 
         check_target(folder)
         one_of("--method", method, ("phasor", "fk", "lct", "backprojection", "inverse"))
-        for name in ("camera", "wl_mean", "wl_sigma", "aperture"):
+        names = ("near", "far", "step") if method == "inverse" else ()
+        for name in ("camera", "wl_mean", "wl_sigma", "aperture", *names):
             if (value := context.params[name]) and method != "phasor":
                 raise typer.BadParameter(
-                    f"{value!r} is for --method phasor only; with {method}, leave it out",
-                    param_hint=_option(name),
-                )
-        for name in ("near", "far", "step"):
-            if (value := context.params[name]) and method == "inverse":
-                raise typer.BadParameter(
-                    f"{value!r}: inverse takes its planes from the photons; leave it out",
+                    f"{value!r} is not for --method {method}; leave it out, or use phasor",
                     param_hint=_option(name),
                 )
         drawn = can_draw()

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
-from ...errors import SamplingError
 from ..capture.capture import TransientCapture
 from .confocal_grids import ConfocalGrid
 
@@ -52,7 +51,7 @@ class ConfocalModel:
         for k, depth in enumerate(z):
             r = np.sqrt(x**2 + y**2 + depth**2)
             # standard deviation of the path over a voxel
-            sides = ((x, steps[0]), (y, steps[1]), (depth, steps[2]))
+            sides = zip((x, y, depth), steps, strict=True)
             width = np.sqrt(sum((2.0 * a * d / r) ** 2 for a, d in sides) / 12.0)
             if pulse is None:
                 before = 0.5 * erf((ends - 2.0 * r) / (np.sqrt(2.0) * width))
@@ -117,16 +116,14 @@ def direct_pulse(
     fall = np.maximum(mean[peak:start], 0.0)
     rise = np.maximum(mean[:peak], 0.0)
     if not peak:
-        narrow = float(np.argmax(fall < 0.75 * fall[0])) / np.sqrt(2.0 * np.log(4.0 / 3.0))
-        sigma = RISE * max(narrow, 0.5)
+        # a Gaussian falls to 3/4 after 0.7585 standard deviations
+        sigma = RISE * max(float(np.argmax(fall < 0.75 * fall[0])) / 0.7585, 0.5)
         rise = fall[0] * np.exp(-0.5 * (np.arange(-int(4 * sigma), 0) / sigma) ** 2)
-    tail = fall[-len(fall) // 4 :] + 1e-6 * fall[0]
-    slope, height = np.polyfit(np.arange(len(tail)) - len(tail), np.log(tail), 1)
-    later = np.arange(len(mean) - start)
-    background[start:] += np.exp(height + min(slope, 0.0) * later)
+    tail = fall[-len(fall) // 4 :] + 1e-12 * fall[0]
+    if tail.mean() > 5.0 * np.sqrt(level / capture.H[0].size):  # above the noise of one bin
+        slope, height = np.polyfit(np.arange(len(tail)) - len(tail), np.log(tail), 1, w=tail)
+        background[start:] += np.exp(height + min(slope, 0.0) * np.arange(len(mean) - start))
     # the path of direct light along the wall is 0
     path = capture.t_start + capture.delta_t * np.arange(peak - len(rise), start + 1)
-    total = np.concatenate([[0.0], np.cumsum(np.concatenate([rise, fall]))])
-    if total[-1] <= 0.0:
-        raise SamplingError("the capture's direct light is 0; gate it away with transient.gated")
+    total = np.cumsum(np.concatenate([[0.0], rise, fall]))
     return (path, total / total[-1]), background

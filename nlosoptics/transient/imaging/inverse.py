@@ -105,48 +105,37 @@ def inverse_image(
     >>> print(np.nanmedian(depths.depth).round(2))
     0.6
     """
+    from scipy.ndimage import correlate1d
+
     begun = time.perf_counter()
     capture = expect("capture", capture, "TransientCapture")
     seed = checked_seed(seed)
-    if not capture.is_confocal:
+    if not (capture.is_confocal and counts_photons(capture)):
         raise SamplingError(
-            f"inverse_image needs a confocal capture, this one has pairing = {capture.pairing!r}; "
+            "inverse_image needs a confocal capture of photon counts, this one has pairing = "
+            f"{capture.pairing!r} and values down to {capture.H.min():g}, or not whole numbers; "
             "use phasor_image"
         )
-    if not counts_photons(capture):
-        raise SamplingError(
-            "inverse_image needs photon counts, this capture has values that are not whole numbers "
-            "from 0 up; give the counts as recorded, or use phasor_image"
-        )
-    if advice is None:
-        advice = advise(capture, seed=seed)
-    fit, volume = _prepared(capture, expect("advice", advice, "Advice"))
-    rng = np.random.default_rng(seed)
-    half = rng.binomial(fit.counts.astype(np.int64), 0.5).astype(np.float32)
-    fit = fit.with_noise(half)
-    fit, albedo, strength = _chosen(fit, half, progress)
-    if progress is not None:
-        progress("all photons", 0.75)
+    chosen = advise(capture, seed=seed) if advice is None else expect("advice", advice, "Advice")
+    fit, volume = _prepared(capture, chosen)
+    half = np.random.default_rng(seed).binomial(fit.counts.astype(np.int64), 0.5)
+    fit, albedo, strength = _chosen(fit.with_noise(half), half, progress)
     albedo = fit.albedo(LAST, strength, 2.0 * albedo)
     mean = fit.mean(albedo)
     misfit = float(np.mean((fit.counts - mean) ** 2 / mean))
     kept = np.zeros_like(albedo)
     kept[:, RIM:-RIM, RIM:-RIM] = albedo[:, RIM:-RIM, RIM:-RIM]
     # a surface between two planes is split among them, each with a part of its albedo
-    wide = np.pad(kept, ((2, 2), (0, 0), (0, 0)))
-    intensity = sum(w * wide[k : k + len(kept)] for k, w in enumerate((1, 2, 3, 2, 1))) / 3.0
+    intensity = correlate1d(kept, np.array([1, 2, 3, 2, 1]) / 3.0, axis=0, mode="constant")
     front = intensity.max(axis=0)
     plateau = float((front**3).sum() / (front**2).sum())
+    threshold = min(PLATEAU * plateau / float(front.max()), 1.0)
     return VolumeImage(
         intensity=intensity,
         volume=volume,
         method="inverse",
         seconds=time.perf_counter() - begun,
-        details={
-            "threshold": min(PLATEAU * plateau / float(front.max()), 1.0),
-            "strength": strength,
-            "misfit": misfit,
-        },
+        details={"threshold": threshold, "strength": strength, "misfit": misfit},
     )
 
 
@@ -179,14 +168,15 @@ class _Fit:
 
     def part(self, counts: Array) -> _Fit:
         """Return the fit of a random half of the photons."""
-        background, noise = 0.5 * self.background, self.noise / np.sqrt(2.0)
-        return replace(self, counts=counts, background=background, noise=noise)
+        return replace(
+            self, counts=counts, background=0.5 * self.background, noise=self.noise / 2.0**0.5
+        )
 
     def start(self) -> Array:
         """Return an albedo that is even over z, with the phasor field's view."""
         even = np.repeat(self.view[None], len(self.model.planes), axis=0)
-        light = float((self.counts - self.background).sum())
-        return np.asarray(even * (max(light, 1.0) / float(self.model.light(even).sum())))
+        light = max(float((self.counts - self.background).sum()), 1.0)
+        return np.asarray(even * (light / float(self.model.light(even).sum())))
 
     def albedo(self, iterations: int, strength: float, start: Array) -> Array:
         """Return the albedo after some iterations: expectation maximisation with accelerated steps.
@@ -198,8 +188,7 @@ class _Fit:
         seen = self.model.adjoint(np.ones_like(self.counts) * self.gain)
         seen = np.maximum(seen, 0.02 * seen.max())
         flow = np.zeros((2, *start.shape), dtype=np.float32)
-        old = albedo = start
-        step = before = np.zeros_like(start)
+        old, albedo, step, before = start, start, *np.zeros((2, *start.shape), dtype=np.float32)
         for _ in range(iterations):
             power = float((before**2).sum())
             along = min(max(float((step * before).sum()) / power, 0.0), 0.97) if power else 0.0
@@ -237,23 +226,19 @@ class _Fit:
 def _prepared(capture: TransientCapture, advice: Advice) -> tuple[_Fit, Volume]:
     """Return counts and model of the scene's light, and the volume of the picture."""
     if advice.image is None:
-        raise SamplingError(
-            "inverse_image: no object above the noise; give a capture of more photons"
-        )
-    facts = advice.light.details["hidden_light"]
-    width = capture.delta_t
-    first = round((facts["start"] - capture.t_start) / width)
+        raise SamplingError("no object above the noise; give a capture of more photons")
+    facts, width = advice.light.details["hidden_light"], capture.delta_t
+    first, end = (round((facts[name] - capture.t_start) / width) for name in ("start", "stop"))
     pulse, background = direct_pulse(capture, first, facts["background"])
     own = advice.image.volume
-    pitch = min(own.x[1] - own.x[0], own.y[1] - own.y[0])
+    pitch = min(np.diff(own.x[:2]), np.diff(own.y[:2]))[0]
     group = max(1, int(BINS * pitch / width))
-    n_bins = (round((facts["stop"] - capture.t_start) / width) - first) // group
+    n_bins = (end - first) // group
     last = first + n_bins * group
     light = gated(capture, start=capture.edges[first], stop=capture.edges[last])
     light = downsampled(light, bins=group)
     grid = confocal_grid(light, "inverse_image")
     amplitude = np.sqrt(advice.image.intensity.max(axis=(1, 2)))
-    amplitude_view = advice.image.intensity.max(axis=0) / amplitude.max()
     lit = own.z[amplitude > 0.15 * amplitude.max()]
     margin = 0.5 * advice.image.wl_mean
     near = max(lit[0] - margin, 0.5 * facts["start"], PLANES * pitch)
@@ -261,7 +246,8 @@ def _prepared(capture: TransientCapture, advice: Advice) -> tuple[_Fit, Volume]:
     model = ConfocalModel(grid, z, pulse)
     counts = light.H.astype(np.float32)
     dark = background[first:last].reshape(n_bins, group).sum(axis=1).astype(np.float32)
-    view = (FLOOR + amplitude_view / amplitude.max()).astype(np.float32)
+    seen = advice.image.intensity.max(axis=0)
+    view = (FLOOR + seen / seen.max()).astype(np.float32)
     fit = _Fit(model, counts, dark[:, None, None], 0.0, np.ones_like(view), view)
     return fit, Volume(grid.x, grid.y, z)
 
