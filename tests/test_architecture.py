@@ -288,6 +288,7 @@ WEIGHTS = {
     "the way in: photographs, analysis, nouns at the top": (1_500, 500, 0, 1_500, 20, 10),
     "checks on the user's machine": (500, 80, 130, 330, 3, 5),
     "status on pictures of users, ablation of the search": (0, 0, 335, 0, 0, 0),
+    "images from few photons": (450, 100, 80, 260, 1, 5),
 }
 
 

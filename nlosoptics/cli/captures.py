@@ -199,8 +199,9 @@ def image_command(
     method: Annotated[
         str,
         typer.Option(
-            help="phasor (phasor field), fk (f-k migration), lct (light-cone transform) or "
-            "backprojection."
+            help="phasor (phasor field), fk (f-k migration), lct (light-cone transform), "
+            "backprojection, or inverse (likelihood of a confocal capture's counts; sharper, 2 to "
+            "30 s)."
         ),
     ] = "phasor",
     camera: Annotated[
@@ -265,11 +266,12 @@ def image_command(
         folder = Path(capture_file.stem) if out is None else out
 
         check_target(folder)
-        one_of("--method", method, ("phasor", "fk", "lct", "backprojection"))
-        for name in ("camera", "wl_mean", "wl_sigma", "aperture"):
+        one_of("--method", method, ("phasor", "fk", "lct", "backprojection", "inverse"))
+        names = ("near", "far", "step") if method == "inverse" else ()
+        for name in ("camera", "wl_mean", "wl_sigma", "aperture", *names):
             if (value := context.params[name]) and method != "phasor":
                 raise typer.BadParameter(
-                    f"{value!r} is for --method phasor only; with {method}, leave it out",
+                    f"{value!r} is not for --method {method}; leave it out, or use phasor",
                     param_hint=_option(name),
                 )
         drawn = can_draw()
@@ -401,10 +403,13 @@ def _formed(
     stored = capture.details.get("picture")
     wanted: dict[str, float] = dict(stored) if isinstance(stored, dict) else {}
     wanted |= {name: value for name, value in picture.items() if value is not None}
-    if set(picture) - set(wanted):
+    if method == "inverse" or set(picture) - set(wanted):
         advice = transient.advise(capture, seed=seed, progress=progress)
         if advice.image is None:
             return None, None
+        if method == "inverse":
+            found = transient.inverse_image(capture, advice=advice, seed=seed, progress=progress)
+            return found, transient.depth_map(found, threshold=found.details["threshold"])
         if method == "phasor" and not wanted and not options:
             return advice.image, advice.depths
         z = advice.image.volume.z
@@ -511,6 +516,7 @@ def _capture_rows(capture: TransientCapture) -> Iterator[tuple[str, str]]:
 def _light_rows(capture: TransientCapture) -> Iterator[tuple[str, str]]:
     """Rows on the light of the hidden scene, and on the methods that can image it."""
     from .. import transient
+    from ..transient.capture.hidden_light import counts_photons
     from ..transient.imaging.advice import shortest_wavelength
     from ..transient.imaging.confocal_grids import confocal_grid
 
@@ -533,6 +539,7 @@ def _light_rows(capture: TransientCapture) -> Iterator[tuple[str, str]]:
         whole = light if light.is_confocal else transient.normal_moveout(light)
         confocal_grid(whole, "fk")
         methods += ", fk, lct" if whole is light else ", fk, lct (after normal moveout)"
+        methods += ", inverse" if capture.is_confocal and counts_photons(capture) else ""
     except NlosError as error:
         methods += f"; not fk, lct: {_with_options(error).split(';')[0]}"
     yield ("methods", methods)

@@ -1,8 +1,8 @@
 """Time-resolved captures of a relay wall, and images reconstructed from them.
 
 `render` and `render_scene` compute a `TransientCapture`; `TransientCapture.load` reads one from a
-file of this or another program. `phasor_image`, `fk_migration`, `lct` and `backprojection`
-reconstruct a `VolumeImage`, and `depth_map` returns its depths.
+file of this or another program. `phasor_image`, `fk_migration`, `lct`, `backprojection` and
+`inverse_image` reconstruct a `VolumeImage`, and `depth_map` returns its depths.
 """
 
 from .capture.capture import TransientCapture
@@ -14,6 +14,7 @@ from .imaging.advice import advise
 from .imaging.backprojection import backprojection
 from .imaging.depth import depth_error, depth_map, true_depths
 from .imaging.fk_migration import fk_migration
+from .imaging.inverse import inverse_image
 from .imaging.light_cone_transform import lct
 from .imaging.phasor_camera import phasor_image
 from .imaging.volume import PhasorImage, Volume, VolumeImage
@@ -36,6 +37,7 @@ __all__ = [
     "fk_migration",
     "gated",
     "hidden_light",
+    "inverse_image",
     "lct",
     "normal_moveout",
     "phasor_image",

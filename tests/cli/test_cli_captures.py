@@ -128,6 +128,7 @@ def test_options_stand_for_what_a_capture_lacks(run):
         ("phasor", None),
         ("lct", None),
         ("lct", (0.1, 0.1, 0.0)),
+        ("inverse", None),
         *(pytest.param(m, None, marks=pytest.mark.thorough) for m in ("fk", "backprojection")),
     ],
 )
@@ -150,6 +151,12 @@ def test_any_array_is_read_and_shown_without_hints(run, method, laser):
     assert place == pytest.approx([0.2, -0.1, 0.6], abs=0.07)  # one pitch
 
 
+def test_an_inverse_takes_its_planes_from_the_photons(run):
+    run("transient", "dot.toml", "--out", "x.hdf5")
+    code, _, err = run("image", "x.hdf5", "--method", "inverse", "--near", "0.6")
+    assert (code, "is not for --method inverse; leave it out" in err) == (2, True)
+
+
 def test_a_check_says_what_a_file_holds(run):
     wall = wall_grid(1.0, 16)
     path = np.linalg.norm(wall - (0.2, -0.1, 0.6), axis=-1) + 0.65
@@ -161,7 +168,7 @@ def test_a_check_says_what_a_file_holds(run):
     assert "16 x 16 laser, 16 x 16 sensor, confocal" in out
     assert "40 of 60 mm, 0.8 to 3.2 m" in out
     assert "1 in each bin and pair" in out
-    assert "phasor, backprojection, fk, lct\n" in out
+    assert "phasor, backprojection, fk, lct, inverse\n" in out
     given += ["--laser-points", "0, 0, 0"]
     code, out, _ = run("capture", "check", "scan.npz", *given)
     assert (code, "fk, lct (after normal moveout)" in out) == (0, True)
