@@ -91,8 +91,8 @@ image cube.npy --side 1m --bin 0 --pairing confocal | --bin = 0 m; above 0
 image cube.npy --side 1m --bin 16ps --axes x,y,q | 'x,y,q'; give such as
 image cube.npy --side 1m --bin 16ps --pairing confocal --gate-start 9m | no bin; widen the gate
 image folder | is a folder; give the path
-image cube.npy --method fk --camera direct_light | --camera; phasor only; leave it out
-image cube.npy --method lct --wl-sigma 3cm | --wl-sigma; phasor only; leave it out
+image cube.npy --method fk --camera direct_light | --camera; not for --method fk; leave it out
+image cube.npy --method lct --wl-sigma 3cm | --wl-sigma; not for --method lct; leave it out
 image cube.npy --method phasr | 'phasr' is unknown; phasor, fk, lct
 report folder | no result.json; name the output folder
 report nowhere | missing; name the output folder
