@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._checks import counted, fits_memory
 from ...errors import SamplingError
 from .gridding import Gridding
 from .rayleigh_sommerfeld import Advance, Legs
@@ -182,6 +183,12 @@ def plane_by_plane(
     room = Room(volume, legs, grid, band, waves, times, Gridding(taps, 1.25))
     # one laser's wall is transformed once for all planes; of many, those would take much memory
     n_lasers, n_planes = walls.shape[1], len(volume.z)
+    first, last = room.ends(0, slice(0, n_planes))
+    fits_memory(
+        f"the pulse at {counted(last - first, 'moment')} on {grid.size} padded wall points",
+        8.0 * (last - first) * grid.size * kind.itemsize,  # copies and two threads
+        "use a smaller aperture, nearer times, or method='direct'",
+    )
     only = room.wall(walls[:, 0], 0, slice(0, n_planes)) if n_lasers == 1 else None
     size = math.prod((room.distances(volume.z[-1])[1], *room.quadrant)) * kind.itemsize
     keeps = size * n_planes <= KEPT
@@ -311,6 +318,15 @@ class Room:
             high = math.hypot(z - depth, *(side.max() for side in sides))
         return self._samples(low + float(self.times.min()), high + float(self.times.max()))
 
+    def ends(self, j: int, part: slice) -> tuple[int, int]:
+        """Return the first sample on the wall that planes need of laser j, and the end of all."""
+        ends = []
+        for z in self.volume.z[part]:
+            r, t = self.distances(z), self.moments(j, z)
+            ends.append((r[0] + t[0], r[0] + t[0] + r[1] + t[1] - 1))
+        # one more than is needed, since `correlate` takes samples in pairs
+        return min(a for a, _ in ends), max(b for _, b in ends) + 1
+
     @cached_property
     def steps(self) -> tuple[Array, Array]:
         """Coordinates of kernels, (y, x), m."""
@@ -363,12 +379,7 @@ class Room:
         """
         import ducc0
 
-        ends = []
-        for z in self.volume.z[part]:
-            r, t = self.distances(z), self.moments(j, z)
-            ends.append((r[0] + t[0], r[0] + t[0] + r[1] + t[1] - 1))
-        # one more than is needed, since `correlate` takes samples in pairs
-        first, last = min(a for a, _ in ends), max(b for _, b in ends) + 1
+        first, last = self.ends(j, part)
         waves, pitch = self.band.wavenumbers[self.waves], self.pitch
         slow = waves - self.carrier
         share = self.gridding.correction(slow * pitch / (2.0 * math.pi))
