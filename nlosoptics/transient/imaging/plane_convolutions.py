@@ -181,21 +181,23 @@ def plane_by_plane(
     # the error falls by exp(-pi sqrt(1 - 1/oversampling)) a tap, Barnett et al. 2019, eq. 4.12
     taps = max(4, math.ceil(math.log(3.0 / tol) / (math.pi * math.sqrt(0.2))))
     room = Room(volume, legs, grid, band, waves, times, Gridding(taps, 1.25))
-    # one laser's wall is transformed once for all planes; of many, those would take much memory
     n_lasers, n_planes = walls.shape[1], len(volume.z)
-    first, last = room.ends(0, slice(0, n_planes))
-    fits_memory(
-        f"the pulse at {counted(last - first, 'moment')} on {grid.size} padded wall points",
-        8.0 * (last - first) * grid.size * kind.itemsize,  # copies and two threads
-        "use a smaller aperture, nearer times, or method='direct'",
-    )
-    only = room.wall(walls[:, 0], 0, slice(0, n_planes)) if n_lasers == 1 else None
     size = math.prod((room.distances(volume.z[-1])[1], *room.quadrant)) * kind.itemsize
     keeps = size * n_planes <= KEPT
     kept = _kept(room.key, tuple(volume.z), kind) if keeps else {}
     step = max(1, PLANES // size)
     if size * n_planes * n_lasers > FEW:
         step = min(step, -(-n_planes // 2))
+    parts = list(blocks(n_planes, step))
+    # one laser's wall is transformed once for all planes; of many, those would take much memory
+    alone = [slice(0, n_planes)] if n_lasers == 1 else []
+    most = max(last - first for first, last in (room.ends(0, part) for part in alone or parts))
+    fits_memory(
+        f"the pulse at {counted(most, 'moment')} on {grid.size} padded wall points",
+        8.0 * most * grid.size * kind.itemsize,  # copies and two threads
+        "use a smaller aperture, nearer times, or method='direct'",
+    )
+    only = room.wall(walls[:, 0], 0, alone[0]) if alone else None
 
     def carry(part: slice) -> slice:
         planes = range(part.start, part.stop)
@@ -208,7 +210,7 @@ def plane_by_plane(
                 room.add(kernel, wall, j, k, fields[:, k])
         return part
 
-    for part in _threaded(carry, list(blocks(n_planes, step))):
+    for part in _threaded(carry, parts):
         advance(part.stop / n_planes)
     return fields
 
