@@ -200,6 +200,12 @@ def test_gradients_of_a_step_are_computed_with_it(tmp_path: Path) -> None:
     assert si(found.values()["laser.power"]) == approx(3e-3, abs=1e-6)
     assert si(found.values()["camera.exposure"]) == approx(1.0, abs=1e-3)
     assert len(found.objectives) in range(3, 30, 3)
+    # a millionth of this range is less than the tenth digit of its values
+    narrow = {"laser.power": {"from": "2.99999 mW", "to": "3.00002 mW"}}
+    still = {"camera.exposure": "1 s"}
+    study = made([OFF], ["off"], "gradient", variables=narrow, set=still)
+    found = optimum(run(study, tmp_path / "narrow"))
+    assert si(found.values()["laser.power"]) == approx(3e-3, abs=1e-10)
     limit = [{"figure": "power", "at_most": 2e-3}]
     power = {"figure": "value", "address": "laser.power", "name": "power"}
     study = made([OFF, power], ["off"], "gradient", variables=PLANE, constraints=limit)

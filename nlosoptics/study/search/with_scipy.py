@@ -101,13 +101,16 @@ def gradient(problem: Problem, ask: Ask) -> str:
 def _with_derivatives(problem: Problem, ask: Ask, x: Array) -> tuple[Array, Array]:
     """Return objective and margins (1 + m,) and their derivatives (1 + m, n) by coordinates."""
     x = np.clip(x, 0.0, 1.0)
-    moved = x + np.diag(np.where(x < 0.5, STEP, -STEP))
+    steps, widths = np.full(len(x), STEP), np.zeros(len(x))
+    # values are rounded, by which steps differ a little, or vanish if a range is narrow
+    while (short := (np.abs(widths) < 0.5 * steps) & (steps < 0.1)).any():
+        moved = x + np.diag(np.where(x < 0.5, steps, -steps))
+        widths = np.diag(problem.rounded(moved) - problem.rounded(x))
+        steps[short & (np.abs(widths) < 0.5 * steps)] *= 10.0
     here, *others = (
         np.array([*outcome.values, *outcome.margins])
         for outcome in ask([problem.point(one) for one in (x, *moved)])
     )
-    # values are rounded, by which the steps differ a little
-    widths = np.diag(problem.rounded(moved) - problem.rounded(x))
     with np.errstate(invalid="ignore"):
         rates = (np.array(others) - here).T / widths
     return here, np.where(np.isfinite(rates), rates, 0.0)

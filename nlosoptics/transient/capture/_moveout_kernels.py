@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import prange
 
 from ...kernels.parallel import threaded
@@ -19,19 +20,21 @@ def dip_moveout(series, corner, pitch, points, spacing, start, width, first, mov
     beyond a point, as seen from the laser, contribute, in steps of at most ``spacing``.
     """
     ny, nx, n_bins = series.shape
+    ends = corner + pitch * np.array([nx - 1.0, ny - 1.0])
+    reach = math.hypot(max(abs(corner[0]), abs(ends[0])), max(abs(corner[1]), abs(ends[1])))
     for p in prange(len(points)):
         away = math.hypot(points[p, 0], points[p, 1])
         across, up = (points[p, 0] / away, points[p, 1] / away) if away > 0.0 else (1.0, 0.0)
         away = max(away, 0.05 * spacing)
         moved[p] = 0.0
         apart = away
-        while True:
+        while apart < reach:
             # the range that matters is proportional to the distance from the laser
             step = min(spacing, 0.1 * apart)
             apart += step
             x, y = (apart * across - corner[0]) / pitch[0], (apart * up - corner[1]) / pitch[1]
             if not (0.0 <= x <= nx - 1 and 0.0 <= y <= ny - 1):
-                break
+                continue  # a laser point beside the grid
             i, j = min(int(x), nx - 2), min(int(y), ny - 2)
             a, b = x - i, y - j
             share = 1.0 - (2.0 * away / apart - 1.0) ** 2

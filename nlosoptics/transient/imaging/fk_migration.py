@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..._checks import expect, fits_memory, one_of
 from ..._progress import Progress
+from ...errors import SamplingError
 from ..capture.capture import TransientCapture
 from .confocal_grids import (
     ConfocalGrid,
@@ -82,8 +83,8 @@ def fk_migration(
     Raises
     ------
     SamplingError
-        If the capture is not confocal on an evenly spaced grid, or the volume exceeds the covered
-        range.
+        If the capture is not confocal on an evenly spaced grid, the volume exceeds the covered
+        range, or "albedo" has a single bin.
     SceneError
         If the capture has direct light, or its times include the outer legs.
     MemoryLimitError
@@ -134,6 +135,11 @@ def fk_migration(
     one_of("amplitude", amplitude, ("root", "light", "albedo"))
     kind = waves_kind(dtype)
     grid = confocal_grid(capture, "fk_migration")
+    if amplitude == "albedo" and grid.n_bins < 2:
+        raise SamplingError(
+            "amplitude = 'albedo' is a derivative over time and needs 2 bins, the capture has 1; "
+            "give amplitude='light'"
+        )
     volume = reached_volume(grid, volume, "fk_migration")
     n = _depth_axis(grid, volume)[1]
     nz, ny, nx = volume.shape

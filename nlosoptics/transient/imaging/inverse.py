@@ -227,11 +227,22 @@ def _prepared(capture: TransientCapture, advice: Advice) -> tuple[_Fit, Volume]:
     """Return counts and model of the scene's light, and the volume of the picture."""
     if advice.image is None:
         raise SamplingError("no object above the noise; give a capture of more photons")
+    own = advice.light
+    if own.H.shape != capture.H.shape or (own.sensor_points != capture.sensor_points).any():
+        raise SamplingError(
+            f"advice is that of another capture, with values of shape {own.H.shape} and not "
+            f"{capture.H.shape} or at other points; give advise(capture), or leave it out"
+        )
+    if min(capture.sensor_shape) <= 2 * RIM:
+        raise SamplingError(
+            f"inverse_image leaves out {RIM} cells at each rim, and needs more than {2 * RIM} wall "
+            f"points along x and y, the capture has {capture.sensor_shape}; use phasor_image"
+        )
     facts, width = advice.light.details["hidden_light"], capture.delta_t
     first, end = (round((facts[name] - capture.t_start) / width) for name in ("start", "stop"))
     pulse, background = direct_pulse(capture, first, facts["background"])
-    own = advice.image.volume
-    pitch = min(np.diff(own.x[:2]), np.diff(own.y[:2]))[0]
+    planes = advice.image.volume
+    pitch = min(np.diff(planes.x[:2]), np.diff(planes.y[:2]))[0]
     group = max(1, int(BINS * pitch / width))
     n_bins = (end - first) // group
     last = first + n_bins * group
@@ -239,7 +250,7 @@ def _prepared(capture: TransientCapture, advice: Advice) -> tuple[_Fit, Volume]:
     light = downsampled(light, bins=group)
     grid = confocal_grid(light, "inverse_image")
     amplitude = np.sqrt(advice.image.intensity.max(axis=(1, 2)))
-    lit = own.z[amplitude > 0.15 * amplitude.max()]
+    lit = planes.z[amplitude > 0.15 * amplitude.max()]
     margin = 0.5 * advice.image.wl_mean
     near = max(lit[0] - margin, 0.5 * facts["start"], PLANES * pitch)
     z = np.arange(near, max(lit[-1] + margin, near + 5 * PLANES * pitch), PLANES * pitch)

@@ -180,7 +180,7 @@ def phasor_image(
     notes = _notes(capture, volume, setup, wl_mean, sample)
     grid, reason = _grid(setup, volume, wl_mean, method)
     band = pulse_band(capture, wl_mean, float(wl_sigma), (first, last), tol)
-    _check_memory(setup, volume, grid, band, moments, dtype)
+    _check_memory(setup, volume, band, moments, dtype)
     paths = volume.points.size / 3 * len(setup.legs.near)
     asked = reason in ("requested", "few voxels")
     work = paths * len(band.numbers)
@@ -275,24 +275,20 @@ def _grid(setup: Setup, volume: Volume, wl_mean: float, method: str) -> tuple[La
         return None, str(error)
 
 
-def _slice(setup: Setup, grid: Lattice | None, n_waves: int, dtype: str) -> tuple[int, float]:
+def _slice(setup: Setup, n_waves: int, dtype: str) -> tuple[int, float]:
     """Return how many waves are propagated at a time, and the bytes per wave."""
-    size = 8 if dtype == "float32" else 16
-    # besides the wall's transform, two threads each hold kernels and products of a plane
-    numbers = max(setup.columns.size, 0 if grid is None else 8 * grid.size)
-    return min(n_waves, max(1, int(SPECTRA // (size * numbers)))), float(size * numbers)
+    size = setup.columns.size * (8 if dtype == "float32" else 16)
+    return min(n_waves, max(1, SPECTRA // size)), float(size)
 
 
-def _check_memory(
-    setup: Setup, volume: Volume, grid: Lattice | None, band: Band, moments: Array, dtype: str
-) -> None:
+def _check_memory(setup: Setup, volume: Volume, band: Band, moments: Array, dtype: str) -> None:
     voxels = float(np.prod(volume.shape))
     fits_memory(
         f"a field at {counted(len(moments), 'time')} on {voxels:.3g} voxels",
         52.0 * len(moments) * voxels,  # the result has double precision in any case
         "ask for fewer voxels or times",
     )
-    n_waves, each = _slice(setup, grid, len(band.numbers), dtype)
+    n_waves, each = _slice(setup, len(band.numbers), dtype)
     fits_memory(
         f"spectra of {counted(setup.columns.size, 'pair')}",
         3.0 * each * n_waves,
@@ -313,7 +309,7 @@ def _carry(
     """Return the field (t, nz, ny, nx), summed over slices of waves to bound the memory."""
     n_waves, (dtype, tol) = len(band.numbers), precision
     total: ComplexArray | None = None
-    for kept in blocks(n_waves, _slice(setup, grid, n_waves, dtype)[0]):
+    for kept in blocks(n_waves, _slice(setup, n_waves, dtype)[0]):
         part = band.part(kept)
         spectra = _spectra(capture, setup, part, dtype)
 

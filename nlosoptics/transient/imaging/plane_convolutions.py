@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._checks import counted, fits_memory
 from ...errors import SamplingError
 from .gridding import Gridding
 from .rayleigh_sommerfeld import Advance, Legs
@@ -180,15 +181,23 @@ def plane_by_plane(
     # the error falls by exp(-pi sqrt(1 - 1/oversampling)) a tap, Barnett et al. 2019, eq. 4.12
     taps = max(4, math.ceil(math.log(3.0 / tol) / (math.pi * math.sqrt(0.2))))
     room = Room(volume, legs, grid, band, waves, times, Gridding(taps, 1.25))
-    # one laser's wall is transformed once for all planes; of many, those would take much memory
     n_lasers, n_planes = walls.shape[1], len(volume.z)
-    only = room.wall(walls[:, 0], 0, slice(0, n_planes)) if n_lasers == 1 else None
     size = math.prod((room.distances(volume.z[-1])[1], *room.quadrant)) * kind.itemsize
     keeps = size * n_planes <= KEPT
     kept = _kept(room.key, tuple(volume.z), kind) if keeps else {}
     step = max(1, PLANES // size)
     if size * n_planes * n_lasers > FEW:
         step = min(step, -(-n_planes // 2))
+    parts = list(blocks(n_planes, step))
+    # one laser's wall is transformed once for all planes; of many, those would take much memory
+    alone = [slice(0, n_planes)] if n_lasers == 1 else []
+    most = max(last - first for first, last in (room.ends(0, part) for part in alone or parts))
+    fits_memory(
+        f"the pulse at {counted(most, 'moment')} on {grid.size} padded wall points",
+        8.0 * most * grid.size * kind.itemsize,  # copies and two threads
+        "use a smaller aperture, nearer times, or method='direct'",
+    )
+    only = room.wall(walls[:, 0], 0, alone[0]) if alone else None
 
     def carry(part: slice) -> slice:
         planes = range(part.start, part.stop)
@@ -201,7 +210,7 @@ def plane_by_plane(
                 room.add(kernel, wall, j, k, fields[:, k])
         return part
 
-    for part in _threaded(carry, list(blocks(n_planes, step))):
+    for part in _threaded(carry, parts):
         advance(part.stop / n_planes)
     return fields
 
@@ -311,6 +320,15 @@ class Room:
             high = math.hypot(z - depth, *(side.max() for side in sides))
         return self._samples(low + float(self.times.min()), high + float(self.times.max()))
 
+    def ends(self, j: int, part: slice) -> tuple[int, int]:
+        """Return the first sample on the wall that planes need of laser j, and the end of all."""
+        ends = []
+        for z in self.volume.z[part]:
+            r, t = self.distances(z), self.moments(j, z)
+            ends.append((r[0] + t[0], r[0] + t[0] + r[1] + t[1] - 1))
+        # one more than is needed, since `correlate` takes samples in pairs
+        return min(a for a, _ in ends), max(b for _, b in ends) + 1
+
     @cached_property
     def steps(self) -> tuple[Array, Array]:
         """Coordinates of kernels, (y, x), m."""
@@ -363,12 +381,7 @@ class Room:
         """
         import ducc0
 
-        ends = []
-        for z in self.volume.z[part]:
-            r, t = self.distances(z), self.moments(j, z)
-            ends.append((r[0] + t[0], r[0] + t[0] + r[1] + t[1] - 1))
-        # one more than is needed, since `correlate` takes samples in pairs
-        first, last = min(a for a, _ in ends), max(b for _, b in ends) + 1
+        first, last = self.ends(j, part)
         waves, pitch = self.band.wavenumbers[self.waves], self.pitch
         slow = waves - self.carrier
         share = self.gridding.correction(slow * pitch / (2.0 * math.pi))

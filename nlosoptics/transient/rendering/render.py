@@ -68,7 +68,7 @@ def render(
         computed with random numbers, so that it limits the expected error.
     n_rays : int, optional
         Largest number of random paths with more than three bounces, at least 8. None: as many as
-        take about a minute on one core.
+        take about a minute on one core, but at least 65,536, which take longer for many pairs.
     seed : int
         Seed of the random paths, 0 to 2^64 - 1. Results are identical for any number of threads.
         Three bounces use no random numbers.

@@ -150,6 +150,22 @@ def test_moveout_makes_a_capture_confocal(swapped):
     assert volume.points[z, y, x] == pytest.approx(at, abs=0.021)
 
 
+def test_moveout_fills_the_points_between_a_laser_and_a_grid_beside_it():
+    grid, at, lone = wall_grid(1.0, 16), np.array([-0.3, 0.03, 0.7]), np.array([-1.1, 0.1, 0.0])
+    times = 0.01 * (np.arange(400) + 0.5)
+    paths = np.linalg.norm(grid - at, axis=-1) + np.linalg.norm(lone - at)
+    H = np.exp(-0.5 * ((times[:, None, None] - paths) / 0.03) ** 2)
+    moved = normal_moveout(
+        TransientCapture(H=H, laser_points=lone, sensor_points=grid, delta_t=0.01)
+    )
+    # half of the points lie beside the grid of sensors
+    assert (np.ptp(moved.H, axis=0) > 0.0).mean() > 0.95
+    expected = 2.0 * np.linalg.norm(moved.sensor_points - at, axis=-1)
+    found = moved.times[moved.H.argmax(axis=0)]
+    for part in (slice(0, 8), slice(8, 16)):
+        assert np.median(np.abs(found - expected)[2:-2, part]) < 0.02
+
+
 @pytest.mark.parametrize(
     ("call", "kind", "words"),
     [

@@ -430,6 +430,9 @@ def test_what_backprojection_refuses():
         lct(light, snr=0.0)
     with pytest.raises(SceneError, match="target"):
         fk_migration(light, target="glossy")
+    single = capture(point_light(POINT)[150:151], t_start=300 * DEEP)
+    with pytest.raises(SamplingError, match=r"needs 2 bins, the capture has 1; give amplitude"):
+        fk_migration(single, amplitude="albedo")
 
 
 def letter_z(volume):

@@ -135,8 +135,30 @@ def test_direct_light_is_the_pulse(power):
             lambda c: replace(c, H=np.random.default_rng(0).poisson(1.0, c.H.shape) * 1.0),
             "no object above the noise",
         ),
+        (lambda c: of_points(c, 4), r"more than 4 wall points .* the capture has \(4, 4\)"),
     ],
 )
 def test_captures_that_it_cannot_fit_are_refused(light, change, words):
     with pytest.raises(SamplingError, match=words):
-        transient.inverse_image(change(capture(light, 10.0)))
+        transient.inverse_image(change(capture(light, 1000.0)))
+
+
+def of_points(shot, n):
+    """Part of a capture: every few of its wall points, n along each side."""
+    every = np.arange(n) * (shot.H.shape[1] // n)
+    points = shot.sensor_points[every][:, every]
+    H = shot.H[:, every][:, :, every]
+    return replace(shot, H=H, laser_points=points, sensor_points=points)
+
+
+def test_advice_of_another_capture_is_refused(light):
+    shot = capture(light, 10.0)
+    advice = transient.advise(shot)
+    moved = shot.sensor_points + np.array([1.0, 0.0, 0.0])
+    for other in (
+        of_points(shot, 16),
+        replace(shot, H=shot.H[:40]),
+        replace(shot, laser_points=moved, sensor_points=moved),
+    ):
+        with pytest.raises(SamplingError, match=r"advice is that of another capture.*leave it out"):
+            transient.inverse_image(other, advice=advice)
