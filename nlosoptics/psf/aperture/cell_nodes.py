@@ -29,6 +29,7 @@ def pupil_points(
     counts : tuple of int
         Shape of the result: rings and points per ring, or (n_patches, n_s, n_t) of the outline.
     """
+    counts = tuple(whole("samples", n) for n in counts)
     return (_kept if math.prod(counts) <= KEPT else _points)(radius, obscuration, outline, counts)
 
 
