@@ -38,8 +38,7 @@ def _points(
 ) -> tuple[Array, Array, Array]:
     """Compute the nodes of a pupil."""
     if outline is None:
-        n_r, n_theta = counts
-        return polar_nodes(radius, n_r, n_theta, obscuration)
+        return polar_nodes(radius, counts[0], counts[1], obscuration)
     n_patches, n_s, n_t = counts
     whole("the number of patches", n_patches, len(outline.owners), len(outline.owners))
     return outline.nodes(n_s, n_t)

@@ -17,9 +17,7 @@ from ..._xarray import Labelled
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import pupil_points
-from ..aperture.quadrature_nodes import (
-    fitting_pitch,
-)
+from ..aperture.quadrature_nodes import fitting_pitch
 from .cell_series import CellSpectrum, spectrum
 from .fits import fitted_terms
 from .node_checks import check_aperture, check_nodes, grid_pitch, wave_labels
