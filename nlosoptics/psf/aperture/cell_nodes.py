@@ -29,6 +29,7 @@ def pupil_points(
     counts : tuple of int
         Shape of the result: rings and points per ring, or (n_patches, n_s, n_t) of the outline.
     """
+    counts = tuple(whole("samples", n) for n in counts)
     return (_kept if math.prod(counts) <= KEPT else _points)(radius, obscuration, outline, counts)
 
 
@@ -37,8 +38,7 @@ def _points(
 ) -> tuple[Array, Array, Array]:
     """Compute the nodes of a pupil."""
     if outline is None:
-        n_r, n_theta = counts
-        return polar_nodes(radius, n_r, n_theta, obscuration)
+        return polar_nodes(radius, counts[0], counts[1], obscuration)
     n_patches, n_s, n_t = counts
     whole("the number of patches", n_patches, len(outline.owners), len(outline.owners))
     return outline.nodes(n_s, n_t)

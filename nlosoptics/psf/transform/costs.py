@@ -30,7 +30,7 @@ def map_bytes(n: int, window: Window) -> float:
 
 
 def scattered(cells: float, nodes: float, points: float, pixels: float) -> float:
-    """Predict the seconds of `rough.scattered_light` from its counts of cells to pixels."""
+    """Predict the seconds of `Scattering` from its counts of cells to pixels."""
     return 9e-3 + 7e-7 * cells + 6.2e-7 * nodes + 2.4e-7 * points + 5e-7 * pixels
 
 

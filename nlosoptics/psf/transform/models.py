@@ -164,13 +164,14 @@ def _level_error(residual: Residual, level: float) -> float:
 
 
 def plane_levels(residual: Residual) -> tuple[float, float]:
-    """Return `high_aperture.levels` of an unpolarised wave at its own nodes."""
+    """Return `high_aperture.levels` of an unpolarised wave."""
     wave = residual.wavefront
-    distance = wave.image_distance
     if residual.has_series and residual.is_uniform:
+        # the wave's own nodes on a disc or ring may be too few
+        counts = (high_aperture.more_nodes(residual)[0], 5) if residual.is_round else wave.u.shape
         pupil = wave.pupil_radius, wave.obscuration, wave.aperture
-        return high_aperture.clear_levels(*pupil, wave.u.shape, distance)
-    return high_aperture.levels(nufft.own_nodes(residual), distance, "unpolarised")
+        return high_aperture.clear_levels(*pupil, counts, wave.image_distance)
+    return high_aperture.levels(nufft.own_nodes(residual), wave.image_distance, "unpolarised")
 
 
 def axial_share(residual: Residual) -> float:

@@ -23,7 +23,7 @@ from .rough_wall import Cost
 def smooth_cost(
     residual: Residual, pitch: float, shape: tuple[int, int], tol: float, cells: int = 0
 ) -> Cost:
-    """Predict the cost of `wide_point_spread` for a wave split into piston, tilt and residual."""
+    """Predict the cost of `detilted_wide_spread` by the scalar model."""
     inner = inner_parts(residual, pitch, shape, tol)
     whole = Cost(0.0, 0.0)
     if inner is not None:

@@ -17,9 +17,7 @@ from ..._xarray import Labelled
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import pupil_points
-from ..aperture.quadrature_nodes import (
-    fitting_pitch,
-)
+from ..aperture.quadrature_nodes import fitting_pitch
 from .cell_series import CellSpectrum, spectrum
 from .fits import fitted_terms
 from .node_checks import check_aperture, check_nodes, grid_pitch, wave_labels
@@ -225,8 +223,9 @@ class Wavefront(Noun, Shown, Labelled):
         polar 40.0 5.00e-08 m
         """
         one_of("ordering", ordering, ORDERINGS)
+        obscuration = real("obscuration", obscuration)
         nodes = nodes_of(nodes, aperture, obscuration, samples)
-        positive("pupil_radius", pupil_radius, unit="m")
+        pupil_radius = positive("pupil_radius", pupil_radius, unit="m")
         if nodes == "polar":
             samples = polar_counts(zernike_degree(coefficients, ordering), samples)
         fill = zernike_fill(coefficients, pupil_radius, ordering, obscuration, aperture)
@@ -292,12 +291,13 @@ class Wavefront(Noun, Shown, Labelled):
         SceneError
             If a function does not return finite real numbers, or options contradict one another.
         """
+        obscuration = real("obscuration", obscuration)
         layout = nodes_of(nodes, aperture, obscuration, samples)
         if pupil_radius is None:
             if aperture is None:
                 raise SceneError("pupil_radius is missing; give it or an aperture")
             pupil_radius = aperture.bounding_radius
-        positive("pupil_radius", pupil_radius, unit="m")
+        pupil_radius = positive("pupil_radius", pupil_radius, unit="m")
         moved = segment_terms(aperture, pistons, tilts)
 
         def fill(at: PupilNodes) -> tuple[Array, Array]:

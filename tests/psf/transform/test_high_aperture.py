@@ -387,6 +387,16 @@ def test_a_method_by_name_is_scalar_unless_the_model_is_named():
     assert psf.point_spread(wave, method="quadrature", shape=33, **HIGH).model == "high-aperture"
 
 
+def test_the_model_error_of_a_clear_pupil_does_not_depend_on_its_nodes():
+    options = {"shape": 33, "model": "scalar"}
+    few, many = (
+        psf.point_spread(wave_at(0.7, obscuration=0.3, samples=n), **options).model_error
+        for n in ((1, 1), (48, 192))
+    )
+    assert few == approx(many, rel=1e-12)
+    assert few > 0.1
+
+
 @pytest.mark.parametrize(
     ("f_number", "least", "more"),
     [
