@@ -133,12 +133,12 @@ for (name, (occluders, places, size)), top, below in zip(
         top.add_patch(Circle(100 * np.array(place), 100 * size, color="black"))
     modes = limits.feasibility(shaded).diffuse_modes
     top.set(title=f"{name}: {modes} modes", xlim=(-18, 20), ylim=(-14, 24), aspect="equal")
+    top.set(xlabel="x, cm", ylabel="y, cm")
     below.imshow(nlos.simulate(shaded, reconstruct=True).reconstruction.object)
     below.set(xticks=[], yticks=[])
     values = ratios(torch.tensor(fine.with_occluders(occluders).matrix)).sqrt()
     axes[0, 3].semilogy(values, label=name)
     print(f"{name}: {modes} modes above the noise")
-axes[0, 0].set(xlabel="x, cm", ylabel="y, cm")
 axes[0, 3].axhline(1.0, color="grey", linewidth=0.8)
 axes[0, 3].set(xlabel="pattern", ylabel="signal over noise", ylim=(0.1, None))
 axes[0, 3].legend()
