@@ -58,7 +58,7 @@ def discs(places):
 # the places of all discs: the shadows have exact edges, and thus exact derivatives. All 32
 # derivatives together take about as long as the matrix.
 
-coarse = imaging.WallTransport(scene, cells=(16, 16), pixels=(16, 16), samples=9)
+coarse = imaging.WallTransport(scene, cells=(12, 12), pixels=(12, 12), samples=9)
 camera = scene.camera
 readout = camera.read_noise**2 + (camera.full_well / 2**camera.bit_depth) ** 2 / 12
 readout = (readout + camera.dark_current * camera.exposure) * camera.pixels[0] * camera.pixels[1]
