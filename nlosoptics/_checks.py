@@ -57,6 +57,7 @@ _MAKERS = {
     "TracedImage": "raytrace.trace_image(scene)",
     "RayPaths": "raytrace.trace(scene)",
     "DepthMap": "transient.depth_map(image)",
+    "Advice": "transient.advise(capture)",
     "Optimum": "study.optimum(results)",
     "Shadows": "imaging.cast_shadows(scene)",
     "Roughness": "psf.Roughness(height_rms=50e-9, correlation_length=2e-3)",

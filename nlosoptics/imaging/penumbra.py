@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._checks import numbers
 from .._nouns import Noun
 from ..errors import SceneError
 from ..raytrace.intersection.meshes import worker_pool
@@ -101,13 +102,15 @@ def in_bands(kernel: Any, nodes: tuple[NDArray[Any], ...], *arguments: Any) -> N
     list(worker_pool().map(band, range(0, len(out), 32)))
 
 
-def checked_planes(name: str, values: ArrayLike, shape: tuple[int, int]) -> Array:
-    """Return values as finite float64 of a shape (..., rows, columns)."""
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape[-2:] != shape:
+def checked_planes(
+    name: str, values: ArrayLike, shape: tuple[int, int], *, single: bool = False
+) -> Array:
+    """Return values as finite float64 of a shape (..., rows, columns), or (rows, columns) alone."""
+    array = numbers(name, values)
+    if array.shape[-2:] != shape or (single and array.ndim > 2):
         raise SceneError(
-            f"{name} has the shape {array.shape}, must end with {shape}; resample it, or build the "
-            "operator with other cells and pixels"
+            f"{name} has the shape {array.shape}, must {'be' if single else 'end with'} {shape}; "
+            "resample it, or build the operator with other cells and pixels"
         )
     if not np.isfinite(array).all():
         raise SceneError(

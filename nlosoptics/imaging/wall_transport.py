@@ -338,7 +338,7 @@ class WallTransport(Noun):
             If ``f`` has another shape or is not finite, or ``occluder`` is out of range.
         """
         index = whole("occluder", occluder, 0, len(self.scene.occluders) - 1)
-        values = checked_planes("f", f, self.cells).reshape(1, -1)
+        values = checked_planes("f", f, self.cells, single=True).reshape(1, -1)
         rates = self._rates(values, np.zeros(self.shape[0], dtype=np.int64))[:, index]
         return np.ascontiguousarray(rates.T).reshape(6, *self.pixel_shape)
 
@@ -361,7 +361,7 @@ class WallTransport(Noun):
         SceneError
             If ``weights`` has another shape or is not finite.
         """
-        values = checked_planes("weights", weights, self.shape).reshape(-1, *self.shape).sum(axis=0)
+        values = checked_planes("weights", weights, self.shape, single=True)
         return np.asarray(self._rates(values, np.arange(len(values))).sum(axis=0))
 
     def _rates(self, values: Array, which: NDArray[np.int64]) -> Array:

@@ -328,6 +328,15 @@ def test_derivative_by_the_pose_is_that_of_differences(small, occluder):
             "y has 64 values that are not finite",
         ),
         (lambda s: WallTransport(s, cells=(3, 3)).moved(1, (0, 0, 0)), "occluder = 1 is out of"),
+        (lambda s: WallTransport(s, cells=(3, 3)).forward("x"), "f = 'x' is no array of numbers"),
+        (
+            lambda s: WallTransport(s, cells=(3, 3)).pose_derivative(np.ones((2, 3, 3))),
+            r"f has the shape \(2, 3, 3\), must be \(3, 3\)",
+        ),
+        (
+            lambda s: WallTransport(s, cells=(3, 3)).pose_gradient(np.ones((2, 64, 9))),
+            r"weights has the shape \(2, 64, 9\), must be \(64, 9\)",
+        ),
         (lambda s: WallTransport(s, cells=(3, 3)).moved(0, (0, 0, -1)), "behind the wall's plane"),
         (
             lambda s: WallTransport(s, cells=(3, 3), material=SpecularMicrofacet(0.1, 1e-4)).matrix,
